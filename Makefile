@@ -1,0 +1,39 @@
+# l3cli: every target sets up what it needs (Python ≥ 3.11; no compiler).
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+DEMO := build/demo
+JOBS ?= 2
+export L3_DATA ?= $(abspath ../shared/data)
+
+.PHONY: help install demo test lint format bench clean
+.DEFAULT_GOAL := help
+
+help: ## this list
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
+
+$(VENV)/installed: pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[dev]"
+	touch $@
+
+install: $(VENV)/installed ## own .venv with l3, PoCL and the development tools
+
+demo: $(VENV)/installed ## a five-band camera from virtual lab to rendered picture
+	$(MAKE) --no-print-directory -f Makefile demo-steps
+
+test: $(VENV)/installed ## the test suite
+	$(BIN)/python -m pytest
+
+lint: $(VENV)/installed ## ruff format and check, mypy
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+format: $(VENV)/installed ## rewrite the sources in the house's format
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+clean: ## remove what the other targets made
+	rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -not -path './$(VENV)/*' -prune -exec rm -rf {} +

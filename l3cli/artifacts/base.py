@@ -1,0 +1,330 @@
+"""Artifacts: frozen dataclasses whose field declarations are the HDF5 schema.
+
+A field declared with `data(dtype, axes, unit, doc)` is one dataset. Saving, loading, checking and `l3 info` all read that one
+declaration. A field whose type is another such dataclass is a group. DESIGN 3 tells what the files promise.
+"""
+
+import contextlib
+import dataclasses
+import json
+import types
+import typing
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar, TypeVar
+
+import h5py
+import numpy as np
+
+from l3cli import __version__
+from l3cli.errors import InputFileError
+from l3cli.files import atomic_output
+
+COMPRESSION = {"compression": "gzip", "compression_opts": 4, "shuffle": True, "fletcher32": True}
+KNOWN_FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
+LARGEST_RATIO = 1100  # deflate cannot expand further than 1032 : 1
+SMALL = 4096  # bytes that are believed without looking at what is stored
+
+
+@dataclass(frozen=True)
+class Spec:
+    """Type, named axes, unit and meaning of one dataset."""
+
+    dtype: str
+    axes: tuple[str, ...]
+    unit: str
+    doc: str
+
+
+def data(dtype: str, *axes: str, unit: str = "1", doc: str = "", default: Any = dataclasses.MISSING) -> Any:
+    """Declare one dataset: `dtype` ("float64", "uint16", "str"…), axis names (none: a scalar), unit and meaning."""
+    return field(metadata={"spec": Spec(dtype, axes, unit, doc)}, default=default)
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One step of an artifact's history: what was run, on what, with which recipe. No clock, host or path."""
+
+    command: str
+    options: dict[str, Any]
+    recipe: str = ""
+    inputs: dict[str, list[str]] = field(default_factory=dict)  # role → SHA-256 of the files
+    version: str = __version__
+
+
+@dataclass(frozen=True)
+class Artifact:
+    """Base of what the stages hand on. Subclasses set `kind`, `version`, `made_by`."""
+
+    kind: ClassVar[str]
+    version: ClassVar[int]
+    made_by: ClassVar[str]
+    history: tuple[Stage, ...] = field(default=(), kw_only=True)
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+A = TypeVar("A", bound=Artifact)
+
+
+# ------------------------------------------------------------------------------------------------ declarations
+
+
+def _declared(cls: type) -> Iterator[tuple[str, Spec | type, bool]]:
+    """(name, Spec or dataclass of the group, optional) of each stored field of a dataclass."""
+    hints = typing.get_type_hints(cls)
+    for item in dataclasses.fields(cls):
+        spec = item.metadata.get("spec")
+        if spec is not None:
+            yield item.name, spec, False
+            continue
+        hint = hints[item.name]
+        members = typing.get_args(hint) if isinstance(hint, types.UnionType) else (hint,)
+        groups = [member for member in members if dataclasses.is_dataclass(member)]
+        if groups:
+            yield item.name, typing.cast(type, groups[0]), type(None) in members
+
+
+def check(instance: Any) -> None:
+    """Dtypes, number of axes, equal length of equally named axes, finite numbers; ValueError names the field."""
+    _check(instance, {}, "")
+
+
+def _check(instance: Any, lengths: dict[str, tuple[int, str]], prefix: str) -> None:
+    for name, spec, optional in _declared(type(instance)):
+        value = getattr(instance, name)
+        if not isinstance(spec, Spec):
+            if not (optional and value is None):
+                _check(value, lengths, f"{prefix}{name}/")
+            continue
+        array = np.asarray(value)
+        label = f"{prefix}{name} ({', '.join(spec.axes)})"
+        if array.ndim != len(spec.axes):
+            raise ValueError(f"{label} has {array.ndim} axes")
+        if spec.dtype != "str":
+            if not np.can_cast(array.dtype, spec.dtype, "same_kind"):
+                raise ValueError(f"{label} holds {array.dtype}, not {spec.dtype}")
+            if array.dtype.kind == "f" and not np.isfinite(array).all():
+                raise ValueError(f"{label} holds values that are not finite")
+        for axis, length in zip(spec.axes, array.shape, strict=True):
+            known, where = lengths.setdefault(axis, (length, prefix + name))
+            if known != length:
+                raise ValueError(f"{label} has {length} along {axis}, but {where} has {known}")
+
+
+# ------------------------------------------------------------------------------------------------------ writing
+
+
+def write_fields(group: h5py.Group, instance: Any) -> None:
+    """Write every declared field of `instance` below `group`."""
+    for name, spec, optional in _declared(type(instance)):
+        value = getattr(instance, name)
+        if isinstance(spec, Spec):
+            _write_dataset(group, name, spec, value)
+        elif not (optional and value is None):
+            write_fields(group.create_group(name), value)
+
+
+def _write_dataset(group: h5py.Group, name: str, spec: Spec, value: Any) -> None:
+    if spec.dtype == "str":
+        array = np.char.encode(np.asarray(value, dtype=str), "utf-8")
+        if array.dtype.itemsize == 0:
+            array = array.astype("S1")
+        array = array.astype(h5py.string_dtype("utf-8", array.dtype.itemsize))
+    else:
+        array = np.asarray(value, dtype=spec.dtype)
+    options: dict[str, Any] = {}
+    if array.ndim and array.size:
+        options = {**COMPRESSION, "chunks": _chunk(array.shape, array.dtype.itemsize)}
+    dataset = group.create_dataset(name, data=array, track_times=False, **options)
+    dataset.attrs["axes"] = ", ".join(spec.axes)
+    dataset.attrs["unit"] = spec.unit
+    dataset.attrs["doc"] = spec.doc
+
+
+def _chunk(shape: tuple[int, ...], itemsize: int) -> tuple[int, ...]:
+    """Whole trailing axes, as many leading ones as make about a mebibyte."""
+    chunk = list(shape)
+    for axis in range(len(shape)):
+        others = itemsize * int(np.prod(chunk)) // chunk[axis]
+        chunk[axis] = max(1, min(shape[axis], (1 << 20) // max(others, 1)))
+    return tuple(chunk)
+
+
+@contextlib.contextmanager
+def new_artifact(path: Path, kind: str, version: int, history: tuple[Stage, ...]) -> Iterator[h5py.File]:
+    """An HDF5 file open for writing with kind, version and history on the root; renamed to `path` when all went well."""
+    with atomic_output(path) as temporary:
+        with h5py.File(temporary, "w", libver=("earliest", "v110"), track_order=False) as root:
+            root.attrs["kind"] = kind
+            root.attrs["version"] = np.int64(version)
+            stages = json.dumps([dataclasses.asdict(stage) for stage in history], sort_keys=True, ensure_ascii=False)
+            _write_dataset(
+                root, "history", Spec("str", (), "1", "JSON: the stages that led here, oldest first"), stages
+            )
+            yield root
+
+
+def save(artifact: Artifact, path: Path) -> None:
+    """Write `artifact` to `path` whole or not at all."""
+    with new_artifact(path, artifact.kind, artifact.version, artifact.history) as root:
+        write_fields(root, artifact)
+
+
+# ------------------------------------------------------------------------------------------------------ reading
+
+
+@contextlib.contextmanager
+def open_artifact(path: Path, expected: type[Artifact] | None = None) -> Iterator[h5py.File]:
+    """The file's root, after checking that it is an artifact, of kind `expected`, and of a version this l3 reads."""
+    made_by = expected.made_by if expected else "an l3 command"
+    if not path.exists():
+        raise InputFileError(f"{path} does not exist; make it with {made_by}")
+    if path.is_dir():
+        raise InputFileError(f"{path} is a folder; give the file written by {made_by}")
+    if not h5py.is_hdf5(path):
+        raise InputFileError(f"{path} is not an HDF5 file; give the file written by {made_by}")
+    try:
+        root = h5py.File(path, "r")
+    except OSError as error:
+        raise InputFileError(f"{path} is truncated or damaged; make it again with {made_by}") from error
+    with root:
+        try:
+            kind, version = str(root.attrs["kind"]), int(root.attrs["version"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputFileError(
+                f"{path} is an HDF5 file but no l3 artifact; give the file written by {made_by}"
+            ) from error
+        if expected is not None:
+            if kind != expected.kind:
+                raise InputFileError(f"{path} holds a {kind}; give the file written by {made_by}")
+            if version > expected.version:
+                raise InputFileError(
+                    f"{path} has version {version} of the {kind} format, this l3 reads up to {expected.version}; "
+                    "upgrade l3cli"
+                )
+        yield root
+
+
+def load(cls: type[A], path: Path) -> A:
+    """Read an artifact of type `cls`; InputFileError names file, dataset and cure."""
+    with open_artifact(path, cls) as root:
+        return read_fields(root, cls, path, history=read_history(root, path))
+
+
+def read_history(root: h5py.File, path: Path) -> tuple[Stage, ...]:
+    text = _read_dataset(root, "history", Spec("str", (), "1", ""), path)
+    try:
+        return tuple(Stage(**stage) for stage in json.loads(text))
+    except (ValueError, TypeError) as error:
+        raise InputFileError(f"{path}: dataset history is not the JSON that l3 writes; make the file again") from error
+
+
+def read_fields(group: h5py.Group, cls: type, path: Path, **extra: Any) -> Any:
+    """An instance of dataclass `cls` from the datasets below `group`."""
+    values = dict(extra)
+    for name, spec, optional in _declared(cls):
+        if isinstance(spec, Spec):
+            values[name] = _read_dataset(group, name, spec, path)
+        elif name in group:
+            values[name] = read_fields(_hard(group, name, h5py.Group, path), spec, path)
+        elif not optional:
+            raise InputFileError(f"{path} lacks the group {_inside(group, name)}; make the file again")
+    try:
+        instance = cls(**values)
+        check(instance)
+    except ValueError as error:
+        raise InputFileError(f"{path}: {error}; make the file again") from error
+    return instance
+
+
+def _inside(group: h5py.Group, name: str) -> str:
+    return f"{group.name.rstrip('/')}/{name}".lstrip("/")
+
+
+def _hard(group: h5py.Group, name: str, kind: type, path: Path) -> Any:
+    """A member that really lies in this file: no soft or external link is followed."""
+    where = _inside(group, name)
+    if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+        missing = name not in group
+        raise InputFileError(f"{path} {'lacks' if missing else 'links away'} the dataset {where}; make the file again")
+    member = group[name]
+    if not isinstance(member, kind):
+        raise InputFileError(f"{path}: {where} is not a {kind.__name__.lower()}; make the file again")
+    return member
+
+
+def _read_dataset(group: h5py.Group, name: str, spec: Spec, path: Path) -> Any:
+    dataset = _hard(group, name, h5py.Dataset, path)
+    where = _inside(group, name)
+    created = dataset.id.get_create_plist()
+    filters = {created.get_filter(i)[0] for i in range(created.get_nfilters())}
+    if dataset.is_virtual or dataset.external or not filters <= KNOWN_FILTERS:
+        raise InputFileError(f"{path}: dataset {where} is stored in a way l3 never writes; make the file again")
+    is_text = spec.dtype == "str"
+    expected_kind = "S" if is_text else np.dtype(spec.dtype).kind
+    if dataset.dtype.kind != expected_kind or dataset.ndim != len(spec.axes):
+        raise InputFileError(
+            f"{path}: dataset {where} is {dataset.dtype} with {dataset.ndim} axes, "
+            f"not {spec.dtype} ({', '.join(spec.axes)}); make the file again"
+        )
+    if dataset.size * dataset.dtype.itemsize > SMALL + LARGEST_RATIO * dataset.id.get_storage_size():
+        raise InputFileError(f"{path}: dataset {where} claims more data than the file holds; make the file again")
+    try:
+        array = dataset[()]
+        if is_text:
+            decoded = np.char.decode(array, "utf-8")
+            return tuple(str(item) for item in decoded) if spec.axes else str(decoded)
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputFileError(f"{path}: dataset {where} is damaged (checksum); make the file again") from error
+    if not spec.axes:
+        return np.asarray(array, dtype=spec.dtype).item()
+    array = np.asarray(array, dtype=spec.dtype)
+    array.flags.writeable = False
+    return array
+
+
+# --------------------------------------------------------------------------------------------------------- info
+
+
+@dataclass(frozen=True)
+class Described:
+    """One dataset as `l3 info` shows it; `value` is given for scalars, text and short lists."""
+
+    name: str
+    dtype: str
+    shape: tuple[int, ...]
+    axes: str
+    unit: str
+    doc: str
+    value: Any
+
+
+def describe(path: Path) -> dict[str, Any]:
+    """Kind, version, history and every dataset with axes and unit of any artifact."""
+    with open_artifact(path) as root:
+        found: list[Described] = []
+
+        def visit(name: str, member: Any) -> None:
+            if not isinstance(member, h5py.Dataset) or name == "history":
+                return
+            value: Any = None
+            if member.size <= 16 and member.ndim <= 1:
+                raw = member[()]
+                value = np.char.decode(raw, "utf-8").tolist() if member.dtype.kind == "S" else raw.tolist()
+            attrs = {key: str(member.attrs.get(key, "")) for key in ("axes", "unit", "doc")}
+            dtype = "str" if member.dtype.kind == "S" else str(member.dtype)
+            found.append(Described(name, dtype, member.shape, value=value, **attrs))
+
+        try:
+            root.visititems(visit)
+        except OSError as error:
+            raise InputFileError(f"{path} is damaged (checksum); make the file again") from error
+        return {
+            "kind": str(root.attrs["kind"]),
+            "version": int(root.attrs["version"]),
+            "history": [dataclasses.asdict(stage) for stage in read_history(root, path)],
+            "datasets": [dataclasses.asdict(item) for item in found],
+        }

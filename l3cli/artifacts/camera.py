@@ -1,0 +1,308 @@
+"""The camera model: what calibration finds out and simulation needs (METHOD 1)."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli import spectra
+from l3cli.artifacts.base import Artifact, data, load
+from l3cli.config import Recipe, load_recipe
+from l3cli.errors import InputFileError, RecipeError
+
+MAX_CHANNELS = 16  # a saturation code is 16 bits wide
+MAX_CFA = 8
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise of METHOD 1.2, referred to the photodiode."""
+
+    read_noise: float = data("float64", unit="e-", doc="standard deviation of one reading in the dark")
+    dark_current: float = data("float64", unit="e-/s", doc="mean dark current")
+    dsnu: float = data("float64", unit="e-", doc="dark signal nonuniformity, standard deviation over pixels")
+    prnu: float = data("float64", unit="1", doc="photo response nonuniformity, relative standard deviation over pixels")
+    well_capacity: float = data("float64", unit="e-", doc="electrons at which a pixel saturates")
+
+
+@dataclass(frozen=True)
+class Optics:
+    """Lens between scene and sensor (METHOD 1.3). Its transmittance is part of the responsivity."""
+
+    focal_length: float = data("float64", unit="m", doc="focal length")
+    f_number: float = data("float64", unit="1", doc="focal length / aperture diameter")
+    object_distance: float = data("float64", unit="m", doc="distance of the scene; 0: infinity")
+
+    @property
+    def irradiance_per_radiance(self) -> float:
+        """Camera equation, sr: sensor irradiance / scene radiance on the axis, π / (1 + 4 N² (1+|m|)²) (METHOD 1.3)."""
+        magnification = (
+            self.focal_length / (self.object_distance - self.focal_length) if self.object_distance > 0 else 0.0
+        )
+        return float(np.pi / (1.0 + 4.0 * self.f_number**2 * (1.0 + magnification) ** 2))
+
+
+@dataclass(frozen=True)
+class Fit:
+    """What calibration measured and how well the model explains it (METHOD 1.4)."""
+
+    alpha: NDArray[np.float64] = data("float64", "channel", unit="DN/(e-/photon)/photon", doc="Eq. 2 slope")
+    beta: NDArray[np.float64] = data("float64", "channel", unit="DN", doc="Eq. 2 offset: black plus glare")
+    r_squared: NDArray[np.float64] = data("float64", "channel", doc="of predicted against measured chart values")
+    relative_rmse: NDArray[np.float64] = data("float64", "channel", doc="RMSE of chart values / their mean signal")
+    smoothing: NDArray[np.float64] = data("float64", "trial", doc="values of delta tried in Eq. 1")
+    smoothing_error: NDArray[np.float64] = data(
+        "float64", "trial", unit="1", doc="cross-validated relative RMSE of chart values for each delta"
+    )
+    chosen_smoothing: float = data("float64", doc="delta used")
+    illuminants: tuple[str, ...] = data("str", "chart", doc="name of the light of each chart capture")
+    measured: NDArray[np.float64] = data(
+        "float64", "chart", "patch", "channel", unit="DN", doc="mean value of each patch"
+    )
+    predicted: NDArray[np.float64] = data("float64", "chart", "patch", "channel", unit="DN", doc="the model's value")
+    photon_transfer_mean: NDArray[np.float64] = data(
+        "float64", "level", "channel", unit="DN", doc="mean signal above black of each white exposure"
+    )
+    photon_transfer_variance: NDArray[np.float64] = data(
+        "float64", "level", "channel", unit="DN^2", doc="temporal variance at that signal"
+    )
+
+
+@dataclass(frozen=True)
+class CameraModel(Artifact):
+    """A camera: geometry, colour filter array, responsivities, analog chain, noise, optics."""
+
+    kind: ClassVar[str] = "camera model"
+    version: ClassVar[int] = 1
+    made_by: ClassVar[str] = '"l3 calibrate"'
+
+    name: str = data("str", doc="what the camera is called")
+    rows: int = data("int64", unit="pixel", doc="height of the sensor")
+    cols: int = data("int64", unit="pixel", doc="width of the sensor")
+    pixel_pitch: float = data("float64", unit="m", doc="distance of pixel centres")
+    bits: int = data("int64", unit="bit", doc="depth of the analog-digital converter")
+    channels: tuple[str, ...] = data("str", "channel", doc="names of the spectral channels")
+    cfa: NDArray[np.uint8] = data("uint8", "cfa_row", "cfa_col", doc="channel of each site of the super-pixel")
+    wavelength: NDArray[np.float64] = data("float64", "wavelength", unit="nm", doc="grid of the responsivities")
+    responsivity: NDArray[np.float64] = data(
+        "float64",
+        "channel",
+        "wavelength",
+        unit="e-/photon",
+        doc="quantum efficiency with lens, filters and fill factor folded in; relative (peak 1) unless absolute",
+    )
+    responsivity_band: NDArray[np.float64] = data(
+        "float64", "channel", "wavelength", unit="e-/photon", doc="half width of the 95 % band; 0: not measured"
+    )
+    absolute: bool = data("bool", doc="whether responsivity is a quantum efficiency or only relative")
+    gain: float = data("float64", unit="DN/e-", doc="conversion gain K")
+    black: float = data("float64", unit="DN", doc="mean value in the dark at zero exposure")
+    white: float = data("float64", unit="DN", doc="value at which a pixel saturates: well or converter")
+    fixed_pattern_seed: int = data("int64", doc="seed of this camera's PRNU and DSNU maps")
+    noise: Noise
+    optics: Optics
+    fit: Fit | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.cfa.max() >= len(self.channels):
+            raise ValueError(f"cfa names channel {self.cfa.max()}, but there are {len(self.channels)}")
+        if not 0 <= self.black < self.white <= 2**self.bits - 1:
+            raise ValueError(f"black {self.black:g} and white {self.white:g} do not lie in 0…{2**self.bits - 1}")
+
+    @property
+    def full_scale(self) -> float:
+        """Electrons between black and white."""
+        return (self.white - self.black) / self.gain
+
+    def noise_variance(self, signal: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Variance in DN² of a pixel whose mean lies `signal` DN above black (METHOD 1.3, with quantisation)."""
+        noise = self.noise
+        signal = np.maximum(signal, 0.0)
+        constant = self.gain**2 * (noise.read_noise**2 + noise.dsnu**2) + 1.0 / 12.0
+        return self.gain * signal + constant + (noise.prnu * signal) ** 2
+
+
+# ----------------------------------------------------------------------------------------------------- recipes
+
+
+class SensorRecipe(Recipe):
+    rows: int
+    cols: int
+    pixel_pitch_um: float
+    bits: int
+    gain_dn_per_e: float
+    black_dn: float
+    white_dn: float | None = None  # default: the lower of well and converter
+    fixed_pattern_seed: int = 0
+
+
+class CfaRecipe(Recipe):
+    channels: list[str]
+    pattern: list[str]  # rows of the super-pixel, channel names separated by spaces
+
+
+class Gaussian(Recipe):
+    """One asymmetric Gaussian of a responsivity: peak · exp(−½((λ−centre)/sigma)²), sigma below and above the centre."""
+
+    peak: float
+    centre_nm: float
+    sigma_nm: float
+    sigma_above_nm: float | None = None
+
+
+class ResponsivityRecipe(Recipe):
+    wavelength_nm: tuple[float, float, float]  # first, last, step
+    peak_efficiency: float  # quantum efficiency e-/photon at the peak of the whole set, lens and filters included
+    gaussians: dict[str, list[Gaussian]] | None = None  # channel → sum of Gaussians
+    file: str | None = None  # CSV: wavelength in nm, then one column a channel in the order of cfa.channels
+    per_energy: bool = False  # the curves are per watt, not per photon
+
+
+class NoiseRecipe(Recipe):
+    well_capacity_e: float
+    read_noise_e: float = 0.0
+    dark_current_e_per_s: float = 0.0
+    dsnu_e: float = 0.0
+    prnu: float = 0.0
+
+
+class OpticsRecipe(Recipe):
+    focal_length_mm: float
+    f_number: float
+    object_distance_m: float = 0.0
+
+
+class CameraRecipe(Recipe):
+    """A camera described instead of measured (configs/cameras)."""
+
+    name: str
+    sensor: SensorRecipe
+    cfa: CfaRecipe
+    responsivity: ResponsivityRecipe
+    noise: NoiseRecipe
+    optics: OpticsRecipe
+
+
+def load_camera(path: Path) -> CameraModel:
+    """A camera from a camera.h5 or from a camera recipe (.toml)."""
+    if path.suffix == ".toml":
+        return camera_from_recipe(load_recipe(path, CameraRecipe), path)
+    return load(CameraModel, path)
+
+
+def camera_from_recipe(recipe: CameraRecipe, path: Path) -> CameraModel:
+    """The model a recipe describes; `path` places relative file names and names the culprit in errors."""
+    sensor, noise = recipe.sensor, recipe.noise
+    converter = 2**sensor.bits - 1
+    white = sensor.white_dn
+    if white is None:
+        white = min(converter, np.floor(sensor.black_dn + sensor.gain_dn_per_e * noise.well_capacity_e))
+    wavelength, responsivity = _responsivity(recipe, path)
+    try:
+        return CameraModel(
+            name=recipe.name,
+            rows=sensor.rows,
+            cols=sensor.cols,
+            pixel_pitch=sensor.pixel_pitch_um * 1e-6,
+            bits=sensor.bits,
+            channels=tuple(recipe.cfa.channels),
+            cfa=parse_cfa(recipe.cfa, str(path)),
+            wavelength=wavelength,
+            responsivity=responsivity,
+            responsivity_band=np.zeros_like(responsivity),
+            absolute=True,
+            gain=sensor.gain_dn_per_e,
+            black=sensor.black_dn,
+            white=float(white),
+            fixed_pattern_seed=sensor.fixed_pattern_seed,
+            noise=Noise(
+                noise.read_noise_e, noise.dark_current_e_per_s, noise.dsnu_e, noise.prnu, noise.well_capacity_e
+            ),
+            optics=Optics(
+                recipe.optics.focal_length_mm * 1e-3, recipe.optics.f_number, recipe.optics.object_distance_m
+            ),
+        )
+    except ValueError as error:
+        raise RecipeError(f"{path}: {error}") from error
+
+
+def parse_cfa(cfa: CfaRecipe, name: str) -> NDArray[np.uint8]:
+    """Channel indices (cfa_row, cfa_col) of the super-pixel; RecipeError if a name is unknown or rows differ in length."""
+    rows = [row.split() for row in cfa.pattern]
+    if not rows or not rows[0] or any(len(row) != len(rows[0]) for row in rows):
+        raise RecipeError(f"{name}: the rows of cfa.pattern must name equally many channels, separated by spaces")
+    if len(rows) > MAX_CFA or len(rows[0]) > MAX_CFA:
+        raise RecipeError(f"{name}: cfa.pattern is larger than {MAX_CFA}×{MAX_CFA}")
+    if len(cfa.channels) > MAX_CHANNELS or len(set(cfa.channels)) != len(cfa.channels):
+        raise RecipeError(f"{name}: cfa.channels must be at most {MAX_CHANNELS} different names")
+    used = {channel for row in rows for channel in row}
+    if used != set(cfa.channels):
+        odd = ", ".join(sorted(used ^ set(cfa.channels)))
+        raise RecipeError(f"{name}: cfa.channels and cfa.pattern do not name the same channels (see {odd})")
+    return np.array([[cfa.channels.index(channel) for channel in row] for row in rows], dtype=np.uint8)
+
+
+def _responsivity(recipe: CameraRecipe, path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(wavelength) nm and quantum efficiency (channel, wavelength) e-/photon of a recipe."""
+    declared = recipe.responsivity
+    first, last, step = declared.wavelength_nm
+    if not (0 < first < last and step > 0):
+        raise RecipeError(f"{path}: responsivity.wavelength_nm must be first < last with a positive step")
+    wavelength = np.arange(first, last + step / 2, step)
+    if (declared.gaussians is None) == (declared.file is None):
+        raise RecipeError(f"{path}: give either responsivity.gaussians or responsivity.file")
+    if declared.gaussians is not None:
+        missing = set(recipe.cfa.channels) ^ set(declared.gaussians)
+        if missing:
+            raise RecipeError(f"{path}: responsivity.gaussians and cfa.channels differ in {', '.join(sorted(missing))}")
+        curves = np.array([_sum_of_gaussians(wavelength, declared.gaussians[c]) for c in recipe.cfa.channels])
+    else:
+        assert declared.file is not None
+        grid, table = read_curves(path.parent / declared.file, len(recipe.cfa.channels))
+        curves = spectra.resample(table, grid, wavelength)
+    if declared.per_energy:
+        curves = curves / wavelength
+    return wavelength, declared.peak_efficiency * curves / curves.max()
+
+
+def _sum_of_gaussians(wavelength: NDArray[np.float64], terms: list[Gaussian]) -> NDArray[np.float64]:
+    total = np.zeros_like(wavelength)
+    for term in terms:
+        above = term.sigma_nm if term.sigma_above_nm is None else term.sigma_above_nm
+        sigma = np.where(wavelength < term.centre_nm, term.sigma_nm, above)
+        total += term.peak * np.exp(-0.5 * ((wavelength - term.centre_nm) / sigma) ** 2)
+    return total
+
+
+def read_curves(path: Path, columns: int | None = None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Spectra from a CSV file: (wavelength) in nm and (column, wavelength). Lines that begin with # and one header line
+    are skipped; InputFileError if the rest is not numbers, not increasing, or not `columns` columns."""
+    try:
+        lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not a text file"
+        raise InputFileError(f"{path}: {reason}; give a CSV file of spectra") from error
+    lines = [line for line in lines if not line.startswith("#")]
+    rows = []
+    for number, line in enumerate(lines):
+        try:
+            rows.append([float(cell) for cell in line.replace(";", ",").split(",")])
+        except ValueError:
+            if number:  # the first line may be a header
+                raise InputFileError(f'{path}: "{line[:40]}" is not a row of numbers') from None
+    if not rows or len({len(row) for row in rows}) != 1 or len(rows[0]) < 2:
+        raise InputFileError(f"{path}: rows must be a wavelength in nm and equally many values each")
+    table = np.array(rows)
+    if not np.isfinite(table).all() or (np.diff(table[:, 0]) <= 0).any():
+        raise InputFileError(f"{path}: wavelengths must increase and every value be a number")
+    if columns is not None and table.shape[1] != columns + 1:
+        raise InputFileError(f"{path}: holds {table.shape[1] - 1} curves, {columns} are wanted")
+    return table[:, 0], table[:, 1:].T
+
+
+def recipe_text(path: Path) -> str:
+    """The recipe's text for the history, or nothing for an artifact."""
+    return path.read_text(encoding="utf-8") if path.suffix == ".toml" else ""

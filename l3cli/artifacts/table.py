@@ -1,0 +1,116 @@
+"""The transform table: class rule and weights, all that rendering needs (METHOD 3, 4)."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.base import Artifact, check, data
+
+CLASS_BITS = 12  # class decisions are taken on the upper 12 bits of a value, so that 32-bit sums are exact
+LEVEL_FRACTION = 8  # fractional bits of a channel mean in the level sum
+CONTRAST_FRACTION = 9  # fractional bits of a channel variance in the contrast sum
+
+
+@dataclass(frozen=True)
+class ClassRule:
+    """The integer class rule of METHOD 3, written out in classify.py.
+
+    class = ((site · levels + level) · contrasts + contrast) · cases + case, with site = row · cfa columns + column.
+    """
+
+    patch: int = data("int64", unit="pixel", doc="side of the square neighbourhood, odd")
+    shift: int = data("int64", unit="bit", doc="values are shifted right by this before sums are formed")
+    level_edges: NDArray[np.uint32] = data(
+        "uint32",
+        "level_edge",
+        unit="DN >> shift, times 256 times channels",
+        doc="sum over channels of the channel means at which the next level begins",
+    )
+    contrast_edges: NDArray[np.uint32] = data(
+        "uint32",
+        "contrast_edge",
+        "level",
+        unit="(DN >> shift)^2, times 512",
+        doc="sum over channels of the channel variances above which the next contrast begins",
+    )
+    saturation: int = data("int64", unit="DN", doc="value from which a pixel counts as saturated")
+    saturation_radius: int = data("int64", unit="pixel", doc="pixels this near the centre decide the saturation case")
+    case_of_code: NDArray[np.uint16] = data(
+        "uint16", "code", doc="saturation case of each pattern of saturated channels (bit c: channel c)"
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
+        if self.patch % 2 == 0 or not 1 <= self.patch <= 15:
+            raise ValueError(f"patch is {self.patch}, not an odd number up to 15")
+        if (np.diff(self.level_edges.astype(np.int64)) <= 0).any():
+            raise ValueError("level_edges do not increase: more levels than values")
+        if self.contrast_edges.shape[1] != self.levels:
+            raise ValueError(
+                f"contrast_edges has {self.contrast_edges.shape[1]} levels, level_edges make {self.levels}"
+            )
+
+    @property
+    def radius(self) -> int:
+        return self.patch // 2
+
+    @property
+    def levels(self) -> int:
+        return len(self.level_edges) + 1
+
+    @property
+    def contrasts(self) -> int:
+        return len(self.contrast_edges) + 1
+
+    @property
+    def cases(self) -> int:
+        return int(self.case_of_code.max()) + 1
+
+    @property
+    def classes_per_site(self) -> int:
+        return self.levels * self.contrasts * self.cases
+
+
+@dataclass(frozen=True)
+class TransformTable(Artifact):
+    """Local linear transforms for every class: output = weights · (patch − black) / (white − black) + intercept."""
+
+    kind: ClassVar[str] = "transform table"
+    version: ClassVar[int] = 1
+    made_by: ClassVar[str] = '"l3 train"'
+
+    camera_name: str = data("str", doc="the camera it was learned for")
+    rows: int = data("int64", unit="pixel", doc="height of the camera's frames")
+    cols: int = data("int64", unit="pixel", doc="width of the camera's frames")
+    channels: tuple[str, ...] = data("str", "channel", doc="names of the spectral channels")
+    cfa: NDArray[np.uint8] = data("uint8", "cfa_row", "cfa_col", doc="channel of each site of the super-pixel")
+    bits: int = data("int64", unit="bit", doc="depth of the raw values")
+    black: float = data("float64", unit="DN", doc="black level of the raw values the table expects")
+    white: float = data("float64", unit="DN", doc="saturation level of the raw values the table expects")
+    outputs: tuple[str, ...] = data("str", "output", doc="names of the outputs")
+    output_unit: float = data(
+        "float64", unit="cd s/m^2", doc="scene luminance × exposure time that an output of 1 stands for"
+    )
+    white_point: NDArray[np.float64] = data(
+        "float64", "output", doc="output of a perfect white under the training light, Y = 1"
+    )
+    rule: ClassRule
+    weights: NDArray[np.float32] = data(
+        "float32", "class", "output", "tap", doc="taps row by row; per unit of (DN − black) / (white − black)"
+    )
+    intercept: NDArray[np.float32] = data("float32", "class", "output", doc="added to the weighted sum")
+    samples: NDArray[np.float64] = data("float64", "class", doc="training patches; 0: filled from a neighbour")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        sites = self.cfa.size
+        if len(self.weights) != sites * self.rule.classes_per_site:
+            raise ValueError(
+                f"weights holds {len(self.weights)} classes, the rule makes {sites} × {self.rule.classes_per_site}"
+            )
+        if self.weights.shape[2] != self.rule.patch**2:
+            raise ValueError(f"weights has {self.weights.shape[2]} taps, the rule's patch {self.rule.patch**2}")
+        if len(self.rule.case_of_code) != 2 ** len(self.channels):
+            raise ValueError(f"case_of_code has {len(self.rule.case_of_code)} codes for {len(self.channels)} channels")

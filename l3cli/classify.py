@@ -1,0 +1,187 @@
+"""Classes of pixels: the plain truth of METHOD 3, in integers, shared by training and every renderer.
+
+With v = DN >> shift over the p × p neighbourhood of a pixel, and n, S, Q the count, sum and sum of squares of one channel:
+
+    mean        M = S · round(65536 / n) >> 16                       uint32 exact: v has 12 bits
+    variance    V = min((Q − M (2 S − n M)) · round(512 / n), cap)   512 × the mean squared deviation; cap = (2³² − 1) // channels
+    level       number of level edges ≤ Σ (S · round(65536 / n) >> 8) over the channels
+    contrast    number of contrast edges (of that level) < Σ V over the channels
+    case        case_of_code[bit c set if any pixel of channel c within the saturation radius is ≥ saturation (in DN)]
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.table import CLASS_BITS, CONTRAST_FRACTION, LEVEL_FRACTION, ClassRule
+from l3cli.config import Recipe
+from l3cli.errors import RecipeError
+from l3cli.frame import pad_mosaic, shifted_cfa
+
+Integers = NDArray[np.int64]
+
+
+class ClassRecipe(Recipe):
+    """How pixels are sorted into classes (configs/classes)."""
+
+    patch: int = 9  # pixels, side of the neighbourhood
+    levels: int = 20
+    lowest_level: float = 0.001  # upper edge of the darkest level, share of full scale
+    highest_level: float = 0.95  # lower edge of the brightest level, share of full scale
+    contrasts: tuple[float, ...] = (1.4,)  # edges of √(signal variance / noise variance)
+    saturation: float = 0.985  # share of full scale from which a pixel is saturated
+    saturation_radius: int = 2  # pixels
+    max_cases: int = 12  # saturation patterns that get classes of their own, the unsaturated one included
+
+
+@dataclass(frozen=True)
+class Neighbourhoods:
+    """The p × p windows of every site of a CFA, and the reciprocals of the class formulas."""
+
+    channel: Integers  # (site, tap) channel of each tap
+    count: Integers  # (site, channel) taps of each channel
+    mean_reciprocal: Integers  # (site, channel) round(65536 / count)
+    variance_reciprocal: Integers  # (site, channel) round(512 / count)
+
+
+def neighbourhoods(cfa: NDArray[np.uint8], patch: int, channels: int) -> Neighbourhoods:
+    """Windows of side `patch` about every site; RecipeError if one does not reach every channel."""
+    rows, cols = cfa.shape
+    reach = np.arange(patch) - patch // 2
+    windows = [cfa[np.ix_((r + reach) % rows, (c + reach) % cols)].ravel() for r in range(rows) for c in range(cols)]
+    channel = np.array(windows, dtype=np.int64)
+    count = np.array([np.bincount(window, minlength=channels) for window in channel])
+    if (count == 0).any():
+        raise RecipeError(
+            f"a {patch}×{patch} patch does not reach every channel of the {rows}×{cols} CFA; enlarge patch"
+        )
+    fraction = 2**CONTRAST_FRACTION
+    return Neighbourhoods(channel, count, _divided(65536, count), _divided(fraction, count))
+
+
+def _divided(numerator: int, count: Integers) -> Integers:
+    """round(numerator / count), halves up, in integers."""
+    return (2 * numerator + count) // (2 * count)
+
+
+def make_rule(recipe: ClassRecipe, camera: CameraModel, case_of_code: NDArray[np.uint16]) -> ClassRule:
+    """The integer rule for a camera: edges in DN, contrast edges from its noise model (METHOD 3.1–3.4).
+
+    RecipeError if the recipe asks for what the camera cannot give, such as more levels than values.
+    """
+    neighbourhoods(camera.cfa, recipe.patch, len(camera.channels))
+    if not (recipe.levels >= 2 and 0 < recipe.lowest_level < recipe.highest_level < 1):
+        raise RecipeError("classes need levels ≥ 2 and 0 < lowest_level < highest_level < 1")
+    if tuple(sorted(set(recipe.contrasts))) != recipe.contrasts or any(edge <= 0 for edge in recipe.contrasts):
+        raise RecipeError("contrasts must be positive and increase")
+    shift = max(0, camera.bits - CLASS_BITS)
+    channels, span = len(camera.channels), camera.white - camera.black
+    edges = np.geomspace(recipe.lowest_level, recipe.highest_level, recipe.levels - 1)
+    truncated = (2**shift - 1) / 2  # a shift loses this much on average
+    in_values = (camera.black + edges * span - truncated) / 2**shift
+    level_edges = np.rint(in_values * 2**LEVEL_FRACTION * channels).astype(np.uint32)
+    centres = np.concatenate([[edges[0] / 2], np.sqrt(edges[1:] * edges[:-1]), [(1 + edges[-1]) / 2]])
+    variance = camera.noise_variance(centres * span) / 4**shift + (1 / 12 if shift else 0.0)
+    limit = 2.0**32 - 1 - channels
+    squared = np.array(recipe.contrasts, dtype=np.float64).reshape(-1, 1) ** 2
+    contrast_edges = np.minimum(np.rint(squared * variance * channels * 2**CONTRAST_FRACTION), limit)
+    try:
+        return ClassRule(
+            patch=recipe.patch,
+            shift=shift,
+            level_edges=level_edges,
+            contrast_edges=contrast_edges.astype(np.uint32),
+            saturation=int(np.ceil(camera.black + recipe.saturation * span)),
+            saturation_radius=min(recipe.saturation_radius, recipe.patch // 2),
+            case_of_code=case_of_code,
+        )
+    except ValueError as error:
+        raise RecipeError(f"classes: {error}") from error
+
+
+def decide(rule: ClassRule, near: Neighbourhoods, site: Integers, sums: Integers, squares: Integers) -> Integers:
+    """Level and contrast, as level · contrasts + contrast, from channel sums and squares (…, channel) at `site` (…)."""
+    scaled = sums * near.mean_reciprocal[site]
+    mean = scaled >> 16
+    level = np.searchsorted(rule.level_edges, (scaled >> (16 - LEVEL_FRACTION)).sum(axis=-1), side="right")
+    deviation = squares - mean * (2 * sums - near.count[site] * mean)
+    cap = (2**32 - 1) // sums.shape[-1]
+    variance = np.minimum(deviation * near.variance_reciprocal[site], cap).sum(axis=-1)
+    contrast = (variance[None] > rule.contrast_edges[:, level]).sum(axis=0)
+    return level * rule.contrasts + contrast
+
+
+def label_mosaic(
+    values: NDArray[np.uint16], rule: ClassRule, cfa: NDArray[np.uint8], channels: int, phase: tuple[int, int] = (0, 0)
+) -> Integers:
+    """Class of every pixel of a mosaic (row, col) whose first pixel has CFA site `phase`."""
+    rows, cols = values.shape
+    near = neighbourhoods(cfa, rule.patch, channels)
+    frame_cfa = shifted_cfa(cfa, phase)
+    padded = pad_mosaic(values, rule.radius, cfa.shape).astype(np.int64)
+    channel = _padded_channels(frame_cfa, rule.radius, rows, cols)
+    shifted = padded >> rule.shift
+    saturated = padded >= rule.saturation
+    sums, squares, code = [], [], np.zeros((rows, cols), dtype=np.int64)
+    for index in range(channels):
+        here = channel == index
+        sums.append(_box(shifted * here, rule.patch))
+        squares.append(_box(shifted**2 * here, rule.patch))
+        inner = _inner(saturated & here, rule)
+        code |= (_box(inner.astype(np.int64), 2 * rule.saturation_radius + 1) > 0).astype(np.int64) << index
+    site = sites(rows, cols, cfa.shape, phase)
+    texture = decide(rule, near, site, np.stack(sums, -1), np.stack(squares, -1))
+    return (site * rule.levels * rule.contrasts + texture) * rule.cases + rule.case_of_code[code]
+
+
+def label_patches(patches: NDArray[np.uint16], rule: ClassRule, near: Neighbourhoods, site: int) -> Integers:
+    """Class within `site` of each patch (patch, tap) of DN; without `cases` the saturation code takes the case's place."""
+    channels = near.count.shape[1]
+    member = (near.channel[site][:, None] == np.arange(channels)).astype(np.float64)
+    shifted = (patches >> rule.shift).astype(np.float64)  # float64 sums of these integers are exact, and BLAS does them
+    sums = (shifted @ member).astype(np.int64)
+    squares = (shifted**2 @ member).astype(np.int64)
+    texture = decide(rule, near, np.full(len(patches), site), sums, squares)
+    code = saturation_codes(patches, rule, near, site)
+    return texture * rule.cases + rule.case_of_code[code]
+
+
+def saturation_codes(patches: NDArray[np.uint16], rule: ClassRule, near: Neighbourhoods, site: int) -> Integers:
+    """Pattern of saturated channels near the centre of each patch (patch, tap)."""
+    reach = np.abs(np.arange(rule.patch) - rule.radius)
+    inner = np.flatnonzero(np.maximum(reach[:, None], reach[None]).ravel() <= rule.saturation_radius)
+    saturated = patches[:, inner] >= rule.saturation
+    channel = near.channel[site][inner]
+    code = np.zeros(len(patches), dtype=np.int64)
+    for index in np.unique(channel):
+        code |= saturated[:, channel == index].any(axis=1).astype(np.int64) << index
+    return code
+
+
+def sites(rows: int, cols: int, cfa_shape: tuple[int, ...], phase: tuple[int, int]) -> Integers:
+    """CFA site (row, col) of every pixel of a frame."""
+    row = (np.arange(rows) + phase[0]) % cfa_shape[0]
+    col = (np.arange(cols) + phase[1]) % cfa_shape[1]
+    return row[:, None] * cfa_shape[1] + col
+
+
+def _padded_channels(frame_cfa: NDArray[np.uint8], radius: int, rows: int, cols: int) -> Integers:
+    row = np.arange(-radius, rows + radius) % frame_cfa.shape[0]
+    col = np.arange(-radius, cols + radius) % frame_cfa.shape[1]
+    return frame_cfa[np.ix_(row, col)].astype(np.int64)
+
+
+def _inner(padded: NDArray, rule: ClassRule) -> NDArray:
+    """The padded array cut down to the margin that the saturation radius needs."""
+    cut = rule.radius - rule.saturation_radius
+    return padded[cut : padded.shape[0] - cut, cut : padded.shape[1] - cut]
+
+
+def _box(padded: Integers, size: int) -> Integers:
+    """Sum over every size × size window."""
+    total = np.cumsum(np.pad(padded, ((1, 0), (0, 0))), axis=0)
+    total = total[size:] - total[:-size]
+    total = np.cumsum(np.pad(total, ((0, 0), (1, 0))), axis=1)
+    return total[:, size:] - total[:, :-size]

@@ -1,0 +1,47 @@
+"""Options that several commands share, each declared once, and what every command says on stderr."""
+
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+F = TypeVar("F", bound=Callable[..., Any])
+T = TypeVar("T")
+
+FILE = click.Path(path_type=Path)
+
+
+def output(what: str, required: bool = True) -> Callable[[F], F]:
+    """-o/--output FILE."""
+    return click.option("-o", "--output", type=FILE, required=required, metavar="FILE", help=f"{what}.")
+
+
+force = click.option("--force", is_flag=True, help="Replace the output if it exists.")
+quiet = click.option("--quiet", is_flag=True, help="Say nothing on stderr but errors.")
+as_json = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on stdout.")
+seed = click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of every random draw.")
+jobs = click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Processes to use.")
+
+
+def say(message: str, quiet: bool) -> None:
+    """One line of talk on stderr."""
+    if not quiet:
+        click.echo(message, err=True)
+
+
+def progress(items: Iterable[T], total: int, what: str, quiet: bool) -> Iterator[T]:
+    """Pass `items` on with a bar on a terminal (rate and time left), nothing elsewhere."""
+    if quiet or not sys.stderr.isatty():
+        yield from items
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TextColumn("left"), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(what, total=total)
+        for item in items:
+            yield item
+            bar.advance(task)

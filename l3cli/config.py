@@ -1,0 +1,52 @@
+"""TOML recipes → typed structures: every key is declared, units stand in the keys' names, unknown keys are refused."""
+
+import re
+import tomllib
+from pathlib import Path
+from typing import TypeVar
+
+import msgspec
+
+from l3cli.errors import InputFileError, RecipeError
+
+
+class Recipe(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Base of all recipe structures; a field without a default is a required key."""
+
+
+R = TypeVar("R", bound=Recipe)
+
+
+def read_text(path: Path) -> str:
+    """The text of a recipe file; InputFileError if it cannot be read as UTF-8."""
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InputFileError(f"{path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise InputFileError(f"{path} is not a text file; give a TOML recipe") from error
+
+
+def load_recipe(path: Path, recipe: type[R]) -> R:
+    """Read a TOML file as `recipe`; RecipeError names the file, the key and what is wrong with it."""
+    return parse_recipe(read_text(path), recipe, str(path))
+
+
+def parse_recipe(text: str, recipe: type[R], name: str) -> R:
+    """`text` as `recipe`; `name` stands in the error messages."""
+    try:
+        return msgspec.convert(tomllib.loads(text), recipe)
+    except tomllib.TOMLDecodeError as error:
+        raise RecipeError(f"{name} is not valid TOML: {error}") from error
+    except msgspec.ValidationError as error:
+        raise RecipeError(f"{name}: {_plain(str(error))}") from error
+
+
+def _plain(message: str) -> str:
+    """msgspec's message in the words of a recipe: keys and tables instead of fields and objects."""
+    what, _, where = message.partition(" - at ")
+    table = re.sub(r"^`\$\.?|`$", "", where)
+    what = what.replace("Object missing required field", "missing key").replace(
+        "Object contains unknown field", "unknown key"
+    )
+    return f"{what} in [{table}]" if table else f"{what} at the top level"

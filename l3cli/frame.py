@@ -1,0 +1,63 @@
+"""A raw frame: one mosaic of digital numbers as a camera gives it, brought to the levels of a table."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class RawFrame:
+    """A mosaic with its black and white level and the site of the super-pixel that its first pixel has."""
+
+    name: str
+    values: NDArray[np.uint16]  # (row, col) DN
+    black: float  # DN
+    white: float  # DN at which a pixel saturates
+    phase: tuple[int, int] = (0, 0)  # CFA row and column of pixel (0, 0)
+
+    def __post_init__(self) -> None:
+        if self.values.ndim != 2 or self.values.dtype != np.uint16 or self.values.size == 0:
+            raise ValueError(f"{self.name}: a raw frame is rows × columns of 16-bit values")
+        if not self.black < self.white:
+            raise ValueError(f"{self.name}: black level {self.black:g} is not below white level {self.white:g}")
+
+    def at_levels(self, black: float, white: float, bits: int) -> "RawFrame":
+        """The same light on another scale: DN mapped linearly so that black and white become those given, within `bits`."""
+        top = 2**bits - 1
+        values = self.values
+        if (black, white) != (self.black, self.white):
+            scale = (white - black) / (self.white - self.black)
+            values = np.clip(np.rint((values.astype(np.float64) - self.black) * scale + black), 0, top).astype(
+                np.uint16
+            )
+        elif values.max() > top:
+            values = np.minimum(values, np.uint16(top))
+        return RawFrame(self.name, values, black, white, self.phase)
+
+
+def mirrored_indices(length: int, margin: int, period: int) -> NDArray[np.int32]:
+    """Source index of each of `length` + 2·`margin` padded samples: inside itself; outside the sample of equal CFA phase
+    nearest the mirror image, so that padding never breaks the mosaic (METHOD 5). Where a mosaic is shorter than the
+    period and no sample of that phase exists, the nearest sample is taken."""
+    wanted = np.arange(-margin, length + margin)
+    if length < period:
+        return np.clip(wanted, 0, length - 1).astype(np.int32)
+    mirror = np.where(wanted < 0, -wanted, np.where(wanted >= length, 2 * (length - 1) - wanted, wanted))
+    mirror = np.clip(mirror, 0, length - 1)
+    offset = (wanted - mirror) % period
+    below, above = mirror + offset - period, mirror + offset
+    prefer_below = (above >= length) | ((below >= 0) & (mirror - below <= above - mirror) & (offset > 0))
+    return np.where(prefer_below, below, above).astype(np.int32)
+
+
+def pad_mosaic(values: NDArray, margin: int, cfa_shape: tuple[int, int]) -> NDArray:
+    """values (row, col) with `margin` more samples on every side, by `mirrored_indices`."""
+    rows = mirrored_indices(values.shape[0], margin, cfa_shape[0])
+    cols = mirrored_indices(values.shape[1], margin, cfa_shape[1])
+    return values[np.ix_(rows, cols)]
+
+
+def shifted_cfa(cfa: NDArray[np.uint8], phase: tuple[int, int]) -> NDArray[np.uint8]:
+    """The super-pixel as seen from a frame whose pixel (0, 0) has site `phase`."""
+    return np.roll(cfa, (-phase[0], -phase[1]), axis=(0, 1))

@@ -1,0 +1,37 @@
+"""The one door to processes: the same results in the same order whatever the number of workers."""
+
+import multiprocessing
+import os
+from collections.abc import Callable, Iterable, Iterator
+from typing import TypeVar
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+def ordered_map(function: Callable[[T], R], items: Iterable[T], jobs: int) -> Iterator[R]:
+    """function(item) of every item, in order, by `jobs` processes (1: in this one).
+
+    Processes are spawned, not forked: a fork after an OpenCL context exists hangs. Their BLAS is kept to one thread each.
+    At most 2·jobs results wait, so memory is bounded by the workers, not by the number of items.
+    """
+    if jobs == 1:
+        yield from map(function, items)
+        return
+    saved = {name: os.environ.get(name) for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
+    os.environ.update({name: "1" for name in saved})
+    try:
+        with multiprocessing.get_context("spawn").Pool(jobs) as pool:
+            waiting: list = []
+            for item in items:
+                waiting.append(pool.apply_async(function, (item,)))
+                if len(waiting) >= 2 * jobs:
+                    yield waiting.pop(0).get()
+            for result in waiting:
+                yield result.get()
+    finally:
+        for name, value in saved.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value

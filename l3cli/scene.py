@@ -1,0 +1,31 @@
+"""A scene: a spectral picture from outside, ready to be seen by a camera."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Spectral reflectance-like picture with the light it was seen under.
+
+    `reflectance` is radiance / radiance of a perfect white: 0 at least, above 1 in speculars (METHOD 2). A scene that came
+    as radiance without an illuminant has `illuminant` None and `reflectance` holds radiance; it cannot be relit.
+    """
+
+    name: str
+    wavelength: NDArray[np.float64]  # (band) nm, increasing
+    reflectance: NDArray[np.float32]  # (row, col, band)
+    illuminant: NDArray[np.float64] | None  # (band) photons/s/sr/m²/nm of a perfect white
+
+    def __post_init__(self) -> None:
+        bands = self.wavelength.size
+        if self.reflectance.ndim != 3 or self.reflectance.shape[2] != bands:
+            raise ValueError(f"scene {self.name}: {self.reflectance.shape} samples do not fit {bands} wavelengths")
+        if bands > 1 and (np.diff(self.wavelength) <= 0).any():
+            raise ValueError(f"scene {self.name}: wavelengths do not increase")
+        if self.illuminant is not None and self.illuminant.shape != (bands,):
+            raise ValueError(f"scene {self.name}: the illuminant does not fit {bands} wavelengths")
+        if not np.isfinite(self.reflectance).all():
+            raise ValueError(f"scene {self.name}: holds values that are not finite")
