@@ -3,7 +3,7 @@
 With v = DN >> shift over the p × p neighbourhood of a pixel, and n, S, Q the count, sum and sum of squares of one channel:
 
     mean        M = S · round(65536 / n) >> 16                       uint32 exact: v has 12 bits
-    variance    V = min((Q − M (2 S − n M)) · round(512 / n), cap)   512 × the mean squared deviation; cap = (2³² − 1) // channels
+    variance    V = min((Q − M (2 S − n M)) · round(512 / n), cap)   cap = (2³² − 1) // channels
     level       number of level edges ≤ Σ (S · round(65536 / n) >> 8) over the channels
     contrast    number of contrast edges (of that level) < Σ V over the channels
     case        case_of_code[bit c set if any pixel of channel c within the saturation radius is ≥ saturation (in DN)]
@@ -54,9 +54,7 @@ def neighbourhoods(cfa: NDArray[np.uint8], patch: int, channels: int) -> Neighbo
     channel = np.array(windows, dtype=np.int64)
     count = np.array([np.bincount(window, minlength=channels) for window in channel])
     if (count == 0).any():
-        raise RecipeError(
-            f"a {patch}×{patch} patch does not reach every channel of the {rows}×{cols} CFA; enlarge patch"
-        )
+        raise RecipeError(f"a {patch}×{patch} patch does not reach every channel of the {rows}×{cols} CFA; enlarge patch")
     fraction = 2**CONTRAST_FRACTION
     return Neighbourhoods(channel, count, _divided(65536, count), _divided(fraction, count))
 
@@ -137,7 +135,7 @@ def label_mosaic(
 
 
 def label_patches(patches: NDArray[np.uint16], rule: ClassRule, near: Neighbourhoods, site: int) -> Integers:
-    """Class within `site` of each patch (patch, tap) of DN; without `cases` the saturation code takes the case's place."""
+    """Class within `site` of each patch (patch, tap) of DN."""
     channels = near.count.shape[1]
     member = (near.channel[site][:, None] == np.arange(channels)).astype(np.float64)
     shifted = (patches >> rule.shift).astype(np.float64)  # float64 sums of these integers are exact, and BLAS does them

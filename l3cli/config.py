@@ -10,7 +10,7 @@ import msgspec
 from l3cli.errors import InputFileError, RecipeError
 
 
-class Recipe(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+class Recipe(msgspec.Struct, forbid_unknown_fields=True):
     """Base of all recipe structures; a field without a default is a required key."""
 
 

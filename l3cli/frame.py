@@ -28,9 +28,7 @@ class RawFrame:
         values = self.values
         if (black, white) != (self.black, self.white):
             scale = (white - black) / (self.white - self.black)
-            values = np.clip(np.rint((values.astype(np.float64) - self.black) * scale + black), 0, top).astype(
-                np.uint16
-            )
+            values = np.clip(np.rint((values.astype(np.float64) - self.black) * scale + black), 0, top).astype(np.uint16)
         elif values.max() > top:
             values = np.minimum(values, np.uint16(top))
         return RawFrame(self.name, values, black, white, self.phase)

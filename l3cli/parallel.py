@@ -19,7 +19,7 @@ def ordered_map(function: Callable[[T], R], items: Iterable[T], jobs: int) -> It
         yield from map(function, items)
         return
     saved = {name: os.environ.get(name) for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
-    os.environ.update({name: "1" for name in saved})
+    os.environ.update(dict.fromkeys(saved, "1"))
     try:
         with multiprocessing.get_context("spawn").Pool(jobs) as pool:
             waiting: list = []

@@ -1,7 +1,8 @@
 """Artifacts: frozen dataclasses whose field declarations are the HDF5 schema.
 
-A field declared with `data(dtype, axes, unit, doc)` is one dataset. Saving, loading, checking and `l3 info` all read that one
-declaration. A field whose type is another such dataclass is a group. DESIGN 3 tells what the files promise.
+A field declared with `data(dtype, axes, unit, doc)` is one dataset; a field declared with `group()`,
+whose type is another such dataclass, is a group. Saving, loading, checking and `l3 info` all read these declarations.
+DESIGN 3 tells what the files promise.
 """
 
 import contextlib
@@ -40,6 +41,11 @@ class Spec:
 def data(dtype: str, *axes: str, unit: str = "1", doc: str = "", default: Any = dataclasses.MISSING) -> Any:
     """Declare one dataset: `dtype` ("float64", "uint16", "str"…), axis names (none: a scalar), unit and meaning."""
     return field(metadata={"spec": Spec(dtype, axes, unit, doc)}, default=default)
+
+
+def group(default: Any = dataclasses.MISSING) -> Any:
+    """Declare a group: the field's type is a dataclass of declared fields; with default None it may be absent."""
+    return field(default=default)
 
 
 @dataclass(frozen=True)
@@ -156,15 +162,15 @@ def _chunk(shape: tuple[int, ...], itemsize: int) -> tuple[int, ...]:
 @contextlib.contextmanager
 def new_artifact(path: Path, kind: str, version: int, history: tuple[Stage, ...]) -> Iterator[h5py.File]:
     """An HDF5 file open for writing with kind, version and history on the root; renamed to `path` when all went well."""
-    with atomic_output(path) as temporary:
-        with h5py.File(temporary, "w", libver=("earliest", "v110"), track_order=False) as root:
-            root.attrs["kind"] = kind
-            root.attrs["version"] = np.int64(version)
-            stages = json.dumps([dataclasses.asdict(stage) for stage in history], sort_keys=True, ensure_ascii=False)
-            _write_dataset(
-                root, "history", Spec("str", (), "1", "JSON: the stages that led here, oldest first"), stages
-            )
-            yield root
+    stages = json.dumps([dataclasses.asdict(stage) for stage in history], sort_keys=True, ensure_ascii=False)
+    with (
+        atomic_output(path) as temporary,
+        h5py.File(temporary, "w", libver=("earliest", "v110"), track_order=False) as root,
+    ):
+        root.attrs["kind"] = kind
+        root.attrs["version"] = np.int64(version)
+        _write_dataset(root, "history", Spec("str", (), "1", "JSON: the stages that led here, oldest first"), stages)
+        yield root
 
 
 def save(artifact: Artifact, path: Path) -> None:
@@ -194,9 +200,7 @@ def open_artifact(path: Path, expected: type[Artifact] | None = None) -> Iterato
         try:
             kind, version = str(root.attrs["kind"]), int(root.attrs["version"])
         except (KeyError, TypeError, ValueError) as error:
-            raise InputFileError(
-                f"{path} is an HDF5 file but no l3 artifact; give the file written by {made_by}"
-            ) from error
+            raise InputFileError(f"{path} is an HDF5 file but no l3 artifact; give the file written by {made_by}") from error
         if expected is not None:
             if kind != expected.kind:
                 raise InputFileError(f"{path} holds a {kind}; give the file written by {made_by}")

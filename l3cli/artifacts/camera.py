@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli import spectra
-from l3cli.artifacts.base import Artifact, data, load
+from l3cli.artifacts.base import Artifact, data, group, load
 from l3cli.config import Recipe, load_recipe
 from l3cli.errors import InputFileError, RecipeError
 
@@ -38,9 +38,7 @@ class Optics:
     @property
     def irradiance_per_radiance(self) -> float:
         """Camera equation, sr: sensor irradiance / scene radiance on the axis, π / (1 + 4 N² (1+|m|)²) (METHOD 1.3)."""
-        magnification = (
-            self.focal_length / (self.object_distance - self.focal_length) if self.object_distance > 0 else 0.0
-        )
+        magnification = self.focal_length / (self.object_distance - self.focal_length) if self.object_distance > 0 else 0.0
         return float(np.pi / (1.0 + 4.0 * self.f_number**2 * (1.0 + magnification) ** 2))
 
 
@@ -58,9 +56,7 @@ class Fit:
     )
     chosen_smoothing: float = data("float64", doc="delta used")
     illuminants: tuple[str, ...] = data("str", "chart", doc="name of the light of each chart capture")
-    measured: NDArray[np.float64] = data(
-        "float64", "chart", "patch", "channel", unit="DN", doc="mean value of each patch"
-    )
+    measured: NDArray[np.float64] = data("float64", "chart", "patch", "channel", unit="DN", doc="mean value of each patch")
     predicted: NDArray[np.float64] = data("float64", "chart", "patch", "channel", unit="DN", doc="the model's value")
     photon_transfer_mean: NDArray[np.float64] = data(
         "float64", "level", "channel", unit="DN", doc="mean signal above black of each white exposure"
@@ -101,9 +97,9 @@ class CameraModel(Artifact):
     black: float = data("float64", unit="DN", doc="mean value in the dark at zero exposure")
     white: float = data("float64", unit="DN", doc="value at which a pixel saturates: well or converter")
     fixed_pattern_seed: int = data("int64", doc="seed of this camera's PRNU and DSNU maps")
-    noise: Noise
-    optics: Optics
-    fit: Fit | None = None
+    noise: Noise = group()
+    optics: Optics = group()
+    fit: Fit | None = group(default=None)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -218,12 +214,8 @@ def camera_from_recipe(recipe: CameraRecipe, path: Path) -> CameraModel:
             black=sensor.black_dn,
             white=float(white),
             fixed_pattern_seed=sensor.fixed_pattern_seed,
-            noise=Noise(
-                noise.read_noise_e, noise.dark_current_e_per_s, noise.dsnu_e, noise.prnu, noise.well_capacity_e
-            ),
-            optics=Optics(
-                recipe.optics.focal_length_mm * 1e-3, recipe.optics.f_number, recipe.optics.object_distance_m
-            ),
+            noise=Noise(noise.read_noise_e, noise.dark_current_e_per_s, noise.dsnu_e, noise.prnu, noise.well_capacity_e),
+            optics=Optics(recipe.optics.focal_length_mm * 1e-3, recipe.optics.f_number, recipe.optics.object_distance_m),
         )
     except ValueError as error:
         raise RecipeError(f"{path}: {error}") from error

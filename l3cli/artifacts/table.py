@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.base import Artifact, check, data
+from l3cli.artifacts.base import Artifact, check, data, group
 
 CLASS_BITS = 12  # class decisions are taken on the upper 12 bits of a value, so that 32-bit sums are exact
 LEVEL_FRACTION = 8  # fractional bits of a channel mean in the level sum
@@ -48,9 +48,7 @@ class ClassRule:
         if (np.diff(self.level_edges.astype(np.int64)) <= 0).any():
             raise ValueError("level_edges do not increase: more levels than values")
         if self.contrast_edges.shape[1] != self.levels:
-            raise ValueError(
-                f"contrast_edges has {self.contrast_edges.shape[1]} levels, level_edges make {self.levels}"
-            )
+            raise ValueError(f"contrast_edges has {self.contrast_edges.shape[1]} levels, level_edges make {self.levels}")
 
     @property
     def radius(self) -> int:
@@ -96,7 +94,7 @@ class TransformTable(Artifact):
     white_point: NDArray[np.float64] = data(
         "float64", "output", doc="output of a perfect white under the training light, Y = 1"
     )
-    rule: ClassRule
+    rule: ClassRule = group()
     weights: NDArray[np.float32] = data(
         "float32", "class", "output", "tap", doc="taps row by row; per unit of (DN − black) / (white − black)"
     )

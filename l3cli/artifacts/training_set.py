@@ -14,6 +14,7 @@ from l3cli.artifacts.base import (
     Artifact,
     check,
     data,
+    group,
     new_artifact,
     open_artifact,
     read_fields,
@@ -65,7 +66,7 @@ class TrainingSet(Artifact):
     version: ClassVar[int] = 1
     made_by: ClassVar[str] = '"l3 simulate"'
 
-    camera: CameraModel
+    camera: CameraModel = group()
     outputs: tuple[str, ...] = data("str", "output", doc="names of the outputs")
     target_description: str = data("str", doc="what the target is")
 
