@@ -120,6 +120,18 @@ def _check(instance: Any, lengths: dict[str, tuple[int, str]], prefix: str) -> N
                 raise ValueError(f"{label} has {length} along {axis}, but {where} has {known}")
 
 
+def equal(one: Any, other: Any) -> bool:
+    """Whether every declared field of two instances of a dataclass holds the same values."""
+    for name, spec, _ in _declared(type(one)):
+        a, b = getattr(one, name), getattr(other, name)
+        if isinstance(spec, Spec):
+            if not np.array_equal(np.asarray(a), np.asarray(b)):
+                return False
+        elif (a is None) != (b is None) or (a is not None and not equal(a, b)):
+            return False
+    return True
+
+
 # ------------------------------------------------------------------------------------------------------ writing
 
 

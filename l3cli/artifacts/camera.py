@@ -113,6 +113,12 @@ class CameraModel(Artifact):
         """Electrons between black and white."""
         return (self.white - self.black) / self.gain
 
+    @property
+    def electron_weights(self) -> NDArray[np.float64]:
+        """W (channel, wavelength): mean photo-electrons a second = W @ scene radiance (photons/s/sr/m²/nm) (METHOD 1.2)."""
+        photons = self.optics.irradiance_per_radiance * self.pixel_pitch**2 * spectra.bin_widths(self.wavelength)
+        return self.responsivity * photons
+
     def noise_variance(self, signal: NDArray[np.float64]) -> NDArray[np.float64]:
         """Variance in DN² of a pixel whose mean lies `signal` DN above black (METHOD 1.3, with quantisation)."""
         noise = self.noise

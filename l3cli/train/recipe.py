@@ -1,0 +1,42 @@
+"""What a class recipe (configs/classes) may say."""
+
+import msgspec
+
+from l3cli.classify import ClassRecipe
+from l3cli.config import Recipe
+from l3cli.errors import RecipeError
+
+
+class LearningRecipe(Recipe):
+    """How the transforms of the classes are learned (METHOD 4). Levels are shares of full scale."""
+
+    patches: int = 60000  # patches a canonical CFA position, over all frames
+    draws: int = 8  # levels drawn a patch (METHOD 4.1)
+    darkest: float = 0.003  # levels are drawn log-uniformly from here …
+    brightest: float = 2.5  # … to here, clipped at white
+    highlight_share: float = 0.25  # this share of the draws …
+    highlight_from: float = 0.15  # … lies between here and the brightest
+    ridge: float = 1e-5  # relative to the mean power of a tap
+    luminance_noise: float = 1.2  # weight of the noise covariance for Y (METHOD 4.3)
+    chroma_noise: float = 3.2  # the same for the two chroma rows
+    level_pool: tuple[float, ...] = (0.5, 0.25)  # weight of classes one, two… levels away (METHOD 4.5)
+    parent_patches: int = 200  # pseudo-patches of the (case, level) parent added to every class
+
+
+class TrainingRecipe(Recipe):
+    """Classes and learning; every key has the default that configs/classes/default.toml spells out."""
+
+    classes: ClassRecipe = msgspec.field(default_factory=ClassRecipe)
+    learning: LearningRecipe = msgspec.field(default_factory=LearningRecipe)
+
+
+def check_learning(recipe: LearningRecipe) -> None:
+    """RecipeError if a number of the learning recipe cannot be."""
+    if recipe.patches < 1 or recipe.draws < 1 or recipe.parent_patches < 0:
+        raise RecipeError("learning.patches and draws must be at least 1, parent_patches at least 0")
+    if not 0 < recipe.darkest < recipe.highlight_from < recipe.brightest:
+        raise RecipeError("learning needs 0 < darkest < highlight_from < brightest")
+    if not 0 <= recipe.highlight_share <= 1:
+        raise RecipeError("learning.highlight_share must lie in 0…1")
+    if recipe.ridge <= 0 or recipe.luminance_noise < 0 or recipe.chroma_noise < 0:
+        raise RecipeError("learning.ridge must be positive, the noise weights not negative")

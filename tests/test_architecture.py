@@ -1,0 +1,63 @@
+"""Imports go down: never up, never across rooms; outside libraries enter by their one door (README, Architecture)."""
+
+import ast
+from pathlib import Path
+
+PACKAGE = Path(__file__).parents[1] / "l3cli"
+FLOORS = [
+    {"errors", "config", "files", "spectra"},
+    {"artifacts", "scene", "frame"},
+    {"classify"},
+    {"calibrate", "simulate", "train", "render", "evaluate", "io", "parallel"},
+    {"cli"},
+]
+DOORS = {
+    "click": ("cli/",),
+    "pyopencl": ("render/opencl.py",),
+    "rawpy": ("io/",),
+    "OpenImageIO": ("io/",),
+    "tifffile": ("io/",),
+    "h5py": ("artifacts/", "io/"),
+    "colour": ("spectra.py",),
+    "dask": ("parallel.py",),
+    "rich": ("cli/",),
+}
+
+
+def imports(path: Path) -> set[str]:
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            found.add(node.module or "")
+            if node.module == "l3cli":
+                found |= {f"l3cli.{alias.name}" for alias in node.names}
+    return found
+
+
+def floor(room: str) -> int:
+    return next(number for number, rooms in enumerate(FLOORS) if room in rooms)
+
+
+def test_imports_go_down_and_never_across() -> None:
+    for path in PACKAGE.rglob("*.py"):
+        parts = path.relative_to(PACKAGE).with_suffix("").parts
+        if parts == ("__init__",):
+            continue
+        for name in imports(path):
+            room = name.split(".")[1] if name.startswith("l3cli.") else None
+            if room is None or room in (parts[0], "__version__"):
+                continue
+            here, there = floor(parts[0]), floor(room)
+            allowed = there < here or (there == here and here < 3)
+            assert allowed, f"{path}: {parts[0]} (floor {here}) imports {name} (floor {there})"
+
+
+def test_libraries_enter_by_their_one_door() -> None:
+    for path in PACKAGE.rglob("*.py"):
+        where = path.relative_to(PACKAGE).as_posix()
+        for name in imports(path):
+            doors = DOORS.get(name.split(".")[0])
+            assert doors is None or where.startswith(doors), f"{where} imports {name}"

@@ -1,0 +1,238 @@
+"""Artifacts: what is written is read back; what is broken is refused in one line that names the culprit and the cure."""
+
+import dataclasses
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from l3cli.artifacts.base import Stage, equal, load, save
+from l3cli.artifacts.camera import CameraModel, Fit
+from l3cli.artifacts.table import ClassRule, TransformTable
+from l3cli.artifacts.training_set import TrainingFrame, TrainingSet, open_training_set, write_training_set
+from l3cli.errors import InputFileError
+
+
+def a_fit(channels: int) -> Fit:
+    each = np.linspace(0.1, 0.9, channels)
+    chart = np.arange(2 * 24 * channels, dtype=float).reshape(2, 24, channels)
+    level = np.ones((3, channels))
+    return Fit(each, each, each, each, np.ones(4), np.ones(4), 0.1, ("D65", "A"), chart, chart, level, level)
+
+
+def a_camera(camera: CameraModel) -> CameraModel:
+    history = (Stage("calibrate", {"accept": True}, 'name = "µ"', {"frames": ["ab", "cd"]}),)
+    return dataclasses.replace(camera, fit=a_fit(len(camera.channels)), history=history)
+
+
+def a_frame(seed: int = 0, channels: int = 5) -> TrainingFrame:
+    rng = np.random.default_rng(seed)
+    return TrainingFrame(
+        electrons=rng.random((channels, 20, 24), dtype=np.float32),
+        raw=rng.integers(0, 4096, (20, 24)).astype(np.uint16),
+        target=rng.random((3, 20, 24), dtype=np.float32),
+        white=np.array([95.0, 100.0, 108.0]),
+        scene="leaves",
+        illuminant="D65",
+        luminance=100.0,
+        exposure=0.01,
+        seed=(7, seed),
+    )
+
+
+def a_table(camera: CameraModel) -> TransformTable:
+    rule = ClassRule(
+        3, 0, np.array([900], np.uint32), np.array([[5, 6]], np.uint32), 4000, 1, np.arange(8, dtype=np.uint16)
+    )
+    classes = camera.cfa.size * rule.classes_per_site
+    rng = np.random.default_rng(1)
+    return TransformTable(
+        camera_name=camera.name,
+        rows=camera.rows,
+        cols=camera.cols,
+        channels=camera.channels,
+        cfa=camera.cfa,
+        bits=camera.bits,
+        black=camera.black,
+        white=camera.white,
+        outputs=("X", "Y", "Z"),
+        output_unit=0.5,
+        white_point=np.array([0.95, 1.0, 1.09]),
+        rule=rule,
+        weights=rng.standard_normal((classes, 3, 9)).astype(np.float32),
+        intercept=np.zeros((classes, 3), np.float32),
+        samples=np.ones(classes),
+        history=(Stage("train", {"seed": 0}),),
+    )
+
+
+def test_camera_and_table_come_back_as_they_went(fiveband: CameraModel, bayer: CameraModel, tmp_path: Path) -> None:
+    for artifact in (fiveband, a_camera(fiveband), a_table(bayer)):
+        path = tmp_path / "sub" / "artifact.h5"
+        save(artifact, path)
+        again = load(type(artifact), path)
+        assert equal(artifact, again)
+        assert again.history == artifact.history
+
+
+def test_training_set_comes_back_frame_by_frame(fiveband: CameraModel, tmp_path: Path) -> None:
+    head = TrainingSet(camera=fiveband, outputs=("X", "Y", "Z"), target_description="XYZ")
+    path = tmp_path / "training.h5"
+    with write_training_set(path, head) as writer:
+        for seed in range(3):
+            writer.append(a_frame(seed))
+    with open_training_set(path) as reader:
+        assert len(reader) == 3
+        assert equal(reader.head, head)
+        for seed, frame in enumerate(reader):
+            assert equal(frame, a_frame(seed))
+
+
+def test_same_content_same_bytes(fiveband: CameraModel, tmp_path: Path) -> None:
+    save(a_camera(fiveband), tmp_path / "one.h5")
+    save(a_camera(fiveband), tmp_path / "two.h5")
+    assert (tmp_path / "one.h5").read_bytes() == (tmp_path / "two.h5").read_bytes()
+
+
+def test_a_failed_writer_leaves_nothing(fiveband: CameraModel, tmp_path: Path) -> None:
+    head = TrainingSet(camera=fiveband, outputs=("X", "Y", "Z"), target_description="XYZ")
+    with pytest.raises(RuntimeError), write_training_set(tmp_path / "training.h5", head) as writer:
+        writer.append(a_frame())
+        raise RuntimeError("stopped half-way")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"responsivity": np.zeros((5, 3))}, "responsivity"),
+        ({"responsivity": np.full((5, 65), np.nan)}, "not finite"),
+        ({"channels": ("r", "g")}, "channel"),
+        ({"cfa": np.array([[9]], np.uint8)}, "cfa names channel 9"),
+        ({"gain": "high"}, "gain"),
+        ({"black": 5000.0}, "black 5000"),
+    ],
+)
+def test_a_constructor_refuses_what_cannot_be(fiveband: CameraModel, changes: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        dataclasses.replace(fiveband, **changes)
+
+
+def break_kind(path: Path) -> None:
+    with h5py.File(path, "r+") as root:
+        root.attrs["kind"] = "transform table"
+
+
+def break_version(path: Path) -> None:
+    with h5py.File(path, "r+") as root:
+        root.attrs["version"] = 99
+
+
+def break_dataset(path: Path) -> None:
+    with h5py.File(path, "r+") as root:
+        del root["gain"]
+
+
+def break_group(path: Path) -> None:
+    with h5py.File(path, "r+") as root:
+        del root["noise"]
+
+
+def break_type(path: Path) -> None:
+    with h5py.File(path, "r+") as root:
+        del root["gain"]
+        root["gain"] = "much"
+
+
+def break_link(path: Path) -> None:
+    with h5py.File(path, "r+") as root:
+        del root["gain"]
+        root["gain"] = h5py.ExternalLink("/etc/passwd", "/")
+
+
+def break_size(path: Path) -> None:
+    with h5py.File(path, "r+") as root:
+        del root["responsivity"]
+        root.create_dataset("responsivity", (100_000, 100_000), "f8", chunks=(100, 100), compression="gzip")
+
+
+def break_shape(path: Path) -> None:
+    with h5py.File(path, "r+") as root:
+        del root["wavelength"]
+        root["wavelength"] = np.arange(3.0)
+
+
+def break_history(path: Path) -> None:
+    with h5py.File(path, "r+") as root:
+        del root["history"]
+        root.create_dataset("history", data=np.bytes_(b"{"))
+
+
+def truncate(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def flip(path: Path) -> None:
+    with h5py.File(path) as root:
+        offset = root["responsivity"].id.get_chunk_info(0).byte_offset
+    content = bytearray(path.read_bytes())
+    content[offset + 20] ^= 0xFF
+    path.write_bytes(content)
+
+
+def garbage(path: Path) -> None:
+    path.write_text("not an artifact")
+
+
+def plain_hdf5(path: Path) -> None:
+    path.unlink()
+    with h5py.File(path, "w") as root:
+        root["gain"] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (break_kind, 'holds a transform table; give the file written by "l3 calibrate"'),
+        (break_version, "upgrade l3cli"),
+        (break_dataset, "lacks the dataset gain"),
+        (break_group, "lacks the group noise"),
+        (break_type, "dataset gain is"),
+        (break_link, "links away the dataset gain"),
+        (break_size, "claims more data than the file holds"),
+        (break_shape, "responsivity"),
+        (break_history, "history"),
+        (truncate, "truncated or damaged"),
+        (flip, "damaged (checksum)"),
+        (garbage, "is not an HDF5 file"),
+        (plain_hdf5, "no l3 artifact"),
+    ],
+)
+def test_a_broken_artifact_is_one_line(
+    fiveband: CameraModel, tmp_path: Path, damage: Callable[[Path], None], message: str
+) -> None:
+    path = tmp_path / "camera.h5"
+    save(fiveband, path)
+    damage(path)
+    with pytest.raises(InputFileError) as caught:
+        load(CameraModel, path)
+    assert message in str(caught.value)
+    assert str(path) in str(caught.value)
+
+
+def test_info_lists_every_dataset_with_unit(fiveband: CameraModel, tmp_path: Path, l3: Callable, refused: Callable) -> None:
+    path = tmp_path / "camera.h5"
+    save(a_camera(fiveband), path)
+    code, out, err = l3("info", path)
+    assert (code, err) == (0, "")
+    assert "camera model, format version 1" in out
+    for word in ("responsivity (channel, wavelength) 5×65 float64 e-/photon", "gain", "DN/e-", "made by l3 calibrate"):
+        assert word in out
+    shutil.copy(path, tmp_path / "cut.h5")
+    truncate(tmp_path / "cut.h5")
+    assert "truncated" in refused(3, "info", tmp_path / "cut.h5")
+    assert "does not exist" in refused(3, "info", tmp_path / "nothing.h5")
+    assert "is a folder" in refused(3, "info", tmp_path)

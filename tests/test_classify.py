@@ -1,0 +1,141 @@
+"""The integer class rule: exact in 32 bits, equal on mosaics and on patches, and meaning what METHOD 3 says."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from l3cli import classify
+from l3cli.artifacts.camera import CameraModel
+from l3cli.classify import ClassRecipe, make_rule
+from l3cli.errors import RecipeError
+from l3cli.frame import mirrored_indices, pad_mosaic
+from tests.conftest import random_case_of_code
+
+
+def windows(values: np.ndarray, patch: int, cfa_shape: tuple[int, int]) -> np.ndarray:
+    padded = pad_mosaic(values, patch // 2, cfa_shape)
+    return np.lib.stride_tricks.sliding_window_view(padded, (patch, patch)).reshape(*values.shape, -1)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 23), st.integers(1, 23), st.integers(0, 3), st.integers(0, 3))
+def test_mosaic_and_patches_are_labelled_alike(
+    fiveband: CameraModel, seed: int, rows: int, cols: int, row_phase: int, col_phase: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    rule = make_rule(ClassRecipe(contrasts=(1.4, 4.0)), fiveband, random_case_of_code(5, rng))
+    values = rng.choice([0, 109, 120, 700, 4000, 4095], (rows, cols)).astype(np.uint16)
+    values[: rows // 2] = rng.integers(100, 140, (rows // 2, cols))
+    labels = classify.label_mosaic(values, rule, fiveband.cfa, 5, (row_phase, col_phase))
+    near = classify.neighbourhoods(fiveband.cfa, rule.patch, 5)
+    site = classify.sites(rows, cols, fiveband.cfa.shape, (row_phase, col_phase))
+    if min(rows, cols) < 4:
+        return  # padding of such a mosaic repeats samples of other channels; only the mosaic's own rule counts
+    patches = windows(values, rule.patch, fiveband.cfa.shape)
+    for number in np.unique(site):
+        own = classify.label_patches(patches[site == number], rule, near, number) + number * rule.classes_per_site
+        assert (own == labels[site == number]).all()
+
+
+def extreme_patches(taps: int) -> np.ndarray:
+    rng = np.random.default_rng(5)
+    black_and_white = rng.choice([0, 65535], (200, taps)).astype(np.uint16)
+    flat = np.full((1, taps), 65535, np.uint16)
+    half = np.where(np.arange(taps) % 2, 65535, 0).astype(np.uint16)[None]
+    return np.concatenate([black_and_white, flat, half])
+
+
+@pytest.mark.parametrize("patch", [5, 9, 15])
+def test_the_sums_fit_32_bits(fiveband: CameraModel, patch: int) -> None:
+    """The formulas evaluated in wrapping 32-bit arithmetic, as a kernel does, for the extremes of 16-bit values."""
+    camera = dataclasses.replace(fiveband, bits=16, white=65535.0)
+    rule = make_rule(ClassRecipe(patch=patch, contrasts=(1.4, 4.0)), camera, np.zeros(32, np.uint16))
+    near = classify.neighbourhoods(camera.cfa, patch, 5)
+    patches = extreme_patches(patch**2)
+    for site in range(16):
+        expected = classify.label_patches(patches, rule, near, site)
+        member = near.channel[site][:, None] == np.arange(5)
+        values = (patches >> rule.shift).astype(np.uint32)
+        level_sum = np.zeros(len(patches), np.uint32)
+        contrast_sum = np.zeros(len(patches), np.uint32)
+        for channel in range(5):
+            own = values[:, member[:, channel]]
+            total, square = own.sum(axis=1, dtype=np.uint32), (own * own).sum(axis=1, dtype=np.uint32)
+            scaled = total * np.uint32(near.mean_reciprocal[site, channel])
+            mean = scaled >> np.uint32(16)
+            deviation = square - mean * (total + total - np.uint32(near.count[site, channel]) * mean)
+            level_sum += scaled >> np.uint32(8)
+            product = deviation * np.uint32(near.variance_reciprocal[site, channel])
+            contrast_sum += np.minimum(product, np.uint32((2**32 - 1) // 5))
+        level = np.searchsorted(rule.level_edges, level_sum, side="right")
+        contrast = (contrast_sum[None] > rule.contrast_edges[:, level]).sum(axis=0)
+        assert ((level * rule.contrasts + contrast) * rule.cases == expected).all()
+
+
+def test_level_contrast_and_case_mean_what_they_say(fiveband: CameraModel) -> None:
+    rng = np.random.default_rng(0)
+    case_of_code = np.zeros(32, np.uint16)
+    case_of_code[0b00010] = 1
+    rule = make_rule(ClassRecipe(), fiveband, case_of_code)
+    span = fiveband.white - fiveband.black
+
+    def label(values: np.ndarray) -> tuple[int, int, int]:
+        labels = classify.label_mosaic(values.astype(np.uint16), rule, fiveband.cfa, 5)
+        level, contrast, case = np.unravel_index(
+            labels[20:40, 20:40] % rule.classes_per_site, (rule.levels, rule.contrasts, rule.cases)
+        )
+        return level, contrast, case
+
+    previous = -1.0
+    for share in (0.002, 0.02, 0.2, 0.8):
+        mean = fiveband.black + share * span
+        noisy = mean + rng.standard_normal((60, 60)) * np.sqrt(fiveband.noise_variance(np.array(share * span)))
+        level, contrast, case = label(np.rint(noisy).clip(0, 4095))
+        assert np.abs(level - np.median(level)).max() <= 1
+        assert level.mean() > previous + 2
+        previous = level.mean()
+        assert contrast.mean() < 0.15  # noise alone is not texture
+        assert (case == 0).all()
+        stripes = mean + 0.5 * share * span * (np.arange(60) // 4 % 2 * 2 - 1)[None].repeat(60, 0)
+        assert label(stripes)[1].mean() > 0.95 if share > 0.01 else True
+    bright = np.full((60, 60), 1000)
+    green = fiveband.cfa[np.ix_(np.arange(60) % 4, np.arange(60) % 4)] == 1
+    bright[green] = 4095
+    assert (label(bright)[2] == 1).all()
+
+
+@pytest.mark.parametrize(
+    ("recipe", "message"),
+    [
+        (ClassRecipe(patch=3), "does not reach every channel"),
+        (ClassRecipe(levels=1), "levels ≥ 2"),
+        (ClassRecipe(levels=60000), "more levels than values"),
+        (ClassRecipe(contrasts=(2.0, 1.0)), "must be positive and increase"),
+        (ClassRecipe(patch=8), "odd"),
+        (ClassRecipe(patch=17), "odd number up to 15"),
+        (ClassRecipe(highest_level=1.2), "highest_level < 1"),
+    ],
+)
+def test_an_impossible_rule_is_refused(fiveband: CameraModel, recipe: ClassRecipe, message: str) -> None:
+    with pytest.raises(RecipeError, match=message):
+        make_rule(recipe, fiveband, np.zeros(32, np.uint16))
+
+
+@settings(deadline=None)
+@given(st.integers(1, 40), st.integers(0, 7), st.integers(1, 8))
+def test_padding_keeps_the_cfa_phase(length: int, margin: int, period: int) -> None:
+    indices = mirrored_indices(length, margin, period)
+    wanted = np.arange(-margin, length + margin)
+    assert indices.min() >= 0
+    assert indices.max() < length
+    assert (indices[margin : margin + length] == np.arange(length)).all()
+    if length >= period:
+        assert ((indices - wanted) % period == 0).all()
+
+
+def test_padding_mirrors_where_the_phase_allows() -> None:
+    assert mirrored_indices(6, 3, 2).tolist() == [3, 2, 1, 0, 1, 2, 3, 4, 5, 4, 3, 2]
+    assert mirrored_indices(8, 2, 4)[:2].tolist() == [2, 3]
