@@ -44,9 +44,7 @@ def a_frame(seed: int = 0, channels: int = 5) -> TrainingFrame:
 
 
 def a_table(camera: CameraModel) -> TransformTable:
-    rule = ClassRule(
-        3, 0, np.array([900], np.uint32), np.array([[5, 6]], np.uint32), 4000, 1, np.arange(8, dtype=np.uint16)
-    )
+    rule = ClassRule(3, 0, np.array([900], np.uint32), np.array([[5, 6]], np.uint32), 4000, 1, np.arange(8, dtype=np.uint16))
     classes = camera.cfa.size * rule.classes_per_site
     rng = np.random.default_rng(1)
     return TransformTable(
@@ -99,9 +97,14 @@ def test_same_content_same_bytes(fiveband: CameraModel, tmp_path: Path) -> None:
 
 def test_a_failed_writer_leaves_nothing(fiveband: CameraModel, tmp_path: Path) -> None:
     head = TrainingSet(camera=fiveband, outputs=("X", "Y", "Z"), target_description="XYZ")
-    with pytest.raises(RuntimeError), write_training_set(tmp_path / "training.h5", head) as writer:
-        writer.append(a_frame())
-        raise RuntimeError("stopped half-way")
+
+    def stopped_half_way() -> None:
+        with write_training_set(tmp_path / "training.h5", head) as writer:
+            writer.append(a_frame())
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        stopped_half_way()
     assert list(tmp_path.iterdir()) == []
 
 

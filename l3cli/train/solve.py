@@ -87,9 +87,7 @@ def _with_parents(sums: Sums, shape: tuple[int, int, int], pseudo_patches: int) 
     return Sums(shrunk(sums.moments), shrunk(sums.noise), total)
 
 
-def _wiener(
-    moments: Array, noise: Array, has_intercept: bool, recipe: LearningRecipe, outputs: tuple[str, ...]
-) -> Array:
+def _wiener(moments: Array, noise: Array, has_intercept: bool, recipe: LearningRecipe, outputs: tuple[str, ...]) -> Array:
     """(tap + 1, output): solves in a basis where luminance and chroma weigh noise differently (METHOD 4.3)."""
     taps = noise.size
     power, cross = moments[: taps + 1, : taps + 1], moments[: taps + 1, taps + 1 :]

@@ -70,9 +70,7 @@ def _weighing(target: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.maximum(target[:, 1] if target.shape[1] == 3 else target.mean(axis=1), 0.0)
 
 
-def _add_by_class(
-    sums: Sums, label: NDArray[np.int64], rows: NDArray[np.float32], variance: NDArray[np.float32]
-) -> None:
+def _add_by_class(sums: Sums, label: NDArray[np.int64], rows: NDArray[np.float32], variance: NDArray[np.float32]) -> None:
     order = np.argsort(label, kind="stable")
     rows, variance = rows[order], variance[order]
     classes, start = np.unique(label[order], return_index=True)
