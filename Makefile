@@ -4,7 +4,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO := build/demo
 JOBS ?= 2
-export L3_DATA ?= $(abspath ../shared/data)
+L3 := $(BIN)/l3
+TIMED := bash -c 'time "$$0" "$$@"'
 
 .PHONY: help install demo test lint format bench clean
 .DEFAULT_GOAL := help
@@ -20,7 +21,19 @@ $(VENV)/installed: pyproject.toml
 install: $(VENV)/installed ## own .venv with l3, PoCL and the development tools
 
 demo: $(VENV)/installed ## a five-band camera from virtual lab to rendered picture
-	$(MAKE) --no-print-directory -f Makefile demo-steps
+	$(MAKE) --no-print-directory demo-steps
+
+demo-steps:
+	rm -rf $(DEMO) && mkdir -p $(DEMO)
+	$(TIMED) $(L3) lab configs/cameras/fiveband.toml -o $(DEMO)/lab --jobs $(JOBS)
+	$(TIMED) $(L3) calibrate $(DEMO)/lab/MEASUREMENTS.toml --truth configs/cameras/fiveband.toml -o $(DEMO)/camera.h5
+	$(TIMED) $(L3) simulate configs/scenes/default.toml --camera $(DEMO)/camera.h5 -o $(DEMO)/training.h5 --jobs $(JOBS)
+	$(TIMED) $(L3) train $(DEMO)/training.h5 --classes configs/classes/default.toml -o $(DEMO)/table.h5 --jobs $(JOBS)
+	$(TIMED) $(L3) simulate configs/scenes/demo_unseen.toml --camera configs/cameras/fiveband.toml \
+	  -o $(DEMO)/unseen.h5 --pictures $(DEMO)/unseen
+	$(TIMED) $(L3) render $(DEMO)/table.h5 $(DEMO)/unseen/*_raw.tif -o $(DEMO)/rendered.png
+	$(TIMED) $(L3) evaluate $(DEMO)/table.h5 $(DEMO)/unseen.h5
+	@ls $(CURDIR)/$(DEMO)/rendered.png $(CURDIR)/$(DEMO)/unseen/*_ideal.png
 
 test: $(VENV)/installed ## the test suite
 	$(BIN)/python -m pytest

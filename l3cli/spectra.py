@@ -153,3 +153,9 @@ def adaptation_matrix(white: Array, to: Array) -> Array:
 def srgb_from_xyz_matrix() -> Array:
     """Linear sRGB = M (3, 3) @ XYZ with the D65 white at Y = 1."""
     return np.asarray(_colour().RGB_COLOURSPACES["sRGB"].matrix_XYZ_to_RGB)
+
+
+def srgb_curve(linear: Array) -> Array:
+    """Non-linear sRGB of linear values, both clipped to 0…1 (IEC 61966-2-1)."""
+    clipped = np.clip(linear, 0.0, 1.0)
+    return np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * np.maximum(clipped, 1e-9) ** (1 / 2.4) - 0.055)

@@ -177,3 +177,19 @@ def _camera_of(training: Path, tmp_path: Path) -> Path:
     with open_training_set(training) as reader:
         save(reader.head.camera, tmp_path / "camera.h5")
     return tmp_path / "camera.h5"
+
+
+def test_plain_areas_show_no_cfa_pattern(bayer: CameraModel, tmp_path: Path, l3: Callable) -> None:
+    """Trained on noise, where every site learns something else, flat patches of any colour come out alike at all sites."""
+    training = a_set(tmp_path / "training.h5", bayer, 3, smooth=False)
+    (tmp_path / "classes.toml").write_text(SMALL)
+    assert l3("train", training, "--classes", tmp_path / "classes.toml", "-o", tmp_path / "table.h5")[0] == 0
+    table = load(TransformTable, tmp_path / "table.h5")
+    near = classify.neighbourhoods(bayer.cfa, 5, 3)
+    member = near.channel[:, :, None] == np.arange(3)
+    weights = table.weights.reshape(4, -1, 3, 25).astype(np.float64)
+    response = np.einsum("skot,stc->skoc", weights, member)
+    own = table.samples.reshape(4, -1).min(axis=0) > 0  # classes that every site has seen
+    assert own.sum() > 5
+    spread = np.ptp(response[:, own], axis=0)
+    assert spread.max() < 2e-3 * np.abs(response[:, own]).max()

@@ -46,7 +46,15 @@ class Optics:
 class Fit:
     """What calibration measured and how well the model explains it (METHOD 1.4)."""
 
-    alpha: NDArray[np.float64] = data("float64", "channel", unit="DN/(e-/photon)/photon", doc="Eq. 2 slope")
+    conversion_gain: NDArray[np.float64] = data("float64", "channel", unit="DN/e-", doc="K of each channel")
+    read_noise: NDArray[np.float64] = data("float64", "channel", unit="e-", doc="temporal dark noise at zero exposure")
+    dark_current: NDArray[np.float64] = data("float64", "channel", unit="e-/s", doc="dark current of each channel")
+    dsnu: NDArray[np.float64] = data("float64", "channel", unit="e-", doc="DSNU of each channel")
+    prnu: NDArray[np.float64] = data("float64", "channel", doc="PRNU of each channel, relative")
+    white_reached: bool = data("bool", doc="whether a white frame saturates; if not, white is the converter's top")
+    alpha: NDArray[np.float64] = data(
+        "float64", "channel", unit="DN/photon", doc="Eq. 2 slope: response at the peak of the channel's responsivity"
+    )
     beta: NDArray[np.float64] = data("float64", "channel", unit="DN", doc="Eq. 2 offset: black plus glare")
     r_squared: NDArray[np.float64] = data("float64", "channel", doc="of predicted against measured chart values")
     relative_rmse: NDArray[np.float64] = data("float64", "channel", doc="RMSE of chart values / their mean signal")
@@ -119,7 +127,7 @@ class CameraModel(Artifact):
         photons = self.optics.irradiance_per_radiance * self.pixel_pitch**2 * spectra.bin_widths(self.wavelength)
         return self.responsivity * photons
 
-    def noise_variance(self, signal: NDArray[np.float64]) -> NDArray[np.float64]:
+    def noise_variance(self, signal: NDArray[np.floating]) -> NDArray[np.floating]:
         """Variance in DN² of a pixel whose mean lies `signal` DN above black (METHOD 1.3, with quantisation)."""
         noise = self.noise
         signal = np.maximum(signal, 0.0)

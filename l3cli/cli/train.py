@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from l3cli.artifacts.table import ClassRule
     from l3cli.artifacts.training_set import TrainingFrame, TrainingSet
     from l3cli.train.recipe import TrainingRecipe
-    from l3cli.train.solve import Transforms
+    from l3cli.train.solve import Solution
 
 
 @click.command()
@@ -50,10 +50,10 @@ def train(
     )
     work = [SiteWork(training, total, head, rule, site, recipe, seed) for site in sites]
     results = options.progress(ordered_map(_train_site, work, jobs), len(sites), "sites", quiet)
-    transforms = dict(zip(sites, results, strict=True))
+    solutions = dict(zip(sites, results, strict=True))
     inputs = {"training set": [sha256(path) for path in training]}
     stage = Stage("train", {"seed": seed}, read_text(classes) if classes else "", inputs)
-    table = assemble(head, rule, transforms, mean_white(_frames(training)), (*head.history, stage))
+    table = assemble(head, rule, solutions, recipe, mean_white(_frames(training)), (*head.history, stage))
     save(table, output)
     filled = int((table.samples == 0).sum())
     options.say(f"{output}: {len(table.weights)} classes, {filled} of them filled from their neighbours", quiet)
@@ -72,7 +72,7 @@ class SiteWork:
     seed: int
 
 
-def _train_site(work: SiteWork) -> "Transforms":
+def _train_site(work: SiteWork) -> "Solution":
     from l3cli.train.table import train_site
 
     frames = _frames(work.training)

@@ -17,6 +17,22 @@ CASE_SHARE = 0.1  # of the pseudo-patches come from all levels of a case
 
 
 @dataclass(frozen=True)
+class Solution:
+    """Wiener solutions of the classes of one canonical site, in the opponent basis, and what it costs to bend them.
+
+    Rows run over the taps and the intercept. `response` says what a flat patch of one channel (last: the intercept) adds to
+    each output; `compliance` is how rows give way when that is changed by one (METHOD 4.7).
+    """
+
+    rows: Array  # (class, tap + 1, output)
+    response: Array  # (class, channel + 1, output)
+    compliance: Array  # (class, noise factor, tap + 1, channel + 1)
+    softness: Array  # (class, noise factor, channel + 1, channel + 1): the response of the compliance
+    solved: NDArray[np.bool_]  # (class)
+    samples: Array  # (class) patches of its own
+
+
+@dataclass(frozen=True)
 class Transforms:
     """Transforms of the classes of one site, taps in units of full scale."""
 
@@ -25,25 +41,65 @@ class Transforms:
     samples: Array  # (class) patches of its own; 0: filled
 
 
-def solve(sums: Sums, rule: ClassRule, recipe: LearningRecipe, outputs: tuple[str, ...]) -> Transforms:
-    """Transforms of every class of a site: T = Y Xᵀ (X Xᵀ + Λ)⁻¹, with neighbours' help where a class is thin.
-
-    Raises L3Error if not one class has patches.
-    """
+def solve(
+    sums: Sums, rule: ClassRule, window: NDArray[np.int64], recipe: LearningRecipe, outputs: tuple[str, ...]
+) -> Solution:
+    """Solutions for every class of a site that has patches or a parent with patches: T = Y Xᵀ (X Xᵀ + Λ)⁻¹, thin classes
+    helped by their neighbours; `window` (tap) names the channel of each tap. Raises L3Error if no class has any."""
     shape = (rule.levels, rule.contrasts, rule.cases)
     shrunk = _with_parents(_pooled(sums, shape, recipe.level_pool), shape, recipe.parent_patches)
-    solvable = np.flatnonzero(shrunk.count > 0)
-    if not solvable.size:
+    solved = shrunk.count > 0
+    if not solved.any():
         raise L3Error("no class has training patches; simulate more frames")
-    taps, count = sums.noise.shape[1], len(outputs)
-    weights = np.zeros((len(sums.count), count, taps))
-    intercept = np.zeros((len(sums.count), count))
-    for index in solvable:
-        case = index % rule.cases
-        solution = _wiener(shrunk.moments[index], shrunk.noise[index], case > 0, recipe, outputs)
-        weights[index], intercept[index] = solution[:taps].T, solution[taps]
-    source = _nearest(shrunk.count > 0, shape)
-    return Transforms(weights[source], intercept[source], sums.count)
+    groups = np.append(window, window.max() + 1)  # every channel, and the intercept as one more
+    member = (groups[None] == np.arange(groups.max() + 1)[:, None]).astype(np.float64)
+    factors = _noise_factors(recipe, outputs)
+    basis = _opponent_basis(outputs)
+    rows = np.zeros((solved.size, groups.size, len(outputs)))
+    compliance = np.zeros((solved.size, len(set(factors)), groups.size, len(member)))
+    for index in np.flatnonzero(solved):
+        has_intercept = bool(index % rule.cases > 0)
+        for number, factor in enumerate(sorted(set(factors))):
+            columns = [column for column, own in enumerate(factors) if own == factor]
+            system = _system(shrunk.moments[index], shrunk.noise[index], factor, recipe.ridge, has_intercept)
+            cross = shrunk.moments[index, : groups.size, groups.size :] @ basis[:, columns]
+            found = np.linalg.solve(system, np.concatenate([cross, member.T], axis=1))
+            rows[index][:, columns] = found[:, : len(columns)]
+            compliance[index, number] = found[:, len(columns) :]
+    return Solution(rows, member @ rows, compliance, member @ compliance, solved, sums.count)
+
+
+def equal_responses(
+    solutions: list[Solution], copies: list[int], rule: ClassRule, recipe: LearningRecipe, outputs: tuple[str, ...]
+) -> list[Transforms]:
+    """Transforms of the canonical sites, each of which stands for `copies` sites, bent so that every class answers a flat
+    patch alike at all sites; otherwise the CFA shows as a pattern on plain areas (METHOD 4.7). Of all common responses the
+    one of least total squared error is taken. Classes without a solution are filled from the nearest.
+    """
+    factors = _noise_factors(recipe, outputs)
+    order = sorted(set(factors))
+    bent = [solution.rows.copy() for solution in solutions]
+    cases = np.arange(len(solutions[0].samples)) % rule.cases
+    for index in np.flatnonzero(np.any([solution.solved for solution in solutions], axis=0)):
+        among = [site for site, solution in enumerate(solutions) if solution.solved[index]]
+        used = slice(None) if cases[index] > 0 else slice(0, -1)  # without an intercept there is none to equalise
+        for output, factor in enumerate(factors):
+            number = order.index(factor)
+            stiffness = {site: np.linalg.inv(solutions[site].softness[index, number][used, used]) for site in among}
+            response = {site: solutions[site].response[index, used, output] for site in among}
+            total = sum(copies[site] * stiffness[site] for site in among)
+            pull = sum(copies[site] * stiffness[site] @ response[site] for site in among)
+            common = np.linalg.solve(total, pull)
+            for site in among:
+                change = stiffness[site] @ (common - response[site])
+                bent[site][index, :, output] += solutions[site].compliance[index, number][:, used] @ change
+    back = np.linalg.inv(_opponent_basis(outputs))
+    shape = (rule.levels, rule.contrasts, rule.cases)
+    transforms = []
+    for solution, rows in zip(solutions, bent, strict=True):
+        filled = np.swapaxes(rows @ back, 1, 2)[_nearest(solution.solved, shape)]
+        transforms.append(Transforms(filled[..., :-1], filled[..., -1], solution.samples))
+    return transforms
 
 
 def _pooled(sums: Sums, shape: tuple[int, int, int], pool: tuple[float, ...]) -> Sums:
@@ -87,23 +143,20 @@ def _with_parents(sums: Sums, shape: tuple[int, int, int], pseudo_patches: int) 
     return Sums(shrunk(sums.moments), shrunk(sums.noise), total)
 
 
-def _wiener(moments: Array, noise: Array, has_intercept: bool, recipe: LearningRecipe, outputs: tuple[str, ...]) -> Array:
-    """(tap + 1, output): solves in a basis where luminance and chroma weigh noise differently (METHOD 4.3)."""
+def _system(moments: Array, noise: Array, factor: float, ridge: float, has_intercept: bool) -> Array:
+    """X Xᵀ + factor · Λ + ridge over taps and intercept, (tap + 1, tap + 1)."""
     taps = noise.size
-    power, cross = moments[: taps + 1, : taps + 1], moments[: taps + 1, taps + 1 :]
-    ridge = np.full(taps + 1, recipe.ridge * np.trace(power[:taps, :taps]) / taps + 1e-12)
-    ridge[taps] = 1e-9 if has_intercept else NO_INTERCEPT
-    basis = _opponent_basis(outputs)
-    factors = [recipe.luminance_noise] * len(outputs)
+    power = moments[: taps + 1, : taps + 1]
+    diagonal = np.append(factor * noise, 1e-9 if has_intercept else NO_INTERCEPT)
+    diagonal[:taps] += ridge * np.trace(power[:taps, :taps]) / taps + 1e-12
+    return power + np.diag(diagonal)
+
+
+def _noise_factors(recipe: LearningRecipe, outputs: tuple[str, ...]) -> list[float]:
+    """How much each row of the opponent basis weighs noise against bias (METHOD 4.3)."""
     if outputs == ("X", "Y", "Z"):
-        factors = [recipe.chroma_noise, recipe.luminance_noise, recipe.chroma_noise]
-    cross = cross @ basis
-    solution = np.empty_like(cross)
-    for factor in sorted(set(factors)):
-        columns = [index for index, own in enumerate(factors) if own == factor]
-        system = power + np.diag(ridge + np.append(factor * noise, 0.0))
-        solution[:, columns] = np.linalg.solve(system, cross[:, columns])
-    return solution @ np.linalg.inv(basis)
+        return [recipe.chroma_noise, recipe.luminance_noise, recipe.chroma_noise]
+    return [recipe.luminance_noise] * len(outputs)
 
 
 def _opponent_basis(outputs: tuple[str, ...]) -> Array:

@@ -12,7 +12,7 @@ from l3cli.classify import make_rule, neighbourhoods, saturation_codes
 from l3cli.train.cases import choose_cases
 from l3cli.train.patches import draw_levels, expose_patches, output_unit, sample_patches
 from l3cli.train.recipe import TrainingRecipe, check_learning
-from l3cli.train.solve import Transforms, solve
+from l3cli.train.solve import Solution, equal_responses, solve
 from l3cli.train.sums import Sums, accumulate, symmetrise
 from l3cli.train.symmetry import orientations, site_maps, stabilisers
 
@@ -58,8 +58,8 @@ def train_site(
     site: int,
     recipe: TrainingRecipe,
     seed: int,
-) -> Transforms:
-    """Transforms of one canonical site from all `total` frames, read one after the other."""
+) -> Solution:
+    """Solutions of one canonical site from all `total` frames, read one after the other."""
     camera = head.camera
     near = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
     sums = Sums.empty(rule.classes_per_site, rule.patch**2, len(head.outputs))
@@ -70,21 +70,27 @@ def train_site(
         count = -(-recipe.learning.patches // total)
         patches = sample_patches(frame, head, unit, window, count, orientations(rule.patch), rng)
         accumulate(sums, patches, camera, rule, near, site, recipe.learning, rng)
-    return solve(symmetrise(sums, stabilisers(window, rule.patch)), rule, recipe.learning, head.outputs)
+    shared = symmetrise(sums, stabilisers(window, rule.patch))
+    return solve(shared, rule, window, recipe.learning, head.outputs)
 
 
 def assemble(
     head: TrainingSet,
     rule: ClassRule,
-    transforms: dict[int, Transforms],
+    solutions: dict[int, Solution],
+    recipe: TrainingRecipe,
     white_point: NDArray[np.float64],
     history: tuple[Stage, ...],
 ) -> TransformTable:
-    """The table of all sites from the transforms of the canonical ones; `white_point` (output) with Y = 1."""
+    """The table of all sites from the solutions of the canonical ones; `white_point` (output) with Y = 1."""
     camera = head.camera
     near = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
+    maps = site_maps(near.channel, rule.patch)
+    copies = [sum(site_map.canonical == site for site_map in maps) for site in solutions]
+    equal = equal_responses(list(solutions.values()), copies, rule, recipe.learning, head.outputs)
+    transforms = dict(zip(solutions, equal, strict=True))
     weights, intercept, samples = [], [], []
-    for site_map in site_maps(near.channel, rule.patch):
+    for site_map in maps:
         trained = transforms[site_map.canonical]
         turned = np.empty_like(trained.weights)
         turned[..., site_map.permutation] = trained.weights
