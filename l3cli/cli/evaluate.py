@@ -13,9 +13,10 @@ from l3cli.cli import options
 @click.command()
 @click.argument("table", type=options.FILE, metavar="TABLE.h5")
 @click.argument("frames", type=options.FILE, metavar="TRAINING.h5")
+@click.option("--backend", default="opencl", show_default=True, help="Renderer: opencl or reference.")
 @options.as_json
 @options.quiet
-def evaluate(table: Path, frames: Path, as_json: bool, quiet: bool) -> None:
+def evaluate(table: Path, frames: Path, backend: str, as_json: bool, quiet: bool) -> None:
     """Render the raw frames of a training set that TABLE was not trained on and compare them with their targets.
 
     Pictures are compared as displayed: adapted to D65, the 99th percentile of the target's luminance shown as white.
@@ -38,7 +39,7 @@ def evaluate(table: Path, frames: Path, as_json: bool, quiet: bool) -> None:
             raise InputFileError(f"{frames} is of a camera with another CFA than {table}; evaluate a matching pair")
         if transforms.outputs != ("X", "Y", "Z") or reader.head.outputs != ("X", "Y", "Z"):
             raise InputFileError(f"{table} or {frames} is not of CIE XYZ; other outputs cannot be compared yet")
-        renderer = make_renderer(transforms)
+        renderer = make_renderer(backend, transforms)
         for frame in options.progress(reader, len(reader), "frames", quiet):
             rendered = renderer.outputs(RawFrame(frame.scene, frame.raw, camera.black, camera.white))
             unit = transforms.output_unit / frame.exposure

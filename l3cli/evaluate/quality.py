@@ -35,7 +35,7 @@ def quality(rendered: Array, target: Array, white: Array, border: int = 0) -> Qu
     to_xyz = np.linalg.inv(spectra.srgb_from_xyz_matrix())
     d65 = spectra.white_point("D65")
     difference = spectra.delta_e_2000(spectra.lab(ours @ to_xyz.T, d65), spectra.lab(ideal @ to_xyz.T, d65))
-    error = np.mean((spectra.srgb_curve(ours) - spectra.srgb_curve(ideal)) ** 2)
+    error = float(np.mean((spectra.srgb_curve(ours) - spectra.srgb_curve(ideal)) ** 2))
     return Quality(
         mean_delta_e=float(difference.mean()),
         median_delta_e=float(np.median(difference)),

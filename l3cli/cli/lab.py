@@ -1,0 +1,90 @@
+"""l3 lab: camera → the measurements a lab would make of it."""
+
+import functools
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from l3cli.cli import options
+
+if TYPE_CHECKING:
+    from l3cli.artifacts.camera import CameraModel
+    from l3cli.io.measurements import MeasurementRecipe
+    from l3cli.simulate.lab import LabCapture, LabRecipe
+
+
+@click.command()
+@click.argument("camera", type=options.FILE)
+@click.option("-o", "--output", type=options.FILE, required=True, metavar="DIR", help="Folder to write to.")
+@click.option("--recipe", type=options.FILE, metavar="LAB.toml", help="What is measured; without it the built-in default.")
+@options.seed
+@options.jobs
+@options.force
+@options.quiet
+def lab(camera: Path, output: Path, recipe: Path | None, seed: int, jobs: int, force: bool, quiet: bool) -> None:
+    """Measure CAMERA (a recipe or a camera.h5) in a virtual lab, as input for "l3 calibrate".
+
+    Example: l3 lab configs/cameras/fiveband.toml -o build/lab
+    """
+    from l3cli.artifacts.camera import load_camera
+    from l3cli.config import load_recipe
+    from l3cli.files import refuse_existing
+    from l3cli.io.measurements import write_measurements
+    from l3cli.parallel import ordered_map
+    from l3cli.simulate.lab import LabRecipe, plan
+
+    file = output / "MEASUREMENTS.toml"
+    refuse_existing(file, force)
+    model = load_camera(camera)
+    chosen = load_recipe(recipe, LabRecipe) if recipe else LabRecipe()
+    captures = plan(model, chosen, seed)
+    file.unlink(missing_ok=True)  # written last, it never names frames of two runs
+    work = [(capture, trial) for capture in captures for trial in range(capture.trials)]
+    take = functools.partial(_take, model, output, seed)
+    for _ in options.progress(ordered_map(take, work, jobs), len(work), "frames", quiet):
+        pass
+    write_measurements(_described(model, chosen, captures, output), file)
+    options.say(f"{file}: {len(captures)} captures, {len(work)} frames; next: l3 calibrate {file} -o camera.h5", quiet)
+
+
+def _take(model: "CameraModel", folder: Path, seed: int, job: "tuple[LabCapture, int]") -> None:
+    """Take and write one frame, in whatever process."""
+    from l3cli.io.measurements import write_frame
+    from l3cli.simulate.lab import take
+
+    capture, trial = job
+    write_frame(folder / _frame_name(capture, trial), take(model, capture, trial, seed))
+
+
+def _frame_name(capture: "LabCapture", trial: int) -> str:
+    return f"{capture.name}_{trial}.tif" if capture.trials > 1 else f"{capture.name}.tif"
+
+
+def _described(
+    model: "CameraModel", chosen: "LabRecipe", captures: "tuple[LabCapture, ...]", folder: Path
+) -> "MeasurementRecipe":
+    """The measurement file's content, after writing the spectra it names."""
+    import numpy as np
+
+    from l3cli.io import measurements as files
+    from l3cli.simulate.lab import chart_corners
+
+    tables: dict[str, list] = {"mono": [], "chart": [], "white": [], "dark": []}
+    for capture in captures:
+        common = {"frames": [_frame_name(capture, t) for t in range(capture.trials)], "exposure_s": capture.exposure}
+        if capture.kind == "mono":
+            column = len(tables["mono"]) + 1
+            tables["mono"].append(files.MonoRecipe(**common, spectrum="spectra/mono.csv", column=column))
+        elif capture.kind == "chart":
+            name = f"spectra/{capture.name.replace('/', '_')}.csv"
+            patches = [f"patch_{patch}" for patch in range(1, len(capture.radiance) + 1)]
+            files.write_curves(folder / name, capture.wavelength, capture.radiance, patches)
+            about = {"illuminant": capture.light, "corners": chart_corners(model), "radiance": name}
+            tables["chart"].append(files.ChartRecipe(**common, **about))
+        else:
+            tables[capture.kind].append(files.CaptureRecipe(**common))
+    steps = [capture for capture in captures if capture.kind == "mono"]
+    spectra = np.concatenate([step.radiance for step in steps])
+    files.write_curves(folder / "spectra/mono.csv", steps[0].wavelength, spectra, [step.light for step in steps])
+    return files.describe(model, files.UncertaintyRecipe(lamp_drift=chosen.lamp_drift), **tables)
