@@ -17,6 +17,7 @@ COMMANDS = {
     "render": "raw frames through a table → pictures",
     "evaluate": "quality of a table on frames it was not trained on",
     "info": "kind, version, axes, units, history of an artifact",
+    "bench": "frames per second here, stage by stage",
     "lab": "a virtual lab: the measurements a camera would give",
 }
 

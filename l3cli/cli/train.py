@@ -10,6 +10,9 @@ import click
 from l3cli.cli import options
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from l3cli.artifacts.table import ClassRule
     from l3cli.artifacts.training_set import TrainingFrame, TrainingSet
     from l3cli.train.recipe import TrainingRecipe
@@ -48,12 +51,13 @@ def train(
         f"{rule.levels} levels × {rule.contrasts} contrasts × {rule.cases} saturation cases",
         quiet,
     )
-    work = [SiteWork(training, total, head, rule, site, recipe, seed) for site in sites]
+    white_point = mean_white(_frames(training))
+    work = [SiteWork(training, total, head, rule, site, recipe, white_point, seed) for site in sites]
     results = options.progress(ordered_map(_train_site, work, jobs), len(sites), "sites", quiet)
     solutions = dict(zip(sites, results, strict=True))
     inputs = {"training set": [sha256(path) for path in training]}
     stage = Stage("train", {"seed": seed}, read_text(classes) if classes else "", inputs)
-    table = assemble(head, rule, solutions, recipe, mean_white(_frames(training)), (*head.history, stage))
+    table = assemble(head, rule, solutions, recipe, white_point, (*head.history, stage))
     save(table, output)
     filled = int((table.samples == 0).sum())
     options.say(f"{output}: {len(table.weights)} classes, {filled} of them filled from their neighbours", quiet)
@@ -69,6 +73,7 @@ class SiteWork:
     rule: "ClassRule"
     site: int
     recipe: "TrainingRecipe"
+    white_point: "NDArray[np.float64]"
     seed: int
 
 
@@ -76,7 +81,7 @@ def _train_site(work: SiteWork) -> "Solution":
     from l3cli.train.table import train_site
 
     frames = _frames(work.training)
-    return train_site(frames, work.total, work.head, work.rule, work.site, work.recipe, work.seed)
+    return train_site(frames, work.total, work.head, work.rule, work.site, work.recipe, work.white_point, work.seed)
 
 
 def _frames(training: tuple[Path, ...]) -> Iterator["TrainingFrame"]:

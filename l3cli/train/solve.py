@@ -7,13 +7,20 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.table import ClassRule
 from l3cli.errors import L3Error
-from l3cli.spectra import white_point
 from l3cli.train.recipe import LearningRecipe
 from l3cli.train.sums import Sums
 
 Array = NDArray[np.float64]
 NO_INTERCEPT = 1e12  # ridge that keeps the intercept at zero
 CASE_SHARE = 0.1  # of the pseudo-patches come from all levels of a case
+
+
+@dataclass(frozen=True)
+class Goal:
+    """What the transforms are to give."""
+
+    outputs: tuple[str, ...]
+    white: Array  # (output) a perfect white under the training light, Y = 1
 
 
 @dataclass(frozen=True)
@@ -41,9 +48,7 @@ class Transforms:
     samples: Array  # (class) patches of its own; 0: filled
 
 
-def solve(
-    sums: Sums, rule: ClassRule, window: NDArray[np.int64], recipe: LearningRecipe, outputs: tuple[str, ...]
-) -> Solution:
+def solve(sums: Sums, rule: ClassRule, window: NDArray[np.int64], recipe: LearningRecipe, goal: Goal) -> Solution:
     """Solutions for every class of a site that has patches or a parent with patches: T = Y Xᵀ (X Xᵀ + Λ)⁻¹, thin classes
     helped by their neighbours; `window` (tap) names the channel of each tap. Raises L3Error if no class has any."""
     shape = (rule.levels, rule.contrasts, rule.cases)
@@ -53,9 +58,9 @@ def solve(
         raise L3Error("no class has training patches; simulate more frames")
     groups = np.append(window, window.max() + 1)  # every channel, and the intercept as one more
     member = (groups[None] == np.arange(groups.max() + 1)[:, None]).astype(np.float64)
-    factors = _noise_factors(recipe, outputs)
-    basis = _opponent_basis(outputs)
-    rows = np.zeros((solved.size, groups.size, len(outputs)))
+    factors = _noise_factors(recipe, goal)
+    basis = _opponent_basis(goal)
+    rows = np.zeros((solved.size, groups.size, len(goal.outputs)))
     compliance = np.zeros((solved.size, len(set(factors)), groups.size, len(member)))
     for index in np.flatnonzero(solved):
         has_intercept = bool(index % rule.cases > 0)
@@ -70,13 +75,13 @@ def solve(
 
 
 def equal_responses(
-    solutions: list[Solution], copies: list[int], rule: ClassRule, recipe: LearningRecipe, outputs: tuple[str, ...]
+    solutions: list[Solution], copies: list[int], rule: ClassRule, recipe: LearningRecipe, goal: Goal
 ) -> list[Transforms]:
     """Transforms of the canonical sites, each of which stands for `copies` sites, bent so that every class answers a flat
     patch alike at all sites; otherwise the CFA shows as a pattern on plain areas (METHOD 4.7). Of all common responses the
     one of least total squared error is taken. Classes without a solution are filled from the nearest.
     """
-    factors = _noise_factors(recipe, outputs)
+    factors = _noise_factors(recipe, goal)
     order = sorted(set(factors))
     bent = [solution.rows.copy() for solution in solutions]
     cases = np.arange(len(solutions[0].samples)) % rule.cases
@@ -93,7 +98,7 @@ def equal_responses(
             for site in among:
                 change = stiffness[site] @ (common - response[site])
                 bent[site][index, :, output] += solutions[site].compliance[index, number][:, used] @ change
-    back = np.linalg.inv(_opponent_basis(outputs))
+    back = np.linalg.inv(_opponent_basis(goal))
     shape = (rule.levels, rule.contrasts, rule.cases)
     transforms = []
     for solution, rows in zip(solutions, bent, strict=True):
@@ -152,19 +157,18 @@ def _system(moments: Array, noise: Array, factor: float, ridge: float, has_inter
     return power + np.diag(diagonal)
 
 
-def _noise_factors(recipe: LearningRecipe, outputs: tuple[str, ...]) -> list[float]:
+def _noise_factors(recipe: LearningRecipe, goal: Goal) -> list[float]:
     """How much each row of the opponent basis weighs noise against bias (METHOD 4.3)."""
-    if outputs == ("X", "Y", "Z"):
+    if goal.outputs == ("X", "Y", "Z"):
         return [recipe.chroma_noise, recipe.luminance_noise, recipe.chroma_noise]
-    return [recipe.luminance_noise] * len(outputs)
+    return [recipe.luminance_noise] * len(goal.outputs)
 
 
-def _opponent_basis(outputs: tuple[str, ...]) -> Array:
-    """Columns X − X_w Y, Y, Z − Z_w Y for XYZ with the D65 white; the identity for other outputs."""
-    basis = np.eye(len(outputs))
-    if outputs == ("X", "Y", "Z"):
-        white = white_point("D65")
-        basis[1, 0], basis[1, 2] = -white[0], -white[2]
+def _opponent_basis(goal: Goal) -> Array:
+    """Columns X − X_w Y, Y, Z − Z_w Y for XYZ, zero on greys under the training light; the identity for other outputs."""
+    basis = np.eye(len(goal.outputs))
+    if goal.outputs == ("X", "Y", "Z"):
+        basis[1, 0], basis[1, 2] = -goal.white[0], -goal.white[2]
     return basis
 
 

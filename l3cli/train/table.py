@@ -12,7 +12,7 @@ from l3cli.classify import make_rule, neighbourhoods, saturation_codes
 from l3cli.train.cases import choose_cases
 from l3cli.train.patches import draw_levels, expose_patches, output_unit, sample_patches
 from l3cli.train.recipe import TrainingRecipe, check_learning
-from l3cli.train.solve import Solution, equal_responses, solve
+from l3cli.train.solve import Goal, Solution, equal_responses, solve
 from l3cli.train.sums import Sums, accumulate, symmetrise
 from l3cli.train.symmetry import orientations, site_maps, stabilisers
 
@@ -57,9 +57,10 @@ def train_site(
     rule: ClassRule,
     site: int,
     recipe: TrainingRecipe,
+    white_point: NDArray[np.float64],
     seed: int,
 ) -> Solution:
-    """Solutions of one canonical site from all `total` frames, read one after the other."""
+    """Solutions of one canonical site from all `total` frames, read in turn; `white_point` (output) with Y = 1."""
     camera = head.camera
     near = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
     sums = Sums.empty(rule.classes_per_site, rule.patch**2, len(head.outputs))
@@ -71,7 +72,7 @@ def train_site(
         patches = sample_patches(frame, head, unit, window, count, orientations(rule.patch), rng)
         accumulate(sums, patches, camera, rule, near, site, recipe.learning, rng)
     shared = symmetrise(sums, stabilisers(window, rule.patch))
-    return solve(shared, rule, window, recipe.learning, head.outputs)
+    return solve(shared, rule, window, recipe.learning, Goal(head.outputs, white_point))
 
 
 def assemble(
@@ -87,7 +88,7 @@ def assemble(
     near = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
     maps = site_maps(near.channel, rule.patch)
     copies = [sum(site_map.canonical == site for site_map in maps) for site in solutions]
-    equal = equal_responses(list(solutions.values()), copies, rule, recipe.learning, head.outputs)
+    equal = equal_responses(list(solutions.values()), copies, rule, recipe.learning, Goal(head.outputs, white_point))
     transforms = dict(zip(solutions, equal, strict=True))
     weights, intercept, samples = [], [], []
     for site_map in maps:
