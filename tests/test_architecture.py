@@ -6,7 +6,7 @@ from pathlib import Path
 PACKAGE = Path(__file__).parents[1] / "l3cli"
 FLOORS = [
     {"errors", "config", "files", "spectra"},
-    {"artifacts", "scene", "frame"},
+    {"artifacts", "scene", "frame", "measurement"},
     {"classify"},
     {"calibrate", "simulate", "train", "render", "evaluate", "io", "parallel"},
     {"cli"},

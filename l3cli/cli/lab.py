@@ -70,21 +70,22 @@ def _described(
     from l3cli.io import measurements as files
     from l3cli.simulate.lab import chart_corners
 
-    tables: dict[str, list] = {"mono": [], "chart": [], "white": [], "dark": []}
+    mono: list[files.MonoRecipe] = []
+    charts: list[files.ChartRecipe] = []
+    others: dict[str, list[files.CaptureRecipe]] = {"white": [], "dark": []}
     for capture in captures:
-        common = {"frames": [_frame_name(capture, t) for t in range(capture.trials)], "exposure_s": capture.exposure}
+        frames, exposure = [_frame_name(capture, trial) for trial in range(capture.trials)], capture.exposure
         if capture.kind == "mono":
-            column = len(tables["mono"]) + 1
-            tables["mono"].append(files.MonoRecipe(**common, spectrum="spectra/mono.csv", column=column))
+            mono.append(files.MonoRecipe(frames, exposure, spectrum="spectra/mono.csv", column=len(mono) + 1))
         elif capture.kind == "chart":
             name = f"spectra/{capture.name.replace('/', '_')}.csv"
             patches = [f"patch_{patch}" for patch in range(1, len(capture.radiance) + 1)]
             files.write_curves(folder / name, capture.wavelength, capture.radiance, patches)
-            about = {"illuminant": capture.light, "corners": chart_corners(model), "radiance": name}
-            tables["chart"].append(files.ChartRecipe(**common, **about))
+            charts.append(files.ChartRecipe(frames, exposure, capture.light, chart_corners(model), name))
         else:
-            tables[capture.kind].append(files.CaptureRecipe(**common))
+            others[capture.kind].append(files.CaptureRecipe(frames, exposure))
     steps = [capture for capture in captures if capture.kind == "mono"]
-    spectra = np.concatenate([step.radiance for step in steps])
-    files.write_curves(folder / "spectra/mono.csv", steps[0].wavelength, spectra, [step.light for step in steps])
-    return files.describe(model, files.UncertaintyRecipe(lamp_drift=chosen.lamp_drift), **tables)
+    radiances, lights = np.concatenate([step.radiance for step in steps]), [step.light for step in steps]
+    files.write_curves(folder / "spectra/mono.csv", steps[0].wavelength, radiances, lights)
+    uncertainty = files.UncertaintyRecipe(lamp_drift=chosen.lamp_drift)
+    return files.describe(model, uncertainty, mono=mono, chart=charts, **others)

@@ -1,0 +1,82 @@
+"""Lab measurements: what calibration is given, whoever took them, a real lab or the virtual one.
+
+Frames are gone through one by one, each time from their files, so that memory never grows with their number.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.camera import Optics
+
+CHART_ROWS, CHART_COLS = 4, 6
+PATCHES = CHART_ROWS * CHART_COLS
+
+
+@dataclass(frozen=True)
+class Body:
+    """The part of a camera that is known without measuring."""
+
+    name: str
+    rows: int
+    cols: int
+    pixel_pitch: float  # m
+    bits: int
+    channels: tuple[str, ...]
+    cfa: NDArray[np.uint8]  # (cfa_row, cfa_col) channel of each site
+    optics: Optics
+
+    @property
+    def photons_per_radiance(self) -> float:
+        """m² sr: photons/s on a pixel's area for a scene radiance of 1 photon/s/sr/m² (METHOD 1.3)."""
+        return self.optics.irradiance_per_radiance * self.pixel_pitch**2
+
+    @property
+    def relative_illumination(self) -> NDArray[np.float64]:
+        """(row, col) light of an even scene over that on the axis: (D² / (D² + r²))², D the image distance (METHOD 1.3)."""
+        focal, distance = self.optics.focal_length, self.optics.object_distance
+        image = focal * distance / (distance - focal) if distance > 0 else focal
+        row, col = (self.pixel_pitch * (np.arange(size) - (size - 1) / 2) for size in (self.rows, self.cols))
+        return (image**2 / (image**2 + row[:, None] ** 2 + col**2)) ** 2
+
+
+@dataclass(frozen=True)
+class Capture:
+    """Frames of one scene at one exposure: dark (lens cap) or white (even light) as they stand."""
+
+    name: str  # what errors call it
+    exposure: float  # s
+    frames: Iterable[NDArray[np.uint16]]  # each (row, col) DN; may be gone through more than once
+
+
+@dataclass(frozen=True)
+class MonoCapture(Capture):
+    """An even field lit by one step of a monochromator, with its measured spectrum, bandwidth and stray light included."""
+
+    wavelength: NDArray[np.float64]  # (wavelength) nm
+    radiance: NDArray[np.float64]  # (wavelength) photons/s/sr/m²/nm
+
+
+@dataclass(frozen=True)
+class ChartCapture(Capture):
+    """A 4 × 6 ColorChecker with the measured radiance of every patch."""
+
+    illuminant: str
+    corners: NDArray[np.float64]  # (4, 2) col, row in pixels: outer corners of patch 1, 6, 24, 19 (clockwise from dark skin)
+    wavelength: NDArray[np.float64]  # (wavelength) nm
+    radiance: NDArray[np.float64]  # (24, wavelength) photons/s/sr/m²/nm, row by row from dark skin to black
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """All that was measured of one camera, and how well the lights were known."""
+
+    body: Body
+    mono: tuple[MonoCapture, ...]
+    charts: tuple[ChartCapture, ...]
+    darks: tuple[Capture, ...]
+    whites: tuple[Capture, ...]
+    lamp_drift: float = 0.0  # relative standard deviation between a light and its measured spectrum
+    wavelength_uncertainty: float = 0.0  # nm, standard deviation of the spectrometer's scale

@@ -1,0 +1,554 @@
+"""Calibration finds a camera whose truth is known, and says so when measurements cannot be used."""
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from l3cli.artifacts.base import load
+from l3cli.artifacts.camera import CameraModel, load_camera
+from l3cli.calibrate import gain, model, noise, responsivity
+from l3cli.cli import run
+from l3cli.errors import InputFileError
+from l3cli.files import sha256
+from l3cli.io.measurements import read_frame, write_frame
+from l3cli.measurement import Body, Capture, ChartCapture, MonoCapture
+from tests.conftest import bayer_camera
+
+L3 = Callable[..., tuple[int, str, str]]
+Refused = Callable[..., str]
+GOALS = {  # % of the truth
+    "overall system gain K": 1.0,
+    "temporal dark noise": 3.0,
+    "dark current": 5.0,
+    "DSNU": 5.0,
+    "PRNU": 5.0,
+    "saturation capacity": 1.0,
+}
+
+
+@pytest.fixture(scope="module")
+def bayer_recipe(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The small Bayer camera with curves every 5 nm, as calibration gives them: no kinks between its nodes."""
+    path = tmp_path_factory.mktemp("camera") / "bayer.toml"
+    text = bayer_camera()
+    assert "[400, 700, 10]" in text
+    path.write_text(text.replace("[400, 700, 10]", "[400, 700, 5]"))
+    return path
+
+
+@pytest.fixture(scope="module")
+def bayer(bayer_recipe: Path) -> CameraModel:
+    return load_camera(bayer_recipe)
+
+
+@pytest.fixture(scope="module")
+def folder(bayer_recipe: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What the virtual lab measures of the small Bayer camera, a camera whose well saturates before its converter."""
+    path = tmp_path_factory.mktemp("lab")
+    assert run(["lab", str(bayer_recipe), "-o", str(path), "--quiet"]) == 0
+    return path
+
+
+@pytest.fixture
+def copied(folder: Path, tmp_path: Path) -> Path:
+    """A copy of the lab's folder, to be spoilt."""
+    return Path(shutil.copytree(folder, tmp_path / "lab"))
+
+
+@pytest.fixture
+def body(bayer: CameraModel) -> Body:
+    b = bayer
+    return Body(b.name, b.rows, b.cols, b.pixel_pitch, b.bits, b.channels, b.cfa, b.optics)
+
+
+DARK = noise.DarkNoise(black=np.full(3, 64.0), slope=np.zeros(3), variance=np.zeros(3), dsnu=np.zeros(3))
+
+
+def white_transfer() -> noise.PhotonTransfer:
+    """A photon transfer that is known for its white level of 4095 DN alone."""
+    return noise.PhotonTransfer(np.zeros((1, 3)), np.zeros((1, 3)), np.ones((1, 3), dtype=bool), 4095.0, True, np.ones(3))
+
+
+# ------------------------------------------------------------------------------------------------------- recovery
+
+
+def test_the_truth_comes_back(folder: Path, bayer: CameraModel, bayer_recipe: Path, tmp_path: Path, l3: L3) -> None:
+    code, out, err = l3(
+        "calibrate", folder / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5", "--truth", bayer_recipe, "--json", "--quiet"
+    )
+    assert (code, err) == (0, "")
+    truth = json.loads(out)["truth"]
+    for name, goal in GOALS.items():
+        assert abs(truth["camera"][name]["error %"]) < goal, name
+    assert truth["camera"]["saturation level"]["recovered"] == bayer.white == 3814
+    assert abs(truth["camera"]["black level"]["recovered"] - bayer.black) < 0.3
+    assert json.loads(out)["saturation reached"] is True
+    for channel in truth["channels"].values():
+        assert channel["responsivity RMS error (% of peak)"] < 1.0
+        assert abs(channel["gain alpha·r error (%)"]) < 0.5
+
+    camera = load(CameraModel, tmp_path / "camera.h5")
+    true = np.array([np.interp(camera.wavelength, bayer.wavelength, curve) for curve in bayer.responsivity])
+    error = np.abs(camera.responsivity - true) / true.max(axis=1, keepdims=True)
+    assert np.sqrt((error**2).mean(axis=1)).max() < 0.01  # the command's own figure, computed anew
+    assert (camera.responsivity_band > 0).all()
+    assert np.mean(np.abs(camera.responsivity - true) <= camera.responsivity_band) > 0.75  # 95 %, but neighbours go together
+    assert camera.responsivity_band.max() < 0.02 * true.max()
+    assert camera.fit is not None
+    assert abs(camera.fit.beta - bayer.black).max() < 0.5
+    assert camera.fit.r_squared.min() > 0.9995
+    assert camera.fit.relative_rmse.max() < 0.01
+    assert camera.fit.illuminants == ("D65", "A", "3200K", "FL2")
+
+
+def test_light_lost_off_the_axis_is_no_inefficiency(bayer_recipe: Path, tmp_path: Path, l3: L3) -> None:
+    """A lens so short that the corners get four fifths of the light: forgetting it costs 8 % of the efficiency."""
+    recipe = tmp_path / "wide.toml"
+    recipe.write_text(bayer_recipe.read_text().replace("focal_length_mm = 25", "focal_length_mm = 2"))
+    (tmp_path / "lab.toml").write_text("lamp_drift = 0.0\n[white]\ntrials = 2")
+    assert l3("lab", recipe, "-o", tmp_path / "lab", "--recipe", tmp_path / "lab.toml")[0] == 0
+    command = ("calibrate", tmp_path / "lab/MEASUREMENTS.toml", "-o", tmp_path / "camera.h5", "--truth", recipe, "--json")
+    code, out, _ = l3(*command)
+    assert code == 0
+    for channel in json.loads(out)["truth"]["channels"].values():
+        assert abs(channel["gain alpha·r error (%)"]) < 0.5
+        assert channel["responsivity RMS error (% of peak)"] < 1.0
+
+
+def test_history_names_every_file_and_no_path(folder: Path, tmp_path: Path, l3: L3) -> None:
+    for name in ("a.h5", "b.h5"):
+        assert l3("calibrate", folder / "MEASUREMENTS.toml", "-o", tmp_path / name)[0] == 0
+    assert (tmp_path / "a.h5").read_bytes() == (tmp_path / "b.h5").read_bytes()
+    (stage,) = load(CameraModel, tmp_path / "a.h5").history
+    assert stage.command == "calibrate"
+    assert stage.options == {}
+    assert stage.recipe == (folder / "MEASUREMENTS.toml").read_text()
+    assert stage.inputs["measurements"] == [sha256(folder / "MEASUREMENTS.toml")]
+    assert sorted(stage.inputs["frames"]) == sorted(sha256(path) for path in folder.rglob("*.tif"))
+    assert sorted(stage.inputs["spectra"]) == sorted(sha256(path) for path in folder.rglob("*.csv"))
+    assert str(folder) not in (tmp_path / "a.h5").read_bytes().decode("latin-1")
+
+
+def test_the_table_names_figures_and_units(folder: Path, bayer_recipe: Path, tmp_path: Path, l3: L3) -> None:
+    camera = tmp_path / "camera.h5"
+    code, out, err = l3("calibrate", folder / "MEASUREMENTS.toml", "-o", camera, "--truth", bayer_recipe)
+    assert code == 0
+    assert str(camera) in err
+    gain_line = next(line for line in out.splitlines() if line.startswith("overall system gain K"))
+    assert "DN/e-" in gain_line
+    assert "true       0.25" in gain_line
+    assert "responsivity RMS error" in out
+    code, out, _ = l3("calibrate", folder / "MEASUREMENTS.toml", "-o", camera, "--force")
+    assert code == 0
+    assert "true" not in out
+    assert "PRNU" in out
+
+
+def test_a_sweep_that_never_saturates_says_so(copied: Path, tmp_path: Path, l3: L3) -> None:
+    text = (copied / "MEASUREMENTS.toml").read_text()
+    blocks = text.split("\n\n")
+    brightest = [index for index, block in enumerate(blocks) if "[[white]]" in block][-1]
+    (copied / "MEASUREMENTS.toml").write_text("\n\n".join(blocks[:brightest] + blocks[brightest + 1 :]))
+    code, _, err = l3("calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
+    assert code == 0
+    assert "no white frame saturates" in err
+    camera = load(CameraModel, tmp_path / "camera.h5")
+    assert camera.white == 4095
+    assert camera.gain == pytest.approx(0.25, rel=0.01)
+
+
+# -------------------------------------------------------------------------------------------------- Eq. 1 and Eq. 2
+
+
+def triangles(centres: np.ndarray, wavelength: np.ndarray, width: float) -> np.ndarray:
+    return np.maximum(0.0, 1.0 - np.abs(wavelength - centres[:, None]) / width)
+
+
+def test_eq1_sees_through_the_bandwidth_of_the_lights() -> None:
+    wavelength = np.arange(400.0, 700.5, 1.0)
+    truth = np.exp(-0.5 * ((wavelength - 540.0) / 20.0) ** 2)
+    lights = triangles(np.arange(430.0, 675.0, 10.0), wavelength, 30.0)
+    nodes = responsivity.node_grid([(wavelength, light) for light in lights])
+    assert nodes[0] == 400
+    assert nodes[-1] == 700
+    design = responsivity.node_photons(wavelength, lights, nodes)
+    photons = design.sum(axis=1, keepdims=True)
+    values = lights @ truth / photons[:, 0]
+    true = np.interp(nodes, wavelength, truth)
+    recovered = responsivity.solve(design / photons, values, 1e-6)
+    as_lines = np.interp(nodes, np.arange(430.0, 675.0, 10.0), values)
+    assert np.abs(recovered - true).max() < 0.02
+    assert np.abs(as_lines - true).max() > 0.1  # what taking the lights for lines would cost
+    scaled = responsivity.solve(design / photons, 1e-3 * values, 1e-6)
+    np.testing.assert_allclose(scaled, 1e-3 * recovered, atol=1e-9)  # smoothing does not depend on the unit
+
+
+def test_eq1_is_never_negative_and_smooth_when_told() -> None:
+    rng = np.random.default_rng(1)
+    design = np.eye(40)
+    values = np.maximum(0.0, np.sin(np.arange(40) / 6.0)) + rng.normal(0, 0.05, 40)
+    rough, smooth = (responsivity.solve(design, values, delta) for delta in (1e-6, 10.0))
+    assert rough.min() >= 0
+    assert smooth.min() >= 0
+    assert np.abs(np.diff(smooth, 2)).sum() < 0.3 * np.abs(np.diff(rough, 2)).sum()
+
+
+def test_a_saturated_monochromatic_capture_is_left_out_of_its_channel_alone() -> None:
+    design, truth = np.eye(12), np.linspace(1.0, 2.0, 12)
+    values = np.stack([truth, truth], axis=1)
+    values[5] = 0.3
+    valid = np.ones((12, 2), dtype=bool)
+    valid[5, 0] = False
+    sweep = responsivity.Sweep(np.arange(12.0), design, values, valid)
+    first, second = responsivity.solve_channels(sweep, 1e-4)
+    assert first[5] == pytest.approx(truth[5], abs=0.01)
+    assert second[5] == pytest.approx(0.3, abs=0.05)
+
+
+def test_dark_current_is_no_light(body: Body) -> None:
+    """A long exposure in weak light: 40 DN of light above 60 DN of dark signal, in mono and chart captures alike."""
+    sensor = model.Sensor(replace(DARK, slope=np.full(3, 30.0)), white_transfer(), np.zeros(3))
+    wavelength = np.arange(500.0, 521.0)
+    frame = np.full((192, 256), 64 + 60 + 40, dtype=np.uint16)
+    light = MonoCapture("mono.tif", 2.0, [frame], wavelength, np.ones(21))
+    sweep = model.measure_sweep([light], body, sensor)
+    photons = body.photons_per_radiance * 2.0 * 21.0
+    np.testing.assert_allclose(sweep.values, 40.0 / photons, rtol=1e-6)
+    corners = np.array([[0.0, 0.0], [256.0, 0.0], [256.0, 192.0], [0.0, 192.0]])
+    chart = ChartCapture("chart.tif", 2.0, [frame], "A", corners, wavelength, np.ones((24, 21)))
+    charts = model.measure_charts([chart], sweep.nodes, body, sensor)
+    np.testing.assert_allclose(charts.values, 64.0 + 40.0)
+    np.testing.assert_allclose(charts.photons.sum(axis=-1), photons, rtol=2e-3)  # the lens loses a little off the axis
+
+
+def test_smoothing_is_the_middle_of_the_plateau() -> None:
+    deltas = np.geomspace(1e-4, 1e4, 9)
+    errors = np.array([2.0, 1.01, 1.04, 1.0, 1.02, 1.3, 1.0, 3.0, 9.0])
+    assert responsivity.choose_smoothing(deltas, errors) == pytest.approx(np.sqrt(1e-3 * 1e0))
+
+
+def test_bands_cover_what_noise_does() -> None:
+    """Pooled over draws, close to 95 % of the truth lies within the band: declared drift and visible noise both count."""
+    rng = np.random.default_rng(3)
+    nodes = np.arange(400.0, 701.0, 5.0)
+    centres = np.arange(410.0, 691.0, 10.0)
+    fine = np.arange(400.0, 701.0, 1.0)
+    design = responsivity.node_photons(fine, triangles(centres, fine, 10.0), nodes)
+    design /= design.sum(axis=1, keepdims=True)
+    truth = np.exp(-0.5 * ((nodes - 540.0) / 40.0) ** 2)
+    inside = []
+    for _ in range(20):
+        values = (design @ truth * (1 + rng.normal(0, 0.005, centres.size)) + rng.normal(0, 0.002, centres.size))[:, None]
+        sweep = responsivity.Sweep(nodes, design, values, np.ones_like(values, dtype=bool))
+        curve = responsivity.solve_channels(sweep, 1e-3)
+        band = responsivity.confidence_bands(sweep, curve, 1e-3, 0.005, 0.0)
+        inside.append(np.abs(curve[0] - truth) <= band[0])
+    assert 0.85 < np.mean(inside) <= 1.0
+    assert band.max() < 0.1
+    shifted = responsivity.confidence_bands(sweep, curve, 1e-3, 0.005, 2.0)
+    assert shifted[0, nodes == 500.0] > 1.3 * band[0, nodes == 500.0]  # the flank suffers from a wrong wavelength
+
+
+def test_eq2_is_exact_without_noise_and_never_negative() -> None:
+    photons = np.linspace(10.0, 90.0, 24)
+    alpha, beta = gain.fit_gain(photons, 3.5 * photons + 70.0, 64.0)
+    assert alpha == pytest.approx(3.5, rel=1e-9)
+    assert beta == pytest.approx(70.0, rel=1e-9)
+    assert gain.fit_gain(photons, 500.0 - photons, 64.0)[0] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_eq2_trusts_the_dark_patches() -> None:
+    """A bright patch that is off by 2 % must not move the offset by a DN (it would, unweighted)."""
+    photons = np.geomspace(3.0, 100.0, 24)
+    values = 20.0 * photons + 64.0
+    values[-1] *= 1.02
+    assert abs(gain.fit_gain(photons, values, 64.0)[1] - 64.0) < 0.3
+    assert abs(np.polyfit(photons, values, 1)[1] - 64.0) > 1.0
+
+
+def test_cross_validation_predicts_a_chart_from_the_others() -> None:
+    photons = np.random.default_rng(0).uniform(10, 100, (3, 24))
+    values = 5.0 * photons + 64.0
+    assert gain.cross_validate(photons, values, 64.0) < 1e-9
+    values[0] = 5.5 * photons[0] + 64.0
+    assert 0.03 < gain.cross_validate(photons, values, 64.0) < 0.15
+
+
+def test_patches_are_found_in_a_turned_chart_in_perspective() -> None:
+    corners = np.array([[30.0, 40.0], [280.0, 20.0], [260.0, 190.0], [50.0, 170.0]])
+    found = gain.patch_map(corners, 220, 320)
+
+    def along(x: float, y: float) -> tuple[int, int]:
+        """Pixel of chart position 0…1 by intersecting lines through the corners' diagonals, patch by patch."""
+        matrix = np.array(
+            [
+                equation
+                for (u, v), (col, row) in zip([(0, 0), (1, 0), (1, 1), (0, 1)], corners, strict=True)
+                for equation in (
+                    [u, v, 1, 0, 0, 0, -col * u, -col * v, -col],
+                    [0, 0, 0, u, v, 1, -row * u, -row * v, -row],
+                )
+            ]
+        )
+        solution = np.linalg.svd(matrix)[2][-1].reshape(3, 3)
+        col, row, scale = solution @ (x, y, 1.0)
+        return round(row / scale), round(col / scale)
+
+    for patch in range(24):
+        y, x = divmod(patch, 6)
+        assert found[along((x + 0.5) / 6, (y + 0.5) / 4)] == patch
+        assert found[along((x + 0.02) / 6, (y + 0.5) / 4)] == 24
+    assert (found[:15] == 24).all()
+
+
+# ---------------------------------------------------------------------------------------------------------- noise
+
+
+def drawn(mean: np.ndarray, sigma: float, trials: int, rng: np.random.Generator) -> list[np.ndarray]:
+    frames = mean + rng.normal(0, sigma, (trials, *mean.shape)) + rng.normal(0, 1.0, (trials, 1, 1))
+    return [np.rint(frame).astype(np.uint16) for frame in frames]
+
+
+def test_temporal_variance_knows_no_fixed_pattern_and_no_drift(body: Body) -> None:
+    rng = np.random.default_rng(0)
+    pattern = 500.0 + rng.normal(0, 50.0, (192, 256))
+    level = noise.measure_level(Capture("flat", 0.1, drawn(pattern, 4.0, 4, rng)), body)
+    assert level.trials == 4
+    np.testing.assert_allclose(level.variance, 16.0 + 1 / 12, rtol=0.05)
+    np.testing.assert_allclose(noise.mean_value(level.counts), 500.0, atol=2.0)
+
+
+def test_dark_frames_give_read_noise_dark_current_and_dsnu(body: Body) -> None:
+    """Few trials and a small DSNU: forgetting the estimator's own variance would add 40 %, row and column noise more."""
+    rng = np.random.default_rng(1)
+    offsets = 64.0 + rng.normal(0, 1.0, (192, 256)) + rng.normal(0, 3.0, 256) + rng.normal(0, 3.0, (192, 1))
+    captures = [
+        Capture(f"{t}", t, drawn(offsets + 5.0 * t, np.sqrt(2.0**2 + 1.5 * t), 2, rng)) for t in (0.1, 1.0, 2.0, 3.0)
+    ]
+    dark = noise.dark_noise(captures, body)
+    np.testing.assert_allclose(np.sqrt(dark.variance), 2.0, rtol=0.03)
+    np.testing.assert_allclose(dark.dsnu, 1.0, rtol=0.05)
+    np.testing.assert_allclose(dark.slope, 5.0, atol=1.5)  # frames drift by 1 DN
+    np.testing.assert_allclose(dark.black, 64.0, atol=3.0)
+
+
+def white_levels(well: float, exposures: list[float], trials: int) -> tuple[list[Capture], np.ndarray]:
+    """White frames of K = 0.25 DN/e-, PRNU 1 %, light falling off by a third, that clip at `well` electrons."""
+    rng = np.random.default_rng(2)
+    response = 1.0 + rng.normal(0, 0.01, (192, 256))
+    y, x = np.linspace(-1, 1, 192), np.linspace(-1, 1, 256)
+    light = 12000.0 * (1.0 - (y[:, None] ** 2 + x**2) / 6.0)
+
+    def frame(exposure: float) -> np.ndarray:
+        electrons = rng.poisson(light * exposure) * response
+        return np.rint(np.minimum(electrons, well) * 0.25 + 64.0).astype(np.uint16)
+
+    return [Capture(f"{t}", t, [frame(t) for _ in range(trials)]) for t in exposures], response
+
+
+def test_photon_transfer_stops_where_the_well_is_full(body: Body) -> None:
+    captures, _ = white_levels(9000.0, [0.1, 0.25, 0.4, 0.55, 0.74, 2.0], trials=4)
+    levels = [noise.measure_level(capture, body) for capture in captures]
+    transfer = noise.photon_transfer(levels, body, DARK)
+    assert transfer.white == 9000 * 0.25 + 64
+    assert transfer.white_reached
+    assert transfer.used.tolist() == [[True] * 3] * 4 + [[False] * 3] * 2  # 0.74: the brightest pixels are full
+    np.testing.assert_allclose(transfer.gain, 0.25, rtol=0.02)
+    everything = np.polyfit(transfer.mean[:, 1], transfer.variance[:, 1], 1)[0]
+    assert abs(everything / 0.25 - 1) > 0.2  # what counting the full wells in would do
+
+
+def test_prnu_of_uneven_light(body: Body) -> None:
+    captures, response = white_levels(9000.0, [0.1, 0.25, 0.4, 0.55], trials=20)
+    levels = [noise.measure_level(capture, body) for capture in captures]
+    found = noise.prnu(captures, levels, np.ones((4, 3), dtype=bool), body)
+    sites = (response[0::2, 0::2], np.stack([response[0::2, 1::2], response[1::2, 0::2]]), response[1::2, 1::2])
+    # Known to ~0.4 %; a local mean that shrinks what it is subtracted from would cost 1 %.
+    assert np.mean(found / [site.std() for site in sites]) == pytest.approx(1.0, abs=0.006)
+
+
+def test_single_frames_and_single_exposures_are_refused(body: Body) -> None:
+    frame = np.full((192, 256), 64, dtype=np.uint16)
+    with pytest.raises(InputFileError, match=r"alone\.tif is a single frame"):
+        noise.measure_level(Capture("alone.tif", 0.1, [frame]), body)
+    with pytest.raises(InputFileError, match="single exposure"):
+        noise.dark_noise([Capture("a", 0.1, [frame, frame])], body)
+    captures, _ = white_levels(9000.0, [0.3, 0.3], trials=2)
+    with pytest.raises(InputFileError, match="channel r has 1 white exposures below saturation"):
+        noise.photon_transfer([noise.measure_level(capture, body) for capture in captures], body, DARK)
+
+
+def test_a_saturated_patch_is_named(body: Body) -> None:
+    frame = np.full((192, 256), 500, dtype=np.uint16)
+    frame[144:, :43] = 4000  # patch 19
+    corners = np.array([[0.0, 0.0], [256.0, 0.0], [256.0, 192.0], [0.0, 192.0]])
+    wavelength, radiance = np.arange(400.0, 701.0), np.ones((24, 301))
+    chart = ChartCapture("chart.tif", 0.1, [frame], "A", corners, wavelength, radiance)
+    with pytest.raises(InputFileError, match=r"chart\.tif: patch 19 is saturated in channel r"):
+        gain.patch_values(chart, body, 3900.0)
+    assert gain.patch_values(replace(chart, frames=[np.minimum(frame, 1000)]), body, 3900.0)[18, 0] == 1000
+
+
+# ---------------------------------------------------------------------------------------------------- wrong inputs
+
+
+def edit(folder: Path, old: str, new: str, count: int = 1) -> None:
+    path = folder / "MEASUREMENTS.toml"
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, count))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("exposure_s", "exposure", "[mono"),
+        ("pixel_pitch_um = 4.0\n", "", "missing key `pixel_pitch_um` in [sensor]"),
+        ("[[dark]]", "[[darkness]]", "`darkness`"),
+        ("bits = 12", "bits = 99", "1 to 16 bits"),
+        ("rows = 192", "rows = 12", "too few"),
+        ("column = 1\n", "column = 999\n", "column 999 of spectra/mono.csv"),
+        ('"g b"', '"g x"', "(see b, x)"),
+        ("[sensor]", "[sensor", "not valid TOML"),
+        ("f_number = 2.8", "f_number = 0", "above 0"),
+        ("object_distance_m = 0.0", "object_distance_m = 0.01", "nearer than the focal length"),
+    ],
+)
+def test_wrong_keys_are_recipe_errors(old: str, new: str, says: str, copied: Path, tmp_path: Path, refused: Refused) -> None:
+    edit(copied, old, new)
+    line = refused(2, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
+    assert says in line
+    assert "MEASUREMENTS.toml" in line
+
+
+def truncate(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:20000])
+
+
+def too_small(path: Path) -> None:
+    write_frame(path, np.zeros((100, 100), dtype=np.uint16))
+
+
+def too_deep(path: Path) -> None:
+    write_frame(path, np.full((192, 256), 5000, dtype=np.uint16))
+
+
+def no_picture(path: Path) -> None:
+    path.write_text("not a picture")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "says"),
+    [
+        (Path.unlink, "does not exist"),
+        (truncate, "truncated"),
+        (too_small, "100×100 pixels, the sensor 192×256"),
+        (too_deep, "more than 12 bits"),
+        (no_picture, "cannot be read"),
+    ],
+)
+@pytest.mark.parametrize("kind", ["mono", "chart", "white", "dark"])
+def test_bad_frames_are_named(
+    kind: str, spoil: Callable[[Path], None], says: str, copied: Path, tmp_path: Path, refused: Refused
+) -> None:
+    frame = sorted((copied / kind).iterdir())[1]
+    spoil(frame)
+    line = refused(3, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
+    assert says in line
+    assert frame.name in line
+
+
+def test_an_8_bit_frame_is_no_raw_frame(copied: Path, tmp_path: Path, refused: Refused) -> None:
+    frame = sorted((copied / "dark").iterdir())[0]
+    frame.write_bytes(b"P5 256 192 255\n" + bytes(192 * 256))
+    line = refused(3, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
+    assert "uint8" in line
+    assert frame.name in line
+
+
+@pytest.mark.parametrize(
+    ("column", "says"),
+    [("dark, as it were", "not a row of numbers"), ("nan", "increase"), ("", "not a row of numbers")],
+)
+@pytest.mark.parametrize("name", ["mono.csv", "chart_*_A.csv"])
+def test_bad_spectra_are_named(name: str, column: str, says: str, copied: Path, tmp_path: Path, refused: Refused) -> None:
+    (path,) = (copied / "spectra").glob(name)
+    lines = path.read_text().splitlines()
+    cells = lines[10].split(",")
+    lines[10] = ",".join([*cells[:-1], column])
+    path.write_text("\n".join(lines))
+    line = refused(3, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
+    assert says in line
+    assert path.name in line
+
+
+def test_a_chart_needs_24_radiances(copied: Path, tmp_path: Path, refused: Refused) -> None:
+    (path,) = (copied / "spectra").glob("chart_*_A.csv")
+    path.write_text("\n".join(line.rpartition(",")[0] for line in path.read_text().splitlines()))
+    line = refused(3, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
+    assert "23 curves, 24 are wanted" in line
+
+
+def corners_of(folder: Path) -> str:
+    text = (folder / "MEASUREMENTS.toml").read_text()
+    return next(line for line in text.splitlines() if line.startswith("corners"))
+
+
+@pytest.mark.parametrize(
+    ("corners", "code", "says"),
+    [
+        ("corners = [[-5, 10], [240, 10], [240, 180], [10, 180]]", 3, "outside the frame"),
+        ("corners = [[10, 10], [240, 10], [240, 1800], [10, 180]]", 3, "outside the frame"),
+        ("corners = [[10, 10], [10, 10], [10, 10], [10, 10]]", 3, "corners"),
+        ("corners = [[10, 10], [14, 10], [14, 14], [10, 14]]", 3, "too few pixels"),
+        ("corners = [[10, 10], [14, 10]]", 2, "2 corners"),
+    ],
+)
+def test_wrong_corners_are_named(corners: str, code: int, says: str, copied: Path, tmp_path: Path, refused: Refused) -> None:
+    edit(copied, corners_of(copied), corners)
+    assert says in refused(code, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
+
+
+def test_charts_upside_down_do_not_make_a_camera(copied: Path, tmp_path: Path, refused: Refused) -> None:
+    line = corners_of(copied)
+    first, second, third, fourth = json.loads(line.partition("= ")[2])
+    edit(copied, line, f"corners = {[third, fourth, first, second]}", count=-1)
+    assert "do not fit" in refused(3, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
+
+
+def test_saturated_captures_are_refused(copied: Path, bayer: CameraModel, tmp_path: Path, refused: Refused) -> None:
+    full = np.full((bayer.rows, bayer.cols), 3814, dtype=np.uint16)
+    chart = sorted((copied / "chart").iterdir())[0]
+    kept = read_frame(chart, (bayer.rows, bayer.cols), bayer.bits).copy()
+    write_frame(chart, full)
+    command = (3, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
+    line = refused(*command)
+    assert "patch 1 is saturated in channel r" in line
+    assert chart.name in line
+    write_frame(chart, kept)
+    for frame in (copied / "mono").iterdir():
+        write_frame(frame, full)
+    assert "channel r is saturated in every monochromatic capture" in refused(*command)
+    for frame in (copied / "white").iterdir():
+        write_frame(frame, full)
+    assert "the white frames hold no noise" in refused(*command)
+
+
+def test_outputs_and_truth_are_checked_first(
+    folder: Path, bayer_recipe: Path, tmp_path: Path, refused: Refused, l3: L3
+) -> None:
+    taken = tmp_path / "camera.h5"
+    taken.write_text("mine")
+    assert "--force" in refused(1, "calibrate", folder / "MEASUREMENTS.toml", "-o", taken)
+    assert taken.read_text() == "mine"
+    fiveband = Path(__file__).parents[1] / "configs/cameras/fiveband.toml"
+    command = ("calibrate", folder / "MEASUREMENTS.toml", "-o", tmp_path / "new.h5", "--truth")
+    assert "r g b o c" in refused(3, *command, fiveband)
+    assert "none.h5" in refused(3, *command, tmp_path / "none.h5")
+    assert "none.toml" in refused(3, "calibrate", tmp_path / "none.toml", "-o", tmp_path / "new.h5")
+    assert refused(2, "calibrate", folder / "MEASUREMENTS.toml")

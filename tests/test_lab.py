@@ -1,0 +1,168 @@
+"""The virtual lab writes what a camera would give, as a lab would keep it."""
+
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from l3cli.artifacts.camera import CameraModel, read_curves
+from l3cli.cli import run
+from l3cli.config import load_recipe
+from l3cli.io.measurements import read_frame
+from l3cli.simulate.lab import LabRecipe, plan, take
+
+CONFIGS = Path(__file__).parents[1] / "configs"
+QUICK = """
+lamp_drift = 0.0
+[mono]
+step_nm = 60
+bandwidth_nm = 20
+[chart]
+illuminants = ["A"]
+[white]
+levels = [0.2, 1.5]
+trials = 2
+[dark]
+exposures_s = [0.01, 0.02]
+trials = 2
+"""
+
+
+@pytest.fixture(scope="module")
+def quick(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("recipe") / "quick.toml"
+    path.write_text(QUICK)
+    return path
+
+
+@pytest.fixture(scope="module")
+def folder(bayer_recipe: Path, quick: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("lab") / "new/lab"
+    assert run(["lab", str(bayer_recipe), "-o", str(path), "--recipe", str(quick), "--quiet"]) == 0
+    return path
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_every_named_file_is_there_and_no_other(folder: Path, bayer: CameraModel) -> None:
+    text = tomllib.loads((folder / "MEASUREMENTS.toml").read_text())
+    captures = [capture for kind in ("mono", "chart", "white", "dark") for capture in text[kind]]
+    frames = {name for capture in captures for name in capture["frames"]}
+    spectra = {capture["spectrum"] for capture in text["mono"]} | {capture["radiance"] for capture in text["chart"]}
+    assert frames | spectra | {"MEASUREMENTS.toml"} == set(contents(folder))
+    for name in frames:
+        assert read_frame(folder / name, (bayer.rows, bayer.cols), bayer.bits).std() > 0
+        assert b"1970:01:01 00:00:00" in (folder / name).read_bytes()  # no clock
+    assert text["cfa"] == {"channels": ["r", "g", "b"], "pattern": ["r g", "g b"]}
+    assert text["sensor"] == {"rows": 192, "cols": 256, "pixel_pitch_um": 4.0, "bits": 12}
+    assert text["optics"]["focal_length_mm"] == 25
+
+
+def test_exposures_put_the_brightest_channel_at_half_scale(folder: Path, bayer: CameraModel) -> None:
+    text = tomllib.loads((folder / "MEASUREMENTS.toml").read_text())
+    half = bayer.black + 0.5 * (bayer.white - bayer.black)
+    for capture in (text["chart"][0], text["mono"][1]):
+        frame = read_frame(folder / capture["frames"][0], (bayer.rows, bayer.cols), bayer.bits)
+        channels = [frame[0::2, 0::2], frame[0::2, 1::2], frame[1::2, 1::2]]
+        brightest = max(float(np.percentile(channel, 99)) for channel in channels)
+        assert half * 0.95 < brightest < half * 1.15
+    saturated = read_frame(folder / text["white"][-1]["frames"][0], (bayer.rows, bayer.cols), bayer.bits)
+    assert np.median(saturated[0::2, 1::2]) == bayer.white
+
+
+def test_a_patch_has_the_value_that_its_measured_radiance_says(folder: Path, bayer: CameraModel) -> None:
+    """The camera equation written out by hand for patch 22 (neutral 5) under A, in the channel g."""
+    chart = tomllib.loads((folder / "MEASUREMENTS.toml").read_text())["chart"][0]
+    wavelength, radiance = read_curves(folder / chart["radiance"], 24)
+    (left, top), _, (right, bottom), _ = chart["corners"]
+    col, row = round(left + (right - left) * 3.5 / 6), round(top + (bottom - top) * 3.5 / 4)
+    frame = read_frame(folder / chart["frames"][0], (bayer.rows, bayer.cols), bayer.bits)
+    core = frame[row - row % 2 - 8 : row + 8, col - col % 2 - 8 : col + 8].astype(float)
+    sight = np.pi / (4 * 2.8**2 + 1) * (4e-6) ** 2 * chart["exposure_s"]
+    efficiency = np.interp(wavelength, bayer.wavelength, bayer.responsivity[1], left=0, right=0)
+    electrons = sight * np.sum(efficiency * radiance[21]) * (wavelength[1] - wavelength[0])
+    measured = np.mean([core[0::2, 1::2].mean(), core[1::2, 0::2].mean()]) - bayer.black
+    assert measured == pytest.approx(bayer.gain * electrons, rel=0.01)  # ~130 pixels of ~1000 e-: 0.3 %
+
+
+def test_same_seed_same_bytes_whatever_the_jobs(
+    folder: Path, bayer_recipe: Path, quick: Path, tmp_path: Path, l3: Callable[..., tuple[int, str, str]]
+) -> None:
+    code, out, _ = l3("lab", bayer_recipe, "-o", tmp_path / "a", "--recipe", quick, "--jobs", 2)
+    assert (code, out) == (0, "")
+    assert contents(tmp_path / "a") == contents(folder)
+    assert l3("lab", bayer_recipe, "-o", tmp_path / "b", "--recipe", quick, "--seed", 1)[0] == 0
+    other = contents(tmp_path / "b")
+    assert other["MEASUREMENTS.toml"] == contents(folder)["MEASUREMENTS.toml"]
+    frames = [name for name in other if name.endswith(".tif")]
+    assert all(other[name] != contents(folder)[name] for name in frames)
+
+
+def test_frames_differ_between_trials_by_noise_alone(bayer: CameraModel) -> None:
+    captures = plan(bayer, LabRecipe(), seed=0)
+    white = next(capture for capture in captures if capture.kind == "white")
+    first, second = (take(bayer, white, trial, 0).astype(float) for trial in (0, 1))
+    signal = first.mean() - bayer.black
+    expected = bayer.gain * signal + bayer.gain**2 * bayer.noise.read_noise**2 + 1 / 12
+    assert np.var(first - second) / 2 == pytest.approx(expected, rel=0.05)
+
+
+def test_drift_separates_light_from_its_spectrum(bayer: CameraModel) -> None:
+    still, drifting = LabRecipe(lamp_drift=0.0), LabRecipe(lamp_drift=0.1)
+    pairs = zip(plan(bayer, still, 0), plan(bayer, drifting, 0), strict=True)
+    ratios = np.array([b.electrons.max() / a.electrons.max() for a, b in pairs if a.kind == "mono"])
+    assert 0.05 < ratios.std() < 0.2
+    same = [
+        np.array_equal(a.radiance, b.radiance) for a, b in zip(plan(bayer, still, 0), plan(bayer, drifting, 0), strict=True)
+    ]
+    assert all(same)
+
+
+def test_the_default_recipe_is_the_built_in_one() -> None:
+    assert load_recipe(CONFIGS / "lab/default.toml", LabRecipe) == LabRecipe()
+
+
+def test_an_existing_lab_is_kept_without_force(
+    bayer_recipe: Path, quick: Path, tmp_path: Path, refused: Callable[..., str], l3: Callable[..., tuple[int, str, str]]
+) -> None:
+    (tmp_path / "lab").mkdir()
+    file = tmp_path / "lab/MEASUREMENTS.toml"
+    file.write_text("mine")
+    assert "--force" in refused(1, "lab", bayer_recipe, "-o", tmp_path / "lab", "--recipe", quick)
+    assert file.read_text() == "mine"
+    assert l3("lab", bayer_recipe, "-o", tmp_path / "lab", "--recipe", quick, "--force")[0] == 0
+    assert file.read_text() != "mine"
+
+
+@pytest.mark.parametrize(
+    ("recipe", "says"),
+    [
+        ("[mono]\nstep = 10", "unknown key `step` in [mono]"),
+        ('[chart]\nilluminants = ["D99"]', 'illuminant "D99" is unknown'),
+        ("[white]\ntrials = 1", "two trials"),
+        ("[white]\nlevels = [0.1, -1.0]", "above 0"),
+        ("[mono]\nbandwidth_nm = 0.5", "bandwidth_nm"),
+        ("[mono]\nfirst_nm = 690", "three steps"),
+        ("[dark]\nexposures_s = []", "levels and exposures"),
+    ],
+)
+def test_a_recipe_that_cannot_be_is_refused(
+    recipe: str, says: str, bayer_recipe: Path, tmp_path: Path, refused: Callable[..., str]
+) -> None:
+    (tmp_path / "lab.toml").write_text(recipe)
+    assert says in refused(2, "lab", bayer_recipe, "-o", tmp_path / "lab", "--recipe", tmp_path / "lab.toml")
+
+
+def test_missing_inputs_are_named(bayer_recipe: Path, tmp_path: Path, refused: Callable[..., str]) -> None:
+    assert "none.toml" in refused(3, "lab", tmp_path / "none.toml", "-o", tmp_path / "lab")
+    assert "none.toml" in refused(3, "lab", bayer_recipe, "-o", tmp_path / "lab", "--recipe", tmp_path / "none.toml")
+
+
+def test_a_sensor_too_small_for_a_chart_is_refused(bayer_recipe: Path, tmp_path: Path, refused: Callable[..., str]) -> None:
+    tiny = tmp_path / "tiny.toml"
+    tiny.write_text(bayer_recipe.read_text().replace("rows = 192", "rows = 32"))
+    assert "too small" in refused(2, "lab", tiny, "-o", tmp_path / "lab")
