@@ -1,6 +1,6 @@
 """A raw frame: one mosaic of digital numbers as a camera gives it, brought to the levels of a table."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ class RawFrame:
     black: float  # DN
     white: float  # DN at which a pixel saturates
     phase: tuple[int, int] = (0, 0)  # CFA row and column of pixel (0, 0)
+    orientation: int = 0  # how the camera was held: LibRaw's flip code (see `upright`)
 
     def __post_init__(self) -> None:
         if self.values.ndim != 2 or self.values.dtype != np.uint16 or self.values.size == 0:
@@ -31,7 +32,17 @@ class RawFrame:
             values = np.clip(np.rint((values.astype(np.float64) - self.black) * scale + black), 0, top).astype(np.uint16)
         elif values.max() > top:
             values = np.minimum(values, np.uint16(top))
-        return RawFrame(self.name, values, black, white, self.phase)
+        return replace(self, values=values, black=black, white=white)
+
+
+def upright(pixels: NDArray, orientation: int) -> NDArray:
+    """pixels (row, col, …) turned as LibRaw's flip code says: 1 mirrors columns, 2 mirrors rows, 4 then transposes;
+    so 3 is a half turn, 5 a quarter turn to the left, 6 one to the right."""
+    if orientation & 1:
+        pixels = pixels[:, ::-1]
+    if orientation & 2:
+        pixels = pixels[::-1]
+    return pixels.swapaxes(0, 1) if orientation & 4 else pixels
 
 
 def mirrored_indices(length: int, margin: int, period: int) -> NDArray[np.int32]:

@@ -109,7 +109,7 @@ def render(
             scale = exposure or automatic_exposure(renderer.outputs(frame)[1])
             picture = renderer.picture(frame, make_display(adapted, scale, int(bits)))
             write_picture(target, upright(picture, frame.orientation))
-        except L3Error as error:
+        except (L3Error, OSError) as error:
             if len(inputs) == 1:
                 raise
             failures += 1

@@ -1,0 +1,87 @@
+"""Pictures (PNG, TIFF, JPEG: encoded sRGB) and linear outputs (EXR) to files and back, all through OpenImageIO."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.errors import InputFileError, L3Error, RecipeError
+from l3cli.files import atomic_output
+
+PICTURES = {".png": (8, 16), ".tif": (8, 16), ".tiff": (8, 16), ".jpg": (8,), ".jpeg": (8,)}  # bits each may hold
+LINEAR = ".exr"
+XYZ_CHROMATICITIES = (1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1 / 3, 1 / 3)  # of the X, Y, Z primaries and their white
+
+
+def is_linear(path: Path) -> bool:
+    """Whether a file of this name holds linear outputs rather than a picture."""
+    return path.suffix.lower() == LINEAR
+
+
+def check_format(path: Path, bits: int) -> None:
+    """RecipeError if no file of this name can be written, or not with `bits` bits a value."""
+    if is_linear(path):
+        return
+    depths = PICTURES.get(path.suffix.lower())
+    if depths is None:
+        raise RecipeError(f"{path}: pictures are written as {', '.join(PICTURES)}, linear outputs as {LINEAR}")
+    if bits not in depths:
+        raise RecipeError(f"{path}: {path.suffix} holds 8 bits a value, not {bits}; use .png or .tif")
+
+
+def write_picture(path: Path, picture: NDArray) -> None:
+    """Encoded sRGB (row, col, 3), uint8 or uint16, to a file whose format its suffix tells, tagged as sRGB."""
+    import OpenImageIO as oiio
+
+    check_format(path, 8 * picture.dtype.itemsize)
+    rows, cols, channels = picture.shape
+    spec = oiio.ImageSpec(cols, rows, channels, str(picture.dtype))
+    spec.attribute("oiio:ColorSpace", "sRGB")
+    if path.suffix.lower() in (".jpg", ".jpeg"):
+        spec.attribute("Compression", "jpeg:95")
+        spec.attribute("jpeg:subsampling", "4:4:4")
+    _write(path, spec, picture)
+
+
+def write_linear(path: Path, pixels: NDArray[np.float32], names: tuple[str, ...]) -> None:
+    """Linear outputs (row, col, output) to an EXR file of float channels called `names`."""
+    import OpenImageIO as oiio
+
+    rows, cols, outputs = pixels.shape
+    spec = oiio.ImageSpec(cols, rows, outputs, "float")
+    spec.channelnames = names
+    spec.attribute("compression", "zip")
+    if names == ("X", "Y", "Z"):
+        spec.attribute("chromaticities", oiio.TypeDesc("float[8]"), XYZ_CHROMATICITIES)
+    _write(path, spec, pixels)
+
+
+def _write(path: Path, spec: Any, pixels: NDArray) -> None:
+    import OpenImageIO as oiio
+
+    spec.attribute("DateTime", "")  # else the clock is written into the file: the same input must give the same bytes
+    with atomic_output(path) as temporary:
+        sink = oiio.ImageOutput.create(str(temporary))
+        if sink is None:
+            raise L3Error(f"{path} cannot be written: {oiio.geterror().strip()}")
+        written = sink.open(str(temporary), spec) and sink.write_image(np.ascontiguousarray(pixels))
+        if not (sink.close() and written):
+            raise L3Error(f"{path} cannot be written: {sink.geterror().strip()}")
+
+
+def read_image(path: Path) -> tuple[NDArray, tuple[str, ...]]:
+    """Pixels (row, col, channel) as stored and the channels' names; InputFileError if the file cannot be read."""
+    import OpenImageIO as oiio
+
+    source = oiio.ImageInput.open(str(path))
+    if source is None:
+        raise InputFileError(f"{path} is not an image that can be read; {oiio.geterror().strip()}")
+    try:
+        spec = source.spec()
+        pixels = source.read_image(spec.format)
+    finally:
+        source.close()
+    if pixels is None:
+        raise InputFileError(f"{path} is truncated or damaged; give a whole image")
+    return pixels, tuple(spec.channelnames)

@@ -1,0 +1,185 @@
+"""Raw files → RawFrame: camera raws through LibRaw, single-channel TIFF and PNG, .npy, headerless .raw and .bin.
+
+The colour filter array comes from the table, never from the decoder, which reports anything but 2 × 2 wrongly and silently
+(DESIGN 4). From the file come pixels, black, white, crop, orientation, and for 2 × 2 arrays the phase.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.table import TransformTable
+from l3cli.errors import InputFileError
+from l3cli.frame import RawFrame, shifted_cfa
+
+HEADERLESS = (".raw", ".bin")
+IMAGES = (".tif", ".tiff", ".png")
+TOP = 65535  # DN, the most that 16 bits hold
+
+
+@dataclass(frozen=True)
+class KnownBetter:
+    """What the caller knows about a raw file; None: as the file or, where it does not tell, the table says."""
+
+    black: float | None = None  # DN
+    white: float | None = None  # DN
+    phase: tuple[int, int] | None = None  # CFA row and column of pixel (0, 0)
+    size: tuple[int, int] | None = None  # rows, columns of a headerless file
+
+
+def read_raw(path: Path, table: TransformTable, known: KnownBetter | None = None) -> RawFrame:
+    """The frame in `path`, read as its suffix tells; InputFileError names file and cure."""
+    known = known or KnownBetter()
+    if path.is_dir() or not path.exists():
+        raise InputFileError(f"{path} {'is a folder' if path.is_dir() else 'does not exist'}; give a raw file")
+    suffix = path.suffix.lower()
+    try:
+        if suffix in HEADERLESS:
+            frame = _plain_frame(path, _read_headerless(path, known.size or (table.rows, table.cols)), table)
+        elif suffix == ".npy":
+            frame = _plain_frame(path, _read_npy(path), table)
+        elif suffix in IMAGES:
+            frame = _plain_frame(path, _read_mono_image(path), table)
+        else:
+            frame = _read_camera_raw(path, table, known.phase)
+    except OSError as error:
+        raise InputFileError(f"{path}: {error.strerror or error}") from error
+    return _corrected(frame, table, known)
+
+
+def _plain_frame(path: Path, values: NDArray, table: TransformTable) -> RawFrame:
+    """A frame from a file that holds pixels and nothing else: levels are the table's."""
+    if values.size == 0:
+        raise InputFileError(f"{path} holds no pixels; give a raw file")
+    return RawFrame(str(path), np.ascontiguousarray(values, np.uint16), table.black, table.white)
+
+
+def _corrected(frame: RawFrame, table: TransformTable, known: KnownBetter) -> RawFrame:
+    """The frame with what the caller knows better in place of what the file says."""
+    black = frame.black if known.black is None else known.black
+    white = frame.white if known.white is None else known.white
+    phase = frame.phase if known.phase is None else known.phase
+    if not 0 <= black < white <= TOP:
+        raise InputFileError(
+            f"{frame.name}: black level {black:g} and white level {white:g} do not fit; give --black and --white-level"
+        )
+    rows, cols = table.cfa.shape
+    return RawFrame(frame.name, frame.values, black, white, (phase[0] % rows, phase[1] % cols), frame.orientation)
+
+
+# -------------------------------------------------------------------------------------------------- plain formats
+
+
+def _read_headerless(path: Path, size: tuple[int, int]) -> NDArray[np.uint16]:
+    """Little-endian 16-bit values row by row, nothing else."""
+    rows, cols = size
+    found, wanted = path.stat().st_size, rows * cols * 2
+    if found != wanted:
+        raise InputFileError(
+            f"{path} has {found} bytes, {rows}×{cols} 16-bit values have {wanted}; give its size with --size ROWSxCOLS"
+        )
+    return np.fromfile(path, "<u2").reshape(rows, cols)
+
+
+def _read_npy(path: Path) -> NDArray[np.uint16]:
+    try:
+        values = np.load(path, mmap_mode="r", allow_pickle=False)  # mapped: a header may claim any size
+    except (ValueError, EOFError) as error:
+        raise InputFileError(f"{path} is not a whole .npy file; write it with numpy.save(file, uint16 array)") from error
+    if not isinstance(values, np.ndarray) or values.ndim != 2 or values.dtype.kind != "u" or values.dtype.itemsize > 2:
+        held = f"{values.ndim}-dimensional {values.dtype}" if isinstance(values, np.ndarray) else "an archive"
+        raise InputFileError(f"{path} holds {held}; give a uint16 array of rows × columns")
+    return values.astype(np.uint16)
+
+
+def _read_mono_image(path: Path) -> NDArray[np.uint16]:
+    """Single-channel 8- or 16-bit TIFF or PNG, values as stored."""
+    import OpenImageIO as oiio
+
+    source = oiio.ImageInput.open(str(path))
+    if source is None:
+        raise InputFileError(f"{path} is not an image that can be read ({_first_line(oiio.geterror())})")
+    try:
+        spec = source.spec()
+        stored = str(spec.format)
+        if spec.nchannels != 1 or stored not in ("uint8", "uint16"):
+            raise InputFileError(
+                f"{path} has {spec.nchannels} channels of {stored}; a raw image has one channel of 8 or 16 bits"
+            )
+        values = source.read_image(spec.format)
+        if values is None:
+            raise InputFileError(f"{path} is truncated or damaged ({_first_line(source.geterror())})")
+        # OpenImageIO stretches depths such as 12 bits over the whole of 16: the upper bits are what is stored.
+        depth = 8 * values.dtype.itemsize
+        unused = np.uint16(depth - spec.get_int_attribute("oiio:BitsPerSample", depth))
+        return values[..., 0].astype(np.uint16) >> unused
+    finally:
+        source.close()
+
+
+def _first_line(message: str) -> str:
+    return message.strip().splitlines()[0] if message.strip() else "no reason given"
+
+
+# ---------------------------------------------------------------------------------------------------- camera raws
+
+
+def _read_camera_raw(path: Path, table: TransformTable, phase: tuple[int, int] | None) -> RawFrame:
+    import rawpy
+
+    try:
+        with rawpy.imread(str(path)) as raw:
+            if raw.raw_type != rawpy.RawType.Flat or raw.raw_image_visible.ndim != 2:
+                raise InputFileError(f"{path} is already demosaicked (linear); give the raw file the camera wrote")
+            return _camera_frame(path, raw, table, phase)
+    except rawpy.LibRawError as error:
+        reason = error.args[0].decode() if error.args and isinstance(error.args[0], bytes) else str(error)
+        raise InputFileError(
+            f"{path} is damaged or no raw file LibRaw can read ({reason}); "
+            "give a camera raw, a one-channel TIFF or PNG, a .npy, or a headerless .raw"
+        ) from error
+
+
+def _camera_frame(path: Path, raw: Any, table: TransformTable, phase: tuple[int, int] | None) -> RawFrame:
+    colours = raw.raw_colors_visible
+    values, black = _common_black(raw.raw_image_visible, colours, np.array(raw.black_level_per_channel))
+    whites = [white for white in (raw.camera_white_level_per_channel or ()) if white > 0]
+    white = float(min(whites, default=raw.white_level))
+    if not black < white:
+        raise InputFileError(f"{path}: its black level {black:g} is not below its white level {white:g}; it is damaged")
+    if phase is None:
+        description = raw.color_desc.decode("ascii", "replace")
+        phase = _phase(path, np.array([[description[index] for index in row] for row in colours[:2, :2]]), table)
+    return RawFrame(str(path), values, black, white, phase, raw.sizes.flip)
+
+
+def _common_black(
+    values: NDArray[np.uint16], colours: NDArray[np.uint8], blacks: NDArray[np.integer]
+) -> tuple[NDArray[np.uint16], float]:
+    """values (row, col) shifted so that all colours have the rounded mean of their black levels, and that mean."""
+    used = np.unique(colours)
+    black = int(np.rint(blacks[used].mean()))
+    if (blacks[used] == black).all():
+        return values.copy(), float(black)
+    shifted = values.astype(np.int64) + (black - blacks.astype(np.int64))[colours]
+    return np.clip(shifted, 0, TOP).astype(np.uint16), float(black)
+
+
+def _phase(path: Path, letters: NDArray[np.str_], table: TransformTable) -> tuple[int, int]:
+    """Site of pixel (0, 0): the shift of the table's CFA that gives the file's 2 × 2 colour `letters`; (0, 0) where the
+    two cannot be compared, because the table's CFA is no 2 × 2 of r, g, b. InputFileError if no shift matches."""
+    names = np.array([name.lower() for name in table.channels])
+    if table.cfa.shape != (2, 2) or not set(names) <= {"r", "g", "b"}:
+        return 0, 0
+    wanted = np.char.lower(letters)
+    for phase in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        if (names[shifted_cfa(table.cfa, phase)] == wanted).all():
+            return phase
+    ours, theirs = ("/".join("".join(row) for row in pattern) for pattern in (names[table.cfa], wanted))
+    raise InputFileError(
+        f"{path} has the colour filter array {theirs}, the table {ours}; "
+        "give the table of this camera, or the site of the first pixel with --phase ROW,COL"
+    )

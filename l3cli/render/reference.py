@@ -1,0 +1,59 @@
+"""The plain truth of rendering in float64: what every other backend is held against (METHOD 5)."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli import classify
+from l3cli.artifacts.table import TransformTable
+from l3cli.frame import RawFrame, pad_mosaic
+from l3cli.render.display import Display, encode, require_xyz
+
+
+class ReferenceRenderer:
+    """Renderer in numpy: slow, exact, without a device."""
+
+    def __init__(self, table: TransformTable) -> None:
+        self.table = table
+
+    def labels(self, frame: RawFrame) -> classify.Integers:
+        """Class (row, col) of every pixel."""
+        return table_labels(at_table_levels(frame, self.table), self.table)
+
+    def outputs(self, frame: RawFrame) -> NDArray[np.float32]:
+        """Outputs of the table, (output, row, col)."""
+        return self.exact_outputs(frame).astype(np.float32)
+
+    def picture(self, frame: RawFrame, display: Display) -> NDArray:
+        """The frame as sRGB (row, col, 3); RecipeError unless the table's outputs are X, Y, Z."""
+        require_xyz(self.table.outputs)
+        return encode(self.exact_outputs(frame), display)
+
+    def exact_outputs(self, frame: RawFrame) -> NDArray[np.float64]:
+        """`outputs` before rounding to float32."""
+        levelled = at_table_levels(frame, self.table)
+        return output_planes(levelled.values, table_labels(levelled, self.table), self.table)
+
+
+def at_table_levels(frame: RawFrame, table: TransformTable) -> RawFrame:
+    """The frame on the black level, white level and depth that the table was trained for."""
+    return frame.at_levels(table.black, table.white, table.bits)
+
+
+def table_labels(frame: RawFrame, table: TransformTable) -> classify.Integers:
+    """Class (row, col) of every pixel of a frame at the table's levels."""
+    return classify.label_mosaic(frame.values, table.rule, table.cfa, len(table.channels), frame.phase)
+
+
+def output_planes(values: NDArray[np.uint16], labels: classify.Integers, table: TransformTable) -> NDArray[np.float64]:
+    """Each pixel's transform applied to its neighbourhood: (output, row, col) from DN and classes (row, col)."""
+    rows, cols = values.shape
+    patch, outputs = table.rule.patch, len(table.outputs)
+    signal = (values - table.black) / (table.white - table.black)
+    padded = pad_mosaic(signal, table.rule.radius, (table.cfa.shape[0], table.cfa.shape[1]))
+    windows = np.lib.stride_tricks.sliding_window_view(padded, (patch, patch))
+    planes = np.empty((outputs, rows, cols))
+    for row in range(rows):  # a row at a time: the chosen transforms of a whole frame would fill gigabytes
+        patches = windows[row].reshape(cols, patch**2, 1)
+        weighted = table.weights[labels[row]].astype(np.float64) @ patches
+        planes[:, row] = (weighted[..., 0] + table.intercept[labels[row]]).T
+    return planes

@@ -1,0 +1,42 @@
+"""The one interface of everything that renders, and the backends behind it."""
+
+import importlib
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.table import TransformTable
+from l3cli.errors import RecipeError
+from l3cli.frame import RawFrame
+from l3cli.render.display import Display
+
+# A new backend is one class, made from a TransformTable, and one line here; its module is imported when it is asked for.
+BACKENDS = {
+    "opencl": "l3cli.render.opencl:OpenCLRenderer",
+    "reference": "l3cli.render.reference:ReferenceRenderer",
+}
+
+
+class Renderer(Protocol):
+    """Renders frames through the table it was made from; keeps whatever is the same from frame to frame."""
+
+    def labels(self, frame: RawFrame) -> NDArray[np.integer]:
+        """Class (row, col) of every pixel, equal for every backend."""
+
+    def outputs(self, frame: RawFrame) -> NDArray[np.float32]:
+        """Outputs of the table, (output, row, col), of the frame's size."""
+
+    def picture(self, frame: RawFrame, display: Display) -> NDArray:
+        """The frame as sRGB (row, col, 3), uint8 or uint16 as the display says.
+
+        RecipeError unless the table's outputs are X, Y, Z.
+        """
+
+
+def make_renderer(backend: str, table: TransformTable) -> Renderer:
+    """The renderer called `backend` for a table; RecipeError if there is none, DeviceError if it finds no device."""
+    if backend not in BACKENDS:
+        raise RecipeError(f'backend "{backend}" is unknown; use one of {", ".join(BACKENDS)}')
+    module, _, name = BACKENDS[backend].partition(":")
+    return getattr(importlib.import_module(module), name)(table)

@@ -1,0 +1,356 @@
+"""Rendering: the float64 reference against hand-made truths, the OpenCL kernels against the reference."""
+
+import dataclasses
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from l3cli import spectra
+from l3cli.artifacts.camera import CameraModel, Noise, Optics
+from l3cli.artifacts.table import TransformTable
+from l3cli.classify import ClassRecipe, make_rule
+from l3cli.errors import DeviceError, RecipeError
+from l3cli.frame import RawFrame, upright
+from l3cli.render import opencl
+from l3cli.render.display import Display, automatic_exposure, encode, make_display, require_xyz, scene_white
+from l3cli.render.opencl import OpenCLRenderer, choose_device
+from l3cli.render.reference import ReferenceRenderer
+from l3cli.render.renderer import BACKENDS, make_renderer
+
+XYZ = ("X", "Y", "Z")
+# float32 sums of at most 225 products, each term below 1 and rounded to 6e-8: 225 · 6e-8 at worst, a tenth of it in fact.
+OUTPUT_TOLERANCE = 1e-5
+# XYZ near 1 is off by 1e-7 in float32; the matrix (rows of up to 6 in sum) and the curve's slope of 12.92 make half a step
+# of 1/65535 of that, and rounding can add one.
+WORST_16_BIT = 2
+
+
+def random_camera(cfa, channels: int, bits: int, black: float) -> CameraModel:
+    top = 2**bits - 1
+    return CameraModel(
+        name="random",
+        rows=24,
+        cols=32,
+        pixel_pitch=5e-6,
+        bits=bits,
+        channels=tuple("rgbocwxyklmnpqst"[:channels]),
+        cfa=np.asarray(cfa, np.uint8),
+        wavelength=np.array([400.0, 700.0]),
+        responsivity=np.ones((channels, 2)),
+        responsivity_band=np.zeros((channels, 2)),
+        absolute=True,
+        gain=top / 20000,
+        black=black,
+        white=float(top),
+        fixed_pattern_seed=0,
+        noise=Noise(5.0, 1.0, 2.0, 0.01, 20000.0),
+        optics=Optics(0.05, 2.8, 0.0),
+    )
+
+
+def random_table(cfa, bits=12, black=0.0, patch=5, outputs=XYZ, contrasts=(1.4,), wild=False, seed=1) -> TransformTable:
+    """A table of random weights with outputs of about 0…1; `wild`: contrast edges anywhere in 32 bits."""
+    rng = np.random.default_rng(seed)
+    channels = int(np.max(cfa)) + 1
+    camera = random_camera(cfa, channels, bits, black)
+    case_of_code = rng.integers(0, 5, 2**channels).astype(np.uint16)
+    recipe = ClassRecipe(patch=patch, levels=7, lowest_level=0.02, contrasts=contrasts, saturation_radius=min(2, patch // 2))
+    rule = make_rule(recipe, camera, case_of_code)
+    if wild:
+        edges = np.exp2(rng.uniform(8, 32, rule.contrast_edges.shape)).astype(np.uint32)
+        rule = dataclasses.replace(rule, contrast_edges=np.sort(edges, axis=0))
+    classes = camera.cfa.size * rule.classes_per_site
+    return TransformTable(
+        camera_name=camera.name,
+        rows=camera.rows,
+        cols=camera.cols,
+        channels=camera.channels,
+        cfa=camera.cfa,
+        bits=bits,
+        black=camera.black,
+        white=camera.white,
+        outputs=outputs,
+        output_unit=1.0,
+        white_point=np.array([0.9505, 1.0, 1.089, *np.ones(16)])[: len(outputs)],
+        rule=rule,
+        weights=((1 + rng.normal(size=(classes, len(outputs), patch**2))) / patch**2).astype(np.float32),
+        intercept=rng.normal(scale=0.05, size=(classes, len(outputs))).astype(np.float32),
+        samples=np.ones(classes),
+    )
+
+
+BAYER = [[0, 1], [1, 2]]
+FIVE_BAND = [[2, 1, 4, 1], [1, 3, 1, 0], [4, 1, 2, 1], [1, 0, 1, 3]]
+X_TRANS = [
+    [1, 2, 1, 1, 0, 1],
+    [0, 1, 0, 2, 1, 2],
+    [1, 2, 1, 1, 0, 1],
+    [1, 0, 1, 1, 2, 1],
+    [2, 1, 2, 0, 1, 0],
+    [1, 0, 1, 1, 2, 1],
+]
+STRIPES = [[0, 1, 2, 0, 1], [1, 2, 0, 1, 2], [2, 0, 1, 2, 0]]
+SIXTEEN = np.arange(16).reshape(4, 4)
+TABLES = {
+    "bayer": lambda: random_table(BAYER, bits=10, black=64.0),
+    "five-band": lambda: random_table(FIVE_BAND, bits=12, black=108.93, patch=9, contrasts=(1.1, 2.0)),
+    "x-trans": lambda: random_table(X_TRANS, bits=16, black=2048.0, patch=7, contrasts=(1.2, 2.0, 5.0), wild=True),
+    "white": lambda: random_table([[0, 3, 1, 3], [3, 0, 3, 1], [1, 3, 2, 3], [3, 1, 3, 2]], bits=14, black=512.5, patch=9),
+    "stripes": lambda: random_table(STRIPES, bits=8, patch=3, outputs=XYZ + ("N", "U"), contrasts=()),
+    "sixteen": lambda: random_table(SIXTEEN, bits=13, patch=15, outputs=("a",), contrasts=(1.4, 3.0), wild=True),
+    "mono": lambda: random_table([[0]], bits=16, patch=11, outputs=tuple("abcdefghijklmnop"), wild=True),
+}
+
+
+@pytest.fixture(scope="module", params=list(TABLES))
+def renderers(request) -> tuple[ReferenceRenderer, OpenCLRenderer]:
+    table = TABLES[request.param]()
+    return ReferenceRenderer(table), OpenCLRenderer(table)
+
+
+LENGTHS = st.integers(1, 24) | st.sampled_from([47, 48, 49, 66])
+WIDTHS = st.integers(1, 40) | st.sampled_from([255, 256, 257, 300])
+
+
+@st.composite
+def frames(draw, table: TransformTable) -> RawFrame:
+    """Mosaics of the table's depth and beyond: noise about any level, textures, areas of black and of saturation."""
+    rows, cols = draw(LENGTHS), draw(WIDTHS)
+    rng = np.random.default_rng(draw(st.integers(0, 2**32)))
+    top = 2 ** draw(st.sampled_from([table.bits, table.bits, 16])) - 1
+    level, spread = draw(st.floats(0, 1.1)), draw(st.sampled_from([0.0, 0.001, 0.05, 0.5, 2.0]))
+    values = table.black + top * level * rng.uniform(0.3, 1.0) * (1 + spread * rng.normal(size=(rows, cols)))
+    for value in draw(st.lists(st.sampled_from([0.0, table.black, float(table.rule.saturation), top]), max_size=3)):
+        row, col = rng.integers(0, rows), rng.integers(0, cols)
+        values[row : row + rng.integers(1, 9), col : col + rng.integers(1, 9)] = value
+    phase = (draw(st.integers(0, table.cfa.shape[0] - 1)), draw(st.integers(0, table.cfa.shape[1] - 1)))
+    return RawFrame("drawn", np.clip(values, 0, top).astype(np.uint16), table.black, table.white, phase)
+
+
+@settings(max_examples=40, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@given(data=st.data())
+def test_opencl_meets_the_reference(renderers, data):
+    reference, device = renderers
+    frame = data.draw(frames(reference.table))
+    np.testing.assert_array_equal(device.labels(frame), reference.labels(frame))
+    exact = reference.exact_outputs(frame)
+    rendered = device.outputs(frame)
+    assert rendered.dtype == np.float32
+    np.testing.assert_allclose(rendered, exact, rtol=0, atol=OUTPUT_TOLERANCE * max(1.0, np.abs(exact).max()))
+    if reference.table.outputs == XYZ:
+        for bits, tolerance in ((8, 1), (16, WORST_16_BIT)):
+            display = make_display(reference.table.white_point, 1.0, bits)
+            shown, truth = device.picture(frame, display), reference.picture(frame, display)
+            assert shown.dtype == truth.dtype == display.dtype
+            assert np.abs(shown.astype(int) - truth).max() <= tolerance
+
+
+def test_a_value_on_an_edge_falls_on_the_same_side():
+    """Nine values of 0 or 1 with four ones have the variance 4 · round(512 / 9) and the level sum 4 · 7282 >> 8."""
+    table = random_table([[0]], patch=3)
+    level_edges = np.array([113, 200, 300], np.uint32)
+    rule = dataclasses.replace(table.rule, level_edges=level_edges, contrast_edges=np.full((1, 4), 4 * 57, np.uint32))
+    classes = rule.classes_per_site
+    table = dataclasses.replace(
+        table,
+        rule=rule,
+        weights=np.zeros((classes, 3, 9), np.float32),
+        intercept=np.zeros((classes, 3), np.float32),
+        samples=np.ones(classes),
+    )
+    frame = RawFrame("f", np.random.default_rng(0).integers(0, 2, (50, 50)).astype(np.uint16), 0.0, 4095.0)
+    labels = ReferenceRenderer(table).labels(frame)
+    np.testing.assert_array_equal(OpenCLRenderer(table).labels(frame), labels)
+    four = np.zeros((3, 3), np.uint16)
+    four[0, :] = four[1, 1] = 1
+    frame = RawFrame("f", four, 0.0, 4095.0)
+    centre = OpenCLRenderer(table).labels(frame)[1, 1] // rule.cases
+    assert centre == 1 * rule.contrasts + 0  # on the level edge: the level above; on the contrast edge: the contrast below
+
+
+def test_encoding_on_the_device_covers_the_whole_curve():
+    table = dataclasses.replace(
+        random_table(BAYER, bits=16), intercept=np.zeros_like(random_table(BAYER, bits=16).intercept)
+    )
+    centre = np.zeros_like(table.weights)
+    centre[:, :, 12] = 1.0
+    table = dataclasses.replace(table, weights=centre)
+    frame = RawFrame("ramp", np.arange(65536, dtype=np.uint16).reshape(256, 256), table.black, table.white)
+    device = OpenCLRenderer(table)
+    for bits in (8, 16):
+        display = Display(np.diag([1.0, 1.7, 0.01]), bits)
+        shown, truth = device.picture(frame, display).astype(int), ReferenceRenderer(table).picture(frame, display)
+        assert np.abs(shown - truth).max() <= 1
+        assert (shown[..., 1].ravel()[-1], shown[0, 0].tolist()) == (display.top, [0, 0, 0])
+
+
+def test_centre_tap_of_the_reference_gives_the_signal_back():
+    table = random_table(BAYER, bits=10, black=64.0)
+    centre = np.zeros_like(table.weights)
+    centre[:, 1, 12] = 1.0
+    table = dataclasses.replace(table, weights=centre, intercept=np.zeros_like(table.intercept))
+    values = np.random.default_rng(0).integers(0, 1024, (7, 9)).astype(np.uint16)
+    planes = ReferenceRenderer(table).exact_outputs(RawFrame("f", values, 64.0, 1023.0, (1, 0)))
+    np.testing.assert_allclose(planes[1], (values - 64.0) / 959.0, atol=1e-12)
+    assert not planes[[0, 2]].any()
+
+
+@pytest.mark.parametrize("backend", list(BACKENDS))
+def test_weights_follow_class_tap_and_phase(backend):
+    """Tap order, class order and the phase, seen through a table whose weights are 1 for one tap of one site."""
+    table = random_table(BAYER, bits=10)
+    weights = np.zeros_like(table.weights)
+    per_site = table.rule.classes_per_site
+    weights[3 * per_site :, 0, 5 * 1 + 4] = 1.0  # site (1, 1): one row up, two columns to the right
+    table = dataclasses.replace(table, weights=weights, intercept=np.zeros_like(table.intercept))
+    values = np.random.default_rng(0).integers(0, 1024, (6, 8)).astype(np.uint16)
+    plane = make_renderer(backend, table).outputs(RawFrame("f", values, 0.0, 1023.0, (0, 1)))[0]
+    expected = np.zeros((6, 8))
+    expected[1::2, 0:6:2] = values[0:5:2, 2::2]  # phase (0, 1): site (1, 1) lies at odd rows and even columns
+    expected[1::2, 6] = values[0:5:2, 6]  # column 8 mirrors to column 6
+    np.testing.assert_allclose(plane * 1023.0, expected, atol=1e-3)
+
+
+@pytest.mark.parametrize("backend", list(BACKENDS))
+def test_frames_on_other_levels_are_rescaled(backend):
+    table = random_table(BAYER, bits=10, black=64.0)
+    renderer = make_renderer(backend, table)
+    values = np.random.default_rng(0).integers(64, 1024, (6, 8)).astype(np.uint16)
+    wide = ((values.astype(int) - 64) * 16 + 2000).astype(np.uint16)
+    expected = renderer.outputs(RawFrame("f", values, 64.0, 1023.0))
+    np.testing.assert_array_equal(renderer.outputs(RawFrame("f", wide, 2000.0, 2000.0 + 959 * 16)), expected)
+
+
+@pytest.mark.parametrize("band", [1, 7])
+def test_how_a_frame_is_cut_into_work_items_changes_nothing(monkeypatch, band):
+    """What graphics cards get, tried on whatever device there is."""
+    table = TABLES["five-band"]()
+    values = np.random.default_rng(0).integers(0, 4096, (37, 83)).astype(np.uint16)
+    frame, display = RawFrame("f", values, table.black, table.white, (3, 1)), make_display(table.white_point, 1.0, 8)
+    whole = OpenCLRenderer(table)
+    for name in ("PROCESSOR", "GRAPHICS"):
+        monkeypatch.setattr(opencl, name, dataclasses.replace(opencl.GRAPHICS, band=band))
+    cut = OpenCLRenderer(table)
+    np.testing.assert_array_equal(cut.labels(frame), whole.labels(frame))
+    np.testing.assert_array_equal(cut.picture(frame, display), whole.picture(frame, display))
+    np.testing.assert_allclose(cut.outputs(frame), whole.outputs(frame), rtol=0, atol=OUTPUT_TOLERANCE)
+
+
+def test_frame_too_large_for_the_device_is_one_line():
+    table = TABLES["mono"]()
+    device = OpenCLRenderer(table)
+    most = device.device.max_mem_alloc_size
+    if most > 2**33:
+        pytest.skip("this device holds more than this test would try")
+    side = int((most / 64) ** 0.5) + 9  # 16 outputs of 4 bytes a pixel
+    frame = RawFrame("f", np.zeros((side, side), np.uint16), table.black, table.white)
+    with pytest.raises(DeviceError, match=device.device.name.strip()):
+        device.outputs(frame)
+
+
+def test_renderer_is_made_once_for_frames_of_changing_size():
+    table = random_table(BAYER)
+    device, reference = OpenCLRenderer(table), ReferenceRenderer(table)
+    rng = np.random.default_rng(0)
+    for shape in ((5, 300), (1, 1), (70, 3), (5, 300)):
+        frame = RawFrame("f", rng.integers(0, 4096, shape).astype(np.uint16), table.black, table.white)
+        np.testing.assert_array_equal(device.labels(frame), reference.labels(frame))
+    times = device.stage_times(frame, make_display(table.white_point, 1.0, 8))
+    assert list(times) == ["upload", "ingest", "classes", "transform", "encode", "download"]
+    assert all(time >= 0 for time in times.values())
+
+
+# ------------------------------------------------------------------------------------------------------- display
+
+
+def test_scene_white_is_shown_neutral_and_full():
+    white = spectra.white_point("A")
+    for bits in (8, 16):
+        picture = encode(white[:, None, None], make_display(white, 1.0, bits))
+        assert picture.tolist() == [[[2**bits - 1] * 3]]
+
+
+def test_srgb_curve_at_known_values():
+    linear = np.array([0.0, 0.002, 0.0031308, 0.18, 0.5, 1.0, 1.5, -1.0])
+    picture = encode(np.stack([linear[None]] * 3), Display(np.eye(3), 8))
+    assert picture[0, :, 0].tolist() == [0, 7, 10, 118, 188, 255, 255, 0]
+
+
+def test_known_colour_in_srgb():
+    """CIE XYZ of sRGB red, IEC 61966-2-1."""
+    picture = encode(np.array([0.4124, 0.2126, 0.0193]).reshape(3, 1, 1), make_display(spectra.white_point("D65"), 1.0, 8))
+    assert np.abs(picture[0, 0].astype(int) - [255, 0, 0]).max() <= 1
+
+
+def test_automatic_exposure_maps_the_99th_percentile_to_white():
+    luminance = np.linspace(0, 2, 101)[None]
+    assert automatic_exposure(luminance) == pytest.approx(1 / 1.98)
+    assert automatic_exposure(np.zeros((2, 2))) == 1.0
+
+
+def test_scene_white_by_name_and_chromaticity():
+    np.testing.assert_allclose(scene_white("0.25,0.5"), [0.5, 1.0, 0.5])
+    np.testing.assert_allclose(scene_white("D65"), spectra.white_point("D65"))
+    for wrong in ("0.3,", "0.3,0.8", "0,0.3", "moonlight"):
+        with pytest.raises(RecipeError, match=r"white|illuminant"):
+            scene_white(wrong)
+
+
+def test_pictures_need_xyz():
+    with pytest.raises(RecipeError, match=r"\.exr"):
+        require_xyz(("r", "g", "b"))
+    table = random_table(BAYER, outputs=("Y",))
+    frame = RawFrame("f", np.zeros((2, 2), np.uint16), table.black, table.white)
+    for backend in BACKENDS:
+        with pytest.raises(RecipeError, match="X, Y, Z"):
+            make_renderer(backend, table).picture(frame, Display(np.eye(3), 8))
+
+
+def test_upright_turns_as_libraw_does():
+    pixels = np.array([[1, 2, 3], [4, 5, 6]])
+    assert upright(pixels, 3).tolist() == [[6, 5, 4], [3, 2, 1]]
+    assert upright(pixels, 5).tolist() == np.rot90(pixels).tolist() == [[3, 6], [2, 5], [1, 4]]
+    assert upright(pixels, 6).tolist() == np.rot90(pixels, -1).tolist() == [[4, 1], [5, 2], [6, 3]]
+
+
+# ------------------------------------------------------------------------------------------------------- devices
+
+
+def test_device_is_chosen_by_index_and_name():
+    first = opencl.devices()[0]
+    assert choose_device("0") == first
+    assert choose_device(first.name[2:8].lower()) == first
+    for wrong in ("99", "no such device"):
+        with pytest.raises(DeviceError, match="L3_DEVICE"):
+            choose_device(wrong)
+
+
+def test_no_device_says_what_to_install(monkeypatch):
+    monkeypatch.setattr(opencl, "devices", list)
+    with pytest.raises(DeviceError, match=r'pip install "pyopencl\[pocl\]"'):
+        OpenCLRenderer(random_table(BAYER))
+
+
+def test_unknown_backend_is_refused():
+    with pytest.raises(RecipeError, match="opencl, reference"):
+        make_renderer("cuda", random_table(BAYER))
+
+
+def test_pocl_works_with_an_unwritable_home():
+    """PoCL without a folder for its cache finds no device at all."""
+    script = (
+        "from l3cli.render.opencl import choose_device; import os; choose_device(''); print(os.environ['POCL_CACHE_DIR'])"
+    )
+    kept = {key: value for key, value in os.environ.items() if key not in ("POCL_CACHE_DIR", "XDG_CACHE_HOME")}
+    done = subprocess.run(
+        [sys.executable, "-c", script], env={**kept, "HOME": "/proc"}, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert "l3-pocl-" in done.stdout
+    assert not Path(done.stdout.strip()).exists()
