@@ -52,6 +52,15 @@ def resample(spectrum: Array, source: Array, target: Array) -> Array:
     return spectrum @ interpolation_matrix(source, target).T
 
 
+def sampling_matrix(source: Array, target: Array) -> Array:
+    """M (target, source): a spectrum as its samples at `target` see it. On a grid finer than the target's, the mean under
+    the hat about each sample, so that spectral lines between samples count; otherwise linear interpolation."""
+    if source.size <= target.size:
+        return interpolation_matrix(source, target)
+    hats = interpolation_matrix(target, source).T * bin_widths(source)
+    return hats / hats.sum(axis=1, keepdims=True)
+
+
 def colour_matching_functions(wavelength: Array, observer: str = "CIE 1931 2 Degree Standard Observer") -> Array:
     """x̄ ȳ z̄, (3, wavelength), linearly interpolated from the tabulated 1 nm observer."""
     observers = _colour().MSDS_CMFS
@@ -95,7 +104,7 @@ def at_luminance(radiance: Array, wavelength: Array, luminance: float) -> Array:
     return radiance * (luminance / (xyz_weights(wavelength)[1] @ radiance))
 
 
-def white_point(name: str) -> Array:
+def white_point(name: str) -> NDArray[np.float64]:
     """XYZ (3), Y = 1, of a perfect reflector under a named illuminant or black body."""
     wavelength = np.arange(380.0, 781.0, 5.0)
     xyz = xyz_weights(wavelength) @ illuminant(name, wavelength)

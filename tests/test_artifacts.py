@@ -17,10 +17,17 @@ from l3cli.errors import InputFileError
 
 
 def a_fit(channels: int) -> Fit:
-    each = np.linspace(0.1, 0.9, channels)
-    chart = np.arange(2 * 24 * channels, dtype=float).reshape(2, 24, channels)
-    level = np.ones((3, channels))
-    return Fit(each, each, each, each, np.ones(4), np.ones(4), 0.1, ("D65", "A"), chart, chart, level, level)
+    """A fit with some number in every field, whatever its fields are."""
+    lengths = {"channel": channels, "patch": 24, "trial": 4, "level": 3, "chart": 2}
+    values: dict = {}
+    for field in dataclasses.fields(Fit):
+        spec = field.metadata["spec"]
+        shape = tuple(lengths[axis] for axis in spec.axes)
+        if spec.dtype == "str":
+            values[field.name] = tuple(f"{field.name} {index}" for index in range(*shape))
+        else:
+            values[field.name] = (np.arange(np.prod(shape, dtype=int)).reshape(shape) + 0.5).astype(spec.dtype)[()]
+    return Fit(**values)
 
 
 def a_camera(camera: CameraModel) -> CameraModel:

@@ -47,6 +47,8 @@ class ClassRule:
             raise ValueError(f"patch is {self.patch}, not an odd number up to 15")
         if (np.diff(self.level_edges.astype(np.int64)) <= 0).any():
             raise ValueError("level_edges do not increase: more levels than values")
+        if not 0 <= self.saturation_radius <= self.patch // 2 or self.saturation < 0:
+            raise ValueError("saturation must not be negative, its radius not larger than the patch's")
         if self.contrast_edges.shape[1] != self.levels:
             raise ValueError(f"contrast_edges has {self.contrast_edges.shape[1]} levels, level_edges make {self.levels}")
 
@@ -110,5 +112,9 @@ class TransformTable(Artifact):
             )
         if self.weights.shape[2] != self.rule.patch**2:
             raise ValueError(f"weights has {self.weights.shape[2]} taps, the rule's patch {self.rule.patch**2}")
+        if self.cfa.max() >= len(self.channels):
+            raise ValueError(f"cfa names channel {self.cfa.max()}, but there are {len(self.channels)}")
+        if not 0 <= self.bits - self.rule.shift <= CLASS_BITS or self.bits > 16:
+            raise ValueError(f"{self.bits} bits shifted by {self.rule.shift} leave more than {CLASS_BITS}")
         if len(self.rule.case_of_code) != 2 ** len(self.channels):
             raise ValueError(f"case_of_code has {len(self.rule.case_of_code)} codes for {len(self.channels)} channels")

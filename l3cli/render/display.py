@@ -72,10 +72,5 @@ def require_xyz(outputs: tuple[str, ...]) -> None:
 
 def encode(planes: NDArray, display: Display) -> NDArray:
     """XYZ planes (output, row, col) as sRGB (row, col, 3) of the display's depth, in float64."""
-    linear = np.clip(np.einsum("po,orc->rcp", display.matrix, planes.astype(np.float64)), 0.0, 1.0)
-    return np.floor(srgb_curve(linear) * display.top + 0.5).astype(display.dtype)
-
-
-def srgb_curve(linear: NDArray[np.float64]) -> NDArray[np.float64]:
-    """IEC 61966-2-1: encoded 0…1 from linear 0…1."""
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    linear = np.einsum("po,orc->rcp", display.matrix, planes.astype(np.float64))
+    return np.floor(spectra.srgb_curve(linear) * display.top + 0.5).astype(display.dtype)
