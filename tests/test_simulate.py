@@ -109,8 +109,9 @@ def test_mean_and_variance_of_a_flat_frame_are_those_of_the_method(fiveband: Cam
 
 
 def test_saturated_pixels_stay_within_the_converter(bayer: CameraModel) -> None:
-    raw = sensor.expose(bayer, np.full((32, 32), 1e6), 1.0, np.random.default_rng(0))
-    assert raw.min() == raw.max() == bayer.white
+    for electrons in (1e6, 1e25):
+        raw = sensor.expose(bayer, np.full((32, 32), electrons), 1.0, np.random.default_rng(0))
+        assert raw.min() == raw.max() == bayer.white
 
 
 def test_fixed_pattern_belongs_to_the_camera(bayer: CameraModel) -> None:
@@ -277,6 +278,7 @@ LEAVES = '[[scene]]\nsource = "dead leaves"\nsize = [32, 32]\n'
         (HEAD + '[[scene]]\nsource = "iset"\nfile = "no/such/*.mat"\n', 3, "does not exist"),
         (HEAD.replace("D65", "daylight") + LEAVES, 2, "daylight"),
         (HEAD.replace("D65", "scene") + LEAVES, 2, "light of its own"),
+        (HEAD.replace("D65", "3K") + LEAVES, 2, "no light"),
         (HEAD + "exposure_s = [0.1]\n" + LEAVES, 2, "either exposure_share"),
         (HEAD.replace("0.9", "-1") + LEAVES, 2, "above zero"),
         (HEAD + LEAVES + "count = 0\n", 2, "at least 1"),
@@ -290,6 +292,15 @@ def test_a_wrong_recipe_is_one_line(
     recipe = tmp_path / "scenes.toml"
     recipe.write_text(text)
     assert said in refused(code, "simulate", recipe, "--camera", bayer_recipe, "-o", tmp_path / "out.h5")
+
+
+def test_fixed_exposure_needs_an_absolute_camera(refused: Callable[..., str], bayer: CameraModel, tmp_path: Path) -> None:
+    from l3cli.artifacts.base import save
+
+    save(dataclasses.replace(bayer, absolute=False), tmp_path / "relative.h5")
+    (tmp_path / "scenes.toml").write_text("exposure_s = [0.01]\n" + LEAVES)
+    arguments = (tmp_path / "scenes.toml", "--camera", tmp_path / "relative.h5", "-o", tmp_path / "out.h5")
+    assert "exposure_share" in refused(2, "simulate", *arguments)
 
 
 def test_existing_output_and_filled_folder_are_refused(

@@ -42,6 +42,8 @@ def read_iset_scene(path: Path) -> Scene:
     except AttributeError as error:
         missing = str(error).rsplit("'", 2)[-2]
         raise InputFileError(f"{path} is no complete ISET scene: it lacks {missing}; save it from ISET again") from error
+    except (ValueError, TypeError) as error:
+        raise InputFileError(f"{path}: wavelengths or photons are no numbers; save the scene from ISET again") from error
     if wavelength.size == 1:
         photons = photons[..., None]  # loadmat dropped the axis
     if photons.ndim != 3 or photons.shape[2] != wavelength.size:

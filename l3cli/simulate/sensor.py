@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 
+MOST_ELECTRONS = 1e15  # beyond any well, within what a Poisson generator takes
+
 
 @dataclass(frozen=True)
 class FixedPattern:
@@ -49,7 +51,8 @@ def expose(
     if rows > camera.rows or cols > camera.cols:
         raise ValueError(f"a frame of {rows}×{cols} does not fit the sensor of {camera.rows}×{camera.cols} pixels")
     pattern, noise = fixed_pattern(camera), camera.noise
-    collected = rng.poisson(np.maximum(electrons, 0.0) + noise.dark_current * exposure).astype(np.float64)
+    mean = np.clip(electrons, 0.0, MOST_ELECTRONS) + min(noise.dark_current * exposure, MOST_ELECTRONS)
+    collected = rng.poisson(mean).astype(np.float64)
     collected += rng.normal(0.0, noise.read_noise, collected.shape) if noise.read_noise else 0.0
     signal = collected * (1.0 + pattern.prnu[:rows, :cols]) + pattern.dsnu[:rows, :cols]
     values = np.rint(camera.gain * np.minimum(signal, noise.well_capacity) + camera.black)

@@ -1,0 +1,151 @@
+"""Reflectance spectra for procedural scenes: wide, smooth, physically valid (METHOD 2.1).
+
+A third is drawn from measured surfaces as they are or mixed, a third from a Gaussian fitted to them in logit space, the
+rest are the materials that pictures are full of: skin, leaves, hair. Saturation is low and varies from frame to frame.
+"""
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli import spectra
+
+Array = NDArray[np.floating]
+
+LARGEST, SMALLEST = 1.0, 0.002
+COMPONENTS = 8  # of the Gaussian in logit space
+
+# Share of each kind of material (METHOD 2.1).
+KINDS = {"library": 0.25, "mixture": 0.2, "gaussian": 0.35, "skin": 0.12, "leaf": 0.04, "hair": 0.04}
+DYED = ("library", "mixture", "gaussian")  # kinds whose saturation a frame draws; the others have their own
+
+# Molar extinction of oxygenated and deoxygenated haemoglobin, cm-1/M, 390…780 nm by 10 (S. Prahl, omlc.org).
+HAEMOGLOBIN_WAVELENGTH = np.arange(390.0, 781.0, 10.0)
+OXYGENATED = np.array(
+    [167748, 266232, 466840, 480360, 246072, 102580, 62816, 44480, 33209, 26629, 23684, 20932, 20035, 24202, 39956, 53236]
+    + [43016, 32613, 44496, 50104, 14400, 3200, 1506, 942, 610, 442, 368, 319, 294, 277, 276, 290, 314, 348, 390, 446]
+    + [518, 586, 650, 710]
+)
+DEOXYGENATED = np.array(
+    [167748, 223296, 303956, 407560, 528600, 413280, 103292, 23388, 16156, 14550, 16684, 20862, 25773, 31589, 39036, 46592]
+    + [53412, 53788, 45072, 37020, 28324, 14677, 9443, 6509, 5148, 4345, 3750, 3226, 2795, 2407, 2052, 1794, 1540, 1326]
+    + [1102, 1116, 1405, 1549, 1312, 1075]
+)
+
+
+@dataclass(frozen=True)
+class Surfaces:
+    """Measured surfaces and the Gaussian that describes them in logit space."""
+
+    wavelength: Array  # (band) nm
+    measured: Array  # (sample, band) reflectance
+    mean: Array  # (band) logit
+    components: Array  # (component, band) logit, each scaled to one standard deviation
+
+
+@functools.lru_cache(maxsize=2)
+def surfaces(wavelength: tuple[float, ...]) -> Surfaces:
+    """The measured surfaces of colour-science on a grid in nm, no ColorChecker among them."""
+    grid = np.array(wavelength)
+    measured = spectra.reflectance_library(grid)
+    logit = np.log(measured / (1.0 - measured))
+    mean = logit.mean(axis=0)
+    _, spread, directions = np.linalg.svd(logit - mean, full_matrices=False)
+    components = (spread[:, None] * directions)[:COMPONENTS] / np.sqrt(len(logit))
+    return Surfaces(grid, measured, mean, components)
+
+
+def palette(rng: np.random.Generator, of: Surfaces) -> Array:
+    """The materials of one frame: 6–60 reflectances (material, band). Half the frames have one dominant kind."""
+    count = int(np.exp(rng.uniform(np.log(6), np.log(60))))
+    shares = np.array(list(KINDS.values()))
+    if rng.random() < 0.5:
+        shares[rng.choice(len(shares), p=shares / shares.sum())] += 1.0
+    kinds = rng.choice(list(KINDS), size=count, p=shares / shares.sum())
+    saturation = rng.uniform(0.3, 1.2)
+    return np.array([_material(rng, of, kind, saturation) for kind in kinds])
+
+
+def _material(rng: np.random.Generator, of: Surfaces, kind: str, saturation: float) -> Array:
+    reflectance = _DRAW[kind](rng, of)
+    if kind in DYED:
+        reflectance = with_saturation(reflectance, rng.random() * saturation)
+    return np.clip(reflectance, SMALLEST, LARGEST)
+
+
+def with_saturation(reflectance: Array, saturation: float) -> Array:
+    """reflectance (band) drawn towards its geometric mean m: m (R/m)^saturation; 0 is grey, 1 leaves it (METHOD 2.1)."""
+    grey = np.exp(np.log(reflectance).mean())
+    return grey * (reflectance / grey) ** saturation
+
+
+def _library(rng: np.random.Generator, of: Surfaces) -> Array:
+    return of.measured[rng.integers(len(of.measured))]
+
+
+def _mixture(rng: np.random.Generator, of: Surfaces) -> Array:
+    """Two measured surfaces side by side (arithmetic mean) or one over the other (geometric mean)."""
+    one, other = of.measured[rng.integers(0, len(of.measured), 2)]
+    share = rng.random()
+    return one * share + other * (1 - share) if rng.random() < 0.5 else one**share * other ** (1 - share)
+
+
+def _gaussian(rng: np.random.Generator, of: Surfaces) -> Array:
+    return 1.0 / (1.0 + np.exp(-(of.mean + rng.standard_normal(COMPONENTS) @ of.components)))
+
+
+def _kubelka_munk(absorption_per_scattering: Array) -> Array:
+    """Reflectance of an opaque layer of given K/S (Kubelka–Munk)."""
+    ratio = absorption_per_scattering
+    return 1.0 + ratio - np.sqrt(ratio**2 + 2.0 * ratio)
+
+
+def _skin(rng: np.random.Generator, of: Surfaces) -> Array:
+    """Skin: a dermis with blood under an epidermis with melanin.
+
+    Absorption in cm⁻¹: whole blood of 150 g/l haemoglobin (64 500 g/mol), the blood-free baseline and melanin ∝ λ^−3.33
+    of S. Jacques, "Skin optics" (omlc.org, 1998); scattering 46 (λ/500)^−b cm⁻¹.
+    """
+    wavelength = of.wavelength
+    melanin = min(np.exp(rng.normal(np.log(0.05), 0.8)), 0.5)  # volume share in the epidermis
+    blood = np.exp(rng.normal(np.log(0.03), 0.45))  # volume share in the dermis
+    oxygen = rng.uniform(0.5, 0.95)
+    haemoglobin = np.interp(wavelength, HAEMOGLOBIN_WAVELENGTH, oxygen * OXYGENATED + (1 - oxygen) * DEOXYGENATED)
+    absorption = blood * 2.303 * 150.0 / 64500.0 * haemoglobin + 0.244 + 85.3 * np.exp(-(wavelength - 154.0) / 66.2)
+    scattering = 46.0 * (wavelength / 500.0) ** -rng.uniform(1.1, 1.6)
+    dermis = _kubelka_munk(absorption / (scattering * rng.uniform(0.7, 1.3)))
+    epidermis = np.exp(-2 * 0.006 * melanin * 6.6e11 * wavelength**-3.33)  # 60 µm, passed twice
+    return 0.025 + 0.95 * dermis * epidermis * rng.uniform(0.8, 1.1)
+
+
+def _leaf(rng: np.random.Generator, of: Surfaces) -> Array:
+    """A leaf: chlorophyll and carotenoid bands as Gaussians over a clear tissue, a quarter with anthocyanin."""
+
+    def band(centre: float, width: float) -> Array:
+        return np.exp(-0.5 * ((of.wavelength - centre) / width) ** 2)
+
+    chlorophyll, carotenoid = np.exp(rng.normal(np.log((1.5, 0.8)), 0.9))
+    anthocyanin = (rng.random() < 0.25) * np.exp(rng.normal())
+    green = 1.3 * band(435, 22) + band(460, 20) + 0.12 * band(550, 60)
+    green += 0.45 * band(620, 25) + 0.4 * band(650, 14) + band(676, 10)
+    yellow = band(450, 28) + 0.8 * band(482, 18)
+    ratio = chlorophyll * green + carotenoid * yellow + anthocyanin * band(540, 35) + 0.08
+    return rng.uniform(0.4, 0.9) * _kubelka_munk(ratio)
+
+
+def _hair(rng: np.random.Generator, of: Surfaces) -> Array:
+    """Hair and fur: a grey gloss over a melanin slope, dark brown to blond."""
+    slope = (of.wavelength / 680.0) ** rng.uniform(0.3, 5.0)
+    return rng.uniform(0.01, 0.04) + np.exp(rng.normal(np.log(0.06), 0.8)) * slope
+
+
+_DRAW = {
+    "library": _library,
+    "mixture": _mixture,
+    "gaussian": _gaussian,
+    "skin": _skin,
+    "leaf": _leaf,
+    "hair": _hair,
+}
