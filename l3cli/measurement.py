@@ -4,12 +4,12 @@ Frames are gone through one by one, each time from their files, so that memory n
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.camera import Optics
+from l3cli.artifacts.camera import Noise, Optics
 
 CHART_ROWS, CHART_COLS = 4, 6
 PATCHES = CHART_ROWS * CHART_COLS
@@ -46,9 +46,15 @@ class Body:
 class Capture:
     """Frames of one scene at one exposure: dark (lens cap) or white (even light) as they stand."""
 
-    name: str  # what errors call it
+    name: str  # what errors call it: its first frame, as the measurement file names it
     exposure: float  # s
     frames: Iterable[NDArray[np.uint16]]  # each (row, col) DN; may be gone through more than once
+    monitor: float = field(default=1.0, kw_only=True)  # the lamp's light over what its measured spectrum says
+
+    @property
+    def lit(self) -> float:
+        """Seconds of the measured light that the capture amounts to."""
+        return self.exposure * self.monitor
 
 
 @dataclass(frozen=True)
@@ -70,13 +76,55 @@ class ChartCapture(Capture):
 
 
 @dataclass(frozen=True)
+class BandCapture(ChartCapture):
+    """A ColorChecker behind a narrow filter at one of several exposures; its radiance need only be relative."""
+
+
+@dataclass(frozen=True)
+class SweepTable:
+    """Means of a monochromator sweep beside a photodiode, dark readings taken at every step."""
+
+    wavelength: NDArray[np.float64]  # (wavelength) nm
+    light: NDArray[np.float64]  # (channel, wavelength) DN
+    dark: NDArray[np.float64]  # (channel, wavelength) DN
+    diode_light: NDArray[np.float64]  # (wavelength) reading of the photodiode, any unit
+    diode_dark: NDArray[np.float64]  # (wavelength)
+    diode_response: NDArray[np.float64]  # (wavelength) reading per energy, any unit
+
+
+@dataclass(frozen=True)
+class FinishedCurves:
+    """Responsivities that somebody else measured, relative, per photon."""
+
+    wavelength: NDArray[np.float64]  # (wavelength) nm
+    responsivity: NDArray[np.float64]  # (channel, wavelength)
+
+
+@dataclass(frozen=True)
+class SensorFigures:
+    """What a camera model holds of its sensor, measured or from a data sheet."""
+
+    gain: float  # DN/e-
+    black: float  # DN
+    white: float  # DN
+    noise: Noise
+
+
+@dataclass(frozen=True)
 class Measurements:
-    """All that was measured of one camera, and how well the lights were known."""
+    """All that was measured of one camera, and how well the lights were known.
+
+    Responsivity comes from one of `mono`, `bands` and `curve`; the sensor from `darks` and `whites`, or else from
+    `datasheet`.
+    """
 
     body: Body
-    mono: tuple[MonoCapture, ...]
-    charts: tuple[ChartCapture, ...]
-    darks: tuple[Capture, ...]
-    whites: tuple[Capture, ...]
+    mono: tuple[MonoCapture, ...] = ()
+    charts: tuple[ChartCapture, ...] = ()
+    darks: tuple[Capture, ...] = ()
+    whites: tuple[Capture, ...] = ()
+    bands: tuple[BandCapture, ...] = ()
+    curve: SweepTable | FinishedCurves | None = None
+    datasheet: SensorFigures | None = None
     lamp_drift: float = 0.0  # relative standard deviation between a light and its measured spectrum
     wavelength_uncertainty: float = 0.0  # nm, standard deviation of the spectrometer's scale

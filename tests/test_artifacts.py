@@ -4,13 +4,15 @@ import dataclasses
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 import pytest
 
 from l3cli.artifacts.base import Stage, equal, load, save
-from l3cli.artifacts.camera import CameraModel, Fit
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.fit import ChartFit, Fit, NoiseFit, SeriesFit, SweepFit
 from l3cli.artifacts.table import ClassRule, TransformTable
 from l3cli.artifacts.training_set import TrainingFrame, TrainingSet, open_training_set, write_training_set
 from l3cli.errors import InputFileError
@@ -18,16 +20,22 @@ from l3cli.errors import InputFileError
 
 def a_fit(channels: int) -> Fit:
     """A fit with some number in every field, whatever its fields are."""
-    lengths = {"channel": channels, "patch": 24, "trial": 4, "level": 3, "chart": 2}
+    parts = (a_part(part, channels) for part in (NoiseFit, SweepFit, ChartFit, SeriesFit))
+    return Fit(*parts)
+
+
+def a_part(part: type, channels: int) -> Any:
+    lengths = {"channel": channels, "patch": 24, "trial": 4, "level": 3, "chart": 2, "defect": 0, "coordinate": 2}
+    lengths |= {"left_out": 1, "light": 2, "capture": 3}
     values: dict = {}
-    for field in dataclasses.fields(Fit):
+    for field in dataclasses.fields(part):
         spec = field.metadata["spec"]
         shape = tuple(lengths[axis] for axis in spec.axes)
         if spec.dtype == "str":
             values[field.name] = tuple(f"{field.name} {index}" for index in range(*shape))
         else:
             values[field.name] = (np.arange(np.prod(shape, dtype=int)).reshape(shape) + 0.5).astype(spec.dtype)[()]
-    return Fit(**values)
+    return part(**values)
 
 
 def a_camera(camera: CameraModel) -> CameraModel:

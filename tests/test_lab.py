@@ -10,15 +10,19 @@ import pytest
 from l3cli.artifacts.camera import CameraModel, read_curves
 from l3cli.cli import run
 from l3cli.config import load_recipe
-from l3cli.io.measurements import read_frame
+from l3cli.io.frames import read_frame
 from l3cli.simulate.lab import LabRecipe, plan, take
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 QUICK = """
 lamp_drift = 0.0
+monitor_error = 0.0
+wavelength_error_nm = 0.0
+falloff = 0.0
 [mono]
 step_nm = 60
 bandwidth_nm = 20
+overexposed = 1
 [chart]
 illuminants = ["A"]
 [white]
@@ -65,7 +69,7 @@ def test_every_named_file_is_there_and_no_other(folder: Path, bayer: CameraModel
 def test_exposures_put_the_brightest_channel_at_half_scale(folder: Path, bayer: CameraModel) -> None:
     text = tomllib.loads((folder / "MEASUREMENTS.toml").read_text())
     half = bayer.black + 0.5 * (bayer.white - bayer.black)
-    for capture in (text["chart"][0], text["mono"][1]):
+    for capture in (text["chart"][0], text["mono"][0]):
         frame = read_frame(folder / capture["frames"][0], (bayer.rows, bayer.cols), bayer.bits)
         channels = [frame[0::2, 0::2], frame[0::2, 1::2], frame[1::2, 1::2]]
         brightest = max(float(np.percentile(channel, 99)) for channel in channels)
@@ -105,7 +109,7 @@ def test_same_seed_same_bytes_whatever_the_jobs(
 def test_frames_differ_between_trials_by_noise_alone(bayer: CameraModel) -> None:
     captures = plan(bayer, LabRecipe(), seed=0)
     white = next(capture for capture in captures if capture.kind == "white")
-    first, second = (take(bayer, white, trial, 0).astype(float) for trial in (0, 1))
+    first, second = (take(bayer, white, trial, 0, LabRecipe().flaws).astype(float) for trial in (0, 1))
     signal = first.mean() - bayer.black
     expected = bayer.gain * signal + bayer.gain**2 * bayer.noise.read_noise**2 + 1 / 12
     assert np.var(first - second) / 2 == pytest.approx(expected, rel=0.05)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from l3cli import spectra
 from l3cli.artifacts.base import Artifact, data, group, load
+from l3cli.artifacts.fit import Fit
 from l3cli.config import Recipe, load_recipe
 from l3cli.errors import InputFileError, RecipeError
 
@@ -40,38 +41,6 @@ class Optics:
         """Camera equation, sr: sensor irradiance / scene radiance on the axis, π / (1 + 4 N² (1+|m|)²) (METHOD 1.3)."""
         magnification = self.focal_length / (self.object_distance - self.focal_length) if self.object_distance > 0 else 0.0
         return float(np.pi / (1.0 + 4.0 * self.f_number**2 * (1.0 + magnification) ** 2))
-
-
-@dataclass(frozen=True)
-class Fit:
-    """What calibration measured and how well the model explains it (METHOD 1.4)."""
-
-    conversion_gain: NDArray[np.float64] = data("float64", "channel", unit="DN/e-", doc="K of each channel")
-    read_noise: NDArray[np.float64] = data("float64", "channel", unit="e-", doc="temporal dark noise at zero exposure")
-    dark_current: NDArray[np.float64] = data("float64", "channel", unit="e-/s", doc="dark current of each channel")
-    dsnu: NDArray[np.float64] = data("float64", "channel", unit="e-", doc="DSNU of each channel")
-    prnu: NDArray[np.float64] = data("float64", "channel", doc="PRNU of each channel, relative")
-    white_reached: bool = data("bool", doc="whether a white frame saturates; if not, white is the converter's top")
-    alpha: NDArray[np.float64] = data(
-        "float64", "channel", unit="DN/photon", doc="Eq. 2 slope: response at the peak of the channel's responsivity"
-    )
-    beta: NDArray[np.float64] = data("float64", "channel", unit="DN", doc="Eq. 2 offset: black plus glare")
-    r_squared: NDArray[np.float64] = data("float64", "channel", doc="of predicted against measured chart values")
-    relative_rmse: NDArray[np.float64] = data("float64", "channel", doc="RMSE of chart values / their mean signal")
-    smoothing: NDArray[np.float64] = data("float64", "trial", doc="values of delta tried in Eq. 1")
-    smoothing_error: NDArray[np.float64] = data(
-        "float64", "trial", unit="1", doc="cross-validated relative RMSE of chart values for each delta"
-    )
-    chosen_smoothing: float = data("float64", doc="delta used")
-    illuminants: tuple[str, ...] = data("str", "chart", doc="name of the light of each chart capture")
-    measured: NDArray[np.float64] = data("float64", "chart", "patch", "channel", unit="DN", doc="mean value of each patch")
-    predicted: NDArray[np.float64] = data("float64", "chart", "patch", "channel", unit="DN", doc="the model's value")
-    photon_transfer_mean: NDArray[np.float64] = data(
-        "float64", "level", "channel", unit="DN", doc="mean signal above black of each white exposure"
-    )
-    photon_transfer_variance: NDArray[np.float64] = data(
-        "float64", "level", "channel", unit="DN^2", doc="temporal variance at that signal"
-    )
 
 
 @dataclass(frozen=True)
@@ -107,6 +76,9 @@ class CameraModel(Artifact):
     fixed_pattern_seed: int = data("int64", doc="seed of this camera's PRNU and DSNU maps")
     noise: Noise = group()
     optics: Optics = group()
+    declared: tuple[str, ...] = data(
+        "str", "declared", doc="quantities that calibration took from a data sheet instead of measuring them", default=()
+    )
     fit: Fit | None = group(default=None)
 
     def __post_init__(self) -> None:

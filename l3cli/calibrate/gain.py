@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.calibrate.defects import Defects
 from l3cli.errors import InputFileError
 from l3cli.measurement import CHART_COLS, CHART_ROWS, PATCHES, Body, ChartCapture
 
@@ -44,47 +45,56 @@ def _homography(corners: Array) -> Array:
     return np.append(np.linalg.solve(equations, target), 1.0).reshape(3, 3)
 
 
-def patch_values(capture: ChartCapture, body: Body, limit: float) -> Array:
-    """Mean DN (patch, channel) of the cores of a chart's patches, over its frames.
+def patch_values(capture: ChartCapture, body: Body, limit: float, defects: Defects) -> tuple[Array, NDArray[np.bool_]]:
+    """Of the cores of a chart's patches over its frames: mean DN (patch, channel), and whether they are saturated.
 
-    InputFileError if the corners do not lie in the frame, if a core holds no pixel of a channel, or if a patch has more
-    than one pixel in a thousand at `limit` DN or above.
+    Saturated is a patch with more than one pixel in a thousand at `limit` DN or above in any frame. InputFileError if the
+    corners do not lie in the frame, or if a core holds no pixel of a channel.
     """
     channels = len(body.channels)
-    pixels, label, count = _cores(capture, body)
+    pixels, label, count = _cores(capture, body, defects)
     total, frames = np.zeros((PATCHES, channels)), 0
+    saturated = np.zeros((PATCHES, channels), dtype=bool)
     for frame in capture.frames:
         values = frame.ravel()[pixels].astype(np.float64)
-        saturated = _per_label(label, values >= limit, channels) > count / 1000
-        if saturated.any():
-            patch, channel = np.argwhere(saturated)[0]
-            raise InputFileError(
-                f"{capture.name}: patch {patch + 1} is saturated in channel {body.channels[channel]}; shorten the exposure"
-            )
+        saturated |= _per_label(label, values >= limit, channels) > count / 1000
         total += _per_label(label, values, channels)
         frames += 1
-    return total / count / frames
+    return total / count / frames, saturated
 
 
-def patch_illumination(capture: ChartCapture, body: Body) -> Array:
+def unsaturated_values(capture: ChartCapture, body: Body, limit: float, defects: Defects) -> Array:
+    """Mean DN (patch, channel) of a chart; InputFileError names a patch that is saturated."""
+    values, saturated = patch_values(capture, body, limit, defects)
+    if saturated.any():
+        patch, channel = np.argwhere(saturated)[0]
+        raise InputFileError(
+            f"{capture.name}: patch {patch + 1} is saturated in channel {body.channels[channel]}; shorten the exposure"
+        )
+    return values
+
+
+def patch_illumination(capture: ChartCapture, body: Body, defects: Defects) -> Array:
     """(patch, 1) light that reaches the cores of a chart's patches over what they would get on the axis."""
-    pixels, label, count = _cores(capture, body)
+    pixels, label, count = _cores(capture, body, defects)
     channels = len(body.channels)
     light = _per_label(label, body.relative_illumination.ravel()[pixels], channels)
     return light.sum(axis=1, keepdims=True) / count.sum(axis=1, keepdims=True)
 
 
-def _cores(capture: ChartCapture, body: Body) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-    """Pixels in patch cores, the label patch · channels + channel of each, and their count (patch, channel)."""
+def _cores(capture: ChartCapture, body: Body, defects: Defects) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    """Pixels in patch cores but defects, the label patch · channels + channel of each, and their count (patch, channel)."""
     rows, cols, channels = body.rows, body.cols, len(body.channels)
     if (capture.corners < 0).any() or (capture.corners > (cols, rows)).any():
         raise InputFileError(
             f"{capture.name}: a chart corner lies outside the frame of {cols}×{rows}; give col, row of the four corners"
         )
     try:
-        patch = patch_map(capture.corners, rows, cols).ravel()
+        patches = patch_map(capture.corners, rows, cols)
     except np.linalg.LinAlgError:
         raise InputFileError(f"{capture.name}: the chart corners lie on a line; give them clockwise from patch 1") from None
+    patches[defects[:, 0], defects[:, 1]] = PATCHES
+    patch = patches.ravel()
     pixels = np.flatnonzero(patch < PATCHES)
     channel = body.cfa[(pixels // cols) % body.cfa.shape[0], (pixels % cols) % body.cfa.shape[1]]
     label = patch[pixels] * channels + channel
@@ -112,6 +122,14 @@ def fit_gain(photons: Array, values: Array, black: float) -> tuple[float, float]
     system = np.stack([photons / scale, np.ones_like(photons)], axis=1) * weight[:, None]
     alpha, beta = lsq_linear(system, values * weight, bounds=([0.0, -np.inf], [np.inf, np.inf])).x
     return float(alpha / scale), float(beta)
+
+
+def gain_error(photons: Array, values: Array, black: float, alpha: float, beta: float, drift: float) -> float:
+    """Standard deviation of alpha: its spread over charts (chart, patch) fitted one by one, or the declared drift's."""
+    weight = 1.0 / np.hypot(RELATIVE_ERROR * (values - black), ABSOLUTE_ERROR) ** 2
+    single = (weight * photons * (values - beta)).sum(axis=1) / (weight * photons**2).sum(axis=1)
+    charts = len(single)
+    return float(max(single.std(ddof=1), drift * alpha) / np.sqrt(charts))
 
 
 def relative_rmse(measured: Array, predicted: Array, black: Array | float) -> Array:

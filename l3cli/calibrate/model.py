@@ -1,19 +1,26 @@
 """Measurements → camera model: the steps of METHOD 1.4 in their order."""
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.camera import CameraModel, Fit, Noise
-from l3cli.calibrate import gain, noise, responsivity
+from l3cli.artifacts.camera import CameraModel, Noise
+from l3cli.artifacts.fit import ChartFit, Fit, NoiseFit, SweepFit
+from l3cli.calibrate import curves as finished
+from l3cli.calibrate import defects, gain, noise, responsivity
+from l3cli.calibrate.curves import Curves
+from l3cli.calibrate.noise import Each
+from l3cli.calibrate.series import fit_series
 from l3cli.errors import InputFileError
-from l3cli.measurement import Body, ChartCapture, Measurements, MonoCapture
+from l3cli.measurement import Body, ChartCapture, Measurements, MonoCapture, SensorFigures
 
 DELTAS = np.geomspace(1e-7, 1e1, 33)  # smoothings tried in Eq. 1
 LEAST_R_SQUARED = 0.5  # charts that fit worse were not measured as the measurement file says
 OVEREXPOSED = 1e-3  # share of saturated pixels that makes a monochromatic capture useless
+CUT_OFF = 0.05  # share of a light's peak that may be left where its measured spectrum ends
 Array = NDArray[np.float64]
 
 
@@ -24,6 +31,8 @@ class Sensor:
     dark: noise.DarkNoise
     transfer: noise.PhotonTransfer
     prnu: Array  # (channel)
+    exposure: Array  # (level) s, of the white captures
+    defects: defects.Defects
 
     @property
     def saturation(self) -> float:
@@ -41,54 +50,78 @@ class Charts:
     photons: Array  # (chart, patch, wavelength) on a pixel's area, in each node's hat, off-axis loss included
 
 
-@dataclass(frozen=True)
-class Curves:
-    """Eq. 1's responsivities, scaled to a peak of 1, and how they were found."""
+def calibrate(measurements: Measurements, each: Each = map) -> CameraModel:
+    """The camera that explains the measurements (METHOD 1.4); InputFileError names the capture that cannot be used.
 
-    wavelength: Array  # (wavelength) nm
-    relative: Array  # (channel, wavelength)
-    band: Array  # (channel, wavelength) half width of the 95 % band
-    errors: Array  # (trial) cross-validated relative RMSE of each of DELTAS
-    delta: float
+    `each` maps a function over captures: the built-in map, or one that keeps several processes busy.
+    """
+    body, drift = measurements.body, measurements.lamp_drift
+    if measurements.datasheet is not None:
+        return from_data_sheet(measurements, measurements.datasheet)
+    sensor = measure_sensor(measurements, each)
+    figures = describe_noise(sensor, body)
+    sweep_fit = None
+    if measurements.curve is None:
+        sweep, left_out = measure_sweep(measurements.mono, body, sensor, each)
+        charts = measure_charts(measurements.charts, sweep.nodes, body, sensor, each)
+        curves, sweep_fit = fit_curves(sweep, charts, sensor.dark.black, measurements, left_out)
+    else:
+        curves = finished.without_fit(measurements.curve, body, drift, measurements.wavelength_uncertainty)
+        if measurements.charts:
+            curves = curves.to_own_peaks()
+            charts = measure_charts(measurements.charts, curves.wavelength, body, sensor, each)
+    chart_fit = fit_charts(charts, curves.relative, sensor.dark.black, drift, body) if measurements.charts else None
+    fit = Fit(noise=figures, sweep=sweep_fit, chart=chart_fit)
+    return assemble(body, summarise(sensor, figures, body), curves, fit)
 
 
-def calibrate(measurements: Measurements) -> CameraModel:
-    """The camera that explains the measurements (METHOD 1.4); InputFileError names the capture that cannot be used."""
+def from_data_sheet(measurements: Measurements, figures: SensorFigures) -> CameraModel:
+    """A camera with a data sheet's sensor and relative curves: of a table, a finished source, a chart behind filters."""
+    body, drift, shift = measurements.body, measurements.lamp_drift, measurements.wavelength_uncertainty
+    if measurements.curve is not None:
+        return assemble(body, figures, finished.without_fit(measurements.curve, body, drift, shift), Fit())
+    curves, fit = fit_series(measurements.bands, measurements.darks, body, figures.black, figures.white)
+    return assemble(body, figures, curves, Fit(series=fit))
+
+
+# ------------------------------------------------------------------------------------------------------ measuring
+
+
+def measure_sensor(measurements: Measurements, each: Each = map) -> Sensor:
+    """Noise, black, saturation and defects from dark and white frames (METHOD 1.4 (3))."""
     body = measurements.body
-    sensor = measure_sensor(measurements)
-    sweep = measure_sweep(measurements.mono, body, sensor)
-    charts = measure_charts(measurements.charts, sweep.nodes, body, sensor)
-    curves = fit_curves(sweep, charts, sensor.dark.black, measurements)
-    return assemble(body, sensor, charts, curves)
-
-
-def measure_sensor(measurements: Measurements) -> Sensor:
-    """Noise, black and saturation from dark and white frames (METHOD 1.4 (3))."""
-    body = measurements.body
-    dark = noise.dark_noise(measurements.darks, body)
+    dark = noise.dark_noise(measurements.darks, body, each)
     whites = sorted(measurements.whites, key=lambda capture: capture.exposure)
-    levels = [noise.measure_level(capture, body) for capture in whites]
+    levels = list(each(functools.partial(noise.measure_level, body=body, defects=dark.hot), whites))
     transfer = noise.photon_transfer(levels, body, dark)
-    return Sensor(dark, transfer, noise.prnu(whites, levels, transfer.used, body))
+    prnu, dead = noise.prnu(whites, levels, transfer.used, body, dark.hot, each)
+    exposure = np.array([level.exposure for level in levels])
+    return Sensor(dark, transfer, prnu, exposure, defects.join(dark.hot, dead))
 
 
 def photons_on_pixel(capture: MonoCapture | ChartCapture, nodes: Array, body: Body) -> Array:
     """(…, wavelength) photons that the area of a pixel on the axis receives during a capture, in each node's hat."""
     photons = responsivity.node_photons(capture.wavelength, capture.radiance, nodes)
-    return body.photons_per_radiance * capture.exposure * photons
+    return body.photons_per_radiance * capture.lit * photons
 
 
-def measure_sweep(captures: Sequence[MonoCapture], body: Body, sensor: Sensor) -> responsivity.Sweep:
-    """Eq. 1's system from the monochromatic captures, each row divided by its photons.
+def measure_sweep(
+    captures: Sequence[MonoCapture], body: Body, sensor: Sensor, each: Each = map
+) -> tuple[responsivity.Sweep, tuple[str, ...]]:
+    """Eq. 1's system from the monochromatic captures, each row divided by its photons, and the captures that saturate.
 
-    A channel goes without the captures that saturate it; InputFileError if none, or only dark ones remain. The means are
-    over whole frames: what the lens loses off the axis is the same for all, and Eq. 2 finds the scale from the charts.
+    A channel goes without the captures that saturate it; InputFileError if none, or only dark ones remain, or if a light's
+    measured spectrum does not reach its end. The means are over whole frames: what the lens loses off the axis is the same
+    for all, and Eq. 2 finds the scale from the charts.
     """
+    for capture in captures:
+        if max(capture.radiance[0], capture.radiance[-1]) > CUT_OFF * capture.radiance.max():
+            raise InputFileError(f"{capture.name}: the measured spectrum does not cover its light; measure a wider range")
     nodes = responsivity.node_grid([(capture.wavelength, capture.radiance) for capture in captures])
     design, values, valid = [], [], []
-    for capture in captures:
+    histograms = each(functools.partial(noise.count_values, body=body, defects=sensor.defects), captures)
+    for capture, counts in zip(captures, histograms, strict=True):
         photons = photons_on_pixel(capture, nodes, body)
-        counts = noise.count_values(capture, body)
         signal = noise.mean_value(counts) - sensor.dark.black - sensor.dark.slope * capture.exposure
         design.append(photons / photons.sum())
         values.append(signal / photons.sum())
@@ -100,27 +133,45 @@ def measure_sweep(captures: Sequence[MonoCapture], body: Body, sensor: Sensor) -
             raise InputFileError(f"channel {name} is saturated in every monochromatic capture; shorten the exposures")
         if usable.max() <= 0:
             raise InputFileError(f"channel {name} sees nothing in any monochromatic capture; check frames and cfa.pattern")
-    return sweep
-
-
-def measure_charts(captures: Sequence[ChartCapture], nodes: Array, body: Body, sensor: Sensor) -> Charts:
-    """Mean DN and incident photons of every patch of every chart capture."""
-    values = [
-        gain.patch_values(capture, body, sensor.saturation) - sensor.dark.slope * capture.exposure for capture in captures
+    left_out = [
+        f"{capture.name}: saturated in {' '.join(name for name, ok in zip(body.channels, usable, strict=True) if not ok)}"
+        for capture, usable in zip(captures, sweep.valid, strict=True)
+        if not usable.all()
     ]
-    photons = [gain.patch_illumination(capture, body) * photons_on_pixel(capture, nodes, body) for capture in captures]
+    return sweep, tuple(left_out)
+
+
+def measure_charts(captures: Sequence[ChartCapture], nodes: Array, body: Body, sensor: Sensor, each: Each = map) -> Charts:
+    """Mean DN and incident photons of every patch; InputFileError if the measured radiances do not cover the nodes."""
+    for capture in captures:
+        first, last = capture.wavelength[[0, -1]]
+        if first > nodes[0] + responsivity.NODE_STEP or last < nodes[-1] - responsivity.NODE_STEP:
+            raise InputFileError(
+                f"{capture.name}: the radiances of {first:g}…{last:g} nm do not cover the responsivity's "
+                f"{nodes[0]:g}…{nodes[-1]:g} nm; measure a wider range"
+            )
+    read = functools.partial(gain.unsaturated_values, body=body, limit=sensor.saturation, defects=sensor.defects)
+    dark = [sensor.dark.slope * capture.exposure for capture in captures]
+    values = [mean - signal for mean, signal in zip(each(read, captures), dark, strict=True)]
+    light = [gain.patch_illumination(capture, body, sensor.defects) for capture in captures]
+    photons = [share * photons_on_pixel(capture, nodes, body) for share, capture in zip(light, captures, strict=True)]
     return Charts(tuple(capture.illuminant for capture in captures), np.array(values), np.array(photons))
 
 
-def fit_curves(sweep: responsivity.Sweep, charts: Charts, black: Array, measurements: Measurements) -> Curves:
-    """Eq. 1 with the smoothing that predicts the charts best, and its confidence band."""
+# -------------------------------------------------------------------------------------------------------- fitting
+
+
+def fit_curves(
+    sweep: responsivity.Sweep, charts: Charts, black: Array, measurements: Measurements, left_out: tuple[str, ...]
+) -> tuple[Curves, SweepFit]:
+    """Eq. 1 with the smoothing that predicts the charts best, each channel scaled to a peak of 1, and its band."""
     errors = np.array([_validation_error(sweep, charts, delta, black) for delta in DELTAS])
     delta = responsivity.choose_smoothing(DELTAS, errors)
     curves = responsivity.solve_channels(sweep, delta)
     drift, shift = measurements.lamp_drift, measurements.wavelength_uncertainty
     band = responsivity.confidence_bands(sweep, curves, delta, drift, shift)
-    peak = curves.max(axis=1, keepdims=True)
-    return Curves(sweep.nodes, curves / peak, band / peak, errors, delta)
+    fit = SweepFit(responsivity.residuals(sweep, curves), left_out, DELTAS, errors, delta)
+    return Curves(sweep.nodes, curves, band).to_own_peaks(), fit
 
 
 def _validation_error(sweep: responsivity.Sweep, charts: Charts, delta: float, black: Array) -> float:
@@ -130,29 +181,95 @@ def _validation_error(sweep: responsivity.Sweep, charts: Charts, delta: float, b
     return float(np.mean([gain.cross_validate(photons[..., c], charts.values[..., c], black[c]) for c in channels]))
 
 
-def fit_charts(charts: Charts, relative: Array, black: Array) -> tuple[Array, Array, Array]:
-    """Eq. 2 for every channel: alpha (channel) DN/photon, beta (channel) DN, predicted DN (chart, patch, channel)."""
+def fit_charts(charts: Charts, relative: Array, black: Array, drift: float, body: Body) -> ChartFit:
+    """Eq. 2 for every channel and its validation; InputFileError if the charts contradict the curves."""
     photons = charts.photons @ relative.T
-    fits = [gain.fit_gain(photons[..., c].ravel(), charts.values[..., c].ravel(), black[c]) for c in range(len(relative))]
-    alpha, beta = np.array(fits).T
-    return alpha, beta, alpha * photons + beta
-
-
-def assemble(body: Body, sensor: Sensor, charts: Charts, curves: Curves) -> CameraModel:
-    """The camera model: quantum efficiency is alpha · r / K (METHOD 1.4 (4)).
-
-    InputFileError if the charts contradict the curves, or black and white each other.
-    """
-    pixels = np.bincount(body.cfa.ravel()) / body.cfa.size
-    conversion, black = float(pixels @ sensor.transfer.gain), float(pixels @ sensor.dark.black)
-    fit = describe_fit(sensor, charts, curves, conversion)
-    worst = int(fit.r_squared.argmin())
-    if fit.r_squared[worst] < LEAST_R_SQUARED:
+    fits = []
+    for channel, level in enumerate(black):
+        seen, values = photons[..., channel], charts.values[..., channel]
+        alpha, beta = gain.fit_gain(seen.ravel(), values.ravel(), level)
+        fits.append((alpha, beta, gain.gain_error(seen, values, level, alpha, beta, drift)))
+    alphas, betas, errors = np.array(fits).T
+    predicted = alphas * photons + betas
+    r_squared = gain.r_squared(charts.values, predicted)
+    worst = int(r_squared.argmin())
+    if r_squared[worst] < LEAST_R_SQUARED:
         raise InputFileError(
-            f"channel {body.channels[worst]}: the charts do not fit the responsivity (R² {fit.r_squared[worst]:.2f}); "
+            f"channel {body.channels[worst]}: the charts do not fit the responsivity (R² {r_squared[worst]:.2f}); "
             "check the order of corners and radiances, exposures and cfa.pattern"
         )
-    scale = fit.alpha[:, None] / conversion
+    return ChartFit(
+        alpha=alphas,
+        alpha_error=errors,
+        beta=betas,
+        r_squared=r_squared,
+        relative_rmse=gain.relative_rmse(charts.values, predicted, black),
+        illuminants=charts.illuminants,
+        measured=charts.values,
+        predicted=predicted,
+    )
+
+
+# ----------------------------------------------------------------------------------------------------- assembling
+
+
+def describe_noise(sensor: Sensor, body: Body) -> NoiseFit:
+    """Dark and white frames in electrons, by the conversion gain of the whole sensor."""
+    dark, transfer = sensor.dark, sensor.transfer
+    conversion = float(_shares(body) @ transfer.gain)
+    return NoiseFit(
+        conversion_gain=transfer.gain,
+        conversion_gain_error=transfer.gain_error,
+        read_noise=np.sqrt(dark.variance) / conversion,
+        dark_current=dark.slope / conversion,
+        dsnu=dark.dsnu / conversion,
+        prnu=sensor.prnu,
+        saturation_capacity=(transfer.white - dark.black) / conversion,
+        linearity_error=transfer.linearity_error,
+        white_reached=transfer.white_reached,
+        defects=sensor.defects,
+        exposure=sensor.exposure,
+        photon_transfer_mean=transfer.mean,
+        photon_transfer_variance=transfer.variance,
+    )
+
+
+def summarise(sensor: Sensor, figures: NoiseFit, body: Body) -> SensorFigures:
+    """One figure for all pixels, of those of each channel with its share of the pixels."""
+    pixels = _shares(body)
+    conversion, black = float(pixels @ sensor.transfer.gain), float(pixels @ sensor.dark.black)
+
+    def quadratic(deviation: Array) -> float:
+        return float(np.sqrt(pixels @ deviation**2))
+
+    read_noise, dsnu, prnu = quadratic(figures.read_noise), quadratic(figures.dsnu), quadratic(figures.prnu)
+    dark_current = max(float(pixels @ figures.dark_current), 0.0)
+    well = (sensor.transfer.white - black) / conversion
+    return SensorFigures(conversion, black, sensor.transfer.white, Noise(read_noise, dark_current, dsnu, prnu, well))
+
+
+def _shares(body: Body) -> Array:
+    """(channel) share of the pixels."""
+    return np.bincount(body.cfa.ravel(), minlength=len(body.channels)) / body.cfa.size
+
+
+def efficiency(curves: Curves, fit: Fit, gain: float, body: Body) -> tuple[Array, Array]:
+    """Absolute quantum efficiency alpha · r / K (channel, wavelength) and the half width of its 95 % band, in which the
+    errors of alpha and K are contained (METHOD 1.4 (4))."""
+    assert fit.chart is not None
+    assert fit.noise is not None
+    scale = fit.chart.alpha[:, None] / gain
+    conversion = np.sqrt(np.sum((_shares(body) * fit.noise.conversion_gain_error) ** 2)) / gain
+    relative = np.hypot(fit.chart.alpha_error / fit.chart.alpha, conversion)[:, None]
+    band = np.hypot(curves.band, responsivity.COVERAGE * relative * curves.relative)
+    return curves.relative * scale, band * scale
+
+
+def assemble(body: Body, sensor: SensorFigures, curves: Curves, fit: Fit) -> CameraModel:
+    """The camera model, absolute where charts gave the scale; InputFileError if black and white contradict each other."""
+    curve, band = curves.relative, curves.band
+    if fit.chart is not None:
+        curve, band = efficiency(curves, fit, sensor.gain, body)
     try:
         return CameraModel(
             name=body.name,
@@ -163,53 +280,17 @@ def assemble(body: Body, sensor: Sensor, charts: Charts, curves: Curves) -> Came
             channels=body.channels,
             cfa=body.cfa,
             wavelength=curves.wavelength,
-            responsivity=curves.relative * scale,
-            responsivity_band=curves.band * scale,
-            absolute=True,
-            gain=conversion,
-            black=black,
-            white=sensor.transfer.white,
+            responsivity=curve,
+            responsivity_band=band,
+            absolute=fit.chart is not None,
+            gain=sensor.gain,
+            black=sensor.black,
+            white=sensor.white,
             fixed_pattern_seed=0,
-            noise=Noise(
-                read_noise=_quadratic_mean(fit.read_noise, pixels),
-                dark_current=max(float(pixels @ fit.dark_current), 0.0),
-                dsnu=_quadratic_mean(fit.dsnu, pixels),
-                prnu=_quadratic_mean(fit.prnu, pixels),
-                well_capacity=(sensor.transfer.white - black) / conversion,
-            ),
+            noise=sensor.noise,
             optics=body.optics,
+            declared=() if fit.noise else ("gain", "black", "white", "noise"),
             fit=fit,
         )
     except ValueError as error:
         raise InputFileError(f"the measurements make no camera: {error}; check dark and white frames") from error
-
-
-def describe_fit(sensor: Sensor, charts: Charts, curves: Curves, conversion: float) -> Fit:
-    """Eq. 2 and all that tells how well the measurements are explained; conversion is K in DN/e-."""
-    dark, transfer = sensor.dark, sensor.transfer
-    alpha, beta, predicted = fit_charts(charts, curves.relative, dark.black)
-    return Fit(
-        conversion_gain=transfer.gain,
-        read_noise=np.sqrt(dark.variance) / conversion,
-        dark_current=dark.slope / conversion,
-        dsnu=dark.dsnu / conversion,
-        prnu=sensor.prnu,
-        white_reached=transfer.white_reached,
-        alpha=alpha,
-        beta=beta,
-        r_squared=gain.r_squared(charts.values, predicted),
-        relative_rmse=gain.relative_rmse(charts.values, predicted, dark.black),
-        smoothing=DELTAS,
-        smoothing_error=curves.errors,
-        chosen_smoothing=curves.delta,
-        illuminants=charts.illuminants,
-        measured=charts.values,
-        predicted=predicted,
-        photon_transfer_mean=transfer.mean,
-        photon_transfer_variance=transfer.variance,
-    )
-
-
-def _quadratic_mean(deviation: Array, share: Array) -> float:
-    """One standard deviation for all pixels, of those of each channel with its share of the pixels (channel)."""
-    return float(np.sqrt(share @ deviation**2))

@@ -6,7 +6,12 @@ import numpy as np
 
 from l3cli import spectra
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.fit import ChartFit, NoiseFit, SeriesFit
+from l3cli.calibrate import gain
 from l3cli.errors import InputFileError
+
+LEAST_R_SQUARED, MOST_RMSE = 0.98, 0.02  # of every channel, or the calibration has failed
+SHOWN = 8  # defects listed in the text; JSON and the artifact hold all
 
 
 def camera_figures(camera: CameraModel) -> dict[str, tuple[float, str]]:
@@ -25,26 +30,99 @@ def camera_figures(camera: CameraModel) -> dict[str, tuple[float, str]]:
 
 
 def figures(camera: CameraModel) -> dict[str, Any]:
-    """Figures of a calibrated camera and of each of its channels, ready for JSON."""
+    """Figures of a calibrated camera and of each of its channels, of lights and bands, ready for JSON."""
     fit = camera.fit
     assert fit is not None
-    columns = {
-        "peak QE (%)": 100.0 * camera.responsivity.max(axis=1),
-        "K (DN/e-)": fit.conversion_gain,
-        "dark noise (e-)": fit.read_noise,
-        "dark current (e-/s)": fit.dark_current,
-        "DSNU (e-)": fit.dsnu,
-        "PRNU (%)": 100.0 * fit.prnu,
-        "offset (DN)": fit.beta,
-        "R²": fit.r_squared,
-        "RMSE (%)": 100.0 * fit.relative_rmse,
-    }
+    columns: dict[str, Any] = {}
+    if fit.chart is not None:
+        columns |= _efficiency_columns(camera)
+    if fit.noise is not None:
+        columns |= _emva_columns(fit.noise)
+    if fit.sweep is not None:
+        columns["Eq. 1 (% left)"] = 100.0 * fit.sweep.residual
+    if fit.series is not None:
+        columns["LE (%)"] = 100.0 * fit.series.linearity_error
+    if fit.validation is not None:
+        columns |= {"R²": fit.validation.r_squared, "RMSE (%)": 100.0 * fit.validation.relative_rmse}
+    left_out = (*(fit.sweep.left_out if fit.sweep else ()), *(fit.series.left_out if fit.series else ()))
     return {
         "camera": {name: {"value": value, "unit": unit} for name, (value, unit) in camera_figures(camera).items()},
-        "channels": _by_channel(camera, columns),
-        "smoothing": fit.chosen_smoothing,
-        "saturation reached": bool(fit.white_reached),
+        "channels": _by_channel(camera, columns) if columns else {},
+        "lights": _lights(camera, fit.chart) if fit.chart else {},
+        "bands": _bands(camera, fit.series) if fit.series else {},
+        "smoothing": fit.sweep.chosen_smoothing if fit.sweep else None,
+        "responsivity": "absolute" if camera.absolute else "relative",
+        "declared": list(camera.declared),
+        "left out": list(left_out),
+        "defects": fit.noise.defects.tolist() if fit.noise else [],
+        "saturation reached": bool(fit.noise.white_reached) if fit.noise else None,
     }
+
+
+def _efficiency_columns(camera: CameraModel) -> dict[str, Any]:
+    """Absolute efficiency at each channel's peak, the half width of its 95 % band, and Eq. 2's offset."""
+    assert camera.fit is not None
+    assert camera.fit.chart is not None
+    peak = camera.responsivity.argmax(axis=1)[:, None]
+    return {
+        "peak QE (%)": 100.0 * np.take_along_axis(camera.responsivity, peak, 1)[:, 0],
+        "± 95 % (%)": 100.0 * np.take_along_axis(camera.responsivity_band, peak, 1)[:, 0],
+        "offset (DN)": camera.fit.chart.beta,
+    }
+
+
+def _emva_columns(noise: NoiseFit) -> dict[str, Any]:
+    """EMVA 1288's figures; the dynamic range is that of electrons, from saturation down to a signal-to-noise ratio of 1."""
+    least = np.sqrt(noise.read_noise**2 + 1.0 / 12.0 / noise.conversion_gain**2) + 0.5
+    return {
+        "K (DN/e-)": noise.conversion_gain,
+        "dark noise (e-)": noise.read_noise,
+        "dark current (e-/s)": noise.dark_current,
+        "DSNU (e-)": noise.dsnu,
+        "PRNU (%)": 100.0 * noise.prnu,
+        "SNR max (dB)": 10.0 * np.log10(noise.saturation_capacity),
+        "DR (dB)": 20.0 * np.log10(noise.saturation_capacity / least),
+        "LE (%)": 100.0 * noise.linearity_error,
+    }
+
+
+def _lights(camera: CameraModel, chart: ChartFit) -> dict[str, dict[str, float]]:
+    """R² and relative RMSE of each chart and channel."""
+    rows = {}
+    for index, light in enumerate(chart.illuminants):
+        measured, predicted = chart.measured[index][None], chart.predicted[index][None]
+        rmse = 100.0 * gain.relative_rmse(measured, predicted, camera.black)
+        fits = gain.r_squared(measured, predicted)
+        cells = {f"RMSE {name} (%)": float(value) for name, value in zip(camera.channels, rmse, strict=True)}
+        rows[f"{index + 1} {light}"] = cells | {f"R² {n}": float(v) for n, v in zip(camera.channels, fits, strict=True)}
+    return rows
+
+
+def _bands(camera: CameraModel, series: SeriesFit) -> dict[str, dict[str, float]]:
+    """Centre, response and spread over patches of each band and channel."""
+    rows = {}
+    for index, light in enumerate(series.lights):
+        row = {"centre (nm)": float(camera.wavelength[index])}
+        for channel, name in enumerate(camera.channels):
+            row[name] = float(series.response[index, channel])
+            row[f"± {name} (%)"] = 100.0 * float(series.spread[index, channel])
+        rows[light] = row
+    return rows
+
+
+def shortfall(camera: CameraModel) -> str | None:
+    """Why the camera should not be trusted: the sentence that names the channel that its own validation fails; or None."""
+    validation = camera.fit.validation if camera.fit else None
+    if validation is None:
+        return None
+    for index, name in enumerate(camera.channels):
+        fit, rmse = float(validation.r_squared[index]), float(validation.relative_rmse[index])
+        if fit < LEAST_R_SQUARED or rmse > MOST_RMSE:
+            return (
+                f"channel {name} is predicted with R² {fit:.4f} and a relative RMSE of {100 * rmse:.2f} %, "
+                f"{LEAST_R_SQUARED} and {100 * MOST_RMSE:g} % are wanted; check lights and captures, or add --accept"
+            )
+    return None
 
 
 def compare(camera: CameraModel, truth: CameraModel) -> dict[str, Any]:
@@ -58,12 +136,16 @@ def compare(camera: CameraModel, truth: CameraModel) -> dict[str, Any]:
             "give the camera that was measured"
         )
     real = spectra.resample(truth.responsivity, truth.wavelength, camera.wavelength)
+    if not camera.absolute:
+        real = real / real.max()
     error = camera.responsivity - real
     columns = {
         "responsivity RMS error (% of peak)": 100.0 * np.sqrt(np.mean(error**2, axis=1)) / real.max(axis=1),
-        "gain alpha·r error (%)": 100.0 * (camera.gain * camera.responsivity.sum(1) / (truth.gain * real.sum(1)) - 1.0),
         "within band (%)": 100.0 * np.mean(np.abs(error) <= camera.responsivity_band, axis=1),
     }
+    if camera.absolute:
+        found, true_gain = camera.gain * camera.responsivity.sum(axis=1), truth.gain * real.sum(axis=1)
+        columns["gain alpha·r error (%)"] = 100.0 * (found / true_gain - 1.0)
     true = camera_figures(truth)
     return {
         "camera": {
@@ -94,9 +176,15 @@ def as_text(result: dict[str, Any]) -> str:
             error = "" if known["error %"] is None else f"  error {known['error %']:+.2f} %"
             line += f"  true {known['true']:10.5g}{error}"
         lines.append(line.rstrip())
-    lines += ["", *_table(result["channels"])]
-    if truth:
-        lines += ["", *_table(truth["channels"])]
+    for table in (result["channels"], result["lights"], result["bands"], truth["channels"] if truth else {}):
+        lines += ["", *_table(table)] if table else []
+    lines += ["", f"responsivity: {result['responsivity']}"]
+    lines += [f"from the data sheet: {', '.join(result['declared'])}"] if result["declared"] else []
+    lines += [f"left out: {capture}" for capture in result["left out"]]
+    defects = result["defects"]
+    if defects:
+        shown = " ".join(f"({row}, {col})" for row, col in defects[:SHOWN]) + (" …" if len(defects) > SHOWN else "")
+        lines.append(f"hot and dead pixels left out, row and col: {len(defects)}: {shown}")
     return "\n".join(lines)
 
 

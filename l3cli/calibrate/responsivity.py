@@ -64,6 +64,15 @@ def solve_channels(sweep: Sweep, delta: float) -> Array:
     return np.array([solve(sweep.design[valid], values[valid], delta) for values, valid in columns])
 
 
+def residuals(sweep: Sweep, responsivity: Array) -> Array:
+    """(channel) RMS of what Eq. 1 leaves unexplained, over the channel's largest value."""
+    found = []
+    for values, valid, curve in zip(sweep.values.T, sweep.valid.T, responsivity, strict=True):
+        rest = values[valid] - sweep.design[valid] @ curve
+        found.append(np.sqrt(np.mean(rest**2)) / values[valid].max())
+    return np.array(found)
+
+
 def choose_smoothing(deltas: Array, errors: Array) -> float:
     """The middle, in logarithm, of the plateau about the least error: a minimum alone picks at random (METHOD 1.5)."""
     best = int(errors.argmin())

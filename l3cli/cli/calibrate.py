@@ -1,5 +1,6 @@
 """l3 calibrate: lab measurements → camera model."""
 
+import functools
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -14,10 +15,23 @@ from l3cli.cli import options
 @click.argument("measurements", type=options.FILE, metavar="MEASUREMENTS.toml")
 @options.output("Camera model to write")
 @click.option("--truth", type=options.FILE, metavar="CAMERA", help="The camera behind a virtual lab, to compare with.")
+@click.option("--export", type=options.FILE, metavar="DIR", help="Also write the curves as CSV and as rawtoaces JSON there.")
+@click.option("--accept", is_flag=True, help="Write the model even if it predicts its own charts badly.")
+@options.jobs
 @options.force
 @options.quiet
 @options.as_json
-def calibrate(measurements: Path, output: Path, truth: Path | None, force: bool, quiet: bool, as_json: bool) -> None:
+def calibrate(
+    measurements: Path,
+    output: Path,
+    truth: Path | None,
+    export: Path | None,
+    accept: bool,
+    jobs: int,
+    force: bool,
+    quiet: bool,
+    as_json: bool,
+) -> None:
     """Find responsivities, gain and noise of a camera from its lab measurements.
 
     Example: l3 calibrate build/lab/MEASUREMENTS.toml -o build/camera.h5
@@ -25,18 +39,29 @@ def calibrate(measurements: Path, output: Path, truth: Path | None, force: bool,
     from l3cli.artifacts.base import save
     from l3cli.artifacts.camera import load_camera
     from l3cli.calibrate import model, report
+    from l3cli.errors import L3Error
     from l3cli.files import refuse_existing
+    from l3cli.io.curves import export_curves, export_paths
     from l3cli.io.measurements import history, load_measurements
+    from l3cli.parallel import ordered_map
 
-    refuse_existing(output, force)
+    for path in (output, *(export_paths(export) if export else ())):
+        refuse_existing(path, force)
     true = load_camera(truth) if truth else None
     measured = load_measurements(measurements)
-    camera = replace(model.calibrate(measured), history=(history(measurements),))
+    camera = model.calibrate(measured, functools.partial(ordered_map, jobs=jobs))
+    if (shortfall := report.shortfall(camera)) and not accept:
+        raise L3Error(f"{measurements}: {shortfall}")
+    camera = replace(camera, history=(history(measurements, {"accept": True} if accept else {}),))
     result: dict[str, Any] = report.figures(camera)
     if true is not None:
         result["truth"] = report.compare(camera, true)
     save(camera, output)
+    if export:
+        export_curves(camera, export)
     click.echo(json.dumps(result, indent=2, ensure_ascii=False) if as_json else report.as_text(result))
-    if not result["saturation reached"]:
+    if shortfall:
+        options.say(f"accepted although {shortfall.partition(';')[0]}", quiet)
+    if result["saturation reached"] is False:
         options.say("no white frame saturates: the saturation level is taken to be the converter's last value", quiet)
     options.say(f"{output}: written", quiet)

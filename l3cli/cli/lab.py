@@ -2,7 +2,7 @@
 
 import functools
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -11,6 +11,7 @@ from l3cli.cli import options
 if TYPE_CHECKING:
     from l3cli.artifacts.camera import CameraModel
     from l3cli.io.measurements import MeasurementRecipe
+    from l3cli.simulate.flaws import FlawRecipe
     from l3cli.simulate.lab import LabCapture, LabRecipe
 
 
@@ -41,20 +42,20 @@ def lab(camera: Path, output: Path, recipe: Path | None, seed: int, jobs: int, f
     captures = plan(model, chosen, seed)
     file.unlink(missing_ok=True)  # written last, it never names frames of two runs
     work = [(capture, trial) for capture in captures for trial in range(capture.trials)]
-    take = functools.partial(_take, model, output, seed)
+    take = functools.partial(_take, model, chosen.flaws, output, seed)
     for _ in options.progress(ordered_map(take, work, jobs), len(work), "frames", quiet):
         pass
     write_measurements(_described(model, chosen, captures, output), file)
     options.say(f"{file}: {len(captures)} captures, {len(work)} frames; next: l3 calibrate {file} -o camera.h5", quiet)
 
 
-def _take(model: "CameraModel", folder: Path, seed: int, job: "tuple[LabCapture, int]") -> None:
+def _take(model: "CameraModel", flaws: "FlawRecipe", folder: Path, seed: int, job: "tuple[LabCapture, int]") -> None:
     """Take and write one frame, in whatever process."""
-    from l3cli.io.measurements import write_frame
+    from l3cli.io.frames import write_frame
     from l3cli.simulate.lab import take
 
     capture, trial = job
-    write_frame(folder / _frame_name(capture, trial), take(model, capture, trial, seed))
+    write_frame(folder / _frame_name(capture, trial), take(model, capture, trial, seed, flaws))
 
 
 def _frame_name(capture: "LabCapture", trial: int) -> str:
@@ -68,24 +69,30 @@ def _described(
     import numpy as np
 
     from l3cli.io import measurements as files
+    from l3cli.io.curves import write_curves
     from l3cli.simulate.lab import chart_corners
 
     mono: list[files.MonoRecipe] = []
     charts: list[files.ChartRecipe] = []
     others: dict[str, list[files.CaptureRecipe]] = {"white": [], "dark": []}
     for capture in captures:
-        frames, exposure = [_frame_name(capture, trial) for trial in range(capture.trials)], capture.exposure
+        common: dict[str, Any] = {
+            "frames": [_frame_name(capture, trial) for trial in range(capture.trials)],
+            "exposure_s": capture.exposure,
+            "monitor": capture.monitor,
+        }
         if capture.kind == "mono":
-            mono.append(files.MonoRecipe(frames, exposure, spectrum="spectra/mono.csv", column=len(mono) + 1))
+            mono.append(files.MonoRecipe(**common, spectrum="spectra/mono.csv", column=len(mono) + 1))
         elif capture.kind == "chart":
             name = f"spectra/{capture.name.replace('/', '_')}.csv"
             patches = [f"patch_{patch}" for patch in range(1, len(capture.radiance) + 1)]
-            files.write_curves(folder / name, capture.wavelength, capture.radiance, patches)
-            charts.append(files.ChartRecipe(frames, exposure, capture.light, chart_corners(model), name))
+            write_curves(folder / name, capture.wavelength, capture.radiance, patches)
+            corners = chart_corners(model)
+            charts.append(files.ChartRecipe(**common, illuminant=capture.light, corners=corners, radiance=name))
         else:
-            others[capture.kind].append(files.CaptureRecipe(frames, exposure))
+            others[capture.kind].append(files.CaptureRecipe(**common))
     steps = [capture for capture in captures if capture.kind == "mono"]
     radiances, lights = np.concatenate([step.radiance for step in steps]), [step.light for step in steps]
-    files.write_curves(folder / "spectra/mono.csv", steps[0].wavelength, radiances, lights)
-    uncertainty = files.UncertaintyRecipe(lamp_drift=chosen.lamp_drift)
+    write_curves(folder / "spectra/mono.csv", steps[0].wavelength, radiances, lights)
+    uncertainty = files.UncertaintyRecipe(lamp_drift=chosen.monitor_error, wavelength_nm=chosen.wavelength_error_nm)
     return files.describe(model, uncertainty, mono=mono, chart=charts, **others)

@@ -50,10 +50,22 @@ def expose(
     rows, cols = electrons.shape
     if rows > camera.rows or cols > camera.cols:
         raise ValueError(f"a frame of {rows}×{cols} does not fit the sensor of {camera.rows}×{camera.cols} pixels")
-    pattern, noise = fixed_pattern(camera), camera.noise
+    pattern = fixed_pattern(camera)
+    return read_out(camera, FixedPattern(pattern.prnu[:rows, :cols], pattern.dsnu[:rows, :cols]), electrons, exposure, rng)
+
+
+def read_out(
+    camera: CameraModel,
+    pattern: FixedPattern,
+    electrons: NDArray[np.floating],
+    exposure: float,
+    rng: np.random.Generator,
+) -> NDArray[np.uint16]:
+    """The raw frame (row, col) in DN of mean photo-electrons on pixels with a pattern of the same shape (METHOD 1.2)."""
+    noise = camera.noise
     mean = np.clip(electrons, 0.0, MOST_ELECTRONS) + min(noise.dark_current * exposure, MOST_ELECTRONS)
     collected = rng.poisson(mean).astype(np.float64)
     collected += rng.normal(0.0, noise.read_noise, collected.shape) if noise.read_noise else 0.0
-    signal = collected * (1.0 + pattern.prnu[:rows, :cols]) + pattern.dsnu[:rows, :cols]
+    signal = collected * (1.0 + pattern.prnu) + pattern.dsnu
     values = np.rint(camera.gain * np.minimum(signal, noise.well_capacity) + camera.black)
     return np.clip(values, 0, 2**camera.bits - 1).astype(np.uint16)

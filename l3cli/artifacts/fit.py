@@ -1,0 +1,113 @@
+"""What calibration measured of a camera and how well its model explains it (METHOD 1.4): group `fit` of a camera model."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.base import data, group
+
+
+@dataclass(frozen=True)
+class NoiseFit:
+    """Dark and white frames in the terms of EMVA 1288, channel by channel."""
+
+    conversion_gain: NDArray[np.float64] = data("float64", "channel", unit="DN/e-", doc="overall system gain K")
+    conversion_gain_error: NDArray[np.float64] = data(
+        "float64", "channel", unit="DN/e-", doc="standard deviation of K as the photon-transfer line gives it"
+    )
+    read_noise: NDArray[np.float64] = data("float64", "channel", unit="e-", doc="temporal dark noise at zero exposure")
+    dark_current: NDArray[np.float64] = data("float64", "channel", unit="e-/s", doc="dark current")
+    dsnu: NDArray[np.float64] = data("float64", "channel", unit="e-", doc="dark signal nonuniformity")
+    prnu: NDArray[np.float64] = data("float64", "channel", doc="photo response nonuniformity, relative")
+    saturation_capacity: NDArray[np.float64] = data("float64", "channel", unit="e-", doc="electrons at saturation")
+    linearity_error: NDArray[np.float64] = data(
+        "float64", "channel", doc="mean relative deviation of the signal from a line over 5-95 % of saturation"
+    )
+    white_reached: bool = data("bool", doc="whether a white frame saturates; if not, white is the converter's top")
+    defects: NDArray[np.int64] = data(
+        "int64", "defect", "coordinate", unit="pixel", doc="row, col of hot and dead pixels, left out of every figure"
+    )
+    exposure: NDArray[np.float64] = data("float64", "level", unit="s", doc="of each white capture")
+    photon_transfer_mean: NDArray[np.float64] = data(
+        "float64", "level", "channel", unit="DN", doc="mean signal above black of each white exposure"
+    )
+    photon_transfer_variance: NDArray[np.float64] = data(
+        "float64", "level", "channel", unit="DN^2", doc="temporal variance at that signal"
+    )
+
+
+@dataclass(frozen=True)
+class SweepFit:
+    """Eq. 1: how the monochromatic captures are explained."""
+
+    residual: NDArray[np.float64] = data("float64", "channel", doc="RMS residual of Eq. 1 / largest value of the channel")
+    left_out: tuple[str, ...] = data("str", "left_out", doc="captures that saturate, and in which channels")
+    smoothing: NDArray[np.float64] = data("float64", "trial", doc="values of delta tried")
+    smoothing_error: NDArray[np.float64] = data(
+        "float64", "trial", doc="cross-validated relative RMSE of chart values for each delta"
+    )
+    chosen_smoothing: float = data("float64", doc="delta used")
+
+
+@dataclass(frozen=True)
+class ChartFit:
+    """Eq. 2, and its validation: every patch under every light as it was and as the model predicts it."""
+
+    alpha: NDArray[np.float64] = data(
+        "float64", "channel", unit="DN/photon", doc="Eq. 2 slope: response at the peak of the channel's responsivity"
+    )
+    alpha_error: NDArray[np.float64] = data(
+        "float64", "channel", unit="DN/photon", doc="standard deviation of alpha, from its spread over the charts"
+    )
+    beta: NDArray[np.float64] = data("float64", "channel", unit="DN", doc="Eq. 2 offset: black plus glare")
+    r_squared: NDArray[np.float64] = data("float64", "channel", doc="of predicted against measured values")
+    relative_rmse: NDArray[np.float64] = data("float64", "channel", doc="RMSE of values / their mean signal")
+    illuminants: tuple[str, ...] = data("str", "chart", doc="name of the light of each chart capture")
+    measured: NDArray[np.float64] = data("float64", "chart", "patch", "channel", unit="DN", doc="mean value of each patch")
+    predicted: NDArray[np.float64] = data("float64", "chart", "patch", "channel", unit="DN", doc="the model's value")
+
+
+@dataclass(frozen=True)
+class SeriesFit:
+    """A chart under narrow bands at several exposures: each capture predicted from the other exposures of its band."""
+
+    lights: tuple[str, ...] = data("str", "light", doc="name of each band")
+    light: NDArray[np.int64] = data("int64", "capture", doc="band of each capture")
+    exposure: NDArray[np.float64] = data("float64", "capture", unit="s", doc="of each capture")
+    response: NDArray[np.float64] = data(
+        "float64", "light", "channel", doc="response per photon to each band, peak of all 1; mean over patches"
+    )
+    spread: NDArray[np.float64] = data(
+        "float64", "light", "channel", doc="relative standard deviation of the response over patches"
+    )
+    linearity_error: NDArray[np.float64] = data(
+        "float64", "channel", doc="mean relative deviation of the signal from proportionality over 5-95 % of saturation"
+    )
+    r_squared: NDArray[np.float64] = data("float64", "channel", doc="of predicted against measured values")
+    relative_rmse: NDArray[np.float64] = data("float64", "channel", doc="RMSE of values / their mean signal")
+    left_out: tuple[str, ...] = data("str", "left_out", doc="captures with saturated patches, and how many")
+    used: NDArray[np.bool_] = data(
+        "bool", "capture", "patch", "channel", doc="whether measured and predicted could be compared: unsaturated"
+    )
+    measured: NDArray[np.float64] = data(
+        "float64", "capture", "patch", "channel", unit="DN", doc="mean value of each patch, dark value taken out"
+    )
+    predicted: NDArray[np.float64] = data(
+        "float64", "capture", "patch", "channel", unit="DN", doc="value from the other exposures; 0 where not used"
+    )
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Each part is there if it was measured."""
+
+    noise: NoiseFit | None = group(default=None)
+    sweep: SweepFit | None = group(default=None)
+    chart: ChartFit | None = group(default=None)
+    series: SeriesFit | None = group(default=None)
+
+    @property
+    def validation(self) -> ChartFit | SeriesFit | None:
+        """What was predicted and measured, with R² and relative RMSE of each channel."""
+        return self.chart or self.series

@@ -1,0 +1,99 @@
+"""Files of curves: CSV spectra, tables of sweeps, and the JSON of rawtoaces (camera spectral sensitivities per energy)."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli import spectra
+from l3cli.artifacts.camera import CameraModel, read_curves
+from l3cli.errors import InputFileError
+from l3cli.files import atomic_output
+from l3cli.measurement import FinishedCurves, SweepTable
+
+RAWTOACES = np.arange(380.0, 781.0, 5.0)  # nm, the grid of its database
+Array = NDArray[np.float64]
+
+
+def write_curves(path: Path, wavelength: NDArray, columns: NDArray, names: Sequence[str]) -> None:
+    """Write columns (column, wavelength) as CSV below a header line."""
+    lines = [",".join(["wavelength_nm", *names])]
+    lines += [",".join(f"{value:.8g}" for value in row) for row in np.vstack([wavelength, columns]).T]
+    with atomic_output(path) as temporary:
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def read_sweep(path: Path, photodiode: Path, channels: Sequence[str]) -> SweepTable:
+    """The table of a sweep: wavelength, light mean of each channel, dark mean of each channel, light and dark reading of the
+    photodiode; and the response of that photodiode, per energy. InputFileError if it does not cover the sweep."""
+    count = len(channels)
+    wavelength, table = read_curves(path, 2 * count + 2)
+    grid, response = read_curves(photodiode, 1)
+    if grid[0] > wavelength[0] or grid[-1] < wavelength[-1]:
+        raise InputFileError(
+            f"{photodiode}: its {grid[0]:g}…{grid[-1]:g} nm do not cover the sweep's "
+            f"{wavelength[0]:g}…{wavelength[-1]:g} nm; give the response over the whole sweep"
+        )
+    diode = np.interp(wavelength, grid, response[0])
+    if wavelength.size < 3 or diode.min() <= 0:
+        raise InputFileError(f"{path}: a sweep needs three wavelengths or more that the photodiode responds to")
+    return SweepTable(wavelength, table[:count], table[count : 2 * count], table[-2], table[-1], diode)
+
+
+def read_finished(path: Path, channels: Sequence[str], per_energy: bool) -> FinishedCurves:
+    """Finished responsivities from CSV (wavelength in nm, one column a channel) or from rawtoaces' JSON."""
+    grid, table = _read_json(path, len(channels)) if path.suffix == ".json" else read_curves(path, len(channels))
+    if grid.size < 3 or grid[0] <= 0 or table.min() < 0 or (table.max(axis=1) <= 0).any():
+        raise InputFileError(f"{path}: curves need three wavelengths or more, no negative value, and light in every channel")
+    return FinishedCurves(grid, table / grid if per_energy else table)
+
+
+def _read_json(path: Path, channels: int) -> tuple[Array, Array]:
+    """(wavelength) nm and (channel, wavelength) of a rawtoaces file."""
+    try:
+        rows = json.loads(path.read_text(encoding="utf-8"))["spectral_data"]["data"]["main"]
+        table = np.array([[float(key), *map(float, values)] for key, values in rows.items()])
+    except OSError as error:
+        raise InputFileError(f"{path}: {error.strerror}; give curves as CSV or rawtoaces JSON") from error
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputFileError(f"{path} is no rawtoaces JSON: spectral_data.data.main is missing or not numbers") from error
+    if table.ndim != 2 or table.shape[1] != channels + 1:
+        raise InputFileError(f"{path}: holds {table.shape[-1] - 1} curves, {channels} are wanted")
+    table = table[np.argsort(table[:, 0])]
+    if not np.isfinite(table).all() or (np.diff(table[:, 0]) <= 0).any():
+        raise InputFileError(f"{path}: wavelengths must differ and every value be a number")
+    return table[:, 0], table[:, 1:].T
+
+
+def export_paths(folder: Path) -> tuple[Path, Path]:
+    """The CSV and the JSON that `export_curves` writes."""
+    return folder / "responsivity.csv", folder / "rawtoaces.json"
+
+
+def export_curves(camera: CameraModel, folder: Path) -> None:
+    """Write the responsivities per energy, the peak of the set 1: CSV on their own grid, JSON as rawtoaces reads it."""
+    csv, rawtoaces = export_paths(folder)
+    curves = camera.responsivity * camera.wavelength
+    curves = curves / curves.max()
+    write_curves(csv, camera.wavelength, curves, camera.channels)
+    table = spectra.resample(curves, camera.wavelength, RAWTOACES).T
+    manufacturer, _, model = camera.name.partition(" ")
+    content: dict[str, Any] = {
+        "header": {
+            "schema_version": "0.1.0",
+            "manufacturer": manufacturer,
+            "model": model or manufacturer,
+            "description": "camera spectral sensitivity data, relative, per energy",
+            "document_creator": "l3 calibrate",
+        },
+        "spectral_data": {
+            "units": "relative",
+            "index": {"main": [name.upper() for name in camera.channels]},
+            "data": {"main": {f"{nm:g}": row.tolist() for nm, row in zip(RAWTOACES, table, strict=True)}},
+        },
+    }
+    with atomic_output(rawtoaces) as temporary:
+        temporary.write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")

@@ -1,0 +1,78 @@
+"""Frames of a lab: single-channel 16-bit pictures (TIFF, PNG, PGM) of the whole sensor, raw DN, CFA phase (0, 0)."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.errors import InputFileError, L3Error
+from l3cli.files import atomic_output
+
+EPOCH = "1970:01:01 00:00:00"  # in every frame written: OpenImageIO would put the clock there
+
+
+@dataclass(frozen=True)
+class FrameFiles:
+    """Frames read one by one each time they are gone through."""
+
+    paths: tuple[Path, ...]
+    shape: tuple[int, int]
+    bits: int
+
+    def __iter__(self) -> Iterator[NDArray[np.uint16]]:
+        for path in self.paths:
+            yield read_frame(path, self.shape, self.bits)
+
+
+def read_frame(path: Path, shape: tuple[int, int], bits: int) -> NDArray[np.uint16]:
+    """A single-channel 16-bit picture (row, col) in DN, or an 8-bit one of a sensor of 8 bits or less.
+
+    InputFileError if it is none, not of `shape`, or beyond `bits`.
+    """
+    import OpenImageIO
+
+    picture = OpenImageIO.ImageInput.open(str(path))
+    if picture is None:
+        reason = " ".join(str(OpenImageIO.geterror()).split()).removeprefix(f"{path}: ")
+        raise InputFileError(f"{path} cannot be read: {reason or 'unknown format'}; give 16-bit TIFF frames")
+    try:
+        spec = picture.spec()
+        depths = ("uint16", "uint8") if bits <= 8 else ("uint16",)
+        if str(spec.format) not in depths or spec.nchannels != 1:
+            raise InputFileError(
+                f"{path} holds {spec.nchannels} channels of {spec.format}; give raw frames of one channel and 16 bits"
+            )
+        if (spec.height, spec.width) != shape:
+            raise InputFileError(
+                f"{path} has {spec.height}×{spec.width} pixels, the sensor {shape[0]}×{shape[1]}; give whole raw frames"
+            )
+        values = picture.read_image(str(spec.format))
+        if values is None:
+            raise InputFileError(f"{path} is truncated or damaged; copy or take it again")
+    finally:
+        picture.close()
+    frame = values.reshape(shape).astype(np.uint16, copy=False)
+    if frame.max() >= 2**bits:
+        raise InputFileError(f"{path} holds {frame.max()} DN, more than {bits} bits; check sensor.bits")
+    return frame
+
+
+def write_frame(path: Path, values: NDArray[np.uint16]) -> None:
+    """Write (row, col) DN as an uncompressed single-channel 16-bit TIFF; the same values give the same bytes."""
+    import OpenImageIO
+
+    rows, cols = values.shape
+    spec = OpenImageIO.ImageSpec(cols, rows, 1, "uint16")
+    spec.attribute("compression", "none")
+    spec.attribute("DateTime", EPOCH)
+    with atomic_output(path) as temporary:
+        picture = OpenImageIO.ImageOutput.create(str(temporary))
+        # OpenImageIO 3.2 crashes on arrays without a channel axis.
+        written = (
+            picture and picture.open(str(temporary), spec) and picture.write_image(np.ascontiguousarray(values)[..., None])
+        )
+        if not (picture and written and picture.close()):
+            reason = " ".join(str(picture.geterror() if picture else OpenImageIO.geterror()).split())
+            raise L3Error(f"{path} cannot be written: {reason}; name a .tif file in a folder that can be written to")
