@@ -119,11 +119,13 @@ def band_photons(captures: Sequence[BandCapture], series: Series) -> tuple[Array
 
 def respond(rates: Array, photons: Array) -> tuple[Array, Array]:
     """(light, channel) mean over patches of rates (light, patch, channel) over photons (light, patch), and its relative
-    spread over patches. What a patch gets more or less of all bands is uneven light, and taken out."""
+    spread over patches. What a patch gets more or less of all bands, each in its brightest channel, is uneven light, and
+    taken out."""
     each = rates / photons[..., None]
     response = each.mean(axis=1)
     relative = each / response[:, None]
-    spread = (relative / np.median(relative, axis=(0, 2))[:, None]).std(axis=1, ddof=1)
+    brightest = np.take_along_axis(relative, response.argmax(axis=1)[:, None, None], axis=2)[..., 0]
+    spread = (relative / np.median(brightest, axis=0)[:, None]).std(axis=1, ddof=1)
     return response, spread
 
 
