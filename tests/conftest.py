@@ -112,3 +112,21 @@ def random_case_of_code(channels: int, rng: np.random.Generator) -> np.ndarray:
     cases = rng.integers(0, 4, 2**channels).astype(np.uint16)
     cases[0] = 0
     return cases
+
+
+@pytest.fixture(scope="session")
+def fine_bayer_recipe(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The small Bayer camera with curves every 5 nm, as calibration gives them: no kinks between its nodes."""
+    path = tmp_path_factory.mktemp("camera") / "bayer.toml"
+    text = bayer_camera()
+    assert "[400, 700, 10]" in text
+    path.write_text(text.replace("[400, 700, 10]", "[400, 700, 5]"))
+    return path
+
+
+@pytest.fixture(scope="session")
+def lab_folder(fine_bayer_recipe: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What the virtual lab measures of the small Bayer camera, a camera whose well saturates before its converter."""
+    path = tmp_path_factory.mktemp("lab")
+    assert run(["lab", str(fine_bayer_recipe), "-o", str(path), "--quiet"]) == 0
+    return path

@@ -12,12 +12,9 @@ import pytest
 from l3cli.artifacts.base import load
 from l3cli.artifacts.camera import CameraModel, load_camera
 from l3cli.calibrate import defects, gain, model, noise, responsivity
-from l3cli.cli import run
 from l3cli.errors import InputFileError
 from l3cli.files import sha256
-from l3cli.io.frames import read_frame, write_frame
 from l3cli.measurement import Body, Capture, ChartCapture, MonoCapture
-from tests.conftest import bayer_camera
 
 L3 = Callable[..., tuple[int, str, str]]
 Refused = Callable[..., str]
@@ -32,13 +29,8 @@ GOALS = {  # % of the truth
 
 
 @pytest.fixture(scope="module")
-def bayer_recipe(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The small Bayer camera with curves every 5 nm, as calibration gives them: no kinks between its nodes."""
-    path = tmp_path_factory.mktemp("camera") / "bayer.toml"
-    text = bayer_camera()
-    assert "[400, 700, 10]" in text
-    path.write_text(text.replace("[400, 700, 10]", "[400, 700, 5]"))
-    return path
+def bayer_recipe(fine_bayer_recipe: Path) -> Path:
+    return fine_bayer_recipe
 
 
 @pytest.fixture(scope="module")
@@ -46,18 +38,15 @@ def bayer(bayer_recipe: Path) -> CameraModel:
     return load_camera(bayer_recipe)
 
 
-@pytest.fixture(scope="module")
-def folder(bayer_recipe: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What the virtual lab measures of the small Bayer camera, a camera whose well saturates before its converter."""
-    path = tmp_path_factory.mktemp("lab")
-    assert run(["lab", str(bayer_recipe), "-o", str(path), "--quiet"]) == 0
-    return path
+@pytest.fixture
+def folder(lab_folder: Path) -> Path:
+    return lab_folder
 
 
 @pytest.fixture
-def copied(folder: Path, tmp_path: Path) -> Path:
+def copied(lab_folder: Path, tmp_path: Path) -> Path:
     """A copy of the lab's folder, to be spoilt."""
-    return Path(shutil.copytree(folder, tmp_path / "lab"))
+    return Path(shutil.copytree(lab_folder, tmp_path / "lab"))
 
 
 @pytest.fixture
@@ -399,163 +388,3 @@ def test_a_saturated_patch_is_named(body: Body) -> None:
         gain.unsaturated_values(replace(chart, frames=[np.minimum(frame, 1000)]), body, 3900.0, defects.none())[18, 0]
         == 1000
     )
-
-
-# ---------------------------------------------------------------------------------------------------- wrong inputs
-
-
-def edit(folder: Path, old: str, new: str, count: int = 1) -> None:
-    path = folder / "MEASUREMENTS.toml"
-    text = path.read_text()
-    assert old in text
-    path.write_text(text.replace(old, new, count))
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "says"),
-    [
-        ("exposure_s", "exposure", "[mono"),
-        ("pixel_pitch_um = 4.0\n", "", "missing key `pixel_pitch_um` in [sensor]"),
-        ("[[dark]]", "[[darkness]]", "`darkness`"),
-        ("bits = 12", "bits = 99", "1 to 16 bits"),
-        ("rows = 192", "rows = 12", "too few"),
-        ("column = 1\n", "column = 999\n", "column 999 of spectra/mono.csv"),
-        ('"g b"', '"g x"', "(see b, x)"),
-        ("[sensor]", "[sensor", "not valid TOML"),
-        ("f_number = 2.8", "f_number = 0", "above 0"),
-        ("object_distance_m = 0.0", "object_distance_m = 0.01", "nearer than the focal length"),
-    ],
-)
-def test_wrong_keys_are_recipe_errors(old: str, new: str, says: str, copied: Path, tmp_path: Path, refused: Refused) -> None:
-    edit(copied, old, new)
-    line = refused(2, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
-    assert says in line
-    assert "MEASUREMENTS.toml" in line
-
-
-def truncate(path: Path) -> None:
-    path.write_bytes(path.read_bytes()[:20000])
-
-
-def too_small(path: Path) -> None:
-    write_frame(path, np.zeros((100, 100), dtype=np.uint16))
-
-
-def too_deep(path: Path) -> None:
-    write_frame(path, np.full((192, 256), 5000, dtype=np.uint16))
-
-
-def no_picture(path: Path) -> None:
-    path.write_text("not a picture")
-
-
-@pytest.mark.parametrize(
-    ("spoil", "says"),
-    [
-        (Path.unlink, "does not exist"),
-        (truncate, "truncated"),
-        (too_small, "100×100 pixels, the sensor 192×256"),
-        (too_deep, "more than 12 bits"),
-        (no_picture, "cannot be read"),
-    ],
-)
-@pytest.mark.parametrize("kind", ["mono", "chart", "white", "dark"])
-def test_bad_frames_are_named(
-    kind: str, spoil: Callable[[Path], None], says: str, copied: Path, tmp_path: Path, refused: Refused
-) -> None:
-    frame = sorted((copied / kind).iterdir())[1]
-    spoil(frame)
-    line = refused(3, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
-    assert says in line
-    assert frame.name in line
-
-
-def test_an_8_bit_frame_is_no_raw_frame(copied: Path, tmp_path: Path, refused: Refused) -> None:
-    frame = sorted((copied / "dark").iterdir())[0]
-    frame.write_bytes(b"P5 256 192 255\n" + bytes(192 * 256))
-    line = refused(3, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
-    assert "uint8" in line
-    assert frame.name in line
-
-
-@pytest.mark.parametrize(
-    ("column", "says"),
-    [("dark, as it were", "not a row of numbers"), ("nan", "increase"), ("", "not a row of numbers")],
-)
-@pytest.mark.parametrize("name", ["mono.csv", "chart_*_A.csv"])
-def test_bad_spectra_are_named(name: str, column: str, says: str, copied: Path, tmp_path: Path, refused: Refused) -> None:
-    (path,) = (copied / "spectra").glob(name)
-    lines = path.read_text().splitlines()
-    cells = lines[10].split(",")
-    lines[10] = ",".join([*cells[:-1], column])
-    path.write_text("\n".join(lines))
-    line = refused(3, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
-    assert says in line
-    assert path.name in line
-
-
-def test_a_chart_needs_24_radiances(copied: Path, tmp_path: Path, refused: Refused) -> None:
-    (path,) = (copied / "spectra").glob("chart_*_A.csv")
-    path.write_text("\n".join(line.rpartition(",")[0] for line in path.read_text().splitlines()))
-    line = refused(3, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
-    assert "23 curves, 24 are wanted" in line
-
-
-def corners_of(folder: Path) -> str:
-    text = (folder / "MEASUREMENTS.toml").read_text()
-    return next(line for line in text.splitlines() if line.startswith("corners"))
-
-
-@pytest.mark.parametrize(
-    ("corners", "code", "says"),
-    [
-        ("corners = [[-5, 10], [240, 10], [240, 180], [10, 180]]", 3, "outside the frame"),
-        ("corners = [[10, 10], [240, 10], [240, 1800], [10, 180]]", 3, "outside the frame"),
-        ("corners = [[10, 10], [10, 10], [10, 10], [10, 10]]", 3, "corners"),
-        ("corners = [[10, 10], [14, 10], [14, 14], [10, 14]]", 3, "too few pixels"),
-        ("corners = [[10, 10], [14, 10]]", 2, "2 corners"),
-    ],
-)
-def test_wrong_corners_are_named(corners: str, code: int, says: str, copied: Path, tmp_path: Path, refused: Refused) -> None:
-    edit(copied, corners_of(copied), corners)
-    assert says in refused(code, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
-
-
-def test_charts_upside_down_do_not_make_a_camera(copied: Path, tmp_path: Path, refused: Refused) -> None:
-    line = corners_of(copied)
-    first, second, third, fourth = json.loads(line.partition("= ")[2])
-    edit(copied, line, f"corners = {[third, fourth, first, second]}", count=-1)
-    assert "do not fit" in refused(3, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
-
-
-def test_saturated_captures_are_refused(copied: Path, bayer: CameraModel, tmp_path: Path, refused: Refused) -> None:
-    full = np.full((bayer.rows, bayer.cols), 3814, dtype=np.uint16)
-    chart = sorted((copied / "chart").iterdir())[0]
-    kept = read_frame(chart, (bayer.rows, bayer.cols), bayer.bits).copy()
-    write_frame(chart, full)
-    command = (3, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
-    line = refused(*command)
-    assert "patch 1 is saturated in channel r" in line
-    assert chart.name in line
-    write_frame(chart, kept)
-    for frame in (copied / "mono").iterdir():
-        write_frame(frame, full)
-    assert "channel r is saturated in every monochromatic capture" in refused(*command)
-    for frame in (copied / "white").iterdir():
-        write_frame(frame, full)
-    assert "the white frames hold no noise" in refused(*command)
-
-
-def test_outputs_and_truth_are_checked_first(
-    folder: Path, bayer_recipe: Path, tmp_path: Path, refused: Refused, l3: L3
-) -> None:
-    taken = tmp_path / "camera.h5"
-    taken.write_text("mine")
-    assert "--force" in refused(1, "calibrate", folder / "MEASUREMENTS.toml", "-o", taken)
-    assert taken.read_text() == "mine"
-    fiveband = Path(__file__).parents[1] / "configs/cameras/fiveband.toml"
-    command = ("calibrate", folder / "MEASUREMENTS.toml", "-o", tmp_path / "new.h5", "--truth")
-    assert "r g b o c" in refused(3, *command, fiveband)
-    assert "none.h5" in refused(3, *command, tmp_path / "none.h5")
-    assert "none.toml" in refused(3, "calibrate", tmp_path / "none.toml", "-o", tmp_path / "new.h5")
-    assert refused(2, "calibrate", folder / "MEASUREMENTS.toml")

@@ -11,7 +11,8 @@ from l3cli.artifacts.camera import CameraModel, read_curves
 from l3cli.cli import run
 from l3cli.config import load_recipe
 from l3cli.io.frames import read_frame
-from l3cli.simulate.lab import LabRecipe, plan, take
+from l3cli.simulate.flaws import FlawRecipe, flaws_of
+from l3cli.simulate.lab import LabRecipe, MonoRecipe, plan, take
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 QUICK = """
@@ -170,3 +171,48 @@ def test_a_sensor_too_small_for_a_chart_is_refused(bayer_recipe: Path, tmp_path:
     tiny = tmp_path / "tiny.toml"
     tiny.write_text(bayer_recipe.read_text().replace("rows = 192", "rows = 32"))
     assert "too small" in refused(2, "lab", tiny, "-o", tmp_path / "lab")
+
+
+def test_hot_and_dead_pixels_and_dust_are_where_the_flaws_say(bayer: CameraModel) -> None:
+    recipe = FlawRecipe(hot_pixels_per_million=200.0, dead_pixels_per_million=200.0, dust_specks_per_million=60.0)
+    flaws = flaws_of(bayer, recipe)
+    assert len(flaws.hot) == len(flaws.dead) == 10
+    assert flaws.shade.min() < 0.98
+    captures = plan(bayer, LabRecipe(falloff=0.0), seed=0)
+    cap = next(capture for capture in captures if capture.kind == "dark" and capture.exposure > 0.4)
+    white = next(capture for capture in captures if capture.kind == "white")
+    dark, lit = take(bayer, cap, 0, 0, recipe).astype(float), take(bayer, white, 0, 0, recipe).astype(float)
+    assert (dark[tuple(flaws.hot.T)] > np.percentile(dark, 99.9)).all()
+    assert lit[tuple(flaws.dead.T)].max() < bayer.black + 10
+    columns = np.mean([take(bayer, cap, trial, 0, recipe).mean(axis=0) for trial in range(6)], axis=0)
+    cool = np.setdiff1d(np.arange(bayer.cols), flaws.hot[:, 1])
+    assert np.corrcoef(columns[cool], flaws.columns[cool])[0, 1] > 0.8
+
+
+def test_the_monitor_follows_the_lamp_and_the_scale_is_off_by_one_error(bayer: CameraModel) -> None:
+    still = plan(bayer, LabRecipe(lamp_drift=0.0, monitor_error=0.0, wavelength_error_nm=0.0), 3)
+    session = plan(bayer, LabRecipe(lamp_drift=0.05, monitor_error=0.001, wavelength_error_nm=0.5), 3)
+    light = np.array(
+        [b.electrons.max() / a.electrons.max() for a, b in zip(still, session, strict=True) if a.kind != "dark"]
+    )
+    reading = np.array([capture.monitor for capture in session if capture.kind != "dark"])
+    assert 0.02 < light.std() < 0.08
+    assert 0.0005 < (reading / light).std() < 0.002
+    shifts = {float(np.round(b.wavelength[0] - a.wavelength[0], 9)) for a, b in zip(still, session, strict=True)}
+    assert len(shifts) == 1
+    assert 0 < abs(shifts.pop()) < 1.5
+
+
+def test_stray_light_is_in_the_measured_spectrum(bayer: CameraModel) -> None:
+    captures = plan(bayer, LabRecipe(mono=MonoRecipe(stray_light=0.001)), 0)
+    step = next(capture for capture in captures if capture.kind == "mono")
+    spectrum = step.radiance[0] / step.radiance[0].max()
+    assert spectrum.min() == pytest.approx(0.001, rel=1e-2)
+    assert np.median(spectrum) == pytest.approx(0.001, rel=1e-2)
+    assert 0.02 < np.sort(spectrum)[:-19].sum() / spectrum.sum() < 0.05  # one per mille everywhere is much of the power
+
+
+def test_steps_taken_too_long_saturate(folder: Path, bayer: CameraModel) -> None:
+    (name,) = (path for path in (folder / "mono").iterdir() if "too-long" in path.name)
+    frame = read_frame(name, (bayer.rows, bayer.cols), bayer.bits)
+    assert max(np.median(site) for site in (frame[0::2, 0::2], frame[0::2, 1::2], frame[1::2, 1::2])) == bayer.white
