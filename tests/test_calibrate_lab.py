@@ -1,0 +1,160 @@
+"""What a real lab does wrong and calibration knows of: flawed pixels, drifting lamps, stray light; EMVA 1288's table."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from l3cli.artifacts.base import load
+from l3cli.artifacts.camera import CameraModel, load_camera, read_curves
+from l3cli.calibrate import defects, gain, noise
+from l3cli.calibrate.curves import Curves
+from l3cli.calibrate.model import efficiency
+from l3cli.cli import run
+from l3cli.io.curves import write_curves
+from l3cli.measurement import Body
+from l3cli.simulate.flaws import FlawRecipe, flaws_of
+
+L3 = Callable[..., tuple[int, str, str]]
+MEAN = """
+lamp_drift = 0.03
+monitor_error = 0.0
+wavelength_error_nm = 0.0
+[mono]
+stray_light = 0.001
+[white]
+trials = 8
+[flaws]
+hot_pixels_per_million = 400
+dead_pixels_per_million = 400
+"""
+
+
+@pytest.fixture(scope="module")
+def mean_lab(fine_bayer_recipe: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The small Bayer camera in a lab of much stray light and drift, with forty flawed pixels."""
+    folder = tmp_path_factory.mktemp("mean")
+    (folder / "lab.toml").write_text(MEAN)
+    assert run(["lab", str(fine_bayer_recipe), "-o", str(folder), "--recipe", str(folder / "lab.toml"), "--quiet"]) == 0
+    return folder
+
+
+def compared(folder: Path, file: str, recipe: Path, output: Path, l3: L3) -> dict:
+    command = ("calibrate", folder / file, "-o", output, "--truth", recipe, "--json", "--accept", "--force", "--quiet")
+    code, out, err = l3(*command)
+    assert (code, err) == (0, "")
+    return json.loads(out)
+
+
+def worst(result: dict, name: str) -> float:
+    return max(abs(channel[name]) for channel in result["truth"]["channels"].values())
+
+
+RMS = "responsivity RMS error (% of peak)"
+
+
+def test_flawed_pixels_are_listed_and_left_out(mean_lab: Path, fine_bayer_recipe: Path, tmp_path: Path, l3: L3) -> None:
+    result = compared(mean_lab, "MEASUREMENTS.toml", fine_bayer_recipe, tmp_path / "camera.h5", l3)
+    flaws = flaws_of(load_camera(fine_bayer_recipe), FlawRecipe(hot_pixels_per_million=400.0, dead_pixels_per_million=400.0))
+    known = defects.join(flaws.hot, flaws.dead)
+    assert len(known) == 40
+    assert result["defects"] == known.tolist()
+    errors = {name: entry["error %"] for name, entry in result["truth"]["camera"].items()}
+    assert abs(errors["dark current"]) < 5.0  # with them it were 32 % more, 20 pixels of 4000 e-/s
+    assert abs(errors["DSNU"]) < 5.0
+    assert abs(errors["PRNU"]) < 5.0
+    camera = load(CameraModel, tmp_path / "camera.h5")
+    assert camera.fit is not None
+    assert camera.fit.noise is not None
+    np.testing.assert_array_equal(camera.fit.noise.defects, known)
+    code, out, _ = l3("calibrate", mean_lab / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5", "--force")
+    assert code == 0
+    assert "hot and dead pixels left out, row and col: 40: (" in out
+    assert "too-long.tif: saturated in g" in out
+
+
+def test_the_monitor_and_stray_light_count(mean_lab: Path, fine_bayer_recipe: Path, tmp_path: Path, l3: L3) -> None:
+    """A drift of 3 % that nobody followed, or stray light of 1 ‰ that nobody measured, are the largest errors of all."""
+    result = compared(mean_lab, "MEASUREMENTS.toml", fine_bayer_recipe, tmp_path / "camera.h5", l3)
+    assert worst(result, RMS) < 0.5
+    text = (mean_lab / "MEASUREMENTS.toml").read_text()
+    unmonitored = "\n".join(line for line in text.splitlines() if not line.startswith("monitor"))
+    (mean_lab / "UNMONITORED.toml").write_text(unmonitored)
+    result = compared(mean_lab, "UNMONITORED.toml", fine_bayer_recipe, tmp_path / "camera.h5", l3)
+    assert worst(result, RMS) > 1.0
+    wavelength, lights = read_curves(mean_lab / "spectra/mono.csv")
+    floor = lights.min(axis=1, keepdims=True)
+    write_curves(mean_lab / "spectra/clean.csv", wavelength, lights - floor, [str(n) for n in range(len(lights))])
+    (mean_lab / "CLEAN.toml").write_text(text.replace("spectra/mono.csv", "spectra/clean.csv"))
+    result = compared(mean_lab, "CLEAN.toml", fine_bayer_recipe, tmp_path / "camera.h5", l3)
+    assert worst(result, RMS) > 0.6
+    assert min(channel["R²"] for channel in result["channels"].values()) > 0.99  # which hardly tells
+
+
+def test_processes_change_nothing(lab_folder: Path, tmp_path: Path, l3: L3) -> None:
+    for jobs in (1, 2):
+        assert l3("calibrate", lab_folder / "MEASUREMENTS.toml", "-o", tmp_path / f"{jobs}.h5", "--jobs", jobs)[0] == 0
+    assert (tmp_path / "1.h5").read_bytes() == (tmp_path / "2.h5").read_bytes()
+
+
+def test_the_table_is_that_of_emva_1288(lab_folder: Path, fine_bayer_recipe: Path, tmp_path: Path, l3: L3) -> None:
+    """15 000 e- of which 4 are noise: SNR 41.8 dB; 15 000 over √(4² + (1/12)/0.25²) + ½: 70.3 dB."""
+    result = compared(lab_folder, "MEASUREMENTS.toml", fine_bayer_recipe, tmp_path / "camera.h5", l3)
+    for channel in result["channels"].values():
+        assert channel["SNR max (dB)"] == pytest.approx(41.76, abs=0.05)
+        assert channel["DR (dB)"] == pytest.approx(70.20, abs=0.2)
+        assert 0.0 < channel["LE (%)"] < 0.3  # what the monitor's error leaves
+        assert channel["K (DN/e-)"] == pytest.approx(0.25, rel=0.01)
+    assert result["responsivity"] == "absolute"
+    assert result["declared"] == []
+    truth = load_camera(fine_bayer_recipe).responsivity.max(axis=1)
+    for channel, peak in zip(result["channels"].values(), truth, strict=True):
+        assert abs(channel["peak QE (%)"] - 100 * peak) < channel["± 95 % (%)"] < 1.0
+    assert set(result["lights"]) == {"1 D65", "2 A", "3 3200K", "4 FL2"}
+    assert all(row["RMSE g (%)"] < 1.0 and row["R² g"] > 0.999 for row in result["lights"].values())
+
+
+def test_linearity_error_is_the_mean_deviation_from_a_line() -> None:
+    lit = np.array([0.1, 0.2, 0.4, 0.6, 0.8])
+    assert noise.linearity_error(lit, 100.0 + 4000.0 * lit) == pytest.approx(0.0, abs=1e-12)
+    bent = 4000.0 * lit * (1.0 - 0.1 * lit)
+    assert 0.004 < noise.linearity_error(lit, bent) < 0.02
+
+
+def test_the_error_of_alpha_comes_from_the_charts() -> None:
+    photons = np.tile(np.linspace(10.0, 100.0, 24), (4, 1))
+    values = 64.0 + np.array([0.99, 1.01, 0.99, 1.01])[:, None] * 20.0 * photons
+    error = gain.gain_error(photons, values, 64.0, 20.0, 64.0, 0.0)
+    assert error == pytest.approx(20.0 * np.std([0.99, 1.01, 0.99, 1.01], ddof=1) / 2.0, rel=1e-6)
+    assert gain.gain_error(photons, 64.0 + 20.0 * photons, 64.0, 20.0, 64.0, 0.02) == pytest.approx(0.2)
+
+
+def test_defects_are_patched_by_their_own_channel() -> None:
+    cfa = np.array([[0, 1], [1, 2]], dtype=np.uint8)
+    picture = np.tile([[10.0, 20.0], [20.0, 30.0]], (8, 8))
+    spoilt = picture.copy()
+    spots = np.array([[0, 0], [5, 6], [15, 15]])
+    spoilt[tuple(spots.T)] = 999.0
+    np.testing.assert_array_equal(defects.outliers(spoilt, cfa, 1.0), spots)
+    np.testing.assert_array_equal(defects.patched(spoilt, cfa, spots), picture)
+    assert defects.outliers(picture, cfa, 1.0).shape == (0, 2)
+
+
+def test_the_band_holds_the_errors_of_gain_and_scale(lab_folder: Path, tmp_path: Path, l3: L3) -> None:
+    assert l3("calibrate", lab_folder / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")[0] == 0
+    camera = load(CameraModel, tmp_path / "camera.h5")
+    assert camera.fit is not None
+    assert camera.fit.chart is not None
+    assert camera.fit.noise is not None
+    c = camera
+    body = Body(c.name, c.rows, c.cols, c.pixel_pitch, c.bits, c.channels, c.cfa, c.optics)
+    curves = Curves(c.wavelength, c.responsivity, np.zeros_like(c.responsivity))
+    unsure = replace(camera.fit.noise, conversion_gain_error=0.04 * camera.fit.noise.conversion_gain)
+    _, band = efficiency(curves, replace(camera.fit, noise=unsure), camera.gain, body)
+    scale = camera.fit.chart.alpha[:, None] / camera.gain
+    least = 1.96 * 0.04 * np.sqrt(0.25**2 + 0.5**2 + 0.25**2) * c.responsivity * scale  # K's error, by shares of pixels
+    assert (band >= 0.999 * least).all()
+    assert (band <= 1.1 * least).all()
