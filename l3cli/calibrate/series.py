@@ -122,10 +122,10 @@ def respond(rates: Array, photons: Array) -> tuple[Array, Array]:
     spread over patches. What a patch gets more or less of all bands, each in its brightest channel, is uneven light, and
     taken out."""
     each = rates / photons[..., None]
-    response = each.mean(axis=1)
+    response = np.nanmean(each, axis=1)  # a patch may be saturated in every capture
     relative = each / response[:, None]
     brightest = np.take_along_axis(relative, response.argmax(axis=1)[:, None, None], axis=2)[..., 0]
-    spread = (relative / np.median(brightest, axis=0)[:, None]).std(axis=1, ddof=1)
+    spread = np.nanstd(relative / np.nanmedian(brightest, axis=0)[:, None], axis=1, ddof=1)
     return response, spread
 
 

@@ -21,6 +21,7 @@ MARGIN = 0.08  # of the frame's height around the chart
 MOUNT = 0.03  # reflectance between and around the patches
 OVEREXPOSED = 2.0  # full scales that a step taken again reaches
 SPARE = 5.0  # nm that the spectrometer sees beyond camera and slits
+MOST_STRAY, MOST_DRIFT = 0.01, 0.2  # beyond, a slit is no slit and a lamp no lamp
 MEMORY = 0.8  # correlation of the lamp's drift from one capture to the next
 Array = NDArray[np.float64]
 
@@ -166,7 +167,8 @@ def plan(camera: CameraModel, recipe: LabRecipe, seed: int) -> tuple[LabCapture,
         exposure = min(mono.longest_exposure_s, look.exposure_for(mono.level, radiance))
         add("mono", f"{centre:g}nm", exposure, mono.trials, radiance)
         if centre in again:
-            add("mono", f"{centre:g}nm too long", look.exposure_for(OVEREXPOSED, radiance), 1, radiance)
+            too_long = min(mono.longest_exposure_s, look.exposure_for(OVEREXPOSED, radiance))
+            add("mono", f"{centre:g}nm too long", too_long, 1, radiance)
     _, reflectance = spectra.colorchecker(look.wavelength)
     surfaces = np.concatenate([reflectance, np.full((1, look.wavelength.size), MOUNT)])
     for light in chart.illuminants:
@@ -194,6 +196,10 @@ def _check(recipe: LabRecipe, camera: CameraModel) -> None:
         raise RecipeError("white and dark need two trials or more, for noise is measured on pairs of frames, the others one")
     if not 0 <= mono.overexposed <= centres.size - 2:
         raise RecipeError(f"mono.overexposed must lie in 0…{centres.size - 2}, with {centres.size} steps")
+    if not (0 <= mono.stray_light < MOST_STRAY and 0 <= recipe.falloff < 1 and 0 <= recipe.lamp_drift < MOST_DRIFT):
+        raise RecipeError(f"stray_light must lie in 0…{MOST_STRAY}, falloff in 0…1, lamp_drift in 0…{MOST_DRIFT}")
+    if min(recipe.monitor_error, recipe.wavelength_error_nm, *msgspec.structs.astuple(recipe.flaws)) < 0:
+        raise RecipeError("monitor_error, wavelength_error_nm and the figures of flaws must not be negative")
     if camera.rows < 64 or camera.cols < 96:
         raise RecipeError(f"a sensor of {camera.rows}×{camera.cols} is too small for a chart; the lab needs 64×96 pixels")
     if not camera.absolute:
