@@ -319,12 +319,14 @@ def test_dark_frames_give_read_noise_dark_current_and_dsnu(body: Body) -> None:
     """Few trials and a small DSNU: forgetting the estimator's own variance would add 40 %, row and column noise more."""
     rng = np.random.default_rng(1)
     offsets = 64.0 + rng.normal(0, 1.0, (192, 256)) + rng.normal(0, 3.0, 256) + rng.normal(0, 3.0, (192, 1))
+    offsets[100, 50], offsets[101, 51] = 900.0, 20.0  # stuck pixels alone would make the DSNU 4 DN
     captures = [
         Capture(f"{t}", t, drawn(offsets + 5.0 * t, np.sqrt(2.0**2 + 1.5 * t), 2, rng)) for t in (0.1, 1.0, 2.0, 3.0)
     ]
     dark = noise.dark_noise(captures, body)
     np.testing.assert_allclose(np.sqrt(dark.variance), 2.0, rtol=0.03)
     np.testing.assert_allclose(dark.dsnu, 1.0, rtol=0.05)
+    assert dark.hot.tolist() == [[100, 50], [101, 51]]
     np.testing.assert_allclose(dark.slope, 5.0, atol=1.5)  # frames drift by 1 DN
     np.testing.assert_allclose(dark.black, 64.0, atol=3.0)
 

@@ -4,7 +4,11 @@ python -m pytest -m slow -s tests/test_calibration_study.py      21 seeds of the
 """
 
 import json
+import resource
 import shutil
+import subprocess
+import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -73,3 +77,38 @@ def test_two_seeds_of_a_smaller_sensor(tmp_path: Path, l3: L3, fiveband: CameraM
 @pytest.mark.slow
 def test_twenty_one_seeds(tmp_path: Path, l3: L3) -> None:
     study(range(21), RECIPE, tmp_path, l3)
+
+
+@pytest.mark.slow
+def test_a_whole_session_in_time_and_memory(tmp_path: Path, l3: L3) -> None:
+    """31 wavelengths × 4, 4 charts × 8, and 6 exposures × 32 of dark and white frames of 2048×1164: 540 frames."""
+    (tmp_path / "lab.toml").write_text("""
+[mono]
+trials = 4
+overexposed = 0
+[chart]
+trials = 8
+[white]
+levels = [0.05, 0.2, 0.4, 0.6, 0.85, 1.6]
+trials = 32
+[dark]
+exposures_s = [0.01, 0.1, 0.5, 1.0, 1.5, 2.0]
+trials = 32
+""")
+    assert l3("lab", RECIPE, "-o", tmp_path / "lab", "--recipe", tmp_path / "lab.toml", "--jobs", 2, "--quiet")[0] == 0
+    assert len(list((tmp_path / "lab").glob("*/*.tif"))) == 540
+    command = [
+        sys.executable,
+        "-c",
+        "from l3cli.cli import main; main()",
+        "calibrate",
+        str(tmp_path / "lab/MEASUREMENTS.toml"),
+    ]
+    start = time.perf_counter()
+    subprocess.run([*command, "-o", str(tmp_path / "camera.h5"), "--quiet"], check=True, stdout=subprocess.DEVNULL)
+    seconds = time.perf_counter() - start
+    kilobytes = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
+    print(f"\n540 frames in {seconds:.1f} s, at most {kilobytes / 1e6:.2f} GB")
+    shutil.rmtree(tmp_path / "lab")
+    assert seconds < 90.0
+    assert kilobytes < 1e6
