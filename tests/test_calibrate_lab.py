@@ -158,3 +158,6 @@ def test_the_band_holds_the_errors_of_gain_and_scale(lab_folder: Path, tmp_path:
     least = 1.96 * 0.04 * np.sqrt(0.25**2 + 0.5**2 + 0.25**2) * c.responsivity * scale  # K's error, by shares of pixels
     assert (band >= 0.999 * least).all()
     assert (band <= 1.1 * least).all()
+    unsure_scale = replace(camera.fit.chart, alpha_error=0.05 * camera.fit.chart.alpha)
+    _, band = efficiency(curves, replace(camera.fit, chart=unsure_scale), camera.gain, body)
+    assert (band >= 1.96 * 0.05 * c.responsivity * scale).all()

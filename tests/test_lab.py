@@ -153,7 +153,7 @@ def test_an_existing_lab_is_kept_without_force(
         ("[mono]\nbandwidth_nm = 0.5", "bandwidth_nm"),
         ("[mono]\nfirst_nm = 690", "three steps"),
         ("[dark]\nexposures_s = []", "levels and exposures"),
-        ("[mono]\noverexposed = 99", "mono.overexposed"),
+        ("[mono]\noverexposed = -1", "not be negative"),
         ("[mono]\nstray_light = 0.5", "stray_light"),
         ("falloff = 1.0", "falloff"),
         ("monitor_error = -0.1", "not be negative"),

@@ -35,7 +35,7 @@ class MonoRecipe(Recipe):
     bandwidth_nm: float = 10.0  # full width at half maximum
     stray_light: float = 0.0005  # share of the peak at every wavelength
     trials: int = 1  # frames a step
-    overexposed: int = 4  # steps, spread over the sweep, that are taken again far too long
+    overexposed: int = 4  # steps between the first and the last, as far as there are, that are taken again far too long
     level: float = 0.5  # share of full scale that the brightest channel reaches
     radiance: float = 1e18  # photons/s/sr/m² of every step
     longest_exposure_s: float = 2.0  # a step that no channel sees well stays darker
@@ -161,7 +161,7 @@ def plan(camera: CameraModel, recipe: LabRecipe, seed: int) -> tuple[LabCapture,
 
     mono, chart, white, dark = recipe.mono, recipe.chart, recipe.white, recipe.dark
     centres = slit_centres(camera, mono)
-    again = centres[np.linspace(0, centres.size - 1, mono.overexposed + 2).astype(int)[1:-1]]
+    again = centres[np.linspace(0, centres.size - 1, min(mono.overexposed, centres.size - 2) + 2).astype(int)[1:-1]]
     for centre in centres:
         radiance = _slit(look.wavelength, centre, mono)[None]
         exposure = min(mono.longest_exposure_s, look.exposure_for(mono.level, radiance))
@@ -194,12 +194,10 @@ def _check(recipe: LabRecipe, camera: CameraModel) -> None:
         raise RecipeError("levels and exposures must be given and above 0")
     if min(recipe.white.trials, recipe.dark.trials) < 2 or min(mono.trials, recipe.chart.trials) < 1:
         raise RecipeError("white and dark need two trials or more, for noise is measured on pairs of frames, the others one")
-    if not 0 <= mono.overexposed <= centres.size - 2:
-        raise RecipeError(f"mono.overexposed must lie in 0…{centres.size - 2}, with {centres.size} steps")
     if not (0 <= mono.stray_light < MOST_STRAY and 0 <= recipe.falloff < 1 and 0 <= recipe.lamp_drift < MOST_DRIFT):
         raise RecipeError(f"stray_light must lie in 0…{MOST_STRAY}, falloff in 0…1, lamp_drift in 0…{MOST_DRIFT}")
-    if min(recipe.monitor_error, recipe.wavelength_error_nm, *msgspec.structs.astuple(recipe.flaws)) < 0:
-        raise RecipeError("monitor_error, wavelength_error_nm and the figures of flaws must not be negative")
+    if min(mono.overexposed, recipe.monitor_error, recipe.wavelength_error_nm, *msgspec.structs.astuple(recipe.flaws)) < 0:
+        raise RecipeError("overexposed, monitor_error, wavelength_error_nm and the figures of flaws must not be negative")
     if camera.rows < 64 or camera.cols < 96:
         raise RecipeError(f"a sensor of {camera.rows}×{camera.cols} is too small for a chart; the lab needs 64×96 pixels")
     if not camera.absolute:
