@@ -14,7 +14,7 @@ from l3cli.artifacts.base import load
 from l3cli.artifacts.camera import CameraModel, Noise
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingFrame, TrainingSet, write_training_set
-from l3cli.train.cases import choose_cases
+from l3cli.train.kinds import choose_cases
 from l3cli.train.patches import draw_levels, output_unit, sample_patches
 from l3cli.train.recipe import LearningRecipe
 from l3cli.train.symmetry import orientations, site_maps, stabilisers

@@ -48,7 +48,8 @@ def train(
     sites = canonical_sites(head, rule)
     options.say(
         f"{total} frames, {len(sites)} of {head.camera.cfa.size} sites to train, "
-        f"{rule.levels} levels × {rule.contrasts} contrasts × {rule.cases} saturation cases",
+        f"{rule.levels} levels × {rule.contrasts} contrasts × "
+        f"({rule.chromas} chromas + {rule.cases - 1} saturation cases)",
         quiet,
     )
     white_point = mean_white(_frames(training))

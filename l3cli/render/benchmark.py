@@ -80,6 +80,8 @@ def made_up_table(case: Case, rng: np.random.Generator) -> TransformTable:
         saturation=4036,
         saturation_radius=2,
         case_of_code=case_of_code,
+        chroma_black=BLACK * 16,
+        chroma_weights=np.zeros((1, channels), np.int32),
     )
     classes = cfa.size * rule.classes_per_site
     return TransformTable(

@@ -9,7 +9,7 @@ from l3cli.artifacts.base import Stage
 from l3cli.artifacts.table import ClassRule, TransformTable
 from l3cli.artifacts.training_set import TrainingFrame, TrainingSet
 from l3cli.classify import make_rule, neighbourhoods, saturation_codes
-from l3cli.train.cases import choose_cases
+from l3cli.train.kinds import channel_shares, choose_cases, choose_chromas
 from l3cli.train.patches import draw_levels, expose_patches, output_unit, sample_patches
 from l3cli.train.recipe import TrainingRecipe, check_learning
 from l3cli.train.solve import Goal, Solution, equal_responses, solve
@@ -22,7 +22,7 @@ PILOT_PATCHES = 4000  # patches a site over all frames that decide which saturat
 def training_rule(
     frames: Iterable[TrainingFrame], total: int, head: TrainingSet, recipe: TrainingRecipe, seed: int
 ) -> ClassRule:
-    """The class rule for `head.camera`, its saturation cases chosen from a pilot sample of the `total` frames."""
+    """The class rule for `head.camera`; its saturation cases and chroma centres come from a pilot sample of the frames."""
     check_learning(recipe.learning)
     camera = head.camera
     codes = 2 ** len(camera.channels)
@@ -30,6 +30,7 @@ def training_rule(
     near = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
     canonical = canonical_sites(head, rule)
     occurrences = np.zeros(codes, dtype=np.int64)
+    shares = []
     unit = output_unit(camera)
     for index, frame in enumerate(frames):
         for site in canonical:
@@ -41,7 +42,10 @@ def training_rule(
             scale = draw_levels(recipe.learning, count, rng) / own_level
             values, _, _ = expose_patches((patches.signal * scale[:, None]).astype(np.float32), camera, rng)
             occurrences += np.bincount(saturation_codes(values, rule, near, site), minlength=codes)
-    return make_rule(recipe.classes, camera, choose_cases(occurrences, recipe.classes.max_cases))
+            shares.append(channel_shares(patches.signal, near, site))
+    case_of_code = choose_cases(occurrences, recipe.classes.max_cases)
+    centres = choose_chromas(np.concatenate(shares), recipe.classes.chromas, seed)
+    return make_rule(recipe.classes, camera, case_of_code, centres)
 
 
 def canonical_sites(head: TrainingSet, rule: ClassRule) -> list[int]:
