@@ -44,7 +44,7 @@ class ClassRecipe(Recipe):
     contrasts: tuple[float, ...] = (1.4,)  # edges of √(signal variance / noise variance)
     saturation: float = 0.985  # share of full scale from which a pixel is saturated
     saturation_radius: int = 2  # pixels
-    chromas: int = 1  # colours told apart where nothing is saturated; 1: none (METHOD 3.5)
+    chromas: int = 8  # colours told apart where nothing is saturated; 1: none (METHOD 3.5)
     max_cases: int = 12  # saturation patterns that get classes of their own, the unsaturated one included
 
 

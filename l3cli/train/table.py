@@ -1,6 +1,6 @@
 """The training room's front: what the command calls, in the order it calls it."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from l3cli.train.recipe import TrainingRecipe, check_learning
 from l3cli.train.solve import Goal, Solution, equal_responses, solve
 from l3cli.train.sums import Sums, accumulate, symmetrise
 from l3cli.train.symmetry import orientations, site_maps, stabilisers
+from l3cli.train.weighing import Judge
 
 PILOT_PATCHES = 4000  # patches a site over all frames that decide which saturation cases are kept
 
@@ -55,7 +56,7 @@ def canonical_sites(head: TrainingSet, rule: ClassRule) -> list[int]:
 
 
 def train_site(
-    frames: Iterable[TrainingFrame],
+    read_frames: Callable[[], Iterable[TrainingFrame]],
     total: int,
     head: TrainingSet,
     rule: ClassRule,
@@ -64,19 +65,28 @@ def train_site(
     white_point: NDArray[np.float64],
     seed: int,
 ) -> Solution:
-    """Solutions of one canonical site from all `total` frames, read in turn; `white_point` (output) with Y = 1."""
-    camera = head.camera
-    near = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
-    sums = Sums.empty(rule.classes_per_site, rule.patch**2, len(head.outputs))
-    unit = output_unit(camera)
+    """Solutions of one canonical site from the `total` frames, read in turn once a pass; `white_point` (output), Y = 1."""
+    goal = Goal(head.outputs, white_point)
+    learning = recipe.learning
+    near = neighbourhoods(head.camera.cfa, rule.patch, len(head.camera.channels))
+    unit = output_unit(head.camera)
     window = near.channel[site]
-    for index, frame in enumerate(frames):
-        rng = np.random.default_rng([seed, 1, index, site])
-        count = -(-recipe.learning.patches // total)
-        patches = sample_patches(frame, head, unit, window, count, orientations(rule.patch), rng)
-        accumulate(sums, patches, camera, rule, near, site, recipe.learning, rng)
-    shared = symmetrise(sums, stabilisers(window, rule.patch))
-    return solve(shared, rule, window, recipe.learning, Goal(head.outputs, white_point))
+
+    def one_pass(number: int, draws: int, judge: Judge | None) -> Solution:
+        sums = Sums.empty(rule.classes_per_site, rule.patch**2, len(head.outputs))
+        count = -(-learning.patches // total)
+        for index, frame in enumerate(read_frames()):
+            rng = np.random.default_rng([seed, number, index, site])
+            patches = sample_patches(frame, head, unit, window, count, orientations(rule.patch), rng)
+            accumulate(sums, patches, head.camera, rule, near, site, learning, draws, judge, rng)
+        return solve(symmetrise(sums, stabilisers(window, rule.patch)), rule, window, learning, goal)
+
+    judge = None
+    if learning.first_draws and head.outputs == ("X", "Y", "Z"):
+        first = one_pass(1, learning.first_draws, None)
+        (filled,) = equal_responses([first], [1], rule, learning, goal)
+        judge = Judge(np.swapaxes(filled.weights, 1, 2), filled.intercept, white_point)
+    return one_pass(2, learning.draws, judge)
 
 
 def assemble(
