@@ -113,16 +113,16 @@ def make_rule(
             saturation_radius=min(recipe.saturation_radius, recipe.patch // 2),
             case_of_code=case_of_code,
             chroma_black=int(np.rint((camera.black - truncated) / 2**shift * 2**CHROMA_FRACTION)),
-            chroma_weights=_chroma_weights(chroma_centres, channels),
+            chroma_weights=chroma_weights(
+                np.full((1, channels), 1 / channels) if chroma_centres is None else chroma_centres
+            ),
         )
     except ValueError as error:
         raise RecipeError(f"classes: {error}") from error
 
 
-def _chroma_weights(centres: NDArray[np.float64] | None, channels: int) -> NDArray[np.int32]:
-    """Integer weights (chroma, channel) whose least score is the nearest centre."""
-    if centres is None:
-        return np.zeros((1, channels), dtype=np.int32)
+def chroma_weights(centres: NDArray[np.float64]) -> NDArray[np.int32]:
+    """Integer weights (chroma, channel) by which the lowest score is that of the nearest of `centres` (chroma, channel)."""
     weights = (centres**2).sum(axis=1, keepdims=True) - 2 * centres
     return np.rint(weights * CHROMA_SCALE).astype(np.int32)
 
