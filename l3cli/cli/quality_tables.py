@@ -7,6 +7,9 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+PIPED = 140  # columns, where stdout is no terminal
+WIDE = 110  # columns from which every figure is shown; JSON holds all of them
+LESS_NEEDED = ("median_delta_e", "output_psnr", "ssim")
 HEADINGS = {
     "mean_delta_e": "ΔE00 mean",
     "median_delta_e": "median",
@@ -23,12 +26,13 @@ HEADINGS = {
 
 def print_tables(document: dict[str, Any]) -> None:
     """Frames, means, light levels, illuminants, classes and the worst of them; beside ours the main figure of each rival."""
-    console = Console(highlight=False, width=None if Console().is_terminal else 140)
-    figures = list(document["frames"][0]["ours"])
+    console = Console(highlight=False, width=None if Console().is_terminal else PIPED)
+    wide = console.width >= WIDE
+    figures = [figure for figure in document["frames"][0]["ours"] if wide or figure not in LESS_NEEDED]
     rivals = document["pipelines"][1:]
-    main = [figures[0]] + [figure for figure in figures if figure == "psnr"]
+    main = [figures[0]] + [figure for figure in figures if figure == "psnr" and wide]
     columns = [("ours", figure) for figure in figures] + [(rival, figure) for rival in rivals for figure in main]
-    named = [HEADINGS[figure] if owner == "ours" else f"{owner} {HEADINGS[figure]}" for owner, figure in columns]
+    named = [HEADINGS[figure] if owner == "ours" else f"{owner}\n{HEADINGS[figure]}" for owner, figure in columns]
 
     def values(row: dict[str, Any]) -> list[str]:
         return [_number(figure, row[owner][figure]) for owner, figure in columns]
@@ -81,9 +85,9 @@ def _number(figure: str, value: float) -> str:
 def _print(console: Console, title: str, headings: Iterable[str], rows: list[list[str]]) -> None:
     if title:
         console.print(f"\n{title}")
-    table = Table(box=box.SIMPLE_HEAD if console.is_terminal else None, pad_edge=False)
+    table = Table(box=box.SIMPLE_HEAD if console.is_terminal else None, pad_edge=False, padding=(0, 1, 0, 0))
     for index, heading in enumerate(headings):
-        table.add_column(heading, justify="left" if index == 0 else "right", no_wrap=index == 0)
+        table.add_column(heading, justify="left" if index == 0 else "right", no_wrap=index > 0)
     for row in rows:
         table.add_row(*row)
     console.print(table)
