@@ -110,6 +110,15 @@ def test_psnr_and_ssim_of_known_differences() -> None:
     assert 0.3 < ssim(texture, blurred) < 0.9
     assert ssim(texture, blurred) == pytest.approx(ssim(blurred, texture))
     assert ssim(texture[:5, :5], texture[:5, :5]) == pytest.approx(1)
+    reach = np.arange(-5, 6)
+    window = np.exp(-(reach[:, None] ** 2 + reach[None] ** 2) / (2 * 1.5**2))
+    window /= window.sum()  # one window, by the paper's equations 13 to 16
+    a, b = texture[:11, :11], blurred[:11, :11]
+    mean_a, mean_b = (window * a).sum(), (window * b).sum()
+    var_a, var_b = (window * (a - mean_a) ** 2).sum(), (window * (b - mean_b) ** 2).sum()
+    cov = (window * (a - mean_a) * (b - mean_b)).sum()
+    term = (2 * mean_a * mean_b + 1e-4) * (2 * cov + 9e-4) / ((mean_a**2 + mean_b**2 + 1e-4) * (var_a + var_b + 9e-4))
+    assert ssim(a, b) == pytest.approx(term)
 
 
 def test_the_spectral_angle_ignores_brightness() -> None:
@@ -158,7 +167,9 @@ def test_malvar_and_menon_only_for_bayer() -> None:
     assert set(rivals(np.array([[1, 0], [2, 1]], np.uint8))) == {"basic", "malvar", "menon"}
 
 
-@pytest.mark.parametrize("pattern", [[[0, 1], [1, 2]], [[2, 1], [1, 0]], [[1, 0], [2, 1]], [[1, 2], [0, 1]]])
+@pytest.mark.parametrize(
+    "pattern", [[[0, 1], [1, 2]], [[2, 1], [1, 0]], [[1, 0], [2, 1]], [[1, 2], [0, 1]], [[1, 0], [0, 2]]]
+)
 def test_every_bayer_phase_is_understood(pattern: list) -> None:
     pytest.importorskip("colour_demosaicing")
     cfa = np.array(pattern, dtype=np.uint8)
@@ -398,13 +409,17 @@ def test_errors_are_counted_in_their_class(trained: Path) -> None:
         frame = reader.frame(0)
     labels = label_mosaic(frame.raw, table.rule, table.cfa, len(table.channels))
     shape = (table.cfa.size, table.rule.levels, table.rule.contrasts, table.rule.kinds)
-    level = np.unravel_index(labels, shape)[1]
+    _, level, contrast, kind = np.unravel_index(labels, shape)
     errors = ClassErrors(table, ("ours",))
     errors.add(labels, {"ours": level.astype(float)})
     for entry in errors.by_axis("mean_delta_e")["level"]:
         assert entry["ours"]["mean_delta_e"] == pytest.approx(entry["level"])
         assert entry["from"] < entry["to"]
         assert entry["pixels"] == (level == entry["level"]).sum()
+    for entry in errors.by_axis("mean_delta_e")["contrast"]:
+        assert entry["pixels"] == (contrast == entry["contrast"]).sum()
+    for entry in errors.by_axis("mean_delta_e")["chroma"]:
+        assert entry["pixels"] == (kind == entry["chroma"]).sum()
     centres = chroma_centres(table.rule)
     assert centres.shape == (4, 3)
     assert centres.sum(axis=1) == pytest.approx(np.ones(4), abs=0.01)
@@ -421,3 +436,16 @@ def test_an_evaluation_needs_no_file(trained: Path) -> None:
     document = evaluation.document()
     assert document["mean"]["ours"]["mean_delta_e"] < 1e-3
     assert document["better"]["basic"] == dict.fromkeys(QUALITY, 1)
+
+
+def test_errors_are_laid_to_the_class_of_their_pixel(trained: Path) -> None:
+    table = load(TransformTable, trained / "table.h5")
+    with open_training_set(trained / "training.h5") as reader:
+        evaluation, frame = Evaluation(table, reader.head), reader.frame(0)
+    labels = label_mosaic(frame.raw, table.rule, table.cfa, len(table.channels))
+    level = labels % table.rule.classes_per_site // (table.rule.contrasts * table.rule.kinds)
+    spoilt = np.bincount(level[2:-2, 2:-2].ravel()).argmax()
+    planes = frame.target * np.where(level == spoilt, 0.7, 1.0)
+    evaluation.add(frame, planes * frame.exposure / table.output_unit, labels)
+    for entry in evaluation.document()["by_class"]["level"]:
+        assert (entry["ours"]["mean_delta_e"] > 1) == (entry["level"] == spoilt)
