@@ -41,3 +41,11 @@ def sha256(path: Path) -> str:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
         raise InputFileError(f"{path}: {error.strerror}") from error
+
+
+def refuse_filled_folder(path: Path, force: bool) -> None:
+    """Raise L3Error before any work if `path` is a file, or a folder that holds something and may not be written into."""
+    if path.exists() and not path.is_dir():
+        raise L3Error(f"{path} is a file; name a folder")
+    if path.is_dir() and any(path.iterdir()) and not force:
+        raise L3Error(f"{path} is not empty; add --force to write into it or name another folder")

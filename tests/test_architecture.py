@@ -21,6 +21,7 @@ DOORS = {
     "colour": ("spectra.py",),
     "dask": ("parallel.py",),
     "rich": ("cli/",),
+    "colour_demosaicing": ("evaluate/",),
 }
 
 

@@ -55,7 +55,7 @@ def pipeline(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_an_unseen_scene_comes_out_well(pipeline: Path, l3: Callable) -> None:
     code, out, err = l3("evaluate", pipeline / "table.h5", pipeline / "unseen.h5", "--json")
     assert (code, err) == (0, "")
-    figures = json.loads(out)["mean"]
+    figures = json.loads(out)["mean"]["ours"]
     assert figures["mean_delta_e"] < 8
     assert figures["psnr"] > 20
     picture, _ = read_image(pipeline / "picture.png")

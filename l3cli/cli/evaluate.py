@@ -1,11 +1,8 @@
 """l3 evaluate: a table's quality on frames with known targets."""
 
-import dataclasses
-import json
 from pathlib import Path
 
 import click
-import numpy as np
 
 from l3cli.cli import options
 
@@ -14,49 +11,62 @@ from l3cli.cli import options
 @click.argument("table", type=options.FILE, metavar="TABLE.h5")
 @click.argument("frames", type=options.FILE, metavar="TRAINING.h5")
 @click.option("--backend", default="opencl", show_default=True, help="Renderer: opencl or reference.")
+@click.option(
+    "--viewing",
+    type=click.FloatRange(2, 1000),
+    default=50.0,
+    show_default=True,
+    help="Samples a degree that S-CIELAB sees the pictures at.",
+)
+@click.option(
+    "--pictures",
+    type=options.FILE,
+    metavar="DIR",
+    help="Write ours, ideal, basic and an error map (black: ΔE00 0, white: 10) of every frame as PNG.",
+)
+@click.option("--force", is_flag=True, help="Write pictures into a folder that is not empty.")
 @options.as_json
 @options.quiet
-def evaluate(table: Path, frames: Path, backend: str, as_json: bool, quiet: bool) -> None:
+def evaluate(
+    table: Path, frames: Path, backend: str, viewing: float, pictures: Path | None, force: bool, as_json: bool, quiet: bool
+) -> None:
     """Render the raw frames of a training set that TABLE was not trained on and compare them with their targets.
 
     Pictures are compared as displayed: adapted to D65, the 99th percentile of the target's luminance shown as white.
+    Beside the table stands a basic pipeline that learns nothing (interpolation, white balance, colour matrix) and, for
+    a Bayer array where colour-demosaicing is installed, Malvar's and Menon's demosaicking with the same matrix.
 
     Example: l3 evaluate table.h5 unseen.h5 --json
     """
+    import json
+
     from l3cli.artifacts.base import load
     from l3cli.artifacts.table import TransformTable
     from l3cli.artifacts.training_set import open_training_set
-    from l3cli.errors import InputFileError
-    from l3cli.evaluate.quality import quality
+    from l3cli.evaluate.evaluation import Evaluation
+    from l3cli.evaluate.pictures import frame_pictures
+    from l3cli.files import refuse_filled_folder
     from l3cli.frame import RawFrame
+    from l3cli.io.images import write_picture
+    from l3cli.render.display import require_xyz
     from l3cli.render.renderer import make_renderer
 
     transforms = load(TransformTable, table)
-    results = []
+    if pictures is not None:
+        require_xyz(transforms.outputs)
+        refuse_filled_folder(pictures, force)
     with open_training_set(frames) as reader:
-        camera = reader.head.camera
-        if camera.channels != transforms.channels or not np.array_equal(camera.cfa, transforms.cfa):
-            raise InputFileError(f"{frames} is of a camera with another CFA than {table}; evaluate a matching pair")
-        if transforms.outputs != ("X", "Y", "Z") or reader.head.outputs != ("X", "Y", "Z"):
-            raise InputFileError(f"{table} or {frames} is not of CIE XYZ; other outputs cannot be compared yet")
-        renderer = make_renderer(backend, transforms)
-        for frame in options.progress(reader, len(reader), "frames", quiet):
-            rendered = renderer.outputs(RawFrame(frame.scene, frame.raw, camera.black, camera.white))
-            unit = transforms.output_unit / frame.exposure
-            found = quality(rendered * unit, frame.target, frame.white, transforms.rule.radius)
-            level = float(frame.raw.mean() - camera.black) / (camera.white - camera.black)
-            about = {"scene": frame.scene, "illuminant": frame.illuminant, "luminance": frame.luminance, "level": level}
-            results.append({**about, **dataclasses.asdict(found)})
-    figures = [field for field in results[0] if field.endswith("delta_e") or field == "psnr"]
-    mean = {figure: float(np.mean([result[figure] for result in results])) for figure in figures}
+        evaluation = Evaluation(transforms, reader.head, viewing)
+        camera, renderer = reader.head.camera, make_renderer(backend, transforms)
+        for index, frame in enumerate(options.progress(reader, len(reader), "frames", quiet)):
+            raw = RawFrame(frame.scene, frame.raw, camera.black, camera.white)
+            planes = evaluation.add(frame, renderer.outputs(raw), renderer.labels(raw))
+            if pictures is not None:
+                for name, picture in frame_pictures(frame, planes).items():
+                    write_picture(pictures / f"{options.frame_name(index, frame.scene)}_{name}.png", picture)
     if as_json:
-        click.echo(json.dumps({"frames": results, "mean": mean}, indent=2))
+        click.echo(json.dumps(evaluation.document(), indent=2))
         return
-    click.echo(f"{'scene':28} {'light':>8} {'level':>6} {'ΔE00 mean':>10} {'median':>7} {'95 %':>6} {'PSNR dB':>8}")
-    for result in results:
-        click.echo(f"{result['scene'][:28]:28} {result['illuminant']:>8} {result['level']:6.3f} {_figures(result)}")
-    click.echo(f"{'mean':28} {'':>8} {'':>6} {_figures(mean)}")
+    from l3cli.cli.quality_tables import print_tables
 
-
-def _figures(of: dict) -> str:
-    return f"{of['mean_delta_e']:10.2f} {of['median_delta_e']:7.2f} {of['p95_delta_e']:6.2f} {of['psnr']:8.2f}"
+    print_tables(evaluation.document())

@@ -1,5 +1,6 @@
 """Options that several commands share, each declared once, and what every command says on stderr."""
 
+import re
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
@@ -23,6 +24,11 @@ quiet = click.option("--quiet", is_flag=True, help="Say nothing on stderr but er
 as_json = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on stdout.")
 seed = click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of every random draw.")
 jobs = click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Processes to use.")
+
+
+def frame_name(index: int, scene: str) -> str:
+    """Stem of the files of one frame of a training set: its number and its scene, without odd characters."""
+    return f"{index:05d}_{re.sub(r'[^A-Za-z0-9]+', '-', scene)}"
 
 
 def say(message: str, quiet: bool) -> None:

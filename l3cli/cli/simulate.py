@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -42,14 +41,14 @@ def simulate(
     from l3cli.artifacts.camera import load_camera
     from l3cli.artifacts.training_set import write_training_set
     from l3cli.config import load_recipe
-    from l3cli.files import refuse_existing
+    from l3cli.files import refuse_existing, refuse_filled_folder
     from l3cli.io.scene_files import find
     from l3cli.parallel import ordered_map
     from l3cli.simulate.recipe import SceneRecipe, check, patterns, shots
 
     refuse_existing(output, force)
     if pictures:
-        _refuse_filled(pictures, force)
+        refuse_filled_folder(pictures, force)
     model, recipe = load_camera(camera), load_recipe(scenes, SceneRecipe)
     check(recipe, model, str(scenes))
     files = [find(pattern, scenes.parent) if pattern else [] for pattern in patterns(recipe)]
@@ -145,17 +144,7 @@ def _write_pictures(training: Path, folder: Path) -> None:
 
     with open_training_set(training) as frames:
         for index, frame in enumerate(frames):
-            name = f"{index:05d}_{re.sub(r'[^A-Za-z0-9]+', '-', frame.scene)}"
+            name = options.frame_name(index, frame.scene)
             write_mosaic(folder / f"{name}_raw.tif", frame.raw)
             display = make_display(frame.white, 1.0 / frame.white[1], bits=8)
             write_picture(folder / f"{name}_ideal.png", encode(frame.target, display))
-
-
-def _refuse_filled(folder: Path, force: bool) -> None:
-    """Raise L3Error before any work if pictures would fall among other files."""
-    from l3cli.errors import L3Error
-
-    if folder.exists() and not folder.is_dir():
-        raise L3Error(f"{folder} is a file; name a folder for the pictures")
-    if folder.is_dir() and any(folder.iterdir()) and not force:
-        raise L3Error(f"{folder} is not empty; add --force to write the pictures there or name another folder")

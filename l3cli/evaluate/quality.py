@@ -1,44 +1,81 @@
-"""How near a rendered picture comes to its target: CIEDE2000 and PSNR of the displayed pictures (METHOD 7)."""
+"""How near a rendered frame comes to its target: figures of pictures for CIE XYZ, of spectra for any other outputs."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli import spectra
+from l3cli.evaluate.displayed import DISPLAY_PERCENTILE, delta_e, display_scale, display_white, displayed, displayed_xyz
+from l3cli.evaluate.scielab import VIEWING, scielab
+from l3cli.evaluate.similarity import LUMA, psnr, spectral_angle, ssim
 
 Array = NDArray[np.floating]
-DISPLAY_PERCENTILE = 99.0  # of the target's luminance becomes display white, as the authors show their pictures
+XYZ = ("X", "Y", "Z")
 
 
 @dataclass(frozen=True)
 class Quality:
-    """Figures of one frame, both pictures shown on the target's own scale and clipped to the sRGB gamut."""
+    """Figures of one XYZ frame, both pictures shown on the whole target's scale and clipped to the sRGB gamut."""
 
     mean_delta_e: float  # CIEDE2000
     median_delta_e: float
     p95_delta_e: float
+    scielab: float  # mean CIEDE2000 after the eye's blur
     psnr: float  # dB, of non-linear sRGB in 0…1
+    output_psnr: float  # dB, of XYZ before clipping; 1 is the luminance shown white, times each output's share in the white
+    ssim: float  # of the luma of non-linear sRGB
 
 
-def displayed(xyz: Array, white: Array, scale: float) -> Array:
-    """Linear sRGB (row, col, 3) in 0…1 of XYZ planes (3, row, col): `white` (3) adapted to D65, Y = `scale` shown as 1."""
-    matrix = spectra.srgb_from_xyz_matrix() @ spectra.adaptation_matrix(white, spectra.white_point("D65")) / scale
-    return np.clip(np.einsum("oc,crk->rko", matrix, xyz), 0.0, 1.0)
+@dataclass(frozen=True)
+class BandQuality:
+    """Figures of one frame of bands, or of any outputs that are not XYZ."""
+
+    mean_angle: float  # degrees, spectral angle of each pixel; 0 of a single output
+    median_angle: float
+    p95_angle: float
+    output_psnr: float  # dB; 1 is the 99th percentile of the target's mean output, times each output's share in the white
 
 
-def quality(rendered: Array, target: Array, white: Array, border: int = 0) -> Quality:
-    """Compare XYZ planes (3, row, col) in one unit; `white` (3) is the frame's light; a margin of `border` is left out."""
-    inside = (slice(None), slice(border, target.shape[1] - border), slice(border, target.shape[2] - border))
-    scale = float(np.percentile(target[1], DISPLAY_PERCENTILE))
-    ours, ideal = displayed(rendered[inside], white, scale), displayed(target[inside], white, scale)
-    to_xyz = np.linalg.inv(spectra.srgb_from_xyz_matrix())
-    d65 = spectra.white_point("D65")
-    difference = spectra.delta_e_2000(spectra.lab(ours @ to_xyz.T, d65), spectra.lab(ideal @ to_xyz.T, d65))
-    error = float(np.mean((spectra.srgb_curve(ours) - spectra.srgb_curve(ideal)) ** 2))
+def quality(rendered: Array, target: Array, white: Array, border: int = 0, viewing: float = VIEWING) -> Quality:
+    """Compare XYZ planes (3, row, col) in one unit; `white` (3) is the frame's light; a margin of `border` is left out.
+
+    `viewing` is the samples a degree of S-CIELAB.
+    """
+    scale = display_scale(target)
+    rendered, target = cropped(rendered, border), cropped(target, border)
+    ours, ideal = (displayed(planes, white, scale) for planes in (rendered, target))
+    difference = delta_e(ours, ideal)
+    seen = scielab(displayed_xyz(ours), displayed_xyz(ideal), display_white(), viewing)
+    our_curve, ideal_curve = spectra.srgb_curve(ours), spectra.srgb_curve(ideal)
+    peaks = scale * np.asarray(white)[:, None, None] / white[1]
     return Quality(
         mean_delta_e=float(difference.mean()),
         median_delta_e=float(np.median(difference)),
         p95_delta_e=float(np.percentile(difference, 95)),
-        psnr=float(-10.0 * np.log10(max(error, 1e-12))),
+        scielab=float(seen.mean()),
+        psnr=psnr(our_curve, ideal_curve),
+        output_psnr=psnr(rendered / peaks, target / peaks),
+        ssim=ssim(our_curve @ LUMA, ideal_curve @ LUMA),
     )
+
+
+def band_quality(rendered: Array, target: Array, white: Array, border: int = 0) -> BandQuality:
+    """Compare planes of any outputs (output, row, col) in one unit; `white` (output) and `border` as in `quality`."""
+    bright = float(np.percentile(target.mean(axis=0), DISPLAY_PERCENTILE))
+    rendered, target = cropped(rendered, border), cropped(target, border)
+    angle = spectral_angle(rendered, target)
+    shares = np.where(white > 0, white, white.max()) / white.mean()
+    peaks = (bright if bright > 0 else 1.0) * shares[:, None, None]
+    return BandQuality(
+        mean_angle=float(angle.mean()),
+        median_angle=float(np.median(angle)),
+        p95_angle=float(np.percentile(angle, 95)),
+        output_psnr=psnr(rendered / peaks, target / peaks),
+    )
+
+
+def cropped(planes: NDArray[Any], border: int) -> NDArray[Any]:
+    """Planes (…, row, col) without a margin of `border` pixels."""
+    return planes[..., border : planes.shape[-2] - border, border : planes.shape[-1] - border]

@@ -1,0 +1,30 @@
+"""Pictures of an evaluated frame: every pipeline beside the ideal, and where ours errs."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.training_set import TrainingFrame
+from l3cli.evaluate.displayed import delta_e, display_scale, displayed, encoded
+
+Array = NDArray[np.floating]
+Picture = NDArray[np.uint8]
+ERROR_WHITE = 10.0  # ΔE00 shown white in an error map; 0 is black
+RAMP = np.array([[0, 0, 0], [70, 10, 110], [190, 40, 90], [245, 140, 30], [255, 255, 255]])  # sRGB, each 2.5 ΔE00 further
+
+
+def frame_pictures(frame: TrainingFrame, planes: dict[str, Array]) -> dict[str, Picture]:
+    """sRGB pictures (row, col, 3) by name: "ideal", each pipeline of `planes` (XYZ (3, row, col) in the target's unit), and
+    "error", the ΔE00 of the first of them, ours, by `error_map`. All are shown on the target's scale."""
+    scale = display_scale(frame.target)
+    ideal = displayed(frame.target, frame.white, scale)
+    shown = {name: displayed(of, frame.white, scale) for name, of in planes.items()}
+    ours = next(iter(shown.values()))
+    pictures = {name: encoded(linear) for name, linear in shown.items()}
+    return {**pictures, "ideal": encoded(ideal), "error": error_map(delta_e(ours, ideal))}
+
+
+def error_map(difference: Array) -> Picture:
+    """ΔE00 (row, col) as colours (row, col, 3): black 0, purple 2.5, red 5, orange 7.5, white 10 and more."""
+    place = np.clip(difference / ERROR_WHITE, 0.0, 1.0) * (len(RAMP) - 1)
+    stops = np.arange(len(RAMP))
+    return np.stack([np.interp(place, stops, RAMP[:, part]) for part in range(3)], axis=-1).round().astype(np.uint8)

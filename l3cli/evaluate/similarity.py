@@ -1,0 +1,45 @@
+"""Figures of pictures as arrays, whatever they show: PSNR, structural similarity, spectral angle."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.floating]
+LEAST_ERROR = 1e-12  # mean square, of equal pictures: 120 dB
+WINDOW_SIGMA, WINDOW_REACH = 1.5, 5  # pixels, of the 11 × 11 Gaussian window of SSIM
+STABILISERS = (0.01**2, 0.03**2)  # C1 and C2 of SSIM for values in 0…1
+LUMA = np.array([0.2126, 0.7152, 0.0722])  # Rec. 709, of encoded sRGB
+
+
+def psnr(one: Array, other: Array) -> float:
+    """Peak signal-to-noise ratio in dB of two arrays of one shape whose peak is 1; 120 dB where they are equal."""
+    return float(-10.0 * np.log10(max(float(np.mean((one - other) ** 2)), LEAST_ERROR)))
+
+
+def ssim(one: Array, other: Array) -> float:
+    """Mean structural similarity of two pictures (row, col) in 0…1 (Wang et al. 2004: 11 × 11 Gaussian window of σ 1.5).
+
+    Only whole windows count, unless the picture is smaller than one.
+    """
+    from scipy.ndimage import gaussian_filter
+
+    def mean(values: Array) -> Array:
+        return gaussian_filter(values, WINDOW_SIGMA, radius=WINDOW_REACH)
+
+    mean_one, mean_other = mean(one), mean(other)
+    variances = mean(one**2) - mean_one**2 + mean(other**2) - mean_other**2
+    covariance = mean(one * other) - mean_one * mean_other
+    luminance_term = (2 * mean_one * mean_other + STABILISERS[0]) / (mean_one**2 + mean_other**2 + STABILISERS[0])
+    similarity = luminance_term * (2 * covariance + STABILISERS[1]) / (variances + STABILISERS[1])
+    if min(similarity.shape) > 2 * WINDOW_REACH:
+        similarity = similarity[WINDOW_REACH:-WINDOW_REACH, WINDOW_REACH:-WINDOW_REACH]
+    return float(similarity.mean())
+
+
+def spectral_angle(one: Array, other: Array) -> Array:
+    """Angle in degrees (row, col) between the spectra of two cubes (band, row, col); 0 where both, 90 where one is dark."""
+    lengths = [np.sqrt((cube.astype(np.float64) ** 2).sum(axis=0)) for cube in (one, other)]
+    units = [cube / np.where(length > 0, length, 1.0) for cube, length in zip((one, other), lengths, strict=True)]
+    chord = np.sqrt(((units[0] - units[1]) ** 2).sum(axis=0))  # 2 sin(angle / 2): exact for small angles, unlike arccos
+    angle = np.degrees(2.0 * np.arcsin(np.minimum(chord / 2.0, 1.0)))
+    dark = [length <= 0 for length in lengths]
+    return np.where(dark[0] & dark[1], 0.0, np.where(dark[0] | dark[1], 90.0, angle))
