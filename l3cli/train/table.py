@@ -7,20 +7,20 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.base import Stage
 from l3cli.artifacts.table import ClassRule, TransformTable
-from l3cli.artifacts.training_set import TrainingFrame, TrainingSet
+from l3cli.artifacts.training_set import TrainingPair, TrainingSet
 from l3cli.classify import make_rule, neighbourhoods, saturation_codes
 from l3cli.train.cases import choose_cases
-from l3cli.train.patches import draw_levels, expose_patches, output_unit, sample_patches
+from l3cli.train.patches import draw_levels, expose_patches, patches_of
 from l3cli.train.recipe import TrainingRecipe, check_learning
 from l3cli.train.solve import Goal, Solution, equal_responses, solve
 from l3cli.train.sums import Sums, accumulate, symmetrise
-from l3cli.train.symmetry import orientations, site_maps, stabilisers
+from l3cli.train.symmetry import site_maps, stabilisers
 
 PILOT_PATCHES = 4000  # patches a site over all frames that decide which saturation cases are kept
 
 
 def training_rule(
-    frames: Iterable[TrainingFrame], total: int, head: TrainingSet, recipe: TrainingRecipe, seed: int
+    frames: Iterable[TrainingPair], total: int, head: TrainingSet, recipe: TrainingRecipe, seed: int
 ) -> ClassRule:
     """The class rule for `head.camera`, its saturation cases chosen from a pilot sample of the `total` frames."""
     check_learning(recipe.learning)
@@ -30,16 +30,15 @@ def training_rule(
     near = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
     canonical = canonical_sites(head, rule)
     occurrences = np.zeros(codes, dtype=np.int64)
-    unit = output_unit(camera)
     for index, frame in enumerate(frames):
         for site in canonical:
             rng = np.random.default_rng([seed, 0, index, site])
             count = -(-PILOT_PATCHES // total)
-            window = near.channel[site]
-            patches = sample_patches(frame, head, unit, window, count, orientations(rule.patch), rng)
+            patches = patches_of(frame, head, near, site, count, rng)
             own_level = np.maximum(patches.signal.mean(axis=1), 1e-3)
-            scale = draw_levels(recipe.learning, count, rng) / own_level
-            values, _, _ = expose_patches((patches.signal * scale[:, None]).astype(np.float32), camera, rng)
+            scale = patches.possible(draw_levels(recipe.learning, len(own_level), rng) / own_level)[:, None]
+            carried = None if patches.carried is None else (patches.carried * scale**2).astype(np.float32)
+            values, _, _ = expose_patches((patches.signal * scale).astype(np.float32), camera, rng, carried)
             occurrences += np.bincount(saturation_codes(values, rule, near, site), minlength=codes)
     return make_rule(recipe.classes, camera, choose_cases(occurrences, recipe.classes.max_cases))
 
@@ -51,7 +50,7 @@ def canonical_sites(head: TrainingSet, rule: ClassRule) -> list[int]:
 
 
 def train_site(
-    frames: Iterable[TrainingFrame],
+    frames: Iterable[TrainingPair],
     total: int,
     head: TrainingSet,
     rule: ClassRule,
@@ -64,12 +63,11 @@ def train_site(
     camera = head.camera
     near = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
     sums = Sums.empty(rule.classes_per_site, rule.patch**2, len(head.outputs))
-    unit = output_unit(camera)
     window = near.channel[site]
     for index, frame in enumerate(frames):
         rng = np.random.default_rng([seed, 1, index, site])
         count = -(-recipe.learning.patches // total)
-        patches = sample_patches(frame, head, unit, window, count, orientations(rule.patch), rng)
+        patches = patches_of(frame, head, near, site, count, rng)
         accumulate(sums, patches, camera, rule, near, site, recipe.learning, rng)
     shared = symmetrise(sums, stabilisers(window, rule.patch))
     return solve(shared, rule, window, recipe.learning, Goal(head.outputs, white_point))
@@ -109,7 +107,7 @@ def assemble(
         black=camera.black,
         white=camera.white,
         outputs=head.outputs,
-        output_unit=output_unit(camera),
+        output_unit=camera.white_dose,
         white_point=white_point,
         rule=rule,
         weights=np.concatenate(weights).astype(np.float32),
@@ -118,7 +116,7 @@ def assemble(
     )
 
 
-def mean_white(frames: Iterable[TrainingFrame]) -> NDArray[np.float64]:
+def mean_white(frames: Iterable[TrainingPair]) -> NDArray[np.float64]:
     """Mean white point (output) of the frames' lights, each at Y = 1 (for other outputs than XYZ: at a mean of 1)."""
     whites = np.array([frame.white / (frame.white[1] if frame.white.size == 3 else frame.white.mean()) for frame in frames])
     return whites.mean(axis=0)
