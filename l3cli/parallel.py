@@ -9,13 +9,13 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 
-def ordered_map(function: Callable[[T], R], items: Iterable[T], jobs: int) -> Iterator[R]:
-    """function(item) of every item, in order, by `jobs` processes (1: in this one).
+def ordered_map(function: Callable[[T], R], items: Iterable[T], jobs: int, fresh: bool = False) -> Iterator[R]:
+    """function(item) of every item, in order, by `jobs` processes (1: in this one, unless it shall be a `fresh` one).
 
     Processes are spawned, not forked: a fork after an OpenCL context exists hangs. Their BLAS is kept to one thread each.
     At most 2·jobs results wait, so memory is bounded by the workers, not by the number of items.
     """
-    if jobs == 1:
+    if jobs == 1 and not fresh:
         yield from map(function, items)
         return
     saved = {name: os.environ.get(name) for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
