@@ -38,13 +38,14 @@ def colorchecker_patches(size: tuple[int, int]) -> list[tuple[slice, slice]]:
 
 
 def patch_grid(reflectance: Array, rows: int, size: tuple[int, int]) -> Cube:
-    """Patches (patch, band), row by row in `rows` rows, each on a dark rim, filling `size`."""
+    """Patches (patch, band), row by row in `rows` rows, filling `size`; where there is room, with dark rims."""
     cols = len(reflectance) // rows
     row = np.arange(size[0]) * rows // size[0]
     col = np.arange(size[1]) * cols // size[1]
     cube = reflectance.astype(np.float32)[row[:, None] * cols + col]
-    cube[np.diff(row, append=-1) != 0] = BOARD
-    cube[:, np.diff(col, append=-1) != 0] = BOARD
+    if size[0] >= 4 * rows and size[1] >= 4 * cols:
+        cube[np.diff(row, append=-1) != 0] = BOARD
+        cube[:, np.diff(col, append=-1) != 0] = BOARD
     return cube
 
 

@@ -44,17 +44,17 @@ def _scaled(cube: NDArray[np.float32], scale: float, most: tuple[int, int]) -> N
 
 
 def _resampling(length: int, scale: float, most: int) -> Any:
-    """Sparse M (pixel, sample): linear interpolation of samples at their centres, or, where pixels are larger, the mean
-    under a triangle as wide as two of them."""
+    """Sparse M (pixel, sample): linear interpolation of samples at their centres, averaged over pixels larger than a
+    sample."""
     from scipy.sparse import csr_array
 
     whole = max(1, round(length * scale))
-    pixels = min(whole, most)
-    centre = (np.arange(pixels) + (whole - pixels) / 2 + 0.5) * (length / whole) - 0.5  # in samples
-    reach = max(1.0, length / whole)
-    near = np.floor(centre - reach).astype(int)[:, None] + np.arange(int(2 * reach) + 3)
-    weight = np.maximum(0.0, 1.0 - abs(near - centre[:, None]) / reach)
-    weight /= weight.sum(axis=1, keepdims=True)
+    pixels, step = min(whole, most), length / whole
+    points = max(1, round(4 * step)) if step > 1 else 1
+    inside = (np.arange(points) + 0.5) / points
+    position = (np.arange(pixels)[:, None] + (whole - pixels) / 2 + inside) * step - 0.5  # in samples
+    first = np.floor(position).astype(int)
+    near = np.clip(np.stack([first, first + 1]), 0, length - 1)
+    weight = np.stack([1 - (position - first), position - first]).astype(np.float32) / points
     row = np.broadcast_to(np.arange(pixels)[:, None], near.shape)
-    entries = (row.ravel(), np.clip(near, 0, length - 1).ravel())
-    return csr_array((weight.ravel().astype(np.float32), entries), shape=(pixels, length))
+    return csr_array((weight.ravel(), (row.ravel(), near.ravel())), shape=(pixels, length))
