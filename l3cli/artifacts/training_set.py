@@ -42,7 +42,6 @@ class TrainingPair:
     illuminant: str = data("str", doc="name of the illuminant")
     luminance: float = data("float64", unit="cd/m^2", doc="luminance of a perfect white")
     exposure: float = data("float64", unit="s", doc="exposure time")
-    seed: tuple[int, ...] = data("int64", "seed_word", doc="seed of this frame's noise")
 
     def __post_init__(self) -> None:
         check(self)
@@ -64,6 +63,7 @@ class TrainingFrame(TrainingPair):
         unit="e-",
         doc="mean photo-electrons of every channel, noise-free, unclipped",
     )
+    seed: tuple[int, ...] = data("int64", "seed_word", doc="seed of this frame's noise")
 
 
 @dataclass(frozen=True)

@@ -49,7 +49,6 @@ def make_pair(
         illuminant=LIGHT,
         luminance=unit,
         exposure=1.0,
-        seed=(),
     )
 
 
