@@ -20,14 +20,14 @@ def bench(as_json: bool, quiet: bool) -> None:
 
     Example: l3 bench --json
     """
-    from l3cli.parallel import ordered_map
+    from l3cli.parallel import alone
     from l3cli.render.benchmark import CASES, measure
     from l3cli.simulate import benchmark
 
     results: list[dict[str, Any]] = [measure(case) for case in options.progress(CASES, len(CASES), "cases", quiet)]
     simulated: list[dict[str, Any]] = []
     for case in options.progress(benchmark.CASES, len(benchmark.CASES), "simulations", quiet):
-        simulated += ordered_map(benchmark.measure, [case], 1, fresh=True)
+        simulated.append(alone(benchmark.measure, case))
     if as_json:
         click.echo(json.dumps({"results": results, "simulate": simulated}, indent=2))
         return

@@ -33,7 +33,7 @@ CASES = (Case(1280, 720, True), Case(1280, 720, False))
 
 def measure(case: Case) -> dict[str, Any]:
     """The fastest of FRAMES frames from a cube in memory to raw mosaic, electrons and target, and the peak memory of this
-    process, which parallel.ordered_map keeps to one thread."""
+    process, which parallel.alone keeps to one thread."""
     camera = made_up_camera(case.height, case.width)
     rng = np.random.default_rng(0)
     cube = rng.random((case.height, case.width, BANDS.size), dtype=np.float32)
