@@ -289,6 +289,8 @@ def test_a_field_of_view_sets_the_size_and_the_sensor_cuts_it(bayer: CameraModel
     assert framed(scene, sources.Framing(field_of_view_deg=degrees), bayer).reflectance.shape == (90, 120, 1)
     whole = framed(scene, sources.Framing(scale=8.0), bayer).reflectance
     assert whole.shape == (192, 256, 1)
+    mirrored = framed(scene, sources.Framing(scale=8.0, flip="cols"), bayer).reflectance
+    assert np.allclose(mirrored, whole[:, ::-1], atol=1e-5)  # what is cut is the same on both sides
     wide = framed(scene, sources.Framing(scale=4.0), bayer).reflectance
     assert wide.mean() == pytest.approx(scene.reflectance.mean(), rel=1e-2)
 
