@@ -7,6 +7,10 @@ With v = DN >> shift over the p × p neighbourhood of a pixel, and n, S, Q the c
     level       number of level edges ≤ Σ (S · round(65536 / n) >> 8) over the channels
     contrast    number of contrast edges (of that level) < Σ V over the channels
     case        case_of_code[bit c set if any pixel of channel c within the saturation radius is ≥ saturation (in DN)]
+    chroma      the first k of least Σ max((S · round(65536 / n) >> 12) − chroma_black, 0) · weight[k] over the channels
+
+With f the channel means above black over their sum and q a chroma centre, |f − q|² is least where |q|² Σ f − 2 Σ f q is:
+hence the weights |q|² − 2 q, and no division (METHOD 3.5).
 """
 
 from dataclasses import dataclass
@@ -15,7 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.table import CLASS_BITS, CONTRAST_FRACTION, LEVEL_FRACTION, ClassRule
+from l3cli.artifacts.table import (
+    CHROMA_FRACTION,
+    CHROMA_SCALE,
+    CLASS_BITS,
+    CONTRAST_FRACTION,
+    LEVEL_FRACTION,
+    ClassRule,
+)
 from l3cli.config import Recipe
 from l3cli.errors import RecipeError
 from l3cli.frame import pad_mosaic, shifted_cfa
@@ -33,6 +44,7 @@ class ClassRecipe(Recipe):
     contrasts: tuple[float, ...] = (1.4,)  # edges of √(signal variance / noise variance)
     saturation: float = 0.985  # share of full scale from which a pixel is saturated
     saturation_radius: int = 2  # pixels
+    chromas: int = 8  # colours told apart where nothing is saturated; 1: none (METHOD 3.5)
     max_cases: int = 12  # saturation patterns that get classes of their own, the unsaturated one included
 
 
@@ -64,9 +76,15 @@ def _divided(numerator: int, count: Integers) -> Integers:
     return (2 * numerator + count) // (2 * count)
 
 
-def make_rule(recipe: ClassRecipe, camera: CameraModel, case_of_code: NDArray[np.uint16]) -> ClassRule:
+def make_rule(
+    recipe: ClassRecipe,
+    camera: CameraModel,
+    case_of_code: NDArray[np.uint16],
+    chroma_centres: NDArray[np.float64] | None = None,
+) -> ClassRule:
     """The integer rule for a camera: edges in DN, contrast edges from its noise model (METHOD 3.1–3.4).
 
+    `chroma_centres` (chroma, channel) are shares of the channel means in their sum; without them there is one chroma.
     RecipeError if the recipe asks for what the camera cannot give, such as more levels than values.
     """
     neighbourhoods(camera.cfa, recipe.patch, len(camera.channels))
@@ -94,13 +112,25 @@ def make_rule(recipe: ClassRecipe, camera: CameraModel, case_of_code: NDArray[np
             saturation=int(np.ceil(camera.black + recipe.saturation * span)),
             saturation_radius=min(recipe.saturation_radius, recipe.patch // 2),
             case_of_code=case_of_code,
+            chroma_black=int(np.rint((camera.black - truncated) / 2**shift * 2**CHROMA_FRACTION)),
+            chroma_weights=chroma_weights(
+                np.full((1, channels), 1 / channels) if chroma_centres is None else chroma_centres
+            ),
         )
     except ValueError as error:
         raise RecipeError(f"classes: {error}") from error
 
 
-def decide(rule: ClassRule, near: Neighbourhoods, site: Integers, sums: Integers, squares: Integers) -> Integers:
-    """Level and contrast, as level · contrasts + contrast, from channel sums and squares (…, channel) at `site` (…)."""
+def chroma_weights(centres: NDArray[np.float64]) -> NDArray[np.int32]:
+    """Integer weights (chroma, channel) by which the lowest score is that of the nearest of `centres` (chroma, channel)."""
+    weights = (centres**2).sum(axis=1, keepdims=True) - 2 * centres
+    return np.rint(weights * CHROMA_SCALE).astype(np.int32)
+
+
+def decide(
+    rule: ClassRule, near: Neighbourhoods, site: Integers, sums: Integers, squares: Integers, code: Integers
+) -> Integers:
+    """Class within the site from channel sums and squares (…, channel) and saturation codes (…) at `site` (…)."""
     scaled = sums * near.mean_reciprocal[site]
     mean = scaled >> 16
     level = np.searchsorted(rule.level_edges, (scaled >> (16 - LEVEL_FRACTION)).sum(axis=-1), side="right")
@@ -108,7 +138,11 @@ def decide(rule: ClassRule, near: Neighbourhoods, site: Integers, sums: Integers
     cap = (2**32 - 1) // sums.shape[-1]
     variance = np.minimum(deviation * near.variance_reciprocal[site], cap).sum(axis=-1)
     contrast = (variance[None] > rule.contrast_edges[:, level]).sum(axis=0)
-    return level * rule.contrasts + contrast
+    above_black = np.maximum((scaled >> (16 - CHROMA_FRACTION)) - rule.chroma_black, 0)
+    chroma = np.argmin(above_black @ rule.chroma_weights.T.astype(np.int64), axis=-1)
+    case = rule.case_of_code[code].astype(np.int64)
+    kind = np.where(case > 0, rule.chromas - 1 + case, chroma)
+    return (level * rule.contrasts + contrast) * rule.kinds + kind
 
 
 def label_mosaic(
@@ -130,8 +164,8 @@ def label_mosaic(
         inner = _inner(saturated & here, rule)
         code |= (_box(inner.astype(np.int64), 2 * rule.saturation_radius + 1) > 0).astype(np.int64) << index
     site = sites(rows, cols, cfa.shape, phase)
-    texture = decide(rule, near, site, np.stack(sums, -1), np.stack(squares, -1))
-    return (site * rule.levels * rule.contrasts + texture) * rule.cases + rule.case_of_code[code]
+    within = decide(rule, near, site, np.stack(sums, -1), np.stack(squares, -1), code)
+    return site * rule.classes_per_site + within
 
 
 def label_patches(patches: NDArray[np.uint16], rule: ClassRule, near: Neighbourhoods, site: int) -> Integers:
@@ -141,9 +175,8 @@ def label_patches(patches: NDArray[np.uint16], rule: ClassRule, near: Neighbourh
     shifted = (patches >> rule.shift).astype(np.float64)  # float64 sums of these integers are exact, and BLAS does them
     sums = (shifted @ member).astype(np.int64)
     squares = (shifted**2 @ member).astype(np.int64)
-    texture = decide(rule, near, np.full(len(patches), site), sums, squares)
     code = saturation_codes(patches, rule, near, site)
-    return texture * rule.cases + rule.case_of_code[code]
+    return decide(rule, near, np.full(len(patches), site), sums, squares, code)
 
 
 def saturation_codes(patches: NDArray[np.uint16], rule: ClassRule, near: Neighbourhoods, site: int) -> Integers:

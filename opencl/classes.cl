@@ -71,6 +71,18 @@ INLINE uint16 decide(uint16 level_sum, uint16 variance_sum,
     return level * CONTRASTS + contrast;
 }
 
+// The chroma of the lowest score, the first of equals.
+INLINE uint16 lowest(const int16 score[CHROMAS]) {
+    int16 least = score[0];
+    uint16 chroma = 0;
+    for (int k = 1; k < CHROMAS; k++) {
+        const int16 lower = score[k] < least;
+        least = lower ? score[k] : least;
+        chroma = lower ? (uint16)k : chroma;
+    }
+    return chroma;
+}
+
 __kernel void classes(__global const ushort *restrict padded,             // (padded row, stride) DN
                       __global const uint *restrict member,               // (channel, CFA row, period) all bits or none
                       __global const uint *restrict channel_bit,          // (CFA row, period) 1 << channel
@@ -81,6 +93,7 @@ __kernel void classes(__global const ushort *restrict padded,             // (pa
                       __global const uint *restrict level_edges,          // (level edge)
                       __global const uint *restrict contrast_edges,       // (contrast edge, level)
                       __global const ushort *restrict case_of_code,       // (code)
+                      __global const int *restrict chroma_weights,        // (chroma, channel)
                       __global uint *restrict labels,                     // (row, col)
                       int rows, int columns, int stride, int phase_row, int phase_column, int band) {
     const int x0 = get_global_id(0) * TILE, y0 = get_global_id(1) * band;
@@ -104,6 +117,8 @@ __kernel void classes(__global const ushort *restrict padded,             // (pa
         for (int x = 0; x < width; x += 16) {
             const int phase = (x0 + x + phase_column) % CFA_COLUMNS;
             uint16 level_sum = 0, variance_sum = 0;
+            int16 score[CHROMAS];
+            for (int k = 0; k < CHROMAS; k++) score[k] = 0;
             #pragma unroll
             for (int c = 0; c < CHANNELS; c++) {
                 const int at = (c * CFA_ROWS + site_row) * PERIOD + phase;
@@ -113,17 +128,25 @@ __kernel void classes(__global const ushort *restrict padded,             // (pa
                 const uint16 variance = deviation * read_period(variance_reciprocal + at), cap = 0xffffffffu / CHANNELS;
                 level_sum += scaled >> (16 - LEVEL_FRACTION);
                 variance_sum += variance > cap ? cap : variance;
+                const int16 above_black = as_int16(scaled >> (16 - CHROMA_FRACTION)) - CHROMA_BLACK;
+                const int16 signal = above_black > 0 ? above_black : (int16)0;
+                #pragma unroll
+                for (int k = 0; k < CHROMAS; k++) score[k] += signal * chroma_weights[k * CHANNELS + c];
             }
             const uint16 decided = decide(level_sum, variance_sum, level_edges, contrast_edges);
             const uint16 site = read_period(site_column + phase) + site_row * CFA_COLUMNS;
-            const uint16 first_case = (site * LEVELS * CONTRASTS + decided) * CASES;
+            const uint16 first_kind = (site * LEVELS * CONTRASTS + decided) * KINDS;
             uint16 code = 0;
             for (int j = 0; j < SPREAD; j++) code |= read_sums(saturated + x + RADIUS - SATURATION_RADIUS + j);
-            uint pixel[16], pattern[16];
-            *(uint16_unaligned *)pixel = first_case;
+            uint pixel[16], pattern[16], chroma[16];
+            *(uint16_unaligned *)pixel = first_kind;
+            *(uint16_unaligned *)chroma = lowest(score);
             *(uint16_unaligned *)pattern = code;
             const int inside = min(16, width - x);
-            for (int i = 0; i < inside; i++) label_row[x + i] = pixel[i] + case_of_code[pattern[i]];
+            for (int i = 0; i < inside; i++) {
+                const uint saturation = case_of_code[pattern[i]];
+                label_row[x + i] = pixel[i] + (saturation ? CHROMAS - 1 + saturation : chroma[i]);
+            }
         }
     }
 }

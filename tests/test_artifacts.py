@@ -51,7 +51,17 @@ def a_frame(seed: int = 0, channels: int = 5) -> TrainingFrame:
 
 
 def a_table(camera: CameraModel) -> TransformTable:
-    rule = ClassRule(3, 0, np.array([900], np.uint32), np.array([[5, 6]], np.uint32), 4000, 1, np.arange(8, dtype=np.uint16))
+    rule = ClassRule(
+        patch=3,
+        shift=0,
+        level_edges=np.array([900], np.uint32),
+        contrast_edges=np.array([[5, 6]], np.uint32),
+        saturation=4000,
+        saturation_radius=1,
+        case_of_code=np.arange(8, dtype=np.uint16),
+        chroma_black=64 * 16,
+        chroma_weights=np.array([[1, 2, 3], [-4, 5, 6]], np.int32),
+    )
     classes = camera.cfa.size * rule.classes_per_site
     rng = np.random.default_rng(1)
     return TransformTable(

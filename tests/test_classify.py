@@ -26,7 +26,8 @@ def test_mosaic_and_patches_are_labelled_alike(
     fiveband: CameraModel, seed: int, rows: int, cols: int, row_phase: int, col_phase: int
 ) -> None:
     rng = np.random.default_rng(seed)
-    rule = make_rule(ClassRecipe(contrasts=(1.4, 4.0)), fiveband, random_case_of_code(5, rng))
+    centres = rng.dirichlet(np.ones(5), 6)
+    rule = make_rule(ClassRecipe(contrasts=(1.4, 4.0)), fiveband, random_case_of_code(5, rng), centres)
     values = rng.choice([0, 109, 120, 700, 4000, 4095], (rows, cols)).astype(np.uint16)
     values[: rows // 2] = rng.integers(100, 140, (rows // 2, cols))
     labels = classify.label_mosaic(values, rule, fiveband.cfa, 5, (row_phase, col_phase))
@@ -52,7 +53,7 @@ def extreme_patches(taps: int) -> np.ndarray:
 def test_the_sums_fit_32_bits(fiveband: CameraModel, patch: int) -> None:
     """The formulas evaluated in wrapping 32-bit arithmetic, as a kernel does, for the extremes of 16-bit values."""
     camera = dataclasses.replace(fiveband, bits=16, white=65535.0)
-    rule = make_rule(ClassRecipe(patch=patch, contrasts=(1.4, 4.0)), camera, np.zeros(32, np.uint16))
+    rule = make_rule(ClassRecipe(patch=patch, contrasts=(1.4, 4.0)), camera, np.zeros(32, np.uint16), np.eye(5))
     near = classify.neighbourhoods(camera.cfa, patch, 5)
     patches = extreme_patches(patch**2)
     for site in range(16):
@@ -60,6 +61,7 @@ def test_the_sums_fit_32_bits(fiveband: CameraModel, patch: int) -> None:
         member = near.channel[site][:, None] == np.arange(5)
         values = (patches >> rule.shift).astype(np.uint32)
         level_sum = np.zeros(len(patches), np.uint32)
+        score = np.zeros((len(rule.chroma_weights), len(patches)), np.int32)
         contrast_sum = np.zeros(len(patches), np.uint32)
         for channel in range(5):
             own = values[:, member[:, channel]]
@@ -68,11 +70,14 @@ def test_the_sums_fit_32_bits(fiveband: CameraModel, patch: int) -> None:
             mean = scaled >> np.uint32(16)
             deviation = square - mean * (total + total - np.uint32(near.count[site, channel]) * mean)
             level_sum += scaled >> np.uint32(8)
+            signal = np.maximum((scaled >> np.uint32(12)).astype(np.int32) - np.int32(rule.chroma_black), 0)
+            score += signal * rule.chroma_weights[:, channel, None]
             product = deviation * np.uint32(near.variance_reciprocal[site, channel])
             contrast_sum += np.minimum(product, np.uint32((2**32 - 1) // 5))
         level = np.searchsorted(rule.level_edges, level_sum, side="right")
+        chroma = np.argmin(score, axis=0)
         contrast = (contrast_sum[None] > rule.contrast_edges[:, level]).sum(axis=0)
-        assert ((level * rule.contrasts + contrast) * rule.cases == expected).all()
+        assert ((level * rule.contrasts + contrast) * rule.kinds + chroma == expected).all()
 
 
 def test_level_contrast_and_case_mean_what_they_say(fiveband: CameraModel) -> None:
@@ -85,7 +90,7 @@ def test_level_contrast_and_case_mean_what_they_say(fiveband: CameraModel) -> No
     def label(values: np.ndarray) -> tuple[int, int, int]:
         labels = classify.label_mosaic(values.astype(np.uint16), rule, fiveband.cfa, 5)
         level, contrast, case = np.unravel_index(
-            labels[20:40, 20:40] % rule.classes_per_site, (rule.levels, rule.contrasts, rule.cases)
+            labels[20:40, 20:40] % rule.classes_per_site, (rule.levels, rule.contrasts, rule.kinds)
         )
         return level, contrast, case
 

@@ -61,7 +61,8 @@ def random_table(cfa, bits=12, black=0.0, patch=5, outputs=XYZ, contrasts=(1.4,)
     camera = random_camera(cfa, channels, bits, black)
     case_of_code = rng.integers(0, 5, 2**channels).astype(np.uint16)
     recipe = ClassRecipe(patch=patch, levels=7, lowest_level=0.02, contrasts=contrasts, saturation_radius=min(2, patch // 2))
-    rule = make_rule(recipe, camera, case_of_code)
+    centres = rng.dirichlet(np.ones(channels), int(rng.integers(1, 9)))
+    rule = make_rule(recipe, camera, case_of_code, centres)
     if wild:
         edges = np.exp2(rng.uniform(8, 32, rule.contrast_edges.shape)).astype(np.uint32)
         rule = dataclasses.replace(rule, contrast_edges=np.sort(edges, axis=0))
@@ -170,7 +171,7 @@ def test_a_value_on_an_edge_falls_on_the_same_side():
     four = np.zeros((3, 3), np.uint16)
     four[0, :] = four[1, 1] = 1
     frame = RawFrame("f", four, 0.0, 4095.0)
-    centre = OpenCLRenderer(table).labels(frame)[1, 1] // rule.cases
+    centre = OpenCLRenderer(table).labels(frame)[1, 1] // rule.kinds
     assert centre == 1 * rule.contrasts + 0  # on the level edge: the level above; on the contrast edge: the contrast below
 
 

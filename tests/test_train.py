@@ -14,10 +14,12 @@ from l3cli.artifacts.base import load
 from l3cli.artifacts.camera import CameraModel, Noise
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingFrame, TrainingSet, write_training_set
-from l3cli.train.cases import choose_cases
+from l3cli.config import load_recipe
+from l3cli.train.kinds import choose_cases
 from l3cli.train.patches import draw_levels, sample_patches
-from l3cli.train.recipe import LearningRecipe
+from l3cli.train.recipe import LearningRecipe, TrainingRecipe
 from l3cli.train.symmetry import orientations, site_maps, stabilisers
+from tests.conftest import CONFIGS
 
 MIX = np.array([[0.4, 0.2, 0.1], [0.2, 0.7, 0.1], [0.0, 0.1, 0.9]])  # the truth: XYZ of the channels at the same pixel
 SMALL = "[classes]\npatch = 5\nlevels = 6\n[learning]\npatches = 3000\ndraws = 4\n"
@@ -193,3 +195,9 @@ def test_plain_areas_show_no_cfa_pattern(bayer: CameraModel, tmp_path: Path, l3:
     assert own.sum() > 5
     spread = np.ptp(response[:, own], axis=0)
     assert spread.max() < 2e-3 * np.abs(response[:, own]).max()
+
+
+def test_the_default_recipe_file_spells_out_the_built_in_default() -> None:
+    assert load_recipe(CONFIGS / "classes/default.toml", TrainingRecipe) == TrainingRecipe()
+    for name in ("fast", "best"):
+        assert load_recipe(CONFIGS / f"classes/{name}.toml", TrainingRecipe) != TrainingRecipe()

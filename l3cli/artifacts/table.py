@@ -11,13 +11,17 @@ from l3cli.artifacts.base import Artifact, check, data, group
 CLASS_BITS = 12  # class decisions are taken on the upper 12 bits of a value, so that 32-bit sums are exact
 LEVEL_FRACTION = 8  # fractional bits of a channel mean in the level sum
 CONTRAST_FRACTION = 9  # fractional bits of a channel variance in the contrast sum
+CHROMA_SCALE = 1 << 10  # of the chroma weights: sums over 16 channels stay within 32 bits
+MAX_CHROMAS = 64
+CHROMA_FRACTION = 4  # fractional bits of a channel mean above black in the chroma scores
 
 
 @dataclass(frozen=True)
 class ClassRule:
     """The integer class rule of METHOD 3, written out in classify.py.
 
-    class = ((site · levels + level) · contrasts + contrast) · cases + case, with site = row · cfa columns + column.
+    class = ((site · levels + level) · contrasts + contrast) · kinds + kind, with site = row · cfa columns + column.
+    The kind is the chroma of an unsaturated pixel, and chromas − 1 + case of one near saturation.
     """
 
     patch: int = data("int64", unit="pixel", doc="side of the square neighbourhood, odd")
@@ -41,8 +45,17 @@ class ClassRule:
         "uint16", "code", doc="saturation case of each pattern of saturated channels (bit c: channel c)"
     )
 
+    chroma_black: int = data(
+        "int64", unit="(DN >> shift) times 16", doc="black level, taken off channel means for the chroma"
+    )
+    chroma_weights: NDArray[np.int32] = data(
+        "int32", "chroma", "channel", doc="weights of the channel means; the chroma of the lowest score wins"
+    )
+
     def __post_init__(self) -> None:
         check(self)
+        if not 1 <= len(self.chroma_weights) <= MAX_CHROMAS or np.abs(self.chroma_weights).max() > 2 * CHROMA_SCALE:
+            raise ValueError(f"chroma_weights must be 1…{MAX_CHROMAS} rows within ±{2 * CHROMA_SCALE}")
         if self.patch % 2 == 0 or not 1 <= self.patch <= 15:
             raise ValueError(f"patch is {self.patch}, not an odd number up to 15")
         if (np.diff(self.level_edges.astype(np.int64)) <= 0).any():
@@ -69,8 +82,16 @@ class ClassRule:
         return int(self.case_of_code.max()) + 1
 
     @property
+    def chromas(self) -> int:
+        return len(self.chroma_weights)
+
+    @property
+    def kinds(self) -> int:
+        return self.chromas + self.cases - 1
+
+    @property
     def classes_per_site(self) -> int:
-        return self.levels * self.contrasts * self.cases
+        return self.levels * self.contrasts * self.kinds
 
 
 @dataclass(frozen=True)
@@ -116,5 +137,7 @@ class TransformTable(Artifact):
             raise ValueError(f"cfa names channel {self.cfa.max()}, but there are {len(self.channels)}")
         if not 0 <= self.bits - self.rule.shift <= CLASS_BITS or self.bits > 16:
             raise ValueError(f"{self.bits} bits shifted by {self.rule.shift} leave more than {CLASS_BITS}")
+        if self.rule.chroma_weights.shape[1] != len(self.channels):
+            raise ValueError(f"chroma_weights is for {self.rule.chroma_weights.shape[1]} channels")
         if len(self.rule.case_of_code) != 2 ** len(self.channels):
             raise ValueError(f"case_of_code has {len(self.rule.case_of_code)} codes for {len(self.channels)} channels")

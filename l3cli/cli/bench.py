@@ -43,8 +43,13 @@ def bench(as_json: bool, quiet: bool) -> None:
 def _rendering(results: list[dict[str, Any]]) -> None:
     stages = list(results[0]["stages_ms"])
     click.echo(f"{results[0]['device']}; milliseconds a frame")
-    click.echo(f"{'frame':>10} {'patch':>5} " + " ".join(f"{stage:>9}" for stage in stages) + f" {'whole':>8} {'MP/s':>6}")
+    click.echo(
+        f"{'frame':>10} {'patch':>5} {'classes':>8} "
+        + " ".join(f"{stage:>9}" for stage in stages)
+        + f" {'whole':>8} {'MP/s':>6}"
+    )
     for result in results:
         times = " ".join(f"{result['stages_ms'][stage]:9.2f}" for stage in stages)
         size = f"{result['width']}×{result['height']}"
-        click.echo(f"{size:>10} {result['patch']:>5} {times} {result['frame_ms']:8.2f} {result['mp_per_s']:6.1f}")
+        speed = f"{result['frame_ms']:8.2f} {result['mp_per_s']:6.1f}"
+        click.echo(f"{size:>10} {result['patch']:>5} {result['classes']:>8} {times} {speed}")

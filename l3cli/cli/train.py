@@ -48,7 +48,8 @@ def train(
     sites = canonical_sites(head, rule)
     options.say(
         f"{total} frames, {len(sites)} of {head.camera.cfa.size} sites to train, "
-        f"{rule.levels} levels × {rule.contrasts} contrasts × {rule.cases} saturation cases",
+        f"{rule.levels} levels × {rule.contrasts} contrasts × "
+        f"({rule.chromas} chromas + {rule.cases - 1} saturation cases)",
         quiet,
     )
     white_point = mean_white(_frames(training))
@@ -80,8 +81,10 @@ class SiteWork:
 def _train_site(work: SiteWork) -> "Solution":
     from l3cli.train.table import train_site
 
-    frames = _frames(work.training)
-    return train_site(frames, work.total, work.head, work.rule, work.site, work.recipe, work.white_point, work.seed)
+    def read_frames() -> Iterator["TrainingPair"]:
+        return _frames(work.training)
+
+    return train_site(read_frames, work.total, work.head, work.rule, work.site, work.recipe, work.white_point, work.seed)
 
 
 def _frames(training: tuple[Path, ...]) -> Iterator["TrainingPair"]:

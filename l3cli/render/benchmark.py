@@ -8,6 +8,7 @@ import numpy as np
 
 from l3cli import spectra
 from l3cli.artifacts.table import ClassRule, TransformTable
+from l3cli.classify import chroma_weights
 from l3cli.frame import RawFrame
 from l3cli.render.display import make_display
 from l3cli.render.opencl import OpenCLRenderer
@@ -24,6 +25,7 @@ class Case:
     height: int
     patch: int
     cfa: str  # key of CFAS
+    classes: str  # key of CLASSES
     outputs: int = 3
 
 
@@ -31,8 +33,14 @@ CFAS = {
     "five-band": np.array([[2, 1, 4, 1], [1, 3, 1, 0], [4, 1, 2, 1], [1, 0, 1, 3]], np.uint8),
     "bayer": np.array([[0, 1], [1, 2]], np.uint8),
 }
-CASES = (Case(1280, 720, 9, "five-band"), Case(2048, 1164, 9, "five-band"), Case(1280, 720, 5, "bayer"))
-BITS, BLACK, WHITE, LEVELS, CASE_COUNT = 12, 109, 4095, 20, 10
+CLASSES = {"fast": (10, 1), "default": (20, 8)}  # levels and chromas of the recipes in configs/classes
+CASES = (
+    Case(1280, 720, 9, "five-band", "fast"),
+    Case(1280, 720, 9, "five-band", "default"),
+    Case(2048, 1164, 9, "five-band", "default"),
+    Case(1280, 720, 5, "bayer", "default"),
+)
+BITS, BLACK, WHITE, CASE_COUNT = 12, 109, 4095, 10
 
 
 def measure(case: Case) -> dict[str, Any]:
@@ -56,6 +64,7 @@ def measure(case: Case) -> dict[str, Any]:
         "height": case.height,
         "patch": case.patch,
         "channels": int(CFAS[case.cfa].max()) + 1,
+        "classes": case.classes,
         "outputs": case.outputs,
         "backend": "opencl",
         "variant": "processor",
@@ -67,10 +76,14 @@ def measure(case: Case) -> dict[str, Any]:
 
 
 def made_up_table(case: Case, rng: np.random.Generator) -> TransformTable:
-    """Random weights for as many classes as a trained table has: 20 levels, two contrasts, ten saturation cases."""
+    """Random weights for as many classes as a trained table has: the recipe's levels and chromas, two contrasts, ten
+    saturation cases; chroma centres about the grey of `made_up_frame`, so that its pixels change between them."""
     cfa = CFAS[case.cfa]
     channels = int(cfa.max()) + 1
-    levels = BLACK + np.geomspace(0.001, 0.95, LEVELS - 1) * (WHITE - BLACK)
+    level_count, chromas = CLASSES[case.classes]
+    levels = BLACK + np.geomspace(0.001, 0.95, level_count - 1) * (WHITE - BLACK)
+    centres = 1 - 0.08 * np.arange(channels) + 0.1 * rng.standard_normal((chromas, channels))
+    centres /= centres.sum(axis=1, keepdims=True)
     case_of_code = rng.permutation(np.arange(2**channels) % CASE_COUNT).astype(np.uint16)
     rule = ClassRule(
         patch=case.patch,
@@ -80,6 +93,8 @@ def made_up_table(case: Case, rng: np.random.Generator) -> TransformTable:
         saturation=4036,
         saturation_radius=2,
         case_of_code=case_of_code,
+        chroma_black=BLACK * 16,
+        chroma_weights=chroma_weights(centres),
     )
     classes = cfa.size * rule.classes_per_site
     return TransformTable(

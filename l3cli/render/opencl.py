@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli import classify
-from l3cli.artifacts.table import LEVEL_FRACTION, TransformTable
+from l3cli.artifacts.table import CHROMA_FRACTION, LEVEL_FRACTION, TransformTable
 from l3cli.errors import DeviceError
 from l3cli.frame import RawFrame, mirrored_indices
 from l3cli.render.display import Display, require_xyz
@@ -285,9 +285,12 @@ def _macros(table: TransformTable, tile: int) -> dict[str, int]:
         "CFA_COLUMNS": table.cfa.shape[1],
         "LEVELS": rule.levels,
         "CONTRASTS": rule.contrasts,
-        "CASES": rule.cases,
+        "CHROMAS": rule.chromas,
+        "KINDS": rule.kinds,
         "SHIFT": rule.shift,
         "LEVEL_FRACTION": LEVEL_FRACTION,
+        "CHROMA_FRACTION": CHROMA_FRACTION,
+        "CHROMA_BLACK": rule.chroma_black,
         "SATURATION": rule.saturation,
         "SATURATION_RADIUS": rule.saturation_radius,
         "TILE": tile,
@@ -320,6 +323,7 @@ def _class_arrays(table: TransformTable) -> tuple[NDArray, ...]:
         rule.level_edges,
         rule.contrast_edges,
         rule.case_of_code,
+        rule.chroma_weights,
     )
 
 

@@ -12,6 +12,7 @@ class LearningRecipe(Recipe):
 
     patches: int = 60000  # patches a canonical CFA position, over all frames
     draws: int = 8  # levels drawn a patch (METHOD 4.1)
+    first_draws: int = 3  # levels drawn a patch in the pass whose errors weigh the rows of the second; 0: one pass only
     darkest: float = 0.003  # levels are drawn log-uniformly from here …
     brightest: float = 2.5  # … to here, clipped at white
     highlight_share: float = 0.25  # this share of the draws …
@@ -32,8 +33,8 @@ class TrainingRecipe(Recipe):
 
 def check_learning(recipe: LearningRecipe) -> None:
     """RecipeError if a number of the learning recipe cannot be."""
-    if recipe.patches < 1 or recipe.draws < 1 or recipe.parent_patches < 0:
-        raise RecipeError("learning.patches and draws must be at least 1, parent_patches at least 0")
+    if recipe.patches < 1 or recipe.draws < 1 or min(recipe.parent_patches, recipe.first_draws) < 0:
+        raise RecipeError("learning.patches and draws must be at least 1, first_draws and parent_patches at least 0")
     if not 0 < recipe.darkest < recipe.highlight_from < recipe.brightest:
         raise RecipeError("learning needs 0 < darkest < highlight_from < brightest")
     if not 0 <= recipe.highlight_share <= 1:

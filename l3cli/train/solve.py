@@ -51,8 +51,9 @@ class Transforms:
 def solve(sums: Sums, rule: ClassRule, window: NDArray[np.int64], recipe: LearningRecipe, goal: Goal) -> Solution:
     """Solutions for every class of a site that has patches or a parent with patches: T = Y Xᵀ (X Xᵀ + Λ)⁻¹, thin classes
     helped by their neighbours; `window` (tap) names the channel of each tap. Raises L3Error if no class has any."""
-    shape = (rule.levels, rule.contrasts, rule.cases)
-    shrunk = _with_parents(_pooled(sums, shape, recipe.level_pool), shape, recipe.parent_patches)
+    shape = (rule.levels, rule.contrasts, rule.kinds)
+    pooled = _pooled(sums, shape, rule.chromas, recipe.level_pool)
+    shrunk = _with_parents(pooled, shape, rule.chromas, recipe.parent_patches)
     solved = shrunk.count > 0
     if not solved.any():
         raise L3Error("no class has training patches; simulate more frames")
@@ -63,7 +64,7 @@ def solve(sums: Sums, rule: ClassRule, window: NDArray[np.int64], recipe: Learni
     rows = np.zeros((solved.size, groups.size, len(goal.outputs)))
     compliance = np.zeros((solved.size, len(set(factors)), groups.size, len(member)))
     for index in np.flatnonzero(solved):
-        has_intercept = bool(index % rule.cases > 0)
+        has_intercept = bool(index % rule.kinds >= rule.chromas)
         for number, factor in enumerate(sorted(set(factors))):
             columns = [column for column, own in enumerate(factors) if own == factor]
             system = _system(shrunk.moments[index], shrunk.noise[index], factor, recipe.ridge, has_intercept)
@@ -84,10 +85,10 @@ def equal_responses(
     factors = _noise_factors(recipe, goal)
     order = sorted(set(factors))
     bent = [solution.rows.copy() for solution in solutions]
-    cases = np.arange(len(solutions[0].samples)) % rule.cases
+    saturated = np.arange(len(solutions[0].samples)) % rule.kinds >= rule.chromas
     for index in np.flatnonzero(np.any([solution.solved for solution in solutions], axis=0)):
         among = [site for site, solution in enumerate(solutions) if solution.solved[index]]
-        used = slice(None) if cases[index] > 0 else slice(0, -1)  # without an intercept there is none to equalise
+        used = slice(None) if saturated[index] else slice(0, -1)  # without an intercept there is none to equalise
         for output, factor in enumerate(factors):
             number = order.index(factor)
             stiffness = {site: np.linalg.inv(solutions[site].softness[index, number][used, used]) for site in among}
@@ -99,7 +100,7 @@ def equal_responses(
                 change = stiffness[site] @ (common - response[site])
                 bent[site][index, :, output] += solutions[site].compliance[index, number][:, used] @ change
     back = np.linalg.inv(_opponent_basis(goal))
-    shape = (rule.levels, rule.contrasts, rule.cases)
+    shape = (rule.levels, rule.contrasts, rule.kinds)
     transforms = []
     for solution, rows in zip(solutions, bent, strict=True):
         filled = np.swapaxes(rows @ back, 1, 2)[_nearest(solution.solved, shape)]
@@ -107,7 +108,7 @@ def equal_responses(
     return transforms
 
 
-def _pooled(sums: Sums, shape: tuple[int, int, int], pool: tuple[float, ...]) -> Sums:
+def _pooled(sums: Sums, shape: tuple[int, int, int], chromas: int, pool: tuple[float, ...]) -> Sums:
     """Unsaturated classes with weighted sums of the levels beside them added; sums are relative to the level, so they
     add. The noise stays the class's own, scaled to the new number of patches."""
     levels = shape[0]
@@ -118,8 +119,8 @@ def _pooled(sums: Sums, shape: tuple[int, int, int], pool: tuple[float, ...]) ->
         for step in (-distance, distance):
             to = slice(max(0, -step), min(levels, levels - step))
             origin = slice(max(0, step), min(levels, levels + step))
-            pooled_moments[to, :, 0] += weight * moments[origin, :, 0]
-            pooled_count[to, :, 0] += weight * count[origin, :, 0]
+            pooled_moments[to, :, :chromas] += weight * moments[origin, :, :chromas]
+            pooled_count[to, :, :chromas] += weight * count[origin, :, :chromas]
     own = sums.count > 0
     flat_count = np.where(own, pooled_count.reshape(-1), 0.0)
     growth = np.divide(flat_count, sums.count, out=np.zeros_like(flat_count), where=own)
@@ -127,25 +128,30 @@ def _pooled(sums: Sums, shape: tuple[int, int, int], pool: tuple[float, ...]) ->
     return Sums(flat_moments, sums.noise * growth[:, None], flat_count)
 
 
-def _with_parents(sums: Sums, shape: tuple[int, int, int], pseudo_patches: int) -> Sums:
-    """Every class with pseudo-patches of its (case, level) parent and, a few, of its case (METHOD 4.5)."""
-    count = sums.count.reshape(shape)
-    level_count, case_count = count.sum(axis=1), count.sum(axis=(0, 1))
-
-    def shrunk(values: Array) -> Array:
-        split = values.reshape(*shape, *values.shape[1:])
-        level_sum = split.sum(axis=1)
-        tail = (1,) * (values.ndim - 1)
-        level_mean = level_sum / np.maximum(level_count, 1e-9).reshape(*level_count.shape, *tail)
-        case_mean = level_sum.sum(axis=0) / np.maximum(case_count, 1e-9).reshape(*case_count.shape, *tail)
-        parent = (1 - CASE_SHARE) * level_mean + CASE_SHARE * case_mean[None]
-        return (split + pseudo_patches * parent[:, None]).reshape(values.shape)
-
-    known = np.broadcast_to((level_count > 0)[:, None], shape).reshape(-1)
-    total = np.where(known, sums.count + pseudo_patches, 0.0)
+def _with_parents(sums: Sums, shape: tuple[int, int, int], chromas: int, pseudo_patches: int) -> Sums:
+    """Every class with pseudo-patches of its parent: the classes of its level and saturation case, whatever their contrast
+    and chroma, and a few of its case at any level (METHOD 4.5)."""
     if not pseudo_patches:
         return sums
-    return Sums(shrunk(sums.moments), shrunk(sums.noise), total)
+    case = np.maximum(np.arange(shape[2]) - chromas + 1, 0)  # of each kind
+    count = _per_case(sums.count.reshape(shape), case)
+
+    def parents(values: Array) -> Array:
+        own = _per_case(values.reshape(*shape, *values.shape[1:]), case)
+        tail = (1,) * (values.ndim - 1)
+        level_mean = own / np.maximum(count, 1e-9).reshape(*count.shape, *tail)
+        case_mean = own.sum(axis=0) / np.maximum(count.sum(axis=0), 1e-9).reshape(-1, *tail)
+        parent = (1 - CASE_SHARE) * level_mean + CASE_SHARE * case_mean[None]
+        return values + pseudo_patches * np.repeat(parent[:, None, case], shape[1], axis=1).reshape(values.shape)
+
+    known = np.repeat(count[:, None, case] > 0, shape[1], axis=1).reshape(-1)
+    return Sums(parents(sums.moments), parents(sums.noise), np.where(known, sums.count + pseudo_patches, 0.0))
+
+
+def _per_case(values: Array, case: NDArray[np.int64]) -> Array:
+    """values (level, contrast, kind, …) summed over contrasts and over the kinds of each case: (level, case, …)."""
+    first = np.unique(case, return_index=True)[1]
+    return np.add.reduceat(values.sum(axis=1), first, axis=1)
 
 
 def _system(moments: Array, noise: Array, factor: float, ridge: float, has_intercept: bool) -> Array:
@@ -173,13 +179,13 @@ def _opponent_basis(goal: Goal) -> Array:
 
 
 def _nearest(filled: NDArray[np.bool_], shape: tuple[int, int, int]) -> NDArray[np.int64]:
-    """For every class the filled class it takes its transform from: itself, else the same case at the nearest level and
-    contrast, else the nearest of any case."""
-    level, contrast, case = np.unravel_index(np.arange(filled.size), shape)
+    """For every class the filled class it takes its transform from: itself, else the same kind at the nearest level and
+    contrast, else the nearest of any kind."""
+    level, contrast, kind = np.unravel_index(np.arange(filled.size), shape)
     known = np.flatnonzero(filled)
     source = np.arange(filled.size)
     for index in np.flatnonzero(~filled):
         far = np.abs(level[known] - level[index]) * shape[1] + np.abs(contrast[known] - contrast[index])
-        far = far + (case[known] != case[index]) * filled.size
+        far = far + (kind[known] != kind[index]) * filled.size
         source[index] = known[np.argmin(far)]
     return source

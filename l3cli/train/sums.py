@@ -11,6 +11,7 @@ from l3cli.artifacts.table import ClassRule
 from l3cli.classify import Neighbourhoods, label_patches
 from l3cli.train.patches import Patches, draw_levels, expose_patches
 from l3cli.train.recipe import LearningRecipe
+from l3cli.train.weighing import Judge
 
 CHUNK = 25_000  # patches handled at once: their arrays stay near the caches
 TARGET_FLOOR = 0.05  # of the level: rows of darker targets get no more weight (METHOD 4.2)
@@ -38,28 +39,33 @@ def accumulate(
     near: Neighbourhoods,
     site: int,
     recipe: LearningRecipe,
+    draws: int,
+    judge: Judge | None,
     rng: np.random.Generator,
 ) -> None:
-    """Add `patches`, each rescaled to `recipe.draws` levels and sorted into its class, to `sums` (METHOD 4.1, 4.2)."""
+    """Add `patches`, each rescaled to `draws` levels and sorted into its class, to `sums` (METHOD 4.1, 4.2); rows are
+    weighed by the luminance of their target and, if there is a `judge`, by the error it expects (METHOD 4.4)."""
     member = (near.channel[site][:, None] == np.arange(near.count.shape[1])) / near.count[site]
     tap_share = member.mean(axis=1).astype(np.float32)  # level = mean over channels of the channel means
-    for signal, target, carried in _rescaled(patches, tap_share, recipe, rng):
+    for signal, target, carried in _rescaled(patches, tap_share, recipe, draws, rng):
         values, clean, variance = expose_patches(signal, camera, rng, carried)
         label = label_patches(values, rule, near, site)
         span = np.float32(camera.white - camera.black)
         level = np.maximum((values.astype(np.float32) - np.float32(camera.black)) @ tap_share / span, 1e-4)
         weight = 1.0 / (level * np.sqrt(_weighing(target) / level + TARGET_FLOOR))
+        if judge is not None:
+            weight = weight * judge.weight(clean, variance, target, level, label)
         rows = np.concatenate([clean, np.ones((len(clean), 1), np.float32), target], axis=1) * weight[:, None]
         _add_by_class(sums, label, rows.astype(np.float32), variance * (weight**2)[:, None])
 
 
 def _rescaled(
-    patches: Patches, tap_share: NDArray[np.float32], recipe: LearningRecipe, rng: np.random.Generator
+    patches: Patches, tap_share: NDArray[np.float32], recipe: LearningRecipe, draws: int, rng: np.random.Generator
 ) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32] | None]]:
     """Chunks of (signal, target, noise variance carried) at freshly drawn levels, as far as the patches can follow;
     brightness is only exposure, so signal and target scale alike."""
     own_level = np.maximum(patches.signal @ tap_share, 1e-3)
-    for _ in range(recipe.draws):
+    for _ in range(draws):
         scale = patches.possible(draw_levels(recipe, len(own_level), rng) / own_level).astype(np.float32)[:, None]
         for start in range(0, len(own_level), CHUNK):
             part = slice(start, start + CHUNK)

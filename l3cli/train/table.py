@@ -1,6 +1,6 @@
 """The training room's front: what the command calls, in the order it calls it."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,12 +9,13 @@ from l3cli.artifacts.base import Stage
 from l3cli.artifacts.table import ClassRule, TransformTable
 from l3cli.artifacts.training_set import TrainingPair, TrainingSet
 from l3cli.classify import make_rule, neighbourhoods, saturation_codes
-from l3cli.train.cases import choose_cases
+from l3cli.train.kinds import channel_shares, choose_cases, choose_chromas
 from l3cli.train.patches import draw_levels, expose_patches, patches_of
 from l3cli.train.recipe import TrainingRecipe, check_learning
 from l3cli.train.solve import Goal, Solution, equal_responses, solve
 from l3cli.train.sums import Sums, accumulate, symmetrise
 from l3cli.train.symmetry import site_maps, stabilisers
+from l3cli.train.weighing import Judge
 
 PILOT_PATCHES = 4000  # patches a site over all frames that decide which saturation cases are kept
 
@@ -22,7 +23,7 @@ PILOT_PATCHES = 4000  # patches a site over all frames that decide which saturat
 def training_rule(
     frames: Iterable[TrainingPair], total: int, head: TrainingSet, recipe: TrainingRecipe, seed: int
 ) -> ClassRule:
-    """The class rule for `head.camera`, its saturation cases chosen from a pilot sample of the `total` frames."""
+    """The class rule for `head.camera`; its saturation cases and chroma centres come from a pilot sample of the frames."""
     check_learning(recipe.learning)
     camera = head.camera
     codes = 2 ** len(camera.channels)
@@ -30,6 +31,7 @@ def training_rule(
     near = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
     canonical = canonical_sites(head, rule)
     occurrences = np.zeros(codes, dtype=np.int64)
+    shares = []
     for index, frame in enumerate(frames):
         for site in canonical:
             rng = np.random.default_rng([seed, 0, index, site])
@@ -40,7 +42,10 @@ def training_rule(
             carried = None if patches.carried is None else (patches.carried * scale**2).astype(np.float32)
             values, _, _ = expose_patches((patches.signal * scale).astype(np.float32), camera, rng, carried)
             occurrences += np.bincount(saturation_codes(values, rule, near, site), minlength=codes)
-    return make_rule(recipe.classes, camera, choose_cases(occurrences, recipe.classes.max_cases))
+            shares.append(channel_shares(patches.signal, near, site))
+    case_of_code = choose_cases(occurrences, recipe.classes.max_cases)
+    centres = choose_chromas(np.concatenate(shares), recipe.classes.chromas, seed)
+    return make_rule(recipe.classes, camera, case_of_code, centres)
 
 
 def canonical_sites(head: TrainingSet, rule: ClassRule) -> list[int]:
@@ -50,7 +55,7 @@ def canonical_sites(head: TrainingSet, rule: ClassRule) -> list[int]:
 
 
 def train_site(
-    frames: Iterable[TrainingPair],
+    read_frames: Callable[[], Iterable[TrainingPair]],
     total: int,
     head: TrainingSet,
     rule: ClassRule,
@@ -59,18 +64,27 @@ def train_site(
     white_point: NDArray[np.float64],
     seed: int,
 ) -> Solution:
-    """Solutions of one canonical site from all `total` frames, read in turn; `white_point` (output) with Y = 1."""
-    camera = head.camera
-    near = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
-    sums = Sums.empty(rule.classes_per_site, rule.patch**2, len(head.outputs))
+    """Solutions of one canonical site from the `total` frames, read in turn once a pass; `white_point` (output), Y = 1."""
+    goal = Goal(head.outputs, white_point)
+    learning = recipe.learning
+    near = neighbourhoods(head.camera.cfa, rule.patch, len(head.camera.channels))
     window = near.channel[site]
-    for index, frame in enumerate(frames):
-        rng = np.random.default_rng([seed, 1, index, site])
-        count = -(-recipe.learning.patches // total)
-        patches = patches_of(frame, head, near, site, count, rng)
-        accumulate(sums, patches, camera, rule, near, site, recipe.learning, rng)
-    shared = symmetrise(sums, stabilisers(window, rule.patch))
-    return solve(shared, rule, window, recipe.learning, Goal(head.outputs, white_point))
+
+    def one_pass(number: int, draws: int, judge: Judge | None) -> Solution:
+        sums = Sums.empty(rule.classes_per_site, rule.patch**2, len(head.outputs))
+        count = -(-learning.patches // total)
+        for index, frame in enumerate(read_frames()):
+            rng = np.random.default_rng([seed, number, index, site])
+            patches = patches_of(frame, head, near, site, count, rng)
+            accumulate(sums, patches, head.camera, rule, near, site, learning, draws, judge, rng)
+        return solve(symmetrise(sums, stabilisers(window, rule.patch)), rule, window, learning, goal)
+
+    judge = None
+    if learning.first_draws and head.outputs == ("X", "Y", "Z"):
+        first = one_pass(1, learning.first_draws, None)
+        (filled,) = equal_responses([first], [1], rule, learning, goal)
+        judge = Judge(np.swapaxes(filled.weights, 1, 2), filled.intercept, white_point)
+    return one_pass(2, learning.draws, judge)
 
 
 def assemble(

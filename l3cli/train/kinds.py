@@ -1,7 +1,9 @@
-"""Which saturation patterns get classes of their own (METHOD 3.3)."""
+"""Which saturation patterns and which colours get classes of their own (METHOD 3.3, 3.5)."""
 
 import numpy as np
 from numpy.typing import NDArray
+
+from l3cli.classify import Neighbourhoods
 
 SMALLEST_SHARE = 2e-4  # of the training patches: rarer patterns join the nearest kept one
 
@@ -23,3 +25,20 @@ def choose_cases(occurrences: NDArray[np.int64], most: int) -> NDArray[np.uint16
     case_of_code[:] = np.argmin(differing + 0.5 * misses, axis=1) + 1
     case_of_code[0] = 0
     return case_of_code
+
+
+def channel_shares(signal: NDArray[np.float32], near: Neighbourhoods, site: int) -> NDArray[np.float64]:
+    """Means of the channels over each patch (patch, tap), as shares of their sum: (patch, channel)."""
+    member = (near.channel[site][:, None] == np.arange(near.count.shape[1])) / near.count[site]
+    means = signal.astype(np.float64) @ member
+    return means / np.maximum(means.sum(axis=1, keepdims=True), 1e-9)
+
+
+def choose_chromas(shares: NDArray[np.float64], count: int, seed: int) -> NDArray[np.float64] | None:
+    """`count` centres (chroma, channel) of the channel shares (patch, channel) by k-means; None if one is asked for."""
+    if count == 1:
+        return None
+    from scipy.cluster.vq import kmeans2
+
+    centres, member = kmeans2(shares, count, iter=30, minit="++", rng=np.random.default_rng([seed, 2]))
+    return centres[np.unique(member)]  # a centre that nobody is nearest to is left out
