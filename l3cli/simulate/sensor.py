@@ -75,16 +75,29 @@ def expose(
     rows, cols = electrons.shape
     if rows > camera.rows or cols > camera.cols:
         raise ValueError(f"a frame of {rows}×{cols} does not fit the sensor of {camera.rows}×{camera.cols} pixels")
+    whole = fixed_pattern(camera)
+    pattern = FixedPattern(whole.prnu[:rows, :cols], whole.dsnu[:rows, :cols])
+    return read_out(camera, pattern, electrons, exposure, rng, noises)
+
+
+def read_out(
+    camera: CameraModel,
+    pattern: FixedPattern,
+    electrons: NDArray[np.floating],
+    exposure: float,
+    rng: np.random.Generator,
+    noises: str = "all",
+) -> NDArray[np.uint16]:
+    """The raw frame (row, col) in DN of mean photo-electrons on pixels with a pattern of the same shape (METHOD 1.2)."""
     noise = camera.noise
     signal = np.clip(electrons, 0.0, MOST_ELECTRONS) + min(noise.dark_current * exposure, MOST_ELECTRONS)
     if noises != "none":
         signal = rng.poisson(signal)
     signal = signal.astype(np.float32)
     if noises == "all":
-        pattern = fixed_pattern(camera)
         signal += rng.standard_normal(signal.shape, dtype=np.float32) * np.float32(noise.read_noise)
-        signal *= 1 + pattern.prnu[:rows, :cols]
-        signal += pattern.dsnu[:rows, :cols]
+        signal *= 1 + pattern.prnu
+        signal += pattern.dsnu
     np.minimum(signal, np.float32(noise.well_capacity), out=signal)
     values = np.rint(np.float32(camera.gain) * signal + np.float32(camera.black))
     return np.clip(values, 0, 2**camera.bits - 1).astype(np.uint16)
