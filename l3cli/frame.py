@@ -70,3 +70,12 @@ def pad_mosaic(values: NDArray, margin: int, cfa_shape: tuple[int, int]) -> NDAr
 def shifted_cfa(cfa: NDArray[np.uint8], phase: tuple[int, int]) -> NDArray[np.uint8]:
     """The super-pixel as seen from a frame whose pixel (0, 0) has site `phase`."""
     return np.roll(cfa, (-phase[0], -phase[1]), axis=(0, 1))
+
+
+def as_taken(pixels: NDArray, orientation: int) -> NDArray:
+    """pixels (row, col, …) turned back from `upright`."""
+    if orientation & 4:
+        pixels = pixels.swapaxes(0, 1)
+    if orientation & 2:
+        pixels = pixels[::-1]
+    return pixels[:, ::-1] if orientation & 1 else pixels

@@ -15,9 +15,15 @@ def ordered_map(function: Callable[[T], R], items: Iterable[T], jobs: int) -> It
     Processes are spawned, not forked: a fork after an OpenCL context exists hangs. Their BLAS is kept to one thread each.
     At most 2·jobs results wait, so memory is bounded by the workers, not by the number of items.
     """
-    if jobs == 1:
-        yield from map(function, items)
-        return
+    return map(function, items) if jobs == 1 else _pooled(function, items, jobs)
+
+
+def alone(function: Callable[[T], R], item: T) -> R:
+    """function(item) by a process of its own, whose memory nothing else has used."""
+    return next(_pooled(function, [item], 1))
+
+
+def _pooled(function: Callable[[T], R], items: Iterable[T], jobs: int) -> Iterator[R]:
     saved = {name: os.environ.get(name) for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
     os.environ.update(dict.fromkeys(saved, "1"))
     try:

@@ -29,3 +29,12 @@ class Scene:
             raise ValueError(f"scene {self.name}: the illuminant does not fit {bands} wavelengths")
         if not np.isfinite(self.reflectance).all():
             raise ValueError(f"scene {self.name}: holds values that are not finite")
+
+
+@dataclass(frozen=True)
+class SpectralCube:
+    """A cube as a file stores it, before anything is known about its scale and light."""
+
+    values: NDArray  # (row, col, band)
+    wavelength: NDArray[np.float64] | None  # (band) nm; None: the file does not tell
+    white: float | None = None  # stored value of a perfect white, where the file tells

@@ -16,6 +16,7 @@ from l3cli.errors import RecipeError
 PLANCK = 6.62607015e-34  # J s
 LIGHT_SPEED = 299792458.0  # m/s
 LUMINOUS_EFFICACY = 683.0  # lm/W
+SPRAGUE_STEP = 20.0  # nm between bands up to which a reflectance is taken as smooth
 Array = NDArray[np.floating]
 
 
@@ -61,42 +62,99 @@ def sampling_matrix(source: Array, target: Array) -> Array:
     return hats / hats.sum(axis=1, keepdims=True)
 
 
-def colour_matching_functions(wavelength: Array, observer: str = "CIE 1931 2 Degree Standard Observer") -> Array:
-    """x̄ ȳ z̄, (3, wavelength), linearly interpolated from the tabulated 1 nm observer."""
-    observers = _colour().MSDS_CMFS
-    if observer not in observers:
-        raise RecipeError(f'observer "{observer}" is unknown; use "CIE 1931 2 Degree Standard Observer"')
-    cmfs = observers[observer]
+def held_interpolation(bands: Array, wavelength: Array) -> Array:
+    """M (wavelength, band): a reflectance between its bands and, held constant, beyond the first and last (CIE 15).
+
+    Evenly spaced bands of 20 nm at most are interpolated by Sprague's polynomials as CIE 167 recommends and colour-science
+    does, all others linearly.
+    """
+    return _held_interpolation(tuple(bands), tuple(wavelength))
+
+
+@functools.lru_cache(maxsize=8)
+def _held_interpolation(bands: tuple[float, ...], wavelength: tuple[float, ...]) -> Array:
+    source, target = np.array(bands), np.array(wavelength)
+    inside = np.clip(target, source[0], source[-1])
+    steps = np.diff(source)
+    even = source.size >= 6 and np.ptp(steps) < 1e-6 * steps[0] and steps[0] <= SPRAGUE_STEP
+    if not even or np.array_equal(source, target):
+        return interpolation_matrix(source, inside)
+    sprague = _colour().SpragueInterpolator
+    return np.stack([sprague(source, unit)(inside) for unit in np.eye(source.size)], axis=1)
+
+
+OBSERVERS = {
+    "CIE 1931": "CIE 1931 2 Degree Standard Observer",
+    "CIE 1964": "CIE 1964 10 Degree Standard Observer",
+}
+
+
+def colour_matching_functions(wavelength: Array, observer: str = "CIE 1931") -> Array:
+    """x̄ ȳ z̄, (3, wavelength), of a key of OBSERVERS, linearly interpolated from the tabulated 1 nm observer."""
+    if observer not in OBSERVERS:
+        raise RecipeError(f'observer "{observer}" is unknown; use one of {", ".join(OBSERVERS)}')
+    cmfs = _colour().MSDS_CMFS[OBSERVERS[observer]]
     return resample(cmfs.values.T, cmfs.wavelengths, wavelength)
+
+
+def matching_weights(functions: Array, wavelength: Array) -> Array:
+    """W (output, wavelength) of matching functions (output, wavelength) per watt: output = W @ radiance
+    (photons/s/sr/m²/nm), in cd/m² for x̄ ȳ z̄."""
+    energy_per_photon = PLANCK * LIGHT_SPEED / (wavelength * 1e-9)
+    return LUMINOUS_EFFICACY * functions * energy_per_photon * bin_widths(wavelength)
 
 
 def xyz_weights(wavelength: Array) -> Array:
     """W (3, wavelength): CIE 1931 XYZ with Y in cd/m² = W @ radiance (photons/s/sr/m²/nm)."""
-    energy_per_photon = PLANCK * LIGHT_SPEED / (wavelength * 1e-9)
-    return LUMINOUS_EFFICACY * colour_matching_functions(wavelength) * energy_per_photon * bin_widths(wavelength)
+    return matching_weights(colour_matching_functions(wavelength), wavelength)
 
 
 @functools.cache
 def illuminant_names() -> tuple[str, ...]:
-    """The named illuminants; beside them any "<temperature>K" is a black body."""
+    """The tabulated illuminants; beside them "F1"…"F12" are FL1…FL12, "3200K" is a black body, "D6000K" daylight."""
     return tuple(sorted(_colour().SDS_ILLUMINANTS))
 
 
 def illuminant(name: str, wavelength: Array) -> Array:
-    """Relative photon radiance (wavelength), mean 1, of a named CIE illuminant or a black body such as "3200K"."""
-    blackbody = re.fullmatch(r"(\d+(?:\.\d+)?) ?K", name)
-    if blackbody:
+    """Relative photon radiance (wavelength), mean 1, of a named CIE illuminant, a black body such as "3200K" or daylight
+    of a correlated colour temperature such as "D6000K"; RecipeError if the name is unknown."""
+    temperature = re.fullmatch(r"(D?)(\d+(?:\.\d+)?) ?K", name)
+    if temperature and temperature[1]:
+        photons = photons_from_energy(wavelength, _daylight(float(temperature[2]), wavelength))
+    elif temperature:
         metres = wavelength * 1e-9
-        exponent = PLANCK * LIGHT_SPEED / (metres * 1.380649e-23 * float(blackbody[1]))
+        exponent = PLANCK * LIGHT_SPEED / (metres * 1.380649e-23 * float(temperature[2]))
         photons = 1.0 / (metres**4 * np.expm1(exponent))
     else:
-        if name not in illuminant_names():
-            known = ", ".join(illuminant_names())
-            raise RecipeError(f'illuminant "{name}" is unknown; use a black body such as "3200K" or one of {known}')
-        table = _colour().SDS_ILLUMINANTS[name]
-        energy = np.interp(wavelength, table.wavelengths, table.values)
-        photons = photons_from_energy(wavelength, energy)
+        photons = photons_from_energy(wavelength, _tabulated(name, wavelength))
     return photons / photons.mean()
+
+
+def _tabulated(name: str, wavelength: Array) -> Array:
+    """Energy (wavelength) of a CIE illuminant, linear between its samples."""
+    key = f"FL{name[1:]}" if re.fullmatch(r"F\d+", name) else name
+    if key not in illuminant_names():
+        known = ", ".join(illuminant_names())
+        raise RecipeError(
+            f'illuminant "{name}" is unknown; use a black body such as "3200K", daylight such as "D6000K", '
+            f"a CSV file or one of {known}"
+        )
+    table = _colour().SDS_ILLUMINANTS[key]
+    return np.interp(wavelength, table.wavelengths, table.values)
+
+
+def _daylight(temperature: float, wavelength: Array) -> Array:
+    """Energy (wavelength) of CIE daylight of a correlated colour temperature in K (CIE 15).
+
+    RecipeError outside 4000–25000 K.
+    """
+    if not 4000 <= temperature <= 25000:
+        raise RecipeError(f'daylight "D{temperature:g}K" does not exist; CIE daylight goes from D4000K to D25000K')
+    colour = _colour()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        table = colour.sd_CIE_illuminant_D_series(colour.temperature.CCT_to_xy_CIE_D(temperature))
+    return np.interp(wavelength, table.wavelengths, table.values)
 
 
 def at_luminance(radiance: Array, wavelength: Array, luminance: float) -> Array:
@@ -109,6 +167,9 @@ def white_point(name: str) -> NDArray[np.float64]:
     wavelength = np.arange(380.0, 781.0, 5.0)
     xyz = xyz_weights(wavelength) @ illuminant(name, wavelength)
     return xyz / xyz[1]
+
+
+COLORCHECKER_WAVELENGTH = np.arange(380.0, 781.0, 5.0)  # nm: where the chart was measured
 
 
 def colorchecker(wavelength: Array) -> tuple[tuple[str, ...], Array]:
@@ -146,6 +207,13 @@ def lab(xyz: Array, white: Array) -> Array:
     """CIE L*a*b* of xyz (…, 3) relative to `white` (3), in the same scale."""
     x, y = white[0] / white.sum(), white[1] / white.sum()
     return _colour().XYZ_to_Lab(np.asarray(xyz) / white[1], np.array([x, y]))
+
+
+def srgb_from_lab(lab_values: Array) -> Array:
+    """Linear sRGB (…, 3), unclipped, of CIE L*a*b* relative to D65."""
+    colour = _colour()
+    white = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
+    return np.asarray(colour.Lab_to_XYZ(lab_values, white) @ srgb_from_xyz_matrix().T)
 
 
 def delta_e_2000(lab_a: Array, lab_b: Array) -> Array:

@@ -9,7 +9,7 @@ import pytest
 from l3cli import spectra
 from l3cli.errors import InputFileError
 from l3cli.io.scene_files import find, read_iset_scene, read_rgb_picture
-from l3cli.simulate import leaves, light, procedural, reflectances, rgb
+from l3cli.simulate import charts, leaves, light, procedural, reflectances, rgb
 from tests.conftest import CONFIGS
 
 WAVELENGTH = np.arange(400.0, 701.0, 10.0)
@@ -122,7 +122,7 @@ def test_a_matlab_file_without_a_scene_is_refused(tmp_path: Path) -> None:
     from scipy.io import savemat
 
     savemat(tmp_path / "other.mat", {"picture": np.zeros((4, 4))})
-    with pytest.raises(InputFileError, match="struct"):
+    with pytest.raises(InputFileError, match="lacks a scene"):
         read_iset_scene(tmp_path / "other.mat")
 
 
@@ -141,8 +141,9 @@ def test_raised_spectra_have_the_colours_of_the_picture_and_stay_reflectances() 
     scene = rgb.raise_to_spectra(picture, WAVELENGTH, "random")
     assert scene.reflectance.min() >= 0
     assert scene.reflectance.max() <= 1 + 1e-6
-    d65 = light.named_light("D65", 1.0, WAVELENGTH)
-    xyz = scene.reflectance @ light.xyz_weights(d65, WAVELENGTH).T
+    d65 = light.make_light("D65", {}, WAVELENGTH)
+    functions = spectra.colour_matching_functions(d65.wavelength)
+    xyz = scene.reflectance @ light.matching_weights(functions, d65, WAVELENGTH).T
     assert np.allclose(xyz @ spectra.srgb_from_xyz_matrix().T, picture, atol=1e-3)
     grey = rgb.raise_to_spectra(np.full((1, 1, 3), 0.4, np.float32), WAVELENGTH, "grey")
     assert np.allclose(grey.reflectance, 0.4, atol=1e-6)
@@ -254,10 +255,10 @@ def test_dead_leaves_are_what_the_method_asks_for() -> None:
 def test_charts_of_any_size_hold_their_patches() -> None:
     _, reflectance = spectra.colorchecker(WAVELENGTH)
     for size in ((16, 16), (96, 144), (100, 333), (300, 90)):
-        chart = procedural.colorchecker(size, WAVELENGTH)
+        chart = charts.colorchecker(size, WAVELENGTH)
         assert chart.shape == (*size, 31)
         covered = np.zeros(size, int)
-        for (rows, cols), expected in zip(procedural.colorchecker_patches(size), reflectance, strict=True):
+        for (rows, cols), expected in zip(charts.colorchecker_patches(size), reflectance, strict=True):
             covered[rows, cols] += 1
             assert np.allclose(chart[rows, cols], expected.astype(np.float32))
         assert covered.max() == 1
@@ -283,4 +284,4 @@ def test_recipes_in_configs_are_right(name: str, fiveband: object) -> None:
     from l3cli.simulate.recipe import SceneRecipe, check
 
     recipe = load_recipe(CONFIGS / f"scenes/{name}.toml", SceneRecipe)
-    check(recipe, fiveband, name)  # type: ignore[arg-type]
+    check(recipe, fiveband)  # type: ignore[arg-type]

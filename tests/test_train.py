@@ -16,7 +16,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingFrame, TrainingSet, write_training_set
 from l3cli.config import load_recipe
 from l3cli.train.kinds import choose_cases
-from l3cli.train.patches import draw_levels, output_unit, sample_patches
+from l3cli.train.patches import draw_levels, sample_patches
 from l3cli.train.recipe import LearningRecipe, TrainingRecipe
 from l3cli.train.symmetry import orientations, site_maps, stabilisers
 from tests.conftest import CONFIGS
@@ -36,7 +36,7 @@ def a_frame(camera: CameraModel, seed: int, smooth: bool, size: tuple[int, int] 
     rng = np.random.default_rng(seed)
     shape = (3, 1, 1) if smooth else (3, *size)
     share = np.broadcast_to(rng.random(shape) * 0.7 + 0.1, (3, *size)).astype(np.float32)
-    target = np.einsum("oc,crk->ork", MIX, share) * output_unit(camera) / 0.01
+    target = np.einsum("oc,crk->ork", MIX, share) * camera.white_dose / 0.01
     return TrainingFrame(
         electrons=(share * camera.full_scale).astype(np.float32),
         raw=np.zeros(size, np.uint16),
@@ -81,7 +81,7 @@ def test_patches_are_windows_of_the_turned_mosaic(bayer: CameraModel) -> None:
     frame = a_frame(camera, 1, smooth=False)
     head = TrainingSet(camera=camera, outputs=("X", "Y", "Z"), target_description="")
     near = classify.neighbourhoods(camera.cfa, 5, 3)
-    sample = sample_patches(frame, head, output_unit(camera), near.channel[1], 64, orientations(5), rng)
+    sample = sample_patches(frame, head, camera.white_dose, near.channel[1], 64, orientations(5), rng)
     # the centre tap is the site's own channel whatever the orientation, and the target belongs to the same pixel
     share = frame.electrons / camera.full_scale
     truth = np.einsum("oc,crk->ork", MIX, share)

@@ -10,7 +10,7 @@ import dataclasses
 import json
 import types
 import typing
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
@@ -23,6 +23,7 @@ from l3cli.errors import InputFileError
 from l3cli.files import atomic_output
 
 COMPRESSION = {"compression": "gzip", "compression_opts": 4, "shuffle": True, "fletcher32": True}
+CHECKSUM = {"fletcher32": True}  # for pictures: noise hardly shrinks, and shrinking it takes longer than simulating it
 KNOWN_FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
 LARGEST_RATIO = 1100  # deflate cannot expand further than 1032 : 1
 SMALL = 4096  # bytes that are believed without looking at what is stored
@@ -135,17 +136,17 @@ def equal(one: Any, other: Any) -> bool:
 # ------------------------------------------------------------------------------------------------------ writing
 
 
-def write_fields(group: h5py.Group, instance: Any) -> None:
-    """Write every declared field of `instance` below `group`."""
+def write_fields(group: h5py.Group, instance: Any, filters: Mapping[str, Any] = COMPRESSION) -> None:
+    """Write every declared field of `instance` below `group`, arrays through `filters`."""
     for name, spec, optional in _declared(type(instance)):
         value = getattr(instance, name)
         if isinstance(spec, Spec):
-            _write_dataset(group, name, spec, value)
+            _write_dataset(group, name, spec, value, filters)
         elif not (optional and value is None):
-            write_fields(group.create_group(name), value)
+            write_fields(group.create_group(name), value, filters)
 
 
-def _write_dataset(group: h5py.Group, name: str, spec: Spec, value: Any) -> None:
+def _write_dataset(group: h5py.Group, name: str, spec: Spec, value: Any, filters: Mapping[str, Any] = COMPRESSION) -> None:
     if spec.dtype == "str":
         array = np.char.encode(np.asarray(value, dtype=str), "utf-8")
         if array.dtype.itemsize == 0:
@@ -155,7 +156,7 @@ def _write_dataset(group: h5py.Group, name: str, spec: Spec, value: Any) -> None
         array = np.asarray(value, dtype=spec.dtype)
     options: dict[str, Any] = {}
     if array.ndim and array.size:
-        options = {**COMPRESSION, "chunks": _chunk(array.shape, array.dtype.itemsize)}
+        options = {**filters, "chunks": _chunk(array.shape, array.dtype.itemsize)}
     dataset = group.create_dataset(name, data=array, track_times=False, **options)
     dataset.attrs["axes"] = ", ".join(spec.axes)
     dataset.attrs["unit"] = spec.unit

@@ -26,6 +26,9 @@ class Noise:
     dsnu: float = data("float64", unit="e-", doc="dark signal nonuniformity, standard deviation over pixels")
     prnu: float = data("float64", unit="1", doc="photo response nonuniformity, relative standard deviation over pixels")
     well_capacity: float = data("float64", unit="e-", doc="electrons at which a pixel saturates")
+    column_noise: float = data(
+        "float64", unit="e-", doc="fixed offset of each column, standard deviation over columns", default=0.0
+    )
 
 
 @dataclass(frozen=True)
@@ -99,11 +102,17 @@ class CameraModel(Artifact):
         photons = self.optics.irradiance_per_radiance * self.pixel_pitch**2 * spectra.bin_widths(self.wavelength)
         return self.responsivity * photons
 
+    @property
+    def white_dose(self) -> float:
+        """cd s/m²: scene luminance × exposure time at which a perfect white under D65 just fills the brightest channel."""
+        white = spectra.at_luminance(spectra.illuminant("D65", self.wavelength), self.wavelength, 1.0)
+        return self.full_scale / float((self.electron_weights @ white).max())
+
     def noise_variance(self, signal: NDArray[np.floating]) -> NDArray[np.floating]:
         """Variance in DN² of a pixel whose mean lies `signal` DN above black (METHOD 1.3, with quantisation)."""
         noise = self.noise
         signal = np.maximum(signal, 0.0)
-        constant = self.gain**2 * (noise.read_noise**2 + noise.dsnu**2) + 1.0 / 12.0
+        constant = self.gain**2 * (noise.read_noise**2 + noise.dsnu**2 + noise.column_noise**2) + 1.0 / 12.0
         return self.gain * signal + constant + (noise.prnu * signal) ** 2
 
 
@@ -149,6 +158,7 @@ class NoiseRecipe(Recipe):
     dark_current_e_per_s: float = 0.0
     dsnu_e: float = 0.0
     prnu: float = 0.0
+    column_noise_e: float = 0.0
 
 
 class OpticsRecipe(Recipe):
@@ -200,7 +210,14 @@ def camera_from_recipe(recipe: CameraRecipe, path: Path) -> CameraModel:
             black=sensor.black_dn,
             white=float(white),
             fixed_pattern_seed=sensor.fixed_pattern_seed,
-            noise=Noise(noise.read_noise_e, noise.dark_current_e_per_s, noise.dsnu_e, noise.prnu, noise.well_capacity_e),
+            noise=Noise(
+                read_noise=noise.read_noise_e,
+                dark_current=noise.dark_current_e_per_s,
+                dsnu=noise.dsnu_e,
+                prnu=noise.prnu,
+                well_capacity=noise.well_capacity_e,
+                column_noise=noise.column_noise_e,
+            ),
             optics=Optics(recipe.optics.focal_length_mm * 1e-3, recipe.optics.f_number, recipe.optics.object_distance_m),
         )
     except ValueError as error:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.base import (
+    CHECKSUM,
     Artifact,
     check,
     data,
@@ -23,24 +24,13 @@ from l3cli.artifacts.base import (
 )
 from l3cli.artifacts.camera import CameraModel
 from l3cli.errors import InputFileError
+from l3cli.files import atomic_output
 
 
 @dataclass(frozen=True)
-class TrainingFrame:
-    """One exposure of one scene.
+class TrainingPair:
+    """One raw frame of a camera beside the picture it should become; where it was really taken, that is all there is."""
 
-    `electrons` are full-resolution: every channel at every pixel, so that training may place the mosaic at any offset and
-    in any of its eight orientations (METHOD 4.8). `raw` is the mosaic the camera would have given.
-    """
-
-    electrons: NDArray[np.float32] = data(
-        "float32",
-        "channel",
-        "row",
-        "col",
-        unit="e-",
-        doc="mean photo-electrons of every channel, noise-free, unclipped",
-    )
     raw: NDArray[np.uint16] = data("uint16", "row", "col", unit="DN", doc="one noisy mosaic, CFA phase (0, 0)")
     target: NDArray[np.float32] = data(
         "float32", "output", "row", "col", unit="cd/m^2 (XYZ)", doc="wanted output, registered with the sensor"
@@ -52,15 +42,34 @@ class TrainingFrame:
     illuminant: str = data("str", doc="name of the illuminant")
     luminance: float = data("float64", unit="cd/m^2", doc="luminance of a perfect white")
     exposure: float = data("float64", unit="s", doc="exposure time")
-    seed: tuple[int, ...] = data("int64", "seed_word", doc="seed of this frame's noise")
 
     def __post_init__(self) -> None:
         check(self)
 
 
 @dataclass(frozen=True)
+class TrainingFrame(TrainingPair):
+    """A pair that was simulated: the noise-free electrons are known too.
+
+    They are full-resolution: every channel at every pixel, so that training may place the mosaic at any offset and in any of
+    its eight orientations (METHOD 4.8). `raw` is the mosaic the camera would have given.
+    """
+
+    electrons: NDArray[np.float32] = data(
+        "float32",
+        "channel",
+        "row",
+        "col",
+        unit="e-",
+        doc="mean photo-electrons of every channel, noise-free, unclipped",
+    )
+    seed: tuple[int, ...] = data("int64", "seed_word", doc="seed of this frame's noise")
+
+
+@dataclass(frozen=True)
 class TrainingSet(Artifact):
-    """Head of a training set; its frames lie in the groups frames/00000, frames/00001… and are read one by one."""
+    """Head of a training set; its frames lie in the groups frames/00000, frames/00001…, real pairs after them in
+    pairs/00000…, and are read one by one."""
 
     kind: ClassVar[str] = "training set"
     version: ClassVar[int] = 1
@@ -71,24 +80,29 @@ class TrainingSet(Artifact):
     target_description: str = data("str", doc="what the target is")
 
 
+GROUPS: dict[str, type[TrainingPair]] = {"frames": TrainingFrame, "pairs": TrainingPair}
+
+
 class TrainingSetReader:
-    """An open training set: `head`, `len()`, `frame(i)`, iteration in order. Memory holds one frame at a time."""
+    """An open training set: `head`, `len()`, `frame(i)`, iteration in order, simulated frames before real pairs. Memory
+    holds one frame at a time."""
 
     def __init__(self, root: h5py.File, path: Path) -> None:
         self._root, self._path = root, path
         self.head: TrainingSet = read_fields(root, TrainingSet, path, history=read_history(root, path))
-        if not isinstance(root.get("frames"), h5py.Group) or not len(root["frames"]):
+        groups = [name for name in GROUPS if isinstance(root.get(name), h5py.Group)]
+        self._names = [f"{group}/{name}" for group in groups for name in sorted(root[group])]
+        if not self._names:
             raise InputFileError(f'{path} holds no frames; make it again with "l3 simulate"')
-        self._names = sorted(root["frames"])
 
     def __len__(self) -> int:
         return len(self._names)
 
-    def frame(self, index: int) -> TrainingFrame:
-        name = f"frames/{self._names[index]}"
-        return read_fields(self._root[name], TrainingFrame, self._path)
+    def frame(self, index: int) -> TrainingPair:
+        name = self._names[index]
+        return read_fields(self._root[name], GROUPS[name.split("/")[0]], self._path)
 
-    def __iter__(self) -> Iterator[TrainingFrame]:
+    def __iter__(self) -> Iterator[TrainingPair]:
         for index in range(len(self)):
             yield self.frame(index)
 
@@ -101,15 +115,25 @@ def open_training_set(path: Path) -> Iterator[TrainingSetReader]:
 
 
 class TrainingSetWriter:
-    """Appends frames to a training set being written."""
+    """Appends frames and pairs to a training set being written."""
 
     def __init__(self, root: h5py.File) -> None:
-        self._frames = root.create_group("frames")
-        self._count = 0
+        self._root = root
 
-    def append(self, frame: TrainingFrame) -> None:
-        write_fields(self._frames.create_group(f"{self._count:05d}"), frame)
-        self._count += 1
+    def _place(self, simulated: bool) -> tuple[h5py.Group, str]:
+        group = self._root.require_group("frames" if simulated else "pairs")
+        return group, f"{len(group):05d}"
+
+    def append(self, frame: TrainingPair) -> None:
+        group, name = self._place(isinstance(frame, TrainingFrame))
+        write_fields(group.create_group(name), frame, CHECKSUM)
+
+    def append_part(self, path: Path) -> "Part":
+        """Append the frame that `write_part` stored, as it is stored; what else it told."""
+        with h5py.File(path, "r") as part:
+            group, name = self._place(bool(part.attrs["simulated"]))
+            part.copy("frame", group, name)
+            return Part(str(part.attrs["scene"]), float(part.attrs["uncovered"]))
 
 
 @contextlib.contextmanager
@@ -118,3 +142,29 @@ def write_training_set(path: Path, head: TrainingSet) -> Iterator[TrainingSetWri
     with new_artifact(path, head.kind, head.version, head.history) as root:
         write_fields(root, head)
         yield TrainingSetWriter(root)
+
+
+@dataclass(frozen=True)
+class Part:
+    """What is known of a stored frame beside itself."""
+
+    scene: str
+    uncovered: float  # share of white's electrons for which the scene holds no data
+
+
+def write_part(path: Path, frame: TrainingPair, uncovered: float) -> None:
+    """One frame in a file of its own, whole or not at all: what a killed run leaves and its successor goes on from."""
+    with atomic_output(path) as temporary, h5py.File(temporary, "w", libver=("earliest", "v110")) as root:
+        root.attrs["simulated"] = isinstance(frame, TrainingFrame)
+        root.attrs["scene"] = frame.scene
+        root.attrs["uncovered"] = uncovered
+        write_fields(root.create_group("frame"), frame, CHECKSUM)
+
+
+def whole_part(path: Path) -> bool:
+    """Whether a part is there and can be opened."""
+    try:
+        with h5py.File(path, "r") as root:
+            return "frame" in root
+    except OSError:
+        return False

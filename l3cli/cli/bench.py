@@ -1,4 +1,4 @@
-"""l3 bench: how fast frames are rendered here."""
+"""l3 bench: how fast frames are rendered and simulated here."""
 
 import json
 from typing import Any
@@ -12,18 +12,35 @@ from l3cli.cli import options
 @options.as_json
 @options.quiet
 def bench(as_json: bool, quiet: bool) -> None:
-    """Time the rendering of made-up frames on the OpenCL device, uint16 in host memory to sRGB in host memory.
+    """Time the rendering of made-up frames on the OpenCL device, uint16 in host memory to sRGB in host memory, and their
+    simulation on one core of the processor.
 
-    Medians of 20 frames. L3_DEVICE names another device by a part of its name or its number.
+    Rendering: medians of 20 frames; L3_DEVICE names another device by a part of its name or its number. Simulation: the
+    fastest of 5 frames.
 
     Example: l3 bench --json
     """
+    from l3cli.parallel import alone
     from l3cli.render.benchmark import CASES, measure
+    from l3cli.simulate import benchmark
 
     results: list[dict[str, Any]] = [measure(case) for case in options.progress(CASES, len(CASES), "cases", quiet)]
+    simulated: list[dict[str, Any]] = []
+    for case in options.progress(benchmark.CASES, len(benchmark.CASES), "simulations", quiet):
+        simulated.append(alone(benchmark.measure, case))
     if as_json:
-        click.echo(json.dumps({"results": results}, indent=2))
+        click.echo(json.dumps({"results": results, "simulate": simulated}, indent=2))
         return
+    _rendering(results)
+    click.echo("\nsimulation on one core, 31 bands, noise and targets")
+    click.echo(f"{'frame':>10} {'channels':>8} {'optics':>6} {'whole ms':>9} {'MP/s':>6} {'peak MB':>8}")
+    for result in simulated:
+        size, optics = f"{result['width']}×{result['height']}", "on" if result["optics"] else "off"
+        figures = f"{result['frame_ms']:9.1f} {result['mp_per_s']:6.2f} {result['peak_mb']:8.0f}"
+        click.echo(f"{size:>10} {result['channels']:>8} {optics:>6} {figures}")
+
+
+def _rendering(results: list[dict[str, Any]]) -> None:
     stages = list(results[0]["stages_ms"])
     click.echo(f"{results[0]['device']}; milliseconds a frame")
     click.echo(

@@ -2,6 +2,7 @@
 
 import re
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
@@ -45,9 +46,10 @@ def progress(items: Iterable[T], total: int, what: str, quiet: bool) -> Iterator
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TextColumn("left"), TimeRemainingColumn())
+    rate = TextColumn("{task.fields[rate]}")
+    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), rate, TextColumn("left"), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(what, total=total)
-        for item in items:
+        task, start = bar.add_task(what, total=total, rate=""), time.monotonic()
+        for done, item in enumerate(items, 1):
             yield item
-            bar.advance(task)
+            bar.update(task, advance=1, rate=f"{done / max(time.monotonic() - start, 1e-9):.3g} a second")

@@ -1,8 +1,10 @@
 """l3 simulate: camera × scenes × lights → training set."""
 
 import dataclasses
-import functools
-from dataclasses import dataclass
+import hashlib
+import json
+import re
+import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,9 +15,10 @@ from l3cli.cli import options
 
 if TYPE_CHECKING:
     from l3cli.artifacts.camera import CameraModel
-    from l3cli.artifacts.training_set import TrainingFrame, TrainingSet
-    from l3cli.scene import Scene
-    from l3cli.simulate.recipe import DrawnScene, FileScene, Lens, Shot
+    from l3cli.artifacts.training_set import TrainingSet
+    from l3cli.cli.frames import Run
+    from l3cli.simulate.light import Curve
+    from l3cli.simulate.recipe import SceneRecipe
 
 NEGLIGIBLE = 1e-3  # share of a channel's light that may go unseen without a word
 
@@ -27,94 +30,109 @@ NEGLIGIBLE = 1e-3  # share of a channel's light that may go unseen without a wor
 @click.option(
     "--pictures", type=options.FILE, metavar="DIR", help="Also write each raw frame (TIFF) and ideal picture (PNG)."
 )
+@click.option("--resume", is_flag=True, help="Go on with the frames that a run that was stopped left in OUTPUT.parts.")
 @options.seed
 @options.jobs
 @options.force
 @options.quiet
 def simulate(
-    scenes: Path, camera: Path, output: Path, pictures: Path | None, seed: int, jobs: int, force: bool, quiet: bool
-) -> None:
+    scenes: Path, camera: Path, output: Path, pictures: Path | None, resume: bool, seed: int, jobs: int, force: bool,
+    quiet: bool,
+) -> None:  # fmt: skip
     """Simulate what a camera sees of many scenes, and the pictures it should make of them.
 
     Example: l3 simulate configs/scenes/default.toml --camera camera.h5 -o training.h5
     """
     from l3cli.artifacts.camera import load_camera
-    from l3cli.artifacts.training_set import write_training_set
+    from l3cli.cli.frames import jobs_of, open_folder, work_off
     from l3cli.config import load_recipe
+    from l3cli.errors import L3Error
     from l3cli.files import refuse_existing, refuse_filled_folder
-    from l3cli.io.scene_files import find
     from l3cli.parallel import ordered_map
-    from l3cli.simulate.recipe import SceneRecipe, check, patterns, shots
+    from l3cli.simulate.recipe import SceneRecipe, shots
 
     refuse_existing(output, force)
     if pictures:
         refuse_filled_folder(pictures, force)
     model, recipe = load_camera(camera), load_recipe(scenes, SceneRecipe)
-    check(recipe, model, str(scenes))
-    files = [find(pattern, scenes.parent) if pattern else [] for pattern in patterns(recipe)]
-    head = _head(model, scenes, camera, files, seed)
-    work = [Work(shot, model, recipe.lens, (seed, index)) for index, shot in enumerate(shots(recipe, files))]
-    uncovered: dict[str, float] = {}
-    with write_training_set(output, head) as writer:
-        for frame, missing in options.progress(ordered_map(_simulate, work, jobs), len(work), "frames", quiet):
-            writer.append(frame)
-            uncovered[frame.scene] = missing
-    worst = max(uncovered, key=lambda scene: uncovered[scene])
-    if uncovered[worst] > NEGLIGIBLE:
-        share = f"{uncovered[worst]:.1%} of the light that a channel collects from white"
-        options.say(f"warning: {worst} holds no data for {share}", quiet)
+    run, files, inputs = _prepare(recipe, scenes, model, seed)
+    head = _head(run, model, (scenes, camera), inputs, seed)
+    key = hashlib.sha256(json.dumps(dataclasses.asdict(head.history[-1]), sort_keys=True).encode()).hexdigest()
+    run = dataclasses.replace(run, folder=open_folder(output, key, resume))
+    work = jobs_of(run, list(shots(recipe, files)) if recipe.scene else [], jobs)
+    total = sum(len(job.shots) for job in work)
+    try:
+        finished = (index for count in ordered_map(work_off, work, jobs) for index in range(count))
+        for _ in options.progress(finished, total, "frames", quiet):
+            pass
+        _assemble(run, head, output, total, quiet)
+    except L3Error:
+        if not resume:
+            shutil.rmtree(run.folder)
+        raise
+    shutil.rmtree(run.folder)
     if pictures:
         _write_pictures(output, pictures)
-    options.say(f"{output}: {len(work)} frames", quiet)
+    options.say(f"{output}: {total} frames", quiet)
 
 
-@dataclass(frozen=True)
-class Work:
-    """All that a worker needs to simulate one frame."""
+def _prepare(
+    recipe: "SceneRecipe", path: Path, camera: "CameraModel", seed: int
+) -> tuple["Run", list[list[Path]], dict[str, list[Path]]]:
+    """Everything checked and looked up before any work: the run, the files of each source, all files by their role."""
+    from l3cli.cli.frames import Run
+    from l3cli.errors import RecipeError
+    from l3cli.io.cubes import band_pictures
+    from l3cli.io.scene_files import find
+    from l3cli.simulate import recipe as asked
+    from l3cli.simulate.light import OWN, make_light
+    from l3cli.simulate.sources import BandFolder
+    from l3cli.simulate.targets import make_target
 
-    shot: "Shot"
-    camera: "CameraModel"
-    lens: "Lens"
-    seed: tuple[int, int]
-
-
-def _simulate(work: Work) -> tuple["TrainingFrame", float]:
-    """The frame, and the share of white's electrons for which the scene holds no data."""
-    from l3cli.errors import InputFileError
-    from l3cli.simulate import frame, light
-    from l3cli.simulate.recipe import FileScene, check_size
-
-    shot, camera = work.shot, work.camera
-    scene = _scene(shot.scene, tuple(camera.wavelength), work.seed[0])
-    if isinstance(shot.scene, FileScene):
-        check_size(scene.reflectance.shape[:2], camera, InputFileError, str(shot.scene.path))
-    if shot.illuminant == light.OWN:
-        falling = light.own_light(scene, shot.luminance)
-    else:
-        falling = light.named_light(shot.illuminant, shot.luminance, camera.wavelength)
-    exposure = light.automatic_exposure(camera, falling, shot.exposure) if shot.automatic else shot.exposure
-    missing = light.uncovered_share(camera, scene.wavelength)
-    return frame.simulate(camera, scene, falling, exposure, work.lens, work.seed), missing
-
-
-@functools.lru_cache(maxsize=1)
-def _scene(wanted: "DrawnScene | FileScene", camera_wavelength: tuple[float, ...], seed: int) -> "Scene":
-    """Read or draw one scene; the last one is kept, since lights and exposures follow each other."""
-    from l3cli.io.scene_files import read_iset_scene, read_rgb_picture
-    from l3cli.simulate import procedural, rgb
-    from l3cli.simulate.recipe import DrawnScene
-
-    wavelength = procedural.grid(np.array(camera_wavelength))
-    if isinstance(wanted, DrawnScene):
-        rng = np.random.default_rng([seed, *wanted.seed])
-        return procedural.draw(wanted.kind, rng, wanted.size, wavelength, wanted.name)
-    if wanted.kind == "iset":
-        return read_iset_scene(wanted.path)
-    picture = rgb.shrunk(read_rgb_picture(wanted.path), wanted.shrink)
-    return rgb.raise_to_spectra(picture, wavelength, wanted.path.stem)
+    try:
+        asked.check(recipe, camera)
+        named = asked.curve_files(recipe)
+        curves = {name: _curve(path.parent / name, role) for name, role in named.items()}
+        fitted = asked.set_up(camera, recipe, curves)
+        other = recipe.target.illuminant
+        wanted = {*recipe.illuminants, *asked.scene_lights(recipe), *filter(None, [other])} - {OWN}
+        lights = {name: make_light(name, curves, fitted.wavelength) for name in sorted(wanted)}
+    except RecipeError as error:
+        raise RecipeError(f"{path}: {error}") from error
+    outputs = recipe.target.outputs
+    names = _column_names(path.parent / outputs, len(curves[outputs][1])) if outputs in curves else ()
+    target = make_target(outputs, curves.get(outputs), names, lights[other] if other else None, fitted)
+    patterns = zip(recipe.scene, asked.patterns(recipe), strict=True)
+    files = [find(text, path.parent, isinstance(source, BandFolder)) if text else [] for source, text in patterns]
+    roles = {
+        "scene": [file for found in files for each in found for file in (band_pictures(each) if each.is_dir() else [each])],
+        "spectrum": [path.parent / name for name in named],
+        "pair": [path.parent / name for pair in recipe.pair for name in (pair.raw, pair.picture)],
+    }
+    return Run(recipe, fitted, target, lights, seed, path.parent, Path()), files, roles
 
 
-def _head(camera: "CameraModel", recipe_path: Path, camera_path: Path, files: list[list[Path]], seed: int) -> "TrainingSet":
+def _curve(path: Path, role: str) -> "Curve":
+    from l3cli.artifacts.camera import read_curves
+    from l3cli.simulate.light import check_measured
+
+    curve = read_curves(path, 1 if role == "transmittance" else None)
+    if role == "light":
+        check_measured(curve, str(path))
+    return curve
+
+
+def _column_names(path: Path, count: int) -> tuple[str, ...]:
+    """The header of a CSV file of matching functions, or numbers where it has none."""
+    lines = path.read_text(encoding="utf-8-sig").splitlines()
+    cells = [cell.strip() for cell in next(line for line in lines if line.strip() and line[0] != "#").split(",")[1:]]
+    named = len(set(cells)) == count and not any(re.fullmatch(r"[-+.\deE]*", cell) for cell in cells)
+    return tuple(cells) if named else tuple(f"output {number}" for number in range(1, count + 1))
+
+
+def _head(
+    run: "Run", camera: "CameraModel", recipes: tuple[Path, Path], inputs: dict[str, list[Path]], seed: int
+) -> "TrainingSet":
     """The training set's head, with this stage as the last of the camera's history."""
     from l3cli.artifacts.base import Stage
     from l3cli.artifacts.camera import recipe_text
@@ -122,29 +140,42 @@ def _head(camera: "CameraModel", recipe_path: Path, camera_path: Path, files: li
     from l3cli.config import read_text
     from l3cli.files import sha256
 
-    texts = [read_text(recipe_path), recipe_text(camera_path)]
-    inputs = {"camera": [sha256(camera_path)]}
-    if any(files):
-        inputs["scene"] = [sha256(path) for found in files for path in found]
-    stage = Stage("simulate", {"seed": seed}, "\n".join(text for text in texts if text), inputs)
+    texts = [read_text(recipes[0]), recipe_text(recipes[1])]
+    sums = {role: [sha256(path) for path in paths] for role, paths in inputs.items() if paths}
+    recipe = "\n".join(text for text in texts if text)
+    stage = Stage("simulate", {"seed": seed}, recipe, {"camera": [sha256(recipes[1])], **sums})
     return TrainingSet(
-        camera=dataclasses.replace(camera, history=()),
-        outputs=("X", "Y", "Z"),
-        target_description="CIE 1931 XYZ of the scene under its own light, without lens or noise",
+        camera=dataclasses.replace(run.camera, history=()),
+        outputs=run.target.outputs,
+        target_description=run.target.description,
         history=(*camera.history, stage),
     )
+
+
+def _assemble(run: "Run", head: "TrainingSet", output: Path, total: int, quiet: bool) -> None:
+    """The training set from its stored frames; what the scene that covers least of the light lacks is said."""
+    from l3cli.artifacts.training_set import write_training_set
+
+    with write_training_set(output, head) as writer:
+        worst = max((writer.append_part(run.part(index)) for index in range(total)), key=lambda part: part.uncovered)
+    if worst.uncovered > NEGLIGIBLE:
+        share = f"{worst.uncovered:.1%} of the light that a channel collects from white"
+        options.say(f"warning: {worst.scene} holds no data for {share}", quiet)
 
 
 def _write_pictures(training: Path, folder: Path) -> None:
     """Each frame of a training set as raw mosaic and as the picture it should become, white at display white."""
     from l3cli.artifacts.training_set import open_training_set
-    from l3cli.io.images import write_picture
-    from l3cli.io.scene_files import write_mosaic
+    from l3cli.io.images import write_linear, write_mosaic, write_picture
     from l3cli.render.display import encode, make_display
 
     with open_training_set(training) as frames:
         for index, frame in enumerate(frames):
             name = options.frame_name(index, frame.scene)
             write_mosaic(folder / f"{name}_raw.tif", frame.raw)
+            if frames.head.outputs != ("X", "Y", "Z"):
+                planes = np.moveaxis(frame.target / np.float32(frame.white.max()), 0, -1)
+                write_linear(folder / f"{name}_ideal.exr", planes, frames.head.outputs)
+                continue
             display = make_display(frame.white, 1.0 / frame.white[1], bits=8)
             write_picture(folder / f"{name}_ideal.png", encode(frame.target, display))

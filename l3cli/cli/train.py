@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from l3cli.artifacts.table import ClassRule
-    from l3cli.artifacts.training_set import TrainingFrame, TrainingSet
+    from l3cli.artifacts.training_set import TrainingPair, TrainingSet
     from l3cli.train.recipe import TrainingRecipe
     from l3cli.train.solve import Solution
 
@@ -81,13 +81,13 @@ class SiteWork:
 def _train_site(work: SiteWork) -> "Solution":
     from l3cli.train.table import train_site
 
-    def read_frames() -> Iterator["TrainingFrame"]:
+    def read_frames() -> Iterator["TrainingPair"]:
         return _frames(work.training)
 
     return train_site(read_frames, work.total, work.head, work.rule, work.site, work.recipe, work.white_point, work.seed)
 
 
-def _frames(training: tuple[Path, ...]) -> Iterator["TrainingFrame"]:
+def _frames(training: tuple[Path, ...]) -> Iterator["TrainingPair"]:
     from l3cli.artifacts.training_set import open_training_set
 
     for path in training:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from l3cli import spectra
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.training_set import TrainingFrame
+from l3cli.artifacts.training_set import TrainingPair
 from l3cli.errors import RecipeError
 from l3cli.evaluate.demosaic import Demosaic, tiled
 
@@ -56,7 +56,7 @@ def white_preserving_ridge(channels: Array, outputs: Array) -> Array:
     return matrix - matrix.mean(axis=1, keepdims=True) + 1.0 / len(gram)
 
 
-def develop(frame: TrainingFrame, camera: CameraModel, colour: Colour, demosaic: Demosaic) -> Array:
+def develop(frame: TrainingPair, camera: CameraModel, colour: Colour, demosaic: Demosaic) -> Array:
     """XYZ (3, row, col) in the target's unit of a frame's raw: black and dark off, white balance, demosaic, matrix."""
     electrons = (frame.raw - camera.black) / camera.gain - camera.noise.dark_current * frame.exposure
     white = colour.white_rates * frame.luminance * frame.exposure
@@ -65,7 +65,7 @@ def develop(frame: TrainingFrame, camera: CameraModel, colour: Colour, demosaic:
     return planes * frame.white[:, None, None]
 
 
-def light_of(frame: TrainingFrame) -> str:
+def light_of(frame: TrainingPair) -> str:
     """The name of a frame's light, or of the common light nearest to its white where it has none ("scene")."""
     try:
         spectra.illuminant(frame.illuminant, np.array([550.0]))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
-from l3cli.artifacts.training_set import TrainingFrame, TrainingSet
+from l3cli.artifacts.training_set import TrainingPair, TrainingSet
 from l3cli.errors import InputFileError
 from l3cli.evaluate.basic import Colour, develop, fit_colour, light_of
 from l3cli.evaluate.classes import ClassErrors
@@ -47,7 +47,7 @@ class Evaluation:
         """ "ours" first, then what it is compared with; nothing where the outputs are not XYZ."""
         return (OURS, *self._rivals)
 
-    def add(self, frame: TrainingFrame, outputs: Array, labels: NDArray[np.integer]) -> dict[str, Array]:
+    def add(self, frame: TrainingPair, outputs: Array, labels: NDArray[np.integer]) -> dict[str, Array]:
         """Count a frame whose raw the table rendered to `outputs` (output, row, col) by the classes `labels` (row, col).
 
         Returns the planes (output, row, col) of every pipeline in the target's unit. InputFileError if the frame is too
@@ -103,12 +103,12 @@ class Evaluation:
             self._colours[light] = fit_colour(self._camera, light)
         return self._colours[light]
 
-    def _quality(self, planes: Array, frame: TrainingFrame, border: int) -> dict[str, float]:
+    def _quality(self, planes: Array, frame: TrainingPair, border: int) -> dict[str, float]:
         if self._pictures:
             return dataclasses.asdict(quality(planes, frame.target, frame.white, border, self._viewing))
         return dataclasses.asdict(band_quality(planes, frame.target, frame.white, border))
 
-    def _errors(self, planes: Array, frame: TrainingFrame) -> Array:
+    def _errors(self, planes: Array, frame: TrainingPair) -> Array:
         """ΔE00 as displayed, or spectral angle in degrees, of every pixel (row, col)."""
         if not self._pictures:
             return spectral_angle(planes, frame.target)

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.training_set import TrainingFrame
+from l3cli.artifacts.training_set import TrainingPair
 from l3cli.evaluate.displayed import delta_e, display_scale, displayed, encoded
 
 Array = NDArray[np.floating]
@@ -12,7 +12,7 @@ ERROR_WHITE = 10.0  # ΔE00 shown white in an error map; 0 is black
 RAMP = np.array([[0, 0, 0], [70, 10, 110], [190, 40, 90], [245, 140, 30], [255, 255, 255]])  # sRGB, each 2.5 ΔE00 further
 
 
-def frame_pictures(frame: TrainingFrame, planes: dict[str, Array]) -> dict[str, Picture]:
+def frame_pictures(frame: TrainingPair, planes: dict[str, Array]) -> dict[str, Picture]:
     """sRGB pictures (row, col, 3) by name: "ideal", each pipeline of `planes` (XYZ (3, row, col) in the target's unit), and
     "error", the ΔE00 of the first of them, ours, by `error_map`. All are shown on the target's scale."""
     scale = display_scale(frame.target)

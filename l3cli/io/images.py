@@ -57,6 +57,15 @@ def write_linear(path: Path, pixels: NDArray[np.float32], names: tuple[str, ...]
     _write(path, spec, pixels)
 
 
+def write_mosaic(path: Path, values: NDArray[np.uint16]) -> None:
+    """A raw mosaic (row, col) in DN as a 16-bit mono TIFF."""
+    import OpenImageIO as oiio
+
+    spec = oiio.ImageSpec(values.shape[1], values.shape[0], 1, "uint16")
+    spec.attribute("compression", "zip")
+    _write(path, spec, values[..., None])
+
+
 def _write(path: Path, spec: Any, pixels: NDArray) -> None:
     import OpenImageIO as oiio
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import InputFileError
 from l3cli.frame import RawFrame, shifted_cfa
@@ -18,6 +19,7 @@ from l3cli.frame import RawFrame, shifted_cfa
 HEADERLESS = (".raw", ".bin")
 IMAGES = (".tif", ".tiff", ".png")
 TOP = 65535  # DN, the most that 16 bits hold
+Sensor = TransformTable | CameraModel  # whose size, levels and colour filter array raw files have
 
 
 @dataclass(frozen=True)
@@ -30,7 +32,7 @@ class KnownBetter:
     size: tuple[int, int] | None = None  # rows, columns of a headerless file
 
 
-def read_raw(path: Path, table: TransformTable, known: KnownBetter | None = None) -> RawFrame:
+def read_raw(path: Path, table: Sensor, known: KnownBetter | None = None) -> RawFrame:
     """The frame in `path`, read as its suffix tells; InputFileError names file and cure."""
     known = known or KnownBetter()
     if path.is_dir() or not path.exists():
@@ -50,14 +52,14 @@ def read_raw(path: Path, table: TransformTable, known: KnownBetter | None = None
     return _corrected(frame, table, known)
 
 
-def _plain_frame(path: Path, values: NDArray, table: TransformTable) -> RawFrame:
+def _plain_frame(path: Path, values: NDArray, table: Sensor) -> RawFrame:
     """A frame from a file that holds pixels and nothing else: levels are the table's."""
     if values.size == 0:
         raise InputFileError(f"{path} holds no pixels; give a raw file")
     return RawFrame(str(path), np.ascontiguousarray(values, np.uint16), table.black, table.white)
 
 
-def _corrected(frame: RawFrame, table: TransformTable, known: KnownBetter) -> RawFrame:
+def _corrected(frame: RawFrame, table: Sensor, known: KnownBetter) -> RawFrame:
     """The frame with what the caller knows better in place of what the file says."""
     black = frame.black if known.black is None else known.black
     white = frame.white if known.white is None else known.white
@@ -127,7 +129,7 @@ def _first_line(message: str) -> str:
 # ---------------------------------------------------------------------------------------------------- camera raws
 
 
-def _read_camera_raw(path: Path, table: TransformTable, phase: tuple[int, int] | None) -> RawFrame:
+def _read_camera_raw(path: Path, table: Sensor, phase: tuple[int, int] | None) -> RawFrame:
     import rawpy
 
     try:
@@ -143,7 +145,7 @@ def _read_camera_raw(path: Path, table: TransformTable, phase: tuple[int, int] |
         ) from error
 
 
-def _camera_frame(path: Path, raw: Any, table: TransformTable, phase: tuple[int, int] | None) -> RawFrame:
+def _camera_frame(path: Path, raw: Any, table: Sensor, phase: tuple[int, int] | None) -> RawFrame:
     colours = raw.raw_colors_visible
     values, black = _common_black(raw.raw_image_visible, colours, np.array(raw.black_level_per_channel))
     whites = [white for white in (raw.camera_white_level_per_channel or ()) if white > 0]
@@ -168,7 +170,7 @@ def _common_black(
     return np.clip(shifted, 0, TOP).astype(np.uint16), float(black)
 
 
-def _phase(path: Path, letters: NDArray[np.str_], table: TransformTable) -> tuple[int, int]:
+def _phase(path: Path, letters: NDArray[np.str_], table: Sensor) -> tuple[int, int]:
     """Site of pixel (0, 0): the shift of the table's CFA that gives the file's 2 × 2 colour `letters`; (0, 0) where the
     two cannot be compared, because the table's CFA is no 2 × 2 of r, g, b. InputFileError if no shift matches."""
     names = np.array([name.lower() for name in table.channels])

@@ -1,4 +1,4 @@
-"""Scenes from outside: ISET scene files (.mat) and RGB pictures."""
+"""Scenes from outside: which files a pattern names, ISET scene files (.mat) and RGB pictures. Other cubes: io/cubes.py."""
 
 from pathlib import Path
 from typing import Any
@@ -6,19 +6,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.errors import InputFileError, L3Error
-from l3cli.files import atomic_output
+from l3cli import spectra
+from l3cli.errors import InputFileError
 from l3cli.io.images import read_image
+from l3cli.io.matlab import Content, read_matlab
 from l3cli.scene import Scene
 
+Curve = tuple[NDArray[np.floating], NDArray[np.floating]]
 
-def find(pattern: str, folder: Path) -> list[Path]:
-    """The files of a name or glob relative to `folder`, sorted; InputFileError if there is none."""
+
+def find(pattern: str, folder: Path, folders: bool = False) -> list[Path]:
+    """The files (or `folders`) of a name or glob relative to `folder`, sorted; InputFileError if there is none."""
+    wanted = Path.is_dir if folders else Path.is_file
     single = folder / pattern
-    if single.is_file():
+    if wanted(single):
         return [single]
     root = Path(single.anchor)  # "" for a relative folder
-    found = sorted(path for path in root.glob(str(single.relative_to(root))) if path.is_file())
+    found = sorted(path for path in root.glob(str(single.relative_to(root))) if wanted(path))
     if not found:
         raise InputFileError(f"{single} does not exist; name a scene file or a glob relative to the recipe")
     return found
@@ -27,25 +31,27 @@ def find(pattern: str, folder: Path) -> list[Path]:
 # ------------------------------------------------------------------------------------------------------ ISET
 
 
-def read_iset_scene(path: Path) -> Scene:
-    """An ISET scene: photons (row, col, wave) in photons/s/sr/m²/nm, as floats or coded as integers between dmin and
-    dmax, with its illuminant. Small negatives are noise and become zero, speculars stay (METHOD 2).
+def read_iset_scene(path: Path, light: Curve | None = None) -> Scene:
+    """An ISET scene: photons (row, col, wave) in photons/s/sr/m²/nm with its illuminant, in any of ISET's storages:
+    a scene struct with floats or integers between dmin and dmax; photons and wave; coefficients (mcCOEF) of a basis about a
+    mean (imgMean). Small negatives are noise and become zero, speculars stay (METHOD 2).
 
-    InputFileError if the file is no such scene.
+    `light` (wavelength in nm, photons) stands for an illuminant that the file lacks. InputFileError if the file is no such
+    scene.
     """
-    scene = _matlab_struct(path, "scene")
+    content = read_matlab(path)
+    content = content["scene"] if isinstance(content.get("scene"), dict) else content
     try:
-        wavelength = np.atleast_1d(np.asarray(scene.spectrum.wave, float))
-        photons = _decoded(scene.data.photons, scene.data, "dmin", "dmax")
-        light = scene.illuminant
-        illuminant = _decoded(light.data.photons, light.data, "min", "max").ravel()
-    except AttributeError as error:
-        missing = str(error).rsplit("'", 2)[-2]
-        raise InputFileError(f"{path} is no complete ISET scene: it lacks {missing}; save it from ISET again") from error
+        wavelength, photons = _photons(content)
+        illuminant = _illuminant(content.get("illuminant"), wavelength, light)
+    except KeyError as error:
+        raise InputFileError(
+            f"{path} is no complete ISET scene: it lacks {error.args[0]}; save it from ISET again"
+        ) from error
     except (ValueError, TypeError) as error:
         raise InputFileError(f"{path}: wavelengths or photons are no numbers; save the scene from ISET again") from error
-    if wavelength.size == 1:
-        photons = photons[..., None]  # loadmat dropped the axis
+    if wavelength.size == 1 and photons.ndim == 2:
+        photons = photons[..., None]  # the axis was dropped
     if photons.ndim != 3 or photons.shape[2] != wavelength.size:
         raise InputFileError(
             f"{path}: {photons.shape} photons do not fit {wavelength.size} wavelengths; save the scene again"
@@ -53,35 +59,60 @@ def read_iset_scene(path: Path) -> Scene:
     if illuminant.size != wavelength.size or not (illuminant > 0).all():
         raise InputFileError(f"{path}: its illuminant is not one positive value for each of {wavelength.size} wavelengths")
     try:
-        reflectance = np.maximum(photons / illuminant, 0.0).astype(np.float32)
-        return Scene(path.stem, wavelength, reflectance, illuminant)
+        photons /= illuminant.astype(np.float32)
+        return Scene(path.stem, wavelength, np.maximum(photons, 0.0, out=photons), illuminant)
     except ValueError as error:
         raise InputFileError(f"{path}: {error}") from error
 
 
-def _matlab_struct(path: Path, name: str) -> Any:
-    from scipy.io import loadmat
+def _photons(content: Content) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+    """Wavelengths in nm and photons (row, col, wave); KeyError names what is missing."""
+    if "mcCOEF" in content:
+        basis = content["basis"]
+        functions = np.asarray(basis["basis"], np.float32).reshape(np.size(basis["wave"]), -1)
+        coefficients = np.asarray(content["mcCOEF"], np.float32)
+        coefficients = coefficients.reshape(*coefficients.shape[:2], -1)
+        photons = coefficients @ functions.T
+        mean = np.asarray(content.get("imgMean", ()), np.float32)
+        return _numbers(basis["wave"]), photons + mean.ravel() if mean.size else photons
+    if "photons" in content:
+        return _numbers(content["wave"]), _decoded(content["photons"], content, "dmin", "dmax")
+    if "data" not in content:
+        raise KeyError("a scene, photons or mcCOEF")
+    return _numbers(content["spectrum"]["wave"]), _decoded(content["data"]["photons"], content["data"], "dmin", "dmax")
 
-    try:
-        content = loadmat(path, struct_as_record=False, squeeze_me=True)
-    except OSError as error:
-        raise InputFileError(f"{path}: {error.strerror or error}") from error
-    except NotImplementedError as error:
-        raise InputFileError(f"{path} is a MATLAB 7.3 file; save it with -v7") from error
-    except Exception as error:  # scipy raises whatever it stumbles over
-        raise InputFileError(f"{path} is not a MATLAB file; give an ISET scene") from error
-    if not hasattr(content.get(name), "_fieldnames"):
-        raise InputFileError(f'{path} holds no struct "{name}"; give an ISET scene')
-    return content[name]
+
+def _illuminant(found: Any, wavelength: NDArray[np.float64], light: Curve | None) -> NDArray[np.float64]:
+    """Photons of a perfect white at `wavelength`, from ISET's newer struct (photons), its older one (energy) or `light`."""
+    if not isinstance(found, dict):
+        if light is None:
+            raise KeyError('illuminant (or give "light" in the recipe)')
+        return np.interp(wavelength, light[0], light[1].ravel())
+    if isinstance(found.get("data"), dict):
+        data = found["data"]
+        photons = np.asarray(_decoded(data["photons"], data, "min", "max"), float).ravel()
+        grid = _numbers(found["spectrum"]["wave"]) if isinstance(found.get("spectrum"), dict) else wavelength
+    elif "data" not in found:
+        raise KeyError("data in its illuminant")
+    else:
+        grid = _numbers(found["wavelength"])
+        photons = spectra.photons_from_energy(grid, np.asarray(found["data"], float).ravel())
+    return photons if grid.size != photons.size or np.array_equal(grid, wavelength) else np.interp(wavelength, grid, photons)
 
 
-def _decoded(values: Any, holder: Any, low: str, high: str) -> NDArray[np.float64]:
+def _numbers(values: Any) -> NDArray[np.float64]:
+    return np.atleast_1d(np.asarray(values, float)).ravel()
+
+
+def _decoded(values: Any, holder: Content, low: str, high: str) -> NDArray[np.float32]:
     """Floats as they are; integers as ISET codes them: the type's range from `low` to `high`."""
     array = np.asarray(values)
-    if array.dtype.kind == "f":
-        return array.astype(np.float64)
-    bottom, top = float(getattr(holder, low)), float(getattr(holder, high))
-    return bottom + (top - bottom) * (array / np.iinfo(array.dtype).max)
+    decoded = array.astype(np.float32)
+    if array.dtype.kind in "iu":
+        bottom, top = float(holder[low]), float(holder[high])
+        decoded *= np.float32((top - bottom) / np.iinfo(array.dtype).max)
+        decoded += np.float32(bottom)
+    return decoded
 
 
 # -------------------------------------------------------------------------------------------------- pictures
@@ -100,18 +131,3 @@ def read_rgb_picture(path: Path) -> NDArray[np.float32]:
     levels = np.arange(np.iinfo(pixels.dtype).max + 1) / np.iinfo(pixels.dtype).max
     linear = np.where(levels <= 0.04045, levels / 12.92, ((levels + 0.055) / 1.055) ** 2.4).astype(np.float32)
     return linear[pixels[..., :3]]
-
-
-def write_mosaic(path: Path, values: NDArray[np.uint16]) -> None:
-    """A raw mosaic (row, col) in DN as a 16-bit mono TIFF. It belongs beside the other writers in io/images.py."""
-    import OpenImageIO as oiio
-
-    with atomic_output(path) as temporary:
-        sink = oiio.ImageOutput.create(str(temporary))
-        if sink is None:
-            raise L3Error(f"{path} cannot be written: {oiio.geterror()}")
-        spec = oiio.ImageSpec(values.shape[1], values.shape[0], 1, "uint16")
-        spec.attribute("compression", "zip")
-        written = sink.open(str(temporary), spec) and sink.write_image(np.ascontiguousarray(values[..., None]))
-        if not (sink.close() and written):
-            raise L3Error(f"{path} cannot be written: {sink.geterror()}")

@@ -1,40 +1,65 @@
 """One frame: a scene under a light, through lens and sensor, beside the picture it should become (METHOD 1.2, 1.3, 2)."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import TrainingFrame
 from l3cli.scene import Scene
-from l3cli.simulate import sensor
-from l3cli.simulate.light import Light, electron_weights, xyz_weights
-from l3cli.simulate.optics import blurred_channels, project, relative_illumination
+from l3cli.simulate import optics, sensor
+from l3cli.simulate.light import Light, electron_weights
 from l3cli.simulate.recipe import Lens
+from l3cli.simulate.targets import XYZ, Target, output_weights
+
+
+@dataclass(frozen=True)
+class Saturating:
+    """An exposure that makes this share of all pixels reach full scale."""
+
+    share: float
 
 
 def simulate(
-    camera: CameraModel, scene: Scene, light: Light, exposure: float, lens: Lens, seed: tuple[int, ...]
+    camera: CameraModel,
+    scene: Scene,
+    light: Light,
+    exposure: float | Saturating,
+    lens: Lens,
+    seed: tuple[int, ...],
+    target: Target = XYZ,
+    noises: str = "all",
 ) -> TrainingFrame:
-    """What the camera collects of `scene` under `light` in `exposure` seconds, and the XYZ picture without lens or noise.
+    """What the camera collects of `scene` under `light` in `exposure` seconds, and the picture without lens or noise.
 
-    One scene sample is one pixel: its average over the pixel's area, so that frame and target are registered.
+    One scene sample is one pixel: its average over the pixel's area, so that frame and target are registered. The chain is
+    linear up to the noise, so the bands are first projected on outputs and channels in one product: a wavelength-dependent
+    blur needs the channels a few times (LOW_RANK_ERROR), nothing needs the bands again. ValueError if an exposure by
+    saturated pixels finds no light.
     """
-    white = xyz_weights(light, light.wavelength).sum(axis=1)
-    target = project(scene.reflectance, xyz_weights(light, scene.wavelength))
-    weights = electron_weights(camera, light, scene.wavelength) * exposure
-    if lens.diffraction:
-        pitch, f_number = camera.pixel_pitch, camera.optics.f_number
-        electrons = blurred_channels(scene.reflectance, weights, scene.wavelength, f_number, pitch)
-    else:
-        electrons = project(scene.reflectance, weights)
+    bands, pitch = scene.wavelength, camera.pixel_pitch
+    wanted = output_weights(target, camera, light, bands)
+    collected = electron_weights(camera, light, bands)
+    transfer = optics.lens_transfer(camera.optics, pitch, bands, lens.diffraction, lens.defocus_um * 1e-6)
+    terms = np.ones((1, bands.size)) if transfer is None else transfer.spectral
+    through = (collected[:, None] * terms).reshape(-1, bands.size)
+    planes = optics.project(scene.reflectance, np.concatenate([wanted, through]))
+    ideal, rates = planes[: len(wanted)], planes[len(wanted) :]
+    if transfer is not None:
+        shape = (len(collected), len(terms), *rates.shape[1:])
+        rates = optics.blurred_channels(rates.reshape(shape), transfer, pitch)
+        np.maximum(rates, 0.0, out=rates)  # diffraction of a point may ring below zero
     if lens.off_axis:
-        electrons = electrons * relative_illumination(camera.optics, camera.pixel_pitch, electrons.shape[1:])
-    electrons = np.maximum(electrons, np.float32(0.0))  # diffraction of a point may ring below zero
-    raw = sensor.expose(camera, sensor.mosaic(electrons, camera.cfa), exposure, np.random.default_rng(seed))
+        rates *= optics.relative_illumination(camera.optics, pitch, rates.shape[1:])
+    if isinstance(exposure, Saturating):
+        exposure = sensor.saturating_exposure(camera, sensor.mosaic(rates, camera.cfa), exposure.share)
+    electrons = rates * np.float32(exposure)
+    rng = np.random.default_rng(seed)
     return TrainingFrame(
         electrons=electrons,
-        raw=raw,
-        target=target,
-        white=white,
+        raw=sensor.expose(camera, sensor.mosaic(electrons, camera.cfa), exposure, rng, noises),
+        target=ideal,
+        white=output_weights(target, camera, light, light.wavelength).sum(axis=1),
         scene=scene.name,
         illuminant=light.name,
         luminance=light.luminance,

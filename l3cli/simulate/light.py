@@ -1,18 +1,24 @@
-"""The light on a scene, and what camera and observer make of it for each band of the scene's reflectance (METHOD 1.2, 2)."""
+"""The light on a scene, and what a camera makes of it for each band of the scene's reflectance (METHOD 1.2)."""
 
-from dataclasses import dataclass
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli import spectra
 from l3cli.artifacts.camera import CameraModel
-from l3cli.errors import RecipeError
+from l3cli.errors import InputFileError, RecipeError
 from l3cli.scene import Scene
 
 Array = NDArray[np.floating]
+Curve = tuple[Array, Array]  # wavelength (sample) nm, values (curve, sample)
 
 OWN = "scene"  # the name of the light that a scene was measured under
+MEASURED = ".csv"
+WIDEST_GAP = 20.0  # nm between samples of a measured light
+DARK = 0.01  # of a measured light's peak: a light that ends brighter was cut off
 
 
 @dataclass(frozen=True)
@@ -24,14 +30,62 @@ class Light:
     wavelength: Array  # (sample) nm
     radiance: Array  # (sample) photons/s/sr/m²/nm
 
+    def at(self, luminance: float) -> "Light":
+        """The same light at another luminance."""
+        return replace(self, luminance=luminance, radiance=self.radiance * (luminance / self.luminance))
 
-def named_light(name: str, luminance: float, seen: Array) -> Light:
-    """A CIE illuminant or black body, every nm over what the observer and a camera with wavelengths `seen` see, so that no
-    spectral line is missed; RecipeError if the name is unknown."""
-    first, last = min(380.0, seen[0]), max(780.0, seen[-1])
-    wavelength = np.arange(np.floor(first), last + 1.0)
-    radiance = spectra.at_luminance(spectra.illuminant(name, wavelength), wavelength, luminance)
-    return Light(name, luminance, wavelength, radiance)
+
+def parts(text: str) -> list[tuple[float, str]]:
+    """A recipe's light "0.7 D65 + 0.3 lamp.csv" as shares of luminance and names; RecipeError if a share is not above 0."""
+    found = []
+    for term in re.split(r"\s+\+\s+", text.strip()):
+        weighted = re.fullmatch(r"(\d*\.?\d+)\s+(?!K$)(.+)", term)
+        found.append((float(weighted[1]), weighted[2]) if weighted else (1.0, term))
+    if min(share for share, _ in found) <= 0:
+        raise RecipeError(f'illuminant "{text}": shares must be above zero')
+    return found
+
+
+def make_light(text: str, measured: Mapping[str, Curve], seen: Array) -> Light:
+    """The light a recipe calls `text`, at 1 cd/m²: a name that spectra.illuminant knows, a measured light (a key of
+    `measured`, power per nm), or a mixture of several by their shares of luminance.
+
+    It is tabulated every nm over what the observer and a camera with wavelengths `seen` see, so that no spectral line is
+    missed. A light measured on the camera's own grid stays on it: all sums then run over that grid, as in ISETCam.
+    RecipeError if a name is unknown or the light cannot be seen.
+    """
+    names = parts(text)
+    wavelength = np.arange(np.floor(min(360.0, seen[0])), max(830.0, seen[-1]) + 1.0)
+    if all(name in measured and np.array_equal(measured[name][0], seen) for _, name in names):
+        wavelength = np.asarray(seen)
+    radiance = np.zeros(wavelength.size)
+    with np.errstate(all="ignore"):  # a black body of a few kelvin shines with 0
+        for share, name in names:
+            if name in measured:
+                grid, power = measured[name]
+                one = spectra.photons_from_energy(wavelength, spectra.resample(power[0], grid, wavelength))
+            else:
+                one = spectra.illuminant(name, wavelength)
+            radiance += share * spectra.at_luminance(one, wavelength, 1.0)
+    if not (np.isfinite(radiance).all() and radiance.any()):
+        raise RecipeError(f'illuminant "{text}" gives no light that can be seen')
+    return Light(text, 1.0, wavelength, radiance / sum(share for share, _ in names))
+
+
+def check_measured(curve: Curve, name: str) -> None:
+    """InputFileError if a measured light has gaps, is negative, or ends while it still shines in the visible."""
+    wavelength, power = curve[0], curve[1][0]
+    if len(curve[1]) != 1:
+        raise InputFileError(f"{name} holds {len(curve[1])} curves; give wavelength and power of one light")
+    gap = np.diff(wavelength, append=wavelength[-1]).argmax()
+    if wavelength.size < 2 or wavelength[gap + 1] - wavelength[gap] > WIDEST_GAP:
+        where = f" between {wavelength[gap]:g} and {wavelength[gap + 1]:g} nm" if wavelength.size > 1 else ""
+        raise InputFileError(f"{name} has a gap{where}; measure the light at least every {WIDEST_GAP:g} nm")
+    if power.min() < 0 or power.max() <= 0:
+        raise InputFileError(f"{name} has negative values or no light at all; give its power at each wavelength")
+    for end, visible in ((0, wavelength[0] > 420), (-1, wavelength[-1] < 680)):
+        if visible and power[end] > DARK * power.max():
+            raise InputFileError(f"{name} ends at {wavelength[end]:g} nm where the light still shines; measure 400–700 nm")
 
 
 def own_light(scene: Scene, luminance: float) -> Light:
@@ -50,18 +104,13 @@ def electron_weights(camera: CameraModel, light: Light, bands: Array) -> Array:
     The responsivity is taken as linear between its samples, so each sample sees the light's mean under its own hat.
     """
     seen = camera.electron_weights @ spectra.sampling_matrix(light.wavelength, camera.wavelength)
-    return (seen * light.radiance) @ held_interpolation(bands, light.wavelength)
+    return (seen * light.radiance) @ spectra.held_interpolation(bands, light.wavelength)
 
 
-def xyz_weights(light: Light, bands: Array) -> Array:
-    """CIE XYZ in cd/m² (3, band) of unit reflectance in each band."""
-    return (spectra.xyz_weights(light.wavelength) * light.radiance) @ held_interpolation(bands, light.wavelength)
-
-
-def held_interpolation(bands: Array, wavelength: Array) -> Array:
-    """M (wavelength, band): linear interpolation of a reflectance, held constant beyond its first and last band, as the
-    CIE recommends (CIE 15)."""
-    return spectra.interpolation_matrix(bands, np.clip(wavelength, bands[0], bands[-1]))
+def matching_weights(functions: Array, light: Light, bands: Array) -> Array:
+    """W (output, band) of unit reflectance in each band, for matching functions (output, sample of the light) per watt."""
+    weights = spectra.matching_weights(functions, light.wavelength) * light.radiance
+    return weights @ spectra.held_interpolation(bands, light.wavelength)
 
 
 def white_rates(camera: CameraModel, light: Light) -> Array:
@@ -75,7 +124,7 @@ def automatic_exposure(camera: CameraModel, light: Light, share: float) -> float
 
 
 def uncovered_share(camera: CameraModel, bands: Array) -> float:
-    """Share of an white of equal photons's electrons from outside the scene's bands, in the channel where it is largest."""
+    """Share of a white of equal photons's electrons from outside the scene's bands, in the channel where it is largest."""
     weights = camera.electron_weights
     outside = (camera.wavelength < bands[0]) | (camera.wavelength > bands[-1])
     return float((weights[:, outside].sum(axis=1) / weights.sum(axis=1)).max())

@@ -12,7 +12,6 @@ Array = NDArray[np.floating]
 
 LOW_RANK_ERROR = 5e-5  # largest error of the transfer function at any sampled frequency and wavelength
 RADIAL_SAMPLES = 2048
-MARGIN = 32  # pixels mirrored around a frame before it is blurred
 
 
 def image_distance(optics: Optics) -> float:
@@ -58,27 +57,42 @@ def low_rank_transfer(highest: float, wavelength: tuple[float, ...], f_number: f
     return LowRankTransfer(frequency, (left[:, :terms] * strength[:terms]).T, right[:terms])
 
 
-def blurred_channels(
-    cube: NDArray[np.float32], weights: Array, wavelength: Array, f_number: float, pixel_pitch: float
-) -> NDArray[np.float32]:
-    """Σ_band weights (channel, band) · diffraction of cube (row, col, band): (channel, row, col).
+def lens_transfer(
+    optics: Optics, pixel_pitch: float, wavelength: Array, diffraction: bool, defocus: float
+) -> LowRankTransfer | None:
+    """What the lens blurs each wavelength by: diffraction and a Gaussian of standard deviation `defocus` in m on the
+    sensor; None if it blurs nothing."""
+    highest = float(np.sqrt(0.5) / pixel_pitch)
+    if diffraction:
+        transfer = low_rank_transfer(highest, tuple(wavelength), optics.f_number)
+    elif defocus > 0:
+        frequency = np.linspace(0.0, highest, RADIAL_SAMPLES)
+        transfer = LowRankTransfer(frequency, np.ones((1, RADIAL_SAMPLES)), np.ones((1, wavelength.size)))
+    else:
+        return None
+    gaussian = np.exp(-2.0 * (np.pi * defocus * transfer.frequency) ** 2)
+    return LowRankTransfer(transfer.frequency, transfer.radial * gaussian, transfer.spectral)
 
-    The bands are projected on the channels once a term of the low-rank transfer function, before any Fourier transform.
-    Beyond its border a frame is mirrored.
+
+def blurred_channels(planes: NDArray[np.float32], transfer: LowRankTransfer, pixel_pitch: float) -> NDArray[np.float32]:
+    """planes (channel, term, row, col), each term filtered by its radial part and summed: (channel, row, col).
+
+    The planes hold Σ_band weight · spectral (term, band) · reflectance: the bands are projected on the channels before any
+    transform. Beyond its border a frame is mirrored, which the discrete cosine transform does by itself. Overwrites
+    `planes`.
     """
     from scipy import fft
 
-    rows, cols, _ = cube.shape
-    margin = min(MARGIN, rows, cols)
-    shape = tuple(fft.next_fast_len(length + 2 * margin, real=True) for length in (rows, cols))
-    frequency = np.hypot(fft.fftfreq(shape[0])[:, None], fft.rfftfreq(shape[1])) / pixel_pitch
-    transfer = low_rank_transfer(np.sqrt(0.5) / pixel_pitch, tuple(wavelength), f_number)
-    pad = [(0, 0), *((margin, full - length - margin) for full, length in zip(shape, (rows, cols), strict=True))]
-    total = np.zeros((len(weights), *frequency.shape), np.complex64)
-    for radial, spectral in zip(transfer.radial, transfer.spectral, strict=True):
-        projected = np.pad(project(cube, weights * spectral), pad, mode="symmetric")
-        total += fft.rfft2(projected) * np.interp(frequency, transfer.frequency, radial).astype(np.float32)
-    return fft.irfft2(total, s=shape)[:, margin : margin + rows, margin : margin + cols]
+    rows, cols = planes.shape[2:]
+    frequency = np.hypot(np.arange(rows)[:, None] / (2 * rows), np.arange(cols) / (2 * cols)) / pixel_pitch
+    maps = [np.interp(frequency, transfer.frequency, radial).astype(np.float32) for radial in transfer.radial]
+    blurred = np.empty((len(planes), rows, cols), np.float32)
+    for channel, terms in enumerate(planes):
+        total = fft.dctn(terms[0], overwrite_x=True) * maps[0]
+        for plane, factor in zip(terms[1:], maps[1:], strict=True):
+            total += fft.dctn(plane, overwrite_x=True) * factor
+        blurred[channel] = fft.idctn(total, overwrite_x=True)
+    return blurred
 
 
 def project(cube: NDArray[np.float32], weights: Array) -> NDArray[np.float32]:

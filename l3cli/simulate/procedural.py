@@ -1,13 +1,11 @@
-"""Scenes from mathematics: dead leaves to train on, a ColorChecker to check with, a composition to look at (METHOD 2.1)."""
+"""Scenes from mathematics: dead leaves to train on, and a composition to look at (METHOD 2.1)."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli import spectra
-from l3cli.scene import Scene
-from l3cli.simulate import leaves
+from l3cli.simulate import charts, leaves
 from l3cli.simulate.reflectances import palette, surfaces
 
 Array = NDArray[np.floating]
@@ -16,7 +14,6 @@ Cube = NDArray[np.float32]  # (row, col, band)
 OVERSAMPLING = 2  # scenes are drawn finer and averaged, so that their edges fall between pixels
 SMALLEST_RADIUS, LARGEST_RADIUS = 3.0, 150.0  # pixels of the scene
 BRIGHTEST = 3.0  # of a perfect white, highlights included
-BOARD = 0.03  # reflectance of the dark ground of charts
 STRIP = 64  # rows drawn at once: a picture's spectra at twice its size would not fit
 
 
@@ -25,14 +22,6 @@ def grid(wavelength: Array) -> NDArray[np.float64]:
     first = np.floor(min(wavelength[0], 400.0) / 10.0) * 10.0
     last = np.ceil(max(wavelength[-1], 700.0) / 10.0) * 10.0
     return np.arange(first, last + 5.0, 10.0)
-
-
-def draw(kind: str, rng: np.random.Generator, size: tuple[int, int], wavelength: NDArray[np.float64], name: str) -> Scene:
-    """The built-in scene that recipes call `kind`, of `size` (rows, cols), on `wavelength` (band) in nm."""
-    if kind == "colorchecker":
-        return Scene(name, wavelength, colorchecker(size, wavelength), None)
-    paint = composition if kind == "composition" else dead_leaves
-    return Scene(name, wavelength, paint(rng, size, wavelength), None)
 
 
 # -------------------------------------------------------------------------------------------------- dead leaves
@@ -162,28 +151,7 @@ def _blurred(cube: Cube, sigma: float) -> Cube:
     return gaussian_filter1d(gaussian_filter1d(cube, sigma, axis=0), sigma, axis=1)
 
 
-# ------------------------------------------------------------------------------------------------------- charts
-
-
-def colorchecker(size: tuple[int, int], wavelength: Array) -> Cube:
-    """Reflectance (row, col, band) of the classic ColorChecker: 24 patches on a dark board that fills `size`."""
-    _, reflectance = spectra.colorchecker(wavelength)
-    cube = np.full((*size, wavelength.size), BOARD, np.float32)
-    for patch, (rows, cols) in zip(reflectance, colorchecker_patches(size), strict=True):
-        cube[rows, cols] = patch
-    return cube
-
-
-def colorchecker_patches(size: tuple[int, int]) -> list[tuple[slice, slice]]:
-    """Rows and columns of the 24 patches, row by row, on a board of `size` (rows, cols): squares a fifth apart."""
-    pitch = min(size[0] / 4.2, size[1] / 6.2)
-    side = max(1, int(pitch / 1.2))
-    corners = [
-        (round(size[0] / 2 + (row - 1.5) * pitch - side / 2), round(size[1] / 2 + (col - 2.5) * pitch - side / 2))
-        for row in range(4)
-        for col in range(6)
-    ]
-    return [(slice(top, top + side), slice(left, left + side)) for top, left in corners]
+# -------------------------------------------------------------------------------------------------- composition
 
 
 def composition(rng: np.random.Generator, size: tuple[int, int], wavelength: Array) -> Cube:
@@ -193,48 +161,12 @@ def composition(rng: np.random.Generator, size: tuple[int, int], wavelength: Arr
     rows, cols = size
     unit = min(rows // 18, cols // 32)
     for height, width, centre, panel in (
-        (8, 12, (0.66, 0.25), colorchecker),
-        (2, 12, (0.30, 0.25), _ramp_panel),
-        (7, 7, (0.68, 0.62), _zone_plate_panel),
-        (7, 7, (0.30, 0.84), _slanted_bars_panel),
+        (8, 12, (0.66, 0.25), charts.colorchecker),
+        (2, 12, (0.30, 0.25), charts.ramp_panel),
+        (7, 7, (0.68, 0.62), charts.zone_plate_panel),
+        (7, 7, (0.30, 0.84), charts.slanted_bars_panel),
     ):
         shape = (height * unit, width * unit)
         top, left = round(rows * centre[0] - shape[0] / 2), round(cols * centre[1] - shape[1] / 2)
         cube[top : top + shape[0], left : left + shape[1]] = panel(shape, wavelength)
     return cube
-
-
-def _ramp_panel(shape: tuple[int, int], wavelength: Array) -> Cube:
-    """Greys from 1 % to 100 %: continuous above, 16 steps below."""
-    position = (np.arange(shape[1]) + 0.5) / shape[1]
-    smooth, steps = 0.01 ** (1 - position), 0.01 ** (1 - np.floor(position * 16) / 15)
-    panel = np.where((np.arange(shape[0]) < shape[0] // 2)[:, None], smooth, steps)
-    return _grey(panel, wavelength)
-
-
-def _zone_plate_panel(shape: tuple[int, int], wavelength: Array) -> Cube:
-    """Rings that grow finer towards the rim, up to 0.4 cycles a pixel: what any mosaic has trouble with."""
-    down, across = _centred(shape)
-    radius = min(shape) / 2
-    phase = np.pi * 0.4 * (down**2 + across**2) / radius
-    inside = down**2 + across**2 < radius**2
-    return _grey(np.where(inside, 0.475 + 0.425 * np.cos(phase), BOARD), wavelength)
-
-
-def _slanted_bars_panel(shape: tuple[int, int], wavelength: Array) -> Cube:
-    """Five-degree slanted black and white bars, narrower from left to right (edges for an ISO 12233 reading)."""
-    down, across = _centred(shape, 4)
-    position = (across + np.tan(np.radians(5)) * down) / shape[1] + 0.5
-    bars = np.sin(2 * np.pi * (1.5 * position + 8 * position**3)) > 0
-    panel = np.where(bars, 0.8, BOARD).reshape(shape[0], 4, shape[1], 4).mean(axis=(1, 3))
-    return _grey(panel, wavelength)
-
-
-def _centred(shape: tuple[int, int], finer: int = 1) -> tuple[Array, Array]:
-    """Pixel coordinates down and across from the centre of `shape`, sampled `finer` times."""
-    down, across = ((np.arange(length * finer) + 0.5) / finer - length / 2 for length in shape)
-    return down[:, None], across[None]
-
-
-def _grey(panel: Array, wavelength: Array) -> Cube:
-    return np.repeat(panel.astype(np.float32)[..., None], wavelength.size, axis=2)

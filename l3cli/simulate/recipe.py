@@ -1,167 +1,184 @@
 """SCENES.toml: what is simulated, under which light, how long exposed: frames = scenes × lights × luminances × exposures."""
 
 import itertools
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import msgspec
 import numpy as np
 
 from l3cli import spectra
-from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera import CameraModel, Optics
 from l3cli.config import Recipe
 from l3cli.errors import RecipeError
-from l3cli.simulate.light import OWN
-
-SMALLEST = 16  # pixels of a scene's shorter side
-
-
-class DeadLeaves(Recipe, tag_field="source", tag="dead leaves"):
-    size: tuple[int, int]  # rows, cols
-    count: int = 1  # pictures
-    seed: int = 0  # beside --seed: recipes with different seeds share no picture
-
-
-class Composition(Recipe, tag_field="source", tag="composition"):
-    size: tuple[int, int]
-    count: int = 1
-    seed: int = 0
-
-
-class ColorChecker(Recipe, tag_field="source", tag="colorchecker"):
-    size: tuple[int, int]
-
-
-class IsetScenes(Recipe, tag_field="source", tag="iset"):
-    file: str  # a name or a glob such as "faces/*.mat", relative to the recipe
-
-
-class RgbPictures(Recipe, tag_field="source", tag="rgb"):
-    file: str
-    shrink: int = 1  # each shrink × shrink pixels are averaged to one, which also removes JPEG's and demosaicking's traces
-
-
-Source = DeadLeaves | Composition | ColorChecker | IsetScenes | RgbPictures
+from l3cli.simulate.light import MEASURED, OWN, Curve, parts
+from l3cli.simulate.sensor import with_analog_gain
+from l3cli.simulate.sources import (
+    FileSource,
+    IsetScenes,
+    Source,
+    Spectral,
+    WantedScene,
+    can_be_relit,
+    check_source,
+    has_own_light,
+    wanted_scenes,
+)
+from l3cli.simulate.targets import CAMERA, OUTPUTS
 
 
 class Lens(Recipe):
-    """Which imperfections of the lens are simulated (METHOD 1.3)."""
+    """Which imperfections of the lens are simulated, and another lens than the camera's (METHOD 1.3)."""
 
     diffraction: bool = True
     off_axis: bool = False  # darker corners; a table does not know where in the frame it is applied
+    defocus_um: float = 0.0  # standard deviation of a Gaussian blur on the sensor
+    transmittance: float | str | None = None  # number or CSV, on top of what the camera's responsivity holds
+    focal_length_mm: float | None = None
+    f_number: float | None = None
+    magnification: float | None = None  # |image size / object size|; 0: infinity
+
+
+class SensorSetting(Recipe):
+    noise: Literal["all", "shot", "none"] = "all"  # shot: of light and dark current only; none: only rounding
+    analog_gain: float = 1.0  # on top of the camera's gain
+
+
+class TargetRecipe(Recipe):
+    outputs: str = "CIE 1931"  # or "CIE 1964", "luminance", "camera" (its bands everywhere), a CSV of matching functions
+    illuminant: str | None = None  # another light than falls on the frame: illuminant correction
+
+
+class Pair(Recipe):
+    """A raw file and the picture it should become, pixel by pixel."""
+
+    raw: str  # relative to the recipe
+    picture: str  # encoded sRGB, or EXR with channels named like the target's outputs
+    offset: tuple[int, int] = (0, 0)  # row and column of the raw that the picture's first pixel shows
+    phase: tuple[int, int] | None = None  # CFA row and column of the raw's first pixel; default: as the file says
+    scale: float | None = None  # picture value × scale = share of full scale that a white as bright gives; default: fitted
 
 
 class SceneRecipe(Recipe):
-    scene: list[Source]
-    illuminants: list[str] = msgspec.field(default_factory=lambda: ["D65"])  # CIE names, "3200K", or "scene": its own
+    scene: list[Source] = msgspec.field(default_factory=list)
+    pair: list[Pair] = msgspec.field(default_factory=list)
+    # CIE names, "3200K", "D6000K", CSV files, mixtures "0.7 D65 + 0.3 lamp.csv", or "scene": its own
+    illuminants: list[str] = msgspec.field(default_factory=lambda: ["D65"])
     luminances_cd_m2: list[float] = msgspec.field(default_factory=lambda: [100.0])  # of a perfect white
     exposure_share: list[float] | None = None  # automatic: share of full scale that white reaches in its brightest channel
+    exposure_saturated: list[float] | None = None  # automatic: share of all pixels that reach full scale
     exposure_s: list[float] | None = None  # fixed
     lens: Lens = msgspec.field(default_factory=Lens)
+    sensor: SensorSetting = msgspec.field(default_factory=SensorSetting)
+    target: TargetRecipe = msgspec.field(default_factory=TargetRecipe)
+
+    def exposures(self) -> tuple[str, list[float]]:
+        """How exposures are given ("share", "saturated" or "seconds") and their values; RecipeError unless in one way."""
+        ways = {"share": self.exposure_share, "saturated": self.exposure_saturated, "seconds": self.exposure_s}
+        given = {way: values for way, values in ways.items() if values is not None}
+        if len(given) != 1:
+            raise RecipeError("give either exposure_share or exposure_saturated (automatic) or exposure_s (fixed)")
+        return next(iter(given.items()))
 
 
-def check(recipe: SceneRecipe, camera: CameraModel, name: str) -> None:
-    """RecipeError if the recipe asks for what cannot be; `name` is the file that holds it."""
-    if (recipe.exposure_share is None) == (recipe.exposure_s is None):
-        raise RecipeError(f"{name}: give either exposure_share (automatic) or exposure_s (fixed)")
-    exposures = recipe.exposure_share or recipe.exposure_s
-    if not (recipe.scene and recipe.illuminants and recipe.luminances_cd_m2 and exposures):
-        raise RecipeError(f"{name}: scene, illuminants, luminances_cd_m2 and the exposures must each have an entry")
-    if not all(0 < value < float("inf") for value in (*recipe.luminances_cd_m2, *exposures)):
-        raise RecipeError(f"{name}: luminances and exposures must be above zero")
-    if recipe.exposure_s is not None and not camera.absolute:
-        raise RecipeError(f"{name}: {camera.name} has only a relative responsivity; use exposure_share, not exposure_s")
-    for illuminant in recipe.illuminants:
-        _check_illuminant(illuminant, camera)
+def scene_lights(recipe: SceneRecipe) -> list[str]:
+    """The lights that scenes of the recipe were seen under, where it tells them."""
+    return [source.light for source in recipe.scene if isinstance(source, Spectral | IsetScenes) and source.light]
+
+
+def curve_files(recipe: SceneRecipe) -> dict[str, str]:
+    """Every CSV file that the recipe names, relative to it, and its part: light, transmittance or functions."""
+    lights = [*recipe.illuminants, *filter(None, [recipe.target.illuminant])]
+    lights += scene_lights(recipe)
+    found = {name: "light" for text in lights for _, name in parts(text) if name.endswith(MEASURED)}
+    if isinstance(recipe.lens.transmittance, str):
+        found[recipe.lens.transmittance] = "transmittance"
+    if recipe.target.outputs.endswith(MEASURED):
+        found[recipe.target.outputs] = "functions"
+    return found
+
+
+def set_up(camera: CameraModel, recipe: SceneRecipe, curves: Mapping[str, Curve]) -> CameraModel:
+    """The camera with the recipe's lens and analog gain: what the training set is of. RecipeError if they cannot be."""
+    lens, optics = recipe.lens, camera.optics
+    focal = optics.focal_length if lens.focal_length_mm is None else lens.focal_length_mm * 1e-3
+    f_number = optics.f_number if lens.f_number is None else lens.f_number
+    distance = optics.object_distance
+    if lens.magnification is not None:
+        distance = focal * (1.0 + 1.0 / lens.magnification) if lens.magnification > 0 else 0.0
+    if not (focal > 0 and f_number > 0 and (lens.magnification or 0) >= 0 and (distance == 0 or distance > focal)):
+        raise RecipeError("lens: focal length and f-number must be above zero, the object farther than the focal length")
+    if isinstance(lens.transmittance, str):
+        grid, values = curves[lens.transmittance]
+        passed = spectra.resample(values[0], grid, camera.wavelength)
+    else:
+        passed = np.full(camera.wavelength.size, 1.0 if lens.transmittance is None else lens.transmittance)
+    if not (passed.min() >= 0 and 0 < passed.max() <= 1):
+        raise RecipeError("lens.transmittance must lie in 0…1 and let some light through")
+    if not (lens.defocus_um >= 0 and 0 < recipe.sensor.analog_gain < float("inf")):
+        raise RecipeError("lens.defocus_um must not be negative and sensor.analog_gain must be above zero")
+    fitted = replace(camera, responsivity=camera.responsivity * passed, optics=Optics(focal, f_number, distance))
+    return with_analog_gain(fitted, recipe.sensor.analog_gain)
+
+
+def check(recipe: SceneRecipe, camera: CameraModel) -> None:
+    """RecipeError if the recipe asks for what cannot be."""
+    if not (recipe.scene or recipe.pair):
+        raise RecipeError("scene or pair must have an entry")
+    if recipe.scene:
+        _check_exposures(recipe, camera)
     for number, source in enumerate(recipe.scene, 1):
-        _check_source(source, camera, f"{name}: scene {number}")
-        if OWN in recipe.illuminants and not isinstance(source, IsetScenes):
-            raise RecipeError(f'{name}: scene {number} has no light of its own; leave "{OWN}" out of illuminants')
+        check_source(source, camera, f"scene {number}")
+        if OWN in recipe.illuminants and not has_own_light(source):
+            raise RecipeError(f'scene {number} has no light of its own; leave "{OWN}" out of illuminants')
+        if recipe.illuminants != [OWN] and not can_be_relit(source):
+            raise RecipeError(f'scene {number} holds radiance without its light; give light, or illuminants = ["{OWN}"]')
+    outputs = recipe.target.outputs
+    if outputs not in (*OUTPUTS, CAMERA) and not outputs.endswith(MEASURED):
+        known = '", "'.join((*OUTPUTS, CAMERA))
+        raise RecipeError(f'target.outputs "{outputs}" is unknown; use "{known}" or a CSV file')
+    if recipe.target.illuminant == OWN:
+        raise RecipeError(f'target.illuminant cannot be "{OWN}"; leave it out')
+    for pair in recipe.pair:
+        if min(pair.offset) < 0 or not (pair.scale is None or pair.scale > 0):
+            raise RecipeError(f"pair {pair.raw}: offset must not be negative and scale must be above zero")
+    if recipe.pair and outputs == CAMERA:
+        raise RecipeError("the target of a pair is a picture; target.outputs cannot be the camera's bands")
 
 
-def _check_illuminant(name: str, camera: CameraModel) -> None:
-    if name != OWN:
-        with np.errstate(all="ignore"):  # a black body of a few kelvin shines with 0
-            if not np.isfinite(spectra.illuminant(name, camera.wavelength)).all():
-                raise RecipeError(f'illuminant "{name}" gives no light that {camera.name} could see')
-
-
-def _check_source(source: Source, camera: CameraModel, name: str) -> None:
-    if isinstance(source, DeadLeaves | Composition | ColorChecker):
-        check_size(source.size, camera, RecipeError, name)
-    if isinstance(source, DeadLeaves | Composition) and (source.count < 1 or source.seed < 0):
-        raise RecipeError(f"{name}: count is at least 1 and seed at least 0")
-    if isinstance(source, RgbPictures) and source.shrink < 1:
-        raise RecipeError(f"{name}: shrink is at least 1")
-
-
-def check_size(size: tuple[int, ...], camera: CameraModel, error: type[Exception], name: str) -> None:
-    """Raise `error` if a scene of `size` (rows, cols) is too small to learn from or does not fit the sensor."""
-    rows, cols = size
-    if min(size) < SMALLEST:
-        raise error(f"{name} is {rows}×{cols}; a scene has at least {SMALLEST}×{SMALLEST} pixels")
-    if rows > camera.rows or cols > camera.cols:
-        raise error(f"{name} is {rows}×{cols}, larger than the sensor of {camera.rows}×{camera.cols}; make it smaller")
-
-
-@dataclass(frozen=True)
-class DrawnScene:
-    """A built-in scene: what it shows, and what is beside --seed in its own."""
-
-    kind: str
-    size: tuple[int, int]  # rows, cols
-    seed: tuple[int, int]  # of the recipe, number
-
-    @property
-    def name(self) -> str:
-        return f"{self.kind} {self.seed[0]}.{self.seed[1]}"
-
-
-@dataclass(frozen=True)
-class FileScene:
-    """A scene in a file."""
-
-    kind: str
-    path: Path
-    shrink: int = 1
+def _check_exposures(recipe: SceneRecipe, camera: CameraModel) -> None:
+    way, exposures = recipe.exposures()
+    if not (recipe.illuminants and recipe.luminances_cd_m2 and exposures):
+        raise RecipeError("illuminants, luminances_cd_m2 and the exposures must each have an entry")
+    if not all(0 < value < float("inf") for value in (*recipe.luminances_cd_m2, *exposures)):
+        raise RecipeError("luminances and exposures must be above zero")
+    if way == "saturated" and max(exposures) >= 1:
+        raise RecipeError("exposure_saturated is a share of the pixels, below 1")
+    if way == "seconds" and not camera.absolute:
+        raise RecipeError(f"{camera.name} has only a relative responsivity; use exposure_share, not exposure_s")
 
 
 @dataclass(frozen=True)
 class Shot:
-    """One frame to be simulated: a scene, a light, an exposure."""
+    """One frame to be simulated under a light, with an exposure."""
 
-    scene: DrawnScene | FileScene
+    index: int  # of the frame
     illuminant: str
     luminance: float  # cd/m²
-    exposure: float  # seconds or, where it is automatic, white's share of full scale
-    automatic: bool
+    exposure: float  # seconds, share of full scale or share of saturated pixels, as SceneRecipe.exposures says
+
+
+def shots(recipe: SceneRecipe, files: list[list[Path]]) -> Iterator[tuple[WantedScene, list[Shot]]]:
+    """Every scene of the recipe with its frames; `files` are those of each of its sources, none where it has none."""
+    index = itertools.count()
+    for source, found in zip(recipe.scene, files, strict=True):
+        for scene in wanted_scenes(source, found):
+            settings = itertools.product(recipe.illuminants, recipe.luminances_cd_m2, recipe.exposures()[1])
+            yield scene, [Shot(next(index), *setting) for setting in settings]
 
 
 def patterns(recipe: SceneRecipe) -> list[str | None]:
     """The file or glob of each source; None for built-in scenes."""
-    return [source.file if isinstance(source, IsetScenes | RgbPictures) else None for source in recipe.scene]
-
-
-def shots(recipe: SceneRecipe, files: list[list[Path]]) -> Iterator[Shot]:
-    """Every frame of the recipe, scene by scene; `files` are those of each of its sources, none where it has none."""
-    automatic = recipe.exposure_share is not None
-    exposures = recipe.exposure_share or recipe.exposure_s or []
-    for source, found in zip(recipe.scene, files, strict=True):
-        settings = itertools.product(recipe.illuminants, recipe.luminances_cd_m2, exposures)
-        for scene, (illuminant, luminance, exposure) in itertools.product(_scenes(source, found), settings):
-            yield Shot(scene, illuminant, luminance, exposure, automatic)
-
-
-def _scenes(source: Source, files: list[Path]) -> list[DrawnScene | FileScene]:
-    match source:
-        case IsetScenes():
-            return [FileScene("iset", path) for path in files]
-        case RgbPictures():
-            return [FileScene("rgb", path, source.shrink) for path in files]
-        case ColorChecker():
-            return [DrawnScene("colorchecker", source.size, (0, 0))]
-        case DeadLeaves():
-            return [DrawnScene("dead leaves", source.size, (source.seed, number)) for number in range(source.count)]
-        case Composition():
-            return [DrawnScene("composition", source.size, (source.seed, number)) for number in range(source.count)]
+    return [source.file if isinstance(source, FileSource) else None for source in recipe.scene]

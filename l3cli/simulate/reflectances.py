@@ -68,6 +68,11 @@ def palette(rng: np.random.Generator, of: Surfaces) -> Array:
     return np.array([_material(rng, of, kind, saturation) for kind in kinds])
 
 
+def materials(kind: str, rng: np.random.Generator, of: Surfaces, count: int) -> Array:
+    """`count` reflectances (material, band) of one of KINDS."""
+    return np.array([_material(rng, of, kind, 1.0) for _ in range(count)])
+
+
 def _material(rng: np.random.Generator, of: Surfaces, kind: str, saturation: float) -> Array:
     reflectance = _DRAW[kind](rng, of)
     if kind in DYED:

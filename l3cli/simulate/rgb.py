@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from l3cli import spectra
 from l3cli.scene import Scene
-from l3cli.simulate.light import named_light, xyz_weights
+from l3cli.simulate.light import make_light, matching_weights
 
 Array = NDArray[np.floating]
 
@@ -38,7 +38,9 @@ def primaries(wavelength: tuple[float, ...]) -> Array:
     grid = np.array(wavelength)
     count = grid.size
     rough = np.diff(np.eye(count), axis=0)
-    to_rgb = spectra.srgb_from_xyz_matrix() @ xyz_weights(named_light("D65", 1.0, grid), grid)
+    light = make_light("D65", {}, grid)
+    observer = spectra.colour_matching_functions(light.wavelength)
+    to_rgb = spectra.srgb_from_xyz_matrix() @ matching_weights(observer, light, grid)
     rows = [
         np.kron(np.eye(3), rough),
         EXACTNESS * np.kron(np.eye(3), to_rgb),

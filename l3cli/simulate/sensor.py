@@ -1,7 +1,7 @@
 """The sensor of METHOD 1.2: mean photo-electrons → digital numbers."""
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,47 +11,73 @@ from l3cli.artifacts.camera import CameraModel
 MOST_ELECTRONS = 1e15  # beyond any well, within what a Poisson generator takes
 
 
+NOISES = ("all", "shot", "none")  # shot: only that of light and dark current; none: only rounding
+
+
 @dataclass(frozen=True)
 class FixedPattern:
     """What a camera's pixels differ by, the same in every frame."""
 
     prnu: NDArray[np.float32]  # (row, col) relative deviation of the response
-    dsnu: NDArray[np.float32]  # (row, col) e-, offset
+    dsnu: NDArray[np.float32]  # (row, col) e-, offset, that of the column included
 
 
 def fixed_pattern(camera: CameraModel) -> FixedPattern:
     """The PRNU and DSNU maps of the whole sensor, drawn from the camera's own seed."""
     noise = camera.noise
-    return _fixed_pattern(camera.fixed_pattern_seed, camera.rows, camera.cols, noise.prnu, noise.dsnu)
+    return _fixed_pattern(camera.fixed_pattern_seed, camera.rows, camera.cols, noise.prnu, noise.dsnu, noise.column_noise)
 
 
 @functools.lru_cache(maxsize=1)
-def _fixed_pattern(seed: int, rows: int, cols: int, prnu: float, dsnu: float) -> FixedPattern:
+def _fixed_pattern(seed: int, rows: int, cols: int, prnu: float, dsnu: float, column: float) -> FixedPattern:
     rng = np.random.default_rng(seed)
     response = rng.standard_normal((rows, cols), dtype=np.float32) * np.float32(prnu)
     offset = rng.standard_normal((rows, cols), dtype=np.float32) * np.float32(dsnu)
+    offset += rng.standard_normal(cols, dtype=np.float32) * np.float32(column)
     return FixedPattern(response, offset)
 
 
 def mosaic(electrons: NDArray[np.float32], cfa: NDArray[np.uint8]) -> NDArray[np.float32]:
     """The (row, col) mosaic of full-resolution electrons (channel, row, col), CFA phase (0, 0)."""
-    rows, cols = electrons.shape[1:]
-    channel = cfa[np.ix_(np.arange(rows) % cfa.shape[0], np.arange(cols) % cfa.shape[1])]
-    return np.take_along_axis(electrons, channel[None].astype(np.intp), axis=0)[0]
+    down, across = cfa.shape
+    values = np.empty(electrons.shape[1:], electrons.dtype)
+    for row, col in np.ndindex(cfa.shape):
+        values[row::down, col::across] = electrons[cfa[row, col], row::down, col::across]
+    return values
+
+
+def saturating_exposure(camera: CameraModel, rates: NDArray[np.floating], share: float) -> float:
+    """Seconds after which `share` of the pixels with `rates` (row, col) e-/s reach full scale; ValueError if all is dark."""
+    rate = float(np.quantile(rates, 1.0 - share)) + camera.noise.dark_current
+    if rate <= 0:
+        raise ValueError("the scene is too dark for an exposure by its saturated pixels")
+    return camera.full_scale / rate
+
+
+def with_analog_gain(camera: CameraModel, gain: float) -> CameraModel:
+    """The camera with its analog gain turned up: more DN an electron, the same black, the converter's top sooner reached."""
+    white = min(camera.black + gain * (camera.white - camera.black), 2.0**camera.bits - 1)
+    return replace(camera, gain=gain * camera.gain, white=white)
 
 
 def expose(
-    camera: CameraModel, electrons: NDArray[np.floating], exposure: float, rng: np.random.Generator
+    camera: CameraModel,
+    electrons: NDArray[np.floating],
+    exposure: float,
+    rng: np.random.Generator,
+    noises: str = "all",
 ) -> NDArray[np.uint16]:
-    """One noisy raw frame (row, col) in DN of mean photo-electrons (row, col) after `exposure` seconds (METHOD 1.2).
+    """One raw frame (row, col) in DN of mean photo-electrons (row, col) after `exposure` seconds (METHOD 1.2), with those
+    `noises` (one of NOISES). Shot noise is drawn from the Poisson distribution itself.
 
     The frame is the upper left part of the sensor, whose fixed pattern it carries; ValueError if it is larger.
     """
     rows, cols = electrons.shape
     if rows > camera.rows or cols > camera.cols:
         raise ValueError(f"a frame of {rows}×{cols} does not fit the sensor of {camera.rows}×{camera.cols} pixels")
-    pattern = fixed_pattern(camera)
-    return read_out(camera, FixedPattern(pattern.prnu[:rows, :cols], pattern.dsnu[:rows, :cols]), electrons, exposure, rng)
+    whole = fixed_pattern(camera)
+    pattern = FixedPattern(whole.prnu[:rows, :cols], whole.dsnu[:rows, :cols])
+    return read_out(camera, pattern, electrons, exposure, rng, noises)
 
 
 def read_out(
@@ -60,12 +86,18 @@ def read_out(
     electrons: NDArray[np.floating],
     exposure: float,
     rng: np.random.Generator,
+    noises: str = "all",
 ) -> NDArray[np.uint16]:
     """The raw frame (row, col) in DN of mean photo-electrons on pixels with a pattern of the same shape (METHOD 1.2)."""
     noise = camera.noise
-    mean = np.clip(electrons, 0.0, MOST_ELECTRONS) + min(noise.dark_current * exposure, MOST_ELECTRONS)
-    collected = rng.poisson(mean).astype(np.float64)
-    collected += rng.normal(0.0, noise.read_noise, collected.shape) if noise.read_noise else 0.0
-    signal = collected * (1.0 + pattern.prnu) + pattern.dsnu
-    values = np.rint(camera.gain * np.minimum(signal, noise.well_capacity) + camera.black)
+    signal = np.clip(electrons, 0.0, MOST_ELECTRONS) + min(noise.dark_current * exposure, MOST_ELECTRONS)
+    if noises != "none":
+        signal = rng.poisson(signal)
+    signal = signal.astype(np.float32)
+    if noises == "all":
+        signal += rng.standard_normal(signal.shape, dtype=np.float32) * np.float32(noise.read_noise)
+        signal *= 1 + pattern.prnu
+        signal += pattern.dsnu
+    np.minimum(signal, np.float32(noise.well_capacity), out=signal)
+    values = np.rint(np.float32(camera.gain) * signal + np.float32(camera.black))
     return np.clip(values, 0, 2**camera.bits - 1).astype(np.uint16)

@@ -6,21 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.training_set import TrainingFrame, TrainingSet
+from l3cli.artifacts.training_set import TrainingFrame, TrainingPair, TrainingSet
+from l3cli.classify import Neighbourhoods
 from l3cli.errors import InputFileError
-from l3cli.spectra import at_luminance, illuminant
 from l3cli.train.recipe import LearningRecipe
+from l3cli.train.symmetry import orientations, site_maps
 
 Floats = NDArray[np.float32]
-
-
-def output_unit(camera: CameraModel) -> float:
-    """cd s/m²: scene luminance × exposure time at which a perfect white under D65 just fills the brightest channel.
-
-    It scales XYZ targets to about 0…1 in the same proportion for every illuminant and exposure.
-    """
-    white = at_luminance(illuminant("D65", camera.wavelength), camera.wavelength, 1.0)
-    return camera.full_scale / float((camera.electron_weights @ white).max())
 
 
 @dataclass(frozen=True)
@@ -29,6 +21,67 @@ class Patches:
 
     signal: Floats  # (patch, tap) share of full scale
     target: Floats  # (patch, output) in the table's output unit
+    carried: Floats | None = None  # (patch, tap) noise variance that a real signal already has, full scale²
+
+    def possible(self, scale: NDArray[np.float64]) -> NDArray[np.float64]:
+        """`scale` (patch) as far as the patches can follow. Simulated ones follow everywhere. Real ones carry noise and
+        clipped values: they can be made darker, since noise can be added, but not brighter, and not at all if a tap clips.
+        """
+        if self.carried is None:
+            return scale
+        return np.where((self.signal >= 1).any(axis=1), 1.0, np.minimum(scale, 1.0))
+
+
+def patches_of(
+    frame: TrainingPair,
+    head: TrainingSet,
+    near: Neighbourhoods,
+    site: int,
+    count: int,
+    rng: np.random.Generator,
+) -> Patches:
+    """`count` patches of a simulated frame or a real pair, laid out like those of canonical `site`."""
+    side = int(np.sqrt(near.channel.shape[1]))
+    if frame.raw.shape[0] < side or frame.raw.shape[1] < side:
+        rows, cols = frame.raw.shape
+        raise InputFileError(f"frame of scene {frame.scene} is {rows}×{cols}, smaller than the {side}×{side} patch")
+    if isinstance(frame, TrainingFrame):
+        unit = head.camera.white_dose
+        return sample_patches(frame, head, unit, near.channel[site], count, orientations(side), rng)
+    return sample_pair(frame, head.camera, near, site, count, rng)
+
+
+def sample_pair(
+    pair: TrainingPair, camera: CameraModel, near: Neighbourhoods, site: int, count: int, rng: np.random.Generator
+) -> Patches:
+    """`count` patches of a real pair at random places among the sites that are canonical `site` turned or mirrored: only
+    there, and only turned so, is its mosaic that of the table."""
+    side = int(np.sqrt(near.channel.shape[1]))
+    radius, period = side // 2, camera.cfa.shape
+    rows, cols = pair.raw.shape
+    maps = [(other, found) for other, found in enumerate(site_maps(near.channel, side)) if found.canonical == site]
+    reach = np.arange(side) - radius
+    offset = (reach[:, None] * cols + reach[None]).ravel()
+    places, takes = [], []
+    for part, (other, found) in enumerate(maps):
+        number = (part + 1) * count // len(maps) - part * count // len(maps)
+        down = np.arange(radius + (other // period[1] - radius) % period[0], rows - radius, period[0])
+        across = np.arange(radius + (other % period[1] - radius) % period[1], cols - radius, period[1])
+        if not (down.size and across.size):
+            continue
+        place = rng.choice(down, number) * cols + rng.choice(across, number)
+        places.append(place)
+        takes.append(place[:, None] + offset[found.permutation])
+    if not places:
+        raise InputFileError(f"pair {pair.scene} is too small for a patch of every site; give a larger picture")
+    values = pair.raw.reshape(-1)[np.concatenate(takes)].astype(np.float32)
+    span = np.float32(camera.white - camera.black)
+    signal = (values - np.float32(camera.black)) / span
+    carried = (camera.noise_variance(signal * span) / span**2).astype(np.float32)
+    signal[values >= np.floor(camera.white)] = 1.0
+    target = pair.target.reshape(len(pair.target), -1)[:, np.concatenate(places)].T
+    scaled = target * np.float32(pair.exposure / camera.white_dose)
+    return Patches(signal, np.ascontiguousarray(scaled, np.float32), carried)
 
 
 def sample_patches(
@@ -42,14 +95,11 @@ def sample_patches(
 ) -> Patches:
     """`count` patches at random places and orientations of a frame, seen through the CFA `window` (tap).
 
-    The mosaic is laid over the full-resolution electrons at any offset, after mirroring and turning the scene. Raises
-    InputFileError if the frame is smaller than the patch.
+    The mosaic is laid over the full-resolution electrons at any offset, after mirroring and turning the scene.
     """
     side = int(np.sqrt(window.size))
     radius = side // 2
     _, rows, cols = frame.electrons.shape
-    if min(rows, cols) < side:
-        raise InputFileError(f"frame of scene {frame.scene} is {rows}×{cols}, smaller than the {side}×{side} patch")
     row = rng.integers(radius, rows - radius, count)
     col = rng.integers(radius, cols - radius, count)
     turn = np.arange(count) * len(orientations) // count
@@ -74,12 +124,15 @@ def draw_levels(recipe: LearningRecipe, count: int, rng: np.random.Generator) ->
 
 
 def expose_patches(
-    signal: Floats, camera: CameraModel, rng: np.random.Generator
+    signal: Floats, camera: CameraModel, rng: np.random.Generator, carried: Floats | None = None
 ) -> tuple[NDArray[np.uint16], Floats, Floats]:
-    """Of signals (patch, tap) in shares of full scale: the noisy DN that decide their class, the clipped noise-free signal
-    and the noise variance (0 where clipped), both in units of full scale."""
+    """Of signals (patch, tap) in shares of full scale: the noisy DN that decide their class, the clipped signal and the
+    variance (0 where clipped) of the noise that it lacks, signal and variance in units of full scale. A simulated signal
+    lacks all noise, a real one what goes beyond the variance `carried` already."""
     span = camera.white - camera.black
     variance = camera.noise_variance(signal * np.float32(span)).astype(np.float32)
+    if carried is not None:
+        variance = np.maximum(variance - carried * np.float32(span**2), np.float32(0.0))
     noisy = rng.standard_normal(signal.shape, dtype=np.float32)
     noisy *= np.sqrt(variance)
     noisy += signal * np.float32(span)

@@ -47,8 +47,8 @@ def accumulate(
     weighed by the luminance of their target and, if there is a `judge`, by the error it expects (METHOD 4.4)."""
     member = (near.channel[site][:, None] == np.arange(near.count.shape[1])) / near.count[site]
     tap_share = member.mean(axis=1).astype(np.float32)  # level = mean over channels of the channel means
-    for signal, target in _rescaled(patches, tap_share, recipe, draws, rng):
-        values, clean, variance = expose_patches(signal, camera, rng)
+    for signal, target, carried in _rescaled(patches, tap_share, recipe, draws, rng):
+        values, clean, variance = expose_patches(signal, camera, rng, carried)
         label = label_patches(values, rule, near, site)
         span = np.float32(camera.white - camera.black)
         level = np.maximum((values.astype(np.float32) - np.float32(camera.black)) @ tap_share / span, 1e-4)
@@ -61,14 +61,16 @@ def accumulate(
 
 def _rescaled(
     patches: Patches, tap_share: NDArray[np.float32], recipe: LearningRecipe, draws: int, rng: np.random.Generator
-) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float32]]]:
-    """Chunks of (signal, target) at freshly drawn levels; brightness is only exposure, so both scale alike."""
+) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32] | None]]:
+    """Chunks of (signal, target, noise variance carried) at freshly drawn levels, as far as the patches can follow;
+    brightness is only exposure, so signal and target scale alike."""
     own_level = np.maximum(patches.signal @ tap_share, 1e-3)
     for _ in range(draws):
-        scale = (draw_levels(recipe, len(own_level), rng) / own_level).astype(np.float32)[:, None]
+        scale = patches.possible(draw_levels(recipe, len(own_level), rng) / own_level).astype(np.float32)[:, None]
         for start in range(0, len(own_level), CHUNK):
             part = slice(start, start + CHUNK)
-            yield patches.signal[part] * scale[part], patches.target[part] * scale[part]
+            carried = None if patches.carried is None else patches.carried[part] * scale[part] ** 2
+            yield patches.signal[part] * scale[part], patches.target[part] * scale[part], carried
 
 
 def _weighing(target: NDArray[np.float32]) -> NDArray[np.float32]:

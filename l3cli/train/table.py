@@ -7,21 +7,21 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.base import Stage
 from l3cli.artifacts.table import ClassRule, TransformTable
-from l3cli.artifacts.training_set import TrainingFrame, TrainingSet
+from l3cli.artifacts.training_set import TrainingPair, TrainingSet
 from l3cli.classify import make_rule, neighbourhoods, saturation_codes
 from l3cli.train.kinds import channel_shares, choose_cases, choose_chromas
-from l3cli.train.patches import draw_levels, expose_patches, output_unit, sample_patches
+from l3cli.train.patches import draw_levels, expose_patches, patches_of
 from l3cli.train.recipe import TrainingRecipe, check_learning
 from l3cli.train.solve import Goal, Solution, equal_responses, solve
 from l3cli.train.sums import Sums, accumulate, symmetrise
-from l3cli.train.symmetry import orientations, site_maps, stabilisers
+from l3cli.train.symmetry import site_maps, stabilisers
 from l3cli.train.weighing import Judge
 
 PILOT_PATCHES = 4000  # patches a site over all frames that decide which saturation cases are kept
 
 
 def training_rule(
-    frames: Iterable[TrainingFrame], total: int, head: TrainingSet, recipe: TrainingRecipe, seed: int
+    frames: Iterable[TrainingPair], total: int, head: TrainingSet, recipe: TrainingRecipe, seed: int
 ) -> ClassRule:
     """The class rule for `head.camera`; its saturation cases and chroma centres come from a pilot sample of the frames."""
     check_learning(recipe.learning)
@@ -32,16 +32,15 @@ def training_rule(
     canonical = canonical_sites(head, rule)
     occurrences = np.zeros(codes, dtype=np.int64)
     shares = []
-    unit = output_unit(camera)
     for index, frame in enumerate(frames):
         for site in canonical:
             rng = np.random.default_rng([seed, 0, index, site])
             count = -(-PILOT_PATCHES // total)
-            window = near.channel[site]
-            patches = sample_patches(frame, head, unit, window, count, orientations(rule.patch), rng)
+            patches = patches_of(frame, head, near, site, count, rng)
             own_level = np.maximum(patches.signal.mean(axis=1), 1e-3)
-            scale = draw_levels(recipe.learning, count, rng) / own_level
-            values, _, _ = expose_patches((patches.signal * scale[:, None]).astype(np.float32), camera, rng)
+            scale = patches.possible(draw_levels(recipe.learning, len(own_level), rng) / own_level)[:, None]
+            carried = None if patches.carried is None else (patches.carried * scale**2).astype(np.float32)
+            values, _, _ = expose_patches((patches.signal * scale).astype(np.float32), camera, rng, carried)
             occurrences += np.bincount(saturation_codes(values, rule, near, site), minlength=codes)
             shares.append(channel_shares(patches.signal, near, site))
     case_of_code = choose_cases(occurrences, recipe.classes.max_cases)
@@ -56,7 +55,7 @@ def canonical_sites(head: TrainingSet, rule: ClassRule) -> list[int]:
 
 
 def train_site(
-    read_frames: Callable[[], Iterable[TrainingFrame]],
+    read_frames: Callable[[], Iterable[TrainingPair]],
     total: int,
     head: TrainingSet,
     rule: ClassRule,
@@ -69,7 +68,6 @@ def train_site(
     goal = Goal(head.outputs, white_point)
     learning = recipe.learning
     near = neighbourhoods(head.camera.cfa, rule.patch, len(head.camera.channels))
-    unit = output_unit(head.camera)
     window = near.channel[site]
 
     def one_pass(number: int, draws: int, judge: Judge | None) -> Solution:
@@ -77,7 +75,7 @@ def train_site(
         count = -(-learning.patches // total)
         for index, frame in enumerate(read_frames()):
             rng = np.random.default_rng([seed, number, index, site])
-            patches = sample_patches(frame, head, unit, window, count, orientations(rule.patch), rng)
+            patches = patches_of(frame, head, near, site, count, rng)
             accumulate(sums, patches, head.camera, rule, near, site, learning, draws, judge, rng)
         return solve(symmetrise(sums, stabilisers(window, rule.patch)), rule, window, learning, goal)
 
@@ -123,7 +121,7 @@ def assemble(
         black=camera.black,
         white=camera.white,
         outputs=head.outputs,
-        output_unit=output_unit(camera),
+        output_unit=camera.white_dose,
         white_point=white_point,
         rule=rule,
         weights=np.concatenate(weights).astype(np.float32),
@@ -132,7 +130,7 @@ def assemble(
     )
 
 
-def mean_white(frames: Iterable[TrainingFrame]) -> NDArray[np.float64]:
+def mean_white(frames: Iterable[TrainingPair]) -> NDArray[np.float64]:
     """Mean white point (output) of the frames' lights, each at Y = 1 (for other outputs than XYZ: at a mean of 1)."""
     whites = np.array([frame.white / (frame.white[1] if frame.white.size == 3 else frame.white.mean()) for frame in frames])
     return whites.mean(axis=0)

@@ -1,0 +1,210 @@
+"""What the workers of l3 simulate do: read or draw a scene, simulate its frames, store each in a file of its own."""
+
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.training_set import whole_part, write_part
+from l3cli.errors import InputFileError, L3Error, RecipeError
+from l3cli.simulate import sources
+from l3cli.simulate.light import OWN, Light
+from l3cli.simulate.recipe import Pair, SceneRecipe, Shot
+from l3cli.simulate.targets import Target
+
+if TYPE_CHECKING:
+    from l3cli.scene import Scene
+
+
+@dataclass(frozen=True)
+class Run:
+    """What all frames share."""
+
+    recipe: SceneRecipe
+    camera: CameraModel
+    target: Target
+    lights: Mapping[str, Light]  # of 1 cd/m²
+    seed: int
+    base: Path  # folder of the recipe
+    folder: Path  # of the stored frames
+
+    def part(self, index: int) -> Path:
+        return self.folder / f"{index:06d}.h5"
+
+
+@dataclass(frozen=True)
+class Job:
+    """Some frames of one scene, or one real pair."""
+
+    run: Run
+    what: sources.WantedScene | Pair
+    shots: list[Shot]
+
+
+def jobs_of(run: Run, work: list[tuple[sources.WantedScene, list[Shot]]], workers: int) -> list[Job]:
+    """One job a scene, so that each is read once; a scene is shared out where there are fewer scenes than workers need."""
+    pieces = -(-2 * workers // max(1, len(work))) if workers > 1 else 1
+    jobs = []
+    for wanted, shots in work:
+        size = -(-len(shots) // pieces)
+        jobs += [Job(run, wanted, shots[start : start + size]) for start in range(0, len(shots), size)]
+    first = sum(len(shots) for _, shots in work)
+    return jobs + [Job(run, pair, [Shot(first + i, "", 0.0, 0.0)]) for i, pair in enumerate(run.recipe.pair)]
+
+
+def work_off(job: Job) -> int:
+    """Simulate and store those frames of a job that are not stored yet; how many frames it has."""
+    run = job.run
+    shots = [shot for shot in job.shots if not whole_part(run.part(shot.index))]
+    if not shots:
+        return len(job.shots)
+    if isinstance(job.what, Pair):
+        write_part(run.part(shots[0].index), _pair(job.what, run), 0.0)
+        return 1
+    from l3cli.simulate.light import uncovered_share
+
+    scene = _scene(job.what, run)
+    missing = uncovered_share(run.camera, scene.wavelength)
+    for shot in shots:
+        write_part(run.part(shot.index), _frame(scene, shot, run), missing)
+    return len(job.shots)
+
+
+def _frame(scene: "Scene", shot: Shot, run: Run) -> Any:
+    from l3cli.simulate import light
+    from l3cli.simulate.frame import Saturating, simulate
+
+    own = shot.illuminant == OWN
+    falling = light.own_light(scene, shot.luminance) if own else run.lights[shot.illuminant].at(shot.luminance)
+    way, _ = run.recipe.exposures()
+    exposure: float | Saturating = shot.exposure
+    if way == "share":
+        exposure = light.automatic_exposure(run.camera, falling, shot.exposure)
+    elif way == "saturated":
+        exposure = Saturating(shot.exposure)
+    noise, seed = run.recipe.sensor.noise, (run.seed, shot.index)
+    try:
+        return simulate(run.camera, scene, falling, exposure, run.recipe.lens, seed, run.target, noise)
+    except ValueError as error:
+        raise InputFileError(f"scene {scene.name}: {error}") from error
+
+
+# ------------------------------------------------------------------------------------------------------- scenes
+
+
+def _scene(wanted: sources.WantedScene, run: Run) -> "Scene":
+    """The scene, read or drawn, as it lies on the sensor; InputFileError if it does not fit there."""
+    from l3cli.simulate import drawn
+    from l3cli.simulate.framing import framed
+
+    if wanted.path is None:
+        scene = drawn.draw(wanted, run.seed, run.camera.wavelength)
+    else:
+        scene = READERS[type(wanted.source)](wanted, run)
+    culprit = str(wanted.path or wanted.name)
+    try:
+        scene = framed(scene, wanted.source, run.camera)
+    except ValueError as error:
+        raise (RecipeError if wanted.path is None else InputFileError)(f"{culprit}: {error}") from error
+    sources.check_size(scene.reflectance.shape[:2], run.camera, InputFileError, culprit)
+    return scene
+
+
+def _iset(wanted: sources.WantedScene, run: Run) -> "Scene":
+    from l3cli.io.scene_files import read_iset_scene
+
+    assert wanted.path is not None
+    assert isinstance(wanted.source, sources.IsetScenes)
+    light = run.lights[wanted.source.light] if wanted.source.light else None
+    return read_iset_scene(wanted.path, (light.wavelength, light.radiance) if light else None)
+
+
+def _rgb(wanted: sources.WantedScene, run: Run) -> "Scene":
+    from l3cli.io.scene_files import read_rgb_picture
+    from l3cli.simulate import procedural, rgb
+
+    assert wanted.path is not None
+    assert isinstance(wanted.source, sources.RgbPictures)
+    picture = rgb.shrunk(read_rgb_picture(wanted.path), wanted.source.shrink)
+    return rgb.raise_to_spectra(picture, procedural.grid(run.camera.wavelength), wanted.path.stem)
+
+
+def _cube(wanted: sources.WantedScene, run: Run) -> "Scene":
+    from l3cli.io import cubes
+    from l3cli.simulate.cubes import scene_of
+
+    source, path = wanted.source, wanted.path
+    assert path is not None
+    assert isinstance(source, sources.Spectral)
+    if isinstance(source, sources.Cube):
+        cube = cubes.read_cube(path, source.variable, source.axes)
+    elif isinstance(source, sources.BandFolder):
+        cube = cubes.read_band_folder(path)
+    else:
+        cube = (cubes.read_envi if isinstance(source, sources.Envi) else cubes.read_channels)(path)
+    try:
+        return scene_of(cube, source, path.stem, run.lights[source.light] if source.light else None)
+    except ValueError as error:
+        raise InputFileError(f"{path}: {error}") from error
+
+
+READERS: dict[type, Callable[[sources.WantedScene, Run], "Scene"]] = {
+    sources.IsetScenes: _iset,
+    sources.RgbPictures: _rgb,
+    sources.BandFolder: _cube,
+    sources.Envi: _cube,
+    sources.Cube: _cube,
+    sources.ImageChannels: _cube,
+}
+
+
+# -------------------------------------------------------------------------------------------------------- pairs
+
+
+def _pair(pair: Pair, run: Run) -> Any:
+    from l3cli.io.images import read_image
+    from l3cli.io.raw_files import KnownBetter, read_raw
+    from l3cli.io.scene_files import read_rgb_picture
+    from l3cli.simulate.pairs import make_pair
+    from l3cli.spectra import srgb_from_xyz_matrix
+
+    raw_path, path = run.base / pair.raw, run.base / pair.picture
+    raw = read_raw(raw_path, run.camera, KnownBetter(phase=pair.phase))
+    outputs = run.target.outputs
+    pixels, names = read_image(path)
+    if set(outputs) <= set(names):
+        picture = np.ascontiguousarray(pixels[..., [names.index(output) for output in outputs]], np.float32)
+    elif set(outputs) <= {"X", "Y", "Z"}:
+        to_xyz = np.linalg.inv(srgb_from_xyz_matrix())[["XYZ".index(output) for output in outputs]]
+        picture = read_rgb_picture(path) @ to_xyz.T.astype(np.float32)
+    else:
+        raise InputFileError(f"{path} has no channels called {', '.join(outputs)}; give an EXR with them")
+    try:
+        return make_pair(raw, picture, outputs, run.camera, pair, path.stem)
+    except ValueError as error:
+        raise InputFileError(f"{path}: {error}") from error
+
+
+# ------------------------------------------------------------------------------------------------ stored frames
+
+
+def open_folder(output: Path, key: str, resume: bool) -> Path:
+    """The folder beside `output` for the frames of the run called `key`: with `resume` what an earlier run left there,
+    else empty. RecipeError if that run was another one, L3Error if the folder is not of l3's making."""
+    folder = output.with_name(f"{output.name}.parts")
+    mark = folder / "run"
+    if folder.exists():
+        if not mark.is_file():
+            raise L3Error(f"{folder} is in the way; move it elsewhere")
+        if resume and mark.read_text() != key:
+            raise RecipeError(f"{folder} is of a run with another recipe, camera, seed or version; leave --resume out")
+        if resume:
+            return folder
+        shutil.rmtree(folder)
+    folder.mkdir(parents=True)
+    mark.write_text(key)
+    return folder

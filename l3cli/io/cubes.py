@@ -1,0 +1,195 @@
+"""Spectral cubes: folders of band pictures, ENVI, MATLAB, HDF5, .npy, EXR and TIFF of many channels."""
+
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.errors import InputFileError
+from l3cli.io.images import read_image
+from l3cli.io.matlab import Content, look_up, read_hdf5, read_matlab
+from l3cli.scene import SpectralCube
+
+WAVELENGTH_NAMES = ("wave", "wavelength", "wavelengths", "wavelength_nm", "wavelengths_nm", "lambda", "wl", "bands", "wlens")
+BAND_PICTURES = (".png", ".tif", ".tiff", ".pgm", ".exr")
+
+
+def read_band_folder(path: Path) -> SpectralCube:
+    """The pictures of a folder, one a band in the order of their names' numbers (CAVE: 16-bit PNG); of a picture with
+    several channels the first. InputFileError if there are none or they differ in size."""
+    folder = path if path.is_dir() else path.parent
+    pictures = band_pictures(folder)
+    if not pictures:
+        raise InputFileError(f"{folder} holds no pictures ({', '.join(BAND_PICTURES)}); give a folder with one a band")
+    cube: NDArray | None = None
+    for band, picture in enumerate(pictures):
+        pixels = read_image(picture)[0][..., 0]
+        if cube is None:
+            cube = np.empty((*pixels.shape, len(pictures)), pixels.dtype)
+        if pixels.shape != cube.shape[:2] or pixels.dtype != cube.dtype:
+            raise InputFileError(
+                f"{picture} differs in size or depth from {pictures[0].name}; keep only bands in the folder"
+            )
+        cube[..., band] = pixels
+    assert cube is not None
+    return SpectralCube(cube, None)
+
+
+def band_pictures(folder: Path) -> list[Path]:
+    """The pictures in `folder`, those with numbers in their names by the last of these numbers."""
+
+    def order(path: Path) -> tuple[str, int]:
+        numbers = re.findall(r"\d+", path.stem)
+        return (re.sub(r"\d+$", "", path.stem), int(numbers[-1])) if numbers else (path.stem, 0)
+
+    return sorted((path for path in folder.iterdir() if path.suffix.lower() in BAND_PICTURES), key=order)
+
+
+# ------------------------------------------------------------------------------------------------------- ENVI
+
+ENVI_TYPES = {1: "u1", 2: "i2", 3: "i4", 4: "f4", 5: "f8", 12: "u2", 13: "u4", 14: "i8", 15: "u8"}
+ENVI_AXES = {
+    "bsq": ("bands", "lines", "samples"),
+    "bil": ("lines", "bands", "samples"),
+    "bip": ("lines", "samples", "bands"),
+}
+ENVI_UNITS = {"nanometers": 1.0, "nm": 1.0, "micrometers": 1e3, "um": 1e3, "µm": 1e3, "microns": 1e3}
+ENVI_DATA = ("", ".img", ".dat", ".raw", ".bsq", ".bil", ".bip", ".bin", ".cube")
+
+
+def read_envi(path: Path) -> SpectralCube:
+    """The cube of an ENVI header (.hdr); the data lie beside it. InputFileError if the two do not fit each other."""
+    header = _envi_header(path)
+    try:
+        sizes = {key: int(header[key]) for key in ("lines", "samples", "bands")}
+        axes = ENVI_AXES[header["interleave"].lower()]
+        order = ">" if int(header.get("byte order", "0")) else "<"
+        dtype = np.dtype(order + ENVI_TYPES[int(header["data type"])])
+        offset = int(header.get("header offset", "0"))
+        listed = [float(value) for value in header["wavelength"].split(",")] if "wavelength" in header else None
+        white = float(header["reflectance scale factor"]) if "reflectance scale factor" in header else None
+    except KeyError as error:
+        raise InputFileError(f"{path}: {error.args[0]} is missing or of no known kind; give a whole ENVI header") from error
+    except ValueError as error:
+        raise InputFileError(f"{path}: {error}; give a whole ENVI header") from error
+    data = _envi_data(path)
+    shape = tuple(sizes[axis] for axis in axes)
+    wanted = offset + math.prod(shape) * dtype.itemsize
+    if min(shape) < 1 or data.stat().st_size < wanted:
+        raise InputFileError(f"{data} has {data.stat().st_size} bytes, its header wants {wanted}; give the whole file")
+    stored = np.memmap(data, dtype, "r", offset, shape)
+    values = stored.transpose([axes.index(axis) for axis in ("lines", "samples", "bands")])
+    wavelength = None if listed is None else np.array(listed) * _envi_unit(header, listed)
+    return SpectralCube(values, wavelength, white)
+
+
+def _envi_header(path: Path) -> dict[str, str]:
+    """Keys in lower case and values, braces taken off."""
+    try:
+        text = path.read_text(encoding="latin-1")
+    except OSError as error:
+        raise InputFileError(f"{path}: {error.strerror}") from error
+    if not text.lstrip().startswith("ENVI"):
+        raise InputFileError(f"{path} is no ENVI header; give the .hdr file")
+    pairs = re.findall(r"^\s*([^=\n{}]+?)\s*=\s*(\{[^}]*\}|[^\n]*)", text, re.MULTILINE)
+    return {key.lower(): value.strip().strip("{}").strip() for key, value in pairs}
+
+
+def _envi_data(path: Path) -> Path:
+    stem = path.with_suffix("")
+    for suffix in ENVI_DATA:
+        for data in (stem.with_name(stem.name + suffix), stem.with_name(stem.name + suffix.upper())):
+            if data.is_file() and data != path:
+                return data
+    raise InputFileError(f"{path}: its data file is missing; put {stem.name} or {stem.name}.img beside the header")
+
+
+def _envi_unit(header: dict[str, str], listed: list[float]) -> float:
+    """nm a unit of the listed wavelengths; where the header does not tell, their size does."""
+    named = header.get("wavelength units", "").lower()
+    return ENVI_UNITS.get(named, 1e3 if max(listed) < 100 else 1.0)
+
+
+# ----------------------------------------------------------------------------------------- MATLAB, HDF5, numpy
+
+
+def read_cube(path: Path, variable: str | None, axes: str) -> SpectralCube:
+    """The cube `variable` (None: the only one) of a .mat, HDF5 or .npy file whose axes are those named by `axes`."""
+    if path.suffix == ".npy":
+        content = {"values": _read_npy(path)}
+    else:
+        content = read_matlab(path) if path.suffix == ".mat" else read_hdf5(path)
+    if variable is None:
+        cubes = _cubes(content)
+        if len(cubes) != 1:
+            names = ", ".join(cubes) or "none"
+            raise InputFileError(f"{path} must hold one cube of three axes or variable name it (there: {names})")
+        values = next(iter(cubes.values()))
+    else:
+        values = look_up(content, variable)
+    if not isinstance(values, np.ndarray) or values.ndim != 3 or values.dtype.kind not in "fiu":
+        raise InputFileError(f'{path} holds no cube "{variable}" of three axes; name another variable')
+    order = axes.split()
+    values = values.transpose([order.index(axis) for axis in ("row", "col", "band")])
+    return SpectralCube(values, _wavelengths(content))
+
+
+def _cubes(content: Content, prefix: str = "") -> dict[str, NDArray]:
+    found: dict[str, NDArray] = {}
+    for name, value in content.items():
+        if isinstance(value, dict):
+            found |= _cubes(value, f"{prefix}{name}/")
+        elif isinstance(value, np.ndarray) and value.ndim == 3 and value.dtype.kind in "fiu":
+            found[prefix + name] = value
+    return found
+
+
+def _wavelengths(content: Content) -> NDArray[np.float64] | None:
+    """The first list of numbers under one of the usual names."""
+    for name, value in content.items():
+        if name.lower() in WAVELENGTH_NAMES and np.size(value) > 1 and np.asarray(value).dtype.kind in "fiu":
+            return np.asarray(value, float).ravel()
+    return None
+
+
+def _read_npy(path: Path) -> NDArray:
+    try:
+        values = np.load(path, mmap_mode="r", allow_pickle=False)
+    except OSError as error:
+        raise InputFileError(f"{path}: {error.strerror or error}") from error
+    except (ValueError, EOFError) as error:
+        raise InputFileError(f"{path} is not a whole .npy file; write it with numpy.save") from error
+    if not isinstance(values, np.ndarray):
+        raise InputFileError(f"{path} is an archive; give one .npy array")
+    return values
+
+
+# ------------------------------------------------------------------------------------------------ EXR and TIFF
+
+
+def read_channels(path: Path) -> SpectralCube:
+    """All channels of an EXR or TIFF as bands in increasing wavelength, which their names may tell ("450nm", "S0.450,5nm");
+    of a TIFF with several pages each page is a band."""
+    pixels, names = read_image(path)
+    if len(names) == 1 and path.suffix.lower() in (".tif", ".tiff"):
+        pixels = _read_pages(path)
+        return SpectralCube(pixels, None)
+    told = [re.search(r"(\d+(?:[.,]\d+)?)\s*nm", name) for name in names]
+    keep = [index for index, match in enumerate(told) if match]
+    if not keep:
+        return SpectralCube(pixels, None)
+    nanometres = np.array([float(match[1].replace(",", ".")) for match in told if match])
+    order = np.argsort(nanometres, kind="stable")
+    return SpectralCube(pixels[..., np.array(keep)[order]], nanometres[order])
+
+
+def _read_pages(path: Path) -> NDArray:
+    import tifffile
+
+    try:
+        pages = tifffile.imread(path)
+    except (tifffile.TiffFileError, OSError, ValueError) as error:
+        raise InputFileError(f"{path} is truncated or damaged; give a whole TIFF") from error
+    return np.moveaxis(pages, 0, 2) if pages.ndim == 3 else pages[..., None]

@@ -1,0 +1,86 @@
+"""How long one core takes for a frame, on a made-up cube and camera of the usual size."""
+
+import resource
+import sys
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from l3cli.artifacts.camera import CameraModel, Noise, Optics
+from l3cli.scene import Scene
+from l3cli.simulate import light
+from l3cli.simulate.frame import simulate
+from l3cli.simulate.optics import LOW_RANK_ERROR
+from l3cli.simulate.recipe import Lens
+
+FRAMES = 5  # of which the fastest counts: other work on the machine only slows
+BANDS = np.arange(400.0, 701.0, 10.0)
+
+
+@dataclass(frozen=True)
+class Case:
+    """One line of the benchmark: 31 bands, five channels, noise on, XYZ targets."""
+
+    width: int
+    height: int
+    diffraction: bool
+
+
+CASES = (Case(1280, 720, True), Case(1280, 720, False))
+
+
+def measure(case: Case) -> dict[str, Any]:
+    """The fastest of FRAMES frames from a cube in memory to raw mosaic, electrons and target, and the peak memory of this
+    process, which parallel.alone keeps to one thread."""
+    camera = made_up_camera(case.height, case.width)
+    rng = np.random.default_rng(0)
+    cube = rng.random((case.height, case.width, BANDS.size), dtype=np.float32)
+    scene = Scene("made up", BANDS, cube, None)
+    falling = light.make_light("D65", {}, camera.wavelength).at(100.0)
+    exposure = light.automatic_exposure(camera, falling, 0.9)
+    lens = Lens(diffraction=case.diffraction)
+    times = []
+    for index in range(FRAMES):
+        start = time.perf_counter()
+        simulate(camera, scene, falling, exposure, lens, (0, index))
+        times.append(time.perf_counter() - start)
+    kib = 1 if sys.platform != "darwin" else 1024  # what getrusage counts in
+    return {
+        "width": case.width,
+        "height": case.height,
+        "bands": BANDS.size,
+        "channels": len(camera.channels),
+        "optics": case.diffraction,
+        "blur_error": LOW_RANK_ERROR if case.diffraction else 0.0,
+        "frame_ms": min(times) * 1e3,
+        "mp_per_s": case.width * case.height / min(times) / 1e6,
+        "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / kib / 1e3,
+    }
+
+
+def made_up_camera(rows: int, cols: int) -> CameraModel:
+    """Five Gaussian channels over 390–710 nm in a 4×4 array."""
+    wavelength = np.arange(390.0, 711.0, 5.0)
+    centre = np.array([620.0, 535.0, 455.0, 575.0, 505.0])
+    responsivity = 0.25 * np.exp(-0.5 * ((wavelength - centre[:, None]) / 35.0) ** 2)
+    return CameraModel(
+        name="made up",
+        rows=rows,
+        cols=cols,
+        pixel_pitch=5e-6,
+        bits=12,
+        channels=tuple("rgboc"),
+        cfa=np.array([[2, 1, 4, 1], [1, 3, 1, 0], [4, 1, 2, 1], [1, 0, 1, 3]], np.uint8),
+        wavelength=wavelength,
+        responsivity=responsivity,
+        responsivity_band=np.zeros_like(responsivity),
+        absolute=True,
+        gain=0.16,
+        black=109.0,
+        white=3949.0,
+        fixed_pattern_seed=1,
+        noise=Noise(read_noise=10.0, dark_current=24.0, dsnu=12.0, prnu=0.01, well_capacity=24000.0),
+        optics=Optics(0.05, 2.8, 1.2),
+    )

@@ -1,0 +1,78 @@
+"""A stored cube and what the recipe says about it → a scene."""
+
+import numpy as np
+
+from l3cli import spectra
+from l3cli.scene import Scene, SpectralCube
+from l3cli.simulate.light import Light
+from l3cli.simulate.sources import Spectral
+
+AXES = ("row", "col", "band")
+BRIGHT = 0.999  # share of the pixels that are at most a perfect white, where radiance came without its light
+STRIP = 128  # rows converted at once
+
+
+def scene_of(cube: SpectralCube, source: Spectral, name: str, light: Light | None) -> Scene:
+    """The scene of a cube under `light` (None: not known, for radiance).
+
+    Reflectance is stored value / white. Radiance is divided by that of a perfect white under `light`, whose level, like the
+    cube's own, only `white` can tell; without a light the brightest pixels are taken as a white under equal photons, and
+    the scene keeps only that. Small negatives become zero (METHOD 2). ValueError says what does not fit.
+    """
+    wavelength = _wavelength(cube, source)
+    values = cube.values
+    white = source.white or cube.white or (np.iinfo(values.dtype).max if values.dtype.kind in "iu" else 1.0)
+    per_white = np.full(wavelength.size, 1.0 / white)
+    illuminant = None
+    if source.holds != "reflectance":
+        if source.holds == "radiance":
+            per_white = spectra.photons_from_energy(wavelength, per_white)
+        illuminant = np.ones(wavelength.size)
+        if light is not None:
+            illuminant = np.maximum(spectra.resample(light.radiance, light.wavelength, wavelength), 0.0)
+            if not (illuminant > 0).all():
+                dark = wavelength[illuminant <= 0][0]
+                raise ValueError(f"its light has no power at {dark:g} nm; give a light that covers all bands")
+        illuminant = illuminant / illuminant.max()
+        per_white /= illuminant
+    reflectance = np.empty(values.shape, np.float32)
+    for top in range(0, len(values), STRIP):
+        reflectance[top : top + STRIP] = values[top : top + STRIP] * per_white.astype(np.float32)
+    if not np.isfinite(reflectance).all():
+        raise ValueError("holds values that are not finite (NaN or Inf); repair the cube")
+    np.maximum(reflectance, 0.0, out=reflectance)
+    if source.holds != "reflectance" and source.white is None:
+        _normalise(reflectance)
+    return Scene(name, wavelength, reflectance, illuminant)
+
+
+def _normalise(reflectance: np.ndarray) -> None:
+    """Scale so that nearly all pixels are at most a perfect white."""
+    peak = float(np.quantile(reflectance.max(axis=2), BRIGHT))
+    if peak <= 0:
+        raise ValueError("is black everywhere")
+    reflectance /= np.float32(peak)
+
+
+def _wavelength(cube: SpectralCube, source: Spectral) -> np.ndarray:
+    """The bands' wavelengths in nm: the recipe's, else the file's."""
+    if source.wavelengths_nm is not None:
+        wavelength = np.array(source.wavelengths_nm)
+    elif source.wavelength_range_nm is not None:
+        first, last, step = source.wavelength_range_nm
+        wavelength = np.arange(first, last + step / 2, step)
+    elif cube.wavelength is not None:
+        wavelength = cube.wavelength
+    else:
+        raise ValueError("holds no wavelengths; give wavelengths_nm or wavelength_range_nm in the recipe")
+    shape = cube.values.shape
+    if not np.isfinite(wavelength).all() or (np.diff(wavelength) <= 0).any():
+        raise ValueError("its wavelengths do not increase; sort the bands or give wavelengths_nm in the recipe")
+    if shape[2] != wavelength.size:
+        found = f"its {' × '.join(map(str, shape))} values (row × col × band) do not fit {wavelength.size} wavelengths"
+        if wavelength.size in shape[:2]:
+            raise ValueError(
+                f"{found}: the bands lie along its {AXES[shape.index(wavelength.size)]} axis; turn the cube (axes)"
+            )
+        raise ValueError(f"{found}; correct wavelengths_nm")
+    return wavelength

@@ -1,0 +1,204 @@
+"""The [[scene]] tables of SCENES.toml: where a scene comes from and how it is laid on the sensor."""
+
+import itertools
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.config import Recipe
+from l3cli.errors import RecipeError
+
+SMALLEST = 16  # pixels of a scene's shorter side
+
+
+class Framing(Recipe, kw_only=True):
+    """What part of a scene is used, which way up and how large, in this order."""
+
+    crop: tuple[int, int, int, int] | None = None  # first row, first column, rows, columns, in the scene's own samples
+    flip: Literal["rows", "cols"] | None = None
+    rotate: Literal[0, 90, 180, 270] = 0  # degrees counter-clockwise
+    scale: float | None = None  # pixels a sample; what then exceeds the sensor is cut off all round
+    field_of_view_deg: float | None = None  # the scene's width as the lens sees it, instead of scale
+
+
+class Drawn(Framing, kw_only=True):
+    """A scene of this package's own, no file."""
+
+    size: tuple[int, int]  # rows, cols
+
+
+class Random(Drawn, kw_only=True):
+    count: int = 1  # pictures
+    seed: int = 0  # beside --seed: recipes with different seeds share no picture
+
+
+class DeadLeaves(Random, tag_field="source", tag="dead leaves", kw_only=True):
+    pass
+
+
+class Composition(Random, tag_field="source", tag="composition", kw_only=True):
+    pass
+
+
+class Skin(Random, tag_field="source", tag="skin", kw_only=True):
+    patches: tuple[int, int] = (6, 9)  # rows, columns of patches
+
+
+class Foliage(Random, tag_field="source", tag="foliage", kw_only=True):
+    patches: tuple[int, int] = (6, 9)
+
+
+class ColorChecker(Drawn, tag_field="source", tag="colorchecker", kw_only=True):
+    pass
+
+
+class Munsell(Drawn, tag_field="source", tag="munsell", kw_only=True):
+    """Hues across, lightness and chroma down: colours on a regular grid as the smoothest reflectances."""
+
+
+class SlantedEdge(Drawn, tag_field="source", tag="slanted edge", kw_only=True):
+    angle_deg: float = 5.0  # from the vertical
+    dark: float = 0.05  # reflectance left of the edge
+    bright: float = 0.8
+
+
+class ZonePlate(Drawn, tag_field="source", tag="zone plate", kw_only=True):
+    highest: float = 0.5  # cycles a pixel at the middle of the shorter sides
+
+
+class Frequencies(Drawn, tag_field="source", tag="frequencies", kw_only=True):
+    """Gratings in columns, each of twice the frequency of the last, contrast falling downwards."""
+
+    orders: int = 6  # the last has 0.5 cycles a pixel
+
+
+class GreyRamp(Drawn, tag_field="source", tag="grey ramp", kw_only=True):
+    octaves: float = 14.0  # the darkest grey is 2^-octaves
+
+
+class FileSource(Framing, kw_only=True):
+    file: str  # a name or a glob such as "faces/*.mat", relative to the recipe
+
+
+class IsetScenes(FileSource, tag_field="source", tag="iset", kw_only=True):
+    light: str | None = None  # CSV or name of the illuminant of files that lack their own
+
+
+class RgbPictures(FileSource, tag_field="source", tag="rgb", kw_only=True):
+    shrink: int = 1  # each shrink × shrink pixels are averaged to one, which also removes JPEG's and demosaicking's traces
+
+
+class Spectral(FileSource, kw_only=True):
+    """A cube of bands; what its file does not tell stands here."""
+
+    wavelengths_nm: list[float] | None = None  # of the bands; default: the file's own
+    wavelength_range_nm: tuple[float, float, float] | None = None  # first, last, step, instead of a list
+    holds: Literal["reflectance", "radiance", "photons"] = "reflectance"  # radiance: power per nm; photons: counts per nm
+    white: float | None = None  # stored value of a perfect white; default: 1, or the top of an integer type
+    light: str | None = None  # CSV of the light that radiance was measured under, or an illuminant's name
+
+
+class BandFolder(Spectral, tag_field="source", tag="bands", kw_only=True):
+    """A folder with one picture a band, in the order of their names."""
+
+
+class Envi(Spectral, tag_field="source", tag="envi", kw_only=True):
+    pass
+
+
+class Cube(Spectral, tag_field="source", tag="cube", kw_only=True):
+    """MATLAB (any version), HDF5 or .npy."""
+
+    variable: str | None = None  # name in the file; default: its only cube
+    axes: str = "row col band"  # in the file as MATLAB or numpy show it
+
+
+class ImageChannels(Spectral, tag_field="source", tag="channels", kw_only=True):
+    """EXR or TIFF with one channel or page a band."""
+
+
+Source = (
+    DeadLeaves | Composition | ColorChecker | Munsell | Skin | Foliage | SlantedEdge | ZonePlate | Frequencies | GreyRamp
+    | IsetScenes | RgbPictures | BandFolder | Envi | Cube | ImageChannels
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class WantedScene:
+    """One scene of a recipe: a file, or the `number`-th drawing of its source."""
+
+    source: Source
+    path: Path | None = None
+    number: int = 0
+
+    @property
+    def name(self) -> str:
+        if self.path is not None:
+            return self.path.stem
+        return f"{self.source.__struct_config__.tag} {getattr(self.source, 'seed', 0)}.{self.number}"
+
+
+def wanted_scenes(source: Source, files: list[Path]) -> list[WantedScene]:
+    """The scenes of one source; `files` are those that its pattern names."""
+    if isinstance(source, FileSource):
+        return [WantedScene(source, path) for path in files]
+    return [WantedScene(source, number=number) for number in range(getattr(source, "count", 1))]
+
+
+def check_source(source: Source, camera: CameraModel, name: str) -> None:
+    """RecipeError if `source`, called `name`, asks for what cannot be."""
+    whole = source.scale is None and source.field_of_view_deg is None
+    if not whole and source.scale is not None and source.field_of_view_deg is not None:
+        raise RecipeError(f"{name}: give either scale or field_of_view_deg")
+    if not (source.scale or 1) > 0 or not 0 < (source.field_of_view_deg or 1) < 179:
+        raise RecipeError(f"{name}: scale and field_of_view_deg must be above zero, and the latter below 179")
+    if source.crop and (min(source.crop) < 0 or min(source.crop[2:]) < 1):
+        raise RecipeError(f"{name}: crop is first row, first column, rows, columns, none of them negative")
+    if isinstance(source, Drawn):
+        check_size(source.size, camera if whole and not source.crop else None, RecipeError, name)
+    if isinstance(source, Random) and (source.count < 1 or source.seed < 0):
+        raise RecipeError(f"{name}: count is at least 1 and seed at least 0")
+    if isinstance(source, RgbPictures) and source.shrink < 1:
+        raise RecipeError(f"{name}: shrink is at least 1")
+    if isinstance(source, Skin | Foliage) and min(source.patches) < 1:
+        raise RecipeError(f"{name}: patches are at least 1×1")
+    if isinstance(source, Cube) and sorted(source.axes.split()) != ["band", "col", "row"]:
+        raise RecipeError(f'{name}: axes names row, col and band once each, such as "row col band"')
+    if isinstance(source, Spectral):
+        _check_spectral(source, name)
+
+
+def _check_spectral(source: Spectral, name: str) -> None:
+    if source.wavelengths_nm is not None and source.wavelength_range_nm is not None:
+        raise RecipeError(f"{name}: give either wavelengths_nm or wavelength_range_nm")
+    listed = source.wavelengths_nm or []
+    if any(later <= earlier for earlier, later in itertools.pairwise(listed)):
+        raise RecipeError(f"{name}: wavelengths_nm must increase; name them in the order of the bands")
+    if source.wavelength_range_nm is not None:
+        first, last, step = source.wavelength_range_nm
+        if not (0 < first < last and step > 0):
+            raise RecipeError(f"{name}: wavelength_range_nm must be first < last with a positive step")
+    if source.white is not None and not source.white > 0:
+        raise RecipeError(f"{name}: white must be above zero")
+    if source.light is not None and source.holds == "reflectance":
+        raise RecipeError(f"{name}: reflectance needs no light; leave it out or say what else the cube holds")
+
+
+def has_own_light(source: Source) -> bool:
+    """Whether scenes of `source` come with the light they were seen under, if only as an unknown part of their radiance."""
+    return isinstance(source, IsetScenes) or (isinstance(source, Spectral) and source.holds != "reflectance")
+
+
+def can_be_relit(source: Source) -> bool:
+    """Whether reflectance is known: not that of radiance without its light."""
+    return not (isinstance(source, Spectral) and source.holds != "reflectance" and source.light is None)
+
+
+def check_size(size: tuple[int, ...], camera: CameraModel | None, error: type[Exception], name: str) -> None:
+    """Raise `error` if a scene of `size` (rows, cols) is too small to learn from or does not fit the sensor of `camera`."""
+    rows, cols = size
+    if min(size) < SMALLEST:
+        raise error(f"{name} is {rows}×{cols}; a scene has at least {SMALLEST}×{SMALLEST} pixels")
+    if camera and (rows > camera.rows or cols > camera.cols):
+        raise error(f"{name} is {rows}×{cols}, larger than the sensor of {camera.rows}×{camera.cols}; make it smaller")
