@@ -137,7 +137,7 @@ def test_pairs_and_frames_train_one_table(
         assert code == 0, err
         code, out, err = l3("evaluate", tmp_path / "t.h5", tmp_path / "leaves.h5", "--backend", "reference", "--json")
         assert code == 0, err
-        error[name] = json.loads(out)["mean"]["median_delta_e"]
+        error[name] = json.loads(out)["mean"]["ours"]["median_delta_e"]
     assert max(error.values()) < 8
 
 
