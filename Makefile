@@ -7,7 +7,7 @@ JOBS ?= 2
 L3 := $(BIN)/l3
 TIMED := bash -c 'time "$$0" "$$@"'
 
-.PHONY: help install demo test lint format bench clean
+.PHONY: help install demo demo-steps test study lint format bench clean
 .DEFAULT_GOAL := help
 
 help: ## this list
@@ -37,6 +37,9 @@ demo-steps:
 
 test: $(VENV)/installed ## the test suite
 	$(BIN)/python -m pytest
+
+study: $(VENV)/installed ## calibration over 21 seeds and a whole session's time and memory (ten minutes)
+	$(BIN)/python -m pytest -m slow -s
 
 lint: $(VENV)/installed ## ruff format and check, mypy
 	$(BIN)/ruff format --check .
