@@ -73,18 +73,20 @@ def draw_levels(recipe: LearningRecipe, count: int, rng: np.random.Generator) ->
     return low * (recipe.brightest / low) ** rng.random(count)
 
 
-def expose_patches(
-    signal: Floats, camera: CameraModel, rng: np.random.Generator
-) -> tuple[NDArray[np.uint16], Floats, Floats]:
-    """Of signals (patch, tap) in shares of full scale: the noisy DN that decide their class, the clipped noise-free signal
-    and the noise variance (0 where clipped), both in units of full scale."""
+def expose_patches(signal: Floats, camera: CameraModel, rng: np.random.Generator) -> NDArray[np.uint16]:
+    """The noisy DN (patch, tap) that decide the class of signals (patch, tap) in shares of full scale."""
+    mean = signal * np.float32(camera.white - camera.black)
+    noisy = np.sqrt(camera.noise_variance(mean))
+    noisy *= rng.standard_normal(signal.shape, dtype=np.float32)
+    noisy += mean
+    noisy += np.float32(camera.black + 0.5)  # cast rounds down
+    return np.clip(noisy, 0.0, np.floor(camera.white), out=noisy).astype(np.uint16)
+
+
+def noise_share(signal: Floats, camera: CameraModel) -> Floats:
+    """Noise variance of signals (patch, tap) in units of full scale squared; 0 where clipped."""
     span = camera.white - camera.black
-    variance = camera.noise_variance(signal * np.float32(span)).astype(np.float32)
-    noisy = rng.standard_normal(signal.shape, dtype=np.float32)
-    noisy *= np.sqrt(variance)
-    noisy += signal * np.float32(span)
-    noisy += np.float32(camera.black)
-    values = np.clip(np.rint(noisy), 0, np.floor(camera.white)).astype(np.uint16)
-    variance *= signal < 1
+    variance = camera.noise_variance(signal * np.float32(span))
     variance *= np.float32(1 / span**2)
-    return values, np.minimum(signal, np.float32(1.0)), variance
+    variance *= signal < 1
+    return variance
