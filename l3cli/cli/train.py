@@ -135,6 +135,8 @@ def train_whole(course: Course, output: Path, jobs: int, quiet: bool) -> None:
 
 def train_shard(course: Course, shard: tuple[int, int], first: Path | None, output: Path, jobs: int, quiet: bool) -> None:
     """One shard's sums of the first pass or, with `first`, of the last."""
+    import numpy as np
+
     from l3cli.artifacts.base import load
     from l3cli.artifacts.partial_sums import PartialSums, write_partial_sums
     from l3cli.artifacts.table import TransformTable
@@ -166,7 +168,7 @@ def train_shard(course: Course, shard: tuple[int, int], first: Path | None, outp
         training=course.head,
         rule=lesson.rule,
         white_point=lesson.white_point,
-        sites=canonical_sites(course.head, lesson.rule),
+        sites=np.array(canonical_sites(course.head, lesson.rule)),
     )
     write_partial_sums(output, head, (add_up(lesson, sums) for _, sums in parts))
     options.say(f"{output}: shard {index} of {count}, {'first' if lesson.number == FIRST else 'last'} pass", quiet)

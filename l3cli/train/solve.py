@@ -175,7 +175,7 @@ def _solve_positive(system: Array, right: Array) -> tuple[Array, float]:
 
     factor, failed = lapack.dpotrf(system.T, lower=False)
     if failed:  # rounding has made a nearly singular system indefinite
-        return np.linalg.solve(system, right), float(np.linalg.cond(system, 1))
+        return np.asarray(np.linalg.solve(system, right), np.float64), float(np.linalg.cond(system, 1))
     found, _ = lapack.dpotrs(factor, right, lower=False)
     reciprocal, _ = lapack.dpocon(factor, np.abs(system).sum(axis=0).max(), uplo="U")
     return found, 1.0 / max(reciprocal, 1e-30)
