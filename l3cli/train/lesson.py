@@ -1,6 +1,7 @@
 """One pass over the training frames: all that its work, however it is divided, has in common."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +36,7 @@ class Lesson:
         """Patches of every canonical site."""
         return -(-self.recipe.patches // self.frames)
 
-    @property
+    @cached_property
     def unit(self) -> float:
         return output_unit(self.head.camera)
 

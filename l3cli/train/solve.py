@@ -9,7 +9,7 @@ from l3cli.artifacts.partial_sums import ClassSums
 from l3cli.artifacts.table import ClassRule
 from l3cli.errors import L3Error
 from l3cli.train.recipe import LearningRecipe
-from l3cli.train.sums import moment_matrix
+from l3cli.train.sums import moment_matrix, symmetric_places
 
 Array = NDArray[np.float64]
 CASE_SHARE = 0.1  # of the pseudo-patches come from all levels of a case
@@ -50,15 +50,25 @@ class Transforms:
     condition: Array  # (class)
 
 
-def solve(sums: ClassSums, rule: ClassRule, window: NDArray[np.int64], recipe: LearningRecipe, goal: Goal) -> Solution:
+def solve(
+    sums: ClassSums,
+    rule: ClassRule,
+    window: NDArray[np.int64],
+    stabilisers: list[NDArray[np.int64]],
+    recipe: LearningRecipe,
+    goal: Goal,
+) -> Solution:
     """Solutions for every class of a site that has patches or a parent with patches: T = Y Xᵀ (X Xᵀ + Λ)⁻¹, thin classes
-    helped by their neighbours; `window` (tap) names the channel of each tap. Raises L3Error if no class has any."""
-    shape = (rule.levels, rule.contrasts, rule.kinds)
-    pooled = _pooled(sums, shape, rule.chromas, recipe.level_pool)
-    shrunk = _with_parents(pooled, shape, rule.chromas, recipe.parent_patches)
-    solved = shrunk.count > 0
+    helped by their neighbours; `window` (tap) names the channel of each tap, and `stabilisers` (tap) are the orientations
+    that leave it as it is, over which sums are averaged. Raises L3Error if no class has any patches."""
+    parents = _parents(sums, rule)
+    stride = rule.contrasts * rule.kinds
+    kinds = np.maximum(np.arange(sums.count.size) % rule.kinds - rule.chromas + 1, 0)
+    has_parent = parents.count[np.arange(sums.count.size) // stride * rule.cases + kinds] > 0
+    solved = has_parent if recipe.parent_patches else sums.count > 0
     if not solved.any():
         raise L3Error("no class has training patches; simulate more frames")
+    places = symmetric_places(stabilisers, window.size + 1 + len(goal.outputs))
     groups = np.append(window, window.max() + 1)  # every channel, and the intercept as one more
     member = (groups[None] == np.arange(groups.max() + 1)[:, None]).astype(np.float64)
     factors = _noise_factors(recipe, goal)
@@ -67,11 +77,13 @@ def solve(sums: ClassSums, rule: ClassRule, window: NDArray[np.int64], recipe: L
     compliance = np.zeros((solved.size, len(set(factors)), groups.size, len(member)))
     condition = np.zeros(solved.size)
     columns = {factor: [column for column, own in enumerate(factors) if own == factor] for factor in sorted(set(factors))}
-    for index in np.flatnonzero(solved):
-        moments = moment_matrix(shrunk.moments[index], groups.size + len(goal.outputs))
+    for index in np.flatnonzero(solved).tolist():
+        packed, noise = _shrunk(sums, parents, index, rule, recipe)
+        moments = moment_matrix(packed[places].mean(axis=0), groups.size + len(goal.outputs))
+        noise = noise[np.array(stabilisers)].mean(axis=0)
         used = groups.size if index % rule.kinds >= rule.chromas else groups.size - 1  # an intercept if saturated
         for number, (factor, wanted) in enumerate(columns.items()):
-            system = _system(moments[:used, :used], shrunk.noise[index], factor, recipe.ridge)
+            system = _system(moments[:used, :used], noise, factor, recipe.ridge)
             cross = moments[:used, groups.size :] @ basis[:, wanted]
             found, worst = _solve_positive(system, np.concatenate([cross, member.T[:used]], axis=1))
             rows[index, :used, wanted] = found[:, : len(wanted)].T
@@ -115,44 +127,42 @@ def equal_responses(
     return transforms
 
 
-def _pooled(sums: ClassSums, shape: tuple[int, int, int], chromas: int, pool: tuple[float, ...]) -> ClassSums:
-    """Unsaturated classes with weighted sums of the levels beside them added; sums are relative to the level, so they
-    add. The noise stays the class's own, scaled to the new number of patches."""
-    levels = shape[0]
-    moments = sums.moments.reshape(*shape, *sums.moments.shape[1:])
-    count = sums.count.reshape(shape)
-    pooled_moments, pooled_count = moments.copy(), count.copy()
+def _shrunk(sums: ClassSums, parents: ClassSums, index: int, rule: ClassRule, recipe: LearningRecipe) -> tuple[Array, Array]:
+    """Moments (pair) and noise (tap) of a class with what helps it (METHOD 4.5): unsaturated, weighted sums of the levels
+    beside it, which add since sums are relative to the level; and pseudo-patches of its parent."""
+    stride = rule.contrasts * rule.kinds
+    level, kind = index // stride, index % rule.kinds
+    moments, noise, count = sums.moments[index].copy(), sums.noise[index], sums.count[index]
+    pool = recipe.level_pool if count > 0 and kind < rule.chromas else ()
     for distance, weight in enumerate(pool, start=1):
-        for step in (-distance, distance):
-            to = slice(max(0, -step), min(levels, levels - step))
-            origin = slice(max(0, step), min(levels, levels + step))
-            pooled_moments[to, :, :chromas] += weight * moments[origin, :, :chromas]
-            pooled_count[to, :, :chromas] += weight * count[origin, :, :chromas]
-    own = sums.count > 0
-    flat_count = np.where(own, pooled_count.reshape(-1), 0.0)
-    growth = np.divide(flat_count, sums.count, out=np.zeros_like(flat_count), where=own)
-    flat_moments = pooled_moments.reshape(sums.moments.shape) * own[:, None]
-    return ClassSums(flat_moments, sums.noise * growth[:, None], flat_count)
+        for other in (level - distance, level + distance):
+            if 0 <= other < rule.levels:
+                neighbour = index + (other - level) * stride
+                moments += weight * sums.moments[neighbour]
+                count += weight * sums.count[neighbour]
+    if count > 0:
+        noise = noise * (count / sums.count[index])  # the class's own, scaled to the new number of patches
+    parent = level * rule.cases + max(kind - rule.chromas + 1, 0)
+    return (
+        moments + recipe.parent_patches * parents.moments[parent],
+        noise + recipe.parent_patches * parents.noise[parent],
+    )
 
 
-def _with_parents(sums: ClassSums, shape: tuple[int, int, int], chromas: int, pseudo_patches: int) -> ClassSums:
-    """Every class with pseudo-patches of its parent: the classes of its level and saturation case, whatever their contrast
-    and chroma, and a few of its case at any level (METHOD 4.5)."""
-    if not pseudo_patches:
-        return sums
-    case = np.maximum(np.arange(shape[2]) - chromas + 1, 0)  # of each kind
+def _parents(sums: ClassSums, rule: ClassRule) -> ClassSums:
+    """Mean sums of a patch of each parent (level · cases + case): the classes of its level and saturation case, whatever
+    their contrast and chroma, and a share of those of its case at any level (METHOD 4.5)."""
+    shape = (rule.levels, rule.contrasts, rule.kinds)
+    case = np.maximum(np.arange(rule.kinds) - rule.chromas + 1, 0)  # of each kind
     count = _per_case(sums.count.reshape(shape), case)
 
-    def parents(values: Array) -> Array:
-        own = _per_case(values.reshape(*shape, *values.shape[1:]), case)
-        tail = (1,) * (values.ndim - 1)
-        level_mean = own / np.maximum(count, 1e-9).reshape(*count.shape, *tail)
-        case_mean = own.sum(axis=0) / np.maximum(count.sum(axis=0), 1e-9).reshape(-1, *tail)
-        parent = (1 - CASE_SHARE) * level_mean + CASE_SHARE * case_mean[None]
-        return values + pseudo_patches * np.repeat(parent[:, None, case], shape[1], axis=1).reshape(values.shape)
+    def means(values: Array) -> Array:
+        own = _per_case(values.reshape(*shape, -1), case)
+        level_mean = own / np.maximum(count, 1e-9)[..., None]
+        case_mean = own.sum(axis=0) / np.maximum(count.sum(axis=0), 1e-9)[:, None]
+        return ((1 - CASE_SHARE) * level_mean + CASE_SHARE * case_mean[None]).reshape(-1, own.shape[-1])
 
-    known = np.repeat(count[:, None, case] > 0, shape[1], axis=1).reshape(-1)
-    return ClassSums(parents(sums.moments), parents(sums.noise), np.where(known, sums.count + pseudo_patches, 0.0))
+    return ClassSums(means(sums.moments), means(sums.noise), count.reshape(-1))
 
 
 def _per_case(values: Array, case: NDArray[np.int64]) -> Array:
@@ -164,9 +174,11 @@ def _per_case(values: Array, case: NDArray[np.int64]) -> Array:
 def _system(power: Array, noise: Array, factor: float, ridge: float) -> Array:
     """X Xᵀ + factor · Λ + ridge over taps and, if `power` has it, the intercept."""
     taps = noise.size
-    diagonal = np.full(len(power), 1e-9)
-    diagonal[:taps] = factor * noise + ridge * np.trace(power[:taps, :taps]) / taps + 1e-12
-    return power + np.diag(diagonal)
+    system = power.copy()
+    diagonal = system.reshape(-1)[:: len(system) + 1]
+    diagonal[taps:] += 1e-9
+    diagonal[:taps] += factor * noise + ridge * diagonal[:taps].mean() + 1e-12
+    return system
 
 
 def _solve_positive(system: Array, right: Array) -> tuple[Array, float]:

@@ -5,6 +5,8 @@ As long as no sum reaches 2⁵³ grid steps, float64 adds such numbers without a
 last bit in whatever order, by whatever processes and in however many shards it was added up.
 """
 
+import functools
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,6 +21,7 @@ EXACT = 2.0**53  # steps that float64 counts without rounding
 Array = NDArray[np.float64]
 
 
+@functools.cache
 def pairs(width: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Column indices (pair), (pair) of the upper triangle of a moment matrix, row by row."""
     return np.triu_indices(width)
@@ -60,19 +63,14 @@ def require_exact(sums: ClassSums, steps: Array) -> None:
         raise L3Error("a class has more patches than can be added exactly; lower learning.patches or learning.draws")
 
 
-def symmetrise(sums: ClassSums, stabilisers: list[NDArray[np.int64]]) -> ClassSums:
-    """The mean of the sums over the orientations that leave the site's window as it is: more data for every class."""
-    taps = sums.noise.shape[1]
-    width = (int(np.sqrt(8 * sums.moments.shape[1] + 1)) - 1) // 2
+def symmetric_places(stabilisers: list[NDArray[np.int64]], width: int) -> NDArray[np.intp]:
+    """Where each pair of columns lies after each of the orientations that leave the site's window as it is (orientation,
+    pair). The mean over them gives every class more data."""
     row, col = pairs(width)
     place = np.empty((width, width), dtype=np.intp)
     place[row, col] = place[col, row] = np.arange(row.size)
-    moments, noise = np.zeros_like(sums.moments), np.zeros_like(sums.noise)
-    for permutation in stabilisers:
-        everything = np.concatenate([permutation, np.arange(taps, width)])
-        moments += sums.moments[:, place[everything[row], everything[col]]]
-        noise += sums.noise[:, permutation]
-    return ClassSums(moments / len(stabilisers), noise / len(stabilisers), sums.count)
+    every = [np.append(turn, np.arange(turn.size, width)) for turn in stabilisers]
+    return np.array([place[turn[row], turn[col]] for turn in every])
 
 
 def moment_matrix(packed: Array, width: int) -> Array:

@@ -16,7 +16,7 @@ from l3cli.train.lesson import Lesson, brightness_of
 from l3cli.train.patches import draw_levels, expose_patches, output_unit, sample_patches
 from l3cli.train.recipe import TrainingRecipe, check_learning
 from l3cli.train.solve import Goal, Solution, equal_responses, solve
-from l3cli.train.sums import add, empty_sums, grid_steps, require_exact, symmetrise
+from l3cli.train.sums import add, empty_sums, grid_steps, require_exact
 from l3cli.train.symmetry import orientations, site_maps, stabilisers
 
 PILOT_PATCHES = 4000  # patches a site over all frames that decide which saturation cases are kept
@@ -75,7 +75,7 @@ def learn_site(lesson: Lesson, parts: Iterable[ClassSums], site: int) -> Solutio
     camera, rule = lesson.head.camera, lesson.rule
     window = neighbourhoods(camera.cfa, rule.patch, len(camera.channels)).channel[site]
     goal = Goal(lesson.head.outputs, lesson.white_point)
-    return solve(symmetrise(sums, stabilisers(window, rule.patch)), rule, window, lesson.recipe, goal)
+    return solve(sums, rule, window, stabilisers(window, rule.patch), lesson.recipe, goal)
 
 
 def assemble(lesson: Lesson, solutions: dict[int, Solution], history: tuple[Stage, ...]) -> TransformTable:
