@@ -21,7 +21,7 @@ from l3cli.classify import ClassRecipe, make_rule
 from l3cli.config import load_recipe
 from l3cli.errors import L3Error
 from l3cli.io.images import read_image
-from l3cli.train.accumulate import sum_site
+from l3cli.train.accumulate import sum_sites
 from l3cli.train.insight import kind_name
 from l3cli.train.kinds import choose_cases
 from l3cli.train.lesson import LAST, Lesson
@@ -162,8 +162,9 @@ def test_same_bytes_for_jobs_and_shards(bayer: CameraModel, tmp_path: Path, l3: 
     """One process, two processes, three shards of each pass merged in any order: the same table to the last bit."""
     training = a_set(tmp_path / "training.h5", bayer, 4, smooth=False)
     more = a_set(tmp_path / "more.h5", bayer, 3, smooth=True)
-    # many patches a frame, so that every frame is a block of its own
-    (tmp_path / "classes.toml").write_text("[classes]\npatch = 3\nlevels = 4\n[learning]\npatches = 180000\ndraws = 1\n")
+    # more patches than are sorted together, so that there are blocks to deal out: two, and the third shard is empty
+    small = "[classes]\npatch = 3\nlevels = 4\n[learning]\npatches = 52000\nfirst_draws = 1\ndraws = 1\n"
+    (tmp_path / "classes.toml").write_text(small)
     run = (training, more, "--classes", tmp_path / "classes.toml", "--seed", 5)
     for jobs in (1, 2):
         assert l3("train", *run, "-o", tmp_path / f"{jobs}.h5", "--jobs", jobs)[0] == 0
@@ -209,7 +210,7 @@ def test_sums_are_exact_in_any_order(bayer: CameraModel) -> None:
     head = TrainingSet(camera=bayer, outputs=("X", "Y", "Z"), target_description="")
     lesson = Lesson(head, 6, rule, LearningRecipe(patches=6000, draws=2), np.ones(3), 1, LAST)
     frames = [a_frame(bayer, seed, smooth=False) for seed in range(6)]
-    parts = [sum_site(lesson, iter([(index, iter([frame]))]), 1, None) for index, frame in enumerate(frames)]
+    parts = [sum_sites(lesson, iter([(index, iter([frame]))]), (1,), (None,))[0] for index, frame in enumerate(frames)]
     forward, backward = add_up(lesson, parts), add_up(lesson, parts[::-1])
     nested = add_up(lesson, [add_up(lesson, parts[1::2]), add_up(lesson, parts[::2])])
     for name in ("moments", "noise", "count"):

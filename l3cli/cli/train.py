@@ -219,37 +219,44 @@ def first_lesson(course: Course, quiet: bool) -> "Lesson":
 
 @dataclass(frozen=True)
 class Part:
-    """A process's share of a pass: some blocks of frames at one canonical site."""
+    """A process's share of a pass: some blocks of frames at some canonical sites."""
 
     training: tuple[Path, ...]
     lesson: "Lesson"
-    site: int
-    judge: "Judge | None"
+    sites: tuple[int, ...]
+    judges: tuple["Judge | None", ...]
     blocks: tuple[range, ...]
 
 
 def summed(
     course: Course, lesson: "Lesson", first: "TransformTable | None", blocks: list[range], jobs: int, quiet: bool
 ) -> Iterator[tuple[int, Iterable["ClassSums"]]]:
-    """Each canonical site with the sums over parts of `blocks`; each site's blocks are split evenly among the processes."""
+    """Each canonical site with the sums over parts of `blocks`, which are split evenly among the processes."""
     from l3cli.parallel import ordered_map
+    from l3cli.train.accumulate import site_groups
     from l3cli.train.table import canonical_sites
     from l3cli.train.weighing import judge_of
 
-    sites = canonical_sites(lesson.head, lesson.rule)
     shares = [tuple(blocks[job::jobs]) for job in range(min(jobs, len(blocks)))]
-    judges = {site: judge_of(first, site) if first is not None else None for site in sites}
-    work = (Part(course.training, lesson, site, judges[site], share) for site in sites for share in shares)
-    results = options.progress(ordered_map(_sum_part, work, jobs), len(sites) * len(shares), "sums", quiet)
-    for site in sites:
-        yield site, itertools.islice(results, len(shares))
+    groups = site_groups(lesson, canonical_sites(lesson.head, lesson.rule), -(-jobs // max(len(shares), 1)))
+
+    def parts() -> Iterator[Part]:
+        for group in groups:
+            judges = tuple(judge_of(first, site) if first is not None else None for site in group)
+            yield from (Part(course.training, lesson, group, judges, share) for share in shares)
+
+    results = options.progress(ordered_map(_sum_part, parts(), jobs), len(groups) * len(shares), "sums", quiet)
+    for group in groups:
+        found = list(itertools.islice(results, len(shares)))
+        for index, site in enumerate(group):
+            yield site, [sums[index] for sums in found]
 
 
-def _sum_part(part: Part) -> "ClassSums":
-    from l3cli.train.accumulate import sum_site
+def _sum_part(part: Part) -> list["ClassSums"]:
+    from l3cli.train.accumulate import sum_sites
 
     blocks = ((block[0], _frames(part.training, block)) for block in part.blocks)
-    return sum_site(part.lesson, blocks, part.site, part.judge)
+    return sum_sites(part.lesson, blocks, part.sites, part.judges)
 
 
 def _frames(training: tuple[Path, ...], wanted: range | None = None) -> Iterator["TrainingFrame"]:

@@ -18,6 +18,7 @@ from l3cli.train.sums import empty_sums, grid_steps, pairs
 from l3cli.train.symmetry import orientations
 from l3cli.train.weighing import Judge
 
+GROUP_BYTES = 200 << 20  # of sums that a process fills at a time: sites of one group read the frames together
 BATCH = 50_000  # patches that are sorted together: bounds memory, and makes a class's product large enough to be fast
 PIECE = 2048  # patches handled at once: their arrays stay in the caches
 DARKEST_LEVEL = 1e-4  # share of full scale: rows of darker patches get no more weight
@@ -30,41 +31,50 @@ def frame_blocks(lesson: Lesson) -> list[range]:
     return [range(first, min(first + size, lesson.frames)) for first in range(0, lesson.frames, size)]
 
 
-def sum_block(
-    lesson: Lesson, frames: Iterator[TrainingFrame], first: int, site: int, judge: Judge | None, sums: ClassSums
-) -> None:
-    """Add the patches of one block, whose first frame has the index `first`, at canonical `site` to `sums`."""
+def site_groups(lesson: Lesson, sites: list[int], at_least: int) -> list[tuple[int, ...]]:
+    """Sites in groups whose sums fit into GROUP_BYTES, `at_least` so many if there are as many sites."""
+    one = empty_sums(lesson.rule, len(lesson.head.outputs))
+    size = max(1, min(GROUP_BYTES // one.moments.nbytes, -(-len(sites) // at_least)))
+    return [tuple(sites[first : first + size]) for first in range(0, len(sites), size)]
+
+
+def sum_sites(
+    lesson: Lesson,
+    blocks: Iterator[tuple[int, Iterator[TrainingFrame]]],
+    sites: tuple[int, ...],
+    judges: tuple[Judge | None, ...],
+) -> list[ClassSums]:
+    """Sums of canonical `sites`, whose rows `judges` weigh, over blocks (index of the first frame, frames); a frame is read
+    once and let go."""
     near = neighbourhoods(lesson.head.camera.cfa, lesson.rule.patch, len(lesson.head.camera.channels))
-    rng = np.random.default_rng([lesson.seed, lesson.number, first, site])
-    for patches in _batches(lesson, frames, near.channel[site], rng):
-        _Batch(lesson, patches, near, site, judge).add_to(sums, rng)
-
-
-def sum_site(
-    lesson: Lesson, blocks: Iterator[tuple[int, Iterator[TrainingFrame]]], site: int, judge: Judge | None
-) -> ClassSums:
-    """Sums of one canonical site over blocks (index of the first frame, frames)."""
-    sums = empty_sums(lesson.rule, len(lesson.head.outputs))
+    sums = {site: empty_sums(lesson.rule, len(lesson.head.outputs)) for site in sites}
     for first, frames in blocks:
-        sum_block(lesson, frames, first, site, judge, sums)
-    return sums
+        rngs = {site: np.random.default_rng([lesson.seed, lesson.number, first, site]) for site in sites}
+        for site, patches in _batches(lesson, frames, near, rngs):
+            judge = judges[sites.index(site)]
+            _Batch(lesson, patches, near, site, judge).add_to(sums[site], rngs[site])
+    return list(sums.values())
 
 
 def _batches(
-    lesson: Lesson, frames: Iterator[TrainingFrame], window: NDArray[np.int64], rng: np.random.Generator
-) -> Iterator[Patches]:
-    """The patches of a block, all together or, where one frame has more than BATCH, a part of it at a time."""
+    lesson: Lesson, frames: Iterator[TrainingFrame], near: Neighbourhoods, rngs: dict[int, np.random.Generator]
+) -> Iterator[tuple[int, Patches]]:
+    """The patches of a block for each site, together or, where one frame has more than BATCH, a part of it at a time."""
     turned = orientations(lesson.rule.patch)
-    waiting: list[Patches] = []
+    waiting: dict[int, list[Patches]] = {site: [] for site in rngs}
     for frame in frames:
-        rest = lesson.patches_per_frame
-        while rest:
-            count = min(rest, BATCH)
-            rest -= count
-            waiting.append(sample_patches(frame, lesson.head, lesson.unit, window, count, turned, rng))
-            if rest:
-                yield waiting.pop()
-    yield Patches(np.concatenate([p.signal for p in waiting]), np.concatenate([p.target for p in waiting]))
+        for site, rng in rngs.items():
+            rest = lesson.patches_per_frame
+            while rest:
+                count = min(rest, BATCH)
+                rest -= count
+                window = near.channel[site]
+                waiting[site].append(sample_patches(frame, lesson.head, lesson.unit, window, count, turned, rng))
+                if rest:
+                    yield site, waiting[site].pop()
+    for site, patches in waiting.items():
+        yield site, Patches(np.concatenate([p.signal for p in patches]), np.concatenate([p.target for p in patches]))
+        patches.clear()
 
 
 class _Batch:

@@ -1,5 +1,6 @@
 """Patches of a training frame, and the levels they are rescaled to (METHOD 4.1, 4.8)."""
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,11 +74,20 @@ def draw_levels(recipe: LearningRecipe, count: int, rng: np.random.Generator) ->
     return low * (recipe.brightest / low) ** rng.random(count)
 
 
+@functools.cache
+def _normal_quantiles() -> Floats:
+    """The standard normal distribution in 65 536 equally likely values."""
+    from scipy.special import ndtri
+
+    return ndtri((np.arange(65536) + 0.5) / 65536).astype(np.float32)
+
+
 def expose_patches(signal: Floats, camera: CameraModel, rng: np.random.Generator) -> NDArray[np.uint16]:
     """The noisy DN (patch, tap) that decide the class of signals (patch, tap) in shares of full scale."""
     mean = signal * np.float32(camera.white - camera.black)
     noisy = np.sqrt(camera.noise_variance(mean))
-    noisy *= rng.standard_normal(signal.shape, dtype=np.float32)
+    # three times as fast as standard_normal; no class decision turns on what happens beyond 4.3 σ
+    noisy *= _normal_quantiles().take(rng.integers(0, 65536, signal.shape, dtype=np.uint16))
     noisy += mean
     noisy += np.float32(camera.black + 0.5)  # cast rounds down
     return np.clip(noisy, 0.0, np.floor(camera.white), out=noisy).astype(np.uint16)
