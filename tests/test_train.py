@@ -27,7 +27,7 @@ from l3cli.train.kinds import choose_cases
 from l3cli.train.lesson import LAST, Lesson
 from l3cli.train.patches import draw_levels, output_unit, sample_patches
 from l3cli.train.recipe import LearningRecipe, TrainingRecipe
-from l3cli.train.sums import moment_matrix
+from l3cli.train.sums import EXACT, STEP, grid_steps, moment_matrix
 from l3cli.train.symmetry import orientations, site_maps, stabilisers
 from l3cli.train.table import add_up
 from tests.conftest import CONFIGS
@@ -216,6 +216,11 @@ def test_sums_are_exact_in_any_order(bayer: CameraModel) -> None:
     for name in ("moments", "noise", "count"):
         assert (getattr(forward, name) == getattr(backward, name)).all()
         assert (getattr(forward, name) == getattr(nested, name)).all()
+    steps = grid_steps(rule, bayer, 3)  # every sum is a whole number of steps, far from where float64 would round
+    whole = forward.moments.reshape(len(steps), -1, steps.shape[1]) / steps[:, None]
+    assert (whole == np.rint(whole)).all()
+    assert (forward.noise / STEP == np.rint(forward.noise / STEP)).all()
+    assert np.abs(whole).max() < EXACT / 1000
     assert forward.count.sum() == 12000
     patches = sample_patches(
         frames[0], head, lesson.unit, near.channel[1], 1000, orientations(3), np.random.default_rng([1, 2, 0, 1])
