@@ -139,7 +139,8 @@ def decide(
     variance = np.minimum(deviation * near.variance_reciprocal[site], cap).sum(axis=-1)
     contrast = (variance[None] > rule.contrast_edges[:, level]).sum(axis=0)
     above_black = np.maximum((scaled >> (16 - CHROMA_FRACTION)) - rule.chroma_black, 0)
-    chroma = np.argmin(above_black @ rule.chroma_weights.T.astype(np.int64), axis=-1)
+    # below 2⁵³: exact in float64, whose products BLAS does
+    chroma = np.argmin(above_black.astype(np.float64) @ rule.chroma_weights.T.astype(np.float64), axis=-1)
     case = rule.case_of_code[code].astype(np.int64)
     kind = np.where(case > 0, rule.chromas - 1 + case, chroma)
     return (level * rule.contrasts + contrast) * rule.kinds + kind
@@ -170,25 +171,24 @@ def label_mosaic(
 
 def label_patches(patches: NDArray[np.uint16], rule: ClassRule, near: Neighbourhoods, site: int) -> Integers:
     """Class within `site` of each patch (patch, tap) of DN."""
-    channels = near.count.shape[1]
-    member = (near.channel[site][:, None] == np.arange(channels)).astype(np.float64)
-    shifted = (patches >> rule.shift).astype(np.float64)  # float64 sums of these integers are exact, and BLAS does them
+    member = (near.channel[site][:, None] == np.arange(near.count.shape[1])).astype(np.float32)
+    shifted = (patches >> rule.shift).astype(np.float32)  # float32 sums of integers below 2²⁴ are exact, and BLAS does them
     sums = (shifted @ member).astype(np.int64)
-    squares = (shifted**2 @ member).astype(np.int64)
+    squared = np.square(shifted, out=shifted)  # below 2²⁴ as they are; their sums in two halves
+    upper = np.floor(squared * np.float32(2**-12))
+    squared -= upper * np.float32(2**12)
+    squares = ((upper @ member).astype(np.int64) << 12) + (squared @ member).astype(np.int64)
     code = saturation_codes(patches, rule, near, site)
-    return decide(rule, near, np.full(len(patches), site), sums, squares, code)
+    return decide(rule, near, np.array([site]), sums, squares, code)
 
 
 def saturation_codes(patches: NDArray[np.uint16], rule: ClassRule, near: Neighbourhoods, site: int) -> Integers:
     """Pattern of saturated channels near the centre of each patch (patch, tap)."""
     reach = np.abs(np.arange(rule.patch) - rule.radius)
-    inner = np.flatnonzero(np.maximum(reach[:, None], reach[None]).ravel() <= rule.saturation_radius)
-    saturated = patches[:, inner] >= rule.saturation
-    channel = near.channel[site][inner]
-    code = np.zeros(len(patches), dtype=np.int64)
-    for index in np.unique(channel):
-        code |= saturated[:, channel == index].any(axis=1).astype(np.int64) << index
-    return code
+    inner = np.maximum(reach[:, None], reach[None]).ravel() <= rule.saturation_radius
+    member = (near.channel[site][:, None] == np.arange(near.count.shape[1])) & inner[:, None]
+    saturated = (patches >= rule.saturation).astype(np.float32) @ member.astype(np.float32) > 0
+    return saturated @ (1 << np.arange(member.shape[1]))
 
 
 def sites(rows: int, cols: int, cfa_shape: tuple[int, ...], phase: tuple[int, int]) -> Integers:

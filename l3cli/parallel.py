@@ -5,8 +5,17 @@ import os
 from collections.abc import Callable, Iterable, Iterator
 from typing import TypeVar
 
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
 T = TypeVar("T")
 R = TypeVar("R")
+
+
+def one_blas_thread() -> None:
+    """Keep BLAS to one thread in this process and its children: small products are faster so, and the number of cores does
+    not change how they are rounded. To be called before numpy is first imported; what the user has set himself stays."""
+    for name, value in ONE_THREAD.items():
+        os.environ.setdefault(name, value)
 
 
 def ordered_map(function: Callable[[T], R], items: Iterable[T], jobs: int) -> Iterator[R]:
@@ -24,8 +33,8 @@ def alone(function: Callable[[T], R], item: T) -> R:
 
 
 def _pooled(function: Callable[[T], R], items: Iterable[T], jobs: int) -> Iterator[R]:
-    saved = {name: os.environ.get(name) for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
-    os.environ.update(dict.fromkeys(saved, "1"))
+    saved = {name: os.environ.get(name) for name in ONE_THREAD}
+    os.environ.update(ONE_THREAD)
     try:
         with multiprocessing.get_context("spawn").Pool(jobs) as pool:
             waiting: list = []

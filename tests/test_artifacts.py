@@ -82,12 +82,14 @@ def a_table(camera: CameraModel) -> TransformTable:
         black=camera.black,
         white=camera.white,
         outputs=("X", "Y", "Z"),
+        target_description="",
         output_unit=0.5,
         white_point=np.array([0.95, 1.0, 1.09]),
         rule=rule,
         weights=rng.standard_normal((classes, 3, 9)).astype(np.float32),
         intercept=np.zeros((classes, 3), np.float32),
         samples=np.ones(classes),
+        condition=np.ones(classes, np.float32),
         history=(Stage("train", {"seed": 0}),),
     )
 

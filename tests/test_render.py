@@ -77,12 +77,14 @@ def random_table(cfa, bits=12, black=0.0, patch=5, outputs=XYZ, contrasts=(1.4,)
         black=camera.black,
         white=camera.white,
         outputs=outputs,
+        target_description="",
         output_unit=1.0,
         white_point=np.array([0.9505, 1.0, 1.089, *np.ones(16)])[: len(outputs)],
         rule=rule,
         weights=((1 + rng.normal(size=(classes, len(outputs), patch**2))) / patch**2).astype(np.float32),
         intercept=rng.normal(scale=0.05, size=(classes, len(outputs))).astype(np.float32),
         samples=np.ones(classes),
+        condition=np.ones(classes, np.float32),
     )
 
 
@@ -164,6 +166,7 @@ def test_a_value_on_an_edge_falls_on_the_same_side():
         weights=np.zeros((classes, 3, 9), np.float32),
         intercept=np.zeros((classes, 3), np.float32),
         samples=np.ones(classes),
+        condition=np.ones(classes, np.float32),
     )
     frame = RawFrame("f", np.random.default_rng(0).integers(0, 2, (50, 50)).astype(np.uint16), 0.0, 4095.0)
     labels = ReferenceRenderer(table).labels(frame)

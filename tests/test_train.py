@@ -1,8 +1,10 @@
 """Training: known truth is recovered, sums add, every class is filled, the same bytes come out whatever made them."""
 
 import dataclasses
+import json
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,13 +14,22 @@ from hypothesis import strategies as st
 from l3cli import classify
 from l3cli.artifacts.base import load
 from l3cli.artifacts.camera import CameraModel, Noise
+from l3cli.artifacts.partial_sums import ClassSums
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingFrame, TrainingSet, write_training_set
+from l3cli.classify import ClassRecipe, make_rule
 from l3cli.config import load_recipe
+from l3cli.errors import L3Error
+from l3cli.io.images import read_image
+from l3cli.train.accumulate import sum_sites
+from l3cli.train.insight import kind_name
 from l3cli.train.kinds import choose_cases
+from l3cli.train.lesson import LAST, Lesson
 from l3cli.train.patches import draw_levels, sample_patches
 from l3cli.train.recipe import LearningRecipe, TrainingRecipe
+from l3cli.train.sums import EXACT, STEP, grid_steps, moment_matrix
 from l3cli.train.symmetry import orientations, site_maps, stabilisers
+from l3cli.train.table import add_up
 from tests.conftest import CONFIGS
 
 MIX = np.array([[0.4, 0.2, 0.1], [0.2, 0.7, 0.1], [0.0, 0.1, 0.9]])  # the truth: XYZ of the channels at the same pixel
@@ -50,8 +61,15 @@ def a_frame(camera: CameraModel, seed: int, smooth: bool, size: tuple[int, int] 
     )
 
 
-def a_set(path: Path, camera: CameraModel, count: int, smooth: bool = True, size: tuple[int, int] = (48, 56)) -> Path:
-    head = TrainingSet(camera=camera, outputs=("X", "Y", "Z"), target_description="a known mix of the channels")
+def a_set(
+    path: Path,
+    camera: CameraModel,
+    count: int,
+    smooth: bool = True,
+    size: tuple[int, int] = (48, 56),
+    target: str = "a known mix of the channels",
+) -> Path:
+    head = TrainingSet(camera=camera, outputs=("X", "Y", "Z"), target_description=target)
     with write_training_set(path, head) as writer:
         for seed in range(count):
             writer.append(a_frame(camera, seed, smooth, size))
@@ -140,15 +158,161 @@ def test_flat_fields_give_their_true_output(bayer: CameraModel, tmp_path: Path, 
             assert result == pytest.approx(truth, rel=0.03, abs=0.002 * level)
 
 
-def test_same_bytes_for_one_and_two_jobs(bayer: CameraModel, tmp_path: Path, l3: Callable) -> None:
+def test_same_bytes_for_jobs_and_shards(bayer: CameraModel, tmp_path: Path, l3: Callable, refused: Callable) -> None:
+    """One process, two processes, three shards of each pass merged in any order: the same table to the last bit."""
     training = a_set(tmp_path / "training.h5", bayer, 4, smooth=False)
-    (tmp_path / "classes.toml").write_text(SMALL)
+    more = a_set(tmp_path / "more.h5", bayer, 3, smooth=True)
+    # more patches than are sorted together, so that there are blocks to deal out: two, and the third shard is empty
+    small = "[classes]\npatch = 3\nlevels = 4\n[learning]\npatches = 52000\nfirst_draws = 1\ndraws = 1\n"
+    (tmp_path / "classes.toml").write_text(small)
+    run = (training, more, "--classes", tmp_path / "classes.toml", "--seed", 5)
     for jobs in (1, 2):
-        arguments = ("--classes", tmp_path / "classes.toml", "-o", tmp_path / f"{jobs}.h5", "--jobs", jobs, "--seed", 5)
-        assert l3("train", training, *arguments)[0] == 0
+        assert l3("train", *run, "-o", tmp_path / f"{jobs}.h5", "--jobs", jobs)[0] == 0
     assert (tmp_path / "1.h5").read_bytes() == (tmp_path / "2.h5").read_bytes()
-    assert l3("train", training, "--classes", tmp_path / "classes.toml", "-o", tmp_path / "3.h5", "--seed", 6)[0] == 0
-    assert (tmp_path / "1.h5").read_bytes() != (tmp_path / "3.h5").read_bytes()
+    a, b = ([tmp_path / f"{name}{index}.h5" for index in (1, 2, 3)] for name in "ab")
+    first, table = tmp_path / "first.h5", tmp_path / "table.h5"
+    for index, path in enumerate(a, start=1):
+        assert l3("train", *run, "--shard", f"{index}/3", "-o", path)[0] == 0
+    code, _, err = l3("train", "--merge", *a, "-o", first)
+    assert code == 0
+    assert f"go on with --shard I/N --first {first}" in err
+    for index, path in enumerate(b, start=1):
+        assert l3("train", *run, "--shard", f"{index}/3", "--first", first, "-o", path)[0] == 0
+    assert l3("train", "--merge", b[2], b[0], b[1], "-o", table)[0] == 0
+    assert table.read_bytes() == (tmp_path / "1.h5").read_bytes()
+    assert first.read_bytes() != table.read_bytes()
+    out = tmp_path / "no.h5"
+    assert "shards are missing: 2/3" in refused(3, "train", "--merge", a[0], a[2], "-o", out)
+    assert "are the same shard, 1 of 3" in refused(3, "train", "--merge", a[0], a[1], a[0], a[2], "-o", out)
+    assert "different runs or passes" in refused(3, "train", "--merge", a[0], a[1], b[2], "-o", out)
+    assert "holds a training set" in refused(3, "train", "--merge", training, "-o", out)
+    assert "holds a partial sums" in refused(3, "train", a[0], "-o", out)
+    other = (*run[:-1], 6, "--shard", "1/3", "--first")
+    assert "is not the first pass of this run" in refused(3, "train", *other, first, "-o", out)
+    assert "is not the first pass of this run" in refused(3, "train", *run, "--shard", "1/3", "--first", table, "-o", out)
+    assert l3("train", *run[:-1], 6, "--shard", "1/3", "-o", tmp_path / "foreign.h5")[0] == 0
+    assert "different runs or passes" in refused(3, "train", "--merge", tmp_path / "foreign.h5", a[1], a[2], "-o", out)
+    for wrong, why in (
+        ("0/3", "shards count from"),
+        ("4/3", "shards count from"),
+        ("3", "is not I/N"),
+        ("a/b", "is not I/N"),
+    ):
+        assert why in refused(2, "train", *run, "--shard", wrong, "-o", out)
+    assert "--merge takes shards alone" in refused(2, "train", "--merge", *a, "--shard", "1/3", "-o", out)
+    assert "--first goes with --shard" in refused(2, "train", *run, "--first", first, "-o", out)
+
+
+def test_sums_are_exact_in_any_order(bayer: CameraModel) -> None:
+    """Sums of parts are equal to the last bit however they are grouped, and equal a plain float64 computation."""
+    rule = make_rule(ClassRecipe(patch=3, levels=4), bayer, np.zeros(8, np.uint16))
+    near = classify.neighbourhoods(bayer.cfa, 3, 3)
+    head = TrainingSet(camera=bayer, outputs=("X", "Y", "Z"), target_description="")
+    lesson = Lesson(head, 6, rule, LearningRecipe(patches=6000, draws=2), np.ones(3), 1, LAST)
+    frames = [a_frame(bayer, seed, smooth=False) for seed in range(6)]
+    parts = [sum_sites(lesson, iter([(index, iter([frame]))]), (1,), (None,))[0] for index, frame in enumerate(frames)]
+    forward, backward = add_up(lesson, parts), add_up(lesson, parts[::-1])
+    nested = add_up(lesson, [add_up(lesson, parts[1::2]), add_up(lesson, parts[::2])])
+    for name in ("moments", "noise", "count"):
+        assert (getattr(forward, name) == getattr(backward, name)).all()
+        assert (getattr(forward, name) == getattr(nested, name)).all()
+    steps = grid_steps(rule, bayer, 3)  # every sum is a whole number of steps, far from where float64 would round
+    whole = forward.moments.reshape(len(steps), -1, steps.shape[1]) / steps[:, None]
+    assert (whole == np.rint(whole)).all()
+    assert (forward.noise / STEP == np.rint(forward.noise / STEP)).all()
+    assert np.abs(whole).max() < EXACT / 1000
+    assert forward.count.sum() == 12000
+    patches = sample_patches(
+        frames[0], head, lesson.unit, near.channel[1], 1000, orientations(3), np.random.default_rng([1, 2, 0, 1])
+    )
+    matrix = sum(moment_matrix(row, 13) for row in parts[0].moments)
+    assert np.linalg.eigvalsh(matrix).min() > 0
+    ratio = matrix[10:, 10:].diagonal() / (patches.target.astype(np.float64) ** 2).sum(axis=0)
+    assert ratio == pytest.approx(ratio.mean(), rel=0.2)  # outputs are weighed alike
+    huge = ClassSums(forward.moments * 2.0**40, forward.noise, forward.count)
+    with pytest.raises(L3Error, match="more patches than can be added exactly"):
+        add_up(lesson, [huge])
+
+
+@pytest.mark.parametrize("outputs", [("Y",), ("b1", "b2", "b3", "b4", "b5"), ("R", "G", "B")])
+def test_other_outputs_than_xyz(
+    outputs: tuple[str, ...], bayer: CameraModel, tmp_path: Path, l3: Callable, refused: Callable
+) -> None:
+    """Any number of outputs trains in one pass, fills, renders to EXR, and says in its table what it gives."""
+    camera, mix = quiet_camera(bayer), np.random.default_rng(2).random((len(outputs), 3)) + 0.1
+    head = TrainingSet(camera=camera, outputs=outputs, target_description="made-up outputs")
+    with write_training_set(tmp_path / "training.h5", head) as writer:
+        for seed in range(40):
+            frame = a_frame(camera, seed, smooth=True)
+            share = frame.electrons / camera.full_scale
+            target = np.einsum("oc,crk->ork", mix, share) * camera.white_dose / frame.exposure
+            writer.append(dataclasses.replace(frame, target=target.astype(np.float32), white=mix.sum(axis=1) * 80))
+    (tmp_path / "classes.toml").write_text(SMALL)
+    arguments = ("train", tmp_path / "training.h5", "--classes", tmp_path / "classes.toml")
+    code, _, err = l3(*arguments, "-o", tmp_path / "table.h5")
+    assert code == 0, err
+    table = load(TransformTable, tmp_path / "table.h5")
+    assert table.outputs == outputs
+    assert table.target_description == "made-up outputs"
+    assert table.output_unit == camera.white_dose
+    white = mix.sum(axis=1)
+    assert table.white_point == pytest.approx(white / (white[0] if outputs == ("Y",) else white.mean()))
+    assert (np.abs(table.weights).sum(axis=(1, 2)) > 0).all()
+    share = np.array([0.3, 0.25, 0.2])
+    mosaic = camera.black + share[np.tile(camera.cfa, (16, 16))] * (camera.white - camera.black)
+    np.save(tmp_path / "raw.npy", np.rint(mosaic).astype(np.uint16))
+    raw, exr = tmp_path / "raw.npy", tmp_path / "linear.exr"
+    code, _, err = l3("render", tmp_path / "table.h5", raw, "-o", exr, "--backend", "reference")
+    assert code == 0, err
+    pixels, names = read_image(exr)
+    assert sorted(names) == sorted(outputs)
+    found = {name: pixels[..., index] for index, name in enumerate(names)}
+    for name, truth in zip(outputs, mix @ share, strict=True):
+        assert found[name] == pytest.approx(np.full((32, 32), truth), rel=0.03)
+    assert "this table has" in refused(2, "render", tmp_path / "table.h5", raw, "-o", tmp_path / "picture.png")
+    # one pass only: two steps
+    code, _, err = l3(*arguments, "--shard", "1/1", "-o", tmp_path / "shard.h5")
+    assert code == 0, err
+    assert l3("train", "--merge", tmp_path / "shard.h5", "-o", tmp_path / "merged.h5")[0] == 0
+    assert (tmp_path / "merged.h5").read_bytes() == (tmp_path / "table.h5").read_bytes()
+
+
+def test_info_tells_what_a_table_has_learned(bayer: CameraModel, tmp_path: Path, l3: Callable) -> None:
+    training = a_set(tmp_path / "training.h5", quiet_camera(bayer), 40)
+    (tmp_path / "classes.toml").write_text(SMALL)
+    assert l3("train", training, "--classes", tmp_path / "classes.toml", "-o", tmp_path / "table.h5")[0] == 0
+    code, out, _ = l3("info", tmp_path / "table.h5", "--json")
+    assert code == 0
+    table, found = load(TransformTable, tmp_path / "table.h5"), json.loads(out)["insight"]
+    assert found["classes"]["all"] == len(table.weights)
+    assert found["classes"]["filled"] == int((table.samples == 0).sum())
+    assert found["classes"]["trained"] + found["classes"]["filled"] == len(table.weights)
+    assert sum(kind["patches"] for kind in found["kinds"]) == table.samples.sum() == 4 * 3000 * 4
+    # trained on flat fields whose outputs are MIX of the channels, that is what a flat signal gives
+    gains = np.array([[found["dc_gain"][output][channel] for channel in "rgb"] for output in "XYZ"])
+    assert gains == pytest.approx(MIX, abs=0.03)
+    trained = table.samples > 0
+    noise = np.sqrt((table.weights[trained, 1].astype(np.float64) ** 2).sum(axis=1))
+    assert found["noise_gain"]["Y"] == pytest.approx({"median": np.median(noise), "worst": noise.max()})
+    assert found["worst"][0]["noise_gain"] == pytest.approx(noise.max())
+    assert found["worst"][0]["class"].startswith("site (")
+    assert 1 <= found["condition"]["median"] <= found["condition"]["worst"]
+    assert (table.condition[trained] >= 1).all()
+    code, out, _ = l3("info", tmp_path / "table.h5")
+    assert code == 0
+    assert "noisiest classes:" in out
+    assert found["worst"][0]["class"] in out
+
+
+def test_saturation_cases_are_named_by_their_pattern(fiveband: CameraModel) -> None:
+    occurrences = np.zeros(32, np.int64)
+    occurrences[[0, 0b00010, 0b10010, 0b11111]] = 1000, 100, 100, 300
+    rule = make_rule(ClassRecipe(), fiveband, choose_cases(occurrences, 12))
+    table = SimpleNamespace(rule=rule, channels=fiveband.channels, cfa=fiveband.cfa, black=100.0, white=4095.0)
+    names = [kind_name(table, kind) for kind in range(rule.kinds)]  # type: ignore[arg-type]
+    everything = "saturated " + "+".join(fiveband.channels)
+    c, g = fiveband.channels[4], fiveband.channels[1]
+    assert names == ["chroma 0", f"saturated {g}", f"saturated {g}+{c}", everything]
 
 
 def test_wrong_calls_are_one_line(bayer: CameraModel, fiveband: CameraModel, tmp_path: Path, refused: Callable) -> None:
@@ -156,8 +320,12 @@ def test_wrong_calls_are_one_line(bayer: CameraModel, fiveband: CameraModel, tmp
     other = a_set(tmp_path / "other.h5", quiet_camera(bayer), 1)
     tiny = a_set(tmp_path / "tiny.h5", bayer, 1, size=(4, 30))
     empty = a_set(tmp_path / "empty.h5", bayer, 0)
+    targets = a_set(tmp_path / "targets.h5", bayer, 1, target="something else")
     out = tmp_path / "table.h5"
-    assert "different cameras" in refused(3, "train", good, other, "-o", out)
+    assert "different cameras or targets" in refused(3, "train", good, other, "-o", out)
+    assert "different cameras or targets" in refused(3, "train", good, targets, "-o", out)
+    assert "different cameras or targets" in refused(3, "train", good, targets, "--shard", "1/2", "-o", out)
+    assert "smaller than the 9×9 patch" in refused(3, "train", good, tiny, "--shard", "1/2", "-o", out)
     assert "smaller than the 9×9 patch" in refused(3, "train", tiny, "-o", out)
     assert "holds no frames" in refused(3, "train", empty, "-o", out)
     assert "does not exist" in refused(3, "train", tmp_path / "no.h5", "-o", out)

@@ -111,6 +111,7 @@ class TransformTable(Artifact):
     black: float = data("float64", unit="DN", doc="black level of the raw values the table expects")
     white: float = data("float64", unit="DN", doc="saturation level of the raw values the table expects")
     outputs: tuple[str, ...] = data("str", "output", doc="names of the outputs")
+    target_description: str = data("str", doc="what the outputs are")
     output_unit: float = data(
         "float64", unit="cd s/m^2", doc="scene luminance × exposure time that an output of 1 stands for"
     )
@@ -123,6 +124,7 @@ class TransformTable(Artifact):
     )
     intercept: NDArray[np.float32] = data("float32", "class", "output", doc="added to the weighted sum")
     samples: NDArray[np.float64] = data("float64", "class", doc="training patches; 0: filled from a neighbour")
+    condition: NDArray[np.float32] = data("float32", "class", doc="condition number of the class's equations; 0: none")
 
     def __post_init__(self) -> None:
         super().__post_init__()

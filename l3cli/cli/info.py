@@ -6,7 +6,8 @@ from typing import Any
 
 import click
 
-from l3cli.artifacts.base import describe
+from l3cli.artifacts.base import describe, load
+from l3cli.artifacts.table import TransformTable
 from l3cli.cli import options
 
 
@@ -14,11 +15,16 @@ from l3cli.cli import options
 @click.argument("file", type=options.FILE)
 @options.as_json
 def info(file: Path, as_json: bool) -> None:
-    """Show kind, version, history and every dataset (axes, type, unit, meaning) of FILE.
+    """Show kind, version, history and every dataset (axes, type, unit, meaning) of FILE; of a transform table also
+    what it has learned: classes, patches, noise gain, gain of flat areas, and its worst classes.
 
     Example: l3 info camera.h5
     """
     content = describe(file)
+    if content["kind"] == TransformTable.kind:
+        from l3cli.train.insight import insight
+
+        content["insight"] = insight(load(TransformTable, file))
     if as_json:
         click.echo(json.dumps(content, indent=2, ensure_ascii=False))
         return
@@ -35,6 +41,8 @@ def info(file: Path, as_json: bool) -> None:
     for item in content["datasets"]:
         if not item["name"].startswith("frames/") or item["name"].startswith(f"frames/{min(frames)}/"):
             click.echo(_line(item))
+    if "insight" in content:
+        click.echo("\n".join(_learned(content["insight"])))
 
 
 def _line(item: dict[str, Any]) -> str:
@@ -43,3 +51,27 @@ def _line(item: dict[str, Any]) -> str:
     value = "" if item["value"] is None else f" = {item['value']}"
     unit = "" if item["unit"] == "1" else f" {item['unit']}"
     return f"  {item['name']}{axes} {shape} {item['dtype']}{value}{unit}  {item['doc']}".replace("  ", " ", 0)
+
+
+def _learned(found: dict[str, Any]) -> list[str]:
+    """Lines that tell what a table has learned."""
+    classes = found["classes"]
+    figures = " · ".join(
+        f"{output} {gain['median']:.3g}, {gain['worst']:.3g}" for output, gain in found["noise_gain"].items()
+    )
+    lines = [
+        f"{classes['all']} classes: {classes['trained']} trained, {classes['thin']} of them on fewer patches than taps; "
+        f"{classes['filled']} without patches of their own",
+        "patches: " + " · ".join(f"{kind['name']} {kind['patches']:.0f}" for kind in found["kinds"]),
+        f"noise gain √Σw² (median, worst class): {figures}",
+        f"condition (median, worst class): {found['condition']['median']:.2g}, {found['condition']['worst']:.2g}",
+        "gain of a flat signal (median of unsaturated classes):",
+    ]
+    for output, gains in found["dc_gain"].items():
+        lines.append(f"  {output}: " + "  ".join(f"{channel} {gain:+.3f}" for channel, gain in gains.items()))
+    lines.append("noisiest classes:")
+    lines += [
+        f"  {worst['noise_gain']:8.3g}  {worst['class']}: {worst['patches']:.0f} patches, condition {worst['condition']:.2g}"
+        for worst in found["worst"]
+    ]
+    return lines

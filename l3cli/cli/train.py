@@ -1,98 +1,298 @@
-"""l3 train: training sets → transform table."""
+"""l3 train: training sets → transform table, whole or in shards."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+import itertools
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from l3cli.cli import options
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from l3cli.artifacts.table import ClassRule
+    from l3cli.artifacts.base import Stage
+    from l3cli.artifacts.partial_sums import ClassSums
+    from l3cli.artifacts.table import TransformTable
     from l3cli.artifacts.training_set import TrainingPair, TrainingSet
+    from l3cli.train.lesson import Lesson
     from l3cli.train.recipe import TrainingRecipe
-    from l3cli.train.solve import Solution
+    from l3cli.train.weighing import Judge
+
+
+def _shard(context: Any, parameter: Any, text: str | None) -> tuple[int, int] | None:
+    """Reads "I/N" with 1 ≤ I ≤ N."""
+    parts = text.split("/") if text is not None else []
+    if text is None:
+        return None
+    if len(parts) != 2 or not all(part.isascii() and part.isdecimal() for part in parts):
+        raise click.BadParameter(f'"{text}" is not I/N, such as 1/4')
+    index, count = int(parts[0]), int(parts[1])
+    if not 1 <= index <= count:
+        raise click.BadParameter(f"{text}: shards count from 1/{max(count, 1)} to {max(count, 1)}/{max(count, 1)}")
+    return index, count
 
 
 @click.command()
-@click.argument("training", type=options.FILE, nargs=-1, required=True, metavar="TRAINING.h5…")
+@click.argument("files", type=options.FILE, nargs=-1, required=True, metavar="TRAINING.h5…")
 @click.option("--classes", type=options.FILE, metavar="TOML", help="Class recipe; without it the built-in default.")
-@options.output("Transform table to write")
+@options.output("Transform table to write; with --shard the partial sums")
+@click.option("--shard", callback=_shard, metavar="I/N", help="Only sum up part I of N, from 1, to be merged later.")
+@click.option("--first", type=options.FILE, metavar="FIRST.h5", help="First-pass table, for the shards of the last pass.")
+@click.option("--merge", is_flag=True, help="The files are all shards of a pass: make its table from them.")
 @options.seed
 @options.jobs
 @options.force
 @options.quiet
 def train(
-    training: tuple[Path, ...], classes: Path | None, output: Path, seed: int, jobs: int, force: bool, quiet: bool
-) -> None:
+    files: tuple[Path, ...], classes: Path | None, output: Path, shard: tuple[int, int] | None, first: Path | None,
+    merge: bool, seed: int, jobs: int, force: bool, quiet: bool,
+) -> None:  # fmt: skip
     """Learn a table of local linear transforms from one or more training sets.
 
     Example: l3 train training.h5 --classes configs/classes/default.toml -o table.h5
-    """
-    from l3cli.artifacts.base import Stage, save
-    from l3cli.config import load_recipe, read_text
-    from l3cli.files import refuse_existing, sha256
-    from l3cli.parallel import ordered_map
-    from l3cli.train.recipe import TrainingRecipe
-    from l3cli.train.table import assemble, canonical_sites, mean_white, training_rule
 
+    Over several machines, give every shard the same training sets, recipe and seed. Training takes two passes, the errors
+    of the first weigh the rows of the last, so there are four steps; the last table has the same bytes as without shards:
+
+    \b
+      l3 train training.h5 --shard 1/4 -o a1.h5                     and 2/4, 3/4, 4/4
+      l3 train --merge a1.h5 a2.h5 a3.h5 a4.h5 -o first.h5
+      l3 train training.h5 --shard 1/4 --first first.h5 -o b1.h5    and 2/4, 3/4, 4/4
+      l3 train --merge b1.h5 b2.h5 b3.h5 b4.h5 -o table.h5
+
+    With first_draws = 0 in the recipe, or other outputs than XYZ, there is one pass: two steps, without --first.
+    """
+    from l3cli.files import refuse_existing
+    from l3cli.parallel import one_blas_thread
+
+    one_blas_thread()
+    if merge and (classes or shard or first or seed):
+        raise click.UsageError("--merge takes shards alone: classes and seed are told by them")
+    if first and not shard:
+        raise click.UsageError("--first goes with --shard")
     refuse_existing(output, force)
-    recipe = load_recipe(classes, TrainingRecipe) if classes else TrainingRecipe()
-    head, total = _common_head(training)
-    rule = training_rule(_frames(training), total, head, recipe, seed)
-    sites = canonical_sites(head, rule)
-    options.say(
-        f"{total} frames, {len(sites)} of {head.camera.cfa.size} sites to train, "
-        f"{rule.levels} levels × {rule.contrasts} contrasts × "
-        f"({rule.chromas} chromas + {rule.cases - 1} saturation cases)",
-        quiet,
-    )
-    white_point = mean_white(_frames(training))
-    work = [SiteWork(training, total, head, rule, site, recipe, white_point, seed) for site in sites]
-    results = options.progress(ordered_map(_train_site, work, jobs), len(sites), "sites", quiet)
-    solutions = dict(zip(sites, results, strict=True))
-    inputs = {"training set": [sha256(path) for path in training]}
-    stage = Stage("train", {"seed": seed}, read_text(classes) if classes else "", inputs)
-    table = assemble(head, rule, solutions, recipe, white_point, (*head.history, stage))
-    save(table, output)
-    filled = int((table.samples == 0).sum())
-    options.say(f"{output}: {len(table.weights)} classes, {filled} of them filled from their neighbours", quiet)
+    if merge:
+        merge_shards(files, output, quiet)
+        return
+    course = open_course(files, classes, seed)
+    if shard:
+        train_shard(course, shard, first, output, jobs, quiet)
+    else:
+        train_whole(course, output, jobs, quiet)
 
 
 @dataclass(frozen=True)
-class SiteWork:
-    """All that a worker needs to train one canonical site."""
+class Course:
+    """A training run as it is asked for: what every shard of it has in common."""
 
     training: tuple[Path, ...]
-    total: int
     head: "TrainingSet"
-    rule: "ClassRule"
-    site: int
+    frames: int
     recipe: "TrainingRecipe"
-    white_point: "NDArray[np.float64]"
     seed: int
+    stage: "Stage"
+
+    def history(self, number: int) -> tuple["Stage", ...]:
+        """History of what comes from pass `number`."""
+        from l3cli.train.lesson import FIRST
+
+        stage = replace(self.stage, options={**self.stage.options, "pass": "first"}) if number == FIRST else self.stage
+        return (*self.head.history, stage)
 
 
-def _train_site(work: SiteWork) -> "Solution":
-    from l3cli.train.table import train_site
+def open_course(training: tuple[Path, ...], classes: Path | None, seed: int) -> Course:
+    """The run of these training sets; InputFileError or RecipeError if they or the recipe cannot be used."""
+    from l3cli.artifacts.base import Stage
+    from l3cli.config import load_recipe, read_text
+    from l3cli.files import sha256
+    from l3cli.train.recipe import TrainingRecipe
 
-    def read_frames() -> Iterator["TrainingPair"]:
-        return _frames(work.training)
+    recipe = load_recipe(classes, TrainingRecipe) if classes else TrainingRecipe()
+    head, frames = _common_head(training)
+    inputs = {"training set": [sha256(path) for path in training]}
+    stage = Stage("train", {"seed": seed}, read_text(classes) if classes else "", inputs)
+    return Course(training, head, frames, recipe, seed, stage)
 
-    return train_site(read_frames, work.total, work.head, work.rule, work.site, work.recipe, work.white_point, work.seed)
+
+def train_whole(course: Course, output: Path, jobs: int, quiet: bool) -> None:
+    """Both passes and the table."""
+    from l3cli.artifacts.base import save
+    from l3cli.train.accumulate import frame_blocks
+    from l3cli.train.lesson import LAST
+    from l3cli.train.table import assemble, learn_site
+
+    lesson, table = first_lesson(course, quiet), None
+    for number in range(lesson.number, LAST + 1):
+        lesson = replace(lesson, number=number)
+        parts = summed(course, lesson, table, frame_blocks(lesson), jobs, quiet)
+        solutions = {site: learn_site(lesson, sums, site) for site, sums in parts}
+        table = assemble(lesson, solutions, course.history(number))
+    assert table is not None  # there is at least one pass
+    save(table, output)
+    _say_table(table, output, quiet)
 
 
-def _frames(training: tuple[Path, ...]) -> Iterator["TrainingPair"]:
+def train_shard(course: Course, shard: tuple[int, int], first: Path | None, output: Path, jobs: int, quiet: bool) -> None:
+    """One shard's sums of the first pass or, with `first`, of the last."""
+    import numpy as np
+
+    from l3cli.artifacts.base import load
+    from l3cli.artifacts.partial_sums import PartialSums, write_partial_sums
+    from l3cli.artifacts.table import TransformTable
+    from l3cli.errors import InputFileError
+    from l3cli.train.accumulate import frame_blocks
+    from l3cli.train.lesson import FIRST, LAST, Lesson
+    from l3cli.train.table import add_up, canonical_sites
+
+    table = load(TransformTable, first) if first else None
+    if table is None:
+        lesson = first_lesson(course, quiet)
+    elif table.history == course.history(FIRST):
+        about = (course.head, course.frames, table.rule, course.recipe.learning, table.white_point, course.seed)
+        lesson = Lesson(*about, LAST)
+    else:
+        raise InputFileError(
+            f"{first} is not the first pass of this run: other training sets, recipe or seed; "
+            'make it with "l3 train --merge" of the first pass\'s shards'
+        )
+    index, count = shard
+    blocks = frame_blocks(lesson)[index - 1 :: count]
+    parts = summed(course, lesson, table, blocks, jobs, quiet)
+    head = PartialSums(
+        history=course.history(lesson.number),
+        shard=index,
+        shards=count,
+        pass_number=lesson.number,
+        frames=course.frames,
+        training=course.head,
+        rule=lesson.rule,
+        white_point=lesson.white_point,
+        sites=np.array(canonical_sites(course.head, lesson.rule)),
+    )
+    write_partial_sums(output, head, (add_up(lesson, sums) for _, sums in parts))
+    options.say(f"{output}: shard {index} of {count}, {'first' if lesson.number == FIRST else 'last'} pass", quiet)
+
+
+def merge_shards(shards: tuple[Path, ...], output: Path, quiet: bool) -> None:
+    """The table of all shards of a pass; InputFileError if some are missing, doubled or of another run."""
+    import contextlib
+
+    from l3cli.artifacts.base import save
+    from l3cli.artifacts.partial_sums import open_partial_sums
+    from l3cli.config import parse_recipe
+    from l3cli.train.lesson import FIRST, Lesson
+    from l3cli.train.recipe import TrainingRecipe
+    from l3cli.train.table import assemble, learn_site
+
+    with contextlib.ExitStack() as stack:
+        readers = [stack.enter_context(open_partial_sums(path)) for path in shards]
+        _require_all_shards(shards, [reader.head for reader in readers])
+        head = readers[0].head
+        stage = head.history[-1]
+        recipe = parse_recipe(stage.recipe, TrainingRecipe, str(shards[0])).learning
+        about = (head.training, head.frames, head.rule, recipe, head.white_point, stage.options["seed"], head.pass_number)
+        lesson = Lesson(*about)
+        solutions = {
+            int(site): learn_site(lesson, (reader.site(index) for reader in readers), int(site))
+            for index, site in enumerate(head.sites)
+        }
+    table = assemble(lesson, solutions, head.history)
+    save(table, output)
+    _say_table(table, output, quiet)
+    if lesson.number == FIRST:
+        options.say(f"this is the first pass: go on with --shard I/N --first {output}", quiet)
+
+
+def first_lesson(course: Course, quiet: bool) -> "Lesson":
+    """The first pass, or the only one, with the class rule that a pilot over all frames has found."""
+    from l3cli.train.lesson import FIRST, LAST, Lesson, has_two_passes
+    from l3cli.train.table import survey
+
+    learning = course.recipe.learning
+    rule, white = survey(_frames(course.training), course.frames, course.head, course.recipe, course.seed)
+    kinds = f"({rule.chromas} chromas + {rule.cases - 1} saturation cases)"
+    options.say(f"{course.frames} frames, {rule.levels} levels × {rule.contrasts} contrasts × {kinds} a site", quiet)
+    number = FIRST if has_two_passes(course.head, learning) else LAST
+    return Lesson(course.head, course.frames, rule, learning, white, course.seed, number)
+
+
+@dataclass(frozen=True)
+class Part:
+    """A process's share of a pass: some blocks of frames at some canonical sites."""
+
+    training: tuple[Path, ...]
+    lesson: "Lesson"
+    sites: tuple[int, ...]
+    judges: tuple["Judge | None", ...]
+    blocks: tuple[range, ...]
+
+
+def summed(
+    course: Course, lesson: "Lesson", first: "TransformTable | None", blocks: list[range], jobs: int, quiet: bool
+) -> Iterator[tuple[int, Iterable["ClassSums"]]]:
+    """Each canonical site with the sums over parts of `blocks`, which are split evenly among the processes."""
+    from l3cli.parallel import ordered_map
+    from l3cli.train.accumulate import site_groups
+    from l3cli.train.table import canonical_sites
+    from l3cli.train.weighing import judge_of
+
+    shares = [tuple(blocks[job::jobs]) for job in range(min(jobs, len(blocks)))]
+    groups = site_groups(lesson, canonical_sites(lesson.head, lesson.rule), -(-jobs // max(len(shares), 1)))
+
+    def parts() -> Iterator[Part]:
+        for group in groups:
+            judges = tuple(judge_of(first, site) if first is not None else None for site in group)
+            yield from (Part(course.training, lesson, group, judges, share) for share in shares)
+
+    results = options.progress(ordered_map(_sum_part, parts(), jobs), len(groups) * len(shares), "sums", quiet)
+    for group in groups:
+        found = list(itertools.islice(results, len(shares)))
+        for index, site in enumerate(group):
+            yield site, [sums[index] for sums in found]
+
+
+def _sum_part(part: Part) -> list["ClassSums"]:
+    from l3cli.train.accumulate import sum_sites
+
+    blocks = ((block[0], _frames(part.training, block)) for block in part.blocks)
+    return sum_sites(part.lesson, blocks, part.sites, part.judges)
+
+
+def _frames(training: tuple[Path, ...], wanted: range | None = None) -> Iterator["TrainingPair"]:
+    """The frames of all training sets in order, or those whose index among all of them is `wanted`."""
     from l3cli.artifacts.training_set import open_training_set
 
+    before = 0
     for path in training:
         with open_training_set(path) as reader:
-            yield from reader
+            for index in range(len(reader)):
+                if wanted is None or before + index in wanted:
+                    yield reader.frame(index)
+            before += len(reader)
+
+
+def _require_all_shards(paths: tuple[Path, ...], heads: list) -> None:
+    from l3cli.artifacts.base import equal
+    from l3cli.errors import InputFileError
+
+    seen: dict[int, Path] = {}
+    for path, head in zip(paths, heads, strict=True):
+        same = replace(head, shard=heads[0].shard)
+        if head.history != heads[0].history or not equal(same, heads[0]):
+            raise InputFileError(f"{path} and {paths[0]} are of different runs or passes; merge the shards of one")
+        if head.shard in seen:
+            raise InputFileError(f"{path} and {seen[head.shard]} are the same shard, {head.shard} of {head.shards}")
+        seen[head.shard] = path
+    missing = [f"{index}/{heads[0].shards}" for index in range(1, heads[0].shards + 1) if index not in seen]
+    if missing:
+        named = ", ".join(missing[:8]) + (" …" if len(missing) > 8 else "")
+        raise InputFileError(f"shards are missing: {named}; make them with l3 train --shard")
+
+
+def _say_table(table: "TransformTable", output: Path, quiet: bool) -> None:
+    filled = int((table.samples == 0).sum())
+    options.say(f"{output}: {len(table.weights)} classes, {filled} of them without patches of their own", quiet)
 
 
 def _common_head(training: tuple[Path, ...]) -> tuple["TrainingSet", int]:

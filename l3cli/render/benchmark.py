@@ -107,12 +107,14 @@ def made_up_table(case: Case, rng: np.random.Generator) -> TransformTable:
         black=float(BLACK),
         white=float(WHITE),
         outputs=("X", "Y", "Z"),
+        target_description="",
         output_unit=1.0,
         white_point=spectra.white_point("D65"),
         rule=rule,
         weights=(rng.standard_normal((classes, case.outputs, case.patch**2)) / case.patch).astype(np.float32),
         intercept=np.zeros((classes, case.outputs), np.float32),
         samples=np.ones(classes),
+        condition=np.ones(classes, np.float32),
     )
 
 

@@ -1,5 +1,6 @@
 """Patches of a training frame, and the levels they are rescaled to (METHOD 4.1, 4.8)."""
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +22,7 @@ class Patches:
 
     signal: Floats  # (patch, tap) share of full scale
     target: Floats  # (patch, output) in the table's output unit
-    carried: Floats | None = None  # (patch, tap) noise variance that a real signal already has, full scale²
+    carried: Floats | None = None  # (patch, tap) noise variance that a real signal already has, full scale²; simulated: 0
 
     def possible(self, scale: NDArray[np.float64]) -> NDArray[np.float64]:
         """`scale` (patch) as far as the patches can follow. Simulated ones follow everywhere. Real ones carry noise and
@@ -29,7 +30,17 @@ class Patches:
         """
         if self.carried is None:
             return scale
-        return np.where((self.signal >= 1).any(axis=1), 1.0, np.minimum(scale, 1.0))
+        followed = np.where((self.signal >= 1).any(axis=1), 1.0, np.minimum(scale, 1.0))
+        return np.where(self.carried.any(axis=1), followed, scale)
+
+    @classmethod
+    def together(cls, parts: list["Patches"]) -> "Patches":
+        """All patches of `parts`; simulated ones among real ones carry a variance of zero."""
+        carried = None
+        if any(part.carried is not None for part in parts):
+            carried = np.concatenate([np.zeros_like(p.signal) if p.carried is None else p.carried for p in parts])
+        signal, target = (np.concatenate([getattr(part, name) for part in parts]) for name in ("signal", "target"))
+        return cls(signal, target, carried)
 
 
 def patches_of(
@@ -123,21 +134,38 @@ def draw_levels(recipe: LearningRecipe, count: int, rng: np.random.Generator) ->
     return low * (recipe.brightest / low) ** rng.random(count)
 
 
+@functools.cache
+def _normal_quantiles() -> Floats:
+    """The standard normal distribution in 65 536 equally likely values."""
+    from scipy.special import ndtri
+
+    return ndtri((np.arange(65536) + 0.5) / 65536).astype(np.float32)
+
+
 def expose_patches(
     signal: Floats, camera: CameraModel, rng: np.random.Generator, carried: Floats | None = None
-) -> tuple[NDArray[np.uint16], Floats, Floats]:
-    """Of signals (patch, tap) in shares of full scale: the noisy DN that decide their class, the clipped signal and the
-    variance (0 where clipped) of the noise that it lacks, signal and variance in units of full scale. A simulated signal
-    lacks all noise, a real one what goes beyond the variance `carried` already."""
-    span = camera.white - camera.black
-    variance = camera.noise_variance(signal * np.float32(span)).astype(np.float32)
+) -> NDArray[np.uint16]:
+    """The noisy DN (patch, tap) that decide the class of signals (patch, tap) in shares of full scale. A simulated signal
+    lacks all noise, a real one what goes beyond the variance `carried` (patch, tap) already."""
+    span = np.float32(camera.white - camera.black)
+    mean = signal * span
+    noisy = camera.noise_variance(mean)
     if carried is not None:
-        variance = np.maximum(variance - carried * np.float32(span**2), np.float32(0.0))
-    noisy = rng.standard_normal(signal.shape, dtype=np.float32)
-    noisy *= np.sqrt(variance)
-    noisy += signal * np.float32(span)
-    noisy += np.float32(camera.black)
-    values = np.clip(np.rint(noisy), 0, np.floor(camera.white)).astype(np.uint16)
-    variance *= signal < 1
+        noisy = np.maximum(noisy - carried * span**2, np.float32(0.0))
+    noisy = np.sqrt(noisy)
+    # three times as fast as standard_normal; no class decision turns on what happens beyond 4.3 σ
+    noisy *= _normal_quantiles().take(rng.integers(0, 65536, signal.shape, dtype=np.uint16))
+    noisy += mean
+    noisy += np.float32(camera.black + 0.5)  # cast rounds down
+    return np.clip(noisy, 0.0, np.floor(camera.white), out=noisy).astype(np.uint16)
+
+
+def noise_share(signal: Floats, camera: CameraModel, carried: Floats | None = None) -> Floats:
+    """Variance of the noise that signals (patch, tap) lack, in units of full scale squared; 0 where clipped."""
+    span = camera.white - camera.black
+    variance = camera.noise_variance(signal * np.float32(span))
     variance *= np.float32(1 / span**2)
-    return values, np.minimum(signal, np.float32(1.0)), variance
+    if carried is not None:
+        variance = np.maximum(variance - carried, np.float32(0.0))
+    variance *= signal < 1
+    return variance

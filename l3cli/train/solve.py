@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.partial_sums import ClassSums
 from l3cli.artifacts.table import ClassRule
 from l3cli.errors import L3Error
 from l3cli.train.recipe import LearningRecipe
-from l3cli.train.sums import Sums
+from l3cli.train.sums import moment_matrix, symmetric_places
 
 Array = NDArray[np.float64]
-NO_INTERCEPT = 1e12  # ridge that keeps the intercept at zero
 CASE_SHARE = 0.1  # of the pseudo-patches come from all levels of a case
 
 
@@ -37,6 +37,7 @@ class Solution:
     softness: Array  # (class, noise factor, channel + 1, channel + 1): the response of the compliance
     solved: NDArray[np.bool_]  # (class)
     samples: Array  # (class) patches of its own
+    condition: Array  # (class) of the equations for the least noisy row; 0: not solved
 
 
 @dataclass(frozen=True)
@@ -46,33 +47,49 @@ class Transforms:
     weights: Array  # (class, output, tap)
     intercept: Array  # (class, output)
     samples: Array  # (class) patches of its own; 0: filled
+    condition: Array  # (class)
 
 
-def solve(sums: Sums, rule: ClassRule, window: NDArray[np.int64], recipe: LearningRecipe, goal: Goal) -> Solution:
+def solve(
+    sums: ClassSums,
+    rule: ClassRule,
+    window: NDArray[np.int64],
+    stabilisers: list[NDArray[np.int64]],
+    recipe: LearningRecipe,
+    goal: Goal,
+) -> Solution:
     """Solutions for every class of a site that has patches or a parent with patches: T = Y Xᵀ (X Xᵀ + Λ)⁻¹, thin classes
-    helped by their neighbours; `window` (tap) names the channel of each tap. Raises L3Error if no class has any."""
-    shape = (rule.levels, rule.contrasts, rule.kinds)
-    pooled = _pooled(sums, shape, rule.chromas, recipe.level_pool)
-    shrunk = _with_parents(pooled, shape, rule.chromas, recipe.parent_patches)
-    solved = shrunk.count > 0
+    helped by their neighbours; `window` (tap) names the channel of each tap, and `stabilisers` (tap) are the orientations
+    that leave it as it is, over which sums are averaged. Raises L3Error if no class has any patches."""
+    parents = _parents(sums, rule)
+    stride = rule.contrasts * rule.kinds
+    kinds = np.maximum(np.arange(sums.count.size) % rule.kinds - rule.chromas + 1, 0)
+    has_parent = parents.count[np.arange(sums.count.size) // stride * rule.cases + kinds] > 0
+    solved = has_parent if recipe.parent_patches else sums.count > 0
     if not solved.any():
         raise L3Error("no class has training patches; simulate more frames")
+    places = symmetric_places(stabilisers, window.size + 1 + len(goal.outputs))
     groups = np.append(window, window.max() + 1)  # every channel, and the intercept as one more
     member = (groups[None] == np.arange(groups.max() + 1)[:, None]).astype(np.float64)
     factors = _noise_factors(recipe, goal)
     basis = _opponent_basis(goal)
     rows = np.zeros((solved.size, groups.size, len(goal.outputs)))
     compliance = np.zeros((solved.size, len(set(factors)), groups.size, len(member)))
-    for index in np.flatnonzero(solved):
-        has_intercept = bool(index % rule.kinds >= rule.chromas)
-        for number, factor in enumerate(sorted(set(factors))):
-            columns = [column for column, own in enumerate(factors) if own == factor]
-            system = _system(shrunk.moments[index], shrunk.noise[index], factor, recipe.ridge, has_intercept)
-            cross = shrunk.moments[index, : groups.size, groups.size :] @ basis[:, columns]
-            found = np.linalg.solve(system, np.concatenate([cross, member.T], axis=1))
-            rows[index][:, columns] = found[:, : len(columns)]
-            compliance[index, number] = found[:, len(columns) :]
-    return Solution(rows, member @ rows, compliance, member @ compliance, solved, sums.count)
+    condition = np.zeros(solved.size)
+    columns = {factor: [column for column, own in enumerate(factors) if own == factor] for factor in sorted(set(factors))}
+    for index in np.flatnonzero(solved).tolist():
+        packed, noise = _shrunk(sums, parents, index, rule, recipe)
+        moments = moment_matrix(packed[places].mean(axis=0), groups.size + len(goal.outputs))
+        noise = noise[np.array(stabilisers)].mean(axis=0)
+        used = groups.size if index % rule.kinds >= rule.chromas else groups.size - 1  # an intercept if saturated
+        for number, (factor, wanted) in enumerate(columns.items()):
+            system = _system(moments[:used, :used], noise, factor, recipe.ridge)
+            cross = moments[:used, groups.size :] @ basis[:, wanted]
+            found, worst = _solve_positive(system, np.concatenate([cross, member.T[:used]], axis=1))
+            rows[index, :used, wanted] = found[:, : len(wanted)].T
+            compliance[index, number, :used] = found[:, len(wanted) :]
+            condition[index] = max(condition[index], worst)
+    return Solution(rows, member @ rows, compliance, member @ compliance, solved, sums.count, condition)
 
 
 def equal_responses(
@@ -83,69 +100,69 @@ def equal_responses(
     one of least total squared error is taken. Classes without a solution are filled from the nearest.
     """
     factors = _noise_factors(recipe, goal)
-    order = sorted(set(factors))
     bent = [solution.rows.copy() for solution in solutions]
-    saturated = np.arange(len(solutions[0].samples)) % rule.kinds >= rule.chromas
-    for index in np.flatnonzero(np.any([solution.solved for solution in solutions], axis=0)):
-        among = [site for site, solution in enumerate(solutions) if solution.solved[index]]
-        used = slice(None) if saturated[index] else slice(0, -1)  # without an intercept there is none to equalise
-        for output, factor in enumerate(factors):
-            number = order.index(factor)
-            stiffness = {site: np.linalg.inv(solutions[site].softness[index, number][used, used]) for site in among}
-            response = {site: solutions[site].response[index, used, output] for site in among}
-            total = sum(copies[site] * stiffness[site] for site in among)
-            pull = sum(copies[site] * stiffness[site] @ response[site] for site in among)
-            common = np.linalg.solve(total, pull)
-            for site in among:
-                change = stiffness[site] @ (common - response[site])
-                bent[site][index, :, output] += solutions[site].compliance[index, number][:, used] @ change
+    solved = np.array([solution.solved for solution in solutions])
+    saturated = np.arange(solved.shape[1]) % rule.kinds >= rule.chromas
+    for kind in (False, True):
+        used = slice(None) if kind else slice(0, -1)  # without an intercept there is none to equalise
+        for sites in np.unique(solved[:, saturated == kind], axis=1).T:  # classes that the same sites have solved
+            among = np.flatnonzero(sites)
+            here = np.flatnonzero((saturated == kind) & (solved == sites[:, None]).all(axis=0))
+            for output, factor in enumerate(factors if among.size else []):
+                number = sorted(set(factors)).index(factor)
+                stiffness = [np.linalg.inv(solutions[site].softness[here, number][:, used, used]) for site in among]
+                response = [solutions[site].response[here][:, used, output, None] for site in among]
+                total = sum(copies[site] * stiff for site, stiff in zip(among, stiffness, strict=True))
+                pull = sum(copies[site] * k @ r for site, k, r in zip(among, stiffness, response, strict=True))
+                common = np.linalg.solve(total, pull)
+                for site, stiff, own in zip(among, stiffness, response, strict=True):
+                    change = solutions[site].compliance[here, number][:, :, used] @ (stiff @ (common - own))
+                    bent[site][here, :, output] += change[..., 0]
     back = np.linalg.inv(_opponent_basis(goal))
     shape = (rule.levels, rule.contrasts, rule.kinds)
     transforms = []
     for solution, rows in zip(solutions, bent, strict=True):
         filled = np.swapaxes(rows @ back, 1, 2)[_nearest(solution.solved, shape)]
-        transforms.append(Transforms(filled[..., :-1], filled[..., -1], solution.samples))
+        transforms.append(Transforms(filled[..., :-1], filled[..., -1], solution.samples, solution.condition))
     return transforms
 
 
-def _pooled(sums: Sums, shape: tuple[int, int, int], chromas: int, pool: tuple[float, ...]) -> Sums:
-    """Unsaturated classes with weighted sums of the levels beside them added; sums are relative to the level, so they
-    add. The noise stays the class's own, scaled to the new number of patches."""
-    levels = shape[0]
-    moments = sums.moments.reshape(*shape, *sums.moments.shape[1:])
-    count = sums.count.reshape(shape)
-    pooled_moments, pooled_count = moments.copy(), count.copy()
+def _shrunk(sums: ClassSums, parents: ClassSums, index: int, rule: ClassRule, recipe: LearningRecipe) -> tuple[Array, Array]:
+    """Moments (pair) and noise (tap) of a class with what helps it (METHOD 4.5): unsaturated, weighted sums of the levels
+    beside it, which add since sums are relative to the level; and pseudo-patches of its parent."""
+    stride = rule.contrasts * rule.kinds
+    level, kind = index // stride, index % rule.kinds
+    moments, noise, count = sums.moments[index].copy(), sums.noise[index], sums.count[index]
+    pool = recipe.level_pool if count > 0 and kind < rule.chromas else ()
     for distance, weight in enumerate(pool, start=1):
-        for step in (-distance, distance):
-            to = slice(max(0, -step), min(levels, levels - step))
-            origin = slice(max(0, step), min(levels, levels + step))
-            pooled_moments[to, :, :chromas] += weight * moments[origin, :, :chromas]
-            pooled_count[to, :, :chromas] += weight * count[origin, :, :chromas]
-    own = sums.count > 0
-    flat_count = np.where(own, pooled_count.reshape(-1), 0.0)
-    growth = np.divide(flat_count, sums.count, out=np.zeros_like(flat_count), where=own)
-    flat_moments = pooled_moments.reshape(sums.moments.shape) * own[:, None, None]
-    return Sums(flat_moments, sums.noise * growth[:, None], flat_count)
+        for other in (level - distance, level + distance):
+            if 0 <= other < rule.levels:
+                neighbour = index + (other - level) * stride
+                moments += weight * sums.moments[neighbour]
+                count += weight * sums.count[neighbour]
+    if count > 0:
+        noise = noise * (count / sums.count[index])  # the class's own, scaled to the new number of patches
+    parent = level * rule.cases + max(kind - rule.chromas + 1, 0)
+    return (
+        moments + recipe.parent_patches * parents.moments[parent],
+        noise + recipe.parent_patches * parents.noise[parent],
+    )
 
 
-def _with_parents(sums: Sums, shape: tuple[int, int, int], chromas: int, pseudo_patches: int) -> Sums:
-    """Every class with pseudo-patches of its parent: the classes of its level and saturation case, whatever their contrast
-    and chroma, and a few of its case at any level (METHOD 4.5)."""
-    if not pseudo_patches:
-        return sums
-    case = np.maximum(np.arange(shape[2]) - chromas + 1, 0)  # of each kind
+def _parents(sums: ClassSums, rule: ClassRule) -> ClassSums:
+    """Mean sums of a patch of each parent (level · cases + case): the classes of its level and saturation case, whatever
+    their contrast and chroma, and a share of those of its case at any level (METHOD 4.5)."""
+    shape = (rule.levels, rule.contrasts, rule.kinds)
+    case = np.maximum(np.arange(rule.kinds) - rule.chromas + 1, 0)  # of each kind
     count = _per_case(sums.count.reshape(shape), case)
 
-    def parents(values: Array) -> Array:
-        own = _per_case(values.reshape(*shape, *values.shape[1:]), case)
-        tail = (1,) * (values.ndim - 1)
-        level_mean = own / np.maximum(count, 1e-9).reshape(*count.shape, *tail)
-        case_mean = own.sum(axis=0) / np.maximum(count.sum(axis=0), 1e-9).reshape(-1, *tail)
-        parent = (1 - CASE_SHARE) * level_mean + CASE_SHARE * case_mean[None]
-        return values + pseudo_patches * np.repeat(parent[:, None, case], shape[1], axis=1).reshape(values.shape)
+    def means(values: Array) -> Array:
+        own = _per_case(values.reshape(*shape, -1), case)
+        level_mean = own / np.maximum(count, 1e-9)[..., None]
+        case_mean = own.sum(axis=0) / np.maximum(count.sum(axis=0), 1e-9)[:, None]
+        return ((1 - CASE_SHARE) * level_mean + CASE_SHARE * case_mean[None]).reshape(-1, own.shape[-1])
 
-    known = np.repeat(count[:, None, case] > 0, shape[1], axis=1).reshape(-1)
-    return Sums(parents(sums.moments), parents(sums.noise), np.where(known, sums.count + pseudo_patches, 0.0))
+    return ClassSums(means(sums.moments), means(sums.noise), count.reshape(-1))
 
 
 def _per_case(values: Array, case: NDArray[np.int64]) -> Array:
@@ -154,13 +171,26 @@ def _per_case(values: Array, case: NDArray[np.int64]) -> Array:
     return np.add.reduceat(values.sum(axis=1), first, axis=1)
 
 
-def _system(moments: Array, noise: Array, factor: float, ridge: float, has_intercept: bool) -> Array:
-    """X Xᵀ + factor · Λ + ridge over taps and intercept, (tap + 1, tap + 1)."""
+def _system(power: Array, noise: Array, factor: float, ridge: float) -> Array:
+    """X Xᵀ + factor · Λ + ridge over taps and, if `power` has it, the intercept."""
     taps = noise.size
-    power = moments[: taps + 1, : taps + 1]
-    diagonal = np.append(factor * noise, 1e-9 if has_intercept else NO_INTERCEPT)
-    diagonal[:taps] += ridge * np.trace(power[:taps, :taps]) / taps + 1e-12
-    return power + np.diag(diagonal)
+    system = power.copy()
+    diagonal = system.reshape(-1)[:: len(system) + 1]
+    diagonal[taps:] += 1e-9
+    diagonal[:taps] += factor * noise + ridge * diagonal[:taps].mean() + 1e-12
+    return system
+
+
+def _solve_positive(system: Array, right: Array) -> tuple[Array, float]:
+    """The solution of a symmetric positive system by Cholesky, and an estimate of its condition number (1-norm)."""
+    from scipy.linalg import lapack
+
+    factor, failed = lapack.dpotrf(system.T, lower=False)
+    if failed:  # rounding has made a nearly singular system indefinite
+        return np.asarray(np.linalg.solve(system, right), np.float64), float(np.linalg.cond(system, 1))
+    found, _ = lapack.dpotrs(factor, right, lower=False)
+    reciprocal, _ = lapack.dpocon(factor, np.abs(system).sum(axis=0).max(), uplo="U")
+    return found, 1.0 / max(reciprocal, 1e-30)
 
 
 def _noise_factors(recipe: LearningRecipe, goal: Goal) -> list[float]:

@@ -1,29 +1,32 @@
 """The training room's front: what the command calls, in the order it calls it."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.base import Stage
+from l3cli.artifacts.partial_sums import ClassSums
 from l3cli.artifacts.table import ClassRule, TransformTable
 from l3cli.artifacts.training_set import TrainingPair, TrainingSet
 from l3cli.classify import make_rule, neighbourhoods, saturation_codes
+from l3cli.errors import InputFileError
 from l3cli.train.kinds import channel_shares, choose_cases, choose_chromas
+from l3cli.train.lesson import Lesson, brightness_of
 from l3cli.train.patches import draw_levels, expose_patches, patches_of
 from l3cli.train.recipe import TrainingRecipe, check_learning
 from l3cli.train.solve import Goal, Solution, equal_responses, solve
-from l3cli.train.sums import Sums, accumulate, symmetrise
+from l3cli.train.sums import add, empty_sums, grid_steps, require_exact
 from l3cli.train.symmetry import site_maps, stabilisers
-from l3cli.train.weighing import Judge
 
 PILOT_PATCHES = 4000  # patches a site over all frames that decide which saturation cases are kept
 
 
-def training_rule(
+def survey(
     frames: Iterable[TrainingPair], total: int, head: TrainingSet, recipe: TrainingRecipe, seed: int
-) -> ClassRule:
-    """The class rule for `head.camera`; its saturation cases and chroma centres come from a pilot sample of the frames."""
+) -> tuple[ClassRule, NDArray[np.float64]]:
+    """The class rule for `head.camera`, its saturation cases and chroma centres from a pilot sample of all frames, and the
+    mean white point (output) of their lights, each at Y = 1."""
     check_learning(recipe.learning)
     camera = head.camera
     codes = 2 ** len(camera.channels)
@@ -31,8 +34,9 @@ def training_rule(
     near = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
     canonical = canonical_sites(head, rule)
     occurrences = np.zeros(codes, dtype=np.int64)
-    shares = []
+    shares, whites = [], []
     for index, frame in enumerate(frames):
+        whites.append(_unit_white(frame, head.outputs))
         for site in canonical:
             rng = np.random.default_rng([seed, 0, index, site])
             count = -(-PILOT_PATCHES // total)
@@ -40,12 +44,12 @@ def training_rule(
             own_level = np.maximum(patches.signal.mean(axis=1), 1e-3)
             scale = patches.possible(draw_levels(recipe.learning, len(own_level), rng) / own_level)[:, None]
             carried = None if patches.carried is None else (patches.carried * scale**2).astype(np.float32)
-            values, _, _ = expose_patches((patches.signal * scale).astype(np.float32), camera, rng, carried)
+            values = expose_patches((patches.signal * scale).astype(np.float32), camera, rng, carried)
             occurrences += np.bincount(saturation_codes(values, rule, near, site), minlength=codes)
             shares.append(channel_shares(patches.signal, near, site))
     case_of_code = choose_cases(occurrences, recipe.classes.max_cases)
     centres = choose_chromas(np.concatenate(shares), recipe.classes.chromas, seed)
-    return make_rule(recipe.classes, camera, case_of_code, centres)
+    return make_rule(recipe.classes, camera, case_of_code, centres), np.mean(whites, axis=0)
 
 
 def canonical_sites(head: TrainingSet, rule: ClassRule) -> list[int]:
@@ -54,55 +58,34 @@ def canonical_sites(head: TrainingSet, rule: ClassRule) -> list[int]:
     return sorted({site_map.canonical for site_map in site_maps(near.channel, rule.patch)})
 
 
-def train_site(
-    read_frames: Callable[[], Iterable[TrainingPair]],
-    total: int,
-    head: TrainingSet,
-    rule: ClassRule,
-    site: int,
-    recipe: TrainingRecipe,
-    white_point: NDArray[np.float64],
-    seed: int,
-) -> Solution:
-    """Solutions of one canonical site from the `total` frames, read in turn once a pass; `white_point` (output), Y = 1."""
-    goal = Goal(head.outputs, white_point)
-    learning = recipe.learning
-    near = neighbourhoods(head.camera.cfa, rule.patch, len(head.camera.channels))
-    window = near.channel[site]
-
-    def one_pass(number: int, draws: int, judge: Judge | None) -> Solution:
-        sums = Sums.empty(rule.classes_per_site, rule.patch**2, len(head.outputs))
-        count = -(-learning.patches // total)
-        for index, frame in enumerate(read_frames()):
-            rng = np.random.default_rng([seed, number, index, site])
-            patches = patches_of(frame, head, near, site, count, rng)
-            accumulate(sums, patches, head.camera, rule, near, site, learning, draws, judge, rng)
-        return solve(symmetrise(sums, stabilisers(window, rule.patch)), rule, window, learning, goal)
-
-    judge = None
-    if learning.first_draws and head.outputs == ("X", "Y", "Z"):
-        first = one_pass(1, learning.first_draws, None)
-        (filled,) = equal_responses([first], [1], rule, learning, goal)
-        judge = Judge(np.swapaxes(filled.weights, 1, 2), filled.intercept, white_point)
-    return one_pass(2, learning.draws, judge)
+def add_up(lesson: Lesson, parts: Iterable[ClassSums]) -> ClassSums:
+    """The sums of all parts; L3Error if a class has more patches than can be added exactly."""
+    outputs = len(lesson.head.outputs)
+    sums = empty_sums(lesson.rule, outputs)
+    for part in parts:
+        add(sums, part)
+    require_exact(sums, grid_steps(lesson.rule, lesson.head.camera, outputs))
+    return sums
 
 
-def assemble(
-    head: TrainingSet,
-    rule: ClassRule,
-    solutions: dict[int, Solution],
-    recipe: TrainingRecipe,
-    white_point: NDArray[np.float64],
-    history: tuple[Stage, ...],
-) -> TransformTable:
-    """The table of all sites from the solutions of the canonical ones; `white_point` (output) with Y = 1."""
-    camera = head.camera
+def learn_site(lesson: Lesson, parts: Iterable[ClassSums], site: int) -> Solution:
+    """Solutions of one canonical site from the sums of all parts of a pass, in whatever order; L3Error as add_up."""
+    sums = add_up(lesson, parts)
+    camera, rule = lesson.head.camera, lesson.rule
+    window = neighbourhoods(camera.cfa, rule.patch, len(camera.channels)).channel[site]
+    goal = Goal(lesson.head.outputs, lesson.white_point)
+    return solve(sums, rule, window, stabilisers(window, rule.patch), lesson.recipe, goal)
+
+
+def assemble(lesson: Lesson, solutions: dict[int, Solution], history: tuple[Stage, ...]) -> TransformTable:
+    """The table of all sites from the solutions of the canonical ones."""
+    head, rule, camera = lesson.head, lesson.rule, lesson.head.camera
     near = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
     maps = site_maps(near.channel, rule.patch)
     copies = [sum(site_map.canonical == site for site_map in maps) for site in solutions]
-    equal = equal_responses(list(solutions.values()), copies, rule, recipe.learning, Goal(head.outputs, white_point))
+    equal = equal_responses(list(solutions.values()), copies, rule, lesson.recipe, Goal(head.outputs, lesson.white_point))
     transforms = dict(zip(solutions, equal, strict=True))
-    weights, intercept, samples = [], [], []
+    weights, intercept, samples, condition = [], [], [], []
     for site_map in maps:
         trained = transforms[site_map.canonical]
         turned = np.empty_like(trained.weights)
@@ -110,6 +93,7 @@ def assemble(
         weights.append(turned)
         intercept.append(trained.intercept)
         samples.append(trained.samples)
+        condition.append(trained.condition)
     return TransformTable(
         history=history,
         camera_name=camera.name,
@@ -122,15 +106,19 @@ def assemble(
         white=camera.white,
         outputs=head.outputs,
         output_unit=camera.white_dose,
-        white_point=white_point,
+        target_description=head.target_description,
+        white_point=lesson.white_point,
         rule=rule,
         weights=np.concatenate(weights).astype(np.float32),
         intercept=np.concatenate(intercept).astype(np.float32),
         samples=np.concatenate(samples),
+        condition=np.concatenate(condition).astype(np.float32),
     )
 
 
-def mean_white(frames: Iterable[TrainingPair]) -> NDArray[np.float64]:
-    """Mean white point (output) of the frames' lights, each at Y = 1 (for other outputs than XYZ: at a mean of 1)."""
-    whites = np.array([frame.white / (frame.white[1] if frame.white.size == 3 else frame.white.mean()) for frame in frames])
-    return whites.mean(axis=0)
+def _unit_white(frame: TrainingPair, outputs: tuple[str, ...]) -> NDArray[np.float64]:
+    """White (output) of a frame's light at Y = 1, or at a mean of 1 where no output is called Y."""
+    size = float(brightness_of(frame.white, outputs))
+    if frame.white.size != len(outputs) or size <= 0:
+        raise InputFileError(f"white of scene {frame.scene} is no positive white of the outputs {', '.join(outputs)}")
+    return frame.white / size

@@ -5,7 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.floating]
+from l3cli.artifacts.table import TransformTable
+
+Floats = NDArray[np.float32]
 DARKEST = 0.02  # of the level: darker targets are not judged more strictly
 ERROR_FLOOR = 0.25  # ΔE², below which errors count alike
 # What an error of f(X), f(Y), f(Z) is in L*, a*, b*; the chroma rows are halved and eased, as eyes forgive more of them.
@@ -16,29 +18,40 @@ LIGHTNESS, RED_GREEN, YELLOW_BLUE = 116.0, 250.0, 150.0
 class Judge:
     """Transforms of one site's classes from the first pass, in XYZ."""
 
-    weights: Array  # (class, tap, output)
-    intercept: Array  # (class, output)
-    white: Array  # (output)
+    weights: Floats  # (class, tap, output)
+    products: Floats  # (class, tap, product) XX, YY, ZZ, XY, YZ of the weights: how noise of the taps adds up
+    intercept: Floats  # (class, output)
+    white: Floats  # (output)
 
-    def weight(self, clean: Array, variance: Array, target: Array, level: Array, label: NDArray[np.int64]) -> Array:
+    def weight(
+        self, clean: Floats, variance: Floats, target: Floats, level: Floats, runs: list[tuple[int, int, int]]
+    ) -> Floats:
         """(e² + ¼)^(−¼) of each patch (patch): e is the Lab error expected of the first pass, bias and noise.
 
-        `clean` and `variance` (patch, tap), `target` (patch, 3), `level` (patch), all in shares of full scale.
+        `clean` and `variance` (patch, tap), `target` (patch, 3), `level` (patch), all in shares of full scale; `runs` are
+        class, first and last patch of the patches of each class.
         """
-        slope = np.maximum(target / level[:, None] / self.white, DARKEST) ** (-2 / 3) / 3 / self.white  # d f(t) / d XYZ
-        bias, noise = np.empty_like(target), np.empty((len(target), 5))
-        order = np.argsort(label, kind="stable")
-        classes, start = np.unique(label[order], return_index=True)
-        for index, members in zip(classes, np.split(order, start[1:]), strict=True):
-            own = self.weights[index].astype(np.float32)
-            bias[members] = clean[members] @ own + self.intercept[index] - target[members]
-            products = np.stack([*(own**2).T, own[:, 0] * own[:, 1], own[:, 1] * own[:, 2]], axis=1)
-            noise[members] = variance[members] @ products
-        x, y, z = (slope * bias / level[:, None]).T
+        relative = 1 / level[:, None]
+        slope = np.maximum(target * relative / self.white, DARKEST) ** np.float32(-2 / 3) / (3 * self.white)  # d f / d XYZ
+        bias, noise = np.empty_like(target), np.empty((len(target), 5), np.float32)
+        for index, first, last in runs:
+            bias[first:last] = clean[first:last] @ self.weights[index] + self.intercept[index]
+            noise[first:last] = variance[first:last] @ self.products[index]
+        x, y, z = (slope * (bias - target) * relative).T
         error = (LIGHTNESS * y) ** 2 + (RED_GREEN * (x - y)) ** 2 + (YELLOW_BLUE * (y - z)) ** 2
-        xx, yy, zz, xy, yz = (noise / level[:, None] ** 2).T
+        xx, yy, zz, xy, yz = (noise * relative**2).T
         sx, sy, sz = slope.T
         error += LIGHTNESS**2 * sy**2 * yy
         error += RED_GREEN**2 * (sx**2 * xx - 2 * sx * sy * xy + sy**2 * yy)
         error += YELLOW_BLUE**2 * (sy**2 * yy - 2 * sy * sz * yz + sz**2 * zz)
-        return (error + ERROR_FLOOR) ** -0.25
+        return (error + ERROR_FLOOR) ** np.float32(-0.25)
+
+
+def judge_of(table: TransformTable, site: int) -> Judge:
+    """The judge of a canonical site from the first pass's table."""
+    classes = table.rule.classes_per_site
+    own = slice(site * classes, (site + 1) * classes)
+    x, y, z = np.moveaxis(table.weights[own], 1, 0)
+    products = np.stack([x * x, y * y, z * z, x * y, y * z], axis=-1)
+    weights = np.ascontiguousarray(np.swapaxes(table.weights[own], 1, 2))
+    return Judge(weights, products, table.intercept[own], table.white_point.astype(np.float32))

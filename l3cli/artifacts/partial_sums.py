@@ -1,0 +1,110 @@
+"""Partial sums: what one shard of a training run has added up, per canonical site and class (METHOD 4.6)."""
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.base import (
+    Artifact,
+    check,
+    data,
+    group,
+    new_artifact,
+    open_artifact,
+    read_fields,
+    read_history,
+    write_fields,
+)
+from l3cli.artifacts.table import ClassRule
+from l3cli.artifacts.training_set import TrainingSet
+from l3cli.errors import InputFileError
+
+
+@dataclass(frozen=True)
+class ClassSums:
+    """Sums of one canonical site over its patches. A column is a tap, the intercept or an output; rows are weighted."""
+
+    moments: NDArray[np.float64] = data(
+        "float64", "class", "pair", doc="products of columns: upper triangle of the moment matrix, row by row"
+    )
+    noise: NDArray[np.float64] = data("float64", "class", "tap", doc="noise variance of the taps")
+    count: NDArray[np.float64] = data("float64", "class", doc="training patches")
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True)
+class PartialSums(Artifact):
+    """Head of a file of partial sums; the sums lie in the groups sums/00000, sums/00001… in the order of `sites`.
+
+    Its history ends with the training run that all shards belong to, so that shards of one run have equal histories.
+    """
+
+    kind: ClassVar[str] = "partial sums"
+    version: ClassVar[int] = 1
+    made_by: ClassVar[str] = '"l3 train --shard I/N"'
+
+    shard: int = data("int64", doc="which part of the run this is, from 1 …")
+    shards: int = data("int64", doc="… to this many")
+    pass_number: int = data("int64", doc="1: first pass, whose errors weigh the rows of the second; 2: last pass")
+    frames: int = data("int64", doc="training frames of all shards")
+    training: TrainingSet = group()
+    rule: ClassRule = group()
+    white_point: NDArray[np.float64] = data(
+        "float64", "output", doc="output of a perfect white under the training light, Y = 1"
+    )
+    sites: NDArray[np.int64] = data("int64", "canonical_site", doc="CFA sites that are trained, row · cfa columns + column")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 1 <= self.shard <= self.shards or self.pass_number not in (1, 2):
+            raise ValueError(f"shard {self.shard} of {self.shards}, pass {self.pass_number} cannot be")
+
+    @property
+    def shapes(self) -> tuple[tuple[int, int], tuple[int, int], tuple[int]]:
+        """Of moments, noise and count of every site."""
+        classes, taps = self.rule.classes_per_site, self.rule.patch**2
+        width = taps + 1 + len(self.training.outputs)
+        return (classes, width * (width + 1) // 2), (classes, taps), (classes,)
+
+
+class PartialSumsReader:
+    """An open file of partial sums: `head` and `site(i)`, the sums of head.sites[i]. Memory holds one site at a time."""
+
+    def __init__(self, root: h5py.File, path: Path) -> None:
+        self._root, self._path = root, path
+        self.head: PartialSums = read_fields(root, PartialSums, path, history=read_history(root, path))
+        if not isinstance(root.get("sums"), h5py.Group) or len(root["sums"]) != len(self.head.sites):
+            raise InputFileError(f"{path} lacks sums of some sites; make it again with {PartialSums.made_by}")
+
+    def site(self, index: int) -> ClassSums:
+        name = f"sums/{index:05d}"
+        if not isinstance(self._root.get(name), h5py.Group):
+            raise InputFileError(f"{self._path} lacks the group {name}; make the file again")
+        sums = read_fields(self._root[name], ClassSums, self._path)
+        if (sums.moments.shape, sums.noise.shape, sums.count.shape) != self.head.shapes:
+            raise InputFileError(f"{self._path}: {name} does not fit the class rule; make the file again")
+        return sums
+
+
+@contextlib.contextmanager
+def open_partial_sums(path: Path) -> Iterator[PartialSumsReader]:
+    """A reader of the partial sums at `path`; InputFileError if it holds something else or is damaged."""
+    with open_artifact(path, PartialSums) as root:
+        yield PartialSumsReader(root, path)
+
+
+def write_partial_sums(path: Path, head: PartialSums, sums: Iterator[ClassSums]) -> None:
+    """Write `head` and the sums of each of its sites, taken one by one, whole or not at all."""
+    with new_artifact(path, head.kind, head.version, head.history) as root:
+        write_fields(root, head)
+        below = root.create_group("sums")
+        for index, site in enumerate(sums):
+            write_fields(below.create_group(f"{index:05d}"), site)

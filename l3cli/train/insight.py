@@ -1,0 +1,107 @@
+"""What a transform table has learned, class by class: for people who want to know where it is weak."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.table import LEVEL_FRACTION, TransformTable
+
+WORST = 8  # classes named
+
+
+def insight(table: TransformTable) -> dict[str, Any]:
+    """Figures of a table, all in plain Python types.
+
+    classes: all, trained, thin (fewer patches of their own than taps), filled (none). kinds: name and patches of each
+    chroma and saturation case. noise_gain: √Σw² of each output, median and worst over trained classes. dc_gain: median over
+    trained unsaturated classes of what a flat unit signal of one channel adds to each output. condition: median and worst
+    over trained classes. worst: the trained classes of the largest noise gain (of Y if there is one), with their names.
+    """
+    trained, rule = table.samples > 0, table.rule
+    taps = rule.patch**2
+    noise_gain = np.sqrt((table.weights.astype(np.float64) ** 2).sum(axis=2))
+    kind = np.arange(len(trained)) % rule.kinds
+    judged = noise_gain[:, table.outputs.index("Y")] if "Y" in table.outputs else noise_gain.max(axis=1)
+    order = np.argsort(np.where(trained, -judged, np.inf), kind="stable")[: int(trained.sum())]
+    # sites that are mirror images share their training: the first of them stands for all
+    _, first = np.unique(np.stack([judged[order], table.samples[order]]), axis=1, return_index=True)
+    worst = order[np.sort(first)[:WORST]]
+    per_kind = np.bincount(kind, weights=table.samples, minlength=rule.kinds)
+    return {
+        "target": table.target_description,
+        "classes": {
+            "all": len(trained),
+            "trained": int(trained.sum()),
+            "thin": int((trained & (table.samples < taps)).sum()),
+            "filled": int((~trained).sum()),
+        },
+        "kinds": [{"name": kind_name(table, index), "patches": count} for index, count in enumerate(per_kind.tolist())],
+        "noise_gain": _spread(noise_gain[trained], table.outputs),
+        "dc_gain": _dc_gain(table, trained & (kind < rule.chromas)),
+        "condition": _spread(table.condition[trained, None].astype(np.float64), ("all",))["all"],
+        "worst": [
+            {
+                "class": class_name(table, index),
+                "noise_gain": float(judged[index]),
+                "patches": float(table.samples[index]),
+                "condition": float(table.condition[index]),
+            }
+            for index in worst.tolist()
+        ],
+    }
+
+
+def class_name(table: TransformTable, index: int) -> str:
+    """Where a class applies, such as "site (1, 2) g, level 3 (0.002–0.003 of full scale), contrast 0, chroma 5"."""
+    rule = table.rule
+    shape = (table.cfa.size, rule.levels, rule.contrasts, rule.kinds)
+    site, level, contrast, kind = (int(part) for part in np.unravel_index(index, shape))
+    row, col = divmod(site, table.cfa.shape[1])
+    per_dn = 2.0**rule.shift / (2**LEVEL_FRACTION * len(table.channels))
+    share = np.append((rule.level_edges * per_dn - table.black) / (table.white - table.black), np.inf)
+    lower = "0" if level == 0 else f"{share[level - 1]:.3g}"
+    upper = f"{share[level]:.3g}" if np.isfinite(share[level]) else "1"
+    channel = table.channels[table.cfa[row, col]]
+    where = f"site ({row}, {col}) {channel}, level {level} ({lower}–{upper} of full scale), contrast {contrast}"
+    return f"{where}, {kind_name(table, kind)}"
+
+
+def kind_name(table: TransformTable, kind: int) -> str:
+    """ "chroma K", or "saturated A+B": the pattern of channels nearest to all that share the saturation case."""
+    if kind < table.rule.chromas:
+        return f"chroma {kind}"
+    codes = np.flatnonzero(table.rule.case_of_code == kind - table.rule.chromas + 1)
+    apart = np.bitwise_count(codes[:, None] ^ codes[None]) + 0.5 * ((codes[:, None] & ~codes[None]) != 0)  # as choose_cases
+    code = int(codes[::-1][np.argmin(apart.sum(axis=0)[::-1])])
+    return "saturated " + "+".join(name for bit, name in enumerate(table.channels) if code >> bit & 1)
+
+
+def _spread(values: NDArray[np.float64], names: tuple[str, ...]) -> dict[str, dict[str, float]]:
+    """Median and largest of each column (class, name)."""
+    if not len(values):
+        return {name: {"median": 0.0, "worst": 0.0} for name in names}
+    return {
+        name: {"median": float(np.median(column)), "worst": float(column.max())}
+        for name, column in zip(names, values.T, strict=True)
+    }
+
+
+def _dc_gain(table: TransformTable, chosen: NDArray[np.bool_]) -> dict[str, dict[str, float]]:
+    """Median over the chosen classes of the sum of the weights of each channel: {output: {channel: gain}}."""
+    radius = table.rule.radius
+    reach = np.arange(table.rule.patch) - radius
+    site = np.arange(len(chosen)) // table.rule.classes_per_site
+    row, col = np.divmod(site, table.cfa.shape[1])
+    gain = np.full((len(chosen), len(table.outputs), len(table.channels)), np.nan)
+    for index in np.unique(site):
+        here = chosen & (site == index)
+        first = int(np.argmax(site == index))
+        rows, cols = (row[first] + reach) % table.cfa.shape[0], (col[first] + reach) % table.cfa.shape[1]
+        member = table.cfa[np.ix_(rows, cols)].ravel()[:, None] == np.arange(len(table.channels))
+        gain[here] = table.weights[here] @ member.astype(np.float64)
+    median = np.median(gain[chosen], axis=0) if chosen.any() else np.zeros(gain.shape[1:])
+    return {
+        output: dict(zip(table.channels, values, strict=True))
+        for output, values in zip(table.outputs, median.tolist(), strict=True)
+    }

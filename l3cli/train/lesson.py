@@ -1,0 +1,49 @@
+"""One pass over the training frames: all that its work, however it is divided, has in common."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.table import ClassRule
+from l3cli.artifacts.training_set import TrainingSet
+from l3cli.train.recipe import LearningRecipe
+
+FIRST, LAST = 1, 2  # the passes: errors of the first weigh the rows of the last (METHOD 4.4)
+
+
+@dataclass(frozen=True)
+class Lesson:
+    """A pass: what is learned, from how many frames, by which rule and recipe."""
+
+    head: TrainingSet
+    frames: int
+    rule: ClassRule
+    recipe: LearningRecipe
+    white_point: NDArray[np.float64]  # (output) a perfect white under the training light, Y = 1
+    seed: int
+    number: int  # FIRST or LAST
+
+    @property
+    def draws(self) -> int:
+        """Levels a patch is rescaled to."""
+        return self.recipe.first_draws if self.number == FIRST else self.recipe.draws
+
+    @property
+    def patches_per_frame(self) -> int:
+        """Patches of every canonical site."""
+        return -(-self.recipe.patches // self.frames)
+
+    def brightness(self, target: NDArray[np.float32]) -> NDArray[np.float32]:
+        """What errors are relative to (patch), of targets (patch, output): Y if there is one, else the mean."""
+        return np.maximum(brightness_of(target, self.head.outputs), np.float32(0.0))
+
+
+def brightness_of(target: NDArray, outputs: tuple[str, ...]) -> NDArray:
+    """Y of targets (…, output), or their mean where no output is called Y."""
+    return target[..., outputs.index("Y")] if "Y" in outputs else target.mean(axis=-1)
+
+
+def has_two_passes(head: TrainingSet, recipe: LearningRecipe) -> bool:
+    """Whether a first pass weighs the rows of the last: errors are judged in Lab, so for XYZ only."""
+    return recipe.first_draws > 0 and head.outputs == ("X", "Y", "Z")
