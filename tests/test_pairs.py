@@ -12,7 +12,7 @@ from l3cli.classify import neighbourhoods
 from l3cli.frame import RawFrame, as_taken, upright
 from l3cli.simulate.pairs import make_pair
 from l3cli.simulate.recipe import Pair
-from l3cli.train.patches import expose_patches, sample_pair
+from l3cli.train.patches import expose_patches, noise_share, sample_pair
 from l3cli.train.symmetry import site_maps
 
 PAIR = Pair(raw="a.tif", picture="a.png", scale=0.5)
@@ -83,7 +83,8 @@ def test_noise_that_a_pair_carries_is_not_counted_twice(bayer: CameraModel) -> N
     assert np.array_equal(found.possible(np.full(4000, 3.0)), np.ones(4000))
     for scale in (1.0, 0.25):
         signal = found.signal * np.float32(scale)
-        values, _, variance = expose_patches(signal, bayer, rng, found.carried * np.float32(scale**2))
+        carried = found.carried * np.float32(scale**2)
+        values, variance = expose_patches(signal, bayer, rng, carried), noise_share(signal, bayer, carried)
         expected = bayer.noise_variance(np.array(mean * scale)) / span**2
         assert signal.var() + variance.mean() == pytest.approx(expected, rel=0.02)
         assert values.var() == pytest.approx(expected * span**2, rel=0.03)

@@ -223,7 +223,7 @@ def test_sums_are_exact_in_any_order(bayer: CameraModel) -> None:
     assert np.abs(whole).max() < EXACT / 1000
     assert forward.count.sum() == 12000
     patches = sample_patches(
-        frames[0], head, lesson.unit, near.channel[1], 1000, orientations(3), np.random.default_rng([1, 2, 0, 1])
+        frames[0], head, bayer.white_dose, near.channel[1], 1000, orientations(3), np.random.default_rng([1, 2, 0, 1])
     )
     matrix = sum(moment_matrix(row, 13) for row in parts[0].moments)
     assert np.linalg.eigvalsh(matrix).min() > 0
