@@ -76,16 +76,18 @@ def work_off(job: Job) -> int:
 
 def _frame(scene: "Scene", shot: Shot, run: Run) -> Any:
     from l3cli.simulate import light
-    from l3cli.simulate.frame import Saturating, simulate
+    from l3cli.simulate.frame import Averaging, Saturating, simulate
 
     own = shot.illuminant == OWN
     falling = light.own_light(scene, shot.luminance) if own else run.lights[shot.illuminant].at(shot.luminance)
     way, _ = run.recipe.exposures()
-    exposure: float | Saturating = shot.exposure
+    exposure: float | Saturating | Averaging = shot.exposure
     if way == "share":
         exposure = light.automatic_exposure(run.camera, falling, shot.exposure)
     elif way == "saturated":
         exposure = Saturating(shot.exposure)
+    elif way == "mean":
+        exposure = Averaging(shot.exposure)
     noise, seed = run.recipe.sensor.noise, (run.seed, shot.index)
     try:
         return simulate(run.camera, scene, falling, exposure, run.recipe.lens, seed, run.target, noise)

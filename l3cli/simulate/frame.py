@@ -20,11 +20,18 @@ class Saturating:
     share: float
 
 
+@dataclass(frozen=True)
+class Averaging:
+    """An exposure that makes the mosaic's mean reach this share of full scale, were nothing clipped."""
+
+    share: float
+
+
 def simulate(
     camera: CameraModel,
     scene: Scene,
     light: Light,
-    exposure: float | Saturating,
+    exposure: float | Saturating | Averaging,
     lens: Lens,
     seed: tuple[int, ...],
     target: Target = XYZ,
@@ -34,8 +41,8 @@ def simulate(
 
     One scene sample is one pixel: its average over the pixel's area, so that frame and target are registered. The chain is
     linear up to the noise, so the bands are first projected on outputs and channels in one product: a wavelength-dependent
-    blur needs the channels a few times (LOW_RANK_ERROR), nothing needs the bands again. ValueError if an exposure by
-    saturated pixels finds no light.
+    blur needs the channels a few times (LOW_RANK_ERROR), nothing needs the bands again. ValueError if an automatic exposure
+    finds no light.
     """
     bands, pitch = scene.wavelength, camera.pixel_pitch
     wanted = output_weights(target, camera, light, bands)
@@ -53,6 +60,8 @@ def simulate(
         rates *= optics.relative_illumination(camera.optics, pitch, rates.shape[1:])
     if isinstance(exposure, Saturating):
         exposure = sensor.saturating_exposure(camera, sensor.mosaic(rates, camera.cfa), exposure.share)
+    elif isinstance(exposure, Averaging):
+        exposure = sensor.averaging_exposure(camera, sensor.mosaic(rates, camera.cfa), exposure.share)
     electrons = rates * np.float32(exposure)
     rng = np.random.default_rng(seed)
     return TrainingFrame(

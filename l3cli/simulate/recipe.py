@@ -69,17 +69,24 @@ class SceneRecipe(Recipe):
     luminances_cd_m2: list[float] = msgspec.field(default_factory=lambda: [100.0])  # of a perfect white
     exposure_share: list[float] | None = None  # automatic: share of full scale that white reaches in its brightest channel
     exposure_saturated: list[float] | None = None  # automatic: share of all pixels that reach full scale
+    exposure_mean: list[float] | None = None  # automatic: share of full scale that the mosaic's mean reaches, unclipped
     exposure_s: list[float] | None = None  # fixed
     lens: Lens = msgspec.field(default_factory=Lens)
     sensor: SensorSetting = msgspec.field(default_factory=SensorSetting)
     target: TargetRecipe = msgspec.field(default_factory=TargetRecipe)
 
     def exposures(self) -> tuple[str, list[float]]:
-        """How exposures are given ("share", "saturated" or "seconds") and their values; RecipeError unless in one way."""
-        ways = {"share": self.exposure_share, "saturated": self.exposure_saturated, "seconds": self.exposure_s}
+        """How exposures are given ("share", "saturated", "mean" or "seconds") and their values; RecipeError unless in one way."""
+        ways = {
+            "share": self.exposure_share,
+            "saturated": self.exposure_saturated,
+            "mean": self.exposure_mean,
+            "seconds": self.exposure_s,
+        }
         given = {way: values for way, values in ways.items() if values is not None}
         if len(given) != 1:
-            raise RecipeError("give either exposure_share or exposure_saturated (automatic) or exposure_s (fixed)")
+            automatic = "exposure_share, exposure_saturated, exposure_mean (automatic)"
+            raise RecipeError(f"give exactly one of {automatic} and exposure_s (fixed)")
         return next(iter(given.items()))
 
 

@@ -54,6 +54,15 @@ def saturating_exposure(camera: CameraModel, rates: NDArray[np.floating], share:
     return camera.full_scale / rate
 
 
+def averaging_exposure(camera: CameraModel, rates: NDArray[np.floating], share: float) -> float:
+    """Seconds after which pixels with `rates` (row, col) e-/s hold `share` of full scale on average, were nothing clipped;
+    ValueError if all is dark."""
+    rate = float(np.mean(rates, dtype=np.float64))
+    if rate <= 0:
+        raise ValueError("the scene is too dark for an exposure by its mean")
+    return share * camera.full_scale / rate
+
+
 def with_analog_gain(camera: CameraModel, gain: float) -> CameraModel:
     """The camera with its analog gain turned up: more DN an electron, the same black, the converter's top sooner reached."""
     white = min(camera.black + gain * (camera.white - camera.black), 2.0**camera.bits - 1)
