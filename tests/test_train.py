@@ -208,7 +208,7 @@ def test_sums_are_exact_in_any_order(bayer: CameraModel) -> None:
     rule = make_rule(ClassRecipe(patch=3, levels=4), bayer, np.zeros(8, np.uint16))
     near = classify.neighbourhoods(bayer.cfa, 3, 3)
     head = TrainingSet(camera=bayer, outputs=("X", "Y", "Z"), target_description="")
-    lesson = Lesson(head, 6, rule, LearningRecipe(patches=6000, draws=2), np.ones(3), 1, LAST)
+    lesson = Lesson(head, (1000,) * 6, rule, LearningRecipe(patches=6000, draws=2), np.ones(3), 1, LAST)
     frames = [a_frame(bayer, seed, smooth=False) for seed in range(6)]
     parts = [sum_sites(lesson, iter([(index, iter([frame]))]), (1,), (None,))[0] for index, frame in enumerate(frames)]
     forward, backward = add_up(lesson, parts), add_up(lesson, parts[::-1])

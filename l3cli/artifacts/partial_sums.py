@@ -54,7 +54,7 @@ class PartialSums(Artifact):
     shard: int = data("int64", doc="which part of the run this is, from 1 …")
     shards: int = data("int64", doc="… to this many")
     pass_number: int = data("int64", doc="1: first pass, whose errors weigh the rows of the second; 2: last pass")
-    frames: int = data("int64", doc="training frames of all shards")
+    patches: NDArray[np.int64] = data("int64", "frame", doc="patches a site of every training frame, in all shards")
     training: TrainingSet = group()
     rule: ClassRule = group()
     white_point: NDArray[np.float64] = data(

@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,9 +34,25 @@ def _shard(context: Any, parameter: Any, text: str | None) -> tuple[int, int] | 
     return index, count
 
 
+def _shares(context: Any, parameter: Any, text: str | None) -> tuple[Fraction, ...] | None:
+    """Reads "1,0.7,0.4": numbers that are not negative and not all zero."""
+    if text is None:
+        return None
+    try:
+        shares = tuple(Fraction(float(part)).limit_denominator(10**12) for part in text.split(","))
+    except (ValueError, OverflowError):
+        raise click.BadParameter(f'"{text}" is no list of numbers, such as 1,0.7,0.4') from None
+    if min(shares) < 0 or not any(shares):
+        raise click.BadParameter(f"{text}: shares must not be negative, and one must be above zero")
+    return shares
+
+
 @click.command()
 @click.argument("files", type=options.FILE, nargs=-1, required=True, metavar="TRAINING.h5…")
 @click.option("--classes", type=options.FILE, metavar="TOML", help="Class recipe; without it the built-in default.")
+@click.option(
+    "--shares", callback=_shares, metavar="A,B…", help="Patches of each training set in this proportion, not by frames."
+)
 @options.output("Transform table to write; with --shard the partial sums")
 @click.option("--shard", callback=_shard, metavar="I/N", help="Only sum up part I of N, from 1, to be merged later.")
 @click.option("--first", type=options.FILE, metavar="FIRST.h5", help="First-pass table, for the shards of the last pass.")
@@ -45,15 +62,19 @@ def _shard(context: Any, parameter: Any, text: str | None) -> tuple[int, int] | 
 @options.force
 @options.quiet
 def train(
-    files: tuple[Path, ...], classes: Path | None, output: Path, shard: tuple[int, int] | None, first: Path | None,
-    merge: bool, seed: int, jobs: int, force: bool, quiet: bool,
+    files: tuple[Path, ...], classes: Path | None, shares: tuple[Fraction, ...] | None, output: Path,
+    shard: tuple[int, int] | None, first: Path | None, merge: bool, seed: int, jobs: int, force: bool, quiet: bool,
 ) -> None:  # fmt: skip
     """Learn a table of local linear transforms from one or more training sets.
 
     Example: l3 train training.h5 --classes configs/classes/default.toml -o table.h5
 
-    Over several machines, give every shard the same training sets, recipe and seed. Training takes two passes, the errors
-    of the first weigh the rows of the last, so there are four steps; the last table has the same bytes as without shards:
+    Patches are spread evenly over all frames. With --shares 1,0.7,0.4 three training sets get patches in that proportion,
+    however many frames they have.
+
+    Over several machines, give every shard the same training sets, shares, recipe and seed. Training takes two passes, the
+    errors of the first weigh the rows of the last, so there are four steps; the last table has the same bytes as without
+    shards:
 
     \b
       l3 train training.h5 --shard 1/4 -o a1.h5                     and 2/4, 3/4, 4/4
@@ -67,15 +88,17 @@ def train(
     from l3cli.parallel import one_blas_thread
 
     one_blas_thread()
-    if merge and (classes or shard or first or seed):
-        raise click.UsageError("--merge takes shards alone: classes and seed are told by them")
+    if merge and (classes or shares or shard or first or seed):
+        raise click.UsageError("--merge takes shards alone: classes, shares and seed are told by them")
+    if shares and len(shares) != len(files):
+        raise click.UsageError(f"--shares gives {len(shares)} shares for {len(files)} training sets")
     if first and not shard:
         raise click.UsageError("--first goes with --shard")
     refuse_existing(output, force)
     if merge:
         merge_shards(files, output, quiet)
         return
-    course = open_course(files, classes, seed)
+    course = open_course(files, classes, shares, seed)
     if shard:
         train_shard(course, shard, first, output, jobs, quiet)
     else:
@@ -88,7 +111,7 @@ class Course:
 
     training: tuple[Path, ...]
     head: "TrainingSet"
-    frames: int
+    patches: tuple[int, ...]  # (frame)
     recipe: "TrainingRecipe"
     seed: int
     stage: "Stage"
@@ -101,18 +124,27 @@ class Course:
         return (*self.head.history, stage)
 
 
-def open_course(training: tuple[Path, ...], classes: Path | None, seed: int) -> Course:
-    """The run of these training sets; InputFileError or RecipeError if they or the recipe cannot be used."""
+def open_course(training: tuple[Path, ...], classes: Path | None, shares: tuple[Fraction, ...] | None, seed: int) -> Course:
+    """The run of these training sets; InputFileError or RecipeError if they or the recipe cannot be used. A set whose share
+    is zero is as if it were not given."""
     from l3cli.artifacts.base import Stage
     from l3cli.config import load_recipe, read_text
     from l3cli.files import sha256
+    from l3cli.train.lesson import spread_patches
     from l3cli.train.recipe import TrainingRecipe
 
     recipe = load_recipe(classes, TrainingRecipe) if classes else TrainingRecipe()
     head, frames = _common_head(training)
+    chosen: dict[str, Any] = {"seed": seed}
+    if shares is not None:
+        training, frames, shares = zip(
+            *(each for each in zip(training, frames, shares, strict=True) if each[2]), strict=True
+        )
+        chosen["shares"] = ",".join(f"{float(share):.12g}" for share in shares)
+    patches = spread_patches(recipe.learning.patches, frames, shares)
     inputs = {"training set": [sha256(path) for path in training]}
-    stage = Stage("train", {"seed": seed}, read_text(classes) if classes else "", inputs)
-    return Course(training, head, frames, recipe, seed, stage)
+    stage = Stage("train", chosen, read_text(classes) if classes else "", inputs)
+    return Course(training, head, patches, recipe, seed, stage)
 
 
 def train_whole(course: Course, output: Path, jobs: int, quiet: bool) -> None:
@@ -149,11 +181,11 @@ def train_shard(course: Course, shard: tuple[int, int], first: Path | None, outp
     if table is None:
         lesson = first_lesson(course, quiet)
     elif table.history == course.history(FIRST):
-        about = (course.head, course.frames, table.rule, course.recipe.learning, table.white_point, course.seed)
+        about = (course.head, course.patches, table.rule, course.recipe.learning, table.white_point, course.seed)
         lesson = Lesson(*about, LAST)
     else:
         raise InputFileError(
-            f"{first} is not the first pass of this run: other training sets, recipe or seed; "
+            f"{first} is not the first pass of this run: other training sets, shares, recipe or seed; "
             'make it with "l3 train --merge" of the first pass\'s shards'
         )
     index, count = shard
@@ -164,7 +196,7 @@ def train_shard(course: Course, shard: tuple[int, int], first: Path | None, outp
         shard=index,
         shards=count,
         pass_number=lesson.number,
-        frames=course.frames,
+        patches=np.array(course.patches),
         training=course.head,
         rule=lesson.rule,
         white_point=lesson.white_point,
@@ -191,7 +223,15 @@ def merge_shards(shards: tuple[Path, ...], output: Path, quiet: bool) -> None:
         head = readers[0].head
         stage = head.history[-1]
         recipe = parse_recipe(stage.recipe, TrainingRecipe, str(shards[0])).learning
-        about = (head.training, head.frames, head.rule, recipe, head.white_point, stage.options["seed"], head.pass_number)
+        about = (
+            head.training,
+            tuple(head.patches.tolist()),
+            head.rule,
+            recipe,
+            head.white_point,
+            stage.options["seed"],
+            head.pass_number,
+        )
         lesson = Lesson(*about)
         solutions = {
             int(site): learn_site(lesson, (reader.site(index) for reader in readers), int(site))
@@ -210,11 +250,11 @@ def first_lesson(course: Course, quiet: bool) -> "Lesson":
     from l3cli.train.table import survey
 
     learning = course.recipe.learning
-    rule, white = survey(_frames(course.training), course.frames, course.head, course.recipe, course.seed)
+    rule, white = survey(_frames(course.training), course.patches, course.head, course.recipe, course.seed)
     kinds = f"({rule.chromas} chromas + {rule.cases - 1} saturation cases)"
-    options.say(f"{course.frames} frames, {rule.levels} levels × {rule.contrasts} contrasts × {kinds} a site", quiet)
+    options.say(f"{len(course.patches)} frames, {rule.levels} levels × {rule.contrasts} contrasts × {kinds} a site", quiet)
     number = FIRST if has_two_passes(course.head, learning) else LAST
-    return Lesson(course.head, course.frames, rule, learning, white, course.seed, number)
+    return Lesson(course.head, course.patches, rule, learning, white, course.seed, number)
 
 
 @dataclass(frozen=True)
@@ -295,19 +335,19 @@ def _say_table(table: "TransformTable", output: Path, quiet: bool) -> None:
     options.say(f"{output}: {len(table.weights)} classes, {filled} of them without patches of their own", quiet)
 
 
-def _common_head(training: tuple[Path, ...]) -> tuple["TrainingSet", int]:
-    """The head that all sets share and the number of their frames; InputFileError if they are of different cameras."""
+def _common_head(training: tuple[Path, ...]) -> tuple["TrainingSet", tuple[int, ...]]:
+    """The head that all sets share and the frames of each; InputFileError if they are of different cameras."""
     from l3cli.artifacts.base import equal
     from l3cli.artifacts.training_set import open_training_set
     from l3cli.errors import InputFileError
 
-    total, head = 0, None
+    frames, head = [], None
     for path in training:
         with open_training_set(path) as reader:
-            total += len(reader)
+            frames.append(len(reader))
             if head is None:
                 head = reader.head
             elif not equal(head, reader.head):
                 raise InputFileError(f"{path} and {training[0]} have different cameras or targets; train them apart")
     assert head is not None  # click asks for at least one file
-    return head, total
+    return head, tuple(frames)

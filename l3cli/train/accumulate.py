@@ -4,6 +4,7 @@ a patch is rescaled, exposed and labelled in pieces that stay in the caches, of 
 then all are sorted by class, made again without noise in pieces, weighed, and multiplied class by class.
 """
 
+import itertools
 from collections.abc import Iterator
 
 import numpy as np
@@ -26,8 +27,13 @@ TARGET_FLOOR = 0.05  # of the level: rows of darker targets get no more weight (
 
 def frame_blocks(lesson: Lesson) -> list[range]:
     """The frames in runs whose patches are sorted together; shards and processes are dealt whole blocks."""
-    size = max(1, BATCH // lesson.patches_per_frame)
-    return [range(first, min(first + size, lesson.frames)) for first in range(0, lesson.frames, size)]
+    starts, together = [0], 0
+    for index, patches in enumerate(lesson.patches):
+        together += patches
+        if together > BATCH and index > starts[-1]:
+            starts.append(index)
+            together = patches
+    return [range(first, last) for first, last in itertools.pairwise([*starts, len(lesson.patches)])]
 
 
 def site_groups(lesson: Lesson, sites: list[int], at_least: int) -> list[tuple[int, ...]]:
@@ -49,20 +55,21 @@ def sum_sites(
     sums = {site: empty_sums(lesson.rule, len(lesson.head.outputs)) for site in sites}
     for first, frames in blocks:
         rngs = {site: np.random.default_rng([lesson.seed, lesson.number, first, site]) for site in sites}
-        for site, patches in _batches(lesson, frames, near, rngs):
+        for site, patches in _batches(lesson, first, frames, near, rngs):
             judge = judges[sites.index(site)]
             _Batch(lesson, patches, near, site, judge).add_to(sums[site], rngs[site])
     return list(sums.values())
 
 
 def _batches(
-    lesson: Lesson, frames: Iterator[TrainingPair], near: Neighbourhoods, rngs: dict[int, np.random.Generator]
+    lesson: Lesson, first: int, frames: Iterator[TrainingPair], near: Neighbourhoods, rngs: dict[int, np.random.Generator]
 ) -> Iterator[tuple[int, Patches]]:
-    """The patches of a block for each site, together or, where one frame has more than BATCH, a part of it at a time."""
+    """The patches of a block, frames from `first`, for each site: together or, where one frame has more than BATCH, a part
+    of it at a time."""
     waiting: dict[int, list[Patches]] = {site: [] for site in rngs}
-    for frame in frames:
+    for index, frame in enumerate(frames, first):
         for site, rng in rngs.items():
-            rest = lesson.patches_per_frame
+            rest = lesson.patches[index]
             while rest:
                 count = min(rest, BATCH)
                 rest -= count

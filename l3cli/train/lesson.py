@@ -1,6 +1,9 @@
 """One pass over the training frames: all that its work, however it is divided, has in common."""
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +17,10 @@ FIRST, LAST = 1, 2  # the passes: errors of the first weigh the rows of the last
 
 @dataclass(frozen=True)
 class Lesson:
-    """A pass: what is learned, from how many frames, by which rule and recipe."""
+    """A pass: what is learned, from how many patches of which frames, by which rule and recipe."""
 
     head: TrainingSet
-    frames: int
+    patches: tuple[int, ...]  # (frame) patches of every canonical site
     rule: ClassRule
     recipe: LearningRecipe
     white_point: NDArray[np.float64]  # (output) a perfect white under the training light, Y = 1
@@ -29,14 +32,17 @@ class Lesson:
         """Levels a patch is rescaled to."""
         return self.recipe.first_draws if self.number == FIRST else self.recipe.draws
 
-    @property
-    def patches_per_frame(self) -> int:
-        """Patches of every canonical site."""
-        return -(-self.recipe.patches // self.frames)
-
     def brightness(self, target: NDArray[np.float32]) -> NDArray[np.float32]:
         """What errors are relative to (patch), of targets (patch, output): Y if there is one, else the mean."""
         return np.maximum(brightness_of(target, self.head.outputs), np.float32(0.0))
+
+
+def spread_patches(patches: int, frames: Sequence[int], shares: Sequence[Fraction] | None) -> tuple[int, ...]:
+    """Patches (frame) of training sets with so many `frames` (set): evenly over all frames or, with `shares` (set), in
+    their proportion over the sets and evenly over the frames of each (METHOD 4.8). Rounded up, so that no frame is idle."""
+    parts = shares if shares is not None else [Fraction(count) for count in frames]
+    each = [math.ceil(patches * part / sum(parts) / count) for part, count in zip(parts, frames, strict=True)]
+    return tuple(own for own, count in zip(each, frames, strict=True) for _ in range(count))
 
 
 def brightness_of(target: NDArray, outputs: tuple[str, ...]) -> NDArray:

@@ -1,6 +1,6 @@
 """The training room's front: what the command calls, in the order it calls it."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,10 +23,10 @@ PILOT_PATCHES = 4000  # patches a site over all frames that decide which saturat
 
 
 def survey(
-    frames: Iterable[TrainingPair], total: int, head: TrainingSet, recipe: TrainingRecipe, seed: int
+    frames: Iterable[TrainingPair], patches: Sequence[int], head: TrainingSet, recipe: TrainingRecipe, seed: int
 ) -> tuple[ClassRule, NDArray[np.float64]]:
     """The class rule for `head.camera`, its saturation cases and chroma centres from a pilot sample of all frames, and the
-    mean white point (output) of their lights, each at Y = 1."""
+    mean white point (output) of their lights, each at Y = 1; frames count as they have `patches` (frame)."""
     check_learning(recipe.learning)
     camera = head.camera
     codes = 2 ** len(camera.channels)
@@ -35,21 +35,21 @@ def survey(
     canonical = canonical_sites(head, rule)
     occurrences = np.zeros(codes, dtype=np.int64)
     shares, whites = [], []
-    for index, frame in enumerate(frames):
+    for index, (frame, share) in enumerate(zip(frames, patches, strict=True)):
         whites.append(_unit_white(frame, head.outputs))
         for site in canonical:
             rng = np.random.default_rng([seed, 0, index, site])
-            count = -(-PILOT_PATCHES // total)
-            patches = patches_of(frame, head, near, site, count, rng)
-            own_level = np.maximum(patches.signal.mean(axis=1), 1e-3)
-            scale = patches.possible(draw_levels(recipe.learning, len(own_level), rng) / own_level)[:, None]
-            carried = None if patches.carried is None else (patches.carried * scale**2).astype(np.float32)
-            values = expose_patches((patches.signal * scale).astype(np.float32), camera, rng, carried)
+            count = -(-PILOT_PATCHES * share // sum(patches))
+            pilot = patches_of(frame, head, near, site, count, rng)
+            own_level = np.maximum(pilot.signal.mean(axis=1), 1e-3)
+            scale = pilot.possible(draw_levels(recipe.learning, len(own_level), rng) / own_level)[:, None]
+            carried = None if pilot.carried is None else (pilot.carried * scale**2).astype(np.float32)
+            values = expose_patches((pilot.signal * scale).astype(np.float32), camera, rng, carried)
             occurrences += np.bincount(saturation_codes(values, rule, near, site), minlength=codes)
-            shares.append(channel_shares(patches.signal, near, site))
+            shares.append(channel_shares(pilot.signal, near, site))
     case_of_code = choose_cases(occurrences, recipe.classes.max_cases)
     centres = choose_chromas(np.concatenate(shares), recipe.classes.chromas, seed)
-    return make_rule(recipe.classes, camera, case_of_code, centres), np.mean(whites, axis=0)
+    return make_rule(recipe.classes, camera, case_of_code, centres), np.average(whites, axis=0, weights=patches)
 
 
 def canonical_sites(head: TrainingSet, rule: ClassRule) -> list[int]:
