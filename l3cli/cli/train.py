@@ -200,7 +200,7 @@ def train_shard(course: Course, shard: tuple[int, int], first: Path | None, outp
         training=course.head,
         rule=lesson.rule,
         white_point=lesson.white_point,
-        sites=np.array(canonical_sites(course.head, lesson.rule)),
+        sites=np.array(canonical_sites(course.head, lesson.rule, lesson.recipe)),
     )
     write_partial_sums(output, head, (add_up(lesson, sums) for _, sums in parts))
     options.say(f"{output}: shard {index} of {count}, {'first' if lesson.number == FIRST else 'last'} pass", quiet)
@@ -278,11 +278,11 @@ def summed(
     from l3cli.train.weighing import judge_of
 
     shares = [tuple(blocks[job::jobs]) for job in range(min(jobs, len(blocks)))]
-    groups = site_groups(lesson, canonical_sites(lesson.head, lesson.rule), -(-jobs // max(len(shares), 1)))
+    groups = site_groups(lesson, canonical_sites(lesson.head, lesson.rule, lesson.recipe), -(-jobs // max(len(shares), 1)))
 
     def parts() -> Iterator[Part]:
         for group in groups:
-            judges = tuple(judge_of(first, site) if first is not None else None for site in group)
+            judges = tuple(judge_of(first, site, lesson.recipe.error_power) if first is not None else None for site in group)
             yield from (Part(course.training, lesson, group, judges, share) for share in shares)
 
     results = options.progress(ordered_map(_sum_part, parts(), jobs), len(groups) * len(shares), "sums", quiet)

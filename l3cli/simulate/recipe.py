@@ -76,7 +76,7 @@ class SceneRecipe(Recipe):
     target: TargetRecipe = msgspec.field(default_factory=TargetRecipe)
 
     def exposures(self) -> tuple[str, list[float]]:
-        """How exposures are given ("share", "saturated", "mean" or "seconds") and their values; RecipeError unless in one way."""
+        """The way exposures are given (a key of `ways`) and their values; RecipeError unless there is just one way."""
         ways = {
             "share": self.exposure_share,
             "saturated": self.exposure_saturated,

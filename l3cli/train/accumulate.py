@@ -73,7 +73,7 @@ def _batches(
             while rest:
                 count = min(rest, BATCH)
                 rest -= count
-                waiting[site].append(patches_of(frame, lesson.head, near, site, count, rng))
+                waiting[site].append(patches_of(frame, lesson.head, near, site, count, rng, lesson.recipe.symmetry))
                 if rest:
                     yield site, waiting[site].pop()
     for site, patches in waiting.items():
@@ -96,7 +96,8 @@ class _Batch:
         steps = grid_steps(self.lesson.rule, self.lesson.head.camera, self.patches.target.shape[1])
         for start in range(0, len(order), PIECE):
             piece = order[start : start + PIECE]
-            self._add_piece(sums, steps, label[piece], level[piece], scale[piece], piece % len(self.patches.signal))
+            patch = piece % len(self.patches.signal)
+            self._add_piece(sums, steps, label[piece], level[piece], scale[piece], patch, rng)
 
     def _exposed(self, rng: np.random.Generator) -> tuple[NDArray[np.unsignedinteger], Floats, Floats]:
         """Class, level as the camera sees it and scale of every draw of every patch (draw · patch)."""
@@ -108,7 +109,7 @@ class _Batch:
         share = self.tap_share / np.float32(camera.white - camera.black)
         dark = np.float32(camera.black) * share.sum()
         for draw in range(lesson.draws):
-            drawn = draw_levels(lesson.recipe, count, rng) / own_level
+            drawn = draw_levels(lesson.recipe, count, rng) / own_level if lesson.recipe.rescale else np.ones(count)
             scale[draw * count : (draw + 1) * count] = self.patches.possible(drawn)
             for first in range(0, count, PIECE):
                 part = signal[first : first + PIECE]
@@ -131,15 +132,20 @@ class _Batch:
         level: Floats,
         scale: Floats,
         patch: NDArray[np.int64],
+        rng: np.random.Generator,
     ) -> None:
         """Add rows of non-decreasing class: patches `patch` rescaled by `scale`, seen at `level`."""
         signal = self.patches.signal[patch] * scale[:, None]
         target = self.patches.target[patch] * scale[:, None]
-        clean = np.minimum(signal, np.float32(1.0))
         variance = noise_share(signal, self.lesson.head.camera, self._carried(patch, scale))
+        if self.lesson.recipe.noise == "sampled":
+            signal += np.sqrt(variance) * rng.standard_normal(signal.shape, dtype=np.float32)
+            variance[:] = 0
+        clean = np.minimum(signal, np.float32(1.0))
         start = np.flatnonzero(np.diff(label, prepend=label[0] + 1))  # a class begins where the label changes
         runs = list(zip(label[start].tolist(), start.tolist(), [*start[1:].tolist(), len(label)], strict=True))
-        weight = 1.0 / (level * np.sqrt(self.lesson.brightness(target) / level + np.float32(TARGET_FLOOR)))
+        brightness = self.lesson.brightness(target) / level + np.float32(TARGET_FLOOR)
+        weight = brightness ** np.float32(-self.lesson.recipe.brightness_power) / level
         if self.judge is not None:
             weight *= self.judge.weight(clean, variance, target, level, runs)
         taps = signal.shape[1]

@@ -50,8 +50,10 @@ def patches_of(
     site: int,
     count: int,
     rng: np.random.Generator,
+    shared: bool = True,
 ) -> Patches:
-    """`count` patches of a simulated frame or a real pair, laid out like those of canonical `site`."""
+    """`count` patches of a simulated frame or a real pair, laid out like those of canonical `site`; whether sites share
+    their training, as in site_maps, matters to real pairs."""
     side = int(np.sqrt(near.channel.shape[1]))
     if frame.raw.shape[0] < side or frame.raw.shape[1] < side:
         rows, cols = frame.raw.shape
@@ -59,18 +61,25 @@ def patches_of(
     if isinstance(frame, TrainingFrame):
         unit = head.camera.white_dose
         return sample_patches(frame, head, unit, near.channel[site], count, orientations(side), rng)
-    return sample_pair(frame, head.camera, near, site, count, rng)
+    return sample_pair(frame, head.camera, near, site, count, rng, shared)
 
 
 def sample_pair(
-    pair: TrainingPair, camera: CameraModel, near: Neighbourhoods, site: int, count: int, rng: np.random.Generator
+    pair: TrainingPair,
+    camera: CameraModel,
+    near: Neighbourhoods,
+    site: int,
+    count: int,
+    rng: np.random.Generator,
+    shared: bool = True,
 ) -> Patches:
     """`count` patches of a real pair at random places among the sites that are canonical `site` turned or mirrored: only
     there, and only turned so, is its mosaic that of the table."""
     side = int(np.sqrt(near.channel.shape[1]))
     radius, period = side // 2, camera.cfa.shape
     rows, cols = pair.raw.shape
-    maps = [(other, found) for other, found in enumerate(site_maps(near.channel, side)) if found.canonical == site]
+    every = enumerate(site_maps(near.channel, side, shared))
+    maps = [(other, found) for other, found in every if found.canonical == site]
     reach = np.arange(side) - radius
     offset = (reach[:, None] * cols + reach[None]).ravel()
     places, takes = [], []

@@ -1,5 +1,7 @@
 """What a class recipe (configs/classes) may say."""
 
+from typing import Literal
+
 import msgspec
 
 from l3cli.classify import ClassRecipe
@@ -17,11 +19,19 @@ class LearningRecipe(Recipe):
     brightest: float = 2.5  # … to here, clipped at white
     highlight_share: float = 0.25  # this share of the draws …
     highlight_from: float = 0.15  # … lies between here and the brightest
+    rescale: bool = True  # False: patches stay at the level of their frame, however often they are drawn
+    noise: Literal["analytic", "sampled"] = "analytic"  # noise-free patches and a covariance, or patches with noise drawn
+    brightness_power: float = 0.5  # rows weigh (Y / level)^-power, 0…1 (METHOD 4.2)
+    error_power: float = 0.25  # rows of the second pass weigh (e² + ¼)^-power, e the error of the first (METHOD 4.4)
     ridge: float = 1e-5  # relative to the mean power of a tap
-    luminance_noise: float = 1.2  # weight of the noise covariance for Y (METHOD 4.3)
-    chroma_noise: float = 3.2  # the same for the two chroma rows
+    luminance_noise: float = 1.5  # weight of the noise covariance for Y (METHOD 4.3)
+    chroma_noise: float = 2.0  # the same for the two chroma rows
     level_pool: tuple[float, ...] = (0.5, 0.25)  # weight of classes one, two… levels away (METHOD 4.5)
-    parent_patches: int = 200  # pseudo-patches of the (case, level) parent added to every class
+    parent_patches: int = (
+        200  # pseudo-patches of the parent, all chromas of its level, contrast and case, added to every class
+    )
+    symmetry: bool = True  # CFA sites that are rotations or mirror images of one another share their training (METHOD 3.6)
+    equal_response: bool = True  # all CFA sites answer a flat patch alike (METHOD 4.7)
 
 
 class TrainingRecipe(Recipe):
@@ -41,3 +51,5 @@ def check_learning(recipe: LearningRecipe) -> None:
         raise RecipeError("learning.highlight_share must lie in 0…1")
     if recipe.ridge <= 0 or recipe.luminance_noise < 0 or recipe.chroma_noise < 0:
         raise RecipeError("learning.ridge must be positive, the noise weights not negative")
+    if not (0 <= recipe.brightness_power <= 1 and 0 <= recipe.error_power <= 0.5):
+        raise RecipeError("learning.brightness_power must lie in 0…1, error_power in 0…0.5")

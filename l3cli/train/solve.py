@@ -1,6 +1,7 @@
 """From sums to transforms: a Wiener solution for every class, thin classes shrunk, empty ones filled (METHOD 4)."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,10 +63,8 @@ def solve(
     helped by their neighbours; `window` (tap) names the channel of each tap, and `stabilisers` (tap) are the orientations
     that leave it as it is, over which sums are averaged. Raises L3Error if no class has any patches."""
     parents = _parents(sums, rule)
-    stride = rule.contrasts * rule.kinds
-    kinds = np.maximum(np.arange(sums.count.size) % rule.kinds - rule.chromas + 1, 0)
-    has_parent = parents.count[np.arange(sums.count.size) // stride * rule.cases + kinds] > 0
-    solved = has_parent if recipe.parent_patches else sums.count > 0
+    parent = _parent_of(np.arange(sums.count.size), rule)
+    solved = parents.count[parent] > 0 if recipe.parent_patches else sums.count > 0
     if not solved.any():
         raise L3Error("no class has training patches; simulate more frames")
     places = symmetric_places(stabilisers, window.size + 1 + len(goal.outputs))
@@ -105,7 +104,8 @@ def equal_responses(
     saturated = np.arange(solved.shape[1]) % rule.kinds >= rule.chromas
     for kind in (False, True):
         used = slice(None) if kind else slice(0, -1)  # without an intercept there is none to equalise
-        for sites in np.unique(solved[:, saturated == kind], axis=1).T:  # classes that the same sites have solved
+        alike = np.unique(solved[:, saturated == kind], axis=1).T if recipe.equal_response else ()
+        for sites in alike:  # classes that the same sites have solved
             among = np.flatnonzero(sites)
             here = np.flatnonzero((saturated == kind) & (solved == sites[:, None]).all(axis=0))
             for output, factor in enumerate(factors if among.size else []):
@@ -131,7 +131,7 @@ def _shrunk(sums: ClassSums, parents: ClassSums, index: int, rule: ClassRule, re
     """Moments (pair) and noise (tap) of a class with what helps it (METHOD 4.5): unsaturated, weighted sums of the levels
     beside it, which add since sums are relative to the level; and pseudo-patches of its parent."""
     stride = rule.contrasts * rule.kinds
-    level, kind = index // stride, index % rule.kinds
+    level, kind, parent = index // stride, index % rule.kinds, _parent_of(index, rule)
     moments, noise, count = sums.moments[index].copy(), sums.noise[index], sums.count[index]
     pool = recipe.level_pool if count > 0 and kind < rule.chromas else ()
     for distance, weight in enumerate(pool, start=1):
@@ -142,7 +142,6 @@ def _shrunk(sums: ClassSums, parents: ClassSums, index: int, rule: ClassRule, re
                 count += weight * sums.count[neighbour]
     if count > 0:
         noise = noise * (count / sums.count[index])  # the class's own, scaled to the new number of patches
-    parent = level * rule.cases + max(kind - rule.chromas + 1, 0)
     return (
         moments + recipe.parent_patches * parents.moments[parent],
         noise + recipe.parent_patches * parents.noise[parent],
@@ -150,25 +149,32 @@ def _shrunk(sums: ClassSums, parents: ClassSums, index: int, rule: ClassRule, re
 
 
 def _parents(sums: ClassSums, rule: ClassRule) -> ClassSums:
-    """Mean sums of a patch of each parent (level · cases + case): the classes of its level and saturation case, whatever
-    their contrast and chroma, and a share of those of its case at any level (METHOD 4.5)."""
+    """Mean sums of a patch of each parent: the classes of its level, contrast and saturation case, whatever their chroma,
+    or where none of them has patches those of any contrast; and a share of those of its case anywhere (METHOD 4.5). A
+    parent's count is that of its level and case."""
     shape = (rule.levels, rule.contrasts, rule.kinds)
-    case = np.maximum(np.arange(rule.kinds) - rule.chromas + 1, 0)  # of each kind
-    count = _per_case(sums.count.reshape(shape), case)
+    first = np.unique(_parent_of(np.arange(rule.kinds), rule), return_index=True)[1]  # kind of each case
+
+    def by_case(values: Array) -> Array:
+        return np.add.reduceat(values.reshape(*shape, -1), first, axis=2)
+
+    count = by_case(sums.count)
 
     def means(values: Array) -> Array:
-        own = _per_case(values.reshape(*shape, -1), case)
-        level_mean = own / np.maximum(count, 1e-9)[..., None]
-        case_mean = own.sum(axis=0) / np.maximum(count.sum(axis=0), 1e-9)[:, None]
-        return ((1 - CASE_SHARE) * level_mean + CASE_SHARE * case_mean[None]).reshape(-1, own.shape[-1])
+        own = by_case(values)
+        near = own / np.maximum(count, 1e-9)
+        level = own.sum(axis=1, keepdims=True) / np.maximum(count.sum(axis=1, keepdims=True), 1e-9)
+        case = own.sum(axis=(0, 1)) / np.maximum(count.sum(axis=(0, 1)), 1e-9)
+        mean = (1 - CASE_SHARE) * np.where(count > 0, near, level) + CASE_SHARE * case
+        return mean.reshape(-1, own.shape[-1])
 
-    return ClassSums(means(sums.moments), means(sums.noise), count.reshape(-1))
+    level_count = np.broadcast_to(count.sum(axis=1, keepdims=True), count.shape)
+    return ClassSums(means(sums.moments), means(sums.noise), level_count.reshape(-1).copy())
 
 
-def _per_case(values: Array, case: NDArray[np.int64]) -> Array:
-    """values (level, contrast, kind, …) summed over contrasts and over the kinds of each case: (level, case, …)."""
-    first = np.unique(case, return_index=True)[1]
-    return np.add.reduceat(values.sum(axis=1), first, axis=1)
+def _parent_of(index: Any, rule: ClassRule) -> Any:
+    """The parent of classes `index`: (level · contrasts + contrast) · cases + case."""
+    return index // rule.kinds * rule.cases + np.maximum(index % rule.kinds - rule.chromas + 1, 0)
 
 
 def _system(power: Array, noise: Array, factor: float, ridge: float) -> Array:

@@ -22,15 +22,16 @@ def orientations(patch: int) -> list[Indices]:
     return [np.rot90(side, turns).ravel() for side in (taps, taps.T) for turns in range(4)]
 
 
-def site_maps(channel: Indices, patch: int) -> list[SiteMap]:
-    """For the windows (site, tap) of every site: the first site of equal layout under some orientation (METHOD 3.6)."""
+def site_maps(channel: Indices, patch: int, shared: bool = True) -> list[SiteMap]:
+    """For the windows (site, tap) of every site: the first site of equal layout under some orientation (METHOD 3.6), or
+    itself unless training is `shared`."""
     maps: list[SiteMap] = []
     canonical: list[int] = []
     for site, window in enumerate(channel):
         found = next(
             (
                 SiteMap(known, permutation)
-                for known in canonical
+                for known in (canonical if shared else ())
                 for permutation in orientations(patch)
                 if (window[permutation] == channel[known]).all()
             ),

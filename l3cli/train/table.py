@@ -14,10 +14,10 @@ from l3cli.errors import InputFileError
 from l3cli.train.kinds import channel_shares, choose_cases, choose_chromas
 from l3cli.train.lesson import Lesson, brightness_of
 from l3cli.train.patches import draw_levels, expose_patches, patches_of
-from l3cli.train.recipe import TrainingRecipe, check_learning
+from l3cli.train.recipe import LearningRecipe, TrainingRecipe, check_learning
 from l3cli.train.solve import Goal, Solution, equal_responses, solve
 from l3cli.train.sums import add, empty_sums, grid_steps, require_exact
-from l3cli.train.symmetry import site_maps, stabilisers
+from l3cli.train.symmetry import orientations, site_maps, stabilisers
 
 PILOT_PATCHES = 4000  # patches a site over all frames that decide which saturation cases are kept
 
@@ -32,7 +32,7 @@ def survey(
     codes = 2 ** len(camera.channels)
     rule = make_rule(recipe.classes, camera, np.zeros(codes, dtype=np.uint16))
     near = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
-    canonical = canonical_sites(head, rule)
+    canonical = canonical_sites(head, rule, recipe.learning)
     occurrences = np.zeros(codes, dtype=np.int64)
     shares, whites = [], []
     for index, (frame, share) in enumerate(zip(frames, patches, strict=True)):
@@ -40,7 +40,7 @@ def survey(
         for site in canonical:
             rng = np.random.default_rng([seed, 0, index, site])
             count = -(-PILOT_PATCHES * share // sum(patches))
-            pilot = patches_of(frame, head, near, site, count, rng)
+            pilot = patches_of(frame, head, near, site, count, rng, recipe.learning.symmetry)
             own_level = np.maximum(pilot.signal.mean(axis=1), 1e-3)
             scale = pilot.possible(draw_levels(recipe.learning, len(own_level), rng) / own_level)[:, None]
             carried = None if pilot.carried is None else (pilot.carried * scale**2).astype(np.float32)
@@ -52,10 +52,10 @@ def survey(
     return make_rule(recipe.classes, camera, case_of_code, centres), np.average(whites, axis=0, weights=patches)
 
 
-def canonical_sites(head: TrainingSet, rule: ClassRule) -> list[int]:
+def canonical_sites(head: TrainingSet, rule: ClassRule, recipe: LearningRecipe) -> list[int]:
     """The sites that are trained; all others are their rotations or mirror images."""
     near = neighbourhoods(head.camera.cfa, rule.patch, len(head.camera.channels))
-    return sorted({site_map.canonical for site_map in site_maps(near.channel, rule.patch)})
+    return sorted({site_map.canonical for site_map in site_maps(near.channel, rule.patch, recipe.symmetry)})
 
 
 def add_up(lesson: Lesson, parts: Iterable[ClassSums]) -> ClassSums:
@@ -74,14 +74,15 @@ def learn_site(lesson: Lesson, parts: Iterable[ClassSums], site: int) -> Solutio
     camera, rule = lesson.head.camera, lesson.rule
     window = neighbourhoods(camera.cfa, rule.patch, len(camera.channels)).channel[site]
     goal = Goal(lesson.head.outputs, lesson.white_point)
-    return solve(sums, rule, window, stabilisers(window, rule.patch), lesson.recipe, goal)
+    alike = stabilisers(window, rule.patch) if lesson.recipe.symmetry else orientations(rule.patch)[:1]
+    return solve(sums, rule, window, alike, lesson.recipe, goal)
 
 
 def assemble(lesson: Lesson, solutions: dict[int, Solution], history: tuple[Stage, ...]) -> TransformTable:
     """The table of all sites from the solutions of the canonical ones."""
     head, rule, camera = lesson.head, lesson.rule, lesson.head.camera
     near = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
-    maps = site_maps(near.channel, rule.patch)
+    maps = site_maps(near.channel, rule.patch, lesson.recipe.symmetry)
     copies = [sum(site_map.canonical == site for site_map in maps) for site in solutions]
     equal = equal_responses(list(solutions.values()), copies, rule, lesson.recipe, Goal(head.outputs, lesson.white_point))
     transforms = dict(zip(solutions, equal, strict=True))

@@ -22,11 +22,12 @@ class Judge:
     products: Floats  # (class, tap, product) XX, YY, ZZ, XY, YZ of the weights: how noise of the taps adds up
     intercept: Floats  # (class, output)
     white: Floats  # (output)
+    power: float  # of the weight
 
     def weight(
         self, clean: Floats, variance: Floats, target: Floats, level: Floats, runs: list[tuple[int, int, int]]
     ) -> Floats:
-        """(e² + ¼)^(−¼) of each patch (patch): e is the Lab error expected of the first pass, bias and noise.
+        """(e² + ¼)^(−power) of each patch (patch): e is the Lab error expected of the first pass, bias and noise.
 
         `clean` and `variance` (patch, tap), `target` (patch, 3), `level` (patch), all in shares of full scale; `runs` are
         class, first and last patch of the patches of each class.
@@ -44,14 +45,14 @@ class Judge:
         error += LIGHTNESS**2 * sy**2 * yy
         error += RED_GREEN**2 * (sx**2 * xx - 2 * sx * sy * xy + sy**2 * yy)
         error += YELLOW_BLUE**2 * (sy**2 * yy - 2 * sy * sz * yz + sz**2 * zz)
-        return (error + ERROR_FLOOR) ** np.float32(-0.25)
+        return (error + ERROR_FLOOR) ** np.float32(-self.power)
 
 
-def judge_of(table: TransformTable, site: int) -> Judge:
-    """The judge of a canonical site from the first pass's table."""
+def judge_of(table: TransformTable, site: int, power: float) -> Judge:
+    """The judge of a canonical site from the first pass's table; its weights go with `power` of the squared error."""
     classes = table.rule.classes_per_site
     own = slice(site * classes, (site + 1) * classes)
     x, y, z = np.moveaxis(table.weights[own], 1, 0)
     products = np.stack([x * x, y * y, z * z, x * y, y * z], axis=-1)
     weights = np.ascontiguousarray(np.swapaxes(table.weights[own], 1, 2))
-    return Judge(weights, products, table.intercept[own], table.white_point.astype(np.float32))
+    return Judge(weights, products, table.intercept[own], table.white_point.astype(np.float32), power)
