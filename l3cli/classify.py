@@ -14,6 +14,7 @@ hence the weights |q|² − 2 q, and no division (METHOD 3.5).
 """
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,8 +40,10 @@ class ClassRecipe(Recipe):
 
     patch: int = 9  # pixels, side of the neighbourhood
     levels: int = 20
-    lowest_level: float = 0.001  # upper edge of the darkest level, share of full scale
-    highest_level: float = 0.95  # lower edge of the brightest level, share of full scale
+    spacing: Literal["logarithmic", "linear"] = "logarithmic"  # of the level edges, between …
+    lowest_level: float = 0.001  # … the upper edge of the darkest level, share of full scale …
+    highest_level: float = 0.95  # … and the lower edge of the brightest
+    level_edges: tuple[float, ...] | None = None  # shares of full scale, in place of the four keys above
     contrasts: tuple[float, ...] = (1.4,)  # edges of √(signal variance / noise variance)
     saturation: float = 0.985  # share of full scale from which a pixel is saturated
     saturation_radius: int = 2  # pixels
@@ -88,13 +91,11 @@ def make_rule(
     RecipeError if the recipe asks for what the camera cannot give, such as more levels than values.
     """
     neighbourhoods(camera.cfa, recipe.patch, len(camera.channels))
-    if not (recipe.levels >= 2 and 0 < recipe.lowest_level < recipe.highest_level < 1):
-        raise RecipeError("classes need levels ≥ 2 and 0 < lowest_level < highest_level < 1")
     if tuple(sorted(set(recipe.contrasts))) != recipe.contrasts or any(edge <= 0 for edge in recipe.contrasts):
         raise RecipeError("contrasts must be positive and increase")
     shift = max(0, camera.bits - CLASS_BITS)
     channels, span = len(camera.channels), camera.white - camera.black
-    edges = np.geomspace(recipe.lowest_level, recipe.highest_level, recipe.levels - 1)
+    edges = _edges(recipe)
     truncated = (2**shift - 1) / 2  # a shift loses this much on average
     in_values = (camera.black + edges * span - truncated) / 2**shift
     level_edges = np.rint(in_values * 2**LEVEL_FRACTION * channels).astype(np.uint32)
@@ -119,6 +120,19 @@ def make_rule(
         )
     except ValueError as error:
         raise RecipeError(f"classes: {error}") from error
+
+
+def _edges(recipe: ClassRecipe) -> NDArray[np.float64]:
+    """Level edges as shares of full scale, increasing; RecipeError if they cannot be."""
+    if recipe.level_edges is not None:
+        edges = np.array(recipe.level_edges)
+        if not (edges.size and edges[0] > 0 and edges[-1] < 1 and (np.diff(edges) > 0).all()):
+            raise RecipeError("classes.level_edges must increase and lie between 0 and 1")
+        return edges
+    if not (recipe.levels >= 2 and 0 < recipe.lowest_level < recipe.highest_level < 1):
+        raise RecipeError("classes need levels ≥ 2 and 0 < lowest_level < highest_level < 1")
+    spaced = np.geomspace if recipe.spacing == "logarithmic" else np.linspace
+    return spaced(recipe.lowest_level, recipe.highest_level, recipe.levels - 1)
 
 
 def chroma_weights(centres: NDArray[np.float64]) -> NDArray[np.int32]:

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from l3cli import classify
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.table import LEVEL_FRACTION
 from l3cli.classify import ClassRecipe, make_rule
 from l3cli.errors import RecipeError
 from l3cli.frame import mirrored_indices, pad_mosaic
@@ -122,11 +123,28 @@ def test_level_contrast_and_case_mean_what_they_say(fiveband: CameraModel) -> No
         (ClassRecipe(patch=8), "odd"),
         (ClassRecipe(patch=17), "odd number up to 15"),
         (ClassRecipe(highest_level=1.2), "highest_level < 1"),
+        (ClassRecipe(level_edges=(0.2, 0.1)), "must increase"),
+        (ClassRecipe(level_edges=()), "must increase"),
+        (ClassRecipe(level_edges=(0.5, 1.0)), "between 0 and 1"),
     ],
 )
 def test_an_impossible_rule_is_refused(fiveband: CameraModel, recipe: ClassRecipe, message: str) -> None:
     with pytest.raises(RecipeError, match=message):
         make_rule(recipe, fiveband, np.zeros(32, np.uint16))
+
+
+def test_level_edges_are_spaced_or_given(fiveband: CameraModel) -> None:
+    def edges(**keys: object) -> np.ndarray:
+        rule = make_rule(ClassRecipe(**keys), fiveband, np.zeros(32, np.uint16))
+        values = rule.level_edges / (2**LEVEL_FRACTION * 5)
+        return (values - fiveband.black) / (fiveband.white - fiveband.black)
+
+    step = 1 / (2**LEVEL_FRACTION * 5) / (fiveband.white - fiveband.black)
+    assert edges(levels=5, lowest_level=0.2, highest_level=0.8, spacing="linear") == pytest.approx(
+        [0.2, 0.4, 0.6, 0.8], abs=step
+    )
+    assert edges(levels=4, lowest_level=0.1, highest_level=0.9) == pytest.approx([0.1, 0.3, 0.9], abs=step)
+    assert edges(levels=7, level_edges=(0.05, 0.5)) == pytest.approx([0.05, 0.5], abs=step)
 
 
 @settings(deadline=None)
