@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from l3cli.artifacts.base import Artifact, equal, load, open_artifact
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.table import TransformTable
-from l3cli.artifacts.training_set import TrainingSet, TrainingSetReader, open_training_set
+from l3cli.artifacts.training_set import TrainingSet, open_training_set
 from l3cli.cli import options
+from l3cli.cli.evaluate import judge
 from l3cli.errors import InputFileError
 from l3cli.files import sha256
 from l3cli.io.embedded import jpeg
@@ -25,7 +26,7 @@ from l3cli.report.training import training_section
 from l3cli.report.transforms import transform_section
 
 KINDS: dict[str, type[Artifact]] = {kind.kind: kind for kind in (CameraModel, TrainingSet, TransformTable)}
-PICTURE_BYTES = 6_500_000  # of all evaluated frames together, so that a page stays below page.LIMIT
+PICTURE_BYTES, THUMBNAIL_BYTES = 6_500_000, 2_000_000  # of all evaluated frames, of all training sets: see page.LIMIT
 
 
 @dataclass(frozen=True)
@@ -110,7 +111,9 @@ def compose(given: Given, backend: str, quiet: bool) -> tuple[str, str, list[Sec
     sections = [camera_section(camera, _camera_figures(camera), name) for name, camera in cameras]
     for entry, _ in given.training:
         with open_training_set(entry.path) as reader:
-            sections.append(training_section(reader, entry.name, _role(given, entry), jpeg))
+            sections.append(
+                training_section(reader, entry.name, _role(given, entry), THUMBNAIL_BYTES // len(given.training), jpeg)
+            )
     light = channel_light(cameras[0][1].responsivity, cameras[0][1].wavelength) if cameras else None
     sections += [_transforms(entry.name, table, light) for entry, table in given.tables]
     sections += [section for _, section in judged]
@@ -174,6 +177,7 @@ def _evaluation(
     """A table on frames it has not seen: in a sentence, and as a section with pictures of a few frames."""
     from l3cli.evaluate.evaluation import Evaluation
     from l3cli.evaluate.pictures import frame_pictures
+    from l3cli.evaluate.quality import XYZ
     from l3cli.render.renderer import make_renderer
 
     (given, transforms), (seen, _) = table, frames
@@ -181,19 +185,11 @@ def _evaluation(
     with open_training_set(seen.path) as reader:
         evaluation = Evaluation(transforms, reader.head)
         for index in options.progress(range(len(reader)), len(reader), "frames", quiet):
-            _judge(evaluation, renderer, reader, index)
+            judge(evaluation, renderer, reader, index)
         document = evaluation.document()
         pictures = {}
-        if transforms.outputs == ("X", "Y", "Z"):
+        if transforms.outputs == XYZ:
             again = Evaluation(transforms, reader.head)
             for index in shown_frames(document):
-                pictures[index] = frame_pictures(reader.frame(index), _judge(again, renderer, reader, index))
+                pictures[index] = frame_pictures(*judge(again, renderer, reader, index))
     return summary(document), evaluation_section(document, pictures, (given.name, seen.name), anchor, limit, jpeg)
-
-
-def _judge(evaluation: Any, renderer: Any, reader: TrainingSetReader, index: int) -> dict[str, NDArray]:
-    from l3cli.frame import RawFrame
-
-    frame, camera = reader.frame(index), reader.head.camera
-    raw = RawFrame(frame.scene, frame.raw, camera.black, camera.white)
-    return evaluation.add(frame, renderer.outputs(raw), renderer.labels(raw))

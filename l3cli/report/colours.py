@@ -22,11 +22,6 @@ def channel_light(responsivity: Array, wavelength: Array) -> NDArray[np.float64]
     return np.where(top > 0, linear / np.where(top > 0, top, 1.0), 0.5)
 
 
-def fills(light: Array) -> tuple[str, ...]:
-    """Colours of the filters themselves."""
-    return tuple(hex_colour(linear) for linear in light)
-
-
 def strokes(light: Array) -> tuple[str, ...]:
     """The same hues at one luminance, to be told from white and from black paper."""
     return tuple(hex_colour(_at_luminance(linear)) for linear in light)

@@ -177,9 +177,7 @@ def box(x: float, y: float, width: float, height: float, colour: str, opacity: f
     )
 
 
-def heat(
-    shares: Array, rows: Sequence[str], columns: Sequence[str], x_label: str, y_label: str, finding: str, colour: str
-) -> Markup:
+def heat(shares: Array, rows: Sequence[str], columns: Sequence[str], x_label: str, y_label: str, finding: str) -> Markup:
     """Cells (row, column) as dense as `shares`, 0 (empty) to 1, with a name for each row and, where they fit, column."""
     side = max(30.0, 8 + GLYPH * max(map(len, rows)))
     left = 18 + side
@@ -192,7 +190,7 @@ def heat(
         path = "".join(
             f"M{left + c * width:.1f},{TOP + r * height:.1f}h{width:.1f}v{height:.1f}h{-width:.1f}z" for r, c in where
         )
-        items.append(f'<path d="{path}" fill="{escape(colour)}" fill-opacity="{share:g}"/>')
+        items.append(f'<path d="{path}" fill="var(--one)" fill-opacity="{share:g}"/>')
     grid = "".join(f"M{left:.1f},{TOP + r * height:.1f}H{WIDTH - RIGHT}" for r in range(shares.shape[0] + 1))
     grid += "".join(f"M{left + c * width:.1f},{TOP}V{bottom:.1f}" for c in range(shares.shape[1] + 1))
     items.append(f'<path class="grid" d="{grid}"/>')

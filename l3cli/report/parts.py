@@ -6,7 +6,7 @@ from typing import ClassVar
 
 from markupsafe import Markup
 
-NUMBER = re.compile(r"^[−+]?[0-9.,–×⁰¹²³⁴⁵⁶⁷⁸⁹⁻]+$")
+NUMBER = re.compile(r"^(?=.*[0-9])[−+]?[0-9.,–×⁰¹²³⁴⁵⁶⁷⁸⁹⁻]+$")
 
 
 @dataclass(frozen=True)
@@ -20,8 +20,9 @@ class Table:
 
     @property
     def numeric(self) -> tuple[bool, ...]:
-        """Which columns hold nothing but numbers, to be set flush right."""
-        return tuple(all(NUMBER.match(row[column]) for row in self.rows) for column in range(len(self.headings)))
+        """Which columns beside the first hold nothing but numbers, to be set flush right."""
+        columns = range(1, len(self.headings))
+        return (False, *(all(NUMBER.match(row[column]) for row in self.rows) for column in columns))
 
 
 @dataclass(frozen=True)

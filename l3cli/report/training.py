@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.training_set import TrainingFrame, TrainingPair, TrainingSetReader
+from l3cli.artifacts.training_set import TrainingFrame, TrainingPair, TrainingSet, TrainingSetReader
 from l3cli.report import colours
 from l3cli.report.camera import channel_keys, mark_of
 from l3cli.report.drawing import Axis, Plot, spanning
@@ -17,7 +17,6 @@ from l3cli.report.pictures import Jpeg, fitted, thumbnail
 Array = NDArray[np.floating]
 XYZ = ("X", "Y", "Z")
 SHOWN = 24  # scenes with a picture
-PICTURE_BYTES = 40_000
 LEVEL_EDGES = np.geomspace(1e-3, 1.0, 37)  # of the raw signal, share of full scale
 SATURATED = 0.985  # share of full scale, as METHOD 3.3
 GRID = 0.01  # of the chromaticity diagram
@@ -29,7 +28,7 @@ DARKEST = 1e-4  # share of white's luminance below which a chromaticity is not t
 class Survey:
     """What one pass over the frames gathers."""
 
-    pictures: list[tuple[TrainingPair, NDArray[np.uint8]]] = field(default_factory=list)
+    pictures: list[tuple[str, str, NDArray[np.uint8]]] = field(default_factory=list)  # caption, alt, sRGB (row, col, 3)
     levels: list[Array] = field(default_factory=list)  # (channel, bin) counts
     below: int = 0
     saturated: int = 0
@@ -40,14 +39,15 @@ class Survey:
     pairs: int = 0
 
 
-def training_section(reader: TrainingSetReader, name: str, role: str, jpeg: Jpeg) -> Section:
-    """`role` says what the set was used for; `name` is the file it comes from."""
+def training_section(reader: TrainingSetReader, name: str, role: str, limit: int, jpeg: Jpeg) -> Section:
+    """`role` says what the set was used for; `name` is the file it comes from, `limit` bytes what its pictures may take."""
     head = reader.head
     found = survey(reader)
     about = f"{counted(len(reader), 'frame')}, {found.pixels / 1e6:.3g} million pixels, of {head.camera.name}."
-    parts = [Part("Scenes", _scene_blocks(reader, found, jpeg)), Part("Light and levels", _light_blocks(head.camera, found))]
-    if head.outputs == XYZ:
-        parts.append(Part("Chromaticity", (Figures((_chromaticity_figure(found),)),)))
+    parts = [
+        Part("Scenes", _scene_blocks(reader, found, limit, jpeg)),
+        Part("Light, levels and colours", _light_blocks(head, found)),
+    ]
     return Section(f"Training set: {name}", " ".join(filter(None, (about, role, f"From {name}."))), tuple(parts))
 
 
@@ -65,7 +65,8 @@ def survey(reader: TrainingSetReader) -> Survey:
         if head.outputs == XYZ:
             _count_colours(found, frame)
             if index in chosen:
-                found.pictures.append((frame, thumbnail(frame.target, frame.white)))
+                alt = f"Target of {frame.scene} under {frame.illuminant}, {tidy(frame.luminance)} cd/m², as sRGB."
+                found.pictures.append((f"{frame.scene}, {frame.illuminant}", alt, thumbnail(frame.target, frame.white)))
     return found
 
 
@@ -88,7 +89,7 @@ def _count_colours(found: Survey, frame: TrainingPair) -> None:
     found.chromaticity += np.histogram2d(x, y, (edges, edges))[0]
 
 
-def _scene_blocks(reader: TrainingSetReader, found: Survey, jpeg: Jpeg) -> tuple[Block, ...]:
+def _scene_blocks(reader: TrainingSetReader, found: Survey, limit: int, jpeg: Jpeg) -> tuple[Block, ...]:
     sizes = ", ".join(f"{size} ({count})" for size, count in sorted(found.sizes.items()))
     rows = [("Frames", str(len(reader))), ("Sizes in pixels (frames)", sizes)]
     if found.pairs:
@@ -98,17 +99,15 @@ def _scene_blocks(reader: TrainingSetReader, found: Survey, jpeg: Jpeg) -> tuple
     if not found.pictures:
         return (table, Text("The targets are not XYZ: there are no pictures to show."))
     pictures = []
-    for frame, pixels in found.pictures:
-        uri, (rows_, cols) = fitted(pixels, PICTURE_BYTES, jpeg)
-        caption = f"{frame.scene}, {frame.illuminant}"
-        alt = f"Target of {frame.scene} under {frame.illuminant}, {tidy(frame.luminance)} cd/m², as sRGB."
-        pictures.append(Picture(uri, rows_, cols, caption, alt))
+    for caption, alt, pixels in found.pictures:
+        uri, size = fitted(pixels, limit // SHOWN, jpeg)
+        pictures.append(Picture(uri, *size, caption, alt))
     chosen = f"{len(pictures)} of {len(reader)} frames, evenly spaced" if len(pictures) < len(reader) else "All frames"
     shown = f"{chosen}: the targets as sRGB, each frame's white adapted to D65."
     return (table, Text(shown), Gallery(tuple(pictures)))
 
 
-def _light_blocks(camera: CameraModel, found: Survey) -> tuple[Block, ...]:
+def _light_blocks(head: TrainingSet, found: Survey) -> tuple[Block, ...]:
     rows = []
     for light, frames in sorted(found.lights.items()):
         white = np.mean([white for white, _, _ in frames], axis=0)
@@ -116,7 +115,8 @@ def _light_blocks(camera: CameraModel, found: Survey) -> tuple[Block, ...]:
         luminance, exposure = ([frame[part] for frame in frames] for part in (1, 2))
         rows.append((light, str(len(frames)), xy, _range(luminance), _range([1e3 * value for value in exposure])))
     headings = ("illuminant", "frames", "white x, y", "luminance of white (cd/m²)", "exposure (ms)")
-    return (Figures((_level_figure(camera, found),)), Table("Illuminants", headings, tuple(rows)))
+    drawn = [_level_figure(head.camera, found)] + ([_chromaticity_figure(found)] if head.outputs == XYZ else [])
+    return (Figures(tuple(drawn)), Table("Illuminants", headings, tuple(rows)))
 
 
 def _range(values: list[float]) -> str:

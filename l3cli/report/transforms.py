@@ -87,7 +87,7 @@ def _population(counts: Array, rows: list[str], levels: list[str], title: str, y
     filled = int((counts > 0).sum())
     median = float(np.median(counts[counts > 0])) if filled else 0.0
     finding = f"{filled} of {counts.size} cells hold patches; the median of these holds {tidy(median)}."
-    svg = heat(shares, rows, levels, "level, upper end (share of full scale)", y_label, finding, "var(--one)")
+    svg = heat(shares, rows, levels, "level, upper end (share of full scale)", y_label, finding)
     used = np.unique(decade[counts > 0])
     names = [f"{10**d}–{10 ** (d + 1) - 1}" for d in range(len(DECADES) - 1)] + [f"{10 ** (len(DECADES) - 1)} or more"]
     keys = tuple(Key(f"{names[d]} patches", "var(--one)", "box", DECADES[d]) for d in used)
