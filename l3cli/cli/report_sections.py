@@ -124,8 +124,11 @@ def compose(given: Given, backend: str, quiet: bool) -> tuple[str, str, list[Sec
 
 
 def _lead(given: Given, told: list[str]) -> str:
+    if len(told) == 1:
+        return told[0]
     if told:
-        return " ".join(told)
+        named = (f"{table.name} on {frames.name}" for (table, _), (frames, _) in given.pairs)
+        return " ".join(f"{pair}: {figures}" for pair, figures in zip(named, told, strict=True))
     if given.tables and given.training:
         return "The table was trained on every training set given: add frames that it has not seen to have it evaluated."
     if given.tables:
@@ -161,8 +164,8 @@ def _role(given: Given, frames: Entry) -> str:
     """What the tables of the report have to do with a training set."""
     learned = [entry.name for entry, table in given.tables if trained_on(table, frames)]
     judged = [entry.name for entry, table in given.tables if not trained_on(table, frames)]
-    roles = [f"{', '.join(learned)} was trained on it."] if learned else []
-    roles += [f"{', '.join(judged)} is evaluated on it."] if judged else []
+    roles = [f"Trained on it: {', '.join(learned)}."] if learned else []
+    roles += [f"Evaluated on it: {', '.join(judged)}."] if judged else []
     return " ".join(roles)
 
 

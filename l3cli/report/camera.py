@@ -8,13 +8,14 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.fit import ChartFit, Fit, NoiseFit, SweepFit
 from l3cli.report import colours
-from l3cli.report.drawing import Axis, Plot, box, escape, sheet, spanning
-from l3cli.report.parts import Block, Figure, Figures, Key, Part, Section, Table, Text, tidy, unit
+from l3cli.report.drawing import GLYPH, Axis, Plot, box, escape, sheet, spanning
+from l3cli.report.parts import Block, Details, Figure, Figures, Key, Part, Section, Table, Text, counted, tidy, unit
 
 Array = NDArray[np.floating]
 MARKS = {"line": "dot", "dashed": "plus", "dotted": "cross"}  # of a line → of a point
 ALIKE = 170  # sum of sRGB differences below which two colours are easily taken for one another
-CELL = 44  # px, of a filter in the drawing of the array
+CELL, WIDEST = 44, 104  # px, of a filter in the drawing of the array
+LABELLED = 24  # letters of all channels' names that find room above the curves
 
 
 def camera_section(camera: CameraModel, figures: dict[str, Any], name: str) -> Section:
@@ -54,21 +55,23 @@ def _lead(camera: CameraModel) -> str:
 
 def _array_figure(camera: CameraModel, light: Array) -> Figure:
     rows, cols = camera.cfa.shape
+    wide = float(np.clip(GLYPH * max(map(len, camera.channels)) + 8, CELL, WIDEST))
+    fits = round((wide - 8) / GLYPH)
     items = []
     for (row, col), channel in np.ndenumerate(camera.cfa):
         fill, ink = colours.hex_colour(light[channel]), colours.ink_on(light[channel])
-        x, y = 1 + col * CELL, 1 + row * CELL
-        items.append(box(x, y, CELL, CELL, fill, extra=' stroke="currentColor" stroke-width="1"'))
+        x, y = 1 + col * wide, 1 + row * CELL
+        items.append(box(x, y, wide, CELL, fill, extra=' stroke="currentColor" stroke-width="1"'))
         label = camera.channels[channel]
-        shown = label if len(label) <= 5 else label[:4] + "…"
+        shown = label if len(label) <= fits else label[: fits - 1] + "…"
         items.append(
-            f'<text x="{x + CELL / 2}" y="{y + CELL / 2 + 5}" text-anchor="middle" style="fill:{ink}" data-on="{fill}">'
+            f'<text x="{x + wide / 2:g}" y="{y + CELL / 2 + 5:g}" text-anchor="middle" style="fill:{ink}" data-on="{fill}">'
             f"{escape(shown)}</text>"
         )
     counts = np.bincount(camera.cfa.ravel(), minlength=len(camera.channels))
     shares = ", ".join(f"{name} on {count}" for name, count in zip(camera.channels, counts, strict=True))
     finding = f"Super-pixel of {rows} × {cols} sites: {shares}. Colours are those of daylight through each channel."
-    svg = sheet(cols * CELL + 2, rows * CELL + 2, "".join(items), finding, own_size=True)
+    svg = sheet(cols * wide + 2, rows * CELL + 2, "".join(items), finding, own_size=True)
     return Figure("Colour filter array", svg, finding, narrow=True)
 
 
@@ -102,8 +105,9 @@ def _responsivity_figures(camera: CameraModel, light: Array) -> tuple[Figure, ..
         peak = int(curve.argmax())
         plot.band(camera.wavelength, np.maximum(curve - half, 0), curve + half, strokes[channel])
         plot.line(camera.wavelength, curve, strokes[channel], mark_of(strokes, channel))
-        plot.label(float(camera.wavelength[peak]), float(curve[peak]), name)
-        peaks.append(f"{name} {tidy(float(curve[peak]))} at {camera.wavelength[peak]:g} nm")
+        if sum(map(len, camera.channels)) <= LABELLED:
+            plot.label(float(camera.wavelength[peak]), float(curve[peak]), name)
+        peaks.append(f"{name} {tidy(float(curve[peak]))} at {tidy(float(camera.wavelength[peak]), 4)} nm")
     finding = f"Peaks: {', '.join(peaks)}."
     figures = [Figure("Responsivities", plot.svg(finding), finding, channel_keys(camera, strokes))]
     if camera.responsivity_band.any():
@@ -156,7 +160,8 @@ def _noise_blocks(camera: CameraModel, figures: dict[str, Any], light: Array) ->
     blocks: list[Block] = []
     if camera.fit is not None and camera.fit.noise is not None:
         blocks.append(Figures((_transfer_figure(camera, camera.fit.noise, light),)))
-    blocks.append(Table("The camera in EMVA 1288 terms", ("quantity", "value"), rows))
+    sheet_says = f"; from the data sheet: {', '.join(camera.declared)}" if camera.declared else ""
+    blocks.append(Table(f"The camera in EMVA 1288 terms{sheet_says}", ("quantity", "value"), rows))
     if figures["channels"]:
         blocks.append(table_of("Figures of each channel", "channel", figures["channels"]))
     if figures["defects"]:
@@ -164,7 +169,7 @@ def _noise_blocks(camera: CameraModel, figures: dict[str, Any], light: Array) ->
         more = " …" if len(figures["defects"]) > 24 else ""
         blocks.append(Text(f"{len(figures['defects'])} hot and dead pixels (row, col) are left out: {shown}{more}"))
     if figures["left out"]:
-        blocks.append(Text(f"Left out: {'; '.join(figures['left out'])}."))
+        blocks.append(Details(f"{counted(len(figures['left out']), 'capture')} left out", "\n".join(figures["left out"])))
     return tuple(blocks)
 
 

@@ -1,5 +1,7 @@
 """Sections to one HTML page that needs nothing but itself."""
 
+from typing import Any
+
 from l3cli.artifacts.base import Stage
 from l3cli.report.parts import Details, Part, Section, Table
 
@@ -31,12 +33,17 @@ def history_section(files: list[tuple[str, str, str, tuple[Stage, ...]]]) -> Sec
 def _stages(name: str, stages: tuple[Stage, ...]) -> Part:
     rows = []
     for number, stage in enumerate(stages, 1):
-        chosen = " ".join(f"--{key.replace('_', '-')} {value}" for key, value in sorted(stage.options.items()))
-        inputs = "; ".join(_digests(role, found) for role, found in sorted(stage.inputs.items()))
+        chosen = " ".join(_option(*option) for option in sorted(stage.options.items()))
+        inputs = "; ".join(_digests(role, found) for role, found in sorted(stage.inputs.items()) if found)
         rows.append((f"{number}", f"l3 {stage.command}", chosen or "–", inputs or "–", stage.version))
     table = Table(f"Stages of {name}", ("stage", "command", "options", "inputs, SHA-256", "l3cli"), tuple(rows))
     recipes = [Details(f"Recipe of stage {n}, {s.command}", s.recipe) for n, s in enumerate(stages, 1) if s.recipe]
     return Part(name, (table, *recipes))
+
+
+def _option(key: str, value: Any) -> str:
+    """An option as it is given on the command line."""
+    return f"--{key.replace('_', '-')}" + ("" if value is True else f" {value}")
 
 
 def _digests(role: str, found: list[str]) -> str:

@@ -84,6 +84,11 @@ class Comparison:
     pictures: tuple[Picture, ...]
     key: tuple[Key, ...] = ()  # of the error map
 
+    @property
+    def width(self) -> int:
+        """Pixels on the screen beyond which a small frame would only be blurred."""
+        return max(3 * self.pictures[0].cols, 480)
+
 
 @dataclass(frozen=True)
 class Text:

@@ -13,6 +13,7 @@ from l3cli.report.parts import Block, Figure, Figures, Key, Part, Section, Table
 
 Array = NDArray[np.floating]
 DECADES = (0.15, 0.3, 0.45, 0.6, 0.8, 1.0)  # opacity of 1–9, 10–99… patches
+LONGEST = 22  # letters of a name beside a drawing
 MAPS = 3  # outputs drawn of a transform
 
 
@@ -61,18 +62,27 @@ def _by_axis(table: TransformTable, values: NDArray[Any]) -> NDArray[Any]:
 def _population_blocks(table: TransformTable, found: dict[str, Any]) -> tuple[Block, ...]:
     samples = _by_axis(table, table.samples)
     levels = [tidy(value, 1) for value in level_bounds(table)[1:]]
-    kinds = [kind["name"] for kind in found["kinds"]]
-    sites = [f"{r},{c} {table.channels[channel]}" for (r, c), channel in np.ndenumerate(table.cfa)]
+    kinds, sites = kind_names(found), [f"{r},{c} {table.channels[channel]}" for (r, c), channel in np.ndenumerate(table.cfa)]
+    by_number = max(map(len, kinds)) > LONGEST
+    kinds = [name.partition(":")[0] for name in kinds] if by_number else kinds
+    sites = [name.partition(" ")[0] for name in sites] if max(map(len, sites)) > LONGEST else sites
+    kind = "kind (number in the table)" if by_number else "kind"
     figures = []
     for contrast in range(table.rule.contrasts):
         counts = samples[:, :, contrast].sum(axis=0).T
         figures.append(
-            _population(counts, kinds, levels, f"Patches at contrast {contrast}{_contrast(table, contrast)}", "kind")
+            _population(counts, kinds, levels, f"Patches at contrast {contrast}{_contrast(table, contrast)}", kind)
         )
     by_site = samples.sum(axis=(2, 3))
     figures.append(_population(by_site, sites, levels, "Patches by site", "site (row, column, channel)"))
     empty = Text("An empty cell has no patches of its own and took its transform from a neighbour.")
     return (empty, Figures(tuple(figures)), _kinds_table(found))
+
+
+def kind_names(found: dict[str, Any]) -> list[str]:
+    """Names of the kinds, with a number before each where some are too long to stand beside a drawing."""
+    names = [kind["name"] for kind in found["kinds"]]
+    return [f"{number}: {name}" for number, name in enumerate(names)] if max(map(len, names)) > LONGEST else names
 
 
 def _contrast(table: TransformTable, contrast: int) -> str:
@@ -95,7 +105,8 @@ def _population(counts: Array, rows: list[str], levels: list[str], title: str, y
 
 
 def _kinds_table(found: dict[str, Any]) -> Table:
-    rows = tuple((kind["name"], f"{kind['patches']:.0f}") for kind in found["kinds"])
+    patches = (f"{kind['patches']:.0f}" for kind in found["kinds"])
+    rows = tuple(zip(kind_names(found), patches, strict=True))
     return Table("Patches of each chroma and saturation case", ("kind", "patches"), rows)
 
 
