@@ -207,7 +207,7 @@ def hostile(stages: Path) -> list[Path]:
     folder = stages / "hostile"
     folder.mkdir()
     history = (Stage("<b>calibrate", {"<i>": EVIL}, EVIL, {"<u>frames": ["<s>" * 8]}, "<em>"),)
-    channels = ("<b>", "</text><i>", '">&amp;')  # short enough to stand in the drawings
+    channels = ("<b>", "</text><i>", '"><u>&amp;')  # short enough to stand in the drawings
     camera = replace(load(CameraModel, stages / "camera.h5"), name=EVIL, channels=channels, history=history)
     table = replace(load(TransformTable, stages / "table.h5"), camera_name=EVIL, channels=channels, history=history)
     save(camera, folder / "camera.h5")
