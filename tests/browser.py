@@ -3,6 +3,7 @@
 import base64
 import json
 import os
+import select
 import shutil
 import subprocess
 import tempfile
@@ -10,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+PATIENCE = 120  # seconds without a word
 FLAGS = (
     "--headless",
     "--no-sandbox",
@@ -74,6 +76,7 @@ class Browser:
 
     def _next(self) -> dict[str, Any]:
         while b"\0" not in self._buffer:
+            assert select.select([self._from], [], [], PATIENCE)[0], "the browser does not answer"
             read = os.read(self._from, 1 << 20)
             assert read, "the browser has ended"
             self._buffer += read

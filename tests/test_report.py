@@ -201,6 +201,22 @@ def test_a_table_of_bands_is_judged_by_angles(stages: Path, tmp_path: Path, l3: 
     assert "Mean spectral angle (°) over 2 frames: ours " in (tmp_path / "report.html").read_text()
 
 
+def test_a_camera_that_was_accepted_although_it_falls_short_says_so(stages: Path, tmp_path: Path, l3: Callable) -> None:
+    camera = load(CameraModel, stages / "camera.h5")
+    assert camera.fit is not None
+    assert camera.fit.chart is not None
+    assert camera.fit.noise is not None
+    chart = replace(camera.fit.chart, relative_rmse=np.array([0.01, 0.05, 0.01]))
+    noise = replace(camera.fit.noise, white_reached=False)
+    save(replace(camera, fit=replace(camera.fit, chart=chart, noise=noise)), tmp_path / "camera.h5")
+    assert l3("report", tmp_path / "camera.h5", "-o", tmp_path / "report.html")[0] == 0
+    text = (tmp_path / "report.html").read_text()
+    assert "It falls short: channel g is predicted with" in text
+    assert "No white frame saturates" in text
+    assert l3("report", stages / "camera.h5", "-o", tmp_path / "sound.html")[0] == 0
+    assert "falls short" not in (tmp_path / "sound.html").read_text()
+
+
 @pytest.fixture(scope="module")
 def hostile(stages: Path) -> list[Path]:
     """The same artifacts with markup in every name that somebody else may choose."""

@@ -146,12 +146,13 @@ def _cameras_within(given: Given) -> list[tuple[str, CameraModel]]:
 
 
 def _camera_figures(camera: CameraModel) -> dict[str, Any]:
-    from l3cli.calibrate.report import camera_figures, figures
+    from l3cli.calibrate.report import camera_figures, figures, shortfall
 
     if camera.fit is not None:
-        return figures(camera)
+        return figures(camera) | {"shortfall": (shortfall(camera) or "").partition(";")[0]}
     plain = {name: {"value": value, "unit": unit} for name, (value, unit) in camera_figures(camera).items()}
-    return {"camera": plain, "channels": {}, "lights": {}, "bands": {}, "left out": [], "defects": []}
+    nothing = {"channels": {}, "lights": {}, "bands": {}, "left out": [], "defects": []}
+    return {"camera": plain, **nothing, "saturation reached": None, "shortfall": ""}
 
 
 def _transforms(name: str, table: TransformTable, light: NDArray[np.float64] | None) -> Section:

@@ -19,7 +19,8 @@ LABELLED = 24  # letters of all channels' names that find room above the curves
 
 
 def camera_section(camera: CameraModel, figures: dict[str, Any], name: str) -> Section:
-    """`figures` is what `l3 calibrate --json` tells of the camera; `name` is the file it comes from."""
+    """`figures` is what `l3 calibrate --json` tells of the camera, and under "shortfall" why it should not be trusted, if so;
+    `name` is the file it comes from."""
     light = colours.channel_light(camera.responsivity, camera.wavelength)
     parts = [
         Part("Sensor and colour filter array", (Figures((_array_figure(camera, light),)), _facts(camera))),
@@ -29,7 +30,8 @@ def camera_section(camera: CameraModel, figures: dict[str, Any], name: str) -> S
     if camera.fit is not None:
         blocks = _validation_blocks(camera, camera.fit, figures, light)
         parts += [Part("Validation", blocks)] if blocks else []
-    return Section(f"Camera: {camera.name}", f"{_lead(camera)} From {name}.", tuple(parts))
+    doubt = f" It falls short: {figures['shortfall']}." if figures["shortfall"] else ""
+    return Section(f"Camera: {camera.name}", f"{_lead(camera)}{doubt} From {name}.", tuple(parts))
 
 
 def _lead(camera: CameraModel) -> str:
@@ -164,6 +166,8 @@ def _noise_blocks(camera: CameraModel, figures: dict[str, Any], light: Array) ->
     blocks.append(Table(f"The camera in EMVA 1288 terms{sheet_says}", ("quantity", "value"), rows))
     if figures["channels"]:
         blocks.append(table_of("Figures of each channel", "channel", figures["channels"]))
+    if figures["saturation reached"] is False:
+        blocks.append(Text("No white frame saturates: the saturation level is taken to be the converter's last value."))
     if figures["defects"]:
         shown = " ".join(f"({row}, {col})" for row, col in figures["defects"][:24])
         more = " …" if len(figures["defects"]) > 24 else ""
