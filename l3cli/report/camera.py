@@ -19,7 +19,7 @@ LABELLED = 24  # letters of all channels' names that find room above the curves
 
 
 def camera_section(camera: CameraModel, figures: dict[str, Any], name: str) -> Section:
-    """`figures` is what `l3 calibrate --json` tells of the camera, and under "shortfall" why it should not be trusted, if so;
+    """`figures` is what `l3 calibrate --json` tells of the camera, and under "shortfall" why not to trust it, if so;
     `name` is the file it comes from."""
     light = colours.channel_light(camera.responsivity, camera.wavelength)
     parts = [
