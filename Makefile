@@ -33,7 +33,8 @@ demo-steps:
 	  -o $(DEMO)/unseen.h5 --pictures $(DEMO)/unseen
 	$(TIMED) $(L3) render $(DEMO)/table.h5 $(DEMO)/unseen/*_raw.tif -o $(DEMO)/rendered.png
 	$(TIMED) $(L3) evaluate $(DEMO)/table.h5 $(DEMO)/unseen.h5
-	@ls $(CURDIR)/$(DEMO)/rendered.png $(CURDIR)/$(DEMO)/unseen/*_ideal.png
+	$(TIMED) $(L3) report $(DEMO)/camera.h5 $(DEMO)/training.h5 $(DEMO)/table.h5 $(DEMO)/unseen.h5 -o $(DEMO)/report.html
+	@ls $(CURDIR)/$(DEMO)/report.html $(CURDIR)/$(DEMO)/rendered.png $(CURDIR)/$(DEMO)/unseen/*_ideal.png
 
 test: $(VENV)/installed ## the test suite
 	$(BIN)/python -m pytest

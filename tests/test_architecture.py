@@ -8,7 +8,7 @@ FLOORS = [
     {"errors", "config", "files", "spectra"},
     {"artifacts", "scene", "frame", "measurement"},
     {"classify"},
-    {"calibrate", "simulate", "train", "render", "evaluate", "io", "parallel"},
+    {"calibrate", "simulate", "train", "render", "evaluate", "report", "io", "parallel"},
     {"cli"},
 ]
 DOORS = {
@@ -21,6 +21,8 @@ DOORS = {
     "colour": ("spectra.py",),
     "dask": ("parallel.py",),
     "rich": ("cli/",),
+    "jinja2": ("report/",),
+    "markupsafe": ("report/",),
     "colour_demosaicing": ("evaluate/",),
 }
 

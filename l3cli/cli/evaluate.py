@@ -1,10 +1,18 @@
 """l3 evaluate: a table's quality on frames with known targets."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from l3cli.cli import options
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from l3cli.artifacts.training_set import TrainingPair, TrainingSetReader
+    from l3cli.evaluate.evaluation import Evaluation
+    from l3cli.render.renderer import Renderer
 
 
 @click.command()
@@ -46,7 +54,6 @@ def evaluate(
     from l3cli.evaluate.evaluation import Evaluation
     from l3cli.evaluate.pictures import frame_pictures
     from l3cli.files import refuse_filled_folder
-    from l3cli.frame import RawFrame
     from l3cli.io.images import write_picture
     from l3cli.render.display import require_xyz
     from l3cli.render.renderer import make_renderer
@@ -57,10 +64,9 @@ def evaluate(
         refuse_filled_folder(pictures, force)
     with open_training_set(frames) as reader:
         evaluation = Evaluation(transforms, reader.head, viewing)
-        camera, renderer = reader.head.camera, make_renderer(backend, transforms)
-        for index, frame in enumerate(options.progress(reader, len(reader), "frames", quiet)):
-            raw = RawFrame(frame.scene, frame.raw, camera.black, camera.white)
-            planes = evaluation.add(frame, renderer.outputs(raw), renderer.labels(raw))
+        renderer = make_renderer(backend, transforms)
+        for index in options.progress(range(len(reader)), len(reader), "frames", quiet):
+            frame, planes = judge(evaluation, renderer, reader, index)
             if pictures is not None:
                 for name, picture in frame_pictures(frame, planes).items():
                     write_picture(pictures / f"{options.frame_name(index, frame.scene)}_{name}.png", picture)
@@ -70,3 +76,14 @@ def evaluate(
     from l3cli.cli.quality_tables import print_tables
 
     print_tables(evaluation.document())
+
+
+def judge(
+    evaluation: "Evaluation", renderer: "Renderer", reader: "TrainingSetReader", index: int
+) -> tuple["TrainingPair", dict[str, "NDArray"]]:
+    """Count a frame of a training set; the frame and the planes of every pipeline, as `Evaluation.add` gives them."""
+    from l3cli.frame import RawFrame
+
+    frame, camera = reader.frame(index), reader.head.camera
+    raw = RawFrame(frame.scene, frame.raw, camera.black, camera.white)
+    return frame, evaluation.add(frame, renderer.outputs(raw), renderer.labels(raw))

@@ -1,0 +1,38 @@
+"""l3 report: any set of artifacts as one page."""
+
+from pathlib import Path
+
+import click
+
+from l3cli.cli import options
+
+
+@click.command()
+@click.argument("artifacts", type=options.FILE, nargs=-1, required=True, metavar="ARTIFACT.h5...")
+@options.output("HTML page to write")
+@click.option("--backend", default="opencl", show_default=True, help="Renderer of the evaluation: opencl or reference.")
+@options.force
+@options.quiet
+def report(artifacts: tuple[Path, ...], output: Path, backend: str, force: bool, quiet: bool) -> None:
+    """Show camera models, training sets and transform tables on one page that needs no network.
+
+    Every table is evaluated on every training set that it was not trained on. A camera is shown once; where no camera
+    model is given, those inside the training sets are shown.
+
+    Example: l3 report camera.h5 training.h5 table.h5 unseen.h5 -o report.html
+    """
+    from l3cli.cli import report_sections
+    from l3cli.errors import RecipeError
+    from l3cli.files import atomic_output, refuse_existing
+    from l3cli.report.page import LIMIT, render_page
+
+    if output.suffix != ".html":
+        raise RecipeError(f"{output}: a report is a page; name a file that ends in .html")
+    refuse_existing(output, force)
+    given = report_sections.sort(artifacts)
+    title, lead, sections = report_sections.compose(given, backend, quiet)
+    page = render_page(title, lead, sections).encode()
+    with atomic_output(output) as temporary:
+        temporary.write_bytes(page)
+    much = "; fewer files would make a lighter page" if len(page) > LIMIT else ""
+    options.say(f"{output}: {len(page) / 1e6:.2f} MB, {len(sections)} sections{much}", quiet)

@@ -1,0 +1,199 @@
+"""What `l3 report` shows of which artifact: rooms are asked here, since they do not know one another."""
+
+import functools
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.base import Artifact, equal, load, open_artifact
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.training_set import TrainingSet, open_training_set
+from l3cli.cli import options
+from l3cli.cli.evaluate import judge
+from l3cli.errors import InputFileError
+from l3cli.files import sha256
+from l3cli.io.embedded import jpeg
+from l3cli.report.camera import camera_section
+from l3cli.report.colours import channel_light
+from l3cli.report.evaluation import evaluation_section, shown_frames, summary
+from l3cli.report.page import history_section
+from l3cli.report.parts import Section, counted
+from l3cli.report.training import training_section
+from l3cli.report.transforms import transform_section
+
+KINDS: dict[str, type[Artifact]] = {kind.kind: kind for kind in (CameraModel, TrainingSet, TransformTable)}
+PICTURE_BYTES, THUMBNAIL_BYTES = 6_500_000, 2_000_000  # of all evaluated frames, of all training sets: see page.LIMIT
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A file of a report: how the page calls it, and what it holds; of a training set its head."""
+
+    name: str
+    path: Path
+    sha256: str
+    artifact: Artifact
+
+
+@dataclass(frozen=True)
+class Given:
+    """The artifacts of a report by kind."""
+
+    cameras: list[tuple[Entry, CameraModel]]
+    training: list[tuple[Entry, TrainingSet]]
+    tables: list[tuple[Entry, TransformTable]]
+    entries: list[Entry]
+
+    @property
+    def pairs(self) -> list[tuple[tuple[Entry, TransformTable], tuple[Entry, TrainingSet]]]:
+        """What is evaluated: each table with each training set that it was not trained on."""
+        return [(table, frames) for table in self.tables for frames in self.training if not trained_on(table[1], frames[0])]
+
+
+def trained_on(table: TransformTable, frames: Entry) -> bool:
+    """Whether the table's history names the training set's file."""
+    return any(frames.sha256 in found for stage in table.history for found in stage.inputs.values())
+
+
+def sort(paths: tuple[Path, ...]) -> Given:
+    """Artifacts by kind, each once; InputFileError if one is none, is damaged, or does not fit the others."""
+    found: dict[str, Entry] = {}
+    names = [path.name for path in paths]
+    for path in paths:
+        artifact, digest = _artifact(path), sha256(path)
+        name = path.name if names.count(path.name) == 1 else f"{path.parent.name}/{path.name}"
+        found.setdefault(digest, Entry(name, path, digest, artifact))
+    entries = list(found.values())
+    _require_one_array(entries)
+    given = Given(
+        [(entry, entry.artifact) for entry in entries if isinstance(entry.artifact, CameraModel)],
+        [(entry, entry.artifact) for entry in entries if isinstance(entry.artifact, TrainingSet)],
+        [(entry, entry.artifact) for entry in entries if isinstance(entry.artifact, TransformTable)],
+        entries,
+    )
+    for (table, transforms), (frames, head) in given.pairs:
+        if transforms.outputs != head.outputs:
+            raise InputFileError(f"{table.path} and {frames.path} have different outputs; report on a matching pair")
+    return given
+
+
+def _artifact(path: Path) -> Artifact:
+    with open_artifact(path) as root:
+        kind = str(root.attrs["kind"])
+    if kind not in KINDS:
+        raise InputFileError(f"{path} holds {kind}; give camera models, training sets or transform tables")
+    if KINDS[kind] is not TrainingSet:
+        return load(KINDS[kind], path)
+    with open_training_set(path) as reader:
+        return reader.head
+
+
+def _require_one_array(entries: list[Entry]) -> None:
+    arrays: list[Any] = [
+        entry.artifact.camera if isinstance(entry.artifact, TrainingSet) else entry.artifact for entry in entries
+    ]
+    for entry, array in zip(entries, arrays, strict=True):
+        if array.channels != arrays[0].channels or not np.array_equal(array.cfa, arrays[0].cfa):
+            raise InputFileError(
+                f"{entry.path} is of a camera with another CFA than {entries[0].path}; report on each camera alone"
+            )
+
+
+def compose(given: Given, backend: str, quiet: bool) -> tuple[str, str, list[Section]]:
+    """Title, lead and sections of the page."""
+    share = PICTURE_BYTES // max(len(given.pairs), 1)
+    judged = [_evaluation(*pair, str(number), share, backend, quiet) for number, pair in enumerate(given.pairs)]
+    cameras = [(entry.name, camera) for entry, camera in given.cameras] or _cameras_within(given)
+    sections = [camera_section(camera, _camera_figures(camera), name) for name, camera in cameras]
+    for entry, _ in given.training:
+        with open_training_set(entry.path) as reader:
+            sections.append(
+                training_section(reader, entry.name, _role(given, entry), THUMBNAIL_BYTES // len(given.training), jpeg)
+            )
+    light = channel_light(cameras[0][1].responsivity, cameras[0][1].wavelength) if cameras else None
+    sections += [_transforms(entry.name, table, light) for entry, table in given.tables]
+    sections += [section for _, section in judged]
+    files = [(entry.name, entry.artifact.kind, entry.sha256, entry.artifact.history) for entry in given.entries]
+    sections.append(history_section(files))
+    names = [camera.name for _, camera in cameras] or [table.camera_name for _, table in given.tables]
+    return f"{', '.join(dict.fromkeys(names))}: report", _lead(given, [told for told, _ in judged]), sections
+
+
+def _lead(given: Given, told: list[str]) -> str:
+    if len(told) == 1:
+        return told[0]
+    if told:
+        named = (f"{table.name} on {frames.name}" for (table, _), (frames, _) in given.pairs)
+        return " ".join(f"{pair}: {figures}" for pair, figures in zip(named, told, strict=True))
+    if given.tables and given.training:
+        return "The table was trained on every training set given: add frames that it has not seen to have it evaluated."
+    if given.tables:
+        return "Add a training set that the table was not trained on to have it evaluated."
+    return f"{counted(len(given.entries), 'artifact')}, without a transform table: nothing is evaluated."
+
+
+def _cameras_within(given: Given) -> list[tuple[str, CameraModel]]:
+    """The different cameras of the training sets."""
+    found: list[tuple[str, CameraModel]] = []
+    for entry, head in given.training:
+        if not any(equal(head.camera, camera) for _, camera in found):
+            found.append((entry.name, head.camera))
+    return found
+
+
+def _camera_figures(camera: CameraModel) -> dict[str, Any]:
+    from l3cli.calibrate.report import camera_figures, figures, shortfall
+
+    if camera.fit is not None:
+        return figures(camera) | {"shortfall": (shortfall(camera) or "").partition(";")[0]}
+    plain = {name: {"value": value, "unit": unit} for name, (value, unit) in camera_figures(camera).items()}
+    nothing: dict[str, Any] = {"channels": {}, "lights": {}, "bands": {}, "left out": [], "defects": []}
+    return {"camera": plain, **nothing, "saturation reached": None, "shortfall": ""}
+
+
+def _transforms(name: str, table: TransformTable, light: NDArray[np.float64] | None) -> Section:
+    from l3cli.train.insight import class_name, insight
+
+    return transform_section(table, light, insight(table), functools.partial(class_name, table), name)
+
+
+def _role(given: Given, frames: Entry) -> str:
+    """What the tables of the report have to do with a training set."""
+    learned = [entry.name for entry, table in given.tables if trained_on(table, frames)]
+    judged = [entry.name for entry, table in given.tables if not trained_on(table, frames)]
+    roles = [f"Trained on it: {', '.join(learned)}."] if learned else []
+    roles += [f"Evaluated on it: {', '.join(judged)}."] if judged else []
+    return " ".join(roles)
+
+
+def _evaluation(
+    table: tuple[Entry, TransformTable],
+    frames: tuple[Entry, TrainingSet],
+    anchor: str,
+    limit: int,
+    backend: str,
+    quiet: bool,
+) -> tuple[str, Section]:
+    """A table on frames it has not seen: in a sentence, and as a section with pictures of a few frames."""
+    from l3cli.evaluate.evaluation import Evaluation
+    from l3cli.evaluate.pictures import frame_pictures
+    from l3cli.evaluate.quality import XYZ
+    from l3cli.render.renderer import make_renderer
+
+    (given, transforms), (seen, _) = table, frames
+    renderer = make_renderer(backend, transforms)
+    with open_training_set(seen.path) as reader:
+        evaluation = Evaluation(transforms, reader.head)
+        for index in options.progress(range(len(reader)), len(reader), "frames", quiet):
+            judge(evaluation, renderer, reader, index)
+        document = evaluation.document()
+        pictures = {}
+        if transforms.outputs == XYZ:
+            again = Evaluation(transforms, reader.head)
+            for index in shown_frames(document):
+                pictures[index] = frame_pictures(*judge(again, renderer, reader, index))
+    return summary(document), evaluation_section(document, pictures, (given.name, seen.name), anchor, limit, jpeg)

@@ -1,0 +1,208 @@
+"""Plots as inline SVG, drawn here rather than by a plotting library: they take the page's own colours and font, so that one
+drawing suits light, dark and paper, and the same numbers give the same bytes. Coordinates are pixels, sheets 440 px wide."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from markupsafe import Markup, escape
+from numpy.typing import NDArray
+
+from l3cli.report.parts import superscript
+
+Array = NDArray[np.floating]
+WIDTH, HEIGHT = 440, 300
+LEFT, RIGHT, TOP, BOTTOM = 58, 10, 10, 44
+GLYPH = 6.8  # mean width of a 12 px letter
+MARKS = {"dot": "h0", "plus": "m-3,0h6m-3,-3v6", "cross": "m-2.3,-2.3l4.6,4.6m0,-4.6l-4.6,4.6"}
+DASHES = {"line": "", "dashed": ' stroke-dasharray="6 4"', "dotted": ' stroke-dasharray="2 3"'}
+
+
+@dataclass(frozen=True)
+class Axis:
+    """What runs along a side of a plot: label with unit, range, scale."""
+
+    label: str
+    low: float
+    high: float
+    log: bool = False
+
+    def place(self, values: Array | float) -> Array:
+        """Values as shares of the axis, 0 at its low end."""
+        values = np.asarray(values, dtype=np.float64)
+        if not self.log:
+            return (values - self.low) / (self.high - self.low)
+        least = np.maximum(values, self.low * 1e-3)
+        return np.log(least / self.low) / np.log(self.high / self.low)
+
+    def ticks(self) -> list[float]:
+        """Round numbers within the axis."""
+        if not self.log:
+            return _round_steps(self.low, self.high)
+        decades = range(int(np.floor(np.log10(self.low))), int(np.ceil(np.log10(self.high))) + 1)
+        for factors in ((1.0,), (1.0, 3.0), (1.0, 2.0, 5.0), range(1, 10)):
+            ticks = [f * 10.0**d for d in decades for f in factors if self.low * 0.999 <= f * 10.0**d <= self.high * 1.001]
+            if len(ticks) >= 4:
+                return ticks[:: -(-len(ticks) // 9)]
+        return _round_steps(self.low, self.high)
+
+
+def spanning(label: str, values: Iterable[float] | Array, zero: bool = False, log: bool = False) -> Axis:
+    """An axis that holds all finite values with a small margin; with `zero` it begins there."""
+    array = np.asarray(values if isinstance(values, np.ndarray) else list(values), dtype=np.float64).ravel()
+    array = array[np.isfinite(array) & ((array > 0) | (not log))]
+    low, high = (float(array.min()), float(array.max())) if array.size else (0.1 if log else 0.0, 1.0)
+    if log:
+        factor = max((high / low) ** 0.04, 1.05)
+        return Axis(label, low / factor, high * factor, True)
+    low = min(low, 0.0) if zero else low
+    margin = 0.04 * (high - low) or max(abs(high) * 0.1, 1e-9)
+    return Axis(label, low if zero and low == 0 else low - margin, high + margin)
+
+
+def _round_steps(low: float, high: float) -> list[float]:
+    raw = (high - low) / 5
+    power = 10.0 ** np.floor(np.log10(raw))
+    step = power * min((1, 2, 5, 10), key=lambda factor: abs(np.log(factor * power / raw)))
+    first = int(np.ceil(low / step - 1e-9))
+    return [round(index * step, 12) for index in range(first, int(np.floor(high / step + 1e-9)) + 1)]
+
+
+def tick_text(value: float) -> str:
+    """A tick's number: powers of ten far from one as powers."""
+    if value and not 1e-3 <= abs(value) < 1e5:
+        power = int(np.floor(np.log10(abs(value)) + 1e-9))
+        factor = value / 10.0**power
+        return ("" if abs(factor - 1) < 1e-9 else f"{factor:g}×") + f"10{superscript(power)}"
+    return f"{value:g}".replace("-", "−")
+
+
+class Plot:
+    """Axes and what is drawn between them. Values outside the axes are cut off."""
+
+    def __init__(self, x: Axis, y: Axis, height: int = HEIGHT, square: bool = False) -> None:
+        self._x, self._y = x, y
+        self._inner = WIDTH - LEFT - RIGHT, (WIDTH - LEFT - RIGHT if square else height - TOP - BOTTOM)
+        self._items: list[str] = []
+
+    def line(self, x: Array, y: Array, colour: str, mark: str = "line", width: float = 2) -> "Plot":
+        path = "M" + "L".join(f"{a:.1f},{b:.1f}" for a, b in self._points(x, y))
+        self._items.append(
+            f'<path d="{path}" fill="none" stroke="{escape(colour)}" stroke-width="{width:g}" '
+            f'stroke-linejoin="round"{DASHES[mark]}/>'
+        )
+        return self
+
+    def steps(self, edges: Array, heights: Array, colour: str, mark: str = "line") -> "Plot":
+        """A histogram's outline: heights (bin) between edges (bin + 1)."""
+        return self.line(np.repeat(edges, 2)[1:-1], np.repeat(heights, 2), colour, mark, 1.8)
+
+    def band(self, x: Array, low: Array, high: Array, colour: str) -> "Plot":
+        points = [*self._points(x, high), *self._points(x[::-1], low[::-1])]
+        path = "M" + "L".join(f"{a:.1f},{b:.1f}" for a, b in points) + "z"
+        self._items.append(f'<path d="{path}" fill="{escape(colour)}" fill-opacity="0.25"/>')
+        return self
+
+    def dots(self, x: Array, y: Array, colour: str, mark: str = "dot", size: float = 5, opacity: float = 0.75) -> "Plot":
+        path = "".join(f"M{a:.1f},{b:.1f}{MARKS[mark]}" for a, b in self._points(x, y))
+        width = size if mark == "dot" else 1.4
+        self._items.append(
+            f'<path d="{path}" fill="none" stroke="{escape(colour)}" stroke-width="{width:g}" stroke-linecap="round" '
+            f'stroke-opacity="{opacity:g}"/>'
+        )
+        return self
+
+    def cells(self, x: Array, y: Array, width: float, height: float, colour: str, opacity: float) -> "Plot":
+        """Boxes of one size, in units of the axes, whose lower left corners are x, y."""
+        corners = list(zip(self._points(x, y), self._points(x + width, y + height), strict=True))
+        path = "".join(f"M{a:.1f},{b:.1f}H{c:.1f}V{d:.1f}H{a:.1f}z" for (a, b), (c, d) in corners)
+        self._items.append(f'<path d="{path}" fill="{escape(colour)}" fill-opacity="{opacity:g}"/>')
+        return self
+
+    def label(self, x: float, y: float, text: str, anchor: str = "middle", lift: float = -6, aside: float = 0) -> "Plot":
+        """Text by a point, so many pixels below and right of it, kept within the plot, in the page's ink."""
+        ((a, b),) = self._points(np.array([x]), np.array([y]))
+        a += aside
+        half = GLYPH * len(text) / 2
+        if anchor == "middle":
+            a = min(max(a, half), self._inner[0] - half)
+        b = min(max(b + lift, 11), self._inner[1] - 3)
+        self._items.append(f'<text class="mark" x="{a:.1f}" y="{b:.1f}" text-anchor="{anchor}">{escape(text)}</text>')
+        return self
+
+    def svg(self, finding: str) -> Markup:
+        """The drawing, which says `finding` to those who cannot see it."""
+        width, height = self._inner
+        inner = f'<svg x="{LEFT}" y="{TOP}" width="{width}" height="{height}">{"".join(self._items)}</svg>'
+        return sheet(WIDTH, height + TOP + BOTTOM, self._frame() + inner, finding)
+
+    def _points(self, x: Array, y: Array) -> list[tuple[float, float]]:
+        width, height = self._inner
+        across = np.clip(self._x.place(x), -2, 3) * width
+        down = (1 - np.clip(self._y.place(y), -2, 3)) * height
+        return list(zip(across.ravel().tolist(), down.ravel().tolist(), strict=True))
+
+    def _frame(self) -> str:
+        """Grid, ticks and labels of both axes."""
+        width, height = self._inner
+        bottom, items = TOP + height, []
+        for value in self._x.ticks():
+            at = LEFT + float(self._x.place(value)) * width
+            items.append(f'<path class="grid" d="M{at:.1f},{TOP}V{bottom}"/>')
+            items.append(f'<text x="{at:.1f}" y="{bottom + 16}" text-anchor="middle">{tick_text(value)}</text>')
+        for value in self._y.ticks():
+            at = bottom - float(self._y.place(value)) * height
+            items.append(f'<path class="grid" d="M{LEFT},{at:.1f}H{LEFT + width}"/>')
+            items.append(f'<text x="{LEFT - 6}" y="{at + 4:.1f}" text-anchor="end">{tick_text(value)}</text>')
+        items.append(f'<path class="axis" d="M{LEFT},{TOP}V{bottom}H{LEFT + width}"/>')
+        centre, middle = LEFT + width / 2, TOP + height / 2
+        items.append(f'<text x="{centre:.0f}" y="{bottom + 36}" text-anchor="middle">{escape(self._x.label)}</text>')
+        turned = f'transform="rotate(-90 13 {middle:.0f})"'
+        items.append(f'<text x="13" y="{middle:.0f}" text-anchor="middle" {turned}>{escape(self._y.label)}</text>')
+        return "".join(items)
+
+
+def sheet(width: float, height: float, inside: str, finding: str, own_size: bool = False) -> Markup:
+    """A drawing of so many pixels, scaled to the page unless of its `own_size`; texts `inside` are escaped already."""
+    label = escape(finding)
+    size = f' width="{width:g}" height="{height:g}"' if own_size else ""
+    return Markup(f'<svg viewBox="0 0 {width:g} {height:g}"{size} role="img" aria-label="{label}">{inside}</svg>')
+
+
+def box(x: float, y: float, width: float, height: float, colour: str, opacity: float = 1.0, extra: str = "") -> str:
+    """A filled rectangle."""
+    return (
+        f'<rect x="{x:g}" y="{y:g}" width="{width:g}" height="{height:g}" fill="{escape(colour)}"'
+        f' fill-opacity="{opacity:g}"{extra}/>'
+    )
+
+
+def heat(shares: Array, rows: Sequence[str], columns: Sequence[str], x_label: str, y_label: str, finding: str) -> Markup:
+    """Cells (row, column) as dense as `shares`, 0 (empty) to 1, with a name for each row and, where they fit, column."""
+    side = max(30.0, 8 + GLYPH * max(map(len, rows)))
+    left = 18 + side
+    width = (WIDTH - left - RIGHT) / shares.shape[1]
+    height = min(max(width, 13.0), 22.0)
+    bottom = TOP + height * shares.shape[0]
+    items = []
+    for share in np.unique(shares[shares > 0]):
+        where = np.argwhere(shares == share)
+        path = "".join(
+            f"M{left + c * width:.1f},{TOP + r * height:.1f}h{width:.1f}v{height:.1f}h{-width:.1f}z" for r, c in where
+        )
+        items.append(f'<path d="{path}" fill="var(--one)" fill-opacity="{share:g}"/>')
+    grid = "".join(f"M{left:.1f},{TOP + r * height:.1f}H{WIDTH - RIGHT}" for r in range(shares.shape[0] + 1))
+    grid += "".join(f"M{left + c * width:.1f},{TOP}V{bottom:.1f}" for c in range(shares.shape[1] + 1))
+    items.append(f'<path class="grid" d="{grid}"/>')
+    for index, name in enumerate(rows):
+        y = TOP + (index + 0.5) * height + 4
+        items.append(f'<text x="{left - 5:.1f}" y="{y:.1f}" text-anchor="end">{escape(name)}</text>')
+    every = max(1, int(np.ceil((GLYPH * max(map(len, columns)) + 6) / width)))
+    for index in range(0, len(columns), every):
+        x = left + (index + 0.5) * width
+        items.append(f'<text x="{x:.1f}" y="{bottom + 15:.1f}" text-anchor="middle">{escape(columns[index])}</text>')
+    centre, middle = (left + WIDTH - RIGHT) / 2, (TOP + bottom) / 2
+    items.append(f'<text x="{centre:.0f}" y="{bottom + 34:.1f}" text-anchor="middle">{escape(x_label)}</text>')
+    turned = f'transform="rotate(-90 13 {middle:.0f})"'
+    items.append(f'<text x="13" y="{middle:.0f}" text-anchor="middle" {turned}>{escape(y_label)}</text>')
+    return sheet(WIDTH, round(bottom + BOTTOM - 2), "".join(items), finding)

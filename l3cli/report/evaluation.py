@@ -1,0 +1,227 @@
+"""An evaluation as a section: figures, curves over light level, and frames to look at."""
+
+from typing import Any
+
+import numpy as np
+
+from l3cli.report.colours import SERIES
+from l3cli.report.drawing import Plot, spanning
+from l3cli.report.parts import Block, Comparison, Figure, Figures, Key, Part, Picture, Section, Table, Text, counted, tidy
+from l3cli.report.pictures import Jpeg, Pixels, fitted
+
+OURS = "ours"
+NAMES = {  # figure → heading; unit and meaning
+    "mean_delta_e": "mean ΔE00",
+    "median_delta_e": "median ΔE00",
+    "p95_delta_e": "95 % ΔE00",
+    "scielab": "S-CIELAB ΔE00",
+    "psnr": "PSNR (dB)",
+    "output_psnr": "linear PSNR (dB)",
+    "ssim": "SSIM (1)",
+    "mean_angle": "mean spectral angle (°)",
+    "median_angle": "median angle (°)",
+    "p95_angle": "95 % angle (°)",
+}
+MEANINGS = (
+    "ours is the table; basic is a pipeline that learns nothing (interpolation, white balance, colour matrix). Pictures are "
+    "compared as displayed: adapted to D65, the 99th percentile of the target's luminance shown white. ΔE00: CIEDE2000; "
+    "S-CIELAB: the same after the eye's blur; PSNR of sRGB, linear PSNR of XYZ."
+)
+ERROR_KEY = (  # of the error map's colours, as evaluation draws them
+    Key("error map: ΔE00 0", "#000000", "box"),
+    Key("2.5", "#460a6e", "box"),
+    Key("5", "#be285a", "box"),
+    Key("7.5", "#f58c1e", "box"),
+    Key("10 and more", "#ffffff", "box"),
+)
+SEEN = 3  # frames shown of an evaluation: the worst, the middle, the best
+
+
+def shown_frames(document: dict[str, Any]) -> list[int]:
+    """Indices of the frames worth showing: all of a few, else those of worst, median and best figure of ours."""
+    frames = document["frames"]
+    figure = next(iter(frames[0][OURS]))
+    order = np.argsort([-frame[OURS][figure] for frame in frames], kind="stable").tolist()
+    return order if len(order) <= SEEN else [order[0], order[len(order) // 2], order[-1]]
+
+
+def evaluation_section(
+    document: dict[str, Any],
+    pictures: dict[int, dict[str, Pixels]],
+    names: tuple[str, str],
+    anchor: str,
+    limit: int,
+    jpeg: Jpeg,
+) -> Section:
+    """`document` is that of `l3 evaluate --json`, `pictures` those of some frames by index, `names` the files of table and
+    frames; `limit` bytes is what the pictures of this section may take."""
+    figure = next(iter(document["frames"][0][OURS]))
+    parts = [Part("Quality", _quality_blocks(document, figure)), Part("Over light level", _level_blocks(document, figure))]
+    parts.append(Part("By class", _class_blocks(document, figure)))
+    if pictures:
+        parts.append(Part("Pictures", _picture_blocks(document, pictures, figure, anchor, limit, jpeg)))
+    title = f"Evaluation: {names[0]} on {names[1]}" if all(names) else f"Evaluation: {names[0] or names[1]}"
+    return Section(title, summary(document), tuple(parts))
+
+
+def summary(document: dict[str, Any]) -> str:
+    """The evaluation in a sentence."""
+    figure = next(iter(document["frames"][0][OURS]))
+    count = len(document["frames"])
+    means = ", ".join(f"{name} {_told(document['mean'][name], figure)}" for name in document["pipelines"])
+    name = NAMES[figure]
+    return f"{name[0].upper()}{name[1:]} over {counted(count, 'frame')}: {means}."
+
+
+def _told(figures: dict[str, float], figure: str) -> str:
+    """The main figure and, of pictures, the PSNR."""
+    return _number(figure, figures[figure]) + (f" ({figures['psnr']:.1f} dB)" if "psnr" in figures else "")
+
+
+def _quality_blocks(document: dict[str, Any], figure: str) -> tuple[Block, ...]:
+    figures = tuple(document["frames"][0][OURS])
+    headings = ("pipeline", *(NAMES[name] for name in figures))
+    means = tuple((name, *(_number(f, document["mean"][name][f]) for f in figures)) for name in document["pipelines"])
+    blocks: list[Block] = [Table("Means over the frames", headings, means)]
+    if figure == "mean_delta_e":
+        blocks.append(Text(MEANINGS))
+    rivals = document["pipelines"][1:]
+    about = ("frame", "scene", "light", "level (share of full scale)")
+    rows = tuple(
+        (str(index + 1), f["scene"], f["illuminant"], f"{f['level']:.3f}", *(_number(n, f[OURS][n]) for n in figures))
+        + tuple(_number(figure, f[rival][figure]) for rival in rivals)
+        for index, f in enumerate(document["frames"])
+    )
+    heads = (*about, *(NAMES[name] for name in figures), *(f"{rival}: {NAMES[figure]}" for rival in rivals))
+    blocks.append(Table("Frames", heads, rows))
+    if len(document["by_illuminant"]) > 1:
+        blocks.append(
+            _grouped(
+                document,
+                "By illuminant",
+                "illuminant",
+                [g["illuminant"] for g in document["by_illuminant"]],
+                "by_illuminant",
+            )
+        )
+    return tuple(blocks)
+
+
+def _grouped(document: dict[str, Any], caption: str, heading: str, names: list[str], group: str) -> Table:
+    figure = next(iter(document["frames"][0][OURS]))
+    heads = (heading, "frames", *(f"{owner}: {NAMES[figure]}" for owner in document["pipelines"]))
+    rows = tuple(
+        (name, str(g["frames"]), *(_number(figure, g[owner][figure]) for owner in document["pipelines"]))
+        for name, g in zip(names, document[group], strict=True)
+    )
+    return Table(caption, heads, rows)
+
+
+def _level_blocks(document: dict[str, Any], figure: str) -> tuple[Block, ...]:
+    figures: list[Figure] = []
+    blocks: list[Block] = []
+    classes = document["by_class"].get("level", [])
+    if len(classes) > 1:
+        at = np.array([_middle(entry) for entry in classes])
+        figures.append(
+            _curves(document, figure, classes, at, "Error over the class's level", "level of the pixel's neighbourhood")
+        )
+    groups = document["by_level"]
+    if len(groups) > 1:
+        at = np.array([np.sqrt(group["from"] * group["to"]) for group in groups])
+        figures.append(_curves(document, figure, groups, at, "Error over the frame's level", "mean level of the frame"))
+    if figures:
+        blocks.append(Figures(tuple(figures)))
+    names = [f"{g['from']:.3f}–{g['to']:.3f}" for g in groups]
+    blocks.append(_grouped(document, "By the frame's level (share of full scale)", "level", names, "by_level"))
+    return tuple(blocks)
+
+
+def _middle(entry: dict[str, Any]) -> float:
+    return float(np.sqrt(max(entry["from"], entry["to"] / 2) * entry["to"]))
+
+
+def _curves(document: dict[str, Any], figure: str, entries: list, at: np.ndarray, title: str, label: str) -> Figure:
+    values = {name: np.array([entry[name][figure] for entry in entries]) for name in document["pipelines"]}
+    everything = np.concatenate(list(values.values()))
+    plot = Plot(spanning(f"{label} (share of full scale)", at, log=True), spanning(NAMES[figure], everything, zero=True))
+    keys = []
+    for index, (name, curve) in enumerate(values.items()):
+        colour, mark = SERIES[index % len(SERIES)], ("line", "dashed", "dotted", "dashed")[index % 4]
+        plot.line(at, curve, colour, mark).dots(at, curve, colour, size=6)
+        keys.append(Key(name, colour, mark))
+    told = "; ".join(
+        f"{name} {_number(figure, curve[0])} at level {tidy(at[0], 2)}, {_number(figure, curve[-1])} at {tidy(at[-1], 2)}, "
+        f"at most {_number(figure, curve.max())}"
+        for name, curve in values.items()
+    )
+    finding = f"{NAMES[figure]}: {told}."
+    return Figure(title, plot.svg(finding), finding, tuple(keys))
+
+
+def _class_blocks(document: dict[str, Any], figure: str) -> tuple[Block, ...]:
+    heads = ("pixels", *(f"{owner}: {NAMES[figure]}" for owner in document["pipelines"]))
+
+    def cells(entry: dict[str, Any]) -> tuple[str, ...]:
+        return (str(entry["pixels"]), *(_number(figure, entry[owner][figure]) for owner in document["pipelines"]))
+
+    tables = []
+    for axis, entries in document["by_class"].items():
+        if axis != "level" and len(entries) > 1:
+            tables.append(Table(f"By {axis}", (axis, *heads), tuple((_class_name(axis, e), *cells(e)) for e in entries)))
+    worst = tuple(
+        (f"level {e['from']:.3g}–{e['to']:.3g}, contrast {e['contrast']}, {_kind(e)}", *cells(e))
+        for e in document["worst_classes"]
+    )
+    return (*tables, Table("Worst classes", ("class", *heads), worst))
+
+
+def _kind(entry: dict[str, Any]) -> str:
+    return f"saturation case {entry['case']}" if entry["chroma"] is None else f"chroma {entry['chroma']}"
+
+
+def _class_name(axis: str, entry: dict[str, Any]) -> str:
+    if axis == "chroma":
+        return f"{entry['chroma']}: " + " ".join(f"{name} {share:.2f}" for name, share in entry["shares"].items())
+    if axis == "saturation":
+        return f"{entry['case']}: " + (" ".join(entry["saturated"]) or ("mixed" if entry["case"] else "none"))
+    return str(entry[axis])
+
+
+def _number(figure: str, value: float) -> str:
+    return f"{value:.4f}" if figure == "ssim" else f"{value:.2f}"
+
+
+# -------------------------------------------------------------------------------------------------------- pictures
+
+
+def _picture_blocks(
+    document: dict[str, Any], pictures: dict[int, dict[str, Pixels]], figure: str, anchor: str, limit: int, jpeg: Jpeg
+) -> tuple[Block, ...]:
+    blocks: list[Block] = []
+    if len(pictures) < len(document["frames"]):
+        blocks.append(
+            Text(f"Of {len(document['frames'])} frames those of the worst, the median and the best {NAMES[figure]}.")
+        )
+    each = limit // sum(len(frame) for frame in pictures.values())
+    for index, shown in pictures.items():
+        frame = document["frames"][index]
+        title = f"Frame {index + 1}: {frame['scene']}, {frame['illuminant']}, level {frame['level']:.3f}"
+        ordered = sorted(shown, key=lambda name: (name != OURS, name not in ("ideal",), name == "error"))
+        made = tuple(_picture(frame, name, shown[name], figure, each, jpeg) for name in ordered)
+        blocks.append(Comparison(f"{anchor}-{index}", title, made, ERROR_KEY))
+    return tuple(blocks)
+
+
+def _picture(frame: dict[str, Any], name: str, pixels: Pixels, figure: str, limit: int, jpeg: Jpeg) -> Picture:
+    uri, (rows, cols) = fitted(pixels, limit, jpeg)
+    scale = pixels.shape[0] // rows
+    reduced = f", shown at 1/{scale} of its size" if scale > 1 else ""
+    if name == "ideal":
+        told = "the target"
+    elif name == "error":
+        told = f"ΔE00 of ours at every pixel, mean {_number(figure, frame[OURS][figure])}"
+    else:
+        told = f"{NAMES[figure]} {_told(frame[name], figure)}"
+    caption = f"{name}: {told}{reduced}"
+    return Picture(uri, rows, cols, caption, f"{frame['scene']}, {caption}")

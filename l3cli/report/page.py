@@ -1,0 +1,53 @@
+"""Sections to one HTML page that needs nothing but itself."""
+
+from typing import Any
+
+from l3cli.artifacts.base import Stage
+from l3cli.report.parts import Details, Part, Section, Table
+
+LIMIT = 10_000_000  # bytes of a page
+
+
+def render_page(title: str, lead: str, sections: list[Section]) -> str:
+    """The page; every text is escaped, drawings and pictures lie inside."""
+    import jinja2
+
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("l3cli.report", ""),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    return environment.get_template("page.html").render(title=title, lead=lead, sections=sections)
+
+
+def history_section(files: list[tuple[str, str, str, tuple[Stage, ...]]]) -> Section:
+    """Where everything comes from: `files` are name, kind, SHA-256 and stages, oldest first."""
+    given = tuple((name, kind, digest) for name, kind, digest, _ in files)
+    parts = [Part("Files", (Table("Files of this report", ("file", "kind", "SHA-256"), given),))]
+    parts += [_stages(name, stages) for name, _, _, stages in files if stages]
+    return Section("History", "What was run on what, as the artifacts tell it.", tuple(parts))
+
+
+def _stages(name: str, stages: tuple[Stage, ...]) -> Part:
+    rows = []
+    for number, stage in enumerate(stages, 1):
+        chosen = " ".join(_option(*option) for option in sorted(stage.options.items()))
+        inputs = "; ".join(_digests(role, found) for role, found in sorted(stage.inputs.items()) if found)
+        rows.append((f"{number}", f"l3 {stage.command}", chosen or "–", inputs or "–", stage.version))
+    table = Table(f"Stages of {name}", ("stage", "command", "options", "inputs, SHA-256", "l3cli"), tuple(rows))
+    recipes = [Details(f"Recipe of stage {n}, {s.command}", s.recipe) for n, s in enumerate(stages, 1) if s.recipe]
+    return Part(name, (table, *recipes))
+
+
+def _option(key: str, value: Any) -> str:
+    """An option as it is given on the command line."""
+    return f"--{key.replace('_', '-')}" + ("" if value is True else f" {value}")
+
+
+def _digests(role: str, found: list[str]) -> str:
+    """A role and its files by the first digits of their SHA-256."""
+    return (
+        f"{role} " + " ".join(digest[:12] for digest in found[:4]) + (f" … ({len(found)} files)" if len(found) > 4 else "")
+    )

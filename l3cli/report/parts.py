@@ -1,0 +1,154 @@
+"""What a report is made of, as plain data: sections of parts of tables, figures and pictures. page.html lays them out."""
+
+import re
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+from markupsafe import Markup
+
+NUMBER = re.compile(r"^(?=.*[0-9])[−+]?[0-9.,–×⁰¹²³⁴⁵⁶⁷⁸⁹⁻]+$")
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of text below headings; the first cell of a row is its heading."""
+
+    kind: ClassVar[str] = "table"
+    caption: str
+    headings: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+    @property
+    def numeric(self) -> tuple[bool, ...]:
+        """Which columns beside the first hold nothing but numbers, to be set flush right."""
+        columns = range(1, len(self.headings))
+        return (False, *(all(NUMBER.match(row[column]) for row in self.rows) for column in columns))
+
+
+@dataclass(frozen=True)
+class Key:
+    """One entry of a figure's legend: what a colour (CSS) and a mark stand for, which is "line", "dashed", "dotted", "box",
+    "dot", "plus" or "cross"."""
+
+    label: str
+    colour: str
+    mark: str = "line"
+    opacity: float = 1.0
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A drawing with its title and what it shows; `finding`, with figures, is also read out in its place."""
+
+    title: str
+    svg: Markup
+    finding: str
+    legend: tuple[Key, ...] = ()
+    narrow: bool = False  # a small drawing that should not be blown up
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Figures side by side, as many as the page is wide."""
+
+    kind: ClassVar[str] = "figures"
+    figures: tuple[Figure, ...]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture as a data URI with its size in pixels, its caption and what stands in its place."""
+
+    uri: str
+    rows: int
+    cols: int
+    caption: str
+    alt: str
+
+
+@dataclass(frozen=True)
+class Gallery:
+    """Small pictures side by side."""
+
+    kind: ClassVar[str] = "gallery"
+    pictures: tuple[Picture, ...]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One frame: ours first, then what it is compared with, behind a slider where scripts run."""
+
+    kind: ClassVar[str] = "comparison"
+    anchor: str
+    title: str
+    pictures: tuple[Picture, ...]
+    key: tuple[Key, ...] = ()  # of the error map
+
+    @property
+    def width(self) -> int:
+        """Pixels on the screen beyond which a small frame would only be blurred."""
+        return max(3 * self.pictures[0].cols, 480)
+
+
+@dataclass(frozen=True)
+class Text:
+    """A paragraph."""
+
+    kind: ClassVar[str] = "text"
+    text: str
+
+
+@dataclass(frozen=True)
+class Details:
+    """A long text, such as a recipe, folded away."""
+
+    kind: ClassVar[str] = "details"
+    title: str
+    text: str
+
+
+Block = Table | Figures | Gallery | Comparison | Text | Details
+
+
+@dataclass(frozen=True)
+class Part:
+    """Blocks below a heading of the third level."""
+
+    title: str
+    blocks: tuple[Block, ...]
+
+
+@dataclass(frozen=True)
+class Section:
+    """Parts below a heading of the second level; `lead` says the most important in a sentence or two."""
+
+    title: str
+    lead: str
+    parts: tuple[Part, ...] = field(default=())
+
+
+def tidy(value: float, digits: int = 3) -> str:
+    """A number to so many significant digits, without exponent where it can be read without."""
+    if value == 0:
+        return "0"
+    if not 1e-4 <= abs(value) < 1e5:
+        mantissa, _, exponent = f"{value:.{digits - 1}e}".partition("e")
+        return f"{mantissa}×10{superscript(int(exponent))}".replace("-", "−")
+    rounded = float(f"{value:.{digits - 1}e}")
+    text = f"{rounded:.10f}".rstrip("0").rstrip(".")
+    return text.replace("-", "−")
+
+
+def superscript(number: int) -> str:
+    """An integer as an exponent is written."""
+    return str(number).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+
+
+def counted(number: int, what: str) -> str:
+    """A number and what it counts, such as "1 frame" or "2 frames"."""
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+
+
+def unit(text: str) -> str:
+    """A unit as ASCII artifacts write it, as print does."""
+    return text.replace("e-", "e⁻").replace("m^2", "m²").replace("^2", "²")

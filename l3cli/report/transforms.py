@@ -1,0 +1,253 @@
+"""A transform table as a section: how its classes are filled, what some transforms look like, how they treat noise."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.table import LEVEL_FRACTION, TransformTable
+from l3cli.report import colours
+from l3cli.report.drawing import WIDTH, Plot, box, escape, heat, sheet, spanning
+from l3cli.report.parts import Block, Figure, Figures, Key, Part, Section, Table, Text, tidy
+
+Array = NDArray[np.floating]
+DECADES = (0.15, 0.3, 0.45, 0.6, 0.8, 1.0)  # opacity of 1–9, 10–99… patches
+LONGEST = 22  # letters of a name beside a drawing
+MAPS = 3  # outputs drawn of a transform
+
+
+def transform_section(
+    table: TransformTable, light: Array | None, found: dict[str, Any], class_name: Callable[[int], str], name: str
+) -> Section:
+    """`found` is what `l3 info --json` tells of the table, `class_name` says where a class applies, `light` (channel, 3) is
+    linear sRGB of the channels, None where no camera tells it; `name` is the file the table comes from."""
+    classes = found["classes"]
+    lead = (
+        f"{classes['all']} classes of {table.rule.patch} × {table.rule.patch} patches; "
+        f"{classes['trained']} are trained on patches of their own, {classes['filled']} filled from their neighbours. "
+        f"For {table.camera_name}. From {name}."
+    )
+    parts = (
+        Part("Class population", _population_blocks(table, found)),
+        Part("Transforms", _transform_blocks(table, light, class_name)),
+        Part("Noise and flat areas", (_noise_figures(table), *_gain_tables(table, found))),
+    )
+    return Section(f"Table: {name}", lead, parts)
+
+
+def level_bounds(table: TransformTable) -> Array:
+    """Bounds (level + 1) of the levels as shares of full scale, from 0 to 1."""
+    per_dn = 2.0**table.rule.shift / (2**LEVEL_FRACTION * len(table.channels))
+    inner = (table.rule.level_edges * per_dn - table.black) / (table.white - table.black)
+    return np.concatenate([[0.0], np.clip(inner, 0, 1), [1.0]])
+
+
+def level_middles(table: TransformTable) -> Array:
+    """A level of each class of the rule, share of full scale, fit for a logarithmic axis."""
+    bounds = level_bounds(table)
+    lower = np.maximum(bounds[:-1], bounds[1:] / 2)
+    return np.sqrt(np.maximum(lower * bounds[1:], 1e-8))
+
+
+def _by_axis(table: TransformTable, values: NDArray[Any]) -> NDArray[Any]:
+    """values (class, …) as (site, level, contrast, kind, …)."""
+    rule = table.rule
+    return values.reshape(table.cfa.size, rule.levels, rule.contrasts, rule.kinds, *values.shape[1:])
+
+
+# ------------------------------------------------------------------------------------------------------ population
+
+
+def _population_blocks(table: TransformTable, found: dict[str, Any]) -> tuple[Block, ...]:
+    samples = _by_axis(table, table.samples)
+    levels = [tidy(value, 1) for value in level_bounds(table)[1:]]
+    kinds, sites = kind_names(found), [f"{r},{c} {table.channels[channel]}" for (r, c), channel in np.ndenumerate(table.cfa)]
+    by_number = max(map(len, kinds)) > LONGEST
+    kinds = [name.partition(":")[0] for name in kinds] if by_number else kinds
+    sites = [name.partition(" ")[0] for name in sites] if max(map(len, sites)) > LONGEST else sites
+    kind = "kind (number in the table)" if by_number else "kind"
+    figures = []
+    for contrast in range(table.rule.contrasts):
+        counts = samples[:, :, contrast].sum(axis=0).T
+        figures.append(
+            _population(counts, kinds, levels, f"Patches at contrast {contrast}{_contrast(table, contrast)}", kind)
+        )
+    by_site = samples.sum(axis=(2, 3))
+    figures.append(_population(by_site, sites, levels, "Patches by site", "site (row, column, channel)"))
+    empty = Text("An empty cell has no patches of its own and took its transform from a neighbour.")
+    return (empty, Figures(tuple(figures)), _kinds_table(found))
+
+
+def kind_names(found: dict[str, Any]) -> list[str]:
+    """Names of the kinds, with a number before each where some are too long to stand beside a drawing."""
+    names = [kind["name"] for kind in found["kinds"]]
+    return [f"{number}: {name}" for number, name in enumerate(names)] if max(map(len, names)) > LONGEST else names
+
+
+def _contrast(table: TransformTable, contrast: int) -> str:
+    if table.rule.contrasts == 1:
+        return ""
+    return {0: ", the flattest", table.rule.contrasts - 1: ", the most textured"}.get(contrast, "")
+
+
+def _population(counts: Array, rows: list[str], levels: list[str], title: str, y_label: str) -> Figure:
+    decade = np.clip(np.floor(np.log10(np.maximum(counts, 1))), 0, len(DECADES) - 1).astype(int)
+    shares = np.where(counts > 0, np.array(DECADES)[decade], 0.0)
+    filled = int((counts > 0).sum())
+    median = float(np.median(counts[counts > 0])) if filled else 0.0
+    finding = f"{filled} of {counts.size} cells hold patches; the median of these holds {tidy(median)}."
+    svg = heat(shares, rows, levels, "level, upper end (share of full scale)", y_label, finding)
+    used = np.unique(decade[counts > 0])
+    names = [f"{10**d}–{10 ** (d + 1) - 1}" for d in range(len(DECADES) - 1)] + [f"{10 ** (len(DECADES) - 1)} or more"]
+    keys = tuple(Key(f"{names[d]} patches", "var(--one)", "box", DECADES[d]) for d in used)
+    return Figure(title, svg, finding, keys)
+
+
+def _kinds_table(found: dict[str, Any]) -> Table:
+    patches = (f"{kind['patches']:.0f}" for kind in found["kinds"])
+    rows = tuple(zip(kind_names(found), patches, strict=True))
+    return Table("Patches of each chroma and saturation case", ("kind", "patches"), rows)
+
+
+# ------------------------------------------------------------------------------------------------------ transforms
+
+
+def _transform_blocks(table: TransformTable, light: Array | None, class_name: Callable[[int], str]) -> tuple[Block, ...]:
+    chosen = chosen_classes(table)
+    if not chosen:
+        return (Text("No class has been trained on patches of its own."),)
+    text = (
+        "Weights of a patch's taps for each output, as in the paper's Figure 3, beside the colour filters under the patch. "
+        "Orange adds, blue subtracts; a tap is as dense as the square root of its weight over the map's largest. "
+        "Classes were chosen for their many patches: one site of each channel, "
+        "dark and bright, flat and textured."
+    )
+    return (Text(text), Figures(tuple(_maps(table, light, index, class_name(index)) for index in chosen)))
+
+
+def chosen_classes(table: TransformTable) -> list[int]:
+    """Classes worth a look: of the commonest channel's first site dark and bright, flat and textured; then a textured class
+    of middling level for each other channel. Of each the unsaturated kind of most patches."""
+    rule = table.rule
+    samples = _by_axis(table, table.samples)[..., : rule.chromas]
+    sites = table.cfa.ravel()
+    common = int(np.bincount(sites).argmax())
+    middles = level_middles(table)
+    dark, mid, bright = (int(np.argmin(np.abs(np.log(middles / share)))) for share in (0.02, 0.2, 0.4))
+    first = int(np.argmax(sites == common))
+    wanted = [(first, level, contrast) for level in (dark, bright) for contrast in sorted({0, rule.contrasts - 1})]
+    others = [channel for channel in np.unique(sites).tolist() if channel != common][:7]
+    wanted += [(int(np.argmax(sites == channel)), mid, rule.contrasts - 1) for channel in others]
+    found = []
+    for site, level, contrast in wanted:
+        kind = int(samples[site, level, contrast].argmax())
+        if samples[site, level, contrast, kind] > 0:
+            found.append(((site * rule.levels + level) * rule.contrasts + contrast) * rule.kinds + kind)
+    return list(dict.fromkeys(found))
+
+
+def _maps(table: TransformTable, light: Array | None, index: int, name: str) -> Figure:
+    """Filters under a patch and, for each of the first outputs, its weights: blue below zero, orange above."""
+    patch, outputs = table.rule.patch, min(MAPS, len(table.outputs))
+    gap, top = 8.0, 18.0
+    side = (WIDTH - gap * outputs) / (outputs + 1)
+    cell = side / patch
+    weights = table.weights[index].astype(np.float64)
+    items = [f'<text x="{side / 2:.1f}" y="13" text-anchor="middle">filters</text>']
+    for tap, channel in enumerate(taps(table, index)):
+        x, y = tap % patch * cell, top + tap // patch * cell
+        fill = colours.hex_colour(light[channel]) if light is not None else "var(--paper)"
+        items.append(box(round(x, 1), round(y, 1), round(cell, 2), round(cell, 2), fill))
+    for output in range(outputs):
+        left = (side + gap) * (output + 1)
+        items.append(f'<text x="{left + side / 2:.1f}" y="13" text-anchor="middle">{escape(table.outputs[output])}</text>')
+        items += _weight_map(weights[output].reshape(patch, patch), left, top, cell)
+    for panel in range(outputs + 1):
+        left, middle = (side + gap) * panel, top + patch // 2 * cell
+        frame = f"M{left:.1f},{top}h{side:.1f}v{side:.1f}h{-side:.1f}z"
+        centre = f"M{left + patch // 2 * cell:.1f},{middle:.1f}h{cell:.1f}v{cell:.1f}h{-cell:.1f}z"
+        items.append(f'<path class="axis" d="{frame}"/><path class="centre" d="{centre}"/>')
+    gains = np.sqrt((weights**2).sum(axis=1))
+    figures = ", ".join(
+        f"{table.outputs[o]} {tidy(gains[o])} (sum {tidy(weights[o].sum())}, largest {tidy(np.abs(weights[o]).max())})"
+        for o in range(outputs)
+    )
+    finding = f"{table.samples[index]:.0f} patches. Noise gain √Σw²: {figures}."
+    return Figure(name, sheet(WIDTH, round(top + side + 2), "".join(items), f"{name}. {finding}"), finding)
+
+
+def _weight_map(weights: Array, left: float, top: float, cell: float) -> list[str]:
+    largest = float(np.abs(weights).max()) or 1.0
+    items = []
+    for (row, col), weight in np.ndenumerate(weights):
+        share = round(float(np.sqrt(abs(weight) / largest)), 2)
+        if share >= 0.05:
+            colour = "var(--two)" if weight > 0 else "var(--one)"
+            items.append(
+                box(round(left + col * cell, 1), round(top + row * cell, 1), round(cell, 2), round(cell, 2), colour, share)
+            )
+    return items
+
+
+def taps(table: TransformTable, index: int) -> NDArray[np.uint8]:
+    """Channel of each tap of a class's patch."""
+    rows, cols = table.cfa.shape
+    row, col = divmod(index // table.rule.classes_per_site, cols)
+    reach = np.arange(table.rule.patch) - table.rule.radius
+    return table.cfa[np.ix_((row + reach) % rows, (col + reach) % cols)].ravel()
+
+
+# ----------------------------------------------------------------------------------------------------------- noise
+
+
+def _noise_figures(table: TransformTable) -> Figures:
+    """Noise gain over level: median over trained unsaturated classes."""
+    gain = _by_axis(table, np.sqrt((table.weights.astype(np.float64) ** 2).sum(axis=2)))[..., : table.rule.chromas, :]
+    trained = _by_axis(table, table.samples)[..., : table.rule.chromas] > 0
+    middles, curves = level_middles(table), []
+    for output in range(min(MAPS, len(table.outputs))):
+        for contrast in sorted({0, table.rule.contrasts - 1}):
+            curves.append((output, contrast, _medians(gain[:, :, contrast, :, output], trained[:, :, contrast])))
+    known = np.concatenate([values[np.isfinite(values)] for _, _, values in curves])
+    if not known.size:
+        return Figures(())
+    plot = Plot(spanning("level (share of full scale)", middles, log=True), spanning("noise gain √Σw² (1)", known, log=True))
+    keys, told = [], []
+    for output, contrast, values in curves:
+        at = np.isfinite(values)
+        if not at.any():
+            continue
+        textured = contrast > 0
+        plot.line(middles[at], values[at], colours.SERIES[output], "dashed" if textured else "line")
+        where = "" if table.rule.contrasts == 1 else (", textured" if textured else ", flat")
+        keys.append(Key(f"{table.outputs[output]}{where}", colours.SERIES[output], "dashed" if textured else "line"))
+        told.append(f"{table.outputs[output]}{where} {tidy(values[at][0], 2)} to {tidy(values[at][-1], 2)}")
+    finding = (
+        f"Median over trained unsaturated classes, from the darkest to the brightest level: {'; '.join(told)}. "
+        "1 hands a single tap's noise on."
+    )
+    return Figures((Figure("Noise gain", plot.svg(finding), finding, tuple(keys)),))
+
+
+def _medians(values: Array, chosen: NDArray[np.bool_]) -> Array:
+    """Median over sites and kinds of (site, level, kind) where chosen; NaN for levels without any."""
+    return np.array(
+        [np.median(values[:, at][chosen[:, at]]) if chosen[:, at].any() else np.nan for at in range(values.shape[1])]
+    )
+
+
+def _gain_tables(table: TransformTable, found: dict[str, Any]) -> tuple[Table, ...]:
+    flat = tuple(
+        (output, *(tidy(gains[channel]) for channel in table.channels)) for output, gains in found["dc_gain"].items()
+    )
+    noise = tuple((output, tidy(gain["median"]), tidy(gain["worst"])) for output, gain in found["noise_gain"].items())
+    worst = tuple(
+        (entry["class"], tidy(entry["noise_gain"]), f"{entry['patches']:.0f}", tidy(entry["condition"]))
+        for entry in found["worst"]
+    )
+    return (
+        Table("Noise gain √Σw² over trained classes", ("output", "median", "worst class"), noise),
+        Table("Gain of a flat signal of one channel, median of unsaturated classes", ("output", *table.channels), flat),
+        Table("Noisiest classes", ("class", "noise gain", "patches", "condition number"), worst),
+    )
