@@ -210,7 +210,7 @@ def test_sums_are_exact_in_any_order(bayer: CameraModel) -> None:
     head = TrainingSet(camera=bayer, outputs=("X", "Y", "Z"), target_description="")
     lesson = Lesson(head, (1000,) * 6, rule, LearningRecipe(patches=6000, draws=2), np.ones(3), 1, LAST)
     frames = [a_frame(bayer, seed, smooth=False) for seed in range(6)]
-    parts = [sum_sites(lesson, iter([(index, iter([frame]))]), (1,), (None,))[0] for index, frame in enumerate(frames)]
+    parts = [sum_sites(lesson, [(index, (1,), iter([frame]))], {1: None})[1] for index, frame in enumerate(frames)]
     forward, backward = add_up(lesson, parts), add_up(lesson, parts[::-1])
     nested = add_up(lesson, [add_up(lesson, parts[1::2]), add_up(lesson, parts[::2])])
     for name in ("moments", "noise", "count"):

@@ -1,5 +1,6 @@
 """The camera model: what calibration finds out and simulation needs (METHOD 1)."""
 
+import functools
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -102,7 +103,7 @@ class CameraModel(Artifact):
         photons = self.optics.irradiance_per_radiance * self.pixel_pitch**2 * spectra.bin_widths(self.wavelength)
         return self.responsivity * photons
 
-    @property
+    @functools.cached_property
     def white_dose(self) -> float:
         """cd s/m²: scene luminance × exposure time at which a perfect white under D65 just fills the brightest channel."""
         white = spectra.at_luminance(spectra.illuminant("D65", self.wavelength), self.wavelength, 1.0)
@@ -111,9 +112,13 @@ class CameraModel(Artifact):
     def noise_variance(self, signal: NDArray[np.floating]) -> NDArray[np.floating]:
         """Variance in DN² of a pixel whose mean lies `signal` DN above black (METHOD 1.3, with quantisation)."""
         noise = self.noise
-        signal = np.maximum(signal, 0.0)
         constant = self.gain**2 * (noise.read_noise**2 + noise.dsnu**2 + noise.column_noise**2) + 1.0 / 12.0
-        return self.gain * signal + constant + (noise.prnu * signal) ** 2
+        signal = np.clip(signal, 0.0, np.inf)  # twice as fast as maximum
+        variance = signal * noise.prnu**2  # in place from here on: training spends its time in such lines
+        variance += self.gain
+        variance *= signal
+        variance += constant
+        return variance
 
 
 # ----------------------------------------------------------------------------------------------------- recipes
