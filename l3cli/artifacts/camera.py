@@ -111,14 +111,16 @@ class CameraModel(Artifact):
 
     def noise_variance(self, signal: NDArray[np.floating]) -> NDArray[np.floating]:
         """Variance in DN² of a pixel whose mean lies `signal` DN above black (METHOD 1.3, with quantisation)."""
+        constant, linear, quadratic = self.noise_terms
+        signal = np.maximum(signal, 0.0)
+        return constant + (linear + quadratic * signal) * signal
+
+    @property
+    def noise_terms(self) -> tuple[float, float, float]:
+        """The noise variance's constant (DN²), linear (DN) and quadratic term over the signal above black."""
         noise = self.noise
         constant = self.gain**2 * (noise.read_noise**2 + noise.dsnu**2 + noise.column_noise**2) + 1.0 / 12.0
-        signal = np.clip(signal, 0.0, np.inf)  # twice as fast as maximum
-        variance = signal * noise.prnu**2  # in place from here on: training spends its time in such lines
-        variance += self.gain
-        variance *= signal
-        variance += constant
-        return variance
+        return constant, self.gain, noise.prnu**2
 
 
 # ----------------------------------------------------------------------------------------------------- recipes

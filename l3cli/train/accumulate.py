@@ -6,7 +6,7 @@ multiplied class by class.
 """
 
 import itertools
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,7 @@ TARGET_FLOOR = 0.05  # of the level: rows of darker targets get no more weight (
 def sum_sites(
     lesson: Lesson,
     blocks: Iterable[tuple[int, tuple[int, ...], Iterator[TrainingPair]]],
-    judges: dict[int, Judge | None],
+    judges: Mapping[int, Judge | None],
 ) -> dict[int, ClassSums]:
     """Sums of the canonical sites that `judges` names, whose rows they weigh, over blocks (index of the first frame, sites
     that take part, frames); a frame is read once and let go."""
