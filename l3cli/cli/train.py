@@ -1,7 +1,8 @@
 """l3 train: training sets → transform table, whole or in shards."""
 
 import collections
-from collections.abc import Callable, Iterator
+import functools
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
@@ -153,17 +154,18 @@ def train_whole(course: Course, output: Path, jobs: int, quiet: bool) -> None:
     """Both passes and the table."""
     from l3cli.artifacts.base import save
     from l3cli.artifacts.partial_sums import ClassSums
+    from l3cli.parallel import workers
     from l3cli.train.division import frame_blocks
     from l3cli.train.lesson import LAST
     from l3cli.train.table import assemble, learn_site
 
-    lesson, table = first_lesson(course, quiet), None
-    for number in range(lesson.number, LAST + 1):
-        lesson = replace(lesson, number=number)
-        solutions = {}
-        for site, found in summed(_learn_part, course, lesson, table, frame_blocks(lesson), jobs, quiet):
-            solutions[site] = learn_site(lesson, [found], site) if isinstance(found, ClassSums) else found
-        table = assemble(lesson, solutions, course.history(number))
+    with workers(jobs) as crew:  # they start while the pilot runs
+        lesson, table = first_lesson(course, quiet), None
+        for number in range(lesson.number, LAST + 1):
+            lesson = replace(lesson, number=number)
+            found = summed(functools.partial(crew, _learn_part), course, lesson, table, frame_blocks(lesson), jobs, quiet)
+            solutions = {site: learn_site(lesson, [one], site) if isinstance(one, ClassSums) else one for site, one in found}
+            table = assemble(lesson, solutions, course.history(number))
     assert table is not None  # there is at least one pass
     save(table, output)
     _say_table(table, output, quiet)
@@ -177,6 +179,7 @@ def train_shard(course: Course, shard: tuple[int, int], first: Path | None, outp
     from l3cli.artifacts.partial_sums import PartialSums, write_partial_sums
     from l3cli.artifacts.table import TransformTable
     from l3cli.errors import InputFileError
+    from l3cli.parallel import ordered_map
     from l3cli.train.division import frame_blocks
     from l3cli.train.lesson import FIRST, LAST, Lesson
     from l3cli.train.sums import empty_sums
@@ -196,7 +199,8 @@ def train_shard(course: Course, shard: tuple[int, int], first: Path | None, outp
     index, count = shard
     blocks = frame_blocks(lesson)[index - 1 :: count]
     sites = canonical_sites(course.head, lesson.rule)
-    sums = summed(_sum_part, course, lesson, table, blocks, jobs, quiet)
+    work = functools.partial(ordered_map, _sum_part, jobs=jobs)
+    sums = summed(work, course, lesson, table, blocks, jobs, quiet)
     if not blocks:  # more shards than blocks
         sums = ((site, empty_sums(lesson.rule, len(course.head.outputs))) for site in sites)
     head = PartialSums(
@@ -276,13 +280,12 @@ class Part:
 
 
 def summed(
-    work: Callable[[Part], dict[int, Any]], course: Course, lesson: "Lesson", first: "TransformTable | None",
-    blocks: list[range], jobs: int, quiet: bool,
+    work: Callable[[Iterable[Part]], Iterator[dict[int, Any]]], course: Course, lesson: "Lesson",
+    first: "TransformTable | None", blocks: list[range], jobs: int, quiet: bool,
 ) -> Iterator[tuple[int, Any]]:  # fmt: skip
-    """What `work` makes of each canonical site, in order: its sums over `blocks`, added up where several processes share a
-    site, or what has been learned from them already."""
+    """What `work` makes of the parts, for each canonical site in order: its sums over `blocks`, added up where several
+    processes share a site, or what has been learned from them already."""
     from l3cli.artifacts.partial_sums import ClassSums
-    from l3cli.parallel import ordered_map
     from l3cli.train.division import portions
     from l3cli.train.sums import add
     from l3cli.train.table import canonical_sites
@@ -294,7 +297,7 @@ def summed(
         parts.append(Part(course.training, lesson, portion, judges))
     left = collections.Counter(site for part in parts for site in part.judges)
     waiting: dict[int, ClassSums] = {}
-    for found in options.progress(ordered_map(work, parts, jobs), len(parts), "sums", quiet):
+    for found in options.progress(work(parts), len(parts), "sums", quiet):
         for site, result in found.items():
             left[site] -= 1
             if site in waiting:

@@ -20,8 +20,8 @@ from l3cli.train.patches import Floats, Patches, draw_levels, expose_patches, no
 from l3cli.train.sums import add_rounded, empty_sums, grid_steps, pairs
 from l3cli.train.weighing import Judge
 
-PIECE = 1024  # patches handled at once: their arrays stay in the caches
-LARGEST_PIECE = 4096  # the same where one class has so many
+EXPOSED = 4096  # patches exposed at once, so that their arrays stay in the caches
+PIECE, LARGEST_PIECE = 1024, 4096  # rows weighed and multiplied at once, and where one class has so many
 DARKEST_LEVEL = 1e-4  # share of full scale: rows of darker patches get no more weight
 TARGET_FLOOR = 0.05  # of the level: rows of darker targets get no more weight (METHOD 4.2)
 
@@ -89,8 +89,8 @@ class _Batch:
         label = np.empty(scale.shape, dtype=np.min_scalar_type(lesson.rule.classes_per_site))
         level = np.empty_like(scale)
         order = tap_order(lesson.rule, self.near, self.site)
-        for first in range(0, len(signal), PIECE):
-            here = slice(first, first + PIECE)
+        for first in range(0, len(signal), EXPOSED):
+            here = slice(first, first + EXPOSED)
             for draw, seen in enumerate(self._seen(here, scale[:, here], order, rng)):
                 label[draw, here], level[draw, here] = seen
         return label.reshape(-1), np.maximum(level, np.float32(DARKEST_LEVEL)).reshape(-1), scale.reshape(-1)
