@@ -15,6 +15,7 @@ from l3cli.train.recipe import LearningRecipe
 from l3cli.train.symmetry import orientations, site_maps
 
 Floats = NDArray[np.float32]
+QUANTISATION = 1 / 12  # DN², of rounding to whole DN
 
 
 @dataclass(frozen=True)
@@ -154,7 +155,7 @@ def expose_patches(
 ) -> NDArray[np.uint32]:
     """The noisy DN that decide the class of `signal` in shares of full scale, (patch, tap) or (tap, patch). A simulated
     signal lacks all noise, a real one what goes beyond the variance `carried` already."""
-    noisy = _variance(signal, camera, carried)
+    noisy = _variance(signal, camera, carried, QUANTISATION)
     np.sqrt(noisy, out=noisy)
     noisy *= _normal(signal.shape, rng)
     noisy += signal
@@ -170,8 +171,9 @@ def noise_share(signal: Floats, camera: CameraModel, carried: Floats | None = No
     return variance
 
 
-def _variance(signal: Floats, camera: CameraModel, carried: Floats | None) -> Floats:
-    """camera.noise_variance in units of full scale, less what signals carry; only such signals are ever negative."""
+def _variance(signal: Floats, camera: CameraModel, carried: Floats | None, later: float = 0.0) -> Floats:
+    """camera.noise_variance in units of full scale, less what signals carry, as only real ones do, which alone are ever
+    negative, and what rounding will add `later` (DN²)."""
     if carried is not None:
         signal = np.clip(signal, 0.0, np.inf)
     span = camera.white - camera.black
@@ -179,5 +181,5 @@ def _variance(signal: Floats, camera: CameraModel, carried: Floats | None) -> Fl
     variance = signal * np.float32(quadratic)
     variance += np.float32(linear / span)
     variance *= signal
-    variance += np.float32(constant / span**2)
+    variance += np.float32((constant - later) / span**2)
     return variance if carried is None else np.clip(variance - carried, 0.0, np.inf)
