@@ -1,5 +1,6 @@
 """The camera model: what calibration finds out and simulation needs (METHOD 1)."""
 
+import functools
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -102,7 +103,7 @@ class CameraModel(Artifact):
         photons = self.optics.irradiance_per_radiance * self.pixel_pitch**2 * spectra.bin_widths(self.wavelength)
         return self.responsivity * photons
 
-    @property
+    @functools.cached_property
     def white_dose(self) -> float:
         """cd s/m²: scene luminance × exposure time at which a perfect white under D65 just fills the brightest channel."""
         white = spectra.at_luminance(spectra.illuminant("D65", self.wavelength), self.wavelength, 1.0)
@@ -110,10 +111,16 @@ class CameraModel(Artifact):
 
     def noise_variance(self, signal: NDArray[np.floating]) -> NDArray[np.floating]:
         """Variance in DN² of a pixel whose mean lies `signal` DN above black (METHOD 1.3, with quantisation)."""
-        noise = self.noise
+        constant, linear, quadratic = self.noise_terms
         signal = np.maximum(signal, 0.0)
+        return constant + (linear + quadratic * signal) * signal
+
+    @property
+    def noise_terms(self) -> tuple[float, float, float]:
+        """The noise variance's constant (DN²), linear (DN) and quadratic term over the signal above black."""
+        noise = self.noise
         constant = self.gain**2 * (noise.read_noise**2 + noise.dsnu**2 + noise.column_noise**2) + 1.0 / 12.0
-        return self.gain * signal + constant + (noise.prnu * signal) ** 2
+        return constant, self.gain, noise.prnu**2
 
 
 # ----------------------------------------------------------------------------------------------------- recipes

@@ -1,7 +1,8 @@
 """l3 train: training sets → transform table, whole or in shards."""
 
-import itertools
-from collections.abc import Iterable, Iterator
+import collections
+import functools
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
@@ -16,8 +17,10 @@ if TYPE_CHECKING:
     from l3cli.artifacts.partial_sums import ClassSums
     from l3cli.artifacts.table import TransformTable
     from l3cli.artifacts.training_set import TrainingPair, TrainingSet
+    from l3cli.train.division import Portion
     from l3cli.train.lesson import Lesson
     from l3cli.train.recipe import TrainingRecipe
+    from l3cli.train.solve import Solution
     from l3cli.train.weighing import Judge
 
 
@@ -150,16 +153,19 @@ def open_course(training: tuple[Path, ...], classes: Path | None, shares: tuple[
 def train_whole(course: Course, output: Path, jobs: int, quiet: bool) -> None:
     """Both passes and the table."""
     from l3cli.artifacts.base import save
-    from l3cli.train.accumulate import frame_blocks
+    from l3cli.artifacts.partial_sums import ClassSums
+    from l3cli.parallel import workers
+    from l3cli.train.division import frame_blocks
     from l3cli.train.lesson import LAST
     from l3cli.train.table import assemble, learn_site
 
-    lesson, table = first_lesson(course, quiet), None
-    for number in range(lesson.number, LAST + 1):
-        lesson = replace(lesson, number=number)
-        parts = summed(course, lesson, table, frame_blocks(lesson), jobs, quiet)
-        solutions = {site: learn_site(lesson, sums, site) for site, sums in parts}
-        table = assemble(lesson, solutions, course.history(number))
+    with workers(jobs) as crew:  # they start while the pilot runs
+        lesson, table = first_lesson(course, quiet), None
+        for number in range(lesson.number, LAST + 1):
+            lesson = replace(lesson, number=number)
+            found = summed(functools.partial(crew, _learn_part), course, lesson, table, frame_blocks(lesson), jobs, quiet)
+            solutions = {site: learn_site(lesson, [one], site) if isinstance(one, ClassSums) else one for site, one in found}
+            table = assemble(lesson, solutions, course.history(number))
     assert table is not None  # there is at least one pass
     save(table, output)
     _say_table(table, output, quiet)
@@ -173,8 +179,10 @@ def train_shard(course: Course, shard: tuple[int, int], first: Path | None, outp
     from l3cli.artifacts.partial_sums import PartialSums, write_partial_sums
     from l3cli.artifacts.table import TransformTable
     from l3cli.errors import InputFileError
-    from l3cli.train.accumulate import frame_blocks
+    from l3cli.parallel import ordered_map
+    from l3cli.train.division import frame_blocks
     from l3cli.train.lesson import FIRST, LAST, Lesson
+    from l3cli.train.sums import empty_sums
     from l3cli.train.table import add_up, canonical_sites
 
     table = load(TransformTable, first) if first else None
@@ -190,7 +198,11 @@ def train_shard(course: Course, shard: tuple[int, int], first: Path | None, outp
         )
     index, count = shard
     blocks = frame_blocks(lesson)[index - 1 :: count]
-    parts = summed(course, lesson, table, blocks, jobs, quiet)
+    sites = canonical_sites(course.head, lesson.rule, lesson.recipe)
+    work = functools.partial(ordered_map, _sum_part, jobs=jobs)
+    sums = summed(work, course, lesson, table, blocks, jobs, quiet)
+    if not blocks:  # more shards than blocks
+        sums = ((site, empty_sums(lesson.rule, len(course.head.outputs))) for site in sites)
     head = PartialSums(
         history=course.history(lesson.number),
         shard=index,
@@ -200,9 +212,9 @@ def train_shard(course: Course, shard: tuple[int, int], first: Path | None, outp
         training=course.head,
         rule=lesson.rule,
         white_point=lesson.white_point,
-        sites=np.array(canonical_sites(course.head, lesson.rule, lesson.recipe)),
+        sites=np.array(sites),
     )
-    write_partial_sums(output, head, (add_up(lesson, sums) for _, sums in parts))
+    write_partial_sums(output, head, (add_up(lesson, [own]) for _, own in sums))
     options.say(f"{output}: shard {index} of {count}, {'first' if lesson.number == FIRST else 'last'} pass", quiet)
 
 
@@ -259,44 +271,61 @@ def first_lesson(course: Course, quiet: bool) -> "Lesson":
 
 @dataclass(frozen=True)
 class Part:
-    """A process's share of a pass: some blocks of frames at some canonical sites."""
+    """A process's share of a pass."""
 
     training: tuple[Path, ...]
     lesson: "Lesson"
-    sites: tuple[int, ...]
-    judges: tuple["Judge | None", ...]
-    blocks: tuple[range, ...]
+    portion: "Portion"
+    judges: dict[int, "Judge | None"]
 
 
 def summed(
-    course: Course, lesson: "Lesson", first: "TransformTable | None", blocks: list[range], jobs: int, quiet: bool
-) -> Iterator[tuple[int, Iterable["ClassSums"]]]:
-    """Each canonical site with the sums over parts of `blocks`, which are split evenly among the processes."""
-    from l3cli.parallel import ordered_map
-    from l3cli.train.accumulate import site_groups
+    work: Callable[[Iterable[Part]], Iterator[dict[int, Any]]], course: Course, lesson: "Lesson",
+    first: "TransformTable | None", blocks: list[range], jobs: int, quiet: bool,
+) -> Iterator[tuple[int, Any]]:  # fmt: skip
+    """What `work` makes of the parts, for each canonical site in order: its sums over `blocks`, added up where several
+    processes share a site, or what has been learned from them already."""
+    from l3cli.artifacts.partial_sums import ClassSums
+    from l3cli.train.division import portions
+    from l3cli.train.sums import add
     from l3cli.train.table import canonical_sites
     from l3cli.train.weighing import judge_of
 
-    shares = [tuple(blocks[job::jobs]) for job in range(min(jobs, len(blocks)))]
-    groups = site_groups(lesson, canonical_sites(lesson.head, lesson.rule, lesson.recipe), -(-jobs // max(len(shares), 1)))
+    parts = []
+    for portion in portions(lesson, canonical_sites(lesson.head, lesson.rule, lesson.recipe), blocks, jobs):
+        judges = {
+            site: judge_of(first, site, lesson.recipe.error_power) if first is not None else None for site in portion.sites
+        }
+        parts.append(Part(course.training, lesson, portion, judges))
+    left = collections.Counter(site for part in parts for site in part.judges)
+    waiting: dict[int, ClassSums] = {}
+    for found in options.progress(work(parts), len(parts), "sums", quiet):
+        for site, result in found.items():
+            left[site] -= 1
+            if site in waiting:
+                add(waiting[site], result)
+            else:
+                waiting[site] = result
+            if not left[site]:
+                yield site, waiting.pop(site)
 
-    def parts() -> Iterator[Part]:
-        for group in groups:
-            judges = tuple(judge_of(first, site, lesson.recipe.error_power) if first is not None else None for site in group)
-            yield from (Part(course.training, lesson, group, judges, share) for share in shares)
 
-    results = options.progress(ordered_map(_sum_part, parts(), jobs), len(groups) * len(shares), "sums", quiet)
-    for group in groups:
-        found = list(itertools.islice(results, len(shares)))
-        for index, site in enumerate(group):
-            yield site, [sums[index] for sums in found]
-
-
-def _sum_part(part: Part) -> list["ClassSums"]:
+def _sum_part(part: Part) -> dict[int, "ClassSums"]:
+    """Sums of every site."""
     from l3cli.train.accumulate import sum_sites
 
-    blocks = ((block[0], _frames(part.training, block)) for block in part.blocks)
-    return sum_sites(part.lesson, blocks, part.sites, part.judges)
+    blocks = ((block[0], sites, _frames(part.training, block)) for block, sites in part.portion.blocks)
+    return sum_sites(part.lesson, blocks, part.judges)
+
+
+def _learn_part(part: Part) -> dict[int, "ClassSums | Solution"]:
+    """Solutions of the sites whose sums are whole, which then need not travel; sums of the others."""
+    from l3cli.train.table import learn_site
+
+    found: dict[int, Any] = dict(_sum_part(part))
+    for site in part.portion.whole:
+        found[site] = learn_site(part.lesson, [found[site]], site)
+    return found
 
 
 def _frames(training: tuple[Path, ...], wanted: range | None = None) -> Iterator["TrainingPair"]:

@@ -1,64 +1,45 @@
 """Patches → sums of their classes (METHOD 4.1–4.4). What each step costs decides its order:
 
-a patch is rescaled, exposed and labelled in pieces that stay in the caches, of which only label, level and scale are kept;
-then all are sorted by class, made again without noise in pieces, weighed, and multiplied class by class.
+patches are turned tap by tap, rescaled, exposed and labelled in pieces that stay in the caches, of which only label, level
+and scale are kept; then all are sorted by class, made again without noise in pieces that end where classes end, weighed, and
+multiplied class by class.
 """
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.partial_sums import ClassSums
 from l3cli.artifacts.training_set import TrainingPair
-from l3cli.classify import Neighbourhoods, label_patches, neighbourhoods
+from l3cli.classify import Neighbourhoods, TapOrder, label_statistics, neighbourhoods, patch_statistics, tap_order
+from l3cli.train.division import BATCH
 from l3cli.train.lesson import Lesson
 from l3cli.train.patches import Floats, Patches, draw_levels, expose_patches, noise_share, patches_of
-from l3cli.train.sums import empty_sums, grid_steps, pairs
+from l3cli.train.sums import add_rounded, empty_sums, grid_steps, pairs
 from l3cli.train.weighing import Judge
 
-GROUP_BYTES = 200 << 20  # of sums that a process fills at a time: sites of one group read the frames together
-BATCH = 50_000  # patches that are sorted together: bounds memory, and makes a class's product large enough to be fast
-PIECE = 2048  # patches handled at once: their arrays stay in the caches
+EXPOSED = 4096  # patches exposed at once, so that their arrays stay in the caches
+PIECE, LARGEST_PIECE = 1024, 4096  # rows weighed and multiplied at once, and where one class has so many
 DARKEST_LEVEL = 1e-4  # share of full scale: rows of darker patches get no more weight
 TARGET_FLOOR = 0.05  # of the level: rows of darker targets get no more weight (METHOD 4.2)
 
 
-def frame_blocks(lesson: Lesson) -> list[range]:
-    """The frames in runs whose patches are sorted together; shards and processes are dealt whole blocks."""
-    starts, together = [0], 0
-    for index, patches in enumerate(lesson.patches):
-        together += patches
-        if together > BATCH and index > starts[-1]:
-            starts.append(index)
-            together = patches
-    return [range(first, last) for first, last in itertools.pairwise([*starts, len(lesson.patches)])]
-
-
-def site_groups(lesson: Lesson, sites: list[int], at_least: int) -> list[tuple[int, ...]]:
-    """Sites in groups whose sums fit into GROUP_BYTES, `at_least` so many if there are as many sites."""
-    one = empty_sums(lesson.rule, len(lesson.head.outputs))
-    size = max(1, min(GROUP_BYTES // one.moments.nbytes, -(-len(sites) // at_least)))
-    return [tuple(sites[first : first + size]) for first in range(0, len(sites), size)]
-
-
 def sum_sites(
     lesson: Lesson,
-    blocks: Iterator[tuple[int, Iterator[TrainingPair]]],
-    sites: tuple[int, ...],
-    judges: tuple[Judge | None, ...],
-) -> list[ClassSums]:
-    """Sums of canonical `sites`, whose rows `judges` weigh, over blocks (index of the first frame, frames); a frame is read
-    once and let go."""
+    blocks: Iterable[tuple[int, tuple[int, ...], Iterator[TrainingPair]]],
+    judges: Mapping[int, Judge | None],
+) -> dict[int, ClassSums]:
+    """Sums of the canonical sites that `judges` names, whose rows they weigh, over blocks (index of the first frame, sites
+    that take part, frames); a frame is read once and let go."""
     near = neighbourhoods(lesson.head.camera.cfa, lesson.rule.patch, len(lesson.head.camera.channels))
-    sums = {site: empty_sums(lesson.rule, len(lesson.head.outputs)) for site in sites}
-    for first, frames in blocks:
+    sums = {site: empty_sums(lesson.rule, len(lesson.head.outputs)) for site in judges}
+    for first, sites, frames in blocks:
         rngs = {site: np.random.default_rng([lesson.seed, lesson.number, first, site]) for site in sites}
         for site, patches in _batches(lesson, first, frames, near, rngs):
-            judge = judges[sites.index(site)]
-            _Batch(lesson, patches, near, site, judge).add_to(sums[site], rngs[site])
-    return list(sums.values())
+            _Batch(lesson, patches, near, site, judges[site]).add_to(sums[site], rngs[site])
+    return sums
 
 
 def _batches(
@@ -93,36 +74,53 @@ class _Batch:
         """Draw levels, decide classes and add everything to `sums`."""
         label, level, scale = self._exposed(rng)
         order = np.argsort(label, kind="stable")
+        label = label[order]
         steps = grid_steps(self.lesson.rule, self.lesson.head.camera, self.patches.target.shape[1])
-        for start in range(0, len(order), PIECE):
-            piece = order[start : start + PIECE]
-            patch = piece % len(self.patches.signal)
-            self._add_piece(sums, steps, label[piece], level[piece], scale[piece], patch, rng)
+        for piece in _pieces(label):
+            draw = order[piece]
+            patch = draw % len(self.patches.signal)
+            self._add_piece(sums, steps, label[piece], level[draw], scale[draw], patch, rng)
 
     def _exposed(self, rng: np.random.Generator) -> tuple[NDArray[np.unsignedinteger], Floats, Floats]:
         """Class, level as the camera sees it and scale of every draw of every patch (draw · patch)."""
         lesson, signal = self.lesson, self.patches.signal
-        camera, count = lesson.head.camera, len(signal)
         own_level = np.maximum(signal @ self.tap_share, 1e-3)
-        label = np.empty(lesson.draws * count, dtype=np.min_scalar_type(lesson.rule.classes_per_site))
-        level, scale = np.empty(label.size, np.float32), np.empty(label.size, np.float32)
-        share = self.tap_share / np.float32(camera.white - camera.black)
-        dark = np.float32(camera.black) * share.sum()
-        for draw in range(lesson.draws):
-            drawn = draw_levels(lesson.recipe, count, rng) / own_level if lesson.recipe.rescale else np.ones(count)
-            scale[draw * count : (draw + 1) * count] = self.patches.possible(drawn)
-            for first in range(0, count, PIECE):
-                part = signal[first : first + PIECE]
-                here = slice(draw * count + first, draw * count + first + len(part))
-                carried = self._carried(slice(first, first + len(part)), scale[here])
-                values = expose_patches(part * scale[here, None], camera, rng, carried)
-                label[here] = label_patches(values, lesson.rule, self.near, self.site)
-                level[here] = values.astype(np.float32) @ share - dark
-        return label, np.maximum(level, np.float32(DARKEST_LEVEL)), scale
+        drawn = [self._drawn_scale(own_level, rng) for _ in range(lesson.draws)]
+        scale: Floats = np.array([self.patches.possible(one) for one in drawn], np.float32)
+        label = np.empty(scale.shape, dtype=np.min_scalar_type(lesson.rule.classes_per_site))
+        level = np.empty_like(scale)
+        order = tap_order(lesson.rule, self.near, self.site)
+        for first in range(0, len(signal), EXPOSED):
+            here = slice(first, first + EXPOSED)
+            for draw, seen in enumerate(self._seen(here, scale[:, here], order, rng)):
+                label[draw, here], level[draw, here] = seen
+        return label.reshape(-1), np.maximum(level, np.float32(DARKEST_LEVEL)).reshape(-1), scale.reshape(-1)
 
-    def _carried(self, patch: slice | NDArray[np.int64], scale: Floats) -> Floats | None:
-        """Noise variance that patches `patch` carry when rescaled by `scale`."""
-        return None if self.patches.carried is None else self.patches.carried[patch] * scale[:, None] ** 2
+    def _drawn_scale(self, own_level: Floats, rng: np.random.Generator) -> NDArray[np.float64]:
+        """Factors (patch) that take patches from their own level to one that is drawn."""
+        if not self.lesson.recipe.rescale:
+            return np.ones(own_level.size)
+        return draw_levels(self.lesson.recipe, own_level.size, rng) / own_level
+
+    def _seen(
+        self, here: slice, scale: Floats, order: TapOrder, rng: np.random.Generator
+    ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float64]]]:
+        """Class and level (patch) of the patches `here` at each row of `scale` (draw, patch), with noise."""
+        lesson, patches = self.lesson, self.patches
+        signal: Floats = np.ascontiguousarray(patches.signal[here].T)[order.taps]
+        carried: Floats | None = None if patches.carried is None else patches.carried[here].T[order.taps]
+        for row in scale:
+            left = None if carried is None else carried * row**2
+            values = expose_patches(signal * row, lesson.head.camera, rng, left)
+            sums, squares, code = patch_statistics(values, lesson.rule, order)
+            yield label_statistics(sums, squares, code, lesson.rule, self.near, self.site), self._level(sums)
+
+    def _level(self, sums: NDArray[np.uint32]) -> NDArray[np.float64]:
+        """Level (patch) as a share of full scale: mean over the channels of the means of their `sums` (channel, patch)."""
+        camera, shift = self.lesson.head.camera, self.lesson.rule.shift
+        mean = (1 / (self.near.count[self.site] * len(sums))) @ sums
+        truncated = (2**shift - 1) / 2  # a shift loses this much on average
+        return (mean * 2**shift + (truncated - camera.black)) / (camera.white - camera.black)
 
     def _add_piece(
         self,
@@ -135,25 +133,38 @@ class _Batch:
         rng: np.random.Generator,
     ) -> None:
         """Add rows of non-decreasing class: patches `patch` rescaled by `scale`, seen at `level`."""
-        signal = self.patches.signal[patch] * scale[:, None]
+        clean = self.patches.signal.take(patch, axis=0)
+        clean *= scale[:, None]
+        np.clip(clean, -np.inf, 1.0, out=clean)
         target = self.patches.target[patch] * scale[:, None]
-        variance = noise_share(signal, self.lesson.head.camera, self._carried(patch, scale))
+        carried = None if self.patches.carried is None else self.patches.carried[patch] * scale[:, None] ** 2
+        variance = noise_share(clean, self.lesson.head.camera, carried)
         if self.lesson.recipe.noise == "sampled":
-            signal += np.sqrt(variance) * rng.standard_normal(signal.shape, dtype=np.float32)
+            clean += np.sqrt(variance) * rng.standard_normal(clean.shape, dtype=np.float32)
+            np.clip(clean, -np.inf, 1.0, out=clean)
             variance[:] = 0
-        clean = np.minimum(signal, np.float32(1.0))
         start = np.flatnonzero(np.diff(label, prepend=label[0] + 1))  # a class begins where the label changes
         runs = list(zip(label[start].tolist(), start.tolist(), [*start[1:].tolist(), len(label)], strict=True))
         brightness = self.lesson.brightness(target) / level + np.float32(TARGET_FLOOR)
         weight = brightness ** np.float32(-self.lesson.recipe.brightness_power) / level
         if self.judge is not None:
             weight *= self.judge.weight(clean, variance, target, level, runs)
-        taps = signal.shape[1]
+        taps = clean.shape[1]
         rows = np.empty((len(label), taps + 1 + target.shape[1]), np.float32)
         np.multiply(clean, weight[:, None], out=rows[:, :taps])
         rows[:, taps] = weight
         np.multiply(target, weight[:, None], out=rows[:, taps + 1 :])
         _add_runs(sums, steps, rows, variance, weight**2, runs)
+
+
+def _pieces(label: NDArray[np.unsignedinteger]) -> Iterator[slice]:
+    """Pieces of about PIECE of the rows whose sorted classes are `label`, which end where a class ends unless it is large:
+    a class's product costs little more for many rows than for few."""
+    start = np.flatnonzero(np.diff(label, prepend=label[0] + 1))
+    first = start[np.unique(start // PIECE, return_index=True)[1]].tolist()
+    for begin, end in itertools.pairwise([*first, len(label)]):
+        for part in range(begin, end, LARGEST_PIECE):
+            yield slice(part, min(part + LARGEST_PIECE, end))
 
 
 def _add_runs(
@@ -167,11 +178,6 @@ def _add_runs(
     per_level = len(sums.count) // len(steps)
     for index, first, last in runs:
         block = rows[first:last]
-        step = steps[index // per_level]
-        product = (block.T @ block).reshape(-1)[place] / step
-        np.rint(product, out=product)
-        product *= step
-        sums.moments[index] += product
-        noise = (weight[first:last] @ variance[first:last]).astype(np.float64)
-        sums.noise[index] += np.rint(noise * (1 / steps[0, 0])) * steps[0, 0]
+        add_rounded(sums.moments[index], (block.T @ block).reshape(-1).take(place), steps[index // per_level])
+        add_rounded(sums.noise[index], weight[first:last] @ variance[first:last], steps[0, 0])
         sums.count[index] += last - first

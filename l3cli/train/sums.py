@@ -34,6 +34,14 @@ def empty_sums(rule: ClassRule, outputs: int) -> ClassSums:
     return ClassSums(np.zeros((classes, width * (width + 1) // 2)), np.zeros((classes, taps)), np.zeros(classes))
 
 
+def add_rounded(total: Array, more: NDArray[np.float32], step: Array | np.float64) -> None:
+    """Add `more`, rounded to whole steps, to `total` in place. Beside 1.5 · 2⁵² steps float64 keeps whole steps only."""
+    large = step * (1.5 * 2.0**52)
+    rounded = more + large
+    rounded -= large
+    total += rounded
+
+
 def add(sums: ClassSums, more: ClassSums) -> None:
     """Add `more` to `sums` in place."""
     for total, part in ((sums.moments, more.moments), (sums.noise, more.noise), (sums.count, more.count)):
