@@ -135,14 +135,13 @@ class _Batch:
         """Add rows of non-decreasing class: patches `patch` rescaled by `scale`, seen at `level`."""
         clean = self.patches.signal.take(patch, axis=0)
         clean *= scale[:, None]
-        np.clip(clean, -np.inf, 1.0, out=clean)
         target = self.patches.target[patch] * scale[:, None]
         carried = None if self.patches.carried is None else self.patches.carried[patch] * scale[:, None] ** 2
         variance = noise_share(clean, self.lesson.head.camera, carried)
         if self.lesson.recipe.noise == "sampled":
             clean += np.sqrt(variance) * rng.standard_normal(clean.shape, dtype=np.float32)
-            np.clip(clean, -np.inf, 1.0, out=clean)
             variance[:] = 0
+        np.clip(clean, -np.inf, 1.0, out=clean)
         start = np.flatnonzero(np.diff(label, prepend=label[0] + 1))  # a class begins where the label changes
         runs = list(zip(label[start].tolist(), start.tolist(), [*start[1:].tolist(), len(label)], strict=True))
         brightness = self.lesson.brightness(target) / level + np.float32(TARGET_FLOOR)
