@@ -5,9 +5,15 @@ import contextlib
 import functools
 import multiprocessing
 import os
+import signal
+import threading
 from collections.abc import Callable, Iterable, Iterator
-from multiprocessing.pool import Pool
-from typing import TypeVar
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing.connection import wait
+from typing import Any, TypeVar
+
+from l3cli.errors import L3Error
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
@@ -45,17 +51,25 @@ def workers(jobs: int) -> Iterator[Callable[[Callable[[T], R], Iterable[T]], Ite
 def alone(function: Callable[[T], R], item: T) -> R:
     """function(item) by a process of its own, whose memory nothing else has used."""
     with _pool(1) as pool:
-        return pool.apply(function, (item,))
+        return _result(_submit(pool, function, item))
 
 
 @contextlib.contextmanager
-def _pool(jobs: int) -> Iterator[Pool]:
+def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
+    """Processes that end with the block: at once where it fails or is interrupted."""
     saved = {name: os.environ.get(name) for name in ONE_THREAD}
     os.environ.update(ONE_THREAD)
+    pool = ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), _end_with_parent)
+    before = multiprocessing.active_children()
     try:
-        with multiprocessing.get_context("spawn").Pool(jobs) as pool:
-            yield pool
+        yield pool
+    except BaseException:
+        for child in multiprocessing.active_children():
+            if child not in before:
+                child.terminate()
+        raise
     finally:
+        pool.shutdown(cancel_futures=True)
         for name, value in saved.items():
             if value is None:
                 os.environ.pop(name, None)
@@ -63,11 +77,39 @@ def _pool(jobs: int) -> Iterator[Pool]:
                 os.environ[name] = value
 
 
-def _pooled(pool: Pool, most: int, function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
-    waiting: collections.deque = collections.deque()
+def _submit(pool: ProcessPoolExecutor, function: Callable[[T], R], item: T) -> "Future[R]":
+    """Hand an item to the pool, which may start a process for it: one that leaves Ctrl-C, which reaches the whole group, to
+    its parent. A blocked signal is inherited from the first instruction on, and still reaches the parent afterwards."""
+    old = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        return pool.submit(function, item)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, old)
+
+
+def _result(future: "Future[R]") -> R:
+    try:
+        return future.result()
+    except BrokenProcessPool as error:
+        raise L3Error("a worker process was ended from outside, perhaps for lack of memory; use fewer --jobs") from error
+
+
+def _end_with_parent() -> None:
+    """In a worker: end when the parent has, even if it was killed; nobody would take the results."""
+    parent: Any = multiprocessing.parent_process()
+
+    def watch() -> None:
+        wait([parent.sentinel])
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def _pooled(pool: ProcessPoolExecutor, most: int, function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
+    waiting: collections.deque[Future[R]] = collections.deque()
     for item in items:
-        waiting.append(pool.apply_async(function, (item,)))
+        waiting.append(_submit(pool, function, item))
         if len(waiting) >= most:
-            yield waiting.popleft().get()
+            yield _result(waiting.popleft())
     while waiting:
-        yield waiting.popleft().get()
+        yield _result(waiting.popleft())

@@ -2,6 +2,7 @@
 
 import importlib
 import os
+import signal
 import sys
 from typing import Any
 
@@ -49,8 +50,13 @@ def l3() -> None:
     """
 
 
+class Terminated(BaseException):
+    """SIGTERM has come: a scheduler or a user ends the program, which cleans up as after Ctrl-C."""
+
+
 def main() -> None:
     """Run the command line; every failure ends as one line on stderr and the exit code of README, "Exit codes"."""
+    signal.signal(signal.SIGTERM, _terminate)
     sys.exit(run(sys.argv[1:]))
 
 
@@ -74,10 +80,17 @@ def run(arguments: list[str]) -> int:
         return 1
     except (KeyboardInterrupt, click.Abort):
         return _fail("interrupted", 130)
+    except Terminated:
+        return _fail("terminated", 143)
     except MemoryError:
         return _fail("out of memory; use fewer --jobs or smaller frames", 1)
     except OSError as error:
         return _fail(f"{error.filename or 'input/output'}: {error.strerror or error}", 1)
+
+
+def _terminate(number: int, frame: object) -> None:
+    signal.signal(number, signal.SIG_IGN)  # once is enough: nothing must disturb the cleaning up
+    raise Terminated
 
 
 def _fail(message: str, code: int) -> int:

@@ -1,0 +1,108 @@
+"""Processes: the same results in the same order; none left behind, whoever ends whom."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from l3cli.errors import L3Error
+from l3cli.parallel import alone, ordered_map, workers
+
+CONFIGS = Path(__file__).parents[1] / "configs"
+PATIENCE = 60.0  # seconds that a busy machine may take
+
+
+def squared(number: int) -> int:
+    return number * number
+
+
+def refusing(number: int) -> int:
+    raise L3Error(f"not {number}")
+
+
+def dying(number: int) -> int:
+    if number == 2:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+def test_results_come_in_order_from_the_same_processes() -> None:
+    assert list(ordered_map(squared, range(7), 1)) == [number**2 for number in range(7)]
+    with workers(2) as crew:
+        for _ in range(2):
+            assert list(crew(squared, range(7))) == [number**2 for number in range(7)]
+    assert alone(squared, 3) == 9
+
+
+def test_what_a_worker_raises_is_raised_here() -> None:
+    with pytest.raises(L3Error, match="not 0"):
+        list(ordered_map(refusing, range(3), 2))
+
+
+def test_a_worker_that_is_killed_is_told_and_not_waited_for() -> None:
+    with pytest.raises(L3Error, match="ended from outside"):
+        list(ordered_map(dying, range(4), 2))
+
+
+@pytest.mark.parametrize(
+    ("number", "code", "word"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")]
+)
+def test_an_ended_run_leaves_one_line_and_nobody(tmp_path: Path, number: int, code: int, word: str) -> None:
+    run = _simulation(tmp_path)
+    (os.killpg if number == signal.SIGINT else os.kill)(run.pid, number)  # a terminal tells the whole group of Ctrl-C
+    out, err = run.communicate(timeout=PATIENCE)
+    assert (run.returncode, out, err) == (code, "", f"l3: {word}\n")
+    assert {path.name for path in tmp_path.iterdir()} == {"training.h5.parts"}  # what --resume goes on from
+    _wait_until(lambda: not _workers(run.pid))
+
+
+def test_workers_end_when_their_parent_is_killed(tmp_path: Path) -> None:
+    run = _simulation(tmp_path)
+    assert _workers(run.pid)
+    run.kill()
+    run.communicate(timeout=PATIENCE)
+    _wait_until(lambda: not _workers(run.pid))
+
+
+def _simulation(folder: Path) -> "subprocess.Popen[str]":
+    """A run of `l3 simulate` with two workers at work, in a process group of its own."""
+    scenes, camera = CONFIGS / "scenes/default.toml", CONFIGS / "cameras/fiveband.toml"
+    command = ["simulate", scenes, "--camera", camera, "-o", "training.h5", "--jobs", "2", "--quiet"]
+    run = subprocess.Popen(
+        [sys.executable, "-c", "from l3cli.cli import main; main()", *map(str, command)],
+        cwd=folder,
+        start_new_session=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(CONFIGS.parent)},
+    )
+    _wait_until(lambda: any(folder.glob("training.h5.parts/*.h5")))
+    return run
+
+
+def _workers(group: int) -> list[str]:
+    """Command lines of the worker processes of a group that still run."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdecimal():
+            try:
+                fields = (entry / "stat").read_text().rpartition(")")[2].split()
+                line = (entry / "cmdline").read_text()
+            except OSError:  # it has ended meanwhile
+                continue
+            if int(fields[2]) == group and fields[0] != "Z" and "spawn_main" in line:
+                found.append(line)
+    return found
+
+
+def _wait_until(done: Callable[[], bool]) -> None:
+    end = time.monotonic() + PATIENCE
+    while not done():
+        assert time.monotonic() < end
+        time.sleep(0.05)
