@@ -77,6 +77,7 @@ def _simulation(folder: Path) -> "subprocess.Popen[str]":
         [sys.executable, "-c", "from l3cli.cli import main; main()", *map(str, command)],
         cwd=folder,
         start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a background job's is ignored, and inherited
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
