@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.partial_sums import ClassSums
 from l3cli.artifacts.table import ClassRule
 from l3cli.errors import L3Error
+from l3cli.train.highlights import grey_patches
 from l3cli.train.recipe import LearningRecipe
 from l3cli.train.sums import moment_matrix, symmetric_places
 
@@ -21,6 +22,8 @@ class Goal:
 
     outputs: tuple[str, ...]
     white: Array  # (output) a perfect white under the training light, Y = 1
+    black: float  # DN, of the camera
+    top: float  # DN, at which a pixel of the camera saturates
 
 
 @dataclass(frozen=True)
@@ -73,6 +76,7 @@ def solve(
     member = (groups[None] == np.arange(groups.max() + 1)[:, None]).astype(np.float64)
     factors = _noise_factors(recipe, goal)
     basis = _opponent_basis(goal)
+    greys = grey_patches(sums, rule, window, goal.white, goal.black, goal.top)
     rows = np.zeros((solved.size, groups.size, len(goal.outputs)))
     compliance = np.zeros((solved.size, len(set(factors)), groups.size, len(member)))
     condition = np.zeros(solved.size)
@@ -81,6 +85,8 @@ def solve(
         packed, noise = _shrunk(sums, parents, index, rule, recipe)
         moments = moment_matrix(packed[places].mean(axis=0), groups.size + len(goal.outputs))
         noise = noise[np.array(stabilisers)].mean(axis=0)
+        if index in greys:
+            moments += (sums.count[index] + recipe.parent_patches) * greys[index]
         used = groups.size if index % rule.kinds >= rule.chromas else groups.size - 1  # an intercept if saturated
         for number, (factor, wanted) in enumerate(columns.items()):
             system = _system(moments[:used, :used], noise, factor, recipe.ridge)
