@@ -14,17 +14,18 @@ from l3cli.train.sums import moment_matrix
 
 Array = NDArray[np.float64]
 
-GREYS = np.geomspace(0.3, 4.0, 120)  # of the grey that just clips its brightest channel
+DARKEST, BRIGHTEST, STEP = 0.3, 1.0, 1.02  # greys, of those that just clip the first and the last channel
 NEARLY = (0.94, 0.97, 1.0)  # of the saturation threshold: noise lets greys this bright clip
-SUREST = 1000.0  # greys a patch where every channel clips
+ODDS = 4.0  # greys a patch of the class, times clipped channels per one that is not; 1 leaves seams between classes …
+SUREST = 30.0  # … and this many where every channel clips
 FAINTEST = 1e-6  # of the largest: directions in which the outputs vary less are not followed
 
 
 def grey_patches(
     sums: ClassSums, rule: ClassRule, window: NDArray[np.int64], white: Array, black: float, top: float
 ) -> dict[int, Array]:
-    """Moments (column, column) of flat greys for the classes near saturation in which greys come to lie: of as many greys a
-    patch of the class as there are clipped channels for one that is not.
+    """Moments (column, column) of flat greys for the classes near saturation in which greys come to lie: their mean
+    times the number of greys a patch of the class (ODDS).
 
     `window` (tap) names the channel of each tap, `white` (output) is that of the training light at Y = 1, `black` and `top` are
     the camera's black and saturation level in DN.
@@ -36,9 +37,11 @@ def grey_patches(
     rows: dict[int, list[Array]] = {}
     channels = signal.size
     threshold = (rule.saturation - black) / (top - black)
-    for grey in GREYS / signal.max():
+    for grey in np.exp(np.arange(np.log(DARKEST / signal.max()), np.log(BRIGHTEST / signal.min()), np.log(STEP))):
         clipped = np.minimum(grey * signal, 1.0)
-        level = np.searchsorted(rule.level_edges, (clipped * (top - black) + black).sum() * 2**LEVEL_FRACTION / 2**rule.shift)
+        level = np.searchsorted(
+            rule.level_edges, (clipped * (top - black) + black).sum() * 2**LEVEL_FRACTION / 2**rule.shift
+        )
         row = np.concatenate([clipped[window], [1.0], grey * white]) / np.sqrt(clipped.mean() * grey)
         for nearly in NEARLY:
             saturated = clipped >= nearly * threshold
@@ -46,7 +49,7 @@ def grey_patches(
             if not case:
                 continue
             share = saturated.mean()
-            weight = np.sqrt(min(share / max(1.0 - share, 1e-9), SUREST))
+            weight = np.sqrt(min(ODDS * share / max(1.0 - share, 1e-9), SUREST))
             for near in {max(level - 1, 0), level, min(level + 1, rule.levels - 1)}:
                 for contrast in range(rule.contrasts):
                     index = (int(near) * rule.contrasts + contrast) * rule.kinds + rule.chromas - 1 + case
