@@ -7,7 +7,9 @@ JOBS ?= 2
 L3 := $(BIN)/l3
 TIMED := bash -c 'time "$$0" "$$@"'
 
-.PHONY: help install demo demo-steps test study lint format bench clean
+CURVE := build/curve
+
+.PHONY: help install demo demo-steps test study curve lint format bench clean
 .DEFAULT_GOAL := help
 
 help: ## this list
@@ -41,6 +43,20 @@ test: $(VENV)/installed ## the test suite
 
 study: $(VENV)/installed ## calibration over 21 seeds and a whole session's time and memory (ten minutes)
 	$(BIN)/python -m pytest -m slow -s
+
+curve: $(VENV)/installed ## Bayer and RGBW over the light on the scene: which is better from where (ten minutes)
+	rm -rf $(CURVE) && mkdir -p $(CURVE)
+	for camera in bayer rgbw; do \
+	  $(L3) simulate configs/scenes/default.toml --camera configs/cameras/$$camera.toml -o $(CURVE)/$$camera.training.h5 \
+	    --jobs $(JOBS) && \
+	  $(L3) simulate configs/scenes/curve.toml --camera configs/cameras/$$camera.toml -o $(CURVE)/$$camera.unseen.h5 \
+	    --jobs $(JOBS) && \
+	  $(L3) train $(CURVE)/$$camera.training.h5 -o $(CURVE)/$$camera.table.h5 --jobs $(JOBS) && \
+	  $(L3) evaluate $(CURVE)/$$camera.table.h5 $(CURVE)/$$camera.unseen.h5 --json > $(CURVE)/$$camera.json || exit 1; \
+	done
+	for figure in mean_delta_e scielab psnr; do \
+	  $(L3) compare $(CURVE)/bayer.json $(CURVE)/rgbw.json --figure $$figure -o $(CURVE)/$$figure.png || exit 1; \
+	done
 
 lint: $(VENV)/installed ## ruff format and check, mypy
 	$(BIN)/ruff format --check .

@@ -33,6 +33,7 @@ from l3cli.errors import RecipeError
 from l3cli.frame import pad_mosaic, shifted_cfa
 
 Integers = NDArray[np.int64]
+MEAN_TRUNCATED = 1 / 3  # what M, rounded down, adds to V on average: matters where noise is below a DN
 
 
 class ClassRecipe(Recipe):
@@ -100,7 +101,7 @@ def make_rule(
     in_values = (camera.black + edges * span - truncated) / 2**shift
     level_edges = np.rint(in_values * 2**LEVEL_FRACTION * channels).astype(np.uint32)
     centres = np.concatenate([[edges[0] / 2], np.sqrt(edges[1:] * edges[:-1]), [(1 + edges[-1]) / 2]])
-    variance = camera.noise_variance(centres * span) / 4**shift + (1 / 12 if shift else 0.0)
+    variance = camera.noise_variance(centres * span) / 4**shift + (1 / 12 if shift else 0.0) + MEAN_TRUNCATED
     limit = 2.0**32 - 1 - channels
     squared = np.array(recipe.contrasts, dtype=np.float64).reshape(-1, 1) ** 2
     contrast_edges = np.minimum(np.rint(squared * variance * channels * 2**CONTRAST_FRACTION), limit)

@@ -18,6 +18,7 @@ COMMANDS = {
     "render": "raw frames through a table → pictures",
     "evaluate": "quality of a table on frames it was not trained on",
     "report": "artifacts → one page with plots and pictures",
+    "compare": "evaluations of several cameras over the light on the scene",
     "info": "kind, version, axes, units, history of an artifact",
     "bench": "frames per second here, stage by stage",
     "lab": "a virtual lab: the measurements a camera would give",

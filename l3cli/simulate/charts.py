@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from l3cli import spectra
 from l3cli.simulate import rgb
-from l3cli.simulate.reflectances import materials, surfaces
+from l3cli.simulate.reflectances import dyed, materials, surfaces
 
 Array = NDArray[np.floating]
 Cube = NDArray[np.float32]  # (row, col, band)
@@ -55,6 +55,11 @@ def material_patches(
     """A chart of `patches` (rows, cols) draws of one kind of material, "skin" or "leaf", no two alike."""
     drawn = materials(kind, rng, surfaces(tuple(wavelength)), patches[0] * patches[1])
     return patch_grid(drawn, patches[0], size)
+
+
+def surface_patches(rng: np.random.Generator, patches: tuple[int, int], size: tuple[int, int], wavelength: Array) -> Cube:
+    """A chart of `patches` (rows, cols) dyed surfaces, vivid and pale, no two alike."""
+    return patch_grid(dyed(rng, surfaces(tuple(wavelength)), patches[0] * patches[1]), patches[0], size)
 
 
 MUNSELL_HUES, MUNSELL_VALUES, MUNSELL_CHROMAS = 20, (30, 50, 70, 85), (8, 20, 35, 55)

@@ -18,6 +18,7 @@ PAINTERS: dict[type, Painter] = {
     sources.Composition: lambda s, rng, nm: procedural.composition(rng, s.size, nm),
     sources.Skin: lambda s, rng, nm: charts.material_patches("skin", rng, s.patches, s.size, nm),
     sources.Foliage: lambda s, rng, nm: charts.material_patches("leaf", rng, s.patches, s.size, nm),
+    sources.Surfaces: lambda s, rng, nm: charts.surface_patches(rng, s.patches, s.size, nm),
     sources.ColorChecker: lambda s, rng, nm: charts.colorchecker(s.size, nm),
     sources.Munsell: lambda s, rng, nm: charts.munsell(s.size, nm),
     sources.SlantedEdge: lambda s, rng, nm: charts.slanted_edge(s.size, nm, s.angle_deg, s.dark, s.bright),

@@ -20,6 +20,8 @@ COMPONENTS = 8  # of the Gaussian in logit space
 # Share of each kind of material (METHOD 2.1).
 KINDS = {"library": 0.25, "mixture": 0.2, "gaussian": 0.35, "skin": 0.12, "leaf": 0.04, "hair": 0.04}
 DYED = ("library", "mixture", "gaussian")  # kinds whose saturation a frame draws; the others have their own
+VIVID = (0.0, 1.2)  # saturation of the dyed materials of a chart, greys included
+PAINTED = 0.75  # of the dyed materials scatter by titanium white, as paint, plastic and paper do
 
 # Molar extinction of oxygenated and deoxygenated haemoglobin, cm-1/M, 390…780 nm by 10 (S. Prahl, omlc.org).
 HAEMOGLOBIN_WAVELENGTH = np.arange(390.0, 781.0, 10.0)
@@ -73,17 +75,39 @@ def materials(kind: str, rng: np.random.Generator, of: Surfaces, count: int) -> 
     return np.array([_material(rng, of, kind, 1.0) for _ in range(count)])
 
 
+def dyed(rng: np.random.Generator, of: Surfaces, count: int) -> Array:
+    """`count` dyed reflectances (material, band) as vivid as measured ones are."""
+    shares = np.array([KINDS[kind] for kind in DYED])
+    kinds = rng.choice(DYED, size=count, p=shares / shares.sum())
+    return np.array([_dye(rng, of, kind, rng.uniform(*VIVID)) for kind in kinds])
+
+
 def _material(rng: np.random.Generator, of: Surfaces, kind: str, saturation: float) -> Array:
-    reflectance = _DRAW[kind](rng, of)
     if kind in DYED:
-        reflectance = with_saturation(reflectance, rng.random() * saturation)
-    return np.clip(reflectance, SMALLEST, LARGEST)
+        return _dye(rng, of, kind, rng.random() * saturation)
+    return np.clip(_DRAW[kind](rng, of), SMALLEST, LARGEST)
+
+
+def _dye(rng: np.random.Generator, of: Surfaces, kind: str, saturation: float) -> Array:
+    reflectance = np.clip(with_saturation(_DRAW[kind](rng, of), saturation), SMALLEST, LARGEST)
+    return with_titanium_white(rng, reflectance, of.wavelength) if rng.random() < PAINTED else reflectance
 
 
 def with_saturation(reflectance: Array, saturation: float) -> Array:
     """reflectance (band) drawn towards its geometric mean m: m (R/m)^saturation; 0 is grey, 1 leaves it (METHOD 2.1)."""
     grey = np.exp(np.log(reflectance).mean())
     return grey * (reflectance / grey) ** saturation
+
+
+def with_titanium_white(rng: np.random.Generator, reflectance: Array, wavelength: Array) -> Array:
+    """reflectance (band) in [SMALLEST, 1] with the absorption edge of rutile (3.0 eV, 413 nm) added: whatever is scattered
+    by titanium white turns dark within some 20 nm of it (Kubelka–Munk; the tail falls exponentially, as Urbach's rule says).
+
+    Cameras and eyes weigh this edge differently; without it a table takes white paint for yellow.
+    """
+    edge = np.exp(rng.normal(np.log(0.2), 0.7) - (wavelength - 405.0) / rng.uniform(5.0, 11.0))
+    own = (1.0 - reflectance) ** 2 / (2.0 * reflectance)
+    return np.clip(_kubelka_munk(own + edge), SMALLEST, LARGEST)
 
 
 def _library(rng: np.random.Generator, of: Surfaces) -> Array:

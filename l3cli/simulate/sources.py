@@ -49,6 +49,12 @@ class Foliage(Random, tag_field="source", tag="foliage", kw_only=True):
     patches: tuple[int, int] = (6, 9)
 
 
+class Surfaces(Random, tag_field="source", tag="surfaces", kw_only=True):
+    """Paints, plastics, textiles: a chart to learn colour from. No ColorChecker is among them."""
+
+    patches: tuple[int, int] = (6, 9)
+
+
 class ColorChecker(Drawn, tag_field="source", tag="colorchecker", kw_only=True):
     pass
 
@@ -119,7 +125,7 @@ class ImageChannels(Spectral, tag_field="source", tag="channels", kw_only=True):
 
 
 Source = (
-    DeadLeaves | Composition | ColorChecker | Munsell | Skin | Foliage | SlantedEdge | ZonePlate | Frequencies | GreyRamp
+    DeadLeaves | Composition | ColorChecker | Munsell | Skin | Foliage | Surfaces | SlantedEdge | ZonePlate | Frequencies | GreyRamp
     | IsetScenes | RgbPictures | BandFolder | Envi | Cube | ImageChannels
 )  # fmt: skip
 
@@ -161,7 +167,7 @@ def check_source(source: Source, camera: CameraModel, name: str) -> None:
         raise RecipeError(f"{name}: count is at least 1 and seed at least 0")
     if isinstance(source, RgbPictures) and source.shrink < 1:
         raise RecipeError(f"{name}: shrink is at least 1")
-    if isinstance(source, Skin | Foliage) and min(source.patches) < 1:
+    if isinstance(source, Skin | Foliage | Surfaces) and min(source.patches) < 1:
         raise RecipeError(f"{name}: patches are at least 1×1")
     if isinstance(source, Cube) and sorted(source.axes.split()) != ["band", "col", "row"]:
         raise RecipeError(f'{name}: axes names row, col and band once each, such as "row col band"')

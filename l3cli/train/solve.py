@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.partial_sums import ClassSums
 from l3cli.artifacts.table import ClassRule
 from l3cli.errors import L3Error
+from l3cli.train.highlights import grey_patches
 from l3cli.train.recipe import LearningRecipe
 from l3cli.train.sums import moment_matrix, symmetric_places
 
@@ -22,6 +23,8 @@ class Goal:
 
     outputs: tuple[str, ...]
     white: Array  # (output) a perfect white under the training light, Y = 1
+    black: float  # DN, of the camera
+    top: float  # DN, at which a pixel of the camera saturates
 
 
 @dataclass(frozen=True)
@@ -72,6 +75,7 @@ def solve(
     member = (groups[None] == np.arange(groups.max() + 1)[:, None]).astype(np.float64)
     factors = _noise_factors(recipe, goal)
     basis = _opponent_basis(goal)
+    greys = grey_patches(sums, rule, window, goal.white, goal.black, goal.top)
     rows = np.zeros((solved.size, groups.size, len(goal.outputs)))
     compliance = np.zeros((solved.size, len(set(factors)), groups.size, len(member)))
     condition = np.zeros(solved.size)
@@ -80,6 +84,8 @@ def solve(
         packed, noise = _shrunk(sums, parents, index, rule, recipe)
         moments = moment_matrix(packed[places].mean(axis=0), groups.size + len(goal.outputs))
         noise = noise[np.array(stabilisers)].mean(axis=0)
+        if index in greys:
+            moments += (sums.count[index] + recipe.parent_patches) * greys[index]
         used = groups.size if index % rule.kinds >= rule.chromas else groups.size - 1  # an intercept if saturated
         for number, (factor, wanted) in enumerate(columns.items()):
             system = _system(moments[:used, :used], noise, factor, recipe.ridge)
@@ -96,33 +102,33 @@ def equal_responses(
 ) -> list[Transforms]:
     """Transforms of the canonical sites, each of which stands for `copies` sites, bent so that every class answers a flat
     patch alike at all sites; otherwise the CFA shows as a pattern on plain areas (METHOD 4.7). Of all common responses the
-    one of least total squared error is taken. Classes without a solution are filled from the nearest.
+    one of least total squared error is taken. Classes that some site has no solution for are filled from the nearest, at all
+    sites from the same one. L3Error if there is no class that all sites have a solution for.
     """
     factors = _noise_factors(recipe, goal)
     bent = [solution.rows.copy() for solution in solutions]
-    solved = np.array([solution.solved for solution in solutions])
-    saturated = np.arange(solved.shape[1]) % rule.kinds >= rule.chromas
+    solved = np.all([solution.solved for solution in solutions], axis=0)
+    if not solved.any():
+        raise L3Error("no class has training patches at every CFA site; simulate more frames")
+    saturated = np.arange(solved.size) % rule.kinds >= rule.chromas
     for kind in (False, True):
         used = slice(None) if kind else slice(0, -1)  # without an intercept there is none to equalise
-        alike = np.unique(solved[:, saturated == kind], axis=1).T if recipe.equal_response else ()
-        for sites in alike:  # classes that the same sites have solved
-            among = np.flatnonzero(sites)
-            here = np.flatnonzero((saturated == kind) & (solved == sites[:, None]).all(axis=0))
-            for output, factor in enumerate(factors if among.size else []):
-                number = sorted(set(factors)).index(factor)
-                stiffness = [np.linalg.inv(solutions[site].softness[here, number][:, used, used]) for site in among]
-                response = [solutions[site].response[here][:, used, output, None] for site in among]
-                total = sum(copies[site] * stiff for site, stiff in zip(among, stiffness, strict=True))
-                pull = sum(copies[site] * k @ r for site, k, r in zip(among, stiffness, response, strict=True))
-                common = np.linalg.solve(total, pull)
-                for site, stiff, own in zip(among, stiffness, response, strict=True):
-                    change = solutions[site].compliance[here, number][:, :, used] @ (stiff @ (common - own))
-                    bent[site][here, :, output] += change[..., 0]
+        here = np.flatnonzero(solved & (saturated == kind))
+        for output, factor in enumerate(factors if recipe.equal_response else ()):
+            number = sorted(set(factors)).index(factor)
+            stiffness = [np.linalg.inv(solution.softness[here, number][:, used, used]) for solution in solutions]
+            response = [solution.response[here][:, used, output, None] for solution in solutions]
+            total = sum(copy * stiff for copy, stiff in zip(copies, stiffness, strict=True))
+            pull = sum(copy * k @ r for copy, k, r in zip(copies, stiffness, response, strict=True))
+            common = np.linalg.solve(total, pull)
+            for site, (stiff, own) in enumerate(zip(stiffness, response, strict=True)):
+                change = solutions[site].compliance[here, number][:, :, used] @ (stiff @ (common - own))
+                bent[site][here, :, output] += change[..., 0]
     back = np.linalg.inv(_opponent_basis(goal))
     shape = (rule.levels, rule.contrasts, rule.kinds)
     transforms = []
     for solution, rows in zip(solutions, bent, strict=True):
-        filled = np.swapaxes(rows @ back, 1, 2)[_nearest(solution.solved, shape)]
+        filled = np.swapaxes(rows @ back, 1, 2)[_nearest(solved, shape)]
         transforms.append(Transforms(filled[..., :-1], filled[..., -1], solution.samples, solution.condition))
     return transforms
 

@@ -73,9 +73,8 @@ def learn_site(lesson: Lesson, parts: Iterable[ClassSums], site: int) -> Solutio
     sums = add_up(lesson, parts)
     camera, rule = lesson.head.camera, lesson.rule
     window = neighbourhoods(camera.cfa, rule.patch, len(camera.channels)).channel[site]
-    goal = Goal(lesson.head.outputs, lesson.white_point)
     alike = stabilisers(window, rule.patch) if lesson.recipe.symmetry else orientations(rule.patch)[:1]
-    return solve(sums, rule, window, alike, lesson.recipe, goal)
+    return solve(sums, rule, window, alike, lesson.recipe, _goal(lesson))
 
 
 def assemble(lesson: Lesson, solutions: dict[int, Solution], history: tuple[Stage, ...]) -> TransformTable:
@@ -84,7 +83,7 @@ def assemble(lesson: Lesson, solutions: dict[int, Solution], history: tuple[Stag
     near = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
     maps = site_maps(near.channel, rule.patch, lesson.recipe.symmetry)
     copies = [sum(site_map.canonical == site for site_map in maps) for site in solutions]
-    equal = equal_responses(list(solutions.values()), copies, rule, lesson.recipe, Goal(head.outputs, lesson.white_point))
+    equal = equal_responses(list(solutions.values()), copies, rule, lesson.recipe, _goal(lesson))
     transforms = dict(zip(solutions, equal, strict=True))
     weights, intercept, samples, condition = [], [], [], []
     for site_map in maps:
@@ -115,6 +114,11 @@ def assemble(lesson: Lesson, solutions: dict[int, Solution], history: tuple[Stag
         samples=np.concatenate(samples),
         condition=np.concatenate(condition).astype(np.float32),
     )
+
+
+def _goal(lesson: Lesson) -> Goal:
+    camera = lesson.head.camera
+    return Goal(lesson.head.outputs, lesson.white_point, camera.black, camera.white)
 
 
 def _unit_white(frame: TrainingPair, outputs: tuple[str, ...]) -> NDArray[np.float64]:
