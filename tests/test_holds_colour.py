@@ -1,4 +1,4 @@
-"""What must hold of colour: a ColorChecker comes out true under every light that was learned, without being learned itself."""
+"""What must hold of colour: a ColorChecker comes out true under every light that was learned, itself unlearned."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -50,7 +50,7 @@ def without_the_chart(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 def chart_errors(table: Path, chart: Path) -> np.ndarray:
-    """ΔE00 (frame, patch) within the patches of a chart's frames, relative to the light's own white, not clipped to a gamut."""
+    """ΔE00 (frame, patch) within the patches of a chart's frames, relative to the light's own white, in no gamut."""
     transforms = load(TransformTable, table)
     renderer, found = make_renderer("opencl", transforms), []
     with open_training_set(chart) as frames:

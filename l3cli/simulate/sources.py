@@ -125,7 +125,8 @@ class ImageChannels(Spectral, tag_field="source", tag="channels", kw_only=True):
 
 
 Source = (
-    DeadLeaves | Composition | ColorChecker | Munsell | Skin | Foliage | Surfaces | SlantedEdge | ZonePlate | Frequencies | GreyRamp
+    DeadLeaves | Composition | ColorChecker | Munsell | Skin | Foliage | Surfaces
+    | SlantedEdge | ZonePlate | Frequencies | GreyRamp
     | IsetScenes | RgbPictures | BandFolder | Envi | Cube | ImageChannels
 )  # fmt: skip
 

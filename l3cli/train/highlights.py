@@ -1,8 +1,8 @@
 """What clipped areas are taken for: grey, the more channels clip the surer (METHOD 3.3).
 
-Where channels clip, the colour of a surface is lost with them, and the mean colour of all training surfaces that clip alike is
-no good guess: it gives highlights a cast. Highlights are mostly neutral, and a neutral error is the one that nobody sees. So
-every class near saturation is taught, beside its patches, flat greys of the training light that clip as its patches do.
+Where channels clip, the colour of a surface is lost with them, and the mean colour of all training surfaces that clip alike
+is no good guess: it gives highlights a cast. Highlights are mostly neutral, and a neutral error is the one that nobody sees.
+So every class near saturation is taught, beside its patches, flat greys of the training light that clip as its patches do.
 """
 
 import numpy as np
@@ -27,8 +27,8 @@ def grey_patches(
     """Moments (column, column) of flat greys for the classes near saturation in which greys come to lie: their mean
     times the number of greys a patch of the class (ODDS).
 
-    `window` (tap) names the channel of each tap, `white` (output) is that of the training light at Y = 1, `black` and `top` are
-    the camera's black and saturation level in DN.
+    `window` (tap) names the channel of each tap, `white` (output) is that of the training light at Y = 1, `black` and `top`
+    are the camera's black and saturation level in DN.
     """
     flat = _flat_moments(sums, rule, window.size + 1 + white.size)
     signal = _channels_of(flat, window, white)
@@ -64,8 +64,8 @@ def _flat_moments(sums: ClassSums, rule: ClassRule, width: int) -> Array:
 
 
 def _channels_of(moments: Array, window: NDArray[np.int64], white: Array) -> Array | None:
-    """Signals (channel) of the training light's white at Y = 1: what the channels are on average where the outputs are white's.
-    None if there are no patches."""
+    """Signals (channel) of the training light's white at Y = 1, by regression of the channels on the outputs (a per cent or
+    two off where the training surfaces differ from white). None if there are no patches."""
     taps = window.size
     power = moments[taps + 1 :, taps + 1 :]
     if not power.any():
