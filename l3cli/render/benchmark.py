@@ -85,6 +85,7 @@ def made_up_table(case: Case, rng: np.random.Generator) -> TransformTable:
     centres = 1 - 0.08 * np.arange(channels) + 0.1 * rng.standard_normal((chromas, channels))
     centres /= centres.sum(axis=1, keepdims=True)
     case_of_code = rng.permutation(np.arange(2**channels) % CASE_COUNT).astype(np.uint16)
+    case_of_code[0] = 0
     rule = ClassRule(
         patch=case.patch,
         shift=0,
