@@ -8,9 +8,6 @@
 #define SPAN ((TILE + 2 * RADIUS + 4 * LANES - 1) / (2 * LANES) * (2 * LANES) + LANES)  // slack for reads past the last patch
 #define WHOLE(n, size) (((n) + (size) - 1) / (size) * (size))  // n rounded up
 
-// CFA phase of padded row or column p, whose frame begins at phase `start`: that of p - RADIUS.
-#define PADDED_PHASE(p, start, period) (((p) + (start) + ((period) - 1) * RADIUS) % (period))
-
 // CFA phase n columns on. Arrays with a `period` axis repeat a row of the CFA until a vector can be read from any phase on;
 // where the CFA divides the vector, the phase stays, and the compiler keeps their vectors in registers.
 #if LANES % CFA_COLUMNS == 0

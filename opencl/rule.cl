@@ -1,6 +1,9 @@
 // From the sums of a patch to its class, for as many pixels as `uints` holds: the formulas of l3cli/classify.py in uint,
 // exact or wrapping to exact, for both variants.
 
+// CFA phase of padded row or column p, whose frame begins at phase `start`: that of p - RADIUS.
+#define PADDED_PHASE(p, start, period) (((p) + (start) + ((period) - 1) * RADIUS) % (period))
+
 typedef struct {
     uints level_sum, variance_sum;  // over the channels seen so far
     ints score[CHROMAS];            // of each chroma; the lowest wins

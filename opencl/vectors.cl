@@ -12,6 +12,9 @@ typedef int ints;
 typedef float floats;
 #define CONVERT(value, type) ((type)(value))
 #define SAME_BITS(value, type) as_##type(value)
+#define as_uints as_uint
+#define as_ints as_int
+#define as_floats as_float
 #else
 #define VECTOR(element, name, lanes) \
     typedef element name __attribute__((ext_vector_type(lanes))); \

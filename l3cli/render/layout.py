@@ -129,6 +129,21 @@ def pack_in_vectors(table: TransformTable, lanes: int) -> NDArray[np.float32]:
     return packed
 
 
+def pack_in_fours(table: TransformTable, lanes: int) -> NDArray[np.float32]:
+    """(class, 1 + tap, output) for graphics.cl: the intercept, then the taps, outputs filled up to a multiple of four."""
+    weights = _weights_per_dn(table)
+    classes, outputs, taps = weights.shape
+    packed = np.zeros((classes, 1 + taps, -(-outputs // 4) * 4), np.float32)
+    packed[:, 0, :outputs] = table.intercept
+    packed[:, 1:, :outputs] = weights.transpose(0, 2, 1)
+    return packed
+
+
+def _cut_for_graphics(table: TransformTable, lanes: int) -> Cut:
+    tile = 64 // table.cfa.shape[1] * table.cfa.shape[1]
+    return Cut(tile, 4, (tile, 4), 1)
+
+
 @dataclass(frozen=True)
 class Variant:
     """The same computation, arranged for one kind of device."""
@@ -146,4 +161,6 @@ VARIANTS = {
         lambda table, lanes: Cut(256, 48, (1, 1), lanes),
         pack_in_vectors,
     ),
+    # A work-item a pixel; the device lays them side by side itself.
+    "graphics": Variant((*SHARED, "graphics.cl"), _cut_for_graphics, pack_in_fours),
 }
