@@ -97,6 +97,10 @@ void classes(__global const ushort *restrict raw,                // (row, col) D
 INLINE void write(__global float *picture, const float *output, __global const float *matrix, size_t at, size_t pixels) {
     for (int o = 0; o < OUTPUTS; o++) picture[o * pixels + at] = output[o];
 }
+#elif defined(NOT_ENCODED)  // for timing: the sum of three planes
+INLINE void write(__global float *picture, const float *output, __global const float *matrix, size_t at, size_t pixels) {
+    picture[at] = output[0] + output[1] + output[2];
+}
 #else
 INLINE void write(__global CODE *picture, const float *output, __global const float *matrix, size_t at, size_t pixels) {
     for (int p = 0; p < 3; p++)

@@ -9,6 +9,14 @@ INLINE void write_row(__global float *picture, const float *planes, __global con
         for (int x = 0; x < width; x++) picture[o * pixels + at + x] = planes[o * TILE + x];
 }
 
+#elif defined(NOT_ENCODED)
+
+// For timing: the sum of three planes.
+INLINE void write_row(__global float *picture, const float *planes, __global const float *matrix, size_t at, int width,
+                      size_t pixels) {
+    for (int x = 0; x < width; x++) picture[at + x] = planes[x] + planes[TILE + x] + planes[2 * TILE + x];
+}
+
 #else
 
 VECTOR(CODE, codes, LANES);

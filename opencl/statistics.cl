@@ -47,7 +47,11 @@ INLINE void slide(Columns *columns, const ushort *entering, __global const ushor
 INLINE void saturated_row(ushort *saturated, const ushort *row, __global const ushort *channel_bit, int phase, int span) {
     for (int p = 0, at = phase; p < span; p += 2 * LANES, at = PHASE_AFTER(at, 2 * LANES)) {
         const full_shorts v = NEAR(full_shorts, row + p), bit = FIXED(full_shorts, channel_bit + at);
+#if SATURATION > 0xffff  // no value is that high
+        NEAR(full_shorts, saturated + p) = 0;
+#else
         NEAR(full_shorts, saturated + p) = v >= (ushort)SATURATION ? bit : (full_shorts)0;
+#endif
     }
 }
 

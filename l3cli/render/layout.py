@@ -11,6 +11,8 @@ from l3cli import classify
 from l3cli.artifacts.table import CHROMA_FRACTION, LEVEL_FRACTION, TransformTable
 from l3cli.render.display import Display
 
+Macros = dict[str, int | str]
+
 PERIODS = 31  # columns by which a row of the CFA is repeated, so that two vectors of 16 can be read from any phase on
 
 
@@ -24,7 +26,7 @@ class Cut:
     lanes: int  # pixels, or taps, that a work-item takes side by side
 
     @property
-    def macros(self) -> dict[str, int]:
+    def macros(self) -> Macros:
         return {"TILE": self.tile, "BAND": self.band, "LANES": self.lanes}
 
 
@@ -42,7 +44,7 @@ def program_source(variant: str) -> str:
     return "\n".join(f'#line 1 "{name}"\n{(folder / name).read_text(encoding="utf-8")}' for name in names)
 
 
-def table_macros(table: TransformTable) -> dict[str, int]:
+def table_macros(table: TransformTable) -> Macros:
     """Everything about a table that a kernel's loops and formulas depend on."""
     rule = table.rule
     return {
@@ -61,16 +63,18 @@ def table_macros(table: TransformTable) -> dict[str, int]:
         "LEVEL_FRACTION": LEVEL_FRACTION,
         "CHROMA_FRACTION": CHROMA_FRACTION,
         "CHROMA_BLACK": rule.chroma_black,
-        "SATURATION": rule.saturation,
+        "SATURATION": min(rule.saturation, 1 << 16),
         "SATURATION_RADIUS": rule.saturation_radius,
         "WHITE_TOP": 2**table.bits - 1,
     }
 
 
-def display_macros(display: Display | None) -> dict[str, int | str]:
-    """What the last stage writes: encoded values, or without a display the outputs as they are."""
-    if display is None:
-        return {"PLANES": 1, "CODE": "float", "TOP": 0, "CURVE": 0}
+OUTPUTS_AS_THEY_ARE: Macros = {"PLANES": 1, "CODE": "float", "TOP": 0, "CURVE": 0}
+NOT_ENCODED: Macros = {"NOT_ENCODED": 1, "CODE": "float", "TOP": 0, "CURVE": 0}  # for timing: one number a pixel is written
+
+
+def display_macros(display: Display) -> Macros:
+    """What the last stage writes."""
     code = {1: "uchar", 2: "ushort", 4: "uint"}[display.dtype.itemsize]  # integers, or the bits of floats
     return {"CODE": code, "TOP": display.top, "CURVE": int(display.curved)}
 

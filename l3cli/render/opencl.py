@@ -9,7 +9,7 @@ import contextlib
 import os
 import warnings
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,7 +25,7 @@ from l3cli.render.opencl_devices import choose_device, pyopencl
 
 BAND_PIXELS = 1 << 22  # of a band, margins aside
 TRACKS = 2
-STAGES = ("upload", "classes", "transforms", "download")
+STAGES = ("upload", "classes", "transforms", "encode", "download")
 BUILD_OPTIONS = ("-w", "-cl-mad-enable", "-cl-std=CL1.2")
 
 
@@ -51,37 +51,31 @@ class OpenCLRenderer:
         with self._refusals():
             self._context = cl.Context([self.device])
             self._cut = layout.VARIANTS[self.variant].cut(table, lanes or self._register_lanes())
-            self._transforms: dict[tuple[int | str, ...], Any] = {}
-            self._classes = cl.Kernel(self._build(layout.display_macros(None)), "classes")
+            self._transforms: dict[tuple[tuple[str, int | str], ...], Any] = {}
+            self._classes = cl.Kernel(self._build(layout.OUTPUTS_AS_THEY_ARE), "classes")
             self._class_buffers = [self._constant(array) for array in layout.class_arrays(table)]
             self._weights = self._constant(layout.VARIANTS[self.variant].pack(table, self._cut.lanes))
             self._tracks = deque(_Track(self._context) for _ in range(TRACKS))
-            self._layout: _Layout | None = None
+            self._frame_bands: tuple[tuple[int, ...], tuple[_Band, ...]] | None = None
 
     def labels(self, frame: RawFrame) -> NDArray[np.uint32]:
         """Class (row, col) of every pixel."""
         labels = np.empty(frame.values.shape, np.uint32)
-        with self._refusals():
-            work = _Work()
-            for track, band in self._classified(frame, work):
-                track.download(work, track.labels, labels[band.rows])
-        return self._finished(labels, work)
+        self._wait(self._start(frame, [labels], None))
+        return labels
 
     def outputs(self, frame: RawFrame) -> NDArray[np.float32]:
         """Outputs of the table, (output, row, col)."""
-        planes = np.empty((len(self.table.outputs), *frame.values.shape), np.float32)
-        with self._refusals():
-            kernel, matrix, work = self._transform_kernel(None), self._constant(np.zeros(9, np.float32)), _Work()
-            for track, band in self._classified(frame, work):
-                self._transform(kernel, matrix, track, band, work, planes[:, band.rows].nbytes)
-                for output, plane in enumerate(planes):
-                    track.download(work, track.result, plane[band.rows], output * plane[band.rows].nbytes)
-        return self._finished(planes, work)
+        planes, work = self._start_outputs(frame)
+        self._wait(work)
+        return planes
 
     def picture(self, frame: RawFrame, display: Display) -> NDArray:
         """The frame as the display shows it (row, col, 3), encoded on the device; RecipeError unless the table's outputs are
         X, Y, Z."""
-        return self._finished(*self._start_picture(frame, display))
+        picture, work = self._start_picture(frame, display)
+        self._wait(work)
+        return picture
 
     def pictures(self, frames: Iterable[tuple[RawFrame, Display]]) -> Iterator[NDArray]:
         """The picture of each frame, in order. While the caller looks at one the next is at work."""
@@ -89,84 +83,106 @@ class OpenCLRenderer:
         for frame, display in frames:
             started.append(self._start_picture(frame, display))
             if len(started) == TRACKS:
-                yield self._finished(*started.popleft())
-        while started:
-            yield self._finished(*started.popleft())
+                picture, work = started.popleft()
+                self._wait(work)
+                yield picture
+        for picture, work in started:
+            self._wait(work)
+            yield picture
 
-    def stage_times(self, frame: RawFrame, display: Display) -> dict[str, float]:
-        """Milliseconds that the device spent in each of STAGES for one picture; call it twice, the first run warms up."""
-        picture, work = self._start_picture(frame, display)
-        self._finished(picture, work)
-        return {
-            stage: sum((event.profile.end - event.profile.start) * 1e-6 for event in work.events[stage]) for stage in STAGES
-        }
+    def stage_times(self, frame: RawFrame, display: Display | None) -> dict[str, float]:
+        """Milliseconds that the device spent in each of STAGES for one picture, or without a display for the outputs.
+
+        Transforms and encoding are one kernel: "transforms" is the time of that kernel built without the encoding, which
+        writes one number a pixel instead; "encode" what the whole kernel takes beyond that. Call it twice: the first run
+        warms up.
+        """
+        _, work = self._start_outputs(frame) if display is None else self._start_picture(frame, display)
+        times = self._wait(work)
+        if display is not None:
+            numbers = np.empty(frame.values.shape, np.float32)
+            bare = self._wait(self._start(frame, [numbers], layout.NOT_ENCODED))["transforms"]
+            times["encode"] = max(0.0, times["transforms"] - bare)
+            times["transforms"] = bare
+        return times
+
+    def _start_outputs(self, frame: RawFrame) -> tuple[NDArray[np.float32], "_Work"]:
+        planes = np.empty((len(self.table.outputs), *frame.values.shape), np.float32)
+        return planes, self._start(frame, list(planes), layout.OUTPUTS_AS_THEY_ARE)
 
     def _start_picture(self, frame: RawFrame, display: Display) -> tuple[NDArray, "_Work"]:
         require_xyz(self.table.outputs)
         picture = np.empty((*frame.values.shape, 3), display.dtype)
-        with self._refusals():
-            kernel, matrix = self._transform_kernel(display), self._constant(display.matrix.astype(np.float32))
-            work = _Work()
-            for track, band in self._classified(frame, work):
-                self._transform(kernel, matrix, track, band, work, picture[band.rows].nbytes)
-                track.download(work, track.result, picture[band.rows])
-        return picture, work
+        return picture, self._start(frame, [picture], layout.display_macros(display), display.matrix)
 
-    def _finished(self, result: NDArray, work: "_Work") -> NDArray:
-        """`result` once its downloads are done. Other threads run on meanwhile."""
+    def _start(
+        self, frame: RawFrame, results: Sequence[NDArray], ending: layout.Macros | None, matrix: NDArray | None = None
+    ) -> "_Work":
+        """Start to fill `results`, one or several arrays (row, …) that follow one another on the device, with what the
+        kernel `transform` with this ending writes, or without one with the labels."""
+        values, work = self._values(frame), _Work()
+        with self._refusals():
+            kernel = None if ending is None else self._transform_kernel(ending)
+            encoding = self._constant(np.zeros(9) if matrix is None else matrix, np.float32)
+            for band in self._bands(values.shape):
+                track = self._tracks[0]
+                self._tracks.rotate()
+                self._classify(values, frame.phase, track, band, work)
+                offset, sizes = 0, [result[band.rows].nbytes for result in results]
+                if kernel is not None:
+                    self._transform(kernel, encoding, track, band, sum(sizes), work)
+                for result, size in zip(results, sizes, strict=True):
+                    source = track.labels if kernel is None else track.result
+                    work.add("download", track.download(source, result[band.rows], offset))
+                    offset += size
+        return work
+
+    def _wait(self, work: "_Work") -> dict[str, float]:
+        """Milliseconds of each stage, once the work is done. Other threads run on meanwhile."""
         with self._refusals():
             for event in work.events["download"]:
                 event.wait()
-        return result
+            return work.milliseconds()
 
-    def _classified(self, frame: RawFrame, work: "_Work") -> Iterator[tuple["_Track", "_Band"]]:
-        """Each band of a frame, with the track that its upload and classes are under way on."""
-        table, cl = self.table, pyopencl()
-        if (frame.black, frame.white) != (table.black, table.white):  # the kernels clip the others
+    def _values(self, frame: RawFrame) -> NDArray[np.uint16]:
+        """The frame's values (row, col) at the table's levels; the kernels clip them to its depth."""
+        table = self.table
+        if (frame.black, frame.white) != (table.black, table.white):
             frame = frame.at_levels(table.black, table.white, table.bits)
-        values = np.ascontiguousarray(frame.values)
-        if self._layout is None or self._layout.shape != values.shape:
-            self._layout = self._lay_out(values.shape)
-        for band in self._layout.bands:
-            track = self._tracks[0]
-            self._tracks.rotate()
-            pixels = (band.rows.stop - band.rows.start) * values.shape[1]
-            source = values[band.raw_rows]
-            track.raw = self._scratch(track.raw, source.nbytes)
-            track.labels = self._scratch(track.labels, 4 * pixels)
-            work.add("upload", cl.enqueue_copy(track.queue, track.raw, source, is_blocking=False))
-            buffers = (track.raw, band.row_source, self._layout.column_source, *self._class_buffers, track.labels)
-            phase = ((frame.phase[0] + band.rows.start) % table.cfa.shape[0], frame.phase[1])
-            work.add("classes", self._run(self._classes, track, band, *buffers, *map(np.int32, phase)))
-            yield track, band
-        work.sources.append(values)
+        return np.ascontiguousarray(frame.values)
 
-    def _transform(self, kernel: Any, matrix: Any, track: "_Track", band: "_Band", work: "_Work", size: int) -> None:
-        """Transforms and encoding of a classified band, `size` bytes, into the track's result."""
-        assert self._layout is not None
+    def _classify(self, values: NDArray, phase: tuple[int, int], track: "_Track", band: "_Band", work: "_Work") -> None:
+        """Upload and classes of a band."""
+        source = values[band.raw_rows]
+        track.raw = self._scratch(track.raw, source.nbytes)
+        track.labels = self._scratch(track.labels, 4 * (band.rows.stop - band.rows.start) * values.shape[1])
+        work.sources.append(source)
+        work.add("upload", pyopencl().enqueue_copy(track.queue, track.raw, source, is_blocking=False))
+        site = ((phase[0] + band.rows.start) % self.table.cfa.shape[0], phase[1])
+        buffers = (track.raw, band.row_source, band.column_source, *self._class_buffers, track.labels)
+        work.add("classes", self._run(self._classes, track, band, *buffers, *map(np.int32, site)))
+
+    def _transform(self, kernel: Any, encoding: Any, track: "_Track", band: "_Band", size: int, work: "_Work") -> None:
+        """Transforms and encoding of a classified band into the track's result, `size` bytes."""
         track.result = self._scratch(track.result, size)
-        sources = (track.raw, band.row_source, self._layout.column_source, track.labels)
-        arguments = (*sources, self._weights, matrix, track.result, np.float32(self.table.black))
-        work.add("transforms", self._run(kernel, track, band, *arguments))
+        buffers = (track.raw, band.row_source, band.column_source, track.labels, self._weights, encoding, track.result)
+        work.add("transforms", self._run(kernel, track, band, *buffers, np.float32(self.table.black)))
 
     def _run(self, kernel: Any, track: "_Track", band: "_Band", *arguments: Any) -> Any:
         """Enqueue a kernel over a band; rows and columns are the last arguments of each."""
-        assert self._layout is not None
-        rows, columns = band.rows.stop - band.rows.start, self._layout.shape[1]
-        grid = (-(-columns // self._cut.tile) * self._cut.group[0], -(-rows // self._cut.band) * self._cut.group[1])
-        return kernel(track.queue, grid, self._cut.group, *arguments, np.int32(rows), np.int32(columns))
+        rows, columns, cut = band.rows.stop - band.rows.start, band.columns, self._cut
+        grid = (-(-columns // cut.tile) * cut.group[0], -(-rows // cut.band) * cut.group[1])
+        return kernel(track.queue, grid, cut.group, *arguments, np.int32(rows), np.int32(columns))
 
-    def _transform_kernel(self, display: Display | None) -> Any:
-        """The kernel `transform` that ends in this display's encoding, or in the outputs as they are; built when first
-        asked for."""
-        macros = layout.display_macros(display)
-        key = tuple(macros.values())
+    def _transform_kernel(self, ending: layout.Macros) -> Any:
+        """The kernel `transform` with one ending: some display's encoding, say. Built when first asked for."""
+        key = tuple(ending.items())
         if key not in self._transforms:
-            self._transforms[key] = pyopencl().Kernel(self._build(macros), "transform")
+            self._transforms[key] = pyopencl().Kernel(self._build(ending), "transform")
         return self._transforms[key]
 
-    def _build(self, macros: dict[str, int | str]) -> Any:
-        shapes = {**layout.table_macros(self.table), **self._cut.macros, **macros}
+    def _build(self, ending: layout.Macros) -> Any:
+        shapes = {**layout.table_macros(self.table), **self._cut.macros, **ending}
         options = [*BUILD_OPTIONS, *(f"-D{name}={value}" for name, value in shapes.items())]
         return self._compile(layout.program_source(self.variant), options)
 
@@ -181,22 +197,27 @@ class OpenCLRenderer:
         probe = "__kernel void\n#ifdef __AVX512F__\nwide\n#else\nnarrow\n#endif\n() {}"
         return 16 if self._compile(probe, list(BUILD_OPTIONS)).kernel_names == "wide" else 8
 
-    def _lay_out(self, shape: tuple[int, int]) -> "_Layout":
-        """How frames of a shape (rows, columns) are cut into bands."""
-        radius, cfa, (rows, columns) = self.table.rule.radius, self.table.cfa, shape
+    def _bands(self, shape: tuple[int, ...]) -> tuple["_Band", ...]:
+        """The bands of frames of a shape (row, col), kept until a frame of another shape comes."""
+        if self._frame_bands is None or self._frame_bands[0] != shape:
+            self._frame_bands = shape, tuple(self._cut_into_bands(*shape))
+        return self._frame_bands[1]
+
+    def _cut_into_bands(self, rows: int, columns: int) -> Iterator["_Band"]:
+        radius, cfa = self.table.rule.radius, self.table.cfa
+        row_source = mirrored_indices(rows, radius, cfa.shape[0])
+        column_source = self._constant(mirrored_indices(columns, radius, cfa.shape[1]), np.int32)
         height = max(1, BAND_PIXELS // columns)
-        source = mirrored_indices(rows, radius, cfa.shape[0])
-        bands = []
         for first in range(0, rows, height):
             last = min(first + height, rows)
-            seen = source[first : last + 2 * radius]
+            seen = row_source[first : last + 2 * radius]
             raw_rows = slice(int(seen.min()), int(seen.max()) + 1)
-            bands.append(_Band(slice(first, last), raw_rows, self._constant(seen - raw_rows.start)))
-        return _Layout(shape, self._constant(mirrored_indices(columns, radius, cfa.shape[1])), tuple(bands))
+            relative = self._constant(seen - raw_rows.start, np.int32)
+            yield _Band(slice(first, last), raw_rows, columns, relative, column_source)
 
-    def _constant(self, array: NDArray) -> Any:
+    def _constant(self, array: NDArray, dtype: Any = None) -> Any:
         cl = pyopencl()
-        array = np.ascontiguousarray(array if array.size else np.zeros(1, array.dtype))  # no buffer may be empty
+        array = np.ascontiguousarray(array if array.size else np.zeros(1, array.dtype), dtype)  # no buffer may be empty
         return cl.Buffer(self._context, cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR, hostbuf=array)
 
     def _scratch(self, buffer: Any, size: int) -> Any:
@@ -228,15 +249,15 @@ class _Track:
         self.labels: Any = None
         self.result: Any = None
 
-    def download(self, work: "_Work", buffer: Any, target: NDArray, offset: int = 0) -> None:
+    def download(self, buffer: Any, target: NDArray, offset: int) -> Any:
         """Copy `buffer` from byte `offset` on to the contiguous array `target`, without waiting."""
         copy = pyopencl().enqueue_copy(self.queue, target, buffer, src_offset=offset, is_blocking=False)
-        work.add("download", copy)
         self.queue.flush()
+        return copy
 
 
 class _Work:
-    """What has been started for one frame: its events by stage, and the values that uploads still read."""
+    """What has been started for one frame: its events by stage, and the values that uploads may still be reading."""
 
     def __init__(self) -> None:
         self.events: dict[str, list[Any]] = {stage: [] for stage in STAGES}
@@ -245,20 +266,21 @@ class _Work:
     def add(self, stage: str, event: Any) -> None:
         self.events[stage].append(event)
 
+    def milliseconds(self) -> dict[str, float]:
+        """What the device spent in each stage, once all is done."""
+        return {
+            stage: sum((event.profile.end - event.profile.start) * 1e-6 for event in events)
+            for stage, events in self.events.items()
+        }
+
 
 @dataclass(frozen=True)
 class _Band:
-    """Rows of a frame, the raw rows that their patches touch, and which of these each padded row repeats."""
+    """Rows of a frame, and the raw rows that their patches touch; row_source (padded row) and column_source (padded col)
+    name which of these each padded one repeats."""
 
     rows: slice
     raw_rows: slice
+    columns: int
     row_source: Any
-
-
-@dataclass(frozen=True)
-class _Layout:
-    """All bands of frames of one shape."""
-
-    shape: tuple[int, int]
     column_source: Any
-    bands: tuple[_Band, ...]

@@ -24,11 +24,47 @@ def pyopencl() -> Any:
 
 def devices() -> list[Any]:
     """Every OpenCL device there is, in the order that --device and L3_DEVICE count."""
+    return [device for _, shown, _ in _platforms() for device in shown]
+
+
+def survey() -> list[str]:
+    """One line for each device, with its number; and one for each platform without any, and for none at all, with what is
+    missing and how to mend it."""
+    lines, number = [], 0
+    found = _platforms()
+    for name, shown, why in found:
+        for device in shown:
+            kind = pyopencl().device_type.to_string(device.type).lower()
+            lines.append(f"{number}: {device.name.strip()} ({kind}, {device.max_compute_units} units; {name})")
+            number += 1
+        if not shown:
+            lines.append(f"{name} shows no device: {why}")
+    return lines or [f"no OpenCL driver (ICD) is installed; {INSTALL}"]
+
+
+def _platforms() -> list[tuple[str, list[Any], str]]:
+    """Name, devices and, where there are none, the reason, of every platform."""
     cl = pyopencl()
     try:
-        return [device for platform in cl.get_platforms() for device in platform.get_devices()]
-    except cl.Error:  # no driver at all
+        platforms = cl.get_platforms()
+    except cl.Error:  # the loader finds no driver
         return []
+    found = []
+    for platform in platforms:
+        try:
+            shown, why = platform.get_devices(), "it has none"
+        except cl.Error as error:
+            shown, why = [], " ".join(str(error).split())[:200]
+        found.append((platform.name.strip(), shown, _unwritable_cache(platform.name) or why))
+    return found
+
+
+def _unwritable_cache(platform: str) -> str:
+    """What is wrong with PoCL's cache folder; empty if nothing is."""
+    folder = os.environ.get("POCL_CACHE_DIR", "")
+    if "Portable Computing Language" not in platform or os.access(folder, os.W_OK):
+        return ""
+    return f"its cache folder {folder} cannot be written to; set POCL_CACHE_DIR to one that can, or unset it"
 
 
 def choose_device(wanted: str) -> Any:
@@ -38,7 +74,7 @@ def choose_device(wanted: str) -> Any:
     """
     found = devices()
     if not found:
-        raise DeviceError(f"no OpenCL device was found; {INSTALL}")
+        raise DeviceError(f"no OpenCL device was found: {'; '.join(survey())}")
     if not wanted:
         gpu = pyopencl().device_type.GPU
         return next((device for device in found if device.type & gpu), found[0])
