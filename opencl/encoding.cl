@@ -3,25 +3,26 @@
 // The host chooses by macros: PLANES: the outputs as they are; else X, Y, Z by a matrix to three values a pixel, by the
 // sRGB curve if CURVE is 1, to CODE: an integer up to TOP, or, with TOP 0, the bits of a half or of a float.
 
-// Library functions are calls and would end the vectors: x^(5/12) is x · y^7 with y = x^(-1/12) by Newton's iteration,
-// whose first guess is within 3 % because a float's bits are nearly its logarithm.
-INLINE floats twelfth_root_reciprocal(floats x) {
-    const floats bits = CONVERT(SAME_BITS(x, ints), floats), part = x * (1.0f / 12.0f);
-    floats y = SAME_BITS(CONVERT(1.1537e9f - bits * (1.0f / 12.0f), ints), floats);
-    #pragma unroll
-    for (int i = 0; i < 3; i++) {
-        const floats y2 = y * y, y4 = y2 * y2;
-        y *= (13.0f / 12.0f) - part * (y4 * y4) * y4;
-    }
-    return y;
-}
-
+#if CURVE
+// Library functions are calls and would end the vectors. So with y = x^(-1/4) by CURVE_STEPS of Newton's iteration, whose
+// first guess is within 3 % because a float's bits are nearly its logarithm, the power part of the curve is a polynomial in
+// z = x y^3 = x^(1/4), of CURVE_TERMS, the lowest first: few of both for 8 bits, more for the rest (layout.curve_macros).
 INLINE floats srgb_curve(floats linear) {
-    const floats x = linear > 0.003f ? linear : (floats)0.003f;
-    const floats y = twelfth_root_reciprocal(x), y2 = y * y;
-    const floats power = x * (y2 * y2) * y2 * y;
-    return linear > 0.0031308f ? 1.055f * power - 0.055f : 12.92f * linear;
+    const float term[] = {CURVE_TERMS};
+    const floats x = linear > 0.003f ? linear : (floats)0.003f, part = x * -0.25f;
+    floats y = SAME_BITS(0x4f58cae5 - (SAME_BITS(x, ints) >> 2), floats);
+    #pragma unroll
+    for (int i = 0; i < CURVE_STEPS; i++) {
+        const floats y2 = y * y;
+        y *= part * (y2 * y2) + 1.25f;
+    }
+    const floats z = x * y * (y * y);
+    floats power = term[CURVE_DEGREE];
+    #pragma unroll
+    for (int i = CURVE_DEGREE - 1; i >= 0; i--) power = power * z + term[i];
+    return linear > 0.0031308f ? power : 12.92f * linear;
 }
+#endif
 
 INLINE floats clip(floats linear) {
     linear = linear > 0.0f ? linear : (floats)0.0f;
