@@ -1,6 +1,6 @@
 // Processor variant: raw frame → class of every pixel.
 //
-// One work-item labels a tile of TILE columns and BAND rows, row after row. Patches of 1 pixel have no runs: PATCH ≥ 3.
+// One work-item labels a tile of TILE columns and BAND rows, row after row.
 
 // Labels of LANES pixels from their statistics, where some channel is saturated: a look-up, pixel by pixel.
 INLINE uints saturated_kinds(uints chroma, shorts code, __global const ushort *case_of_code) {

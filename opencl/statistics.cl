@@ -3,7 +3,7 @@
 // Both are separable. Down a column they slide: the entering row is added, the row that leaves the patch is subtracted, each
 // under the mask of its CFA row. Across columns they are shared: RUN columns are added once, a patch is a few runs.
 
-#define RUN 3                               // columns
+#define RUN (PATCH < 3 ? PATCH : 3)         // columns
 #define SPREAD (2 * SATURATION_RADIUS + 1)  // rows and columns in which saturation counts
 
 typedef struct {

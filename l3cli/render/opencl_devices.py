@@ -34,7 +34,9 @@ def survey() -> list[str]:
     found = _platforms()
     for name, shown, why in found:
         for device in shown:
-            kind = pyopencl().device_type.to_string(device.type).lower()
+            kind = next(
+                (kind for kind in ("GPU", "CPU") if device.type & getattr(pyopencl().device_type, kind)), "accelerator"
+            )
             lines.append(f"{number}: {device.name.strip()} ({kind}, {device.max_compute_units} units; {name})")
             number += 1
         if not shown:
