@@ -34,7 +34,7 @@ void classes(__global const ushort *restrict raw,                // (row, col) D
              __global const uint *restrict mean_reciprocal,      // (channel, CFA row, period) round(65536 / count)
              __global const uint *restrict variance_reciprocal,  // (channel, CFA row, period) round(512 / count)
              __global const uint *restrict site_column,          // (period) CFA column
-             __global const uint *restrict level_edges,          // (level edge)
+             __global const int *restrict level_tops,            // (level edge) highest level sum below each
              __global const uint *restrict contrast_edges,       // (contrast edge, level)
              __global const ushort *restrict case_of_code,       // (code)
              __global const int *restrict chroma_weights,        // (chroma, channel)
@@ -81,7 +81,7 @@ void classes(__global const ushort *restrict raw,                // (row, col) D
             uints kind = chroma_of(&evidence);
             if (any(code) || case_of_code[0]) kind = saturated_kinds(kind, code, case_of_code);
             const uints site = FIXED(uints, site_column + phase) + site_row * CFA_COLUMNS;
-            const uints within = level_and_contrast(&evidence, level_edges, contrast_edges);
+            const uints within = level_and_contrast(&evidence, level_tops, contrast_edges);
             const uints label = (site * (LEVELS * CONTRASTS) + within) * KINDS + kind;
             if (x + LANES <= width) FAR(uints, label_row + x) = label;
             else for (int i = 0; x + i < width; i++) label_row[x + i] = label[i];

@@ -31,7 +31,7 @@ void classes(__global const ushort *restrict raw,                // (row, col) D
              __global const uint *restrict mean_reciprocal,      // (channel, CFA row, period) round(65536 / count)
              __global const uint *restrict variance_reciprocal,  // (channel, CFA row, period) round(512 / count)
              __global const uint *restrict site_column,          // (period) CFA column
-             __global const uint *restrict level_edges,          // (level edge)
+             __global const int *restrict level_tops,            // (level edge) highest level sum below each
              __global const uint *restrict contrast_edges,       // (contrast edge, level)
              __global const ushort *restrict case_of_code,       // (code)
              __global const int *restrict chroma_weights,        // (chroma, channel)
@@ -85,7 +85,7 @@ void classes(__global const ushort *restrict raw,                // (row, col) D
     uint code = 0;
     for (int p = column + RADIUS - SATURATION_RADIUS; p <= column + RADIUS + SATURATION_RADIUS; p++) code |= saturated[line][p];
     const uint saturation = case_of_code[code], kind = saturation ? CHROMAS - 1 + saturation : chroma_of(&evidence);
-    const uint within = level_and_contrast(&evidence, level_edges, contrast_edges);
+    const uint within = level_and_contrast(&evidence, level_tops, contrast_edges);
     if (x < columns && y < rows)
         labels[(size_t)y * columns + x] = ((site_row * CFA_COLUMNS + site) * (LEVELS * CONTRASTS) + within) * KINDS + kind;
 }

@@ -11,6 +11,7 @@ typedef struct {
 
 INLINE void no_evidence(Evidence *e) {
     e->level_sum = e->variance_sum = (uints)0;
+    #pragma unroll
     for (int k = 0; k < CHROMAS; k++) e->score[k] = (ints)0;
 }
 
@@ -30,14 +31,17 @@ INLINE void add_evidence(Evidence *e, int c, uints count, uints sum, uints squar
 }
 
 // Level and contrast as level * CONTRASTS + contrast. Comparing with every edge needs no look-up, which vectors are slow at.
-INLINE uints level_and_contrast(const Evidence *e, __global const uint *level_edges, __global const uint *contrast_edges) {
+// Level sums are below 2^31: signed comparison is one instruction on every processor, unsigned is not.
+INLINE uints level_and_contrast(const Evidence *e, __global const int *level_tops, __global const uint *contrast_edges) {
+    const ints level_sum = SAME_BITS(e->level_sum, ints);
     uints level = 0, contrast = 0, edge[CONTRASTS];
     for (int k = 0; k < CONTRASTS - 1; k++) edge[k] = contrast_edges[k * LEVELS];
+    #pragma unroll 4
     for (int l = 1; l < LEVELS; l++) {
-        const uints level_edge = level_edges[l - 1];
-        level = e->level_sum >= level_edge ? level + 1 : level;
+        const ints below = level_tops[l - 1];
+        level = level_sum > below ? level + 1 : level;
         for (int k = 0; k < CONTRASTS - 1; k++)
-            edge[k] = e->level_sum >= level_edge ? (uints)contrast_edges[k * LEVELS + l] : edge[k];
+            edge[k] = level_sum > below ? (uints)contrast_edges[k * LEVELS + l] : edge[k];
     }
     for (int k = 0; k < CONTRASTS - 1; k++) contrast = e->variance_sum > edge[k] ? contrast + 1 : contrast;
     return level * CONTRASTS + contrast;
@@ -47,6 +51,7 @@ INLINE uints level_and_contrast(const Evidence *e, __global const uint *level_ed
 INLINE uints chroma_of(const Evidence *e) {
     ints least = e->score[0];
     uints chroma = 0;
+    #pragma unroll
     for (int k = 1; k < CHROMAS; k++) {
         chroma = e->score[k] < least ? (uints)k : chroma;
         least = e->score[k] < least ? e->score[k] : least;

@@ -8,8 +8,8 @@
 // falls on the slot after its column, which is where column p + 1 kept the row that no patch needs any more. Nothing is
 // moved: one store a pixel, and the base moves on.
 //
-// Vectors and a last tap. An odd square is 8n + 1, so a patch is VECTORS whole vectors, the last filled up with weights of
-// zero, and one tap more, which goes with the intercept: for all outputs of a group together, one vector of four.
+// Vectors and a last tap. An odd square is 8n + 1, so a patch is VECTORS whole vectors (of 16 lanes the last one may be half
+// weights of zero) and one tap more, which goes with the intercept: for all outputs of a group together, one vector of four.
 //
 // Pairs. Pixels PAIR columns apart have the same site where the CFA's width allows, and so, on plain areas, the same class:
 // then the weights, most of what is read, are read once for both.
@@ -62,12 +62,22 @@ INLINE floats fold_all(const floats v[LANES / 4]) {
 #endif
 }
 
-// A pair's products with the weights of their classes, summed as far as pairs go, and their last taps.
-INLINE void apply_pair(floats sum[GROUP], float *first_last, float *second_last, const float *first, const float *second,
-                       __global const float *first_weights, __global const float *second_weights) {
+// Where the sums of a pixel begin: output o's last tap and intercept, in lane o.
+INLINE float4 last_taps(const float *patch, __global const float *weights) {
+    return FIXED(four_floats, weights + LAST_TAP) * patch[PATCH * PATCH - 1] + FIXED(four_floats, weights + LAST_TAP + 4);
+}
+
+// A pair's products with the weights of their classes, summed as far as a pair goes.
+INLINE void apply_pair(floats sum[GROUP], const float *first, const float *second, __global const float *first_weights,
+                       __global const float *second_weights) {
+    const float4 first_last = last_taps(first, first_weights), second_last = last_taps(second, second_weights);
     floats one[GROUP], other[GROUP];
     #pragma unroll
-    for (int o = 0; o < GROUP; o++) one[o] = other[o] = (floats)0.0f;
+    for (int o = 0; o < GROUP; o++) {
+        one[o] = other[o] = (floats)0.0f;
+        one[o][o] = first_last[o];
+        other[o][o] = second_last[o];
+    }
     #pragma unroll
     for (int j = 0; j < VECTORS; j++) {
         const floats u = NEAR(floats, first + j * LANES), v = NEAR(floats, second + j * LANES);
@@ -79,18 +89,6 @@ INLINE void apply_pair(floats sum[GROUP], float *first_last, float *second_last,
     }
     #pragma unroll
     for (int o = 0; o < GROUP; o++) sum[o] = fold_two(one[o], other[o]);
-    NEAR(four_floats, first_last) = FIXED(four_floats, first_weights + LAST_TAP + 4)
-                                  + FIXED(four_floats, first_weights + LAST_TAP) * first[PATCH * PATCH - 1];
-    NEAR(four_floats, second_last) = FIXED(four_floats, second_weights + LAST_TAP + 4)
-                                   + FIXED(four_floats, second_weights + LAST_TAP) * second[PATCH * PATCH - 1];
-}
-
-// Output o of the last taps of LANES pixels, which lie four by four.
-INLINE floats last_taps(const float *last, int o) {
-    floats out;
-    #pragma unroll
-    for (int i = 0; i < LANES; i++) out[i] = last[4 * i + o];
-    return out;
 }
 
 // LANES pixels from x on: plane o of group g → planes[(g * GROUP + o) * TILE + x].
@@ -98,7 +96,6 @@ INLINE void apply(float *planes, const float *patches, const uint *label, __glob
     for (int g = 0; g < GROUPS; g++) {
         __global const float *group = weights + g * GROUP_STRIDE;
         floats folded[GROUP][LANES / 4];
-        float last[4 * LANES];
         #pragma unroll
         for (int n = 0; n < LANES / 2; n += 2) {
             floats pair[2][GROUP];
@@ -109,19 +106,18 @@ INLINE void apply(float *planes, const float *patches, const uint *label, __glob
                 const float *patch = patches + (x + first) * PATCH;
                 __global const float *row = group + (size_t)class * CLASS_STRIDE;
                 if (class == other)
-                    apply_pair(pair[i], last + 4 * first, last + 4 * second, patch, patch + PAIR * PATCH, row, row);
+                    apply_pair(pair[i], patch, patch + PAIR * PATCH, row, row);
                 else
-                    apply_pair(pair[i], last + 4 * first, last + 4 * second, patch, patch + PAIR * PATCH, row,
-                               group + (size_t)other * CLASS_STRIDE);
+                    apply_pair(pair[i], patch, patch + PAIR * PATCH, row, group + (size_t)other * CLASS_STRIDE);
             }
             #pragma unroll
             for (int o = 0; o < GROUP; o++) folded[o][n / 2] = fold_four(pair[0][o], pair[1][o]);
         }
         #pragma unroll
         for (int o = 0; o < GROUP; o++) {
-            const floats pairs = fold_all(folded[o]);
+            const floats in_pairs = fold_all(folded[o]);
             NEAR(floats, planes + (g * GROUP + o) * TILE + x) =
-                __builtin_shufflevector(pairs, pairs, ALL_LANES(PAIR_PLACE)) + last_taps(last, o);
+                __builtin_shufflevector(in_pairs, in_pairs, ALL_LANES(PAIR_PLACE));
         }
     }
 }

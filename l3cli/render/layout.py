@@ -107,7 +107,7 @@ def class_arrays(table: TransformTable) -> tuple[NDArray, ...]:
         by_channel(near.mean_reciprocal),
         by_channel(near.variance_reciprocal),
         period.astype(np.uint32),
-        rule.level_edges,
+        np.minimum(rule.level_edges.astype(np.int64) - 1, 2**31 - 1).astype(np.int32),  # no sum reaches a higher one
         rule.contrast_edges,
         rule.case_of_code,
         rule.chroma_weights,
