@@ -1,23 +1,32 @@
-// Raw values → padded mosaic, as integers for the classes and above black for the transforms.
+// Processor variant: raw rows → rows of a tile.
 //
-// One work-item writes `strip` columns of one padded row. row_source and column_source name the raw row and column that
-// each padded one repeats (frame.mirrored_indices; the slack columns behind the right margin repeat any), so that padding
-// never breaks the phase of the CFA. The black level is taken off here: zero signal then stays zero in every transform.
+// A tile is TILE columns wide; with the margins of its patches it looks at SPAN columns, numbered p, the first of which lies
+// RADIUS to the left of the tile. Padded rows and columns are those of the frame with RADIUS more on every side:
+// row_source and column_source name the raw one that each repeats (frame.mirrored_indices), so that padding never breaks
+// the phase of the CFA.
 
-__kernel void ingest(__global const ushort *restrict raw,            // (row, col) DN
-                     __global const int *restrict row_source,        // (padded row)
-                     __global const int *restrict column_source,     // (stride)
-                     __global ushort *restrict padded,               // (padded row, stride) DN
-                     __global float *restrict mosaic,                // (padded row, stride) DN above black
-                     int columns, int stride, float black, int strip) {
-    const int first = get_global_id(0) * strip, last = min(first + strip, stride);
-    const size_t y = get_global_id(1);
-    __global const ushort *from = raw + (size_t)row_source[y] * columns;
-    __global ushort *to = padded + y * stride;
-    __global float *signal = mosaic + y * stride;
-    for (int x = first; x < last; x++) {
-        const int inside = x - RADIUS;
-        to[x] = from[inside >= 0 && inside < columns ? inside : column_source[x]];
+#define SPAN ((TILE + 2 * RADIUS + 4 * LANES - 1) / (2 * LANES) * (2 * LANES) + LANES)  // slack for reads past the last patch
+#define WHOLE(n, size) (((n) + (size) - 1) / (size) * (size))  // n rounded up
+
+// CFA phase n columns on. Arrays with a `period` axis repeat a row of the CFA until a vector can be read from any phase on;
+// where the CFA divides the vector, the phase stays, and the compiler keeps their vectors in registers.
+#if LANES % CFA_COLUMNS == 0
+#define PHASE_AFTER(phase, n) (phase)
+#else
+#define PHASE_AFTER(phase, n) (((phase) + (n)) % CFA_COLUMNS)
+#endif
+
+// One raw row → row[p], at most WHITE_TOP, for the tile that begins at column x0.
+INLINE void ingest(ushort *row, __global const ushort *raw_row, __global const int *column_source, int x0, int columns) {
+    const int first = max(0, RADIUS - x0), last = min(TILE + 2 * RADIUS, columns - x0 + RADIUS);
+    const int end = min(TILE + 2 * RADIUS, columns - x0 + 2 * RADIUS);
+    __global const ushort *inside = raw_row + x0 - RADIUS;
+    int p = first;
+    for (; p + 2 * LANES <= last; p += 2 * LANES) {
+        const full_shorts v = FIXED(full_shorts, inside + p), top = (ushort)WHITE_TOP;
+        NEAR(full_shorts, row + p) = v < top ? v : top;
     }
-    for (int x = first; x < last; x++) signal[x] = to[x] - black;
+    for (; p < last; p++) row[p] = min(inside[p], (ushort)WHITE_TOP);
+    for (p = 0; p < first; p++) row[p] = min(raw_row[column_source[x0 + p]], (ushort)WHITE_TOP);
+    for (p = last; p < end; p++) row[p] = min(raw_row[column_source[x0 + p]], (ushort)WHITE_TOP);
 }

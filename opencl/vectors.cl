@@ -1,21 +1,36 @@
-// Vectors of 16 for pixels side by side, vectors of LANES (the next power of two above PATCH) for the taps of a patch row.
+// Types that the rest is written in. The processor variant takes LANES pixels, or taps, side by side: 16 fill a register of
+// AVX-512, 8 one of AVX2. The graphics variant takes one: there the device itself lays pixels side by side.
 //
 // vloadN and convert_T are function calls in PoCL 3.0. Reading through a pointer to a vector type that promises only the
 // alignment of one element, and clang's own conversion, compile to one instruction each.
 
-typedef ushort ushort16_unaligned __attribute__((ext_vector_type(16), aligned(2)));
-typedef uint uint16_unaligned __attribute__((ext_vector_type(16), aligned(4)));
-typedef float float16_unaligned __attribute__((ext_vector_type(16), aligned(4)));
-typedef float taps_unaligned __attribute__((ext_vector_type(LANES), aligned(4)));
-typedef float taps __attribute__((ext_vector_type(LANES)));
-
 #define INLINE static inline __attribute__((always_inline))
 
-INLINE float sum4(float4 v) { return (v.x + v.z) + (v.y + v.w); }
-#if LANES == 4
-INLINE float sum_taps(taps v) { return sum4(v); }
-#elif LANES == 8
-INLINE float sum_taps(taps v) { return sum4(v.lo + v.hi); }
+#if LANES == 1
+typedef uint uints;
+typedef int ints;
+typedef float floats;
+#define CONVERT(value, type) ((type)(value))
+#define SAME_BITS(value, type) as_##type(value)
+#define as_uints as_uint
+#define as_ints as_int
+#define as_floats as_float
 #else
-INLINE float sum_taps(taps v) { float8 half_sum = v.lo + v.hi; return sum4(half_sum.lo + half_sum.hi); }
+#define VECTOR(element, name, lanes) \
+    typedef element name __attribute__((ext_vector_type(lanes))); \
+    typedef element name##_unaligned __attribute__((ext_vector_type(lanes), aligned(sizeof(element))))
+VECTOR(uint, uints, LANES);
+VECTOR(int, ints, LANES);
+VECTOR(float, floats, LANES);
+VECTOR(float, four_floats, 4);
+VECTOR(short, signed_shorts, LANES);
+VECTOR(ushort, shorts, LANES);           // as many as there are uints: half a register
+VECTOR(ushort, full_shorts, 2 * LANES);  // a whole register
+
+#define CONVERT(value, type) __builtin_convertvector(value, type)
+#define SAME_BITS(value, type) __builtin_astype(value, type)
+
+#define NEAR(type, p) (*(type##_unaligned *)(p))                  // the vector at p in private memory
+#define FAR(type, p) (*(__global type##_unaligned *)(p))          // the vector at p in the device's memory
+#define FIXED(type, p) (*(__global const type##_unaligned *)(p))  // a constant one there
 #endif

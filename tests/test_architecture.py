@@ -13,7 +13,7 @@ FLOORS = [
 ]
 DOORS = {
     "click": ("cli/",),
-    "pyopencl": ("render/opencl.py",),
+    "pyopencl": ("render/opencl.py", "render/opencl_devices.py"),
     "rawpy": ("io/",),
     "OpenImageIO": ("io/",),
     "tifffile": ("io/",),

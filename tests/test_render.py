@@ -4,6 +4,8 @@ import dataclasses
 import os
 import subprocess
 import sys
+import threading
+import time
 from pathlib import Path
 
 import numpy as np
@@ -14,12 +16,13 @@ from hypothesis import strategies as st
 from l3cli import spectra
 from l3cli.artifacts.camera import CameraModel, Noise, Optics
 from l3cli.artifacts.table import TransformTable
-from l3cli.classify import ClassRecipe, make_rule
+from l3cli.classify import ClassRecipe, make_rule, neighbourhoods
 from l3cli.errors import DeviceError, RecipeError
 from l3cli.frame import RawFrame, upright
-from l3cli.render import opencl
+from l3cli.render import opencl, opencl_devices
 from l3cli.render.display import Display, automatic_exposure, encode, make_display, require_xyz, scene_white
-from l3cli.render.opencl import OpenCLRenderer, choose_device
+from l3cli.render.opencl import OpenCLRenderer
+from l3cli.render.opencl_devices import choose_device, devices
 from l3cli.render.reference import ReferenceRenderer
 from l3cli.render.renderer import BACKENDS, make_renderer
 
@@ -111,10 +114,22 @@ TABLES = {
 }
 
 
-@pytest.fixture(scope="module", params=list(TABLES))
+KINDS = {  # how a table is rendered: arguments of OpenCLRenderer
+    "processor": {"variant": "processor"},
+    "8 lanes": {"variant": "processor", "lanes": 8},
+    "16 lanes": {"variant": "processor", "lanes": 16},
+    "graphics": {"variant": "graphics"},
+}
+RENDERED = [(name, "processor") for name in TABLES]
+RENDERED += [("five-band", "8 lanes"), ("five-band", "16 lanes")]
+RENDERED += [("five-band", "graphics"), ("x-trans", "graphics"), ("stripes", "graphics")]
+
+
+@pytest.fixture(scope="module", params=RENDERED, ids="-".join)
 def renderers(request) -> tuple[ReferenceRenderer, OpenCLRenderer]:
-    table = TABLES[request.param]()
-    return ReferenceRenderer(table), OpenCLRenderer(table)
+    name, kind = request.param
+    table = TABLES[name]()
+    return ReferenceRenderer(table), OpenCLRenderer(table, **KINDS[kind])
 
 
 LENGTHS = st.integers(1, 24) | st.sampled_from([47, 48, 49, 66])
@@ -136,22 +151,111 @@ def frames(draw, table: TransformTable) -> RawFrame:
     return RawFrame("drawn", np.clip(values, 0, top).astype(np.uint16), table.black, table.white, phase)
 
 
-@settings(max_examples=40, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
-@given(data=st.data())
-def test_opencl_meets_the_reference(renderers, data):
-    reference, device = renderers
-    frame = data.draw(frames(reference.table))
+def assert_equal_to_reference(reference: ReferenceRenderer, device: OpenCLRenderer, frame: RawFrame) -> None:
     np.testing.assert_array_equal(device.labels(frame), reference.labels(frame))
     exact = reference.exact_outputs(frame)
     rendered = device.outputs(frame)
     assert rendered.dtype == np.float32
     np.testing.assert_allclose(rendered, exact, rtol=0, atol=OUTPUT_TOLERANCE * max(1.0, np.abs(exact).max()))
     if reference.table.outputs == XYZ:
-        for bits, tolerance in ((8, 1), (16, WORST_16_BIT)):
-            display = make_display(reference.table.white_point, 1.0, bits)
-            shown, truth = device.picture(frame, display), reference.picture(frame, display)
-            assert shown.dtype == truth.dtype == display.dtype
-            assert np.abs(shown.astype(int) - truth).max() <= tolerance
+        display = make_display(reference.table.white_point, 1.0, 8)
+        shown, truth = device.picture(frame, display), encode(exact, display)
+        assert shown.dtype == truth.dtype == display.dtype
+        assert np.abs(shown.astype(int) - truth).max() <= 1
+
+
+@settings(max_examples=12, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@given(data=st.data())
+def test_opencl_meets_the_reference(renderers, data):
+    reference, device = renderers
+    assert_equal_to_reference(reference, device, data.draw(frames(reference.table)))
+
+
+def test_frames_of_one_value_and_of_one_line(renderers):
+    reference, device = renderers
+    table = reference.table
+    for shape in ((1, 1), (1, 70), (70, 1), (17, 33)):
+        for value in (0, int(table.black), table.rule.saturation, 2**table.bits - 1):
+            frame = RawFrame("f", np.full(shape, value, np.uint16), table.black, table.white)
+            np.testing.assert_array_equal(device.labels(frame), reference.labels(frame))
+            exact = reference.exact_outputs(frame)
+            np.testing.assert_allclose(
+                device.outputs(frame), exact, rtol=0, atol=OUTPUT_TOLERANCE * max(1, np.abs(exact).max())
+            )
+
+
+@settings(max_examples=4, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@given(data=st.data())
+def test_any_colour_filter_array(data):
+    """Whatever the array, patch, outputs and depth, for every way of rendering; few, since each is compiled."""
+    rows, cols = data.draw(st.integers(1, 8)), data.draw(st.integers(1, 8))
+    patch = data.draw(st.sampled_from([3, 5, 7, 9, 11, 13, 15]))
+    rng = np.random.default_rng(data.draw(st.integers(0, 2**32)))
+    channels = int(rng.integers(1, min(rows, patch) * min(cols, patch) // 2 + 2))
+    cfa = rng.integers(0, min(channels, 16), (rows, cols))
+    present, cfa = np.unique(cfa, return_inverse=True)
+    cfa = cfa.reshape(rows, cols)
+    try:
+        neighbourhoods(cfa.astype(np.uint8), patch, len(present))
+    except RecipeError:
+        cfa = np.zeros((rows, cols), int)
+    outputs = data.draw(st.sampled_from([XYZ, XYZ, ("Y",), tuple("abcdefg"), tuple("abcdefghijklmnop")]))
+    table = random_table(cfa, data.draw(st.integers(8, 16)), 30.0, patch, outputs, wild=True, seed=int(rng.integers(99)))
+    device = OpenCLRenderer(table, **KINDS[data.draw(st.sampled_from(list(KINDS)))])
+    for _ in range(2):
+        assert_equal_to_reference(ReferenceRenderer(table), device, data.draw(frames(table)))
+
+
+@pytest.mark.parametrize("kind", ["processor", "graphics"])
+def test_bands_change_nothing(monkeypatch, kind):
+    table = random_table(STRIPES, bits=12, black=100.0, patch=5)
+    frame = RawFrame("f", np.random.default_rng(0).integers(0, 4096, (61, 83)).astype(np.uint16), 100.0, table.white, (2, 1))
+    display = make_display(table.white_point, 1.0, 8)
+    whole = OpenCLRenderer(table, **KINDS[kind])
+    labels, planes, picture = whole.labels(frame), whole.outputs(frame), whole.picture(frame, display)
+    for rows in (1, 7, 30):
+        monkeypatch.setattr(opencl, "BAND_PIXELS", rows * 83)
+        banded = OpenCLRenderer(table, **KINDS[kind])
+        np.testing.assert_array_equal(banded.labels(frame), labels)
+        np.testing.assert_array_equal(banded.outputs(frame), planes)
+        np.testing.assert_array_equal(banded.picture(frame, display), picture)
+
+
+def test_sequences_are_rendered_in_order():
+    table = random_table(BAYER, patch=3)
+    rng = np.random.default_rng(0)
+    shapes = [(20, 30)] * 5 + [(31, 17), (20, 30)]
+    sequence = [RawFrame("f", rng.integers(0, 4096, shape).astype(np.uint16), 0.0, table.white) for shape in shapes]
+    displays = [make_display(table.white_point, 1.0 + index / 3, 8) for index in range(len(sequence))]
+    device = OpenCLRenderer(table)
+    pictures = list(device.pictures(zip(sequence, displays, strict=True)))
+    assert len(pictures) == len(sequence)
+    for frame, display, picture in zip(sequence, displays, pictures, strict=True):
+        np.testing.assert_array_equal(picture, device.picture(frame, display))
+    assert list(device.pictures([])) == []
+
+
+def test_other_threads_run_while_a_frame_is_rendered():
+    """As decoding and encoding do beside the rendering of a video."""
+    table = random_table(BAYER, patch=3)
+    device, display = OpenCLRenderer(table), make_display(table.white_point, 1.0, 8)
+    frame = RawFrame("f", np.zeros((2000, 4000), np.uint16), table.black, table.white)
+    device.picture(frame, display)
+    ticks, done = 0, threading.Event()
+
+    def tick() -> None:
+        nonlocal ticks
+        while not done.wait(0.001):
+            ticks += 1
+
+    thread = threading.Thread(target=tick)
+    thread.start()
+    start = time.perf_counter()
+    while time.perf_counter() - start < 0.2:
+        device.picture(frame, display)
+    done.set()
+    thread.join()
+    assert ticks > 20
 
 
 def test_a_value_on_an_edge_falls_on_the_same_side():
@@ -178,20 +282,37 @@ def test_a_value_on_an_edge_falls_on_the_same_side():
     assert centre == 1 * rule.contrasts + 0  # on the level edge: the level above; on the contrast edge: the contrast below
 
 
-def test_encoding_on_the_device_covers_the_whole_curve():
-    table = dataclasses.replace(
-        random_table(BAYER, bits=16), intercept=np.zeros_like(random_table(BAYER, bits=16).intercept)
-    )
+# Bits, space, tolerance, and the share that may use more than half of it. Integers: by one, where float32 falls on the other
+# side of a rounding, and 8 bits after a shorter polynomial. Halves: one step of 2^-11 at a tie. Floats: a few roundings.
+ENCODINGS = [
+    (8, "srgb", 1, 0.01),
+    ("half", "linear", 2.0**-10, 0.05),
+    (16, "srgb", 1, 0.05),
+    (16, "linear", 1, 0.05),
+    ("float", "srgb", 4e-6, 1.0),
+    ("float", "xyz", 5e-7, 1.0),
+]
+
+
+@pytest.mark.parametrize("kind", ["processor", "16 lanes", "graphics"])
+def test_encodings_on_the_device(kind):
+    """The whole range, below black and beyond white, in all spaces and depths."""
+    table = random_table([[0]], bits=16, patch=3)
     centre = np.zeros_like(table.weights)
-    centre[:, :, 12] = 1.0
-    table = dataclasses.replace(table, weights=centre)
+    centre[:, :, 4] = 1.0
+    table = dataclasses.replace(table, weights=centre, intercept=np.full_like(table.intercept, -0.01))
     frame = RawFrame("ramp", np.arange(65536, dtype=np.uint16).reshape(256, 256), table.black, table.white)
-    device = OpenCLRenderer(table)
-    for bits in (8, 16):
-        display = Display(np.diag([1.0, 1.7, 0.01]), bits)
-        shown, truth = device.picture(frame, display).astype(int), ReferenceRenderer(table).picture(frame, display)
-        assert np.abs(shown - truth).max() <= 1
-        assert (shown[..., 1].ravel()[-1], shown[0, 0].tolist()) == (display.top, [0, 0, 0])
+    device, reference = OpenCLRenderer(table, **KINDS[kind]), ReferenceRenderer(table)
+    for bits, space, tolerance, share in ENCODINGS if kind == "processor" else ENCODINGS[:3]:
+        matrix = np.diag([1.0, 1.7, 0.01]) if space != "xyz" else np.diag([1.0, 40.0, 1e-6])
+        display = Display(matrix, bits, space == "srgb")
+        shown, truth = device.picture(frame, display), reference.picture(frame, display)
+        assert shown.dtype == truth.dtype == display.dtype
+        error = np.abs(shown.astype(float) - truth)
+        assert (error <= tolerance * np.maximum(1, np.abs(truth.astype(float))) + 1e-8).all()
+        assert (error > tolerance / 2).mean() <= share
+        if bits in (8, 16):
+            assert (shown[..., 1].ravel()[-1], shown[0, 0].tolist()) == (display.top, [0, 0, 0])
 
 
 def test_centre_tap_of_the_reference_gives_the_signal_back():
@@ -231,33 +352,6 @@ def test_frames_on_other_levels_are_rescaled(backend):
     np.testing.assert_array_equal(renderer.outputs(RawFrame("f", wide, 2000.0, 2000.0 + 959 * 16)), expected)
 
 
-@pytest.mark.parametrize("band", [1, 7])
-def test_how_a_frame_is_cut_into_work_items_changes_nothing(monkeypatch, band):
-    """What graphics cards get, tried on whatever device there is."""
-    table = TABLES["five-band"]()
-    values = np.random.default_rng(0).integers(0, 4096, (37, 83)).astype(np.uint16)
-    frame, display = RawFrame("f", values, table.black, table.white, (3, 1)), make_display(table.white_point, 1.0, 8)
-    whole = OpenCLRenderer(table)
-    for name in ("PROCESSOR", "GRAPHICS"):
-        monkeypatch.setattr(opencl, name, dataclasses.replace(opencl.GRAPHICS, band=band))
-    cut = OpenCLRenderer(table)
-    np.testing.assert_array_equal(cut.labels(frame), whole.labels(frame))
-    np.testing.assert_array_equal(cut.picture(frame, display), whole.picture(frame, display))
-    np.testing.assert_allclose(cut.outputs(frame), whole.outputs(frame), rtol=0, atol=OUTPUT_TOLERANCE)
-
-
-def test_frame_too_large_for_the_device_is_one_line():
-    table = TABLES["mono"]()
-    device = OpenCLRenderer(table)
-    most = device.device.max_mem_alloc_size
-    if most > 2**33:
-        pytest.skip("this device holds more than this test would try")
-    side = int((most / 64) ** 0.5) + 9  # 16 outputs of 4 bytes a pixel
-    frame = RawFrame("f", np.zeros((side, side), np.uint16), table.black, table.white)
-    with pytest.raises(DeviceError, match=device.device.name.strip()):
-        device.outputs(frame)
-
-
 def test_renderer_is_made_once_for_frames_of_changing_size():
     table = random_table(BAYER)
     device, reference = OpenCLRenderer(table), ReferenceRenderer(table)
@@ -266,7 +360,7 @@ def test_renderer_is_made_once_for_frames_of_changing_size():
         frame = RawFrame("f", rng.integers(0, 4096, shape).astype(np.uint16), table.black, table.white)
         np.testing.assert_array_equal(device.labels(frame), reference.labels(frame))
     times = device.stage_times(frame, make_display(table.white_point, 1.0, 8))
-    assert list(times) == ["upload", "ingest", "classes", "transform", "encode", "download"]
+    assert list(times) == ["upload", "classes", "transforms", "encode", "download"]
     assert all(time >= 0 for time in times.values())
 
 
@@ -327,18 +421,33 @@ def test_upright_turns_as_libraw_does():
 
 
 def test_device_is_chosen_by_index_and_name():
-    first = opencl.devices()[0]
+    first = devices()[0]
     assert choose_device("0") == first
     assert choose_device(first.name[2:8].lower()) == first
     for wrong in ("99", "no such device"):
-        with pytest.raises(DeviceError, match="L3_DEVICE"):
+        with pytest.raises(DeviceError, match="--device"):
             choose_device(wrong)
 
 
 def test_no_device_says_what_to_install(monkeypatch):
-    monkeypatch.setattr(opencl, "devices", list)
+    monkeypatch.setattr(opencl_devices, "_platforms", list)
     with pytest.raises(DeviceError, match=r'pip install "pyopencl\[pocl\]"'):
         OpenCLRenderer(random_table(BAYER))
+
+
+def test_variant_follows_the_device_unless_chosen():
+    table = random_table(BAYER, patch=3)
+    gpu = OpenCLRenderer(table).device.type & 4
+    assert OpenCLRenderer(table).variant == ("graphics" if gpu else "processor")
+    assert make_renderer("opencl", table, device="0", variant="graphics").variant == "graphics"
+    with pytest.raises(RecipeError, match="processor, graphics"):
+        OpenCLRenderer(table, variant="vector")
+
+
+def test_survey_says_what_is_missing(monkeypatch):
+    assert opencl_devices.survey()[0].startswith("0: ")
+    monkeypatch.setattr(opencl_devices, "_platforms", list)
+    assert opencl_devices.survey() == [f"no OpenCL driver (ICD) is installed; {opencl_devices.INSTALL}"]
 
 
 def test_unknown_backend_is_refused():
@@ -349,7 +458,8 @@ def test_unknown_backend_is_refused():
 def test_pocl_works_with_an_unwritable_home():
     """PoCL without a folder for its cache finds no device at all."""
     script = (
-        "from l3cli.render.opencl import choose_device; import os; choose_device(''); print(os.environ['POCL_CACHE_DIR'])"
+        "import os; from l3cli.render.opencl_devices import choose_device\n"
+        "choose_device(''); print(os.environ['POCL_CACHE_DIR'])"
     )
     kept = {key: value for key, value in os.environ.items() if key not in ("POCL_CACHE_DIR", "XDG_CACHE_HOME")}
     done = subprocess.run(

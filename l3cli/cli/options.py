@@ -24,6 +24,14 @@ force = click.option("--force", is_flag=True, help="Replace the output if it exi
 quiet = click.option("--quiet", is_flag=True, help="Say nothing on stderr but errors.")
 as_json = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on stdout.")
 seed = click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of every random draw.")
+device = click.option(
+    "--device", metavar="NAME|INDEX", help='OpenCL device, by part of its name or number of "l3 bench" [default: L3_DEVICE].'
+)
+variant = click.option(
+    "--variant",
+    type=click.Choice(["processor", "graphics"]),
+    help="How frames are cut into work for the device [default: by its type].",
+)
 jobs = click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Processes to use.")
 
 

@@ -9,40 +9,51 @@ from l3cli import spectra
 from l3cli.errors import RecipeError
 
 WHITE_PERCENTILE = 99  # of Y, that automatic exposure maps to display white, as the authors did
-BITS = (8, 16)
+CODES = {8: np.uint8, 16: np.uint16, "half": np.float16, "float": np.float32}  # what a value is written as
+SPACES = ("srgb", "linear", "xyz")
 
 
 @dataclass(frozen=True)
 class Display:
-    """Everything between XYZ and encoded sRGB: value = round((2^bits − 1) · curve(clip(matrix @ XYZ, 0, 1)))."""
+    """Everything between XYZ and what is written, the last stage of rendering.
 
-    matrix: NDArray[np.float64]  # (3, 3) linear sRGB from XYZ, adaptation and exposure scale folded in
-    bits: int  # of each encoded value
+    With the curve, or as integers: value = top · curve(clip(matrix @ XYZ, 0, 1)), integers rounded. Linear half and float
+    keep what lies outside 0…1.
+    """
+
+    matrix: NDArray[np.float64]  # (3, 3) values from XYZ, adaptation and exposure scale folded in
+    bits: int | str  # 8 or 16 of an integer; "half" or "float"
+    curved: bool = True  # by the sRGB curve
 
     def __post_init__(self) -> None:
-        if self.matrix.shape != (3, 3) or not np.isfinite(self.matrix).all() or self.bits not in BITS:
-            raise ValueError("a display has a finite 3×3 matrix and 8 or 16 bits")
+        if self.matrix.shape != (3, 3) or not np.isfinite(self.matrix).all() or self.bits not in CODES:
+            raise ValueError("a display has a finite 3×3 matrix and 8 or 16 bits, half or float")
 
     @property
     def top(self) -> int:
-        return 2**self.bits - 1
+        """The integer that stands for 1; 0 where values are written as they are."""
+        return 2**self.bits - 1 if isinstance(self.bits, int) else 0
 
     @property
     def dtype(self) -> np.dtype:
-        return np.dtype(np.uint8 if self.bits == 8 else np.uint16)
+        return np.dtype(CODES[self.bits])
 
 
-def make_display(white: NDArray[np.floating], scale: float, bits: int) -> Display:
-    """A display that shows `scale` · XYZ of a scene whose white is `white` (3), so that this white becomes neutral.
+def make_display(white: NDArray[np.floating], scale: float, bits: int | str, space: str = "srgb") -> Display:
+    """A display that shows `scale` · XYZ of a scene whose white is `white` (3), adapted so that this white becomes that of
+    sRGB, D65; in one of SPACES: sRGB, its linear values, or XYZ.
 
-    RecipeError if white or scale is not positive.
+    RecipeError if white or scale is not positive, or the space is none of these.
     """
     if not (np.all(np.asarray(white) > 0) and np.isfinite(scale) and scale > 0):
         raise RecipeError("scene white and exposure must be positive")
+    if space not in SPACES:
+        raise RecipeError(f'colour space "{space}" is unknown; use one of {", ".join(SPACES)}')
     primaries = spectra.srgb_from_xyz_matrix()
     display_white = np.linalg.solve(primaries, np.ones(3))
-    matrix = scale * primaries @ spectra.adaptation_matrix(white, display_white)
-    return Display(np.asarray(matrix, np.float64), bits)
+    adapted = scale * spectra.adaptation_matrix(white, display_white)
+    matrix = adapted if space == "xyz" else primaries @ adapted
+    return Display(np.asarray(matrix, np.float64), bits, space == "srgb")
 
 
 def automatic_exposure(luminance: NDArray) -> float:
@@ -71,6 +82,10 @@ def require_xyz(outputs: tuple[str, ...]) -> None:
 
 
 def encode(planes: NDArray, display: Display) -> NDArray:
-    """XYZ planes (output, row, col) as sRGB (row, col, 3) of the display's depth, in float64."""
-    linear = np.einsum("po,orc->rcp", display.matrix, planes.astype(np.float64))
-    return np.floor(spectra.srgb_curve(linear) * display.top + 0.5).astype(display.dtype)
+    """XYZ planes (output, row, col) as the display's values (row, col, 3), in float64."""
+    values = np.einsum("po,orc->rcp", display.matrix, planes.astype(np.float64))
+    if display.curved:
+        values = spectra.srgb_curve(values)
+    if display.top:
+        values = np.floor(np.clip(values, 0.0, 1.0) * display.top + 0.5)
+    return values.astype(display.dtype)

@@ -1,338 +1,286 @@
-"""Rendering on an OpenCL device: one upload, four kernels (opencl/*.cl), one download (DESIGN 4)."""
+"""Rendering on an OpenCL device: upload, two kernels (opencl/*.cl), download (DESIGN 4).
 
-import atexit
+A frame is taken in horizontal bands, so that the device's memory is bounded whatever the frame's size; a usual frame is one
+band. Two tracks, each a queue with buffers of its own, take the bands in turn, of this frame and the next: while one
+computes, the other may upload and download.
+"""
+
 import contextlib
 import os
-import shutil
-import tempfile
 import warnings
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli import classify
-from l3cli.artifacts.table import CHROMA_FRACTION, LEVEL_FRACTION, TransformTable
-from l3cli.errors import DeviceError
+from l3cli.artifacts.table import TransformTable
+from l3cli.errors import DeviceError, RecipeError
 from l3cli.frame import RawFrame, mirrored_indices
+from l3cli.render import layout
 from l3cli.render.display import Display, require_xyz
+from l3cli.render.opencl_devices import choose_device, pyopencl
 
-SOURCES = ("vectors.cl", "ingest.cl", "classes.cl", "transform.cl", "encode.cl")  # joined in this order
-VECTOR = 16  # pixels that the kernels take side by side
-INSTALL = 'install one, on any processor with: pip install "pyopencl[pocl]"'
-
-
-@dataclass(frozen=True)
-class Schedule:
-    """How a frame is cut into work-items; says nothing about what is computed."""
-
-    tile: int  # columns of a work-item that labels classes, a multiple of VECTOR
-    band: int  # rows of such a work-item
-    strip: int  # pixels of a row that a work-item of the other kernels takes; 0: all of them
-    group: tuple[int, int] | None  # work-group size; None: the driver chooses
-
-
-# A processor vectorises within a work-item and wants few and long ones, a graphics card wants many.
-PROCESSOR = Schedule(tile=256, band=48, strip=0, group=(1, 1))
-GRAPHICS = Schedule(tile=VECTOR, band=16, strip=1, group=None)
+BAND_PIXELS = 1 << 22  # of a band, margins aside
+TRACKS = 2
+STAGES = ("upload", "classes", "transforms", "encode", "download")
+BUILD_OPTIONS = ("-w", "-cl-mad-enable", "-cl-std=CL1.2")
 
 
 class OpenCLRenderer:
-    """Renderer on the first suitable OpenCL device, or the one that the environment variable L3_DEVICE names.
+    """Renderer on the OpenCL device that `device`, or else the environment variable L3_DEVICE, names by a part of its name
+    or its number; without either on the first GPU or the first of any kind.
 
-    Device, program, kernels and the table's buffers are made once; a frame's buffers once for each frame size.
-    DeviceError if there is no device or it refuses.
+    `variant` is a key of layout.VARIANTS, by default the one made for the device's type; `lanes` the length of the processor
+    variant's vectors, by default what the device's compiler has registers for. Device, program, kernels and the table's
+    buffers are made once, a band's buffers once for each frame size. One thread may use a renderer at a time; others run on
+    while it waits. DeviceError if there is no device or it refuses.
     """
 
-    def __init__(self, table: TransformTable) -> None:
+    def __init__(
+        self, table: TransformTable, device: str | None = None, variant: str | None = None, lanes: int | None = None
+    ) -> None:
         self.table = table
-        self.device = choose_device(os.environ.get("L3_DEVICE", ""))
-        cl = _pyopencl()
-        self.schedule = GRAPHICS if self.device.type & cl.device_type.GPU else PROCESSOR
+        self.device = choose_device(os.environ.get("L3_DEVICE", "") if device is None else device)
+        cl = pyopencl()
+        self.variant = variant or ("graphics" if self.device.type & cl.device_type.GPU else "processor")
+        if self.variant not in layout.VARIANTS:
+            raise RecipeError(f'variant "{self.variant}" is unknown; use one of {", ".join(layout.VARIANTS)}')
         with self._refusals():
             self._context = cl.Context([self.device])
-            self._queue = cl.CommandQueue(self._context, properties=cl.command_queue_properties.PROFILING_ENABLE)
-            program = _build(self._context, _macros(table, self.schedule.tile))
-            names = ("ingest", "classes", "transform", "encode8", "encode16")
-            self._kernels = {name: cl.Kernel(program, name) for name in names}
-            self._class_buffers = [self._constant(array) for array in _class_arrays(table)]
-            self._weights = self._constant(_packed_weights(table))
-        self._buffers: _FrameBuffers | None = None
+            self._cut = layout.VARIANTS[self.variant].cut(table, lanes or self._register_lanes())
+            self._transforms: dict[tuple[tuple[str, int | str], ...], Any] = {}
+            self._classes = cl.Kernel(self._build(layout.OUTPUTS_AS_THEY_ARE), "classes")
+            self._class_buffers = [self._constant(array) for array in layout.class_arrays(table)]
+            self._weights = self._constant(layout.VARIANTS[self.variant].pack(table, self._cut.lanes))
+            self._tracks = deque(_Track(self._context) for _ in range(TRACKS))
+            self._frame_bands: tuple[tuple[int, ...], tuple[_Band, ...]] | None = None
 
     def labels(self, frame: RawFrame) -> NDArray[np.uint32]:
         """Class (row, col) of every pixel."""
-        with self._refusals():
-            buffers, _ = self._classify(frame)
-            return self._download(buffers.labels, buffers.shape, np.uint32)[0]
+        labels = np.empty(frame.values.shape, np.uint32)
+        self._wait(self._start(frame, [labels], None))
+        return labels
 
     def outputs(self, frame: RawFrame) -> NDArray[np.float32]:
         """Outputs of the table, (output, row, col)."""
-        with self._refusals():
-            buffers, _ = self._transform(frame)
-            return self._download(buffers.planes, (len(self.table.outputs), *buffers.shape), np.float32)[0]
+        planes, work = self._start_outputs(frame)
+        self._wait(work)
+        return planes
 
     def picture(self, frame: RawFrame, display: Display) -> NDArray:
-        """The frame as sRGB (row, col, 3), encoded on the device; RecipeError unless the table's outputs are X, Y, Z."""
-        return self._picture(frame, display)[0]
+        """The frame as the display shows it (row, col, 3), encoded on the device; RecipeError unless the table's outputs are
+        X, Y, Z."""
+        picture, work = self._start_picture(frame, display)
+        self._wait(work)
+        return picture
 
-    def stage_times(self, frame: RawFrame, display: Display) -> dict[str, float]:
-        """Milliseconds that the device spent in each stage of one picture; call it twice, the first run warms up."""
-        events = self._picture(frame, display)[1]
-        return {stage: (event.profile.end - event.profile.start) * 1e-6 for stage, event in events.items()}
+    def pictures(self, frames: Iterable[tuple[RawFrame, Display]]) -> Iterator[NDArray]:
+        """The picture of each frame, in order. While the caller looks at one the next is at work."""
+        started: deque[tuple[NDArray, _Work]] = deque()
+        for frame, display in frames:
+            started.append(self._start_picture(frame, display))
+            if len(started) == TRACKS:
+                picture, work = started.popleft()
+                self._wait(work)
+                yield picture
+        for picture, work in started:
+            self._wait(work)
+            yield picture
 
-    def _picture(self, frame: RawFrame, display: Display) -> tuple[NDArray, dict[str, Any]]:
+    def stage_times(self, frame: RawFrame, display: Display | None) -> dict[str, float]:
+        """Milliseconds that the device spent in each of STAGES for one picture, or without a display for the outputs.
+
+        Transforms and encoding are one kernel: "transforms" is the time of that kernel built without the encoding, which
+        writes one number a pixel instead; "encode" what the whole kernel takes beyond that. Call it twice: the first run
+        warms up.
+        """
+        _, work = self._start_outputs(frame) if display is None else self._start_picture(frame, display)
+        times = self._wait(work)
+        if display is not None:
+            numbers = np.empty(frame.values.shape, np.float32)
+            bare = self._wait(self._start(frame, [numbers], layout.NOT_ENCODED))["transforms"]
+            times["encode"] = max(0.0, times["transforms"] - bare)
+            times["transforms"] = bare
+        return times
+
+    def _start_outputs(self, frame: RawFrame) -> tuple[NDArray[np.float32], "_Work"]:
+        planes = np.empty((len(self.table.outputs), *frame.values.shape), np.float32)
+        return planes, self._start(frame, list(planes), layout.OUTPUTS_AS_THEY_ARE)
+
+    def _start_picture(self, frame: RawFrame, display: Display) -> tuple[NDArray, "_Work"]:
         require_xyz(self.table.outputs)
+        picture = np.empty((*frame.values.shape, 3), display.dtype)
+        return picture, self._start(frame, [picture], layout.display_macros(display), display.matrix)
+
+    def _start(
+        self, frame: RawFrame, results: Sequence[NDArray], ending: layout.Macros | None, matrix: NDArray | None = None
+    ) -> "_Work":
+        """Start to fill `results`, one or several arrays (row, …) that follow one another on the device, with what the
+        kernel `transform` with this ending writes, or without one with the labels."""
+        values, work = self._values(frame), _Work()
         with self._refusals():
-            buffers, events = self._transform(frame)
-            rows, cols = buffers.shape
-            strip = VECTOR if self.schedule.strip else -(-cols // VECTOR) * VECTOR
-            matrix = self._constant(display.matrix.astype(np.float32))
-            arguments = (buffers.planes, matrix, buffers.picture, np.uint64(rows * cols), np.int32(strip))
-            events["encode"] = self._run(f"encode{display.bits}", (-(-rows * cols // strip), 1), *arguments)
-            picture, events["download"] = self._download(buffers.picture, (rows, cols, 3), display.dtype)
-        return picture, events
+            kernel = None if ending is None else self._transform_kernel(ending)
+            encoding = self._constant(np.zeros(9) if matrix is None else matrix, np.float32)
+            for band in self._bands(values.shape):
+                track = self._tracks[0]
+                self._tracks.rotate()
+                self._classify(values, frame.phase, track, band, work)
+                offset, sizes = 0, [result[band.rows].nbytes for result in results]
+                if kernel is not None:
+                    self._transform(kernel, encoding, track, band, sum(sizes), work)
+                for result, size in zip(results, sizes, strict=True):
+                    source = track.labels if kernel is None else track.result
+                    work.add("download", track.download(source, result[band.rows], offset))
+                    offset += size
+        return work
 
-    def _transform(self, frame: RawFrame) -> tuple["_FrameBuffers", dict[str, Any]]:
-        buffers, events = self._classify(frame)
-        rows, cols = buffers.shape
-        strip = self.schedule.strip or cols
-        sizes = (np.int32(cols), np.int32(buffers.stride), np.uint64(rows * cols), np.int32(strip))
-        arguments = (buffers.mosaic, buffers.labels, self._weights, buffers.planes, *sizes)
-        events["transform"] = self._run("transform", (-(-cols // strip), rows), *arguments)
-        return buffers, events
+    def _wait(self, work: "_Work") -> dict[str, float]:
+        """Milliseconds of each stage, once the work is done. Other threads run on meanwhile."""
+        with self._refusals():
+            for event in work.events["download"]:
+                event.wait()
+            return work.milliseconds()
 
-    def _classify(self, frame: RawFrame) -> tuple["_FrameBuffers", dict[str, Any]]:
-        """Upload, ingest and classes; the events of each stage."""
-        table, schedule = self.table, self.schedule
-        values = np.ascontiguousarray(frame.at_levels(table.black, table.white, table.bits).values)
-        buffers = self._frame_buffers(values.shape)
-        rows, cols = values.shape
-        stride, strip = buffers.stride, schedule.strip or buffers.stride
-        events = {"upload": _pyopencl().enqueue_copy(self._queue, buffers.raw, values, is_blocking=False)}
-        sizes = (np.int32(cols), np.int32(stride), np.float32(table.black), np.int32(strip))
-        arguments = (buffers.raw, buffers.row_source, buffers.column_source, buffers.padded, buffers.mosaic, *sizes)
-        events["ingest"] = self._run("ingest", (-(-stride // strip), rows + 2 * table.rule.radius), *arguments)
-        layout = tuple(np.int32(number) for number in (rows, cols, stride, *frame.phase, schedule.band))
-        grid = (-(-cols // schedule.tile), -(-rows // schedule.band))
-        events["classes"] = self._run("classes", grid, buffers.padded, *self._class_buffers, buffers.labels, *layout)
-        return buffers, events
+    def _values(self, frame: RawFrame) -> NDArray[np.uint16]:
+        """The frame's values (row, col) at the table's levels; the kernels clip them to its depth."""
+        table = self.table
+        if (frame.black, frame.white) != (table.black, table.white):
+            frame = frame.at_levels(table.black, table.white, table.bits)
+        return np.ascontiguousarray(frame.values)
 
-    def _run(self, kernel: str, grid: tuple[int, int], *arguments: Any) -> Any:
-        return self._kernels[kernel](self._queue, grid, self.schedule.group, *arguments)
+    def _classify(self, values: NDArray, phase: tuple[int, int], track: "_Track", band: "_Band", work: "_Work") -> None:
+        """Upload and classes of a band."""
+        source = values[band.raw_rows]
+        track.raw = self._scratch(track.raw, source.nbytes)
+        track.labels = self._scratch(track.labels, 4 * (band.rows.stop - band.rows.start) * values.shape[1])
+        work.sources.append(source)
+        work.add("upload", pyopencl().enqueue_copy(track.queue, track.raw, source, is_blocking=False))
+        site = ((phase[0] + band.rows.start) % self.table.cfa.shape[0], phase[1])
+        buffers = (track.raw, band.row_source, band.column_source, *self._class_buffers, track.labels)
+        work.add("classes", self._run(self._classes, track, band, *buffers, *map(np.int32, site)))
 
-    def _download(self, buffer: Any, shape: tuple[int, ...], dtype: Any) -> tuple[NDArray, Any]:
-        array = np.empty(shape, dtype)
-        return array, _pyopencl().enqueue_copy(self._queue, array, buffer, is_blocking=True)
+    def _transform(self, kernel: Any, encoding: Any, track: "_Track", band: "_Band", size: int, work: "_Work") -> None:
+        """Transforms and encoding of a classified band into the track's result, `size` bytes."""
+        track.result = self._scratch(track.result, size)
+        buffers = (track.raw, band.row_source, band.column_source, track.labels, self._weights, encoding, track.result)
+        work.add("transforms", self._run(kernel, track, band, *buffers, np.float32(self.table.black)))
 
-    def _constant(self, array: NDArray) -> Any:
-        cl = _pyopencl()
-        array = np.ascontiguousarray(array if array.size else np.zeros(1, array.dtype))  # no buffer may be empty
+    def _run(self, kernel: Any, track: "_Track", band: "_Band", *arguments: Any) -> Any:
+        """Enqueue a kernel over a band; rows and columns are the last arguments of each."""
+        rows, columns, cut = band.rows.stop - band.rows.start, band.columns, self._cut
+        grid = (-(-columns // cut.tile) * cut.group[0], -(-rows // cut.band) * cut.group[1])
+        return kernel(track.queue, grid, cut.group, *arguments, np.int32(rows), np.int32(columns))
+
+    def _transform_kernel(self, ending: layout.Macros) -> Any:
+        """The kernel `transform` with one ending: some display's encoding, say. Built when first asked for."""
+        key = tuple(ending.items())
+        if key not in self._transforms:
+            self._transforms[key] = pyopencl().Kernel(self._build(ending), "transform")
+        return self._transforms[key]
+
+    def _build(self, ending: layout.Macros) -> Any:
+        shapes = {**layout.table_macros(self.table), **self._cut.macros, **ending}
+        options = [*BUILD_OPTIONS, *(f"-D{name}={value}" for name, value in shapes.items())]
+        return self._compile(layout.program_source(self.variant), options)
+
+    def _compile(self, source: str, options: list[str]) -> Any:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # pyopencl warns of every word a compiler says
+            return pyopencl().Program(self._context, source).build(options)
+
+    def _register_lanes(self) -> int:
+        """Floats in a vector register, as far as the device's compiler knows its processor: PoCL 3.0 takes processors
+        younger than itself for older ones, and 16 lanes in registers of 8 are slower than 8 lanes."""
+        probe = "__kernel void\n#ifdef __AVX512F__\nwide\n#else\nnarrow\n#endif\n() {}"
+        return 16 if self._compile(probe, list(BUILD_OPTIONS)).kernel_names == "wide" else 8
+
+    def _bands(self, shape: tuple[int, ...]) -> tuple["_Band", ...]:
+        """The bands of frames of a shape (row, col), kept until a frame of another shape comes."""
+        if self._frame_bands is None or self._frame_bands[0] != shape:
+            self._frame_bands = shape, tuple(self._cut_into_bands(*shape))
+        return self._frame_bands[1]
+
+    def _cut_into_bands(self, rows: int, columns: int) -> Iterator["_Band"]:
+        radius, cfa = self.table.rule.radius, self.table.cfa
+        row_source = mirrored_indices(rows, radius, cfa.shape[0])
+        column_source = self._constant(mirrored_indices(columns, radius, cfa.shape[1]), np.int32)
+        height = max(1, BAND_PIXELS // columns)
+        for first in range(0, rows, height):
+            last = min(first + height, rows)
+            seen = row_source[first : last + 2 * radius]
+            raw_rows = slice(int(seen.min()), int(seen.max()) + 1)
+            relative = self._constant(seen - raw_rows.start, np.int32)
+            yield _Band(slice(first, last), raw_rows, columns, relative, column_source)
+
+    def _constant(self, array: NDArray, dtype: Any = None) -> Any:
+        cl = pyopencl()
+        array = np.ascontiguousarray(array if array.size else np.zeros(1, array.dtype), dtype)  # no buffer may be empty
         return cl.Buffer(self._context, cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR, hostbuf=array)
 
-    def _frame_buffers(self, shape: tuple[int, ...]) -> "_FrameBuffers":
-        """Buffers for frames of `shape`, kept until a frame of another shape comes."""
-        if self._buffers is None or self._buffers.shape != shape:
-            self._buffers = None  # let go of the old ones first
-            self._buffers = self._new_buffers(shape[0], shape[1])
-        return self._buffers
-
-    def _new_buffers(self, rows: int, cols: int) -> "_FrameBuffers":
-        cl, radius, cfa = _pyopencl(), self.table.rule.radius, self.table.cfa
-        # Behind whole tiles one more vector: room for both margins, since a patch has at most 15 columns.
-        stride = -(-cols // self.schedule.tile) * self.schedule.tile + VECTOR
-        padded_rows = rows + 2 * radius
-        column_source = np.zeros(stride, np.int32)
-        column_source[: cols + 2 * radius] = mirrored_indices(cols, radius, cfa.shape[1])
-
-        def scratch(items: int, size: int) -> Any:
-            return cl.Buffer(self._context, cl.mem_flags.READ_WRITE, items * size)
-
-        return _FrameBuffers(
-            shape=(rows, cols),
-            stride=stride,
-            row_source=self._constant(mirrored_indices(rows, radius, cfa.shape[0])),
-            column_source=self._constant(column_source),
-            raw=scratch(rows * cols, 2),
-            padded=scratch(padded_rows * stride, 2),
-            mosaic=scratch(padded_rows * stride, 4),
-            labels=scratch(rows * cols, 4),
-            planes=scratch(len(self.table.outputs) * rows * cols + VECTOR, 4),
-            picture=scratch((rows * cols + VECTOR) * 3, 2),
-        )
+    def _scratch(self, buffer: Any, size: int) -> Any:
+        """The buffer if it has room for `size` bytes, else one that has."""
+        if buffer is None or buffer.size < size:
+            buffer = pyopencl().Buffer(self._context, pyopencl().mem_flags.READ_WRITE, size)
+        return buffer
 
     @contextlib.contextmanager
     def _refusals(self) -> Iterator[None]:
         """What OpenCL refuses, as a DeviceError of one line."""
-        cl = _pyopencl()
+        cl = pyopencl()
         try:
             yield
         except cl.MemoryError as error:
             raise DeviceError(f"{self.device.name.strip()} has too little memory for this table and frame") from error
         except cl.Error as error:
             reason = " ".join(str(error).split())[:300]
-            raise DeviceError(f"{self.device.name.strip()} failed: {reason}; choose another with L3_DEVICE") from error
+            raise DeviceError(f"{self.device.name.strip()} failed: {reason}; choose another with --device") from error
+
+
+class _Track:
+    """A queue and the buffers of one band; buffers grow to what is asked of them."""
+
+    def __init__(self, context: Any) -> None:
+        cl = pyopencl()
+        self.queue = cl.CommandQueue(context, properties=cl.command_queue_properties.PROFILING_ENABLE)
+        self.raw: Any = None
+        self.labels: Any = None
+        self.result: Any = None
+
+    def download(self, buffer: Any, target: NDArray, offset: int) -> Any:
+        """Copy `buffer` from byte `offset` on to the contiguous array `target`, without waiting."""
+        copy = pyopencl().enqueue_copy(self.queue, target, buffer, src_offset=offset, is_blocking=False)
+        self.queue.flush()
+        return copy
+
+
+class _Work:
+    """What has been started for one frame: its events by stage, and the values that uploads may still be reading."""
+
+    def __init__(self) -> None:
+        self.events: dict[str, list[Any]] = {stage: [] for stage in STAGES}
+        self.sources: list[NDArray] = []
+
+    def add(self, stage: str, event: Any) -> None:
+        self.events[stage].append(event)
+
+    def milliseconds(self) -> dict[str, float]:
+        """What the device spent in each stage, once all is done."""
+        return {
+            stage: sum((event.profile.end - event.profile.start) * 1e-6 for event in events)
+            for stage, events in self.events.items()
+        }
 
 
 @dataclass(frozen=True)
-class _FrameBuffers:
-    """Device buffers of one frame size; `stride` is the length of a padded row."""
+class _Band:
+    """Rows of a frame, and the raw rows that their patches touch; row_source (padded row) and column_source (padded col)
+    name which of these each padded one repeats."""
 
-    shape: tuple[int, int]
-    stride: int
+    rows: slice
+    raw_rows: slice
+    columns: int
     row_source: Any
     column_source: Any
-    raw: Any
-    padded: Any
-    mosaic: Any
-    labels: Any
-    planes: Any
-    picture: Any
-
-
-# ------------------------------------------------------------------------------------------- devices and programs
-
-
-def devices() -> list[Any]:
-    """Every OpenCL device there is, in the order that L3_DEVICE counts."""
-    cl = _pyopencl()
-    try:
-        return [device for platform in cl.get_platforms() for device in platform.get_devices()]
-    except cl.Error:  # no driver at all
-        return []
-
-
-def choose_device(wanted: str) -> Any:
-    """The device that `wanted` names by index or part of its name; else the first GPU, else the first of any kind.
-
-    DeviceError if there is none.
-    """
-    found = devices()
-    if not found:
-        raise DeviceError(f"no OpenCL device was found; {INSTALL}")
-    if not wanted:
-        gpu = _pyopencl().device_type.GPU
-        return next((device for device in found if device.type & gpu), found[0])
-    if wanted.isdecimal() and int(wanted) < len(found):
-        return found[int(wanted)]
-    named = [device for device in found if wanted.lower() in device.name.lower()]
-    if not named or wanted.isdecimal():
-        names = ", ".join(f"{index}: {device.name.strip()}" for index, device in enumerate(found))
-        raise DeviceError(f'L3_DEVICE is "{wanted}", but the OpenCL devices are {names}')
-    return named[0]
-
-
-def source_folder() -> Path:
-    """Where the .cl files lie: inside the installed package, or beside it in a checkout."""
-    package = Path(__file__).parents[1]
-    inside = package / "opencl"
-    return inside if inside.is_dir() else package.parent / "opencl"
-
-
-def program_source() -> str:
-    """The .cl files in their order; #line keeps file and line in the compiler's messages."""
-    folder = source_folder()
-    return "\n".join(f'#line 1 "{name}"\n{(folder / name).read_text(encoding="utf-8")}' for name in SOURCES)
-
-
-def _pyopencl() -> Any:
-    """pyopencl, imported when first needed; DeviceError if there is no OpenCL at all."""
-    _ensure_pocl_cache()
-    try:
-        import pyopencl
-    except ImportError as error:
-        raise DeviceError(f"OpenCL cannot be loaded ({error}); {INSTALL}") from error
-    return pyopencl
-
-
-def _ensure_pocl_cache() -> None:
-    """Give PoCL a folder that it can write to: without one it finds no device, and says nothing."""
-    if "POCL_CACHE_DIR" in os.environ:
-        return
-    try:
-        caches = os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()
-        folder = Path(caches, "l3cli", "pocl")
-        folder.mkdir(parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=folder).close()
-    except (OSError, RuntimeError):  # RuntimeError: there is no home at all
-        folder = Path(tempfile.mkdtemp(prefix="l3-pocl-"))
-        atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    os.environ["POCL_CACHE_DIR"] = str(folder)
-
-
-def _build(context: Any, macros: dict[str, int]) -> Any:
-    options = ["-w", "-cl-mad-enable", "-cl-std=CL1.2", *(f"-D{name}={value}" for name, value in macros.items())]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # pyopencl warns of every word a compiler says
-        return _pyopencl().Program(context, program_source()).build(options)
-
-
-# ------------------------------------------------------------------------------------------------ what kernels read
-
-
-def _macros(table: TransformTable, tile: int) -> dict[str, int]:
-    """Everything about a table that a kernel's loops and formulas depend on."""
-    rule = table.rule
-    return {
-        "PATCH": rule.patch,
-        "RADIUS": rule.radius,
-        "LANES": _lanes(rule.patch),
-        "CHANNELS": len(table.channels),
-        "OUTPUTS": len(table.outputs),
-        "CFA_ROWS": table.cfa.shape[0],
-        "CFA_COLUMNS": table.cfa.shape[1],
-        "LEVELS": rule.levels,
-        "CONTRASTS": rule.contrasts,
-        "CHROMAS": rule.chromas,
-        "KINDS": rule.kinds,
-        "SHIFT": rule.shift,
-        "LEVEL_FRACTION": LEVEL_FRACTION,
-        "CHROMA_FRACTION": CHROMA_FRACTION,
-        "CHROMA_BLACK": rule.chroma_black,
-        "SATURATION": rule.saturation,
-        "SATURATION_RADIUS": rule.saturation_radius,
-        "TILE": tile,
-    }
-
-
-def _lanes(patch: int) -> int:
-    """Length of the vectors that hold the taps of a patch row: 4, 8 or 16."""
-    return next(lanes for lanes in (4, 8, 16) if lanes >= patch)
-
-
-def _class_arrays(table: TransformTable) -> tuple[NDArray, ...]:
-    """The constants of the kernel `classes`, in the order of its arguments; what they are stands there."""
-    rule, channels = table.rule, len(table.channels)
-    near = classify.neighbourhoods(table.cfa, rule.patch, channels)
-    period = np.arange(table.cfa.shape[1] + VECTOR - 1) % table.cfa.shape[1]
-    cfa = table.cfa[:, period].astype(np.uint32)
-    member = np.where(cfa == np.arange(channels, dtype=np.uint32)[:, None, None], np.uint32(0xFFFFFFFF), np.uint32(0))
-
-    def by_channel(site_values: classify.Integers) -> NDArray[np.uint32]:
-        return site_values.reshape(*table.cfa.shape, channels).transpose(2, 0, 1)[:, :, period].astype(np.uint32)
-
-    return (
-        member,
-        np.uint32(1) << cfa,
-        by_channel(near.count),
-        by_channel(near.mean_reciprocal),
-        by_channel(near.variance_reciprocal),
-        period.astype(np.uint32),
-        rule.level_edges,
-        rule.contrast_edges,
-        rule.case_of_code,
-        rule.chroma_weights,
-    )
-
-
-def _packed_weights(table: TransformTable) -> NDArray[np.float32]:
-    """(class, 1 + patch row, output, lane): the intercept in lane 0 of the first row, then weights per DN above black."""
-    classes, outputs, _ = table.weights.shape
-    patch = table.rule.patch
-    packed = np.zeros((classes, 1 + patch, outputs, _lanes(patch)), np.float32)
-    packed[:, 0, :, 0] = table.intercept
-    per_dn = table.weights.astype(np.float64) / (table.white - table.black)
-    packed[:, 1:, :, :patch] = per_dn.reshape(classes, outputs, patch, patch).transpose(0, 2, 1, 3)
-    return packed

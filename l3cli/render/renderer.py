@@ -34,9 +34,12 @@ class Renderer(Protocol):
         """
 
 
-def make_renderer(backend: str, table: TransformTable) -> Renderer:
-    """The renderer called `backend` for a table; RecipeError if there is none, DeviceError if it finds no device."""
+def make_renderer(backend: str, table: TransformTable, **options: str | None) -> Renderer:
+    """The renderer called `backend` for a table. RecipeError if there is none, DeviceError if it finds no device.
+
+    `options` are the backend's own: of "opencl" `device` and `variant` (OpenCLRenderer).
+    """
     if backend not in BACKENDS:
         raise RecipeError(f'backend "{backend}" is unknown; use one of {", ".join(BACKENDS)}')
     module, _, name = BACKENDS[backend].partition(":")
-    return getattr(importlib.import_module(module), name)(table)
+    return getattr(importlib.import_module(module), name)(table, **options)

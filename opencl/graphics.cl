@@ -1,0 +1,150 @@
+// Graphics variant: both kernels with a work-item a pixel. A work-group's TILE × BAND pixels share their neighbourhood, and
+// in the classes the sums down its columns, in local memory; weights come from global memory through the caches.
+//
+// Neighbouring work-items run together and do best on one row of the table, so they get pixels of the same column of the
+// CFA: TILE is a multiple of CFA_COLUMNS.
+
+#define SPREAD (2 * SATURATION_RADIUS + 1)  // rows and columns in which saturation counts
+#define TILE_COLUMNS (TILE + 2 * RADIUS)
+#define TILE_ROWS (BAND + 2 * RADIUS)
+#define OF_ONE_SITE (TILE / CFA_COLUMNS)
+#define ITEMS (TILE * BAND)
+
+// Column within the tile of the work-item with local number i.
+INLINE int column_of(int i) { return i % OF_ONE_SITE * CFA_COLUMNS + i / OF_ONE_SITE; }
+
+// Place in `raw` of padded pixel i of the tile at (y0, x0); past the frame any pixel will do.
+INLINE size_t source_of(int i, int y0, int x0, __global const int *row_source, __global const int *column_source, int rows,
+                        int columns) {
+    const int row = min(y0 + i / TILE_COLUMNS, rows + 2 * RADIUS - 1);
+    const int column = min(x0 + i % TILE_COLUMNS, columns + 2 * RADIUS - 1);
+    return (size_t)row_source[row] * columns + column_source[column];
+}
+
+__kernel __attribute__((reqd_work_group_size(TILE, BAND, 1)))
+void classes(__global const ushort *restrict raw,                // (row, col) DN
+             __global const int *restrict row_source,            // (padded row)
+             __global const int *restrict column_source,         // (padded col)
+             __global const ushort *restrict member,             // (channel, CFA row, period) all bits or none
+             __global const ushort *restrict channel_bit,        // (CFA row, period) 1 << channel
+             __global const uint *restrict count,                // (channel, CFA row, period) taps of the channel
+             __global const uint *restrict mean_reciprocal,      // (channel, CFA row, period) round(65536 / count)
+             __global const uint *restrict variance_reciprocal,  // (channel, CFA row, period) round(512 / count)
+             __global const uint *restrict site_column,          // (period) CFA column
+             __global const int *restrict level_tops,            // (level edge) highest level sum below each
+             __global const uint *restrict contrast_edges,       // (contrast edge, level)
+             __global const ushort *restrict case_of_code,       // (code)
+             __global const int *restrict chroma_weights,        // (chroma, channel)
+             __global uint *restrict labels,                     // (row, col)
+             int phase_row, int phase_column, int rows, int columns) {
+    __local ushort value[TILE_ROWS][TILE_COLUMNS], bit[TILE_ROWS][TILE_COLUMNS];  // DN and 1 << channel
+    __local uint sum[BAND][TILE_COLUMNS], square[BAND][TILE_COLUMNS];             // of one channel, down a column
+    __local ushort saturated[BAND][TILE_COLUMNS];
+    const int x0 = get_group_id(0) * TILE, y0 = get_group_id(1) * BAND;
+    const int column = column_of(get_local_id(0)), line = get_local_id(1), item = line * TILE + get_local_id(0);
+    const int x = x0 + column, y = y0 + line;
+    for (int i = item; i < TILE_ROWS * TILE_COLUMNS; i += ITEMS) {
+        const int row = i / TILE_COLUMNS, p = i % TILE_COLUMNS;
+        value[row][p] = min(raw[source_of(i, y0, x0, row_source, column_source, rows, columns)], (ushort)WHITE_TOP);
+        bit[row][p] = channel_bit[PADDED_PHASE(y0 + row, phase_row, CFA_ROWS) * PERIOD
+                                  + PADDED_PHASE(x0 + p, phase_column, CFA_COLUMNS)];
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    for (int i = item; i < BAND * TILE_COLUMNS; i += ITEMS) {
+        const int row = i / TILE_COLUMNS, p = i % TILE_COLUMNS;
+        uint found = 0;
+        for (int j = row + RADIUS - SATURATION_RADIUS; j <= row + RADIUS + SATURATION_RADIUS; j++)
+            found |= value[j][p] >= SATURATION ? bit[j][p] : 0;
+        saturated[row][p] = found;
+    }
+    const int site_row = (y + phase_row) % CFA_ROWS, site = (x + phase_column) % CFA_COLUMNS;
+    Evidence evidence;
+    no_evidence(&evidence);
+    for (int c = 0; c < CHANNELS; c++) {
+        for (int i = item; i < BAND * TILE_COLUMNS; i += ITEMS) {
+            const int row = i / TILE_COLUMNS, p = i % TILE_COLUMNS;
+            uint s = 0, q = 0;
+            for (int j = row; j < row + PATCH; j++) {
+                const uint v = bit[j][p] == 1u << c ? (uint)value[j][p] >> SHIFT : 0u;
+                s += v;
+                q += v * v;
+            }
+            sum[row][p] = s;
+            square[row][p] = q;
+        }
+        barrier(CLK_LOCAL_MEM_FENCE);
+        uint s = 0, q = 0;
+        for (int p = column; p < column + PATCH; p++) {
+            s += sum[line][p];
+            q += square[line][p];
+        }
+        const int at = (c * CFA_ROWS + site_row) * PERIOD + site;
+        add_evidence(&evidence, c, count[at], s, q, mean_reciprocal[at], variance_reciprocal[at], chroma_weights);
+        barrier(CLK_LOCAL_MEM_FENCE);
+    }
+    uint code = 0;
+    for (int p = column + RADIUS - SATURATION_RADIUS; p <= column + RADIUS + SATURATION_RADIUS; p++) code |= saturated[line][p];
+    const uint saturation = case_of_code[code], kind = saturation ? CHROMAS - 1 + saturation : chroma_of(&evidence);
+    const uint within = level_and_contrast(&evidence, level_tops, contrast_edges);
+    if (x < columns && y < rows)
+        labels[(size_t)y * columns + x] = ((site_row * CFA_COLUMNS + site) * (LEVELS * CONTRASTS) + within) * KINDS + kind;
+}
+
+#define FOURS ((OUTPUTS + 3) / 4)  // vectors of four that hold the outputs
+#define CLASS_STRIDE ((PATCH * PATCH + 1) * FOURS)
+
+#ifdef PLANES
+INLINE void write(__global float *picture, const float *output, __global const float *matrix, size_t at, size_t pixels) {
+    for (int o = 0; o < OUTPUTS; o++) picture[o * pixels + at] = output[o];
+}
+#elif defined(NOT_ENCODED)  // for timing: the sum of three planes
+INLINE void write(__global float *picture, const float *output, __global const float *matrix, size_t at, size_t pixels) {
+    picture[at] = output[0] + output[1] + output[2];
+}
+#else
+INLINE void write(__global CODE *picture, const float *output, __global const float *matrix, size_t at, size_t pixels) {
+    for (int p = 0; p < 3; p++)
+        picture[3 * at + p] = (CODE)encode(matrix[3 * p] * output[0] + matrix[3 * p + 1] * output[1]
+                                           + matrix[3 * p + 2] * output[2]);
+}
+#endif
+
+__kernel __attribute__((reqd_work_group_size(TILE, BAND, 1)))
+void transform(__global const ushort *restrict raw,         // (row, col) DN
+               __global const int *restrict row_source,     // (padded row)
+               __global const int *restrict column_source,  // (padded col)
+               __global const uint *restrict labels,        // (row, col)
+               __global const float4 *restrict weights,     // (class, intercept and taps column by column, output) per DN
+               __global const float *restrict matrix,       // (3, 3) encoded values from X, Y, Z, before the curve
+               __global CODE *restrict picture,             // (output, row, col), or (row, col, 3)
+               float black, int rows, int columns) {
+    __local float signal[TILE_ROWS][TILE_COLUMNS];
+    const int x0 = get_group_id(0) * TILE, y0 = get_group_id(1) * BAND;
+    const int column = column_of(get_local_id(0)), line = get_local_id(1), x = x0 + column, y = y0 + line;
+    for (int i = line * TILE + get_local_id(0); i < TILE_ROWS * TILE_COLUMNS; i += ITEMS) {
+        const size_t source = source_of(i, y0, x0, row_source, column_source, rows, columns);
+        signal[i / TILE_COLUMNS][i % TILE_COLUMNS] = min(raw[source], (ushort)WHITE_TOP) - black;
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (x >= columns || y >= rows) return;
+    const size_t at = (size_t)y * columns + x;
+    __global const float4 *weight = weights + (size_t)labels[at] * CLASS_STRIDE;
+    float4 total[FOURS];
+    for (int f = 0; f < FOURS; f++) total[f] = *weight++;
+    for (int i = 0; i < PATCH; i++) {
+        #pragma unroll
+        for (int j = 0; j < PATCH; j++) {
+            const float tap = signal[line + j][column + i];
+            #pragma unroll
+            for (int f = 0; f < FOURS; f++) total[f] += tap * *weight++;
+        }
+    }
+    float output[4 * FOURS];
+    for (int f = 0; f < FOURS; f++) {
+        output[4 * f] = total[f].x;
+        output[4 * f + 1] = total[f].y;
+        output[4 * f + 2] = total[f].z;
+        output[4 * f + 3] = total[f].w;
+    }
+    write(picture, output, matrix, at, (size_t)rows * columns);
+}

@@ -1,0 +1,79 @@
+// Processor variant: a row of outputs → what is written of it.
+
+#if defined(PLANES)
+
+// planes[o * TILE + x] → picture (output, pixel)
+INLINE void write_row(__global float *picture, const float *planes, __global const float *matrix, size_t at, int width,
+                      size_t pixels) {
+    for (int o = 0; o < OUTPUTS; o++)
+        for (int x = 0; x < width; x++) picture[o * pixels + at + x] = planes[o * TILE + x];
+}
+
+#elif defined(NOT_ENCODED)
+
+// For timing: the sum of three planes.
+INLINE void write_row(__global float *picture, const float *planes, __global const float *matrix, size_t at, int width,
+                      size_t pixels) {
+    for (int x = 0; x < width; x++) picture[at + x] = planes[x] + planes[TILE + x] + planes[2 * TILE + x];
+}
+
+#else
+
+VECTOR(CODE, codes, LANES);
+VECTOR(CODE, two_codes, 2 * LANES);
+typedef uchar four_bytes __attribute__((ext_vector_type(4 * LANES)));
+
+#define EIGHT(index, i) index(i), index(i + 1), index(i + 2), index(i + 3), index(i + 4), index(i + 5), index(i + 6), index(i + 7)
+#if LANES == 16
+#define FIRST_LANES(index, i) EIGHT(index, i), EIGHT(index, i + 8)
+#define TWICE_LANES(index, i) FIRST_LANES(index, i), FIRST_LANES(index, i + 16)
+#else
+#define FIRST_LANES(index, i) EIGHT(index, i)
+#define TWICE_LANES(index, i) EIGHT(index, i), EIGHT(index, i + 8)
+#endif
+
+// Values a, b, c of LANES pixels → pixel by pixel.
+#if TOP == 255
+// Bytes: those of a pixel in one word, then every fourth is left out.
+#define PLACE(i) ((i) / 3 * 4 + (i) % 3)
+INLINE void interleave(two_codes *low, codes *high, uints a, uints b, uints c) {
+    const four_bytes words = SAME_BITS(a | b << 8 | c << 16, four_bytes);
+    *low = __builtin_shufflevector(words, words, TWICE_LANES(PLACE, 0));
+    *high = __builtin_shufflevector(words, words, FIRST_LANES(PLACE, 2 * LANES));
+}
+#else
+#define PLACE(i) ((i) / 3 + (i) % 3 * LANES)
+#define SAME(i) (i)
+INLINE void interleave(two_codes *low, codes *high, uints a, uints b, uints c) {
+    const two_codes ab = __builtin_shufflevector(CONVERT(a, codes), CONVERT(b, codes), TWICE_LANES(SAME, 0));
+    const two_codes cc = __builtin_shufflevector(CONVERT(c, codes), CONVERT(c, codes), TWICE_LANES(SAME, 0));
+    *low = __builtin_shufflevector(ab, cc, TWICE_LANES(PLACE, 0));
+    *high = __builtin_shufflevector(ab, cc, FIRST_LANES(PLACE, 2 * LANES));
+}
+#endif
+
+// planes[o * TILE + x] of X, Y, Z → picture (pixel, 3)
+INLINE void write_row(__global CODE *picture, const float *planes, __global const float *matrix, size_t at, int width,
+                      size_t pixels) {
+    __global CODE *to = picture + 3 * at;
+    for (int x = 0; x < width; x += LANES) {
+        const floats X = NEAR(floats, planes + x), Y = NEAR(floats, planes + TILE + x), Z = NEAR(floats, planes + 2 * TILE + x);
+        uints value[3];
+        #pragma unroll
+        for (int p = 0; p < 3; p++) value[p] = encode(matrix[3 * p] * X + matrix[3 * p + 1] * Y + matrix[3 * p + 2] * Z);
+        two_codes low;
+        codes high;
+        interleave(&low, &high, value[0], value[1], value[2]);
+        if (x + LANES <= width) {
+            FAR(two_codes, to + 3 * x) = low;
+            FAR(codes, to + 3 * x + 2 * LANES) = high;
+        } else {
+            CODE rest[3 * LANES];
+            NEAR(two_codes, rest) = low;
+            NEAR(codes, rest + 2 * LANES) = high;
+            for (int i = 0; x + i / 3 < width; i++) to[3 * x + i] = rest[i];
+        }
+    }
+}
+
+#endif

@@ -1,0 +1,105 @@
+// Processor variant: rows of a tile → sums and squares of each channel, and its saturation, over the patch of every pixel.
+//
+// Both are separable. Down a column they slide: the entering row is added, the row that leaves the patch is subtracted, each
+// under the mask of its CFA row. Across columns they are shared: RUN columns are added once, a patch is a few runs.
+
+#define RUN (PATCH < 3 ? PATCH : 3)         // columns
+#define SPREAD (2 * SATURATION_RADIUS + 1)  // rows and columns in which saturation counts
+
+typedef struct {
+    ushort sum[CHANNELS][SPAN];      // down the patch; at most 15 · 4095
+    uint square[CHANNELS][SPAN];     // likewise
+    ushort saturated[SPREAD][SPAN];  // bit c: this pixel is of channel c and saturated; the latest SPREAD rows in any order
+} Columns;
+
+typedef struct {
+    uint sum[CHANNELS][SPAN], square[CHANNELS][SPAN];  // over RUN columns from here on
+    ushort saturated[SPAN];                            // over the SPREAD rows, this column alone
+} Runs;
+
+// The masks of one CFA row: all bits where a pixel is of channel c.
+#define MEMBER(member, c, phase) FIXED(full_shorts, (member) + (c) * CFA_ROWS * PERIOD + (phase))
+#define WIDE_MEMBER(member, c, phase) \
+    SAME_BITS(CONVERT(FIXED(signed_shorts, (member) + (c) * CFA_ROWS * PERIOD + (phase)), ints), uints)
+
+// Let row `entering` into the columns and row `leaving` out.
+INLINE void slide(Columns *columns, const ushort *entering, __global const ushort *entering_member, const ushort *leaving,
+                  __global const ushort *leaving_member, int phase, int span) {
+    for (int p = 0, at = phase; p < span; p += 2 * LANES, at = PHASE_AFTER(at, 2 * LANES)) {
+        const full_shorts in = NEAR(full_shorts, entering + p) >> SHIFT, out = NEAR(full_shorts, leaving + p) >> SHIFT;
+        #pragma unroll
+        for (int c = 0; c < CHANNELS; c++)
+            NEAR(full_shorts, columns->sum[c] + p) += (in & MEMBER(entering_member, c, at))
+                                                    - (out & MEMBER(leaving_member, c, at));
+    }
+    for (int p = 0, at = phase; p < span; p += LANES, at = PHASE_AFTER(at, LANES)) {
+        const uints in = CONVERT(NEAR(shorts, entering + p) >> SHIFT, uints);
+        const uints out = CONVERT(NEAR(shorts, leaving + p) >> SHIFT, uints);
+        const uints in_square = in * in, out_square = out * out;
+        #pragma unroll
+        for (int c = 0; c < CHANNELS; c++)
+            NEAR(uints, columns->square[c] + p) += (in_square & WIDE_MEMBER(entering_member, c, at))
+                                                 - (out_square & WIDE_MEMBER(leaving_member, c, at));
+    }
+}
+
+// Saturated channels of one row's pixels; channel_bit is 1 << channel along its CFA row.
+INLINE void saturated_row(ushort *saturated, const ushort *row, __global const ushort *channel_bit, int phase, int span) {
+    for (int p = 0, at = phase; p < span; p += 2 * LANES, at = PHASE_AFTER(at, 2 * LANES)) {
+        const full_shorts v = NEAR(full_shorts, row + p), bit = FIXED(full_shorts, channel_bit + at);
+#if SATURATION > 0xffff  // no value is that high
+        NEAR(full_shorts, saturated + p) = 0;
+#else
+        NEAR(full_shorts, saturated + p) = v >= (ushort)SATURATION ? bit : (full_shorts)0;
+#endif
+    }
+}
+
+INLINE void add_runs(Runs *runs, const Columns *columns, int span) {
+    for (int p = 0; p < span; p += LANES) {
+        #pragma unroll
+        for (int c = 0; c < CHANNELS; c++) {
+            uints sum = 0, square = 0;
+            #pragma unroll
+            for (int j = 0; j < RUN; j++) {
+                sum += CONVERT(NEAR(shorts, columns->sum[c] + p + j), uints);
+                square += NEAR(uints, columns->square[c] + p + j);
+            }
+            NEAR(uints, runs->sum[c] + p) = sum;
+            NEAR(uints, runs->square[c] + p) = square;
+        }
+    }
+    for (int p = 0; p < span; p += 2 * LANES) {
+        full_shorts found = 0;
+        #pragma unroll
+        for (int j = 0; j < SPREAD; j++) found |= NEAR(full_shorts, columns->saturated[j] + p);
+        NEAR(full_shorts, runs->saturated + p) = found;
+    }
+}
+
+// Sums of one channel over the patches whose first column is p: whole runs, then the columns that are left.
+INLINE uints patch_sum(const Runs *runs, const Columns *columns, int c, int p) {
+    uints total = NEAR(uints, runs->sum[c] + p);
+    #pragma unroll
+    for (int j = RUN; j + RUN <= PATCH; j += RUN) total += NEAR(uints, runs->sum[c] + p + j);
+    #pragma unroll
+    for (int j = PATCH / RUN * RUN; j < PATCH; j++) total += CONVERT(NEAR(shorts, columns->sum[c] + p + j), uints);
+    return total;
+}
+
+INLINE uints patch_square(const Runs *runs, const Columns *columns, int c, int p) {
+    uints total = NEAR(uints, runs->square[c] + p);
+    #pragma unroll
+    for (int j = RUN; j + RUN <= PATCH; j += RUN) total += NEAR(uints, runs->square[c] + p + j);
+    #pragma unroll
+    for (int j = PATCH / RUN * RUN; j < PATCH; j++) total += NEAR(uints, columns->square[c] + p + j);
+    return total;
+}
+
+// Channels saturated near the centres of those patches, one bit a channel.
+INLINE shorts patch_saturated(const Runs *runs, int p) {
+    shorts found = 0;
+    #pragma unroll
+    for (int j = RADIUS - SATURATION_RADIUS; j <= RADIUS + SATURATION_RADIUS; j++) found |= NEAR(shorts, runs->saturated + p + j);
+    return found;
+}

@@ -1,0 +1,60 @@
+"""l3 bench on small frames: what it prints, what it leaves out without a compiler."""
+
+import json
+import shutil
+
+import pytest
+
+from l3cli.render import benchmark
+from l3cli.simulate import benchmark as simulation
+
+FIELDS = {
+    "width", "height", "patch", "channels", "outputs", "classes", "backend", "variant", "device", "stages_ms", "frame_ms",
+    "mp_per_s",
+}  # fmt: skip
+STAGES = ["upload", "classes", "transforms", "encode", "download"]
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch):
+    monkeypatch.setattr(benchmark, "FULL", (benchmark.Case(80, 50, 5, "bayer", "fast"),))
+    monkeypatch.setattr(benchmark, "SMALL", (benchmark.Case(40, 30, 5, "bayer", "fast", 2),))
+    monkeypatch.setattr(benchmark, "TINY", (benchmark.Case(20, 10, 5, "bayer", "fast"),))
+    monkeypatch.setattr(simulation, "CASES", ())
+
+
+def test_json_tells_what_was_measured_how(l3):
+    code, out, err = l3("bench", "--json", "--quiet")
+    assert (code, err) == (0, "")
+    told = json.loads(out)
+    assert told["devices"][0].startswith("0: ")
+    assert [(result["backend"], result["width"]) for result in told["results"]] == [
+        ("opencl", 80), ("opencl", 40), ("reference", 20),
+    ]  # fmt: skip
+    assert {result["variant"] for result in told["results"]} == {"processor", "graphics", "reference"}
+    for result in told["results"]:
+        assert set(result) >= FIELDS
+        assert list(result["stages_ms"]) == STAGES
+        assert all(time >= 0 for time in result["stages_ms"].values())
+        assert result["mp_per_s"] == pytest.approx(result["width"] * result["height"] / result["frame_ms"] / 1e3)
+    assert ("limit_ratio" in told["results"][0]) == (shutil.which("cc") is not None)
+    assert "limit_ratio" not in told["results"][1]  # limit.c has three outputs
+
+
+def test_table_of_one_variant_without_a_compiler(l3, monkeypatch):
+    monkeypatch.setenv("CC", "no-such-compiler")
+    code, out, _ = l3("bench", "--variant", "processor", "--device", "0", "--quiet")
+    assert code == 0
+    lines = out.splitlines()
+    (line,) = [line for line in lines if "80×50" in line]
+    assert "processor" in line
+    assert "graphics" not in out
+    assert len(line.split()) == 12  # the last would be the ratio to the limit
+
+
+def test_devices_are_listed_and_wrong_ones_refused(l3, refused):
+    code, out, _ = l3("bench", "--list")
+    assert code == 0
+    assert out.startswith("0: ")
+    assert json.loads(l3("bench", "--list", "--json")[1])["devices"] == out.splitlines()
+    assert "no such device" in refused(4, "bench", "--device", "no such device", "--quiet")
