@@ -194,13 +194,14 @@ def test_the_same_input_gives_the_same_bytes(l3, tmp_path, table, raw):
         assert sha256(tmp_path / f"a.{suffix}") == sha256(tmp_path / f"b.{suffix}")
 
 
-def test_several_inputs_fill_a_folder_and_one_failure_does_not_stop_them(l3, tmp_path, table, raw, mosaic):
+def test_several_inputs_fill_a_folder_and_failures_can_be_left_out(l3, tmp_path, table, raw, mosaic):
     np.save(tmp_path / "second.npy", mosaic[:9, :11])
     (tmp_path / "broken.npy").write_bytes(b"nothing")
     inputs = (raw, tmp_path / "broken.npy", tmp_path / "second.npy")
-    code, out, err = l3("render", table, *inputs, "-o", tmp_path / "out", "--format", "tif")
-    assert (code, out, err.count("\n")) == (1, "", 1)
+    code, out, err = l3("render", table, *inputs, "-o", tmp_path / "out", "--format", "tif", "--skip-bad")
+    assert (code, out, err.count("\n")) == (1, "", 2)
     assert "broken.npy" in err
+    assert "1 of 3 frames" in err
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["frame.tif", "second.tif"]
     assert read_image(tmp_path / "out/second.tif")[0].shape == (9, 11, 3)
 
@@ -219,7 +220,7 @@ def test_existing_outputs_are_refused_before_any_work(refused, tmp_path, table, 
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "frame.png").write_bytes(b"mine")
     assert "frame.png exists" in refused(1, "render", table, raw, tmp_path / "b.npy", "-o", tmp_path / "out")
-    assert "folder" in refused(1, "render", table, raw, tmp_path / "b.npy", "-o", tmp_path / "a.png")
+    assert "folder" in refused(2, "render", table, raw, tmp_path / "b.npy", "-o", tmp_path / "new.png")
     assert (tmp_path / "a.png").read_bytes() == b"mine"
 
 
@@ -283,7 +284,7 @@ def test_broken_inputs_are_refused_in_one_line(refused, tmp_path, table, mosaic,
     inputs["empty.npy"] = "numpy.save"
     np.save(tmp_path / "float.npy", mosaic / 2)
     inputs["float.npy"] = "uint16"
-    np.save(tmp_path / "cube.npy", mosaic[None])
+    np.save(tmp_path / "cube.npy", mosaic[None, None])
     inputs["cube.npy"] = "rows × columns"
     np.save(tmp_path / "object.npy", np.array([[None]]), allow_pickle=True)
     inputs["object.npy"] = "numpy.save"
