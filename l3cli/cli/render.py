@@ -5,16 +5,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from l3cli import __version__
 from l3cli.cli import options
 from l3cli.errors import RecipeError
-
-if TYPE_CHECKING:
-    from l3cli.io.sequences import Selection
 
 PRESETS = ("ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow")
 
@@ -42,10 +39,8 @@ def _exposure(context: Any, parameter: Any, text: str) -> float | None:
     return value
 
 
-def _frames(context: Any, parameter: Any, text: str | None) -> "Selection | None":
+def _frames(context: Any, parameter: Any, text: str | None) -> range | None:
     """Reads FROM-TO[xSTEP]."""
-    from l3cli.io.sequences import Selection
-
     if text is None:
         return None
     found = re.fullmatch(r"(\d+)(?:-(\d+))?(?:x(\d+))?", text, re.ASCII)
@@ -54,7 +49,7 @@ def _frames(context: Any, parameter: Any, text: str | None) -> "Selection | None
     first, last, step = int(found[1]), int(found[2] or found[1]), int(found[3] or 1)
     if last < first or step < 1:
         raise click.BadParameter(f"{text} holds no frame; give the lower number first and a step of 1 or more")
-    return Selection(first, last, step)
+    return range(first, last + 1, step)
 
 
 def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
@@ -100,7 +95,7 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
 @options.force
 @options.quiet
 def render(
-    table: Path, inputs: tuple[Path, ...], output: Path, suffix: str, frames: "Selection | None", dataset: str | None,
+    table: Path, inputs: tuple[Path, ...], output: Path, suffix: str, frames: range | None, dataset: str | None,
     fps: Fraction | None, codec: str | None, crf: float | None, preset: str, backend: str, exposure: float | None,
     white: str | None, bits: str, black: float | None, white_level: float | None, phase: tuple[int, int] | None,
     size: tuple[int, int] | None, skip_bad: bool, resume: bool, force: bool, quiet: bool,
@@ -113,6 +108,9 @@ def render(
 
     Example: l3 render table.h5 frame.dng -o picture.png
     """
+    from l3cli.parallel import one_blas_thread
+
+    one_blas_thread()  # the products of the light meter are small, and threads that wait for them take the encoder's time
     from l3cli.artifacts.base import load
     from l3cli.artifacts.table import TransformTable
     from l3cli.cli.sequence import USUAL_RATE, Look, make_target, marked, refuse_single, render_frames

@@ -1,4 +1,4 @@
-"""Frames that belong together, in order and numbered: folders, patterns, globs, stacks, headerless streams, raw videos.
+"""Frames that belong together, in order and with numbers: folders, patterns, globs, stacks, headerless streams, raw videos.
 
 What is found here is not read yet, so that memory does not grow with the number of frames and reading can run ahead.
 """
@@ -29,19 +29,6 @@ CAMERA_RAWS = tuple(
 )  # fmt: skip
 ONE_FRAME = raw_files.HEADERLESS + raw_files.IMAGES + CAMERA_RAWS + (".npy",)  # what is taken from a folder
 PATTERN = re.compile(r"%(0\d+)?d|#+")
-
-
-@dataclass(frozen=True)
-class Selection:
-    """The numbers first, first + step, … up to last."""
-
-    first: int
-    last: int
-    step: int = 1
-
-    @property
-    def numbers(self) -> range:
-        return range(self.first, self.last + 1, self.step)
 
 
 @dataclass(frozen=True)
@@ -79,7 +66,7 @@ def find_frames(
     inputs: tuple[Path, ...],
     table: TransformTable,
     known: KnownBetter,
-    selection: Selection | None = None,
+    selection: range | None = None,
     dataset: str | None = None,
 ) -> Footage:
     """The frames of `inputs`: many files of one frame each, or one input of any kind. A file's number is the last number in
@@ -96,7 +83,7 @@ def find_frames(
     if selection is None and series.numbers is None:
         endless = (_pending(series, number, False) for number in itertools.count())
         return Footage(endless, None, stills=False, rate=series.rate)
-    wanted = selection.numbers if selection else series.numbers or ()
+    wanted = selection or series.numbers or ()
     expected = [_pending(series, number, selection is not None) for number in wanted]
     return Footage(expected, len(expected), stills or len(expected) == 1, series.rate)
 

@@ -1,7 +1,7 @@
 """Videos through PyAV (FFmpeg): raw mosaics from lossless ones, pictures into new ones, y4m streams.
 
-Pictures are sRGB and every video says so: BT.709 primaries, sRGB transfer, and, where colours are stored as luma and chroma,
-the BT.709 matrix in limited range.
+Pictures are sRGB and every video says so: BT.709 primaries, sRGB transfer (ProRes, which cannot say it: BT.709), and, where
+colours are stored as luma and chroma, the BT.709 matrix in limited range.
 """
 
 import contextlib
@@ -88,6 +88,7 @@ class Encoding:
     presets: bool = False  # takes --preset and --crf
     options: tuple[tuple[str, str], ...] = ()
     tag: str | None = None
+    transfer: str = "IEC61966_2_1"
 
 
 ENCODINGS = {
@@ -101,9 +102,12 @@ ENCODINGS = {
         tag="hvc1",
     ),
     "ffv1": Encoding("ffv1", {8: "bgr0", 16: "gbrp16le"}, (".mkv",), options=(("level", "3"), ("slicecrc", "1"))),
-    "prores": Encoding("prores_ks", {8: "yuv422p10le", 16: "yuv422p10le"}, (".mov",), options=(("profile", "hq"),)),
+    "prores": Encoding(
+        "prores_ks", {8: "yuv422p10le", 16: "yuv422p10le"}, (".mov",), options=(("profile", "hq"),), transfer="BT709"
+    ),
 }
 USUAL = {".mp4": "h264", ".mov": "prores", ".mkv": "ffv1"}  # where no codec is asked for
+RGB_MATRIX = 0  # of ITU-T H.273: no matrix, the values are red, green and blue
 Y4M = ".y4m"
 Y4M_FORMATS = {8: ("yuv420p", "C420jpeg"), 16: ("yuv420p10le", "C420p10 XYSCSS=420P10")}
 
@@ -182,6 +186,7 @@ class VideoWriter:
         frame = self._converter.frame(picture)
         if self._stream is None:
             self._stream = self._new_stream(frame.height, frame.width)
+        self._tag(frame)
         frame.pts, frame.time_base = self._count, 1 / self._choice.rate
         self._count += 1
         self._container.mux(self._stream.encode(frame))
@@ -202,22 +207,19 @@ class VideoWriter:
         context = stream.codec_context
         context.width, context.height, context.pix_fmt = cols, rows, self._converter.target
         context.time_base = 1 / choice.rate
-        _tag(context, self._converter.target)
+        self._tag(context)
         if encoding.tag and self._container.format.name != "matroska":
             context.codec_tag = encoding.tag
         return stream
 
-
-def _tag(context: Any, pixels: str) -> None:
-    """Say what the values mean."""
-    reformatter = _av().video.reformatter
-    context.color_primaries = reformatter.ColorPrimaries.BT709
-    context.color_trc = reformatter.ColorTrc.IEC61966_2_1
-    if pixels.startswith("yuv"):
-        context.colorspace = reformatter.Colorspace.ITU709
-        context.color_range = reformatter.ColorRange.MPEG
-    else:
-        context.color_range = reformatter.ColorRange.JPEG
+    def _tag(self, where: Any) -> None:
+        """Say, in a frame or for the whole video, what the values mean."""
+        names = _av().video.reformatter
+        where.color_primaries = names.ColorPrimaries.BT709
+        where.color_trc = names.ColorTrc[self._encoding.transfer]
+        coded = self._converter.target.startswith("yuv")
+        where.colorspace = names.Colorspace.ITU709 if coded else RGB_MATRIX
+        where.color_range = names.ColorRange.MPEG if coded else names.ColorRange.JPEG
 
 
 @contextlib.contextmanager

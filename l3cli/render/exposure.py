@@ -10,12 +10,12 @@ from l3cli.classify import label_patches, neighbourhoods
 from l3cli.frame import RawFrame, mirrored_indices
 from l3cli.render.display import WHITE_PERCENTILE
 
-GRID = (48, 64)  # rows and columns of pixels that are looked at, at most
+GRID = (32, 48)  # rows and columns of pixels that are looked at, at most
 TIME_CONSTANT = 1.0  # s, in which log exposure goes 63 % of the way to that of a light that has changed
 
 
 class LightMeter:
-    """The 99th percentile of Y of a frame, from about 3000 pixels of one CFA site rendered on the processor.
+    """The 99th percentile of Y of a frame, from about 1500 pixels of one CFA site rendered on the processor.
 
     All sites of a table answer a flat area alike, so one stands for all. A pure function of the frame, whatever the device.
     """
