@@ -107,8 +107,8 @@ def _while_room(items: Iterable[T], room: threading.Semaphore, stopped: threadin
 class Behind:
     """Calls function(item) in threads of their own, at most `depth` items behind; in order if there is one thread.
 
-    As a context manager it waits for the last item. What goes wrong is raised by the next `put`, or at the end; after
-    that, or if the block fails, what waits is dropped.
+    As a context manager it waits for the last item, also when the block fails. What goes wrong is raised by the next
+    `put`, or at the end; after that, or when the block is interrupted, what waits is dropped.
     """
 
     def __init__(self, function: Callable[[T], object], depth: int, threads: int = 1) -> None:
@@ -128,7 +128,7 @@ class Behind:
         self._items.put(item)
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        if error is not None:
+        if error is not None and not isinstance(error, Exception):
             self._error = self._error or error
         for _ in self._threads:
             self._items.put(_End)

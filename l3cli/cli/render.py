@@ -113,7 +113,7 @@ def render(
     one_blas_thread()  # the products of the light meter are small, and threads that wait for them take the encoder's time
     from l3cli.artifacts.base import load
     from l3cli.artifacts.table import TransformTable
-    from l3cli.cli.sequence import USUAL_RATE, Look, make_target, marked, refuse_single, render_frames
+    from l3cli.cli.sequence import USUAL_RATE, Look, make_target, marked, refuse_missing, refuse_single, render_frames
     from l3cli.files import sha256
     from l3cli.io.raw_files import KnownBetter
     from l3cli.io.sequences import find_frames
@@ -134,6 +134,8 @@ def render(
         require_xyz(transforms.outputs)
         look = Look(transforms.white_point if white is None else scene_white(white), exposure, choice.bits)
     footage = find_frames(inputs, transforms, known, frames, dataset)
+    if not skip_bad:
+        refuse_missing(footage)
     choice = replace(choice, rate=fps or footage.rate or USUAL_RATE)
     key = [sha256(table), __version__, inputs, frames, dataset, suffix, backend, exposure, white, choice, known]
     with marked(target, key, resume, force, footage) as goes_on:

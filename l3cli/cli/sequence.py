@@ -113,6 +113,14 @@ def refuse_outputs(target: Target, footage: Footage, force: bool) -> None:
         refuse_existing(file, force)
 
 
+def refuse_missing(footage: Footage) -> None:
+    """InputFileError if it is known already that a frame is missing."""
+    if footage.count is not None:
+        for pending in footage.frames:
+            if pending.missing:
+                raise pending.missing
+
+
 def _pictures(target: Target) -> list[Path]:
     """The files that are there in a folder or of a pattern."""
     if target.kind == "pattern":
@@ -137,6 +145,7 @@ def marked(target: Target, key: list[Any], resume: bool, force: bool, footage: F
     if goes_on and target.mark.read_text() != text:
         raise RecipeError(f"{target.path} holds a run with another table, inputs or options; leave --resume out")
     refuse_outputs(target, footage, force or goes_on)
+    new = not target.mark.parent.exists()
     target.mark.parent.mkdir(parents=True, exist_ok=True)
     target.mark.write_text(text)
     try:
@@ -144,6 +153,9 @@ def marked(target: Target, key: list[Any], resume: bool, force: bool, footage: F
     except BaseException:
         if not _pictures(target):
             target.mark.unlink()
+            with contextlib.suppress(OSError):
+                if new:
+                    target.mark.parent.rmdir()
         raise
     target.mark.unlink()
 
@@ -177,9 +189,6 @@ def render_frames(
 ) -> int:  # fmt: skip
     """Render every frame into the target; how many were left out. What is broken is raised, unless `skip_bad`: then it is
     said."""
-    lost = [pending.missing for pending in footage.frames if pending.missing] if footage.count is not None else []
-    if lost and not skip_bad:
-        raise lost[0]
     steady = SteadyExposure(choice.rate) if _is_steady(footage, target, look) else None
     done = failures = 0
     with _open_sink(target, choice, table.outputs) as (write, threads), Behind(write, DEPTH, threads) as writing:

@@ -60,6 +60,7 @@ class _Series:
     read: Callable[[int], RawFrame | None]
     stem: Callable[[int], str]
     rate: Fraction | None = None
+    expected: Collection[int] | None = None  # numbers that there ought to be; None: those that there are
 
 
 def find_frames(
@@ -83,7 +84,7 @@ def find_frames(
     if selection is None and series.numbers is None:
         endless = (_pending(series, number, False) for number in itertools.count())
         return Footage(endless, None, stills=False, rate=series.rate)
-    wanted = selection or series.numbers or ()
+    wanted = selection or series.expected or series.numbers or ()
     expected = [_pending(series, number, selection is not None) for number in wanted]
     return Footage(expected, len(expected), stills or len(expected) == 1, series.rate)
 
@@ -204,14 +205,13 @@ def _of_pattern(pattern: Path, table: TransformTable, known: KnownBetter) -> _Se
     found = numbered_files(pattern)
     if not found:
         raise InputFileError(f"{pattern} matches no file; give the raw frames' pattern, such as frame_%04d.tif")
-    # A pattern says that the frames are numbered throughout: a number left out is a frame lost, and reads as such.
+    # A pattern says that the frames are numbered throughout: a number left out is a frame lost.
     whole = range(min(found), max(found) + 1)
-    series = _of_files(str(pattern), found.values(), table, known)
 
     def read(number: int) -> RawFrame:
-        return raw_files.read_raw(numbered_name(pattern, number), table, known)
+        return raw_files.read_raw(found[number], table, known)
 
-    return _Series(series.what, whole, read, lambda number: numbered_name(pattern, number).stem)
+    return _Series(str(pattern), found, read, lambda number: numbered_name(pattern, number).stem, expected=whole)
 
 
 # --------------------------------------------------------------------------------------------------------- stacks
@@ -302,10 +302,16 @@ class _Stream:
         pixels: NDArray | None = None
         while self._next <= number:
             self._next += 1  # before reading: a frame that fails has been passed
-            pixels = self._following()
+            try:
+                pixels = self._following()
+            except InputFileError as error:
+                if self._next <= number:
+                    continue  # nobody wants it
+                raise InputFileError(f"frame {number}: {error}") from error
             if pixels is None:
                 return None
-        assert pixels is not None
+        if pixels is None:
+            return None
         return self._frame_of(pixels, number)
 
 
@@ -322,7 +328,7 @@ def _stdin(table: TransformTable, known: KnownBetter) -> _Series:
         while filled < len(content) and (got := pipe.readinto(memoryview(content)[filled:])):
             filled += got
         if 0 < filled < len(content):
-            raise InputFileError(f"stdin ends within a frame of {rows}×{cols} 16-bit values; check --size ROWSxCOLS")
+            raise InputFileError(f"stdin ends within the frame, of {rows}×{cols} 16-bit values; check --size ROWSxCOLS")
         return np.frombuffer(content, "<u2").reshape(rows, cols) if filled else None
 
     stream = _Stream(following, lambda pixels, number: raw_files.frame_of(f"stdin frame {number}", pixels, table, known))

@@ -5,6 +5,7 @@ colours are stored as luma and chroma, the BT.709 matrix in limited range.
 """
 
 import contextlib
+import logging
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -27,7 +28,10 @@ def _av() -> Any:
         import av
     except ImportError as error:
         raise L3Error(INSTALL) from error
-    av.logging.set_level(av.logging.PANIC)  # what goes wrong is told by exceptions, in one line
+    av.logging.set_level(av.logging.ERROR)  # for RawVideo; what goes wrong is told in one line, not in FFmpeg's own
+    log = logging.getLogger("libav")
+    log.addHandler(logging.NullHandler())
+    log.propagate = False
     return av
 
 
@@ -53,26 +57,30 @@ class RawVideo:
             raise InputFileError(
                 f"{path} holds {context.pix_fmt or 'unknown'} pixels; a raw video has one channel (gray, gray12le…)"
             )
-        # By slices, not by frames: then an error is told with the frame that has it. Checksums are looked at.
-        context.thread_type = "SLICE"
-        context.options = {"err_detect": "crccheck+explode"}
+        context.thread_count = 1  # see `following`
         self.rate: Fraction | None = stream.average_rate or None
         self._packets = self._container.demux(stream)
         self._decoded: Iterator[Any] = iter(())
+        self._damaged = False  # since the last key frame
 
     def following(self) -> NDArray[np.uint16] | None:
         """The next frame (row, col); None after the last. InputFileError if it is damaged; the call after goes on."""
         av = _av()
         try:
-            while True:
-                for frame in self._decoded:
-                    return frame.to_ndarray().astype(np.uint16)
-                self._decoded = iter(next(self._packets).decode())
+            while (frame := next(self._decoded, None)) is None:
+                packet = next(self._packets)
+                # A slice with a wrong checksum is concealed and only logged, in the thread that decodes: this one.
+                with av.logging.Capture() as complaints:
+                    self._decoded = iter(packet.decode())
+                self._damaged = bool(complaints) or (self._damaged and not packet.is_keyframe)
         except StopIteration:
             return None
         except (av.error.FFmpegError, OSError) as error:
-            self._decoded = iter(())
+            self._damaged = True
             raise InputFileError(f"{self.path} is damaged ({error.strerror}); copy the video again") from error
+        if self._damaged:
+            raise InputFileError(f"{self.path} is damaged (checksum); copy the video again")
+        return frame.to_ndarray().astype(np.uint16)
 
 
 # ------------------------------------------------------------------------------------------------------------ encoding
@@ -101,7 +109,9 @@ ENCODINGS = {
         options=(("x265-params", "log-level=none"),),
         tag="hvc1",
     ),
-    "ffv1": Encoding("ffv1", {8: "bgr0", 16: "gbrp16le"}, (".mkv",), options=(("level", "3"), ("slicecrc", "1"))),
+    "ffv1": Encoding(
+        "ffv1", {8: "bgr0", 16: "gbrp16le"}, (".mkv",), options=(("level", "3"), ("slicecrc", "1"), ("g", "1"))
+    ),
     "prores": Encoding(
         "prores_ks", {8: "yuv422p10le", 16: "yuv422p10le"}, (".mov",), options=(("profile", "hq"),), transfer="BT709"
     ),
