@@ -7,7 +7,7 @@ JOBS ?= 2
 L3 := $(BIN)/l3
 TIMED := bash -c 'time "$$0" "$$@"'
 
-.PHONY: help install demo demo-steps test study lint format bench clean
+.PHONY: help install demo demo-steps test study video lint format bench clean
 .DEFAULT_GOAL := help
 
 help: ## this list
@@ -39,7 +39,10 @@ test: $(VENV)/installed ## the test suite
 	$(BIN)/python -m pytest
 
 study: $(VENV)/installed ## calibration over 21 seeds and a whole session's time and memory (ten minutes)
-	$(BIN)/python -m pytest -m slow -s
+	$(BIN)/python -m pytest -m slow -s --ignore tests/test_video_rate.py
+
+video: $(VENV)/installed ## rate and memory of 1800 raw frames to video, beside the encoder alone (six minutes)
+	$(BIN)/python -m pytest -m slow -s tests/test_video_rate.py
 
 lint: $(VENV)/installed ## ruff format and check, mypy
 	$(BIN)/ruff format --check .
