@@ -12,6 +12,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+import tifffile
 from test_render import BAYER, FIVE_BAND, random_table
 
 from l3cli.artifacts.base import save
@@ -131,6 +132,26 @@ def test_camera_raws_of_a_folder_are_a_sequence(l3, l3_data, tmp_path, table):
     found = pictures(tmp_path / "out", "*.jpg")
     assert list(found) == ["A001_000001.jpg", "A001_000002.jpg"]
     assert found["A001_000001.jpg"].shape == (1156, 1734, 3)
+
+
+def test_cinema_dng_tells_its_rate(tmp_path):
+    for name, tags in (("a_1.dng", [(51044, "2i", 1, (24000, 1001), True)]), ("b_1.dng", [])):
+        tifffile.imwrite(tmp_path / name, frames()[0], extratags=tags)
+    known = KnownBetter()
+    assert find_frames((tmp_path / "a_*.dng",), RGGB, known).rate == Fraction(24000, 1001)
+    assert find_frames((tmp_path / "a_%d.dng",), RGGB, known).rate == Fraction(24000, 1001)
+    assert find_frames((tmp_path / "b_1.dng",), RGGB, known).rate is None
+    (tmp_path / "c_1.dng").write_bytes(b"no DNG")
+    assert find_frames((tmp_path / "c_1.dng",), RGGB, known).rate is None
+
+
+def test_raw_frames_are_never_replaced(refused, tmp_path, table, folder):
+    before = {path: path.read_bytes() for path in folder.iterdir()}
+    for output in (folder / "frame_%02d.tif", folder, folder / "frame_07.tif"):
+        source = folder / "frame_07.tif" if output.suffix and output.exists() else folder
+        line = refused(2, "render", table, source, "-o", output, "--format", "tif", "--force")
+        assert "is an input" in line
+    assert {path: path.read_bytes() for path in folder.iterdir()} == before
 
 
 def test_numbers_come_from_names_where_names_have_them(tmp_path):

@@ -8,6 +8,7 @@ import contextlib
 import hashlib
 import json
 import sys
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
@@ -101,6 +102,8 @@ def refuse_outputs(target: Target, footage: Footage, force: bool) -> None:
             f"{target.path} holds one picture, the inputs are {count}; name a folder, a pattern "
             f"({target.path.stem}_%04d{target.path.suffix}) or a video"
         )
+    if footage.count is not None and target.one_by_one:
+        _spare_inputs(target, footage)
     if target.kind not in ("pattern", "folder"):
         return
     if footage.count is None:
@@ -111,6 +114,14 @@ def refuse_outputs(target: Target, footage: Footage, force: bool) -> None:
         raise RecipeError("two inputs have the same name and would write the same file; render them one by one")
     for file in files:
         refuse_existing(file, force)
+
+
+def _spare_inputs(target: Target, footage: Footage) -> None:
+    """RecipeError if a picture would take the place of a raw frame, whatever --force says."""
+    for pending in footage.frames:
+        file = target.file(pending.number, pending.stem)
+        if pending.source is not None and file.exists() and pending.source.exists() and file.samefile(pending.source):
+            raise RecipeError(f"{file} is an input; name another output")
 
 
 def refuse_missing(footage: Footage) -> None:
@@ -189,6 +200,7 @@ def render_frames(
 ) -> int:  # fmt: skip
     """Render every frame into the target; how many were left out. What is broken is raised, unless `skip_bad`: then it is
     said."""
+    start = time.monotonic()
     steady = SteadyExposure(choice.rate) if _is_steady(footage, target, look) else None
     done = failures = 0
     with _open_sink(target, choice, table.outputs) as (write, threads), Behind(write, DEPTH, threads) as writing:
@@ -208,6 +220,9 @@ def render_frames(
             done += 1
         if not done:
             raise InputFileError("none of the frames could be read; nothing is written")
+    if not footage.stills:
+        rate = done / max(time.monotonic() - start, 1e-9)
+        options.say(f"{target.path}: {done} frames, {rate:.3g} a second", quiet)
     if failures:
         click.echo(f"l3: {failures} of {done + failures} frames left out", err=True)
     return failures

@@ -5,7 +5,7 @@ What is found here is not read yet, so that memory does not grow with the number
 
 import itertools
 import re
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -21,6 +21,7 @@ from l3cli.io import raw_files
 from l3cli.io.raw_files import KnownBetter
 
 STDIN = Path("-")
+CHUNK_CACHE = 128 << 20  # bytes: chunks of many frames are unpacked once, not once a frame
 STACKS = (".h5", ".hdf5", ".hdf")
 VIDEOS = (".mkv", ".mov", ".mp4", ".avi")
 CAMERA_RAWS = tuple(
@@ -28,6 +29,7 @@ CAMERA_RAWS = tuple(
     + ("nef", "nrw", "orf", "pef", "raf", "rw2", "rwl", "srw", "x3f")
 )  # fmt: skip
 ONE_FRAME = raw_files.HEADERLESS + raw_files.IMAGES + CAMERA_RAWS + (".npy",)  # what is taken from a folder
+FRAME_RATE = 51044  # the tag of CinemaDNG
 PATTERN = re.compile(r"%(0\d+)?d|#+")
 
 
@@ -39,6 +41,7 @@ class Pending:
     stem: str  # of the file that is made of it
     read: Callable[[], RawFrame | None]  # None: there is no such frame, the stream ended before; InputFileError: broken
     missing: InputFileError | None = None  # known before reading; `read` raises it too
+    source: Path | None = None  # the file that holds it alone
 
 
 @dataclass(frozen=True)
@@ -60,6 +63,7 @@ class _Series:
     read: Callable[[int], RawFrame | None]
     stem: Callable[[int], str]
     rate: Fraction | None = None
+    files: Mapping[int, Path] | None = None  # of those frames that have one each
     expected: Collection[int] | None = None  # numbers that there ought to be; None: those that there are
 
 
@@ -100,7 +104,8 @@ def _pending(series: _Series, number: int, demanded: bool) -> Pending:
             raise missing
         return frame
 
-    return Pending(number, series.stem(number), read, known_missing)
+    source = series.files.get(number) if series.files else None
+    return Pending(number, series.stem(number), read, known_missing, source)
 
 
 def _is_one_file(path: Path) -> bool:
@@ -174,7 +179,25 @@ def _of_files(what: str, paths: Iterable[Path], table: TransformTable, known: Kn
     def stem(number: int) -> str:
         return of_number[number].stem if number in of_number else f"{number:06d}"
 
-    return _Series(what, of_number, lambda number: raw_files.read_raw(of_number[number], table, known), stem)
+    def read(number: int) -> RawFrame:
+        return raw_files.read_raw(of_number[number], table, known)
+
+    return _Series(what, of_number, read, stem, _film_rate(paths[0]), of_number)
+
+
+def _film_rate(path: Path) -> Fraction | None:
+    """Frames a second that a CinemaDNG file tells."""
+    import tifffile
+
+    if path.suffix.lower() != ".dng" or not path.is_file():
+        return None
+    try:
+        with tifffile.TiffFile(path) as file:
+            tag = file.pages[0].tags.get(FRAME_RATE)
+            rate = Fraction(*tag.value) if tag else Fraction(0)
+    except (tifffile.TiffFileError, TypeError, ValueError, ZeroDivisionError, OSError):
+        return None  # reading the frame tells what is wrong with it
+    return rate if rate > 0 else None
 
 
 def numbered_name(pattern: Path, number: int) -> Path:
@@ -211,7 +234,8 @@ def _of_pattern(pattern: Path, table: TransformTable, known: KnownBetter) -> _Se
     def read(number: int) -> RawFrame:
         return raw_files.read_raw(found[number], table, known)
 
-    return _Series(str(pattern), found, read, lambda number: numbered_name(pattern, number).stem, expected=whole)
+    rate = _film_rate(next(iter(found.values())))
+    return _Series(str(pattern), found, read, lambda number: numbered_name(pattern, number).stem, rate, found, whole)
 
 
 # --------------------------------------------------------------------------------------------------------- stacks
@@ -245,8 +269,7 @@ def _headerless_stack(path: Path, table: TransformTable, known: KnownBetter) -> 
 
 def _npy_stack(path: Path, table: TransformTable, known: KnownBetter) -> _Series:
     def pixels(number: int) -> NDArray:
-        # Mapped anew for each frame: pages of a mapping that is kept count as memory of this process.
-        return np.array(raw_files.map_npy(path, 3)[number])
+        return raw_files.map_npy(path, 3)[number]  # mapped anew: pages of a mapping that is kept count as memory
 
     return _stack(path, len(raw_files.map_npy(path, 3)), pixels, table, known)
 
@@ -256,7 +279,7 @@ def _hdf5_stack(path: Path, table: TransformTable, known: KnownBetter, dataset: 
 
     if not h5py.is_hdf5(path):
         raise InputFileError(f"{path} is not an HDF5 file; give one with a dataset (frame, row, col)")
-    root = h5py.File(path, "r")
+    root = h5py.File(path, "r", rdcc_nbytes=CHUNK_CACHE)
     frames = root.get(dataset) if dataset else _only_stack(path, root)
     if not isinstance(frames, h5py.Dataset) or not _is_stack(frames, (2, 3)):
         held = f"{frames.dtype} {frames.shape}" if isinstance(frames, h5py.Dataset) else "no dataset"
