@@ -267,7 +267,7 @@ def test_reading_runs_ahead_no_further_than_asked():
     for number in range(10):
         assert next(taken) == number
         time.sleep(0.01)
-        assert len(made) <= number + 1 + 3
+        assert len(made) <= number + 1 + 3, taken.close()
     taken.close()
     before = threading.active_count()
     time.sleep(0.05)
@@ -283,19 +283,21 @@ def test_writing_falls_behind_no_further_than_asked():
         written.append(item)
 
     put = []
-    with Behind(slow, 3) as writing:
+    writing = Behind(slow, 3)
 
-        def fill() -> None:
+    def fill() -> None:
+        with writing:
             for number in range(10):
                 writing.put(number)
                 put.append(number)
 
-        filler = threading.Thread(target=fill)
-        filler.start()
-        time.sleep(0.05)
-        assert len(put) <= 3 + 1
-        gate.set()
-        filler.join()
+    filler = threading.Thread(target=fill)
+    filler.start()
+    time.sleep(0.05)
+    waiting = len(put)
+    gate.set()
+    filler.join()
+    assert waiting <= 3 + 1
     assert written == list(range(10))
 
 
