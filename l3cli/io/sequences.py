@@ -5,7 +5,7 @@ What is found here is not read yet, so that memory does not grow with the number
 
 import itertools
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -86,26 +86,38 @@ def find_frames(
     stills = len(inputs) > 1
     series = _of_files("the inputs", inputs, table, known) if stills else _series(inputs[0], table, known, dataset)
     if selection is None and series.numbers is None:
-        endless = (_pending(series, number, False) for number in itertools.count())
-        return Footage(endless, None, stills=False, rate=series.rate)
+        return Footage(_Frames(series, itertools.count(), demanded=False), None, stills=False, rate=series.rate)
     wanted = selection or series.expected or series.numbers or ()
-    expected = [_pending(series, number, selection is not None) for number in wanted]
-    return Footage(expected, len(expected), stills or len(expected) == 1, series.rate)
+    count = len(wanted)
+    return Footage(_Frames(series, wanted, selection is not None), count, stills or count == 1, series.rate)
 
 
-def _pending(series: _Series, number: int, demanded: bool) -> Pending:
-    """`demanded`: the caller asked for this very number, so that a stream's end before it is a fault."""
-    missing = InputFileError(f"frame {number} is not in {series.what}; choose others with --frames, or add --skip-bad")
-    known_missing = missing if series.numbers is not None and number not in series.numbers else None
+@dataclass(frozen=True)
+class _Frames:
+    """The frames of a series, made one by one each time they are gone through: there may be many."""
 
-    def read() -> RawFrame | None:
-        frame = None if known_missing else series.read(number)
-        if frame is None and (known_missing or demanded):
-            raise missing
-        return frame
+    series: _Series
+    wanted: Iterable[int]
+    demanded: bool  # the caller asked for these very numbers, so that a stream's end before one is a fault
 
-    source = series.files.get(number) if series.files else None
-    return Pending(number, series.stem(number), read, known_missing, source)
+    def __iter__(self) -> Iterator[Pending]:
+        return map(self._pending, self.wanted)
+
+    def _pending(self, number: int) -> Pending:
+        series = self.series
+        missing = series.numbers is not None and number not in series.numbers
+
+        def read() -> RawFrame | None:
+            frame = None if missing else series.read(number)
+            if frame is None and (missing or self.demanded):
+                raise self._missing(number)
+            return frame
+
+        source = series.files.get(number) if series.files else None
+        return Pending(number, series.stem(number), read, self._missing(number) if missing else None, source)
+
+    def _missing(self, number: int) -> InputFileError:
+        return InputFileError(f"frame {number} is not in {self.series.what}; choose with --frames, or add --skip-bad")
 
 
 def _is_one_file(path: Path) -> bool:
