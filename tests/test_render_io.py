@@ -1,6 +1,8 @@
 """`l3 render` and its files: raw files in, pictures out, and one clear line for everything that cannot be."""
 
 import dataclasses
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -9,6 +11,7 @@ import OpenImageIO as oiio
 import pytest
 from test_render import BAYER, FIVE_BAND, XYZ, random_table
 
+from l3cli import spectra
 from l3cli.artifacts.base import save
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.files import sha256
@@ -316,6 +319,18 @@ def test_no_device_is_exit_code_4(refused, tmp_path, table, raw, monkeypatch):
     assert "L3_DEVICE" in refused(4, "render", table, raw, "-o", tmp_path / "a.png")
     monkeypatch.setattr(opencl, "devices", list)
     assert "pip install" in refused(4, "render", table, raw, "-o", tmp_path / "a.png")
+
+
+def test_a_frame_is_rendered_without_colour_science_by_its_very_numbers(tmp_path, table, raw):
+    colour = spectra._colour()
+    np.testing.assert_array_equal(spectra.srgb_from_xyz_matrix(), colour.RGB_COLOURSPACES["sRGB"].matrix_XYZ_to_RGB)
+    a, d65 = spectra.white_point("A"), spectra.white_point("D65")
+    theirs = colour.adaptation.matrix_chromatic_adaptation_VonKries(a, d65, transform="Bradford")
+    np.testing.assert_allclose(spectra.adaptation_matrix(3 * a, d65), theirs, atol=1e-12)
+    call = f"run(['render', {str(table)!r}, {str(raw)!r}, '-o', {str(tmp_path / 'a.png')!r}])"
+    slow = "{'colour', 'scipy', 'matplotlib', 'av', 'tifffile'}"
+    program = f"import sys; from l3cli.cli import run; code = {call}; sys.exit(code or bool({slow} & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
 
 
 # ------------------------------------------------------------------------------------------------------- real files

@@ -199,10 +199,10 @@ def _of_files(what: str, paths: Iterable[Path], table: TransformTable, known: Kn
 
 def _film_rate(path: Path) -> Fraction | None:
     """Frames a second that a CinemaDNG file tells."""
-    import tifffile
-
     if path.suffix.lower() != ".dng" or not path.is_file():
         return None
+    import tifffile
+
     try:
         with tifffile.TiffFile(path) as file:
             tag = file.pages[0].tags.get(FRAME_RATE)
