@@ -9,7 +9,7 @@ TIMED := bash -c 'time "$$0" "$$@"'
 
 CURVE := build/curve
 
-.PHONY: help install demo demo-steps test study curve lint format bench clean
+.PHONY: help install demo demo-steps test study video curve lint format bench clean
 .DEFAULT_GOAL := help
 
 help: ## this list
@@ -42,7 +42,10 @@ test: $(VENV)/installed ## the test suite
 	$(BIN)/python -m pytest
 
 study: $(VENV)/installed ## calibration over 21 seeds and a whole session's time and memory (ten minutes)
-	$(BIN)/python -m pytest -m slow -s
+	$(BIN)/python -m pytest -m slow -s --ignore tests/test_video_rate.py
+
+video: $(VENV)/installed ## rate and memory of 1800 raw frames to video, beside the encoder alone (six minutes)
+	$(BIN)/python -m pytest -m slow -s tests/test_video_rate.py
 
 curve: $(VENV)/installed ## Bayer and RGBW over the light on the scene: which is better from where (ten minutes)
 	rm -rf $(CURVE) && mkdir -p $(CURVE)

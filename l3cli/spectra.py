@@ -18,6 +18,11 @@ LIGHT_SPEED = 299792458.0  # m/s
 LUMINOUS_EFFICACY = 683.0  # lm/W
 SPRAGUE_STEP = 20.0  # nm between bands up to which a reflectance is taken as smooth
 Array = NDArray[np.floating]
+# Written out, though colour-science has both: rendering a frame needs nothing else of it, and importing it takes longer.
+SRGB_FROM_XYZ = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])  # IEC 61966-2-1
+BRADFORD = np.array(
+    [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]]
+)  # cone response of XYZ
 
 
 def _colour() -> Any:
@@ -223,13 +228,13 @@ def delta_e_2000(lab_a: Array, lab_b: Array) -> Array:
 
 def adaptation_matrix(white: Array, to: Array) -> Array:
     """Bradford chromatic adaptation (3, 3) of XYZ from `white` to `to`, each (3) with any Y."""
-    matrix_vk = _colour().adaptation.matrix_chromatic_adaptation_VonKries
-    return matrix_vk(white / white[1], to / to[1], transform="Bradford")
+    gain = (BRADFORD @ to / to[1]) / (BRADFORD @ white / white[1])
+    return np.linalg.solve(BRADFORD, gain[:, None] * BRADFORD)
 
 
 def srgb_from_xyz_matrix() -> Array:
     """Linear sRGB = M (3, 3) @ XYZ with the D65 white at Y = 1."""
-    return np.asarray(_colour().RGB_COLOURSPACES["sRGB"].matrix_XYZ_to_RGB)
+    return SRGB_FROM_XYZ.copy()
 
 
 def srgb_curve(linear: Array) -> Array:

@@ -17,6 +17,7 @@ DOORS = {
     "rawpy": ("io/",),
     "OpenImageIO": ("io/",),
     "tifffile": ("io/",),
+    "av": ("io/",),
     "h5py": ("artifacts/", "io/"),
     "colour": ("spectra.py",),
     "dask": ("parallel.py",),

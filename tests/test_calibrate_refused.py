@@ -10,7 +10,8 @@ import pytest
 
 from l3cli.artifacts.base import load
 from l3cli.artifacts.camera import CameraModel, load_camera
-from l3cli.io.frames import read_frame, write_frame
+from l3cli.io.frames import read_frame
+from l3cli.io.images import write_mosaic
 
 L3 = Callable[..., tuple[int, str, str]]
 Refused = Callable[..., str]
@@ -72,11 +73,11 @@ def truncate(path: Path) -> None:
 
 
 def too_small(path: Path) -> None:
-    write_frame(path, np.zeros((100, 100), dtype=np.uint16))
+    write_mosaic(path, np.zeros((100, 100), dtype=np.uint16))
 
 
 def too_deep(path: Path) -> None:
-    write_frame(path, np.full((192, 256), 5000, dtype=np.uint16))
+    write_mosaic(path, np.full((192, 256), 5000, dtype=np.uint16))
 
 
 def no_picture(path: Path) -> None:
@@ -288,17 +289,17 @@ def test_saturated_captures_are_refused(copied: Path, bayer: CameraModel, tmp_pa
     full = np.full((bayer.rows, bayer.cols), 3814, dtype=np.uint16)
     chart = sorted((copied / "chart").iterdir())[0]
     kept = read_frame(chart, (bayer.rows, bayer.cols), bayer.bits).copy()
-    write_frame(chart, full)
+    write_mosaic(chart, full)
     command = (3, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
     line = refused(*command)
     assert "patch 1 is saturated in channel r" in line
     assert chart.name in line
-    write_frame(chart, kept)
+    write_mosaic(chart, kept)
     for frame in (copied / "mono").iterdir():
-        write_frame(frame, full)
+        write_mosaic(frame, full)
     assert "channel r is saturated in every monochromatic capture" in refused(*command)
     for frame in (copied / "white").iterdir():
-        write_frame(frame, full)
+        write_mosaic(frame, full)
     assert "the white frames hold no noise" in refused(*command)
 
 

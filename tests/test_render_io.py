@@ -1,6 +1,8 @@
 """`l3 render` and its files: raw files in, pictures out, and one clear line for everything that cannot be."""
 
 import dataclasses
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -9,6 +11,7 @@ import OpenImageIO as oiio
 import pytest
 from test_render import BAYER, FIVE_BAND, XYZ, random_table
 
+from l3cli import spectra
 from l3cli.artifacts.base import save
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.files import sha256
@@ -194,13 +197,14 @@ def test_the_same_input_gives_the_same_bytes(l3, tmp_path, table, raw):
         assert sha256(tmp_path / f"a.{suffix}") == sha256(tmp_path / f"b.{suffix}")
 
 
-def test_several_inputs_fill_a_folder_and_one_failure_does_not_stop_them(l3, tmp_path, table, raw, mosaic):
+def test_several_inputs_fill_a_folder_and_failures_can_be_left_out(l3, tmp_path, table, raw, mosaic):
     np.save(tmp_path / "second.npy", mosaic[:9, :11])
     (tmp_path / "broken.npy").write_bytes(b"nothing")
     inputs = (raw, tmp_path / "broken.npy", tmp_path / "second.npy")
-    code, out, err = l3("render", table, *inputs, "-o", tmp_path / "out", "--format", "tif")
-    assert (code, out, err.count("\n")) == (1, "", 1)
+    code, out, err = l3("render", table, *inputs, "-o", tmp_path / "out", "--format", "tif", "--skip-bad")
+    assert (code, out, err.count("\n")) == (1, "", 2)
     assert "broken.npy" in err
+    assert "1 of 3 frames" in err
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["frame.tif", "second.tif"]
     assert read_image(tmp_path / "out/second.tif")[0].shape == (9, 11, 3)
 
@@ -219,7 +223,7 @@ def test_existing_outputs_are_refused_before_any_work(refused, tmp_path, table, 
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "frame.png").write_bytes(b"mine")
     assert "frame.png exists" in refused(1, "render", table, raw, tmp_path / "b.npy", "-o", tmp_path / "out")
-    assert "folder" in refused(1, "render", table, raw, tmp_path / "b.npy", "-o", tmp_path / "a.png")
+    assert "folder" in refused(2, "render", table, raw, tmp_path / "b.npy", "-o", tmp_path / "new.png")
     assert (tmp_path / "a.png").read_bytes() == b"mine"
 
 
@@ -283,7 +287,7 @@ def test_broken_inputs_are_refused_in_one_line(refused, tmp_path, table, mosaic,
     inputs["empty.npy"] = "numpy.save"
     np.save(tmp_path / "float.npy", mosaic / 2)
     inputs["float.npy"] = "uint16"
-    np.save(tmp_path / "cube.npy", mosaic[None])
+    np.save(tmp_path / "cube.npy", mosaic[None, None])
     inputs["cube.npy"] = "rows × columns"
     np.save(tmp_path / "object.npy", np.array([[None]]), allow_pickle=True)
     inputs["object.npy"] = "numpy.save"
@@ -315,6 +319,18 @@ def test_no_device_is_exit_code_4(refused, tmp_path, table, raw, monkeypatch):
     assert "L3_DEVICE" in refused(4, "render", table, raw, "-o", tmp_path / "a.png")
     monkeypatch.setattr(opencl, "devices", list)
     assert "pip install" in refused(4, "render", table, raw, "-o", tmp_path / "a.png")
+
+
+def test_a_frame_is_rendered_without_colour_science_by_its_very_numbers(tmp_path, table, raw):
+    colour = spectra._colour()
+    np.testing.assert_array_equal(spectra.srgb_from_xyz_matrix(), colour.RGB_COLOURSPACES["sRGB"].matrix_XYZ_to_RGB)
+    a, d65 = spectra.white_point("A"), spectra.white_point("D65")
+    theirs = colour.adaptation.matrix_chromatic_adaptation_VonKries(a, d65, transform="Bradford")
+    np.testing.assert_allclose(spectra.adaptation_matrix(3 * a, d65), theirs, atol=1e-12)
+    call = f"run(['render', {str(table)!r}, {str(raw)!r}, '-o', {str(tmp_path / 'a.png')!r}])"
+    slow = "{'colour', 'scipy', 'matplotlib', 'av', 'tifffile'}"
+    program = f"import sys; from l3cli.cli import run; code = {call}; sys.exit(code or bool({slow} & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
 
 
 # ------------------------------------------------------------------------------------------------------- real files

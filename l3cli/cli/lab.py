@@ -51,11 +51,11 @@ def lab(camera: Path, output: Path, recipe: Path | None, seed: int, jobs: int, f
 
 def _take(model: "CameraModel", flaws: "FlawRecipe", folder: Path, seed: int, job: "tuple[LabCapture, int]") -> None:
     """Take and write one frame, in whatever process."""
-    from l3cli.io.frames import write_frame
+    from l3cli.io.images import write_mosaic
     from l3cli.simulate.lab import take
 
     capture, trial = job
-    write_frame(folder / _frame_name(capture, trial), take(model, capture, trial, seed, flaws))
+    write_mosaic(folder / _frame_name(capture, trial), take(model, capture, trial, seed, flaws))
 
 
 def _frame_name(capture: "LabCapture", trial: int) -> str:

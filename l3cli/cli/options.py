@@ -46,7 +46,7 @@ def say(message: str, quiet: bool) -> None:
         click.echo(message, err=True)
 
 
-def progress(items: Iterable[T], total: int, what: str, quiet: bool) -> Iterator[T]:
+def progress(items: Iterable[T], total: int | None, what: str, quiet: bool) -> Iterator[T]:
     """Pass `items` on with a bar on a terminal (rate and time left), nothing elsewhere."""
     if quiet or not sys.stderr.isatty():
         yield from items

@@ -1,13 +1,19 @@
 """l3 render: raw frames through a table."""
 
+import re
 from collections.abc import Callable
+from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import click
 
+from l3cli import __version__
 from l3cli.cli import options
-from l3cli.errors import L3Error, RecipeError
+from l3cli.errors import RecipeError
+
+PRESETS = ("ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow")
 
 
 def _pair(separator: str) -> Callable[[Any, Any, str | None], tuple[int, int] | None]:
@@ -33,27 +39,47 @@ def _exposure(context: Any, parameter: Any, text: str) -> float | None:
     return value
 
 
-def _targets(inputs: tuple[Path, ...], output: Path, suffix: str, bits: int, force: bool) -> list[Path]:
-    """The file for each input: `output` for one, files named by the inputs' stems in the folder `output` for several."""
-    from l3cli.files import refuse_existing
-    from l3cli.io.images import check_format
+def _frames(context: Any, parameter: Any, text: str | None) -> range | None:
+    """Reads FROM-TO[xSTEP]."""
+    if text is None:
+        return None
+    found = re.fullmatch(r"(\d+)(?:-(\d+))?(?:x(\d+))?", text, re.ASCII)
+    if not found:
+        raise click.BadParameter(f'"{text}" is not {parameter.metavar}, such as 1-500 or 1-500x2')
+    first, last, step = int(found[1]), int(found[2] or found[1]), int(found[3] or 1)
+    if last < first or step < 1:
+        raise click.BadParameter(f"{text} holds no frame; give the lower number first and a step of 1 or more")
+    return range(first, last + 1, step)
 
-    targets = [output] if len(inputs) == 1 else [output / f"{path.stem}.{suffix}" for path in inputs]
-    if len(set(targets)) < len(targets):
-        raise RecipeError("two inputs have the same name and would write the same file; render them one by one")
-    if len(inputs) > 1 and output.exists() and not output.is_dir():
-        raise L3Error(f"{output} is a file; name a folder as the output of several inputs")
-    for target in targets:
-        check_format(target, bits)
-        refuse_existing(target, force)
-    return targets
+
+def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
+    """Reads a positive number or fraction."""
+    try:
+        rate = None if text is None else Fraction(text)
+    except (ValueError, ZeroDivisionError):
+        raise click.BadParameter(f'"{text}" is no number such as 25, 23.976 or 30000/1001') from None
+    if rate is not None and not 0 < rate <= 1000:
+        raise click.BadParameter(f"{text} is not between 0 and 1000")
+    return rate
 
 
 @click.command()
 @click.argument("table", type=options.FILE)
 @click.argument("inputs", type=options.FILE, nargs=-1, required=True, metavar="INPUT...")
-@options.output("Picture (.png .tif .jpg) or linear outputs (.exr); the folder for them if there are several inputs")
+@options.output(
+    "Picture (.png .tif .jpg .exr), numbered files (a_%04d.png, a_####.tif), folder, video, or - (y4m to stdout)"
+)
 @click.option("--format", "suffix", default="png", show_default=True, help="Suffix of the files in a folder.")
+@click.option("--frames", callback=_frames, metavar="FROM-TO[xSTEP]", help="Numbers of the frames to take.")
+@click.option("--dataset", metavar="NAME", help="Frames of an HDF5 input [default: its only stack].")
+@click.option(
+    "--fps", callback=_rate, metavar="RATE", help="Frames a second, 25 or 30000/1001 [default: the input's or 30]."
+)
+@click.option(
+    "--codec", type=click.Choice(["h264", "h265", "ffv1", "prores"]), help="[default: .mp4 h264, .mov prores, .mkv ffv1]"
+)
+@click.option("--crf", type=click.FloatRange(0, 51), help="Quality of h264 and h265, lower is better [default: theirs].")
+@click.option("--preset", type=click.Choice(PRESETS), default="veryfast", show_default=True, help="Effort of h264, h265.")
 @click.option("--backend", type=click.Choice(["opencl", "reference"]), default="opencl", show_default=True, help="Engine.")
 @click.option("--exposure", default="auto", callback=_exposure, metavar="auto|VALUE", help="Y × VALUE = 1 is shown white.")
 @click.option(
@@ -64,54 +90,55 @@ def _targets(inputs: tuple[Path, ...], output: Path, suffix: str, bits: int, for
 @click.option("--white-level", type=float, metavar="DN", help="White level of the inputs [default: the file's or table's].")
 @click.option("--phase", callback=_pair(","), metavar="ROW,COL", help="CFA site of the inputs' first pixel.")
 @click.option("--size", callback=_pair("x"), metavar="ROWSxCOLS", help="Size of headerless inputs [default: the table's].")
+@click.option("--skip-bad", is_flag=True, help="Leave out missing and broken frames; exit code 1 if there were any.")
+@click.option("--resume", is_flag=True, help="Go on with a sequence of pictures where a run was stopped.")
 @options.force
 @options.quiet
 def render(
-    table: Path, inputs: tuple[Path, ...], output: Path, suffix: str, backend: str, exposure: float | None,
+    table: Path, inputs: tuple[Path, ...], output: Path, suffix: str, frames: range | None, dataset: str | None,
+    fps: Fraction | None, codec: str | None, crf: float | None, preset: str, backend: str, exposure: float | None,
     white: str | None, bits: str, black: float | None, white_level: float | None, phase: tuple[int, int] | None,
-    size: tuple[int, int] | None, force: bool, quiet: bool,
+    size: tuple[int, int] | None, skip_bad: bool, resume: bool, force: bool, quiet: bool,
 ) -> int:  # fmt: skip
-    """Render each INPUT (camera raw, one-channel TIFF or PNG, .npy, headerless .raw or .bin) through TABLE.
+    """Render INPUT through TABLE: files (camera raw, one-channel TIFF or PNG, .npy, headerless .raw or .bin), or a sequence:
+    a folder, a pattern (a_%04d.tif, a_####.tif), a quoted glob, a stack (.npy, HDF5), a headerless file of many frames, a
+    grey video (FFV1 in MKV), or - (headerless frames on stdin).
 
-    With --exposure auto the 99th percentile of Y is shown white.
+    With --exposure auto the 99th percentile of Y is shown white; in a sequence it is followed smoothly.
 
     Example: l3 render table.h5 frame.dng -o picture.png
     """
-    import numpy as np
+    from l3cli.parallel import one_blas_thread
 
+    one_blas_thread()  # the products of the light meter are small, and threads that wait for them take the encoder's time
     from l3cli.artifacts.base import load
     from l3cli.artifacts.table import TransformTable
-    from l3cli.frame import upright
-    from l3cli.io.images import is_linear, write_linear, write_picture
-    from l3cli.io.raw_files import KnownBetter, read_raw
-    from l3cli.render.display import automatic_exposure, make_display, require_xyz, scene_white
+    from l3cli.cli.sequence import USUAL_RATE, Look, make_target, marked, refuse_missing, refuse_single, render_frames
+    from l3cli.files import sha256
+    from l3cli.io.raw_files import KnownBetter
+    from l3cli.io.sequences import find_frames
+    from l3cli.io.video import VideoChoice
+    from l3cli.render.display import require_xyz, scene_white
     from l3cli.render.renderer import make_renderer
 
-    targets = _targets(inputs, output, suffix, int(bits), force)
-    linear = is_linear(targets[0])
-    if linear and (exposure is not None or white is not None):
+    choice = VideoChoice(fps or USUAL_RATE, int(bits), codec, crf, preset)
+    target = make_target(output, suffix, choice)
+    refuse_single(target, force)
+    if target.linear and (exposure is not None or white is not None):
         raise RecipeError(".exr files hold the outputs as they are; --exposure and --white are for pictures")
-    transforms = load(TransformTable, table)
-    if not linear:
-        require_xyz(transforms.outputs)
-        adapted = transforms.white_point if white is None else scene_white(white)
     known = KnownBetter(black, white_level, phase, size)
-    renderer = make_renderer(backend, transforms)
-    failures = 0
-    for source, target in options.progress(zip(inputs, targets, strict=True), len(inputs), "frames", quiet):
-        try:
-            frame = read_raw(source, transforms, known)
-            if linear:
-                planes = np.moveaxis(renderer.outputs(frame), 0, -1)
-                write_linear(target, upright(planes, frame.orientation), transforms.outputs)
-                continue
-            # Automatic exposure needs the whole frame's luminance before the first value can be encoded: two runs.
-            scale = exposure or automatic_exposure(renderer.outputs(frame)[1])
-            picture = renderer.picture(frame, make_display(adapted, scale, int(bits)))
-            write_picture(target, upright(picture, frame.orientation))
-        except (L3Error, OSError) as error:
-            if len(inputs) == 1:
-                raise
-            failures += 1
-            click.echo(f"l3: {error}", err=True)
+    transforms = load(TransformTable, table)
+    if target.linear:
+        look = Look(None, None, choice.bits)
+    else:
+        require_xyz(transforms.outputs)
+        look = Look(transforms.white_point if white is None else scene_white(white), exposure, choice.bits)
+    footage = find_frames(inputs, transforms, known, frames, dataset)
+    if not skip_bad:
+        refuse_missing(footage)
+    choice = replace(choice, rate=fps or footage.rate or USUAL_RATE)
+    key = [sha256(table), __version__, inputs, frames, dataset, suffix, backend, exposure, white, choice, known]
+    with marked(target, key, resume, force, footage) as goes_on:
+        renderer = make_renderer(backend, transforms)
+        failures = render_frames(footage, target, renderer, transforms, look, choice, goes_on, skip_bad, quiet)
     return 1 if failures else 0

@@ -7,10 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.errors import InputFileError, L3Error
-from l3cli.files import atomic_output
-
-EPOCH = "1970:01:01 00:00:00"  # in every frame written: OpenImageIO would put the clock there
+from l3cli.errors import InputFileError
 
 
 @dataclass(frozen=True)
@@ -57,22 +54,3 @@ def read_frame(path: Path, shape: tuple[int, int], bits: int) -> NDArray[np.uint
     if frame.max() >= 2**bits:
         raise InputFileError(f"{path} holds {frame.max()} DN, more than {bits} bits; check sensor.bits")
     return frame
-
-
-def write_frame(path: Path, values: NDArray[np.uint16]) -> None:
-    """Write (row, col) DN as an uncompressed single-channel 16-bit TIFF; the same values give the same bytes."""
-    import OpenImageIO
-
-    rows, cols = values.shape
-    spec = OpenImageIO.ImageSpec(cols, rows, 1, "uint16")
-    spec.attribute("compression", "none")
-    spec.attribute("DateTime", EPOCH)
-    with atomic_output(path) as temporary:
-        picture = OpenImageIO.ImageOutput.create(str(temporary))
-        # OpenImageIO 3.2 crashes on arrays without a channel axis.
-        written = (
-            picture and picture.open(str(temporary), spec) and picture.write_image(np.ascontiguousarray(values)[..., None])
-        )
-        if not (picture and written and picture.close()):
-            reason = " ".join(str(picture.geterror() if picture else OpenImageIO.geterror()).split())
-            raise L3Error(f"{path} cannot be written: {reason}; name a .tif file in a folder that can be written to")

@@ -40,23 +40,24 @@ def read_raw(path: Path, table: Sensor, known: KnownBetter | None = None) -> Raw
     suffix = path.suffix.lower()
     try:
         if suffix in HEADERLESS:
-            frame = _plain_frame(path, _read_headerless(path, known.size or (table.rows, table.cols)), table)
+            values = _read_headerless(path, known.size or (table.rows, table.cols))
         elif suffix == ".npy":
-            frame = _plain_frame(path, _read_npy(path), table)
+            values = map_npy(path, 2)
         elif suffix in IMAGES:
-            frame = _plain_frame(path, _read_mono_image(path), table)
+            values = _read_mono_image(path)
         else:
-            frame = _read_camera_raw(path, table, known.phase)
+            return _corrected(_read_camera_raw(path, table, known.phase), table, known)
+        return frame_of(str(path), values, table, known)
     except OSError as error:
         raise InputFileError(f"{path}: {error.strerror or error}") from error
-    return _corrected(frame, table, known)
 
 
-def _plain_frame(path: Path, values: NDArray, table: Sensor) -> RawFrame:
-    """A frame from a file that holds pixels and nothing else: levels are the table's."""
+def frame_of(name: str, values: NDArray, table: Sensor, known: KnownBetter) -> RawFrame:
+    """A frame of pixels (row, col) that came with nothing else: levels are the table's, unless the caller knows better."""
     if values.size == 0:
-        raise InputFileError(f"{path} holds no pixels; give a raw file")
-    return RawFrame(str(path), np.ascontiguousarray(values, np.uint16), table.black, table.white)
+        raise InputFileError(f"{name} holds no pixels; give a raw file")
+    frame = RawFrame(name, np.array(values, np.uint16, order="C"), table.black, table.white)
+    return _corrected(frame, table, known)
 
 
 def _corrected(frame: RawFrame, table: Sensor, known: KnownBetter) -> RawFrame:
@@ -86,15 +87,25 @@ def _read_headerless(path: Path, size: tuple[int, int]) -> NDArray[np.uint16]:
     return np.fromfile(path, "<u2").reshape(rows, cols)
 
 
-def _read_npy(path: Path) -> NDArray[np.uint16]:
+def map_npy(path: Path, axes: int) -> NDArray:
+    """The array of a .npy file, mapped: a header may claim any size. InputFileError unless it has `axes` axes of DN."""
+    values = _mapped(path)
+    if not isinstance(values, np.ndarray) or values.ndim != axes or values.dtype.kind != "u" or values.dtype.itemsize > 2:
+        held = f"{values.ndim}-dimensional {values.dtype}" if isinstance(values, np.ndarray) else "an archive"
+        raise InputFileError(f"{path} holds {held}; give a uint16 array of rows × columns, or of frames × rows × columns")
+    return values
+
+
+def npy_axes(path: Path) -> int:
+    """Number of axes of a .npy file's array."""
+    return getattr(_mapped(path), "ndim", 0)
+
+
+def _mapped(path: Path) -> Any:
     try:
-        values = np.load(path, mmap_mode="r", allow_pickle=False)  # mapped: a header may claim any size
+        return np.load(path, mmap_mode="r", allow_pickle=False)
     except (ValueError, EOFError) as error:
         raise InputFileError(f"{path} is not a whole .npy file; write it with numpy.save(file, uint16 array)") from error
-    if not isinstance(values, np.ndarray) or values.ndim != 2 or values.dtype.kind != "u" or values.dtype.itemsize > 2:
-        held = f"{values.ndim}-dimensional {values.dtype}" if isinstance(values, np.ndarray) else "an archive"
-        raise InputFileError(f"{path} holds {held}; give a uint16 array of rows × columns")
-    return values.astype(np.uint16)
 
 
 def _read_mono_image(path: Path) -> NDArray[np.uint16]:

@@ -1,0 +1,300 @@
+"""What `l3 render` does with frames, be it one or thousands: read ahead, render, write behind.
+
+Reading, rendering and writing overlap in threads with short queues between them, so that memory is bounded whatever the
+length; the libraries let go of Python's lock in their long calls.
+"""
+
+import contextlib
+import hashlib
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+import numpy as np
+
+from l3cli.cli import options
+from l3cli.errors import InputFileError, L3Error, RecipeError
+from l3cli.files import refuse_existing
+from l3cli.frame import RawFrame, upright
+from l3cli.io import images
+from l3cli.io.sequences import PATTERN, Footage, Pending, numbered_files, numbered_name
+from l3cli.io.video import VideoChoice, check_video, is_video, new_video, new_y4m
+from l3cli.parallel import Behind, ahead
+from l3cli.render.display import automatic_exposure, make_display
+from l3cli.render.exposure import LightMeter, SteadyExposure
+
+if TYPE_CHECKING:
+    from l3cli.artifacts.table import TransformTable
+    from l3cli.render.renderer import Renderer
+
+DEPTH = 3  # frames that wait at most between reading and rendering, and between rendering and writing
+PICTURE_WRITERS = 2  # threads that compress picture files
+STDOUT = Path("-")
+USUAL_RATE = Fraction(30)  # frames a second, where neither the caller nor the input tells
+
+
+@dataclass(frozen=True)
+class Target:
+    """Where pictures go: "stream" (y4m to stdout), "video", "pattern" (numbered files), "folder" or a single "file"."""
+
+    path: Path
+    kind: str
+    suffix: str  # of the files in a folder
+
+    @property
+    def one_by_one(self) -> bool:
+        """Whether every frame becomes a file of its own."""
+        return self.kind in ("pattern", "folder", "file")
+
+    @property
+    def linear(self) -> bool:
+        """Whether linear outputs are written rather than pictures."""
+        return self.one_by_one and images.is_linear(self.file(0, "frame"))
+
+    def file(self, number: int, stem: str) -> Path:
+        """The file of a frame."""
+        if self.kind == "pattern":
+            return numbered_name(self.path, number)
+        return self.path / f"{stem}.{self.suffix}" if self.kind == "folder" else self.path
+
+    @property
+    def mark(self) -> Path:
+        """Lies beside the pictures while a run is under way, and tells `--resume` which run it was."""
+        return self.path / ".l3-render" if self.kind == "folder" else self.path.with_name(f".{self.path.name}.l3-render")
+
+
+def make_target(output: Path, suffix: str, choice: VideoChoice) -> Target:
+    """The target that a name asks for; RecipeError if nothing of that name can be written."""
+    if output == STDOUT:
+        target = Target(output, "stream", suffix)
+        check_video(Path("stdout.y4m"), choice)
+        if sys.stdout.isatty():
+            raise RecipeError("a y4m stream is not for a terminal; pipe it on, or name a file with -o")
+    elif is_video(output):
+        target = Target(output, "video", suffix)
+        check_video(output, choice)
+    else:
+        kind = "file" if output.suffix and not output.is_dir() else "folder"
+        target = Target(output, "pattern" if PATTERN.search(output.name) else kind, suffix)
+        images.check_format(target.file(0, "frame"), choice.bits)
+        if choice.codec or choice.crf is not None:
+            raise RecipeError(f"{output}: --codec and --crf are for videos; name a .mp4, .mov or .mkv")
+    return target
+
+
+def refuse_single(target: Target, force: bool) -> None:
+    """L3Error, before anything is read, if a video or single picture is there already."""
+    if target.kind in ("video", "file"):
+        refuse_existing(target.path, force)
+
+
+def refuse_outputs(target: Target, footage: Footage, force: bool) -> None:
+    """RecipeError if the frames do not fit into the target, L3Error if they would replace what is there."""
+    if target.kind == "file" and footage.count != 1:
+        count = "a sequence" if footage.count is None else f"{footage.count} frames"
+        raise RecipeError(
+            f"{target.path} holds one picture, the inputs are {count}; name a folder, a pattern "
+            f"({target.path.stem}_%04d{target.path.suffix}) or a video"
+        )
+    if footage.count is not None and target.one_by_one:
+        _spare_inputs(target, footage)
+    if target.kind not in ("pattern", "folder"):
+        return
+    if footage.count is None:
+        files = _pictures(target)
+    else:
+        files = [target.file(pending.number, pending.stem) for pending in footage.frames]
+    if len(set(files)) < len(files):
+        raise RecipeError("two inputs have the same name and would write the same file; render them one by one")
+    for file in files:
+        refuse_existing(file, force)
+
+
+def _spare_inputs(target: Target, footage: Footage) -> None:
+    """RecipeError if a picture would take the place of a raw frame, whatever --force says."""
+    for pending in footage.frames:
+        file = target.file(pending.number, pending.stem)
+        if pending.source is not None and file.exists() and pending.source.exists() and file.samefile(pending.source):
+            raise RecipeError(f"{file} is an input; name another output")
+
+
+def refuse_missing(footage: Footage) -> None:
+    """InputFileError if it is known already that a frame is missing."""
+    if footage.count is not None:
+        for pending in footage.frames:
+            if pending.missing:
+                raise pending.missing
+
+
+def _pictures(target: Target) -> list[Path]:
+    """The files that are there in a folder or of a pattern."""
+    if target.kind == "pattern":
+        return list(numbered_files(target.path).values())
+    return sorted(target.path.glob(f"*.{target.suffix}"))
+
+
+@contextlib.contextmanager
+def marked(target: Target, key: list[Any], resume: bool, force: bool, footage: Footage) -> Iterator[bool]:
+    """Refuse what cannot be written, then keep the run's mark until all is done. Yields whether an earlier run goes on.
+
+    `key` tells all that the pictures' bytes depend on.
+    """
+    if target.kind not in ("pattern", "folder"):
+        if resume:
+            raise RecipeError(f"--resume goes on with a sequence of pictures; {target.path} is written in one go")
+        refuse_outputs(target, footage, force)
+        yield False
+        return
+    text = hashlib.sha256(json.dumps(key, sort_keys=True, default=str).encode()).hexdigest()
+    goes_on = resume and target.mark.is_file()
+    if goes_on and target.mark.read_text() != text:
+        raise RecipeError(f"{target.path} holds a run with another table, inputs or options; leave --resume out")
+    refuse_outputs(target, footage, force or goes_on)
+    new = not target.mark.parent.exists()
+    target.mark.parent.mkdir(parents=True, exist_ok=True)
+    target.mark.write_text(text)
+    try:
+        yield goes_on
+    except BaseException:
+        if not _pictures(target):
+            target.mark.unlink()
+            with contextlib.suppress(OSError):
+                if new:
+                    target.mark.parent.rmdir()
+        raise
+    target.mark.unlink()
+
+
+# ------------------------------------------------------------------------------------------------------ rendering
+
+
+@dataclass(frozen=True)
+class Look:
+    """What makes pictures of outputs."""
+
+    white: Any  # XYZ of the scene's white; None: outputs are written as they are
+    exposure: float | None  # None: automatic
+    bits: int
+
+
+@dataclass(frozen=True)
+class _Read:
+    """A frame that was read, or why not."""
+
+    pending: Pending
+    frame: RawFrame | None
+    brightness: float = 0.0
+    error: L3Error | None = None
+    kept: bool = False  # its picture is there already
+
+
+def render_frames(
+    footage: Footage, target: Target, renderer: "Renderer", table: "TransformTable", look: Look, choice: VideoChoice,
+    goes_on: bool, skip_bad: bool, quiet: bool,
+) -> int:  # fmt: skip
+    """Render every frame into the target; how many were left out. What is broken is raised, unless `skip_bad`: then it is
+    said."""
+    start = time.monotonic()
+    steady = SteadyExposure(choice.rate) if _is_steady(footage, target, look) else None
+    done = failures = 0
+    with _open_sink(target, choice, table.outputs) as (write, threads), Behind(write, DEPTH, threads) as writing:
+        reading = ahead(_read(footage, target, LightMeter(table) if steady else None, goes_on), DEPTH)
+        for each in options.progress(reading, footage.count, "frames", quiet):
+            if each.frame is None:
+                if not skip_bad and each.error is not None:
+                    raise each.error
+                if each.error is not None:
+                    failures += 1
+                    click.echo(f"l3: {each.error}", err=True)
+                done += each.kept
+                continue
+            scale = look.exposure or (steady.scale(each.brightness) if steady else 0.0)
+            if not each.kept:
+                writing.put((each.pending, _pixels(renderer, each.frame, look, scale)))
+            done += 1
+        if not done:
+            raise InputFileError("none of the frames could be read; nothing is written")
+    if not footage.stills:
+        rate = done / max(time.monotonic() - start, 1e-9)
+        options.say(f"{target.path}: {done} frames, {rate:.3g} a second", quiet)
+    if failures:
+        click.echo(f"l3: {failures} of {done + failures} frames left out", err=True)
+    return failures
+
+
+def _is_steady(footage: Footage, target: Target, look: Look) -> bool:
+    """Automatic exposure is steady in time, except for stills that become files: each of those has its own."""
+    return look.white is not None and look.exposure is None and not (footage.stills and target.one_by_one)
+
+
+def _read(footage: Footage, target: Target, meter: LightMeter | None, goes_on: bool) -> Iterator[_Read]:
+    """Read, and measure, frame after frame; of frames that are kept only what the exposure of later ones needs."""
+    size: tuple[int, ...] | None = None
+    for pending in footage.frames:
+        kept = goes_on and target.file(pending.number, pending.stem).exists()
+        if kept and meter is None and footage.count is not None:
+            yield _Read(pending, None, kept=True)
+            continue
+        try:
+            frame = pending.read()
+            if frame is None:
+                return
+            if not target.one_by_one:
+                size = size or _upright_shape(frame)
+                _require_size(frame, size)
+            brightness = meter.brightness(frame) if meter else 0.0
+        except (L3Error, OSError) as error:
+            yield _Read(pending, None, error=error if isinstance(error, L3Error) else InputFileError(str(error)))
+            continue
+        yield _Read(pending, frame, brightness, kept=kept)
+
+
+def _upright_shape(frame: RawFrame) -> tuple[int, ...]:
+    return upright(frame.values, frame.orientation).shape
+
+
+def _require_size(frame: RawFrame, size: tuple[int, ...]) -> None:
+    found = _upright_shape(frame)
+    if found != size:
+        raise InputFileError(
+            f"{frame.name} has {found[0]}×{found[1]} pixels, the video {size[0]}×{size[1]}; give frames of one size"
+        )
+
+
+def _pixels(renderer: "Renderer", frame: RawFrame, look: Look, scale: float) -> Any:
+    """Picture, or linear outputs where there is no white, (row, col, value). `scale` 0: this frame's own exposure."""
+    if look.white is None:
+        return upright(np.moveaxis(renderer.outputs(frame), 0, -1), frame.orientation)
+    # The exposure of one frame alone needs the whole frame's luminance before the first value is encoded: two runs.
+    scale = scale or automatic_exposure(renderer.outputs(frame)[1])
+    return upright(renderer.picture(frame, make_display(look.white, scale, look.bits)), frame.orientation)
+
+
+@contextlib.contextmanager
+def _open_sink(
+    target: Target, choice: VideoChoice, outputs: tuple[str, ...]
+) -> Iterator[tuple[Callable[[tuple[Pending, Any]], None], int]]:
+    """What writes a frame, and the number of threads that may do so at a time."""
+    if target.one_by_one:
+
+        def write(item: tuple[Pending, Any]) -> None:
+            pending, pixels = item
+            file = target.file(pending.number, pending.stem)
+            if target.linear:
+                images.write_linear(file, pixels, outputs)
+            else:
+                images.write_picture(file, pixels)
+
+        yield write, PICTURE_WRITERS
+    elif target.kind == "stream" or target.path.suffix.lower() == ".y4m":
+        with new_y4m(None if target.kind == "stream" else target.path, choice) as stream:
+            yield lambda item: stream.write(item[1]), 1
+    else:
+        with new_video(target.path, choice) as video:
+            yield lambda item: video.write(item[1]), 1

@@ -1,0 +1,380 @@
+"""Frames that belong together, in order and with numbers: folders, patterns, globs, stacks, headerless streams, raw videos.
+
+What is found here is not read yet, so that memory does not grow with the number of frames and reading can run ahead.
+"""
+
+import itertools
+import re
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.table import TransformTable
+from l3cli.errors import InputFileError, RecipeError
+from l3cli.frame import RawFrame
+from l3cli.io import raw_files
+from l3cli.io.raw_files import KnownBetter
+
+STDIN = Path("-")
+CHUNK_CACHE = 128 << 20  # bytes: chunks of many frames are unpacked once, not once a frame
+STACKS = (".h5", ".hdf5", ".hdf")
+VIDEOS = (".mkv", ".mov", ".mp4", ".avi")
+CAMERA_RAWS = tuple(
+    "." + name for name in ("3fr", "ari", "arw", "cr2", "cr3", "dcr", "dng", "erf", "fff", "iiq", "kdc", "mos", "mrw")
+    + ("nef", "nrw", "orf", "pef", "raf", "rw2", "rwl", "srw", "x3f")
+)  # fmt: skip
+ONE_FRAME = raw_files.HEADERLESS + raw_files.IMAGES + CAMERA_RAWS + (".npy",)  # what is taken from a folder
+FRAME_RATE = 51044  # the tag of CinemaDNG
+PATTERN = re.compile(r"%(0\d+)?d|#+")
+
+
+@dataclass(frozen=True)
+class Pending:
+    """A frame that is still to be read."""
+
+    number: int
+    stem: str  # of the file that is made of it
+    read: Callable[[], RawFrame | None]  # None: there is no such frame, the stream ended before; InputFileError: broken
+    missing: InputFileError | None = None  # known before reading; `read` raises it too
+    source: Path | None = None  # the file that holds it alone
+
+
+@dataclass(frozen=True)
+class Footage:
+    """Frames in their order. Those of a stream of unknown length go on until one of them reads as None."""
+
+    frames: Iterable[Pending]
+    count: int | None
+    stills: bool  # files named one by one: no sequence in time
+    rate: Fraction | None = None  # frames a second, where the file tells
+
+
+@dataclass(frozen=True)
+class _Series:
+    """What one input holds: which numbers, and how the frame of a number is read."""
+
+    what: str  # its name in messages
+    numbers: Collection[int] | None  # in order; None: a stream
+    read: Callable[[int], RawFrame | None]
+    stem: Callable[[int], str]
+    rate: Fraction | None = None
+    files: Mapping[int, Path] | None = None  # of those frames that have one each
+    expected: Collection[int] | None = None  # numbers that there ought to be; None: those that there are
+
+
+def find_frames(
+    inputs: tuple[Path, ...],
+    table: TransformTable,
+    known: KnownBetter,
+    selection: range | None = None,
+    dataset: str | None = None,
+) -> Footage:
+    """The frames of `inputs`: many files of one frame each, or one input of any kind. A file's number is the last number in
+    its name, a stack's frames count from 0; of a pattern every number between its ends is expected, of `selection` all.
+
+    InputFileError if there are none; RecipeError if several inputs are not all files.
+    """
+    plain = [path for path in inputs if _is_one_file(path)]
+    if len(plain) < len(inputs) and len(inputs) > 1:
+        other = next(path for path in inputs if not _is_one_file(path))
+        raise RecipeError(f"{other} is a sequence; give it alone, or several files of one frame each")
+    stills = len(inputs) > 1
+    series = _of_files("the inputs", inputs, table, known) if stills else _series(inputs[0], table, known, dataset)
+    if selection is None and series.numbers is None:
+        return Footage(_Frames(series, itertools.count(), demanded=False), None, stills=False, rate=series.rate)
+    wanted = selection or series.expected or series.numbers or ()
+    count = len(wanted)
+    return Footage(_Frames(series, wanted, selection is not None), count, stills or count == 1, series.rate)
+
+
+@dataclass(frozen=True)
+class _Frames:
+    """The frames of a series, made one by one each time they are gone through: there may be many."""
+
+    series: _Series
+    wanted: Iterable[int]
+    demanded: bool  # the caller asked for these very numbers, so that a stream's end before one is a fault
+
+    def __iter__(self) -> Iterator[Pending]:
+        return map(self._pending, self.wanted)
+
+    def _pending(self, number: int) -> Pending:
+        series = self.series
+        missing = series.numbers is not None and number not in series.numbers
+
+        def read() -> RawFrame | None:
+            frame = None if missing else series.read(number)
+            if frame is None and (missing or self.demanded):
+                raise self._missing(number)
+            return frame
+
+        source = series.files.get(number) if series.files else None
+        return Pending(number, series.stem(number), read, self._missing(number) if missing else None, source)
+
+    def _missing(self, number: int) -> InputFileError:
+        return InputFileError(f"frame {number} is not in {self.series.what}; choose with --frames, or add --skip-bad")
+
+
+def _is_one_file(path: Path) -> bool:
+    """Whether this is the name of a file, existing or not, that can hold just one frame."""
+    if path == STDIN or path.is_dir() or path.suffix.lower() in STACKS + VIDEOS:
+        return False
+    return path.exists() or not (PATTERN.search(path.name) or _is_glob(path))
+
+
+def _is_glob(path: Path) -> bool:
+    return any(letter in str(path) for letter in "*?[")
+
+
+def _series(path: Path, table: TransformTable, known: KnownBetter, dataset: str | None) -> _Series:
+    suffix = path.suffix.lower()
+    if dataset is not None and suffix not in STACKS:
+        raise RecipeError(f"--dataset names an array of an HDF5 file; {path} is none")
+    if path == STDIN:
+        return _stdin(table, known)
+    if path.is_dir():
+        return _of_files(str(path), _in_folder(path), table, known)
+    if not path.exists() and PATTERN.search(path.name):
+        return _of_pattern(path, table, known)
+    if not path.exists() and _is_glob(path):
+        return _of_files(str(path), _globbed(path), table, known)
+    if path.exists() and suffix in STACKS:
+        return _hdf5_stack(path, table, known, dataset)
+    if path.exists() and suffix in VIDEOS:
+        return _video(path, table, known)
+    if path.exists() and suffix == ".npy" and raw_files.npy_axes(path) == 3:
+        return _npy_stack(path, table, known)
+    if path.exists() and suffix in raw_files.HEADERLESS:
+        return _headerless_stack(path, table, known)
+    return _of_files(str(path), (path,), table, known)
+
+
+# ---------------------------------------------------------------------------------------------------------- files
+
+
+def _in_folder(folder: Path) -> list[Path]:
+    found = [
+        path for path in folder.iterdir() if path.suffix.lower() in ONE_FRAME and path.name[0] != "." and path.is_file()
+    ]
+    kinds = sorted({path.suffix.lower() for path in found})
+    if len(kinds) > 1:
+        raise InputFileError(f'{folder} holds {" and ".join(kinds)} files; name one kind, such as "{folder}/*{kinds[0]}"')
+    if not found:
+        raise InputFileError(f"{folder} holds no raw frames; give a folder of {' '.join(raw_files.IMAGES)} .npy .raw .dng …")
+    return sorted(found, key=_natural)
+
+
+def _globbed(path: Path) -> list[Path]:
+    found = [each for each in Path(path.anchor or ".").glob(str(path.relative_to(path.anchor))) if each.is_file()]
+    if not found:
+        raise InputFileError(f"{path} matches no file; give the raw frames' names")
+    return sorted(found, key=_natural)
+
+
+def _natural(path: Path) -> tuple[Any, ...]:
+    """Sorts 9 before 10."""
+    return tuple((int(part), part) if part.isdigit() else (0, part) for part in re.split(r"(\d+)", str(path)))
+
+
+def _of_files(what: str, paths: Iterable[Path], table: TransformTable, known: KnownBetter) -> _Series:
+    """One frame a file. Numbered by the files' names; from 0 if a name has no number or two have the same."""
+    paths = list(paths)
+    named = [int(digits[-1]) for path in paths if (digits := re.findall(r"\d+", path.stem))]
+    numbers = named if len(set(named)) == len(paths) else range(len(paths))
+    of_number = dict(zip(numbers, paths, strict=True))
+
+    def stem(number: int) -> str:
+        return of_number[number].stem if number in of_number else f"{number:06d}"
+
+    def read(number: int) -> RawFrame:
+        return raw_files.read_raw(of_number[number], table, known)
+
+    return _Series(what, of_number, read, stem, _film_rate(paths[0]), of_number)
+
+
+def _film_rate(path: Path) -> Fraction | None:
+    """Frames a second that a CinemaDNG file tells."""
+    if path.suffix.lower() != ".dng" or not path.is_file():
+        return None
+    import tifffile
+
+    try:
+        with tifffile.TiffFile(path) as file:
+            tag = file.pages[0].tags.get(FRAME_RATE)
+            rate = Fraction(*tag.value) if tag else Fraction(0)
+    except (tifffile.TiffFileError, TypeError, ValueError, ZeroDivisionError, OSError):
+        return None  # reading the frame tells what is wrong with it
+    return rate if rate > 0 else None
+
+
+def numbered_name(pattern: Path, number: int) -> Path:
+    """The pattern's file of a number: %d, %04d or a run of # in its name stands for it."""
+
+    def digits(found: re.Match[str]) -> str:
+        width = len(found[0]) if found[0][0] == "#" else int(found[1] or 0)
+        return f"{number:0{width}d}"
+
+    return pattern.with_name(PATTERN.sub(digits, pattern.name, count=1))
+
+
+def numbered_files(pattern: Path) -> dict[int, Path]:
+    """The files that exist of a pattern, by number, in order."""
+    where = PATTERN.search(pattern.name)
+    if where is None or not pattern.parent.is_dir():
+        return {}
+    spelled = re.compile(f"{re.escape(pattern.name[: where.start()])}(\\d+){re.escape(pattern.name[where.end() :])}")
+    found = {}
+    for path in pattern.parent.iterdir():
+        match = spelled.fullmatch(path.name)
+        if match and numbered_name(pattern, int(match[1])).name == path.name:
+            found[int(match[1])] = path
+    return dict(sorted(found.items()))
+
+
+def _of_pattern(pattern: Path, table: TransformTable, known: KnownBetter) -> _Series:
+    found = numbered_files(pattern)
+    if not found:
+        raise InputFileError(f"{pattern} matches no file; give the raw frames' pattern, such as frame_%04d.tif")
+    # A pattern says that the frames are numbered throughout: a number left out is a frame lost.
+    whole = range(min(found), max(found) + 1)
+
+    def read(number: int) -> RawFrame:
+        return raw_files.read_raw(found[number], table, known)
+
+    rate = _film_rate(next(iter(found.values())))
+    return _Series(str(pattern), found, read, lambda number: numbered_name(pattern, number).stem, rate, found, whole)
+
+
+# --------------------------------------------------------------------------------------------------------- stacks
+
+
+def _stack(path: Path, count: int, pixels: Callable[[int], NDArray], table: TransformTable, known: KnownBetter) -> _Series:
+    def read(number: int) -> RawFrame:
+        return raw_files.frame_of(f"{path} frame {number}", pixels(number), table, known)
+
+    stem = path.stem
+    return _Series(str(path), range(count), read, lambda number: stem if count == 1 else f"{stem}_{number:06d}")
+
+
+def _headerless_stack(path: Path, table: TransformTable, known: KnownBetter) -> _Series:
+    """As many frames as the file has room for; one that is cut is found when it is read."""
+    rows, cols = known.size or (table.rows, table.cols)
+    frame_bytes, found = 2 * rows * cols, path.stat().st_size
+    if found < 2 * frame_bytes:
+        return _of_files(str(path), (path,), table, known)
+
+    def pixels(number: int) -> NDArray:
+        values = np.fromfile(path, "<u2", rows * cols, offset=number * frame_bytes)
+        if values.size < rows * cols:
+            raise InputFileError(
+                f"{path} ends within frame {number} of {rows}×{cols} 16-bit values; give its size with --size ROWSxCOLS"
+            )
+        return values.reshape(rows, cols)
+
+    return _stack(path, -(-found // frame_bytes), pixels, table, known)
+
+
+def _npy_stack(path: Path, table: TransformTable, known: KnownBetter) -> _Series:
+    def pixels(number: int) -> NDArray:
+        return raw_files.map_npy(path, 3)[number]  # mapped anew: pages of a mapping that is kept count as memory
+
+    return _stack(path, len(raw_files.map_npy(path, 3)), pixels, table, known)
+
+
+def _hdf5_stack(path: Path, table: TransformTable, known: KnownBetter, dataset: str | None) -> _Series:
+    import h5py
+
+    if not h5py.is_hdf5(path):
+        raise InputFileError(f"{path} is not an HDF5 file; give one with a dataset (frame, row, col)")
+    root = h5py.File(path, "r", rdcc_nbytes=CHUNK_CACHE)
+    frames = root.get(dataset) if dataset else _only_stack(path, root)
+    if not isinstance(frames, h5py.Dataset) or not _is_stack(frames, (2, 3)):
+        held = f"{frames.dtype} {frames.shape}" if isinstance(frames, h5py.Dataset) else "no dataset"
+        raise InputFileError(f"{path}: {dataset} is {held}; name with --dataset one of uint16 (frame, row, col)")
+
+    def pixels(number: int) -> NDArray:
+        try:
+            return frames[number] if frames.ndim == 3 else frames[()]
+        except OSError as error:
+            raise InputFileError(f"{path}: frame {number} of {frames.name} is damaged; copy the file again") from error
+
+    return _stack(path, len(frames) if frames.ndim == 3 else 1, pixels, table, known)
+
+
+def _only_stack(path: Path, root: Any) -> Any:
+    found: list[str] = []
+    root.visititems(lambda name, member: found.append(name) if _is_stack(member, (3,)) else None)
+    if len(found) != 1:
+        held = (
+            f"{len(found)} datasets of frames ({', '.join(found[:4])})" if found else "no dataset uint16 (frame, row, col)"
+        )
+        raise InputFileError(f"{path} holds {held}; name one with --dataset")
+    return root[found[0]]
+
+
+def _is_stack(member: Any, axes: tuple[int, ...]) -> bool:
+    dtype = getattr(member, "dtype", None)
+    return dtype is not None and dtype.kind == "u" and dtype.itemsize <= 2 and member.ndim in axes and member.size > 0
+
+
+# -------------------------------------------------------------------------------------------------------- streams
+
+
+class _Stream:
+    """Reads frame by frame, each number after the one before it; frames between are passed over."""
+
+    def __init__(self, following: Callable[[], NDArray | None], frame_of: Callable[[NDArray, int], RawFrame]) -> None:
+        self._following = following  # the next frame's pixels; None at the end
+        self._frame_of = frame_of
+        self._next = 0
+
+    def read(self, number: int) -> RawFrame | None:
+        pixels: NDArray | None = None
+        while self._next <= number:
+            self._next += 1  # before reading: a frame that fails has been passed
+            try:
+                pixels = self._following()
+            except InputFileError as error:
+                if self._next <= number:
+                    continue  # nobody wants it
+                raise InputFileError(f"frame {number}: {error}") from error
+            if pixels is None:
+                return None
+        if pixels is None:
+            return None
+        return self._frame_of(pixels, number)
+
+
+def _stdin(table: TransformTable, known: KnownBetter) -> _Series:
+    if known.size is None:
+        raise RecipeError("raw frames on stdin do not tell their size; give it with --size ROWSxCOLS")
+    rows, cols = known.size
+    # Unbuffered: a thread that waits in a buffered stream would keep the interpreter from ending.
+    pipe = open(0, "rb", buffering=0, closefd=False)  # noqa: SIM115
+
+    def following() -> NDArray | None:
+        content = bytearray(2 * rows * cols)
+        filled = 0
+        while filled < len(content) and (got := pipe.readinto(memoryview(content)[filled:])):
+            filled += got
+        if 0 < filled < len(content):
+            raise InputFileError(f"stdin ends within the frame, of {rows}×{cols} 16-bit values; check --size ROWSxCOLS")
+        return np.frombuffer(content, "<u2").reshape(rows, cols) if filled else None
+
+    stream = _Stream(following, lambda pixels, number: raw_files.frame_of(f"stdin frame {number}", pixels, table, known))
+    return _Series("stdin", None, stream.read, lambda number: f"{number:06d}")
+
+
+def _video(path: Path, table: TransformTable, known: KnownBetter) -> _Series:
+    from l3cli.io.video import RawVideo
+
+    video = RawVideo(path)
+    stream = _Stream(
+        video.following, lambda pixels, number: raw_files.frame_of(f"{path} frame {number}", pixels, table, known)
+    )
+    return _Series(str(path), None, stream.read, lambda number: f"{path.stem}_{number:06d}", video.rate)

@@ -1,0 +1,289 @@
+"""Videos through PyAV (FFmpeg): raw mosaics from lossless ones, pictures into new ones, y4m streams.
+
+Pictures are sRGB and every video says so: BT.709 primaries, sRGB transfer (ProRes, which cannot say it: BT.709), and, where
+colours are stored as luma and chroma, the BT.709 matrix in limited range.
+"""
+
+import contextlib
+import logging
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.errors import InputFileError, L3Error, RecipeError
+from l3cli.files import atomic_output
+
+INSTALL = 'videos need PyAV; install it with: pip install "l3cli[video]"'
+
+
+def _av() -> Any:
+    """PyAV, imported when first needed."""
+    try:
+        import av
+    except ImportError as error:
+        raise L3Error(INSTALL) from error
+    av.logging.set_level(av.logging.ERROR)  # for RawVideo; what goes wrong is told in one line, not in FFmpeg's own
+    log = logging.getLogger("libav")
+    log.addHandler(logging.NullHandler())
+    log.propagate = False
+    return av
+
+
+# --------------------------------------------------------------------------------------------------------- raw videos
+
+
+class RawVideo:
+    """A video of one grey channel of 8 to 16 bits, such as FFV1 in MKV, decoded frame by frame: a mosaic in DN."""
+
+    def __init__(self, path: Path) -> None:
+        """InputFileError if it is no video, or not of one channel."""
+        av = _av()
+        self.path = path
+        try:
+            self._container = av.open(str(path))
+        except (av.error.FFmpegError, OSError) as error:
+            raise InputFileError(f"{path} is no video that can be read ({error.strerror}); give FFV1 in MKV") from error
+        if not self._container.streams.video:
+            raise InputFileError(f"{path} holds no video; give raw frames as FFV1 in MKV")
+        stream = self._container.streams.video[0]
+        context = stream.codec_context
+        if not (context.pix_fmt or "").startswith("gray") or "f" in context.pix_fmt:
+            raise InputFileError(
+                f"{path} holds {context.pix_fmt or 'unknown'} pixels; a raw video has one channel (gray, gray12le…)"
+            )
+        context.thread_count = 1  # see `following`
+        self.rate: Fraction | None = stream.average_rate or None
+        self._packets = self._container.demux(stream)
+        self._decoded: Iterator[Any] = iter(())
+        self._damaged = False  # since the last key frame
+
+    def following(self) -> NDArray[np.uint16] | None:
+        """The next frame (row, col); None after the last. InputFileError if it is damaged; the call after goes on."""
+        av = _av()
+        try:
+            while (frame := next(self._decoded, None)) is None:
+                packet = next(self._packets)
+                # A slice with a wrong checksum is concealed and only logged, in the thread that decodes: this one.
+                with av.logging.Capture() as complaints:
+                    self._decoded = iter(packet.decode())
+                self._damaged = bool(complaints) or (self._damaged and not packet.is_keyframe)
+        except StopIteration:
+            return None
+        except (av.error.FFmpegError, OSError) as error:
+            self._damaged = True
+            raise InputFileError(f"{self.path} is damaged ({error.strerror}); copy the video again") from error
+        if self._damaged:
+            raise InputFileError(f"{self.path} is damaged (checksum); copy the video again")
+        return frame.to_ndarray().astype(np.uint16)
+
+
+# ------------------------------------------------------------------------------------------------------------ encoding
+
+
+@dataclass(frozen=True)
+class Encoding:
+    """How pictures become a video: FFmpeg's encoder, its pixel format by bits a value, the suffixes that can hold it."""
+
+    encoder: str
+    formats: dict[int, str]
+    suffixes: tuple[str, ...]
+    presets: bool = False  # takes --preset and --crf
+    options: tuple[tuple[str, str], ...] = ()
+    tag: str | None = None
+    transfer: str = "IEC61966_2_1"
+
+
+ENCODINGS = {
+    "h264": Encoding("libx264", {8: "yuv420p"}, (".mp4", ".mov", ".mkv"), presets=True),
+    "h265": Encoding(
+        "libx265",
+        {8: "yuv420p", 16: "yuv420p10le"},
+        (".mp4", ".mov", ".mkv"),
+        presets=True,
+        options=(("x265-params", "log-level=none"),),
+        tag="hvc1",
+    ),
+    "ffv1": Encoding(
+        "ffv1", {8: "bgr0", 16: "gbrp16le"}, (".mkv",), options=(("level", "3"), ("slicecrc", "1"), ("g", "1"))
+    ),
+    "prores": Encoding(
+        "prores_ks", {8: "yuv422p10le", 16: "yuv422p10le"}, (".mov",), options=(("profile", "hq"),), transfer="BT709"
+    ),
+}
+USUAL = {".mp4": "h264", ".mov": "prores", ".mkv": "ffv1"}  # where no codec is asked for
+RGB_MATRIX = 0  # of ITU-T H.273: no matrix, the values are red, green and blue
+Y4M = ".y4m"
+Y4M_FORMATS = {8: ("yuv420p", "C420jpeg"), 16: ("yuv420p10le", "C420p10 XYSCSS=420P10")}
+
+
+@dataclass(frozen=True)
+class VideoChoice:
+    """What is asked of a video; None: the usual."""
+
+    rate: Fraction  # frames a second
+    bits: int  # a value of the pictures that come
+    codec: str | None = None  # key of ENCODINGS
+    crf: float | None = None
+    preset: str = "veryfast"
+
+
+def is_video(path: Path) -> bool:
+    """Whether a file of this name is a video."""
+    return path.suffix.lower() in (*USUAL, Y4M)
+
+
+def check_video(path: Path, choice: VideoChoice) -> None:
+    """RecipeError if such a video cannot be; L3Error without PyAV."""
+    suffix = path.suffix.lower()
+    if suffix == Y4M:
+        if choice.codec or choice.crf is not None:
+            raise RecipeError(f"{path}: y4m is not compressed; leave --codec and --crf out")
+    else:
+        encoding = _encoding(path, choice)
+        if suffix not in encoding.suffixes:
+            raise RecipeError(f"{path}: {choice.codec} goes into {', '.join(encoding.suffixes)}; name such a file")
+        if choice.bits not in encoding.formats:
+            raise RecipeError(f"{path}: h264 holds 8 bits a value; ask for --codec h265 or leave --bits out")
+        if choice.crf is not None and not encoding.presets:
+            raise RecipeError(f"{path}: --crf is for h264 and h265")
+    _av()
+
+
+def _encoding(path: Path, choice: VideoChoice) -> Encoding:
+    return ENCODINGS[choice.codec or USUAL[path.suffix.lower()]]
+
+
+class _Converter:
+    """Pictures (row, col, 3) as FFmpeg's frames of a pixel format."""
+
+    def __init__(self, target: str) -> None:
+        self._reformatter = _av().video.reformatter.VideoReformatter()  # kept: making one takes longer than using it
+        self.target = target
+
+    def even(self, picture: NDArray) -> NDArray:
+        """The picture with its last row or column doubled where the pixel format needs even numbers."""
+        if not self.target.startswith(("yuv420", "yuv422")):
+            return picture
+        rows, cols = picture.shape[:2]
+        down = rows % 2 if "420" in self.target else 0
+        return np.pad(picture, ((0, down), (0, cols % 2), (0, 0)), mode="edge") if down or cols % 2 else picture
+
+    def frame(self, picture: NDArray) -> Any:
+        source = "rgb24" if picture.dtype == np.uint8 else "rgb48le"
+        frame = _av().VideoFrame.from_ndarray(np.ascontiguousarray(self.even(picture)), format=source)
+        # One thread: rendering keeps the other cores busy, and sharing the work out costs a fifth of it.
+        coded = {"dst_colorspace": "ITU709", "dst_color_range": "MPEG"} if self.target.startswith("yuv") else {}
+        return self._reformatter.reformat(frame, format=self.target, threads=1, **coded)
+
+
+class VideoWriter:
+    """A video open for writing; `write` takes pictures (row, col, 3) of one size, uint8 or uint16."""
+
+    def __init__(self, path: Path, container: Any, choice: VideoChoice) -> None:
+        self._container, self._choice = container, choice
+        self._encoding = _encoding(path, choice)
+        self._converter = _Converter(self._encoding.formats[choice.bits])
+        self._stream: Any = None
+        self._count = 0
+
+    def write(self, picture: NDArray) -> None:
+        frame = self._converter.frame(picture)
+        if self._stream is None:
+            self._stream = self._new_stream(frame.height, frame.width)
+        self._tag(frame)
+        frame.pts, frame.time_base = self._count, 1 / self._choice.rate
+        self._count += 1
+        self._container.mux(self._stream.encode(frame))
+
+    def finish(self) -> None:
+        """Write what the encoder holds back."""
+        if self._stream is not None:
+            self._container.mux(self._stream.encode())
+
+    def _new_stream(self, rows: int, cols: int) -> Any:
+        encoding, choice = self._encoding, self._choice
+        options = dict(encoding.options)
+        if encoding.presets:
+            options["preset"] = choice.preset
+            if choice.crf is not None:
+                options["crf"] = str(choice.crf)
+        stream = self._container.add_stream(encoding.encoder, rate=choice.rate, options=options)
+        context = stream.codec_context
+        context.width, context.height, context.pix_fmt = cols, rows, self._converter.target
+        context.time_base = 1 / choice.rate
+        self._tag(context)
+        if encoding.tag and self._container.format.name != "matroska":
+            context.codec_tag = encoding.tag
+        return stream
+
+    def _tag(self, where: Any) -> None:
+        """Say, in a frame or for the whole video, what the values mean."""
+        names = _av().video.reformatter
+        where.color_primaries = names.ColorPrimaries.BT709
+        where.color_trc = names.ColorTrc[self._encoding.transfer]
+        coded = self._converter.target.startswith("yuv")
+        where.colorspace = names.Colorspace.ITU709 if coded else RGB_MATRIX
+        where.color_range = names.ColorRange.MPEG if coded else names.ColorRange.JPEG
+
+
+@contextlib.contextmanager
+def new_video(path: Path, choice: VideoChoice) -> Iterator[VideoWriter]:
+    """A video open for writing, that appears whole or not at all."""
+    av = _av()
+    form = {".mp4": "mp4", ".mov": "mov", ".mkv": "matroska"}[path.suffix.lower()]
+    with atomic_output(path) as temporary:
+        try:
+            # bitexact: no version, clock or random number in the file
+            with av.open(str(temporary), "w", format=form, container_options={"fflags": "+bitexact"}) as container:
+                writer = VideoWriter(path, container, choice)
+                yield writer
+                writer.finish()
+        except av.error.FFmpegError as error:
+            raise L3Error(f"{path} cannot be written: {error.strerror}") from error
+
+
+class Y4mWriter:
+    """Pictures as a y4m stream: luma and chroma of 4:2:0, limited range."""
+
+    def __init__(self, stream: BinaryIO, choice: VideoChoice) -> None:
+        pixels, self._colours = Y4M_FORMATS[choice.bits]
+        self._stream, self._rate = stream, choice.rate
+        self._converter = _Converter(pixels)
+        self._begun = False
+
+    def write(self, picture: NDArray) -> None:
+        frame = self._converter.frame(picture)
+        if not self._begun:
+            self._begun = True
+            head = f"YUV4MPEG2 W{frame.width} H{frame.height} F{self._rate.numerator}:{self._rate.denominator}"
+            _write_all(self._stream, f"{head} Ip A1:1 {self._colours} XCOLORRANGE=LIMITED\n".encode())
+        _write_all(self._stream, b"FRAME\n")
+        for plane in frame.planes:
+            values = np.frombuffer(plane, np.uint8).reshape(plane.height, plane.line_size)
+            used = plane.width * (1 if frame.format.name == "yuv420p" else 2)
+            _write_all(self._stream, np.ascontiguousarray(values[:, :used]).data)
+
+
+def _write_all(stream: BinaryIO, content: Any) -> None:
+    """All of it, to an unbuffered stream too."""
+    rest = memoryview(content).cast("B")
+    while len(rest):
+        rest = rest[stream.write(rest) :]
+
+
+@contextlib.contextmanager
+def new_y4m(path: Path | None, choice: VideoChoice) -> Iterator[Y4mWriter]:
+    """A y4m file that appears whole or not at all; None: stdout."""
+    if path is None:
+        # Unbuffered: a thread that waits in a buffered stream would keep the interpreter from ending.
+        with open(1, "wb", buffering=0, closefd=False) as stream:
+            yield Y4mWriter(stream, choice)
+        return
+    with atomic_output(path) as temporary, open(os.fspath(temporary), "wb", buffering=0) as stream:
+        yield Y4mWriter(stream, choice)

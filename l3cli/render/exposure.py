@@ -1,0 +1,69 @@
+"""Exposure of a sequence: measured on a few pixels of each frame, followed in time so that nothing flickers (METHOD 5)."""
+
+import math
+from fractions import Fraction
+
+import numpy as np
+
+from l3cli.artifacts.table import TransformTable
+from l3cli.classify import label_patches, neighbourhoods
+from l3cli.frame import RawFrame, mirrored_indices
+from l3cli.render.display import WHITE_PERCENTILE
+
+GRID = (32, 48)  # rows and columns of pixels that are looked at, at most
+TIME_CONSTANT = 1.0  # s, in which log exposure goes 63 % of the way to that of a light that has changed
+
+
+class LightMeter:
+    """The 99th percentile of Y of a frame, from about 1500 pixels of one CFA site rendered on the processor.
+
+    All sites of a table answer a flat area alike, so one stands for all. A pure function of the frame, whatever the device.
+    """
+
+    def __init__(self, table: TransformTable) -> None:
+        self.table = table
+        self._near = neighbourhoods(table.cfa, table.rule.patch, len(table.channels))
+        self._weights = np.ascontiguousarray(table.weights[:, 1])
+        self._intercept = table.intercept[:, 1]
+
+    def brightness(self, frame: RawFrame) -> float:
+        """Y that ought to be shown white."""
+        table, (period_row, period_col) = self.table, self.table.cfa.shape
+        rows, cols = frame.values.shape
+        row = _spread(rows, period_row, GRID[0], table.rule.patch)
+        col = _spread(cols, period_col, GRID[1], table.rule.patch)
+        row_source = mirrored_indices(rows, table.rule.radius, period_row)[row]
+        col_source = mirrored_indices(cols, table.rule.radius, period_col)[col]
+        patches = frame.values[row_source[:, None, :, None], col_source[None, :, None, :]].reshape(-1, table.rule.patch**2)
+        raw = RawFrame(frame.name, patches, frame.black, frame.white).at_levels(table.black, table.white, table.bits)
+        site = frame.phase[0] * period_col + frame.phase[1]
+        classes = site * table.rule.classes_per_site + label_patches(raw.values, table.rule, self._near, site)
+        signal = (raw.values.astype(np.float32) - np.float32(table.black)) / np.float32(table.white - table.black)
+        luminance = np.einsum("nt,nt->n", self._weights[classes], signal) + self._intercept[classes]
+        return float(np.percentile(luminance, WHITE_PERCENTILE))
+
+
+def _spread(length: int, period: int, count: int, patch: int) -> np.ndarray:
+    """Padded indices (position, tap) of patches at up to `count` evenly spread samples of the first sample's phase."""
+    available = -(-length // period)
+    chosen = np.unique(np.linspace(0, available - 1, min(count, available)).round().astype(int))
+    return chosen[:, None] * period + np.arange(patch)
+
+
+class SteadyExposure:
+    """Exposure scale of each frame of a sequence in its order.
+
+    The first frame is shown as its own light asks, later ones follow exponentially in log exposure: noise in the
+    measurement is averaged away, a change of light is followed without overshoot. It looks only back.
+    """
+
+    def __init__(self, rate: Fraction) -> None:
+        self._share = 1 - math.exp(-1 / (float(rate) * TIME_CONSTANT))
+        self._log: float | None = None
+
+    def scale(self, brightness: float) -> float:
+        """Scale of the next frame; a frame that is all dark leaves it where it was (1 at the beginning)."""
+        if brightness > 0:
+            wanted = -math.log(brightness)
+            self._log = wanted if self._log is None else self._log + self._share * (wanted - self._log)
+        return 1.0 if self._log is None else math.exp(self._log)

@@ -1,0 +1,402 @@
+"""Sequences in, numbered pictures out: every kind of input, order and numbers, broken frames, resuming, exposure in time."""
+
+import dataclasses
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from fractions import Fraction
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import tifffile
+from test_render import BAYER, FIVE_BAND, random_table
+
+from l3cli.artifacts.base import save
+from l3cli.errors import InputFileError
+from l3cli.frame import RawFrame
+from l3cli.io.images import read_image, write_mosaic
+from l3cli.io.raw_files import KnownBetter
+from l3cli.io.sequences import find_frames, numbered_files, numbered_name
+from l3cli.parallel import Behind, ahead
+from l3cli.render.display import automatic_exposure
+from l3cli.render.exposure import TIME_CONSTANT, LightMeter, SteadyExposure
+from l3cli.render.reference import ReferenceRenderer
+
+RGGB = dataclasses.replace(random_table(BAYER, bits=12, black=64.0), camera_name="RGGB", rows=20, cols=28)
+COUNT = 5
+RUN = "import sys; from l3cli.cli import run; sys.exit(run(sys.argv[1:]))"
+FAST = ("--backend", "reference", "--quiet")
+
+
+def frames(count: int = COUNT) -> np.ndarray:
+    """Mosaics (frame, row, col) that grow brighter."""
+    rng = np.random.default_rng(0)
+    light = np.linspace(0.4, 0.9, count)[:, None, None]
+    return np.clip(64 + 4031 * light * rng.uniform(0.3, 1, (count, RGGB.rows, RGGB.cols)), 0, 4095).astype(np.uint16)
+
+
+@pytest.fixture
+def table(tmp_path: Path) -> Path:
+    save(RGGB, tmp_path / "table.h5")
+    return tmp_path / "table.h5"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """frame_07.tif … frame_11.tif"""
+    (tmp_path / "frames").mkdir()
+    for number, mosaic in enumerate(frames(), 7):
+        write_mosaic(tmp_path / f"frames/frame_{number:02d}.tif", mosaic)
+    return tmp_path / "frames"
+
+
+def pictures(folder: Path, pattern: str = "*.png") -> dict[str, np.ndarray]:
+    return {path.name: read_image(path)[0] for path in sorted(folder.glob(pattern))}
+
+
+@pytest.fixture
+def truth(l3: Callable, tmp_path: Path, table: Path, folder: Path) -> list[np.ndarray]:
+    """Each frame rendered alone, at one exposure."""
+    found = []
+    for path in sorted(folder.iterdir()):
+        assert l3("render", table, path, "-o", tmp_path / "alone.png", "--exposure", 0.8, "--force", *FAST) == (0, "", "")
+        found.append(read_image(tmp_path / "alone.png")[0])
+    return found
+
+
+# ------------------------------------------------------------------------------------------------------------ inputs
+
+
+def write_stack(path: Path) -> Path:
+    if path.suffix == ".npy":
+        np.save(path, frames())
+    elif path.suffix == ".raw":
+        frames().astype("<u2").tofile(path)
+    else:
+        with h5py.File(path, "w") as root:
+            root.create_dataset("take/raw", data=frames(), chunks=(1, 20, 28), compression="gzip")
+            root["take/other"] = frames()[0]
+    return path
+
+
+@pytest.mark.parametrize("stack", ["a.npy", "a.raw", "a.h5"])
+def test_a_stack_gives_the_pictures_of_its_frames(l3, tmp_path, table, truth, stack):
+    source = write_stack(tmp_path / stack)
+    assert l3("render", table, source, "-o", tmp_path / "out", "--exposure", 0.8, *FAST) == (0, "", "")
+    found = pictures(tmp_path / "out")
+    assert list(found) == [f"a_{number:06d}.png" for number in range(COUNT)]
+    np.testing.assert_array_equal(list(found.values()), truth)
+
+
+@pytest.mark.parametrize("name", ["", "frame_%02d.tif", "frame_##.tif", "frame_*.tif", "frame_[01]?.tif"])
+def test_files_of_a_folder_keep_names_and_numbers(l3, tmp_path, table, folder, truth, name):
+    assert l3("render", table, folder / name, "-o", tmp_path / "out", "--exposure", 0.8, *FAST) == (0, "", "")
+    found = pictures(tmp_path / "out")
+    assert list(found) == [f"frame_{number:02d}.png" for number in range(7, 12)]
+    np.testing.assert_array_equal(list(found.values()), truth)
+    assert l3("render", table, folder / name, "-o", tmp_path / "new/p_%04d.png", "--exposure", 0.8, *FAST)[0] == 0
+    assert list(pictures(tmp_path / "new")) == [f"p_{number:04d}.png" for number in range(7, 12)]
+
+
+def test_stdin_is_a_stream_of_frames(tmp_path, table, folder, truth):
+    render = ("render", table, "-", "-o", tmp_path / "out/####.png", "--size", "20x28", "--exposure", 0.8, *FAST)
+    given = frames().astype("<u2").tobytes()
+    command = [sys.executable, "-c", RUN, *(str(part) for part in render)]
+    subprocess.run([*command, "--frames", "1-4x3"], input=given, check=True)
+    found = pictures(tmp_path / "out")
+    assert list(found) == ["0001.png", "0004.png"]
+    np.testing.assert_array_equal(list(found.values()), [truth[1], truth[4]])
+    cut = subprocess.run([*command, "--force"], input=given[:-1], capture_output=True)
+    assert (cut.returncode, cut.stderr.count(b"\n")) == (3, 1)
+    assert b"frame 4: stdin ends within the frame" in cut.stderr
+
+
+def test_ranges_choose_by_number(l3, tmp_path, table, folder):
+    for frames_, numbers in (("8-11x3", (8, 11)), ("9", (9,)), ("7-8", (7, 8))):
+        output = tmp_path / frames_
+        assert l3("render", table, folder, "-o", output / "%d.png", "--frames", frames_, *FAST)[0] == 0
+        assert sorted(numbered_files(output / "%d.png")) == list(numbers)
+
+
+def test_camera_raws_of_a_folder_are_a_sequence(l3, l3_data, tmp_path, table):
+    (tmp_path / "clip").mkdir()
+    for number in (1, 2):
+        (tmp_path / f"clip/A001_{number:06d}.dng").symlink_to(l3_data / "raw/colorchart.dng")
+    (tmp_path / "clip/A001.wav").write_bytes(b"sound")
+    save(random_table(BAYER, bits=14, patch=3), tmp_path / "camera.h5")
+    assert l3("render", tmp_path / "camera.h5", tmp_path / "clip", "-o", tmp_path / "out", "--format", "jpg")[0] == 0
+    found = pictures(tmp_path / "out", "*.jpg")
+    assert list(found) == ["A001_000001.jpg", "A001_000002.jpg"]
+    assert found["A001_000001.jpg"].shape == (1156, 1734, 3)
+
+
+def test_cinema_dng_tells_its_rate(tmp_path):
+    for name, tags in (("a_1.dng", [(51044, "2i", 1, (24000, 1001), True)]), ("b_1.dng", [])):
+        tifffile.imwrite(tmp_path / name, frames()[0], extratags=tags)
+    known = KnownBetter()
+    assert find_frames((tmp_path / "a_*.dng",), RGGB, known).rate == Fraction(24000, 1001)
+    assert find_frames((tmp_path / "a_%d.dng",), RGGB, known).rate == Fraction(24000, 1001)
+    assert find_frames((tmp_path / "b_1.dng",), RGGB, known).rate is None
+    (tmp_path / "c_1.dng").write_bytes(b"no DNG")
+    assert find_frames((tmp_path / "c_1.dng",), RGGB, known).rate is None
+
+
+def test_raw_frames_are_never_replaced(refused, tmp_path, table, folder):
+    before = {path: path.read_bytes() for path in folder.iterdir()}
+    for output in (folder / "frame_%02d.tif", folder, folder / "frame_07.tif"):
+        source = folder / "frame_07.tif" if output.suffix and output.exists() else folder
+        line = refused(2, "render", table, source, "-o", output, "--format", "tif", "--force")
+        assert "is an input" in line
+    assert {path: path.read_bytes() for path in folder.iterdir()} == before
+
+
+def test_numbers_come_from_names_where_names_have_them(tmp_path):
+    known = KnownBetter()
+    for name in ("b_9.npy", "b_10.npy"):
+        np.save(tmp_path / name, frames()[0])
+    footage = find_frames((tmp_path,), RGGB, known)
+    assert [(each.number, each.stem) for each in footage.frames] == [(9, "b_9"), (10, "b_10")]
+    np.save(tmp_path / "c.npy", frames()[0])
+    assert [each.number for each in find_frames((tmp_path,), RGGB, known).frames] == [0, 1, 2]
+
+
+def test_patterns_are_spelled_as_they_are_read(tmp_path):
+    for name in ("a_0001.tif", "a_10000.tif", "a_001.tif", "a_0002.tiff", "b_0001.tif", "a_00003.tif"):
+        (tmp_path / name).touch()
+    assert list(numbered_files(tmp_path / "a_%04d.tif")) == [1, 10000]
+    assert list(numbered_files(tmp_path / "a_####.tif")) == [1, 10000]
+    assert numbered_name(Path("x/a_%d.tif"), 7) == Path("x/a_7.tif")
+
+
+def test_wrong_calls_are_refused_in_one_line(refused, tmp_path, table, folder):
+    (tmp_path / "empty").mkdir()
+    np.save(tmp_path / "mixed.npy", frames())
+    with h5py.File(tmp_path / "two.h5", "w") as root:
+        root["a"], root["b"], root["floats"] = frames(), frames(), np.zeros(3)
+    (tmp_path / "frames/odd.npy").write_bytes(b"")
+    out = ("-o", tmp_path / "out")
+    for code, word, arguments in (
+        (2, "lower number first", (folder, *out, "--frames", "9-7")),
+        (2, "FROM-TO", (folder, *out, "--frames", "9-")),
+        (2, "step", (folder, *out, "--frames", "1-2x0")),
+        (2, "25", (folder, *out, "--fps", "fast")),
+        (2, "between", (folder, *out, "--fps", 0)),
+        (2, "--size", ("-", *out)),
+        (2, "give it alone", (folder, tmp_path / "mixed.npy", *out)),
+        (2, "holds one picture", (folder / "*.tif", "-o", tmp_path / "a.png")),
+        (2, "a.gif", (folder / "*.tif", "-o", tmp_path / "a.gif")),
+        (2, "--codec", (folder / "*.tif", *out, "--codec", "h264")),
+        (2, "--resume", (folder / "*.tif", "-o", tmp_path / "a.mp4", "--resume")),
+        (2, "--dataset", (folder / "*.tif", *out, "--dataset", "x")),
+        (3, "matches no file", (tmp_path / "x_%04d.tif", *out)),
+        (3, "matches no file", (tmp_path / "x_*.tif", *out)),
+        (3, "no raw frames", (tmp_path / "empty", *out)),
+        (3, ".npy and .tif", (folder, *out)),
+        (3, "2 datasets of frames (a, b)", (tmp_path / "two.h5", *out)),
+        (3, "floats is float64", (tmp_path / "two.h5", *out, "--dataset", "floats")),
+        (3, "c is no dataset", (tmp_path / "two.h5", *out, "--dataset", "c")),
+        (3, "does not exist", (tmp_path / "none.h5", *out)),
+        (3, "frame 12 is not in", (folder / "*.tif", *out, "--frames", "11-12")),
+        (3, "frame 5 is not in", (tmp_path / "mixed.npy", *out, "--frames", "4-5")),
+    ):
+        assert word in refused(code, "render", table, *arguments)
+
+
+# --------------------------------------------------------------------------------------------------- broken and resumed
+
+
+def test_a_missing_frame_stops_the_run_before_any_work(l3, refused, tmp_path, table, folder):
+    (folder / "frame_09.tif").unlink()
+    pattern = folder / "frame_%02d.tif"
+    assert "frame 9 is not in" in refused(3, "render", table, pattern, "-o", tmp_path / "out", *FAST)
+    code, out, err = l3("render", table, pattern, "-o", tmp_path / "out", "--skip-bad", *FAST)
+    assert (code, out, err.count("\n")) == (1, "", 2)
+    assert "frame 9 is not in" in err
+    assert "1 of 5 frames left out" in err
+    assert list(pictures(tmp_path / "out")) == [f"frame_{number:02d}.png" for number in (7, 8, 10, 11)]
+
+
+def test_a_broken_frame_stops_the_run_and_is_named(l3, tmp_path, table, folder):
+    (folder / "frame_09.tif").write_bytes(b"nothing")
+    code, _, err = l3("render", table, folder, "-o", tmp_path / "out", *FAST)
+    assert (code, err.count("\n")) == (3, 1)
+    assert "frame_09.tif" in err
+    code, _, err = l3("render", table, folder, "-o", tmp_path / "out", "--skip-bad", "--resume", *FAST)
+    assert (code, err.count("\n")) == (1, 2)
+    assert len(pictures(tmp_path / "out")) == 4
+    code, _, err = l3("render", table, folder, "-o", tmp_path / "only", "--frames", "9", "--skip-bad", *FAST)
+    assert code == 3
+    assert not (tmp_path / "only").exists()
+
+
+@pytest.mark.parametrize("exposure", ["auto", 0.8])
+def test_resuming_gives_the_same_bytes(l3, tmp_path, table, folder, exposure):
+    call = ("render", table, folder, "--exposure", exposure, *FAST)
+    assert l3(*call, "-o", tmp_path / "whole")[0] == 0
+    keep = (folder / "frame_10.tif").read_bytes()
+    (folder / "frame_10.tif").write_bytes(b"")
+    assert l3(*call, "-o", tmp_path / "out")[0] == 3
+    (folder / "frame_10.tif").write_bytes(keep)
+    done = {path: path.stat().st_mtime_ns for path in (tmp_path / "out").glob("*.png")}
+    assert len(done) == 3
+    assert "--force" in l3(*call, "-o", tmp_path / "out")[2]
+    assert "leave --resume out" in l3(*call, "-o", tmp_path / "out", "--resume", "--bits", 16)[2]
+    assert l3(*call, "-o", tmp_path / "out", "--resume") == (0, "", "")
+    assert all(path.stat().st_mtime_ns == then for path, then in done.items())
+    ours, theirs = ({path.name: path.read_bytes() for path in (tmp_path / name).iterdir()} for name in ("out", "whole"))
+    assert ours == theirs
+    assert "--force" in l3(*call, "-o", tmp_path / "out", "--resume")[2]
+
+
+def test_what_is_there_is_refused_before_any_work(refused, tmp_path, table, folder):
+    write_mosaic(tmp_path / "out/frame_09.png", frames()[0])
+    assert "frame_09.png exists" in refused(1, "render", table, folder, "-o", tmp_path / "out")
+    assert "frame_09.png exists" in refused(1, "render", table, "-", "-o", tmp_path / "out", "--size", "20x28")
+
+
+# --------------------------------------------------------------------------------------------------------- threads
+
+
+def test_reading_runs_ahead_no_further_than_asked():
+    made: list[int] = []
+    taken = ahead((made.append(number) or number for number in range(1000)), 3)
+    for number in range(10):
+        assert next(taken) == number
+        time.sleep(0.01)
+        assert len(made) <= number + 1 + 3, taken.close()
+    taken.close()
+    before = threading.active_count()
+    time.sleep(0.05)
+    assert len(made) < 20
+    assert threading.active_count() <= before
+
+
+def test_writing_falls_behind_no_further_than_asked():
+    gate, written = threading.Event(), []
+
+    def slow(item: int) -> None:
+        gate.wait()
+        written.append(item)
+
+    put = []
+    writing = Behind(slow, 3)
+
+    def fill() -> None:
+        with writing:
+            for number in range(10):
+                writing.put(number)
+                put.append(number)
+
+    filler = threading.Thread(target=fill)
+    filler.start()
+    time.sleep(0.05)
+    waiting = len(put)
+    gate.set()
+    filler.join()
+    assert waiting <= 3 + 1
+    assert written == list(range(10))
+
+
+def test_errors_cross_threads():
+    def broken():
+        yield 1
+        raise InputFileError("broken")
+
+    items = ahead(broken(), 2)
+    assert next(items) == 1
+    with pytest.raises(InputFileError, match="broken"):
+        next(items)
+
+    def fails(item: int) -> None:
+        raise InputFileError(f"item {item}")
+
+    def put_many(writing: Behind) -> None:
+        with writing:
+            for number in range(50):
+                writing.put(number)
+
+    with pytest.raises(InputFileError, match="item 0"):
+        put_many(Behind(fails, 2))
+
+
+def test_a_failing_block_still_writes_what_was_put_an_interrupted_one_does_not():
+    for error, count in ((InputFileError, 3), (KeyboardInterrupt, 1)):
+        gate, written = threading.Event(), []
+
+        def slow(item: int, gate: threading.Event = gate, written: list = written) -> None:
+            gate.wait()
+            written.append(item)
+
+        def stopped(writing: Behind, error: type = error, gate: threading.Event = gate) -> None:
+            with writing:
+                for number in range(3):
+                    writing.put(number)
+                time.sleep(0.05)
+                threading.Timer(0.05, gate.set).start()
+                raise error
+
+        with pytest.raises(error):
+            stopped(Behind(slow, 3))
+        assert written == list(range(count))
+
+
+# --------------------------------------------------------------------------------------------------------- exposure
+
+
+@pytest.mark.parametrize("cfa", [BAYER, FIVE_BAND])
+def test_the_meter_reads_what_the_table_would_show(cfa):
+    table = random_table(cfa, bits=12, black=100.0)
+    # Weights like those of a trained table: all sites answer alike.
+    table = dataclasses.replace(table, weights=np.abs(table.weights), intercept=np.zeros_like(table.intercept))
+    rows, cols = np.mgrid[:120, :160]
+    values = (100 + 3000 * (0.3 + 0.3 * np.sin(rows / 25) + 0.3 * np.cos(cols / 40))).clip(0).astype(np.uint16)
+    frame = RawFrame("f", values, 100.0, 4095.0, phase=(1, 1))
+    exact = ReferenceRenderer(table).exact_outputs(frame)[1]
+    period = table.cfa.shape
+    seen = exact[:: period[0], :: period[1]]  # the site that is looked at
+    assert LightMeter(table).brightness(frame) == pytest.approx(1 / automatic_exposure(seen), rel=0.02)
+    for shape in ((1, 1), (3, 50), (7, 2)):
+        small = RawFrame("f", values[: shape[0], : shape[1]], 50.0, 4000.0)
+        assert np.isfinite(LightMeter(table).brightness(small))
+
+
+def scales(brightness: list[float], rate: int = 30) -> np.ndarray:
+    exposure = SteadyExposure(Fraction(rate))
+    return np.array([exposure.scale(value) for value in brightness])
+
+
+def test_noise_does_not_flicker():
+    found = scales([0.5 * (1.1 if number % 2 else 1 / 1.1) for number in range(200)])
+    change = np.abs(np.diff(np.log(found)))
+    assert change[1:].max() < 0.01  # ±10 % from frame to frame becomes less than 1 %
+    assert np.ptp(np.log(found[100:])) < 0.01
+
+
+def test_a_change_of_light_is_followed_without_overshoot():
+    found = scales([0.2] * 30 + [0.8] * 150)
+    np.testing.assert_allclose(found[:30], 5.0)
+    assert (np.diff(found[29:]) < 0).all()
+    assert found[-1] == pytest.approx(1 / 0.8, rel=0.02)
+    after = np.log(found[30 + int(TIME_CONSTANT * 30) - 1] / 5.0) / np.log(0.2 / 0.8)
+    assert after == pytest.approx(1 - np.exp(-1))
+    # as many seconds at any rate
+    assert scales([0.2] * 60 + [0.8] * 60, 60)[-1] == pytest.approx(scales([0.2] * 30 + [0.8] * 30, 30)[-1])
+
+
+def test_dark_frames_leave_the_exposure_where_it_was():
+    np.testing.assert_allclose(scales([0.0, -1.0, 0.5, 0.0]), [1, 1, 2, 2])
+
+
+def test_files_named_one_by_one_have_their_own_exposure_a_sequence_has_a_common_one(l3, tmp_path, table, folder):
+    call = ("render", table, "--backend", "reference")
+    assert l3(*call, *sorted(folder.iterdir()), "-o", tmp_path / "stills")[0] == 0
+    assert l3(*call, folder, "-o", tmp_path / "sequence")[0] == 0
+    stills, sequence = (list(pictures(tmp_path / name).values()) for name in ("stills", "sequence"))
+    for path, picture in zip(sorted(folder.iterdir()), stills, strict=True):
+        assert l3(*call, path, "-o", tmp_path / "alone.png", "--force")[0] == 0
+        np.testing.assert_array_equal(read_image(tmp_path / "alone.png")[0], picture)
+    assert (sequence[-1] > stills[-1]).mean() > 0.3  # the light grows by more than the exposure follows in five frames
