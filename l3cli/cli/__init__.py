@@ -22,6 +22,7 @@ COMMANDS = {
     "info": "kind, version, axes, units, history of an artifact",
     "bench": "frames per second here, stage by stage",
     "lab": "a virtual lab: the measurements a camera would give",
+    "init": "a folder of recipes and pipelines for one kind of camera",
 }
 
 

@@ -1,0 +1,94 @@
+"""l3 init: a folder with the recipes of one kind of camera and the pipelines that make pictures of them."""
+
+import difflib
+import itertools
+import re
+import textwrap
+import tomllib
+from pathlib import Path
+
+import click
+
+from l3cli.cli import options
+
+# What a folder of recipes holds beside its camera.toml: name there ← name in configs/.
+COMMON = {
+    "lab.toml": "lab/default.toml",
+    "scenes.toml": "scenes/default.toml",
+    "bands_scenes.toml": "scenes/bands.toml",
+    "unseen.toml": "scenes/demo_unseen.toml",
+    "classes.toml": "classes/default.toml",
+    "Makefile": "pipelines/Makefile",
+}
+
+
+@click.command()
+@click.argument("recipe", required=False, metavar="[RECIPE]")
+@click.argument("folder", type=options.FILE, required=False, metavar="[DIR]")
+@click.option("--list", "listed", is_flag=True, help="Tell the recipes there are, as without arguments.")
+@options.quiet
+def init(recipe: str | None, folder: Path | None, listed: bool, quiet: bool) -> None:
+    """Make DIR with the recipes of one kind of camera and a Makefile that leads from them to a picture and a report.
+
+    Without arguments, list the recipes.
+
+    Example: l3 init bayer demo && make -C demo
+    """
+    from l3cli.files import refuse_filled_folder
+
+    known = recipes()
+    if listed or recipe is None:
+        if recipe is not None:
+            raise click.UsageError("--list stands alone")
+        for name, path in known.items():
+            click.echo(f"{name:{max(map(len, known))}}  {summary(path)}")
+        return
+    if recipe not in known:
+        raise click.UsageError(f'no recipe "{recipe}"; {_suggestion(recipe, list(known))}')
+    if folder is None:
+        raise click.UsageError(f'name the folder to make, such as "l3 init {recipe} {recipe}"')
+    refuse_filled_folder(folder, force=False)
+    write_folder(known[recipe], folder)
+    options.say(f"{folder}: {summary(known[recipe])}; next: make -C {folder}", quiet)
+
+
+def config_folder() -> Path:
+    """Where the recipes lie: inside the installed package, or beside it in a checkout."""
+    package = Path(__file__).parents[1]
+    inside = package / "configs"
+    return inside if inside.is_dir() else package.parent / "configs"
+
+
+def recipes() -> dict[str, Path]:
+    """Camera recipes by name."""
+    return {path.stem: path for path in sorted((config_folder() / "cameras").glob("*.toml"))}
+
+
+def summary(path: Path) -> str:
+    """One line on a camera recipe: the period of its array, its channels, the first sentence of the file's first comment."""
+    text = path.read_text(encoding="utf-8")
+    cfa = tomllib.loads(text)["cfa"]
+    comment = " ".join(
+        line.lstrip("# ") for line in itertools.takewhile(lambda line: line.startswith("#"), text.splitlines())
+    )
+    sentence = textwrap.shorten(re.split(r"[:;] |[.] (?=[A-Z])", comment)[0].rstrip("."), 84, placeholder=" …")
+    period = f"{len(cfa['pattern'])}×{len(cfa['pattern'][0].split())}"
+    return f"{period}, {len(cfa['channels']):2} channels  {sentence}"
+
+
+def write_folder(camera: Path, folder: Path) -> None:
+    """The recipe folder of a camera recipe, each file whole or not at all."""
+    from l3cli.files import atomic_output
+
+    for name, source in {**COMMON, "camera.toml": f"cameras/{camera.name}"}.items():
+        origin = config_folder() / source
+        with atomic_output(folder / name) as temporary:
+            temporary.write_bytes(origin.read_bytes())
+            temporary.chmod(0o755 if origin.suffix == ".sh" else 0o644)
+
+
+def _suggestion(name: str, known: list[str]) -> str:
+    close = difflib.get_close_matches(name.lower(), known, n=3)
+    if close:
+        return "did you mean " + " or ".join(f'"{found}"' for found in close) + "?"
+    return f"there are {', '.join(known)}"
