@@ -3,11 +3,10 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 DEMO := build/demo
+CURVE := build/curve
 JOBS ?= 2
 L3 := $(BIN)/l3
 TIMED := bash -c 'time "$$0" "$$@"'
-
-CURVE := build/curve
 
 .PHONY: help install demo demo-steps test study video curve lint format bench clean
 .DEFAULT_GOAL := help
@@ -57,9 +56,7 @@ curve: $(VENV)/installed ## Bayer and RGBW over the light on the scene: which is
 	  $(L3) train $(CURVE)/$$camera.training.h5 -o $(CURVE)/$$camera.table.h5 --jobs $(JOBS) && \
 	  $(L3) evaluate $(CURVE)/$$camera.table.h5 $(CURVE)/$$camera.unseen.h5 --json > $(CURVE)/$$camera.json || exit 1; \
 	done
-	for figure in mean_delta_e scielab psnr; do \
-	  $(L3) compare $(CURVE)/bayer.json $(CURVE)/rgbw.json --figure $$figure -o $(CURVE)/$$figure.png || exit 1; \
-	done
+	$(L3) compare $(CURVE)/bayer.json $(CURVE)/rgbw.json --figure mean_delta_e --figure scielab --figure psnr -o $(CURVE)/curve.html
 
 lint: $(VENV)/installed ## ruff format and check, mypy
 	$(BIN)/ruff format --check .

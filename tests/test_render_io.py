@@ -19,7 +19,7 @@ from l3cli.frame import RawFrame
 from l3cli.io import raw_files
 from l3cli.io.images import check_format, read_image, write_linear, write_picture
 from l3cli.io.raw_files import KnownBetter, read_raw
-from l3cli.render import opencl
+from l3cli.render import opencl_devices
 from l3cli.render.display import make_display, scene_white
 from l3cli.render.reference import ReferenceRenderer
 
@@ -317,7 +317,7 @@ def test_broken_inputs_are_refused_in_one_line(refused, tmp_path, table, mosaic,
 def test_no_device_is_exit_code_4(refused, tmp_path, table, raw, monkeypatch):
     monkeypatch.setenv("L3_DEVICE", "no such device")
     assert "L3_DEVICE" in refused(4, "render", table, raw, "-o", tmp_path / "a.png")
-    monkeypatch.setattr(opencl, "devices", list)
+    monkeypatch.setattr(opencl_devices, "_platforms", list)
     assert "pip install" in refused(4, "render", table, raw, "-o", tmp_path / "a.png")
 
 

@@ -454,7 +454,7 @@ LEAVES = '[[scene]]\nsource = "dead leaves"\nsize = [32, 32]\n'
         (HEAD.replace("D65", "daylight") + LEAVES, 2, "daylight"),
         (HEAD.replace("D65", "scene") + LEAVES, 2, "light of its own"),
         (HEAD.replace("D65", "3K") + LEAVES, 2, "no light"),
-        (HEAD + "exposure_s = [0.1]\n" + LEAVES, 2, "give either exposure_share"),
+        (HEAD + "exposure_s = [0.1]\n" + LEAVES, 2, "give exactly one of exposure_share"),
         (HEAD.replace("0.9", "-1") + LEAVES, 2, "above zero"),
         ("exposure_s = [0.0]\n" + LEAVES, 2, "above zero"),
         (HEAD.replace("D65", "D3000K") + LEAVES, 2, "D4000K"),

@@ -1,5 +1,6 @@
 """l3 compare: evaluations of several cameras beside each other, over the light on the scene."""
 
+import itertools
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,42 +14,69 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("evaluations", type=options.FILE, nargs=-1, required=True, metavar="EVALUATION.json…")
-@click.option("--figure", default="scielab", show_default=True, help="Which figure of the evaluations.")
-@options.output("PNG with the curves", required=False)
+@click.option(
+    "--figure",
+    "figures",
+    multiple=True,
+    default=("scielab",),
+    show_default=True,
+    help="Which figure of the evaluations, such as mean_delta_e or psnr; several times for several.",
+)
+@options.output("HTML page with the curves", required=False)
 @options.force
 @options.as_json
-def compare(evaluations: tuple[Path, ...], figure: str, output: Path | None, force: bool, as_json: bool) -> None:
-    """Compare cameras by a figure of their evaluations at each luminance, and tell where the better one changes.
+def compare(
+    evaluations: tuple[Path, ...], figures: tuple[str, ...], output: Path | None, force: bool, as_json: bool
+) -> None:
+    """Compare cameras by figures of their evaluations at each luminance, and tell where the better one changes.
 
-    Example: l3 compare bayer.json rgbw.json --figure psnr -o curve.png
+    Example: l3 compare bayer.json rgbw.json --figure psnr --figure scielab -o curves.html
     """
-    import itertools
     import json
 
+    from l3cli.errors import RecipeError
     from l3cli.evaluate.comparison import crossings, curve_of, require_comparable
     from l3cli.files import refuse_existing
 
     if output is not None:
+        if output.suffix != ".html":
+            raise RecipeError(f"{output}: curves are drawn on a page; name a file that ends in .html")
         refuse_existing(output, force)
-    curves = [curve_of(_read(path), figure) for path in evaluations]
-    require_comparable(curves)
-    found = [
-        {"one": one.name, "other": other.name, "luminances": crossings(one, other, figure)}
-        for one, other in itertools.combinations(curves, 2)
-    ]
+    documents = [_read(path) for path in evaluations]
+    curves = {figure: [curve_of(document, figure) for document in documents] for figure in figures}
+    require_comparable(next(iter(curves.values())))
+    pairs = {figure: list(itertools.combinations(found, 2)) for figure, found in curves.items()}
+    changes = {
+        figure: [(one.name, other.name, crossings(one, other, figure)) for one, other in pairs[figure]] for figure in curves
+    }
+    told = {
+        figure: [
+            f"{figure}: the better of {one} and {other} changes at "
+            f"{', '.join(f'{luminance:.3g}' for luminance in luminances) or 'nowhere here'}"
+            + (" cd/m²." if luminances else ".")
+            for one, other, luminances in found
+        ]
+        for figure, found in changes.items()
+    }
     if output is not None:
-        _draw(curves, figure, output)
+        _page(curves, told, output)
     if as_json:
-        rows = [{"camera": c.name, "luminance": list(c.luminance), figure: list(c.value)} for c in curves]
-        click.echo(json.dumps({"figure": figure, "curves": rows, "crossings": found}, indent=2))
+        rows = [
+            {"camera": one.name, "luminance": list(one.luminance)}
+            | {figure: list(found[index].value) for figure, found in curves.items()}
+            for index, one in enumerate(next(iter(curves.values())))
+        ]
+        keys = ("figure", "one", "other", "luminances")
+        found = [dict(zip(keys, (figure, *change), strict=True)) for figure, group in changes.items() for change in group]
+        click.echo(json.dumps({"curves": rows, "crossings": found}, indent=2))
         return
-    click.echo("  ".join(["cd/m²".rjust(8), *(curve.name.rjust(8) for curve in curves)]))
-    for index, luminance in enumerate(curves[0].luminance):
-        values = [f"{curve.value[index]:.2f}".rjust(max(8, len(curve.name))) for curve in curves]
-        click.echo("  ".join([f"{luminance:g}".rjust(8), *values]))
-    for each in found:
-        where = ", ".join(f"{luminance:.3g}" for luminance in each["luminances"]) or "nowhere here"
-        click.echo(f"{figure}: the better of {each['one']} and {each['other']} changes at {where} cd/m²")
+    for figure, found_curves in curves.items():
+        click.echo(figure)
+        click.echo("  ".join(["cd/m²".rjust(8), *(curve.name.rjust(8) for curve in found_curves)]))
+        for index, luminance in enumerate(found_curves[0].luminance):
+            values = [f"{curve.value[index]:.2f}".rjust(max(8, len(curve.name))) for curve in found_curves]
+            click.echo("  ".join([f"{luminance:g}".rjust(8), *values]))
+        click.echo("\n".join(told[figure]))
 
 
 def _read(path: Path) -> dict:
@@ -65,21 +93,15 @@ def _read(path: Path) -> dict:
     return document
 
 
-def _draw(curves: list["Curve"], figure: str, output: Path) -> None:
-    import io
-
-    from matplotlib.figure import Figure
-
+def _page(curves: dict[str, list["Curve"]], told: dict[str, list[str]], output: Path) -> None:
     from l3cli.files import atomic_output
+    from l3cli.report.evaluation import luminance_section
+    from l3cli.report.page import render_page
 
-    plot = Figure(figsize=(6, 4), layout="constrained")
-    axes = plot.subplots()
-    for curve in curves:
-        axes.semilogx(curve.luminance, curve.value, marker="o", label=curve.name)
-    axes.set(xlabel="luminance of a white, cd/m²", ylabel=figure)
-    axes.grid(alpha=0.3)
-    axes.legend()
-    content = io.BytesIO()
-    plot.savefig(content, format="png", dpi=120, metadata={"Software": None})
-    with atomic_output(output) as path:
-        path.write_bytes(content.getvalue())
+    names = " and ".join(curve.name for curve in next(iter(curves.values())))
+    values = {figure: [(curve.name, curve.luminance, curve.value) for curve in found] for figure, found in curves.items()}
+    page = render_page(
+        f"{names} over the light", " ".join(itertools.chain(*told.values())), [luminance_section(values, told)]
+    )
+    with atomic_output(output) as temporary:
+        temporary.write_bytes(page.encode())

@@ -1,5 +1,6 @@
 """An evaluation as a section: figures, curves over light level, and frames to look at."""
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -62,6 +63,30 @@ def evaluation_section(
         parts.append(Part("Pictures", _picture_blocks(document, pictures, figure, anchor, limit, jpeg)))
     title = f"Evaluation: {names[0]} on {names[1]}" if all(names) else f"Evaluation: {names[0] or names[1]}"
     return Section(title, summary(document), tuple(parts))
+
+
+def luminance_section(
+    curves: dict[str, list[tuple[str, tuple[float, ...], tuple[float, ...]]]], told: dict[str, list[str]]
+) -> Section:
+    """Cameras over the light on the scene: for each figure the name, luminances (cd/m²) and values of every camera, and
+    sentences on where the better one changes."""
+    parts = []
+    for figure, cameras in curves.items():
+        heading = NAMES.get(figure, figure)
+        x = spanning("luminance of a perfect white (cd/m²)", cameras[0][1], log=True)
+        plot = Plot(x, spanning(heading, [value for _, _, values in cameras for value in values]))
+        keys = []
+        for colour, (name, luminance, value) in zip(itertools.cycle(SERIES), cameras, strict=False):
+            plot.line(np.array(luminance), np.array(value), colour).dots(np.array(luminance), np.array(value), colour)
+            keys.append(Key(name, colour))
+        finding = " ".join(told[figure]) or f"{heading} of {cameras[0][0]}."
+        rows = tuple(
+            (tidy(luminance), *(tidy(values[index]) for _, _, values in cameras))
+            for index, luminance in enumerate(cameras[0][1])
+        )
+        table = Table(heading, ("cd/m²", *(name for name, _, _ in cameras)), rows)
+        parts.append(Part(heading, (Figures((Figure(heading, plot.svg(finding), finding, tuple(keys)),)), table)))
+    return Section("Over the light on the scene", "Means over all frames of one luminance.", tuple(parts))
 
 
 def summary(document: dict[str, Any]) -> str:
