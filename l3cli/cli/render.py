@@ -1,17 +1,25 @@
 """l3 render: raw frames through a table."""
 
+import contextlib
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from l3cli import __version__
 from l3cli.cli import options
 from l3cli.errors import RecipeError
+
+if TYPE_CHECKING:
+    from l3cli.artifacts.table import TransformTable
+    from l3cli.cli.elsewhere import Elsewhere
+    from l3cli.cli.sequence import Here, Look, Target
+    from l3cli.io.raw_files import KnownBetter
+    from l3cli.parallel import Scheduler
 
 PRESETS = ("ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow")
 
@@ -92,13 +100,15 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
 @click.option("--size", callback=_pair("x"), metavar="ROWSxCOLS", help="Size of headerless inputs [default: the table's].")
 @click.option("--skip-bad", is_flag=True, help="Leave out missing and broken frames; exit code 1 if there were any.")
 @click.option("--resume", is_flag=True, help="Go on with a sequence of pictures where a run was stopped.")
+@options.scheduler
 @options.force
 @options.quiet
 def render(
     table: Path, inputs: tuple[Path, ...], output: Path, suffix: str, frames: range | None, dataset: str | None,
     fps: Fraction | None, codec: str | None, crf: float | None, preset: str, backend: str, exposure: float | None,
     white: str | None, bits: str, black: float | None, white_level: float | None, phase: tuple[int, int] | None,
-    size: tuple[int, int] | None, skip_bad: bool, resume: bool, force: bool, quiet: bool,
+    size: tuple[int, int] | None, skip_bad: bool, resume: bool, scheduler: "Scheduler | None", force: bool,
+    quiet: bool,
 ) -> int:  # fmt: skip
     """Render INPUT through TABLE: files (camera raw, one-channel TIFF or PNG, .npy, headerless .raw or .bin), or a sequence:
     a folder, a pattern (a_%04d.tif, a_####.tif), a quoted glob, a stack (.npy, HDF5), a headerless file of many frames, a
@@ -119,7 +129,6 @@ def render(
     from l3cli.io.sequences import find_frames
     from l3cli.io.video import VideoChoice
     from l3cli.render.display import require_xyz, scene_white
-    from l3cli.render.renderer import make_renderer
 
     choice = VideoChoice(fps or USUAL_RATE, int(bits), codec, crf, preset)
     target = make_target(output, suffix, choice)
@@ -138,7 +147,28 @@ def render(
         refuse_missing(footage)
     choice = replace(choice, rate=fps or footage.rate or USUAL_RATE)
     key = [sha256(table), __version__, inputs, frames, dataset, suffix, backend, exposure, white, choice, known]
-    with marked(target, key, resume, force, footage) as goes_on:
-        renderer = make_renderer(backend, transforms)
-        failures = render_frames(footage, target, renderer, transforms, look, choice, goes_on, skip_bad, quiet)
+    with (
+        marked(target, key, resume, force, footage) as goes_on,
+        _room(table, transforms, backend, known, look, target, scheduler) as room,
+    ):
+        failures = render_frames(footage, target, room, transforms, look, choice, goes_on, skip_bad, quiet)
     return 1 if failures else 0
+
+
+@contextlib.contextmanager
+def _room(
+    path: Path, table: "TransformTable", backend: str, known: "KnownBetter", look: "Look", target: "Target",
+    scheduler: "Scheduler | None",
+) -> "Iterator[Here | Elsewhere]":  # fmt: skip
+    """Where frames are rendered: here, or by the workers of a scheduler."""
+    from l3cli.cli.sequence import Here
+    from l3cli.render.renderer import make_renderer
+
+    if scheduler is None:
+        yield Here(make_renderer(backend, table), look)
+        return
+    from l3cli.cli.elsewhere import Elsewhere, make_way
+    from l3cli.parallel import workers
+
+    with workers(1, scheduler) as crew:
+        yield Elsewhere(crew, make_way(path, backend, known, look, target))

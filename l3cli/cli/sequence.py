@@ -20,7 +20,7 @@ import numpy as np
 
 from l3cli.cli import options
 from l3cli.errors import InputFileError, L3Error, RecipeError
-from l3cli.files import refuse_existing
+from l3cli.files import refuse_existing, write_whole
 from l3cli.frame import RawFrame, upright
 from l3cli.io import images
 from l3cli.io.sequences import PATTERN, Footage, Pending, numbered_files, numbered_name
@@ -31,6 +31,7 @@ from l3cli.render.exposure import LightMeter, SteadyExposure
 
 if TYPE_CHECKING:
     from l3cli.artifacts.table import TransformTable
+    from l3cli.cli.elsewhere import Elsewhere
     from l3cli.render.renderer import Renderer
 
 DEPTH = 3  # frames that wait at most between reading and rendering, and between rendering and writing
@@ -184,39 +185,52 @@ class Look:
 
 
 @dataclass(frozen=True)
-class _Read:
-    """A frame that was read, or why not."""
+class Taken:
+    """A frame and how bright it is to be shown, or why it was not read; neither where its picture is there already."""
 
     pending: Pending
-    frame: RawFrame | None
-    brightness: float = 0.0
+    frame: RawFrame | Path | None = None  # a path: whoever renders it is to read it
+    scale: float = 0.0  # of exposure; 0: the frame's own
     error: L3Error | None = None
-    kept: bool = False  # its picture is there already
+
+
+class Here:
+    """Renders frames in this process."""
+
+    by_path = False  # whether it reads files itself
+
+    def __init__(self, renderer: "Renderer", look: Look) -> None:
+        self._renderer, self._look = renderer, look
+
+    def develop(self, frames: Iterator[Taken]) -> Iterator[tuple[Taken, Any]]:
+        """Every frame with its pixels; None where there are none to be had."""
+        for each in ahead(frames, DEPTH):
+            yield (
+                each,
+                pixels_of(self._renderer, each.frame, self._look, each.scale) if isinstance(each.frame, RawFrame) else None,
+            )
 
 
 def render_frames(
-    footage: Footage, target: Target, renderer: "Renderer", table: "TransformTable", look: Look, choice: VideoChoice,
+    footage: Footage, target: Target, room: "Here | Elsewhere", table: "TransformTable", look: Look, choice: VideoChoice,
     goes_on: bool, skip_bad: bool, quiet: bool,
 ) -> int:  # fmt: skip
     """Render every frame into the target; how many were left out. What is broken is raised, unless `skip_bad`: then it is
     said."""
     start = time.monotonic()
-    steady = SteadyExposure(choice.rate) if _is_steady(footage, target, look) else None
     done = failures = 0
+    frames = _taken(footage, target, _Exposure(footage, target, table, look, choice.rate), goes_on, room.by_path)
     with _open_sink(target, choice, table.outputs) as (write, threads), Behind(write, DEPTH, threads) as writing:
-        reading = ahead(_read(footage, target, LightMeter(table) if steady else None, goes_on), DEPTH)
-        for each in options.progress(reading, footage.count, "frames", quiet):
-            if each.frame is None:
-                if not skip_bad and each.error is not None:
-                    raise each.error
-                if each.error is not None:
-                    failures += 1
-                    click.echo(f"l3: {each.error}", err=True)
-                done += each.kept
+        for each, made in options.progress(room.develop(frames), footage.count, "frames", quiet):
+            error = made if isinstance(made, L3Error) else each.error
+            if error is not None:
+                if not skip_bad:
+                    raise error
+                failures += 1
+                click.echo(f"l3: {error}", err=True)
                 continue
-            scale = look.exposure or (steady.scale(each.brightness) if steady else 0.0)
-            if not each.kept:
-                writing.put((each.pending, _pixels(renderer, each.frame, look, scale)))
+            if made is not None:
+                writing.put((each.pending, made))
             done += 1
         if not done:
             raise InputFileError("none of the frames could be read; nothing is written")
@@ -228,31 +242,49 @@ def render_frames(
     return failures
 
 
-def _is_steady(footage: Footage, target: Target, look: Look) -> bool:
-    """Automatic exposure is steady in time, except for stills that become files: each of those has its own."""
-    return look.white is not None and look.exposure is None and not (footage.stills and target.one_by_one)
+class _Exposure:
+    """Exposure scale of one frame after the other: as the caller says, or steady in time; 0 where each has its own."""
+
+    def __init__(self, footage: Footage, target: Target, table: "TransformTable", look: Look, rate: Fraction) -> None:
+        # Stills that become files have each its own exposure.
+        steady = look.white is not None and look.exposure is None and not (footage.stills and target.one_by_one)
+        self.fixed = look.exposure or 0.0
+        self._meter = LightMeter(table) if steady else None
+        self._steady = SteadyExposure(rate)
+
+    @property
+    def measured(self) -> bool:
+        """Whether it has to see every frame."""
+        return self._meter is not None
+
+    def scale(self, frame: RawFrame) -> float:
+        return self.fixed if self._meter is None else self._steady.scale(self._meter.brightness(frame))
 
 
-def _read(footage: Footage, target: Target, meter: LightMeter | None, goes_on: bool) -> Iterator[_Read]:
-    """Read, and measure, frame after frame; of frames that are kept only what the exposure of later ones needs."""
+def _taken(footage: Footage, target: Target, exposure: _Exposure, goes_on: bool, by_path: bool) -> Iterator[Taken]:
+    """Read, and expose, frame after frame; of frames that are kept only what the exposure of later ones needs. `by_path` a
+    file that need not be looked at is left to who renders it."""
     size: tuple[int, ...] | None = None
     for pending in footage.frames:
         kept = goes_on and target.file(pending.number, pending.stem).exists()
-        if kept and meter is None and footage.count is not None:
-            yield _Read(pending, None, kept=True)
+        if kept and not exposure.measured and footage.count is not None:
+            yield Taken(pending)
             continue
         try:
+            if by_path and pending.source and not pending.missing and target.one_by_one and not exposure.measured:
+                yield Taken(pending, pending.source.absolute(), exposure.fixed)
+                continue
             frame = pending.read()
             if frame is None:
                 return
             if not target.one_by_one:
                 size = size or _upright_shape(frame)
                 _require_size(frame, size)
-            brightness = meter.brightness(frame) if meter else 0.0
+            scale = exposure.scale(frame)
         except (L3Error, OSError) as error:
-            yield _Read(pending, None, error=error if isinstance(error, L3Error) else InputFileError(str(error)))
+            yield Taken(pending, error=error if isinstance(error, L3Error) else InputFileError(str(error)))
             continue
-        yield _Read(pending, frame, brightness, kept=kept)
+        yield Taken(pending) if kept else Taken(pending, frame, scale)
 
 
 def _upright_shape(frame: RawFrame) -> tuple[int, ...]:
@@ -267,13 +299,21 @@ def _require_size(frame: RawFrame, size: tuple[int, ...]) -> None:
         )
 
 
-def _pixels(renderer: "Renderer", frame: RawFrame, look: Look, scale: float) -> Any:
+def pixels_of(renderer: "Renderer", frame: RawFrame, look: Look, scale: float) -> Any:
     """Picture, or linear outputs where there is no white, (row, col, value). `scale` 0: this frame's own exposure."""
     if look.white is None:
         return upright(np.moveaxis(renderer.outputs(frame), 0, -1), frame.orientation)
     # The exposure of one frame alone needs the whole frame's luminance before the first value is encoded: two runs.
     scale = scale or automatic_exposure(renderer.outputs(frame)[1])
     return upright(renderer.picture(frame, make_display(look.white, scale, look.bits)), frame.orientation)
+
+
+def write_pixels(file: Path, made: Any, outputs: tuple[str, ...]) -> None:
+    """A picture, or linear outputs if the file's name asks for them."""
+    if images.is_linear(file):
+        images.write_linear(file, made, outputs)
+    else:
+        images.write_picture(file, made)
 
 
 @contextlib.contextmanager
@@ -284,12 +324,12 @@ def _open_sink(
     if target.one_by_one:
 
         def write(item: tuple[Pending, Any]) -> None:
-            pending, pixels = item
+            pending, made = item
             file = target.file(pending.number, pending.stem)
-            if target.linear:
-                images.write_linear(file, pixels, outputs)
+            if isinstance(made, bytes):
+                write_whole(file, made)
             else:
-                images.write_picture(file, pixels)
+                write_pixels(file, made, outputs)
 
         yield write, PICTURE_WRITERS
     elif target.kind == "stream" or target.path.suffix.lower() == ".y4m":

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from l3cli.artifacts.camera import CameraModel
     from l3cli.artifacts.training_set import TrainingSet
     from l3cli.cli.frames import Run
+    from l3cli.parallel import Scheduler
     from l3cli.simulate.light import Curve
     from l3cli.simulate.recipe import SceneRecipe
 
@@ -32,39 +33,47 @@ NEGLIGIBLE = 1e-3  # share of a channel's light that may go unseen without a wor
 )
 @click.option("--resume", is_flag=True, help="Go on with the frames that a run that was stopped left in OUTPUT.parts.")
 @options.seed
+@options.scheduler
 @options.jobs
 @options.force
 @options.quiet
 def simulate(
-    scenes: Path, camera: Path, output: Path, pictures: Path | None, resume: bool, seed: int, jobs: int, force: bool,
-    quiet: bool,
+    scenes: Path, camera: Path, output: Path, pictures: Path | None, resume: bool, seed: int, jobs: int,
+    scheduler: "Scheduler | None", force: bool, quiet: bool,
 ) -> None:  # fmt: skip
     """Simulate what a camera sees of many scenes, and the pictures it should make of them.
 
     Example: l3 simulate configs/scenes/default.toml --camera camera.h5 -o training.h5
     """
     from l3cli.artifacts.camera import load_camera
-    from l3cli.cli.frames import jobs_of, open_folder, work_off
+    from l3cli.cli.frames import jobs_of, open_folder, stored, work_off
     from l3cli.config import load_recipe
     from l3cli.errors import L3Error
     from l3cli.files import refuse_existing, refuse_filled_folder
-    from l3cli.parallel import ordered_map
+    from l3cli.parallel import workers
     from l3cli.simulate.recipe import SceneRecipe, shots
 
     refuse_existing(output, force)
     if pictures:
         refuse_filled_folder(pictures, force)
+    if scheduler:
+        scenes = scenes.absolute()  # its files are looked for by workers elsewhere
     model, recipe = load_camera(camera), load_recipe(scenes, SceneRecipe)
     run, files, inputs = _prepare(recipe, scenes, model, seed)
     head = _head(run, model, (scenes, camera), inputs, seed)
+    sums = head.history[-1].inputs
+    digests = {path: own for role, paths in inputs.items() for path, own in zip(paths, sums.get(role, ()), strict=True)}
     key = hashlib.sha256(json.dumps(dataclasses.asdict(head.history[-1]), sort_keys=True).encode()).hexdigest()
     run = dataclasses.replace(run, folder=open_folder(output, key, resume))
-    work = jobs_of(run, list(shots(recipe, files)) if recipe.scene else [], jobs)
-    total = sum(len(job.shots) for job in work)
+    wanted = list(shots(recipe, files)) if recipe.scene else []
+    total = sum(len(own) for _, own in wanted) + len(recipe.pair)
     try:
-        finished = (index for count in ordered_map(work_off, work, jobs) for index in range(count))
-        for _ in options.progress(finished, total, "frames", quiet):
-            pass
+        with workers(jobs, scheduler) as crew:
+            work = jobs_of(run, wanted, crew.size)
+            counts = stored(crew, work, digests) if scheduler else crew(work_off, work)
+            finished = (index for count in counts for index in range(count))
+            for _ in options.progress(finished, total, "frames", quiet):
+                pass
         _assemble(run, head, output, total, quiet)
     except L3Error:
         if not resume:
