@@ -12,6 +12,7 @@ import os
 import pickle
 import platform
 import queue
+import re
 import signal
 import threading
 import time
@@ -24,7 +25,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from l3cli import __version__
-from l3cli.errors import L3Error, RecipeError
+from l3cli.errors import InputFileError, L3Error, RecipeError
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
@@ -154,11 +155,27 @@ _one_at_a_time = threading.Lock()
 class Scheduler:
     """A scheduler of dask.distributed, and the PEM files with which one that speaks TLS is met."""
 
-    address: str  # such as tcp://10.0.0.1:8786
+    address: str  # tcp://HOST:PORT or tls://HOST:PORT
     ca: Path | None = None  # the authority that both sides trust
     certificate: Path | None = None  # ours, and its key
     key: Path | None = None
     warn: Callable[[str], None] = lambda message: None  # told that the scheduler is open to others
+
+    def __post_init__(self) -> None:
+        """RecipeError if that is no address, or files are missing or given in vain."""
+        found = re.fullmatch(r"(tcp|tls)://\S+:(\d{1,5})", self.address, re.ASCII)
+        if not found or not 0 < int(found[2]) < 65536:
+            raise RecipeError(f'"{self.address}" is no scheduler\'s address; give tcp://HOST:PORT or tls://HOST:PORT')
+        files = (self.ca, self.certificate, self.key)
+        if found[1] == "tls" and None in files:
+            raise RecipeError(f"{self.address} needs --tls-ca, --tls-cert and --tls-key")
+        if found[1] == "tcp" and files != (None, None, None):
+            raise RecipeError(
+                f"{self.address} speaks no TLS; give tls://HOST:PORT, or leave --tls-ca, --tls-cert, --tls-key out"
+            )
+        for path in filter(None, files):
+            if not path.is_file():
+                raise InputFileError(f"{path} does not exist; give a PEM file")
 
 
 @contextlib.contextmanager
@@ -172,14 +189,18 @@ def _cluster(scheduler: Scheduler) -> Iterator[Crew]:
         import distributed
     except ImportError as error:
         raise L3Error(INSTALL) from error
-    for name in ("distributed", "tornado"):
+    for name in ("distributed", "tornado", "asyncio"):
         logging.getLogger(name).setLevel(logging.CRITICAL)  # what goes wrong is told in one line
-    # An item holds what its worker needs; dask's advice to send it ahead would lose it with the worker that has it.
-    with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 GiB"}):
+    settings = {
+        "distributed.comm.timeouts.connect": f"{ANSWER} s",
+        # An item holds what its worker needs; sent ahead, as dask advises, it would be lost with the worker that has it.
+        "distributed.admin.large-graph-warning-threshold": "1 GiB",
+    }
+    with dask.config.set(settings):
         client = _connected(distributed, scheduler)
         try:
             listening = client.scheduler_info()["address"]
-            if not (listening.startswith(("tls://", "wss://")) or _is_loopback(listening)):
+            if not (listening.startswith("tls://") or _is_loopback(listening)):
                 scheduler.warn(WITHOUT_TLS)
             hands = _Hands(client)
             yield Crew(hands.first(), functools.partial(_sent_out, client, hands))
@@ -188,21 +209,19 @@ def _cluster(scheduler: Scheduler) -> Iterator[Crew]:
 
 
 def _connected(distributed: Any, scheduler: Scheduler) -> Any:
-    files = {"tls_ca_file": scheduler.ca, "tls_client_cert": scheduler.certificate, "tls_client_key": scheduler.key}
-    given = {name: str(path) for name, path in files.items() if path is not None}
+    security = None
+    if scheduler.ca is not None:
+        files = {"tls_ca_file": scheduler.ca, "tls_client_cert": scheduler.certificate, "tls_client_key": scheduler.key}
+        security = distributed.Security(require_encryption=True, **{name: str(path) for name, path in files.items()})
+        try:
+            security.get_connection_args("client")
+        except OSError as error:
+            raise InputFileError(f"--tls-ca, --tls-cert or --tls-key cannot be used ({error}); give PEM files") from error
     try:
-        security = distributed.Security(require_encryption=True, **given) if given else None
         return distributed.Client(scheduler.address, security=security, timeout=ANSWER, set_as_default=False)
-    except (
-        ValueError,
-        RuntimeError,
-        TypeError,
-    ) as error:  # an address of no known kind; TLS asked for of tcp://, or not given
-        raise RecipeError(
-            f"{scheduler.address} cannot be reached so ({error}); give tcp://HOST:PORT, or tls:// with --tls-…"
-        ) from error
     except OSError as error:
-        raise L3Error(f"no scheduler answers at {scheduler.address}; start one with: dask scheduler") from error
+        cure = "check its certificates and these" if security else "start one with: dask scheduler"
+        raise L3Error(f"no scheduler answers at {scheduler.address}; {cure}") from error
 
 
 def _is_loopback(address: str) -> bool:
