@@ -4,17 +4,18 @@ picture, as the content of its file where it becomes one."""
 import collections
 import functools
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from l3cli.cli.sequence import DEPTH, Look, Taken, Target, pixels_of, write_pixels
+from l3cli.cli.sequence import Exposed, Look, Unread, pixels_of, write_pixels
 from l3cli.errors import InputFileError, L3Error
-from l3cli.files import require_same, sha256
+from l3cli.files import require_same
 from l3cli.frame import RawFrame
 from l3cli.io.raw_files import KnownBetter, read_raw
-from l3cli.parallel import Crew, ahead
+from l3cli.io.sequences import Pending
+from l3cli.parallel import Crew
 
 if TYPE_CHECKING:
     from l3cli.artifacts.table import TransformTable
@@ -25,9 +26,10 @@ if TYPE_CHECKING:
 class Way:
     """What all frames share."""
 
-    table: Path
+    table: Path  # absolute: workers open it
     digest: str  # SHA-256 of the table
     backend: str
+    engine: Mapping[str, str | None]  # the backend's options
     known: KnownBetter
     look: Look
     suffix: str | None  # of the picture files; None: pixels are wanted
@@ -38,9 +40,8 @@ class Order:
     """A frame to be rendered."""
 
     way: Way
-    frame: RawFrame | Path
-    digest: str  # SHA-256 of the file, if the worker is to read it
-    scale: float  # as Taken
+    frame: RawFrame | Unread
+    scale: float  # of exposure; 0: the frame's own
 
 
 class Elsewhere:
@@ -51,40 +52,28 @@ class Elsewhere:
     def __init__(self, crew: Crew, way: Way) -> None:
         self._crew, self._way = crew, way
 
-    def develop(self, frames: Iterator[Taken]) -> Iterator[tuple[Taken, Any]]:
-        """Every frame with its pixels, its file's content, or what is wrong with it; None where there is nothing to do."""
-        passed: collections.deque[Taken] = collections.deque()  # those whose turn has not come
+    def develop(self, exposed: Iterator[Exposed]) -> Iterator[tuple[Pending, Any]]:
+        """Pixels of each frame, content of its picture's file, or what is wrong with it, in order."""
+        away: collections.deque[Pending] = collections.deque()
 
         def orders() -> Iterator[Order]:
-            for each in ahead(frames, DEPTH):
-                passed.append(each)
-                if each.frame is not None:
-                    digest = sha256(each.frame) if isinstance(each.frame, Path) else ""
-                    yield Order(self._way, each.frame, digest, each.scale)
+            for pending, frame, scale in exposed:
+                away.append(pending)
+                yield Order(self._way, frame, scale)
 
         for made in self._crew(_developed, orders()):
-            while passed[0].frame is None:
-                yield passed.popleft(), None
-            yield passed.popleft(), made
-        for each in passed:
-            yield each, None
-
-
-def make_way(table: Path, backend: str, known: KnownBetter, look: Look, target: Target) -> Way:
-    """What workers are told; they open the table by its path."""
-    suffix = target.file(0, "frame").suffix if target.one_by_one else None
-    return Way(table.absolute(), sha256(table), backend, known, look, suffix)
+            yield away.popleft(), made
 
 
 def _developed(order: Order) -> Any:
     """In a worker: the picture of a frame, or what is wrong with its file."""
     way = order.way
-    table, renderer = _renderer(way.table, way.digest, way.backend)
+    table, renderer = _renderer(way.table, way.digest, way.backend, tuple(way.engine.items()))
     frame = order.frame
-    if isinstance(frame, Path):
+    if isinstance(frame, Unread):
         try:
-            require_same(frame, order.digest)
-            frame = read_raw(frame, table, way.known)
+            require_same(frame.path, frame.digest)
+            frame = read_raw(frame.path, table, way.known)
         except (L3Error, OSError) as error:
             return error if isinstance(error, L3Error) else InputFileError(str(error))
     pixels = pixels_of(renderer, frame, way.look, order.scale)
@@ -97,7 +86,9 @@ def _developed(order: Order) -> Any:
 
 
 @functools.lru_cache(1)
-def _renderer(path: Path, digest: str, backend: str) -> "tuple[TransformTable, Renderer]":
+def _renderer(
+    path: Path, digest: str, backend: str, engine: tuple[tuple[str, str | None], ...]
+) -> "tuple[TransformTable, Renderer]":
     """The table and what renders through it, made once a worker."""
     from l3cli.artifacts.base import load
     from l3cli.artifacts.table import TransformTable
@@ -105,4 +96,4 @@ def _renderer(path: Path, digest: str, backend: str) -> "tuple[TransformTable, R
 
     require_same(path, digest)
     table = load(TransformTable, path)
-    return table, make_renderer(backend, table)
+    return table, make_renderer(backend, table, **dict(engine))

@@ -16,9 +16,8 @@ from l3cli.errors import RecipeError
 
 if TYPE_CHECKING:
     from l3cli.artifacts.table import TransformTable
-    from l3cli.cli.elsewhere import Elsewhere
-    from l3cli.cli.sequence import Here, Look, Target
-    from l3cli.io.raw_files import KnownBetter
+    from l3cli.cli.elsewhere import Elsewhere, Way
+    from l3cli.cli.sequence import Here
     from l3cli.parallel import Scheduler
 
 PRESETS = ("ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow")
@@ -89,6 +88,8 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
 @click.option("--crf", type=click.FloatRange(0, 51), help="Quality of h264 and h265, lower is better [default: theirs].")
 @click.option("--preset", type=click.Choice(PRESETS), default="veryfast", show_default=True, help="Effort of h264, h265.")
 @click.option("--backend", type=click.Choice(["opencl", "reference"]), default="opencl", show_default=True, help="Engine.")
+@options.device
+@options.variant
 @click.option("--exposure", default="auto", callback=_exposure, metavar="auto|VALUE", help="Y × VALUE = 1 is shown white.")
 @click.option(
     "--white", metavar="NAME|x,y", help="Scene white shown neutral: illuminant or chromaticity [default: table's]."
@@ -105,10 +106,10 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
 @options.quiet
 def render(
     table: Path, inputs: tuple[Path, ...], output: Path, suffix: str, frames: range | None, dataset: str | None,
-    fps: Fraction | None, codec: str | None, crf: float | None, preset: str, backend: str, exposure: float | None,
-    white: str | None, bits: str, black: float | None, white_level: float | None, phase: tuple[int, int] | None,
-    size: tuple[int, int] | None, skip_bad: bool, resume: bool, scheduler: "Scheduler | None", force: bool,
-    quiet: bool,
+    fps: Fraction | None, codec: str | None, crf: float | None, preset: str, backend: str, device: str | None,
+    variant: str | None, exposure: float | None, white: str | None, bits: str, black: float | None,
+    white_level: float | None, phase: tuple[int, int] | None, size: tuple[int, int] | None, skip_bad: bool, resume: bool,
+    scheduler: "Scheduler | None", force: bool, quiet: bool,
 ) -> int:  # fmt: skip
     """Render INPUT through TABLE: files (camera raw, one-channel TIFF or PNG, .npy, headerless .raw or .bin), or a sequence:
     a folder, a pattern (a_%04d.tif, a_####.tif), a quoted glob, a stack (.npy, HDF5), a headerless file of many frames, a
@@ -123,6 +124,7 @@ def render(
     one_blas_thread()  # the products of the light meter are small, and threads that wait for them take the encoder's time
     from l3cli.artifacts.base import load
     from l3cli.artifacts.table import TransformTable
+    from l3cli.cli.elsewhere import Way
     from l3cli.cli.sequence import USUAL_RATE, Look, make_target, marked, refuse_missing, refuse_single, render_frames
     from l3cli.files import sha256
     from l3cli.io.raw_files import KnownBetter
@@ -135,6 +137,9 @@ def render(
     refuse_single(target, force)
     if target.linear and (exposure is not None or white is not None):
         raise RecipeError(".exr files hold the outputs as they are; --exposure and --white are for pictures")
+    engine = {name: value for name, value in {"device": device, "variant": variant}.items() if value is not None}
+    if engine and backend != "opencl":
+        raise RecipeError(f"--{next(iter(engine))} is for the opencl backend; leave it or --backend {backend} out")
     known = KnownBetter(black, white_level, phase, size)
     transforms = load(TransformTable, table)
     if target.linear:
@@ -146,29 +151,23 @@ def render(
     if not skip_bad:
         refuse_missing(footage)
     choice = replace(choice, rate=fps or footage.rate or USUAL_RATE)
-    key = [sha256(table), __version__, inputs, frames, dataset, suffix, backend, exposure, white, choice, known]
-    with (
-        marked(target, key, resume, force, footage) as goes_on,
-        _room(table, transforms, backend, known, look, target, scheduler) as room,
-    ):
+    way = Way(table.absolute(), sha256(table), backend, engine, known, look, target.file_suffix)
+    key = [way.digest, __version__, inputs, frames, dataset, suffix, backend, engine, exposure, white, choice, known]
+    with marked(target, key, resume, force, footage) as goes_on, _room(way, transforms, scheduler) as room:
         failures = render_frames(footage, target, room, transforms, look, choice, goes_on, skip_bad, quiet)
     return 1 if failures else 0
 
 
 @contextlib.contextmanager
-def _room(
-    path: Path, table: "TransformTable", backend: str, known: "KnownBetter", look: "Look", target: "Target",
-    scheduler: "Scheduler | None",
-) -> "Iterator[Here | Elsewhere]":  # fmt: skip
+def _room(way: "Way", table: "TransformTable", scheduler: "Scheduler | None") -> "Iterator[Here | Elsewhere]":
     """Where frames are rendered: here, or by the workers of a scheduler."""
+    from l3cli.cli.elsewhere import Elsewhere
     from l3cli.cli.sequence import Here
+    from l3cli.parallel import workers
     from l3cli.render.renderer import make_renderer
 
     if scheduler is None:
-        yield Here(make_renderer(backend, table), look)
-        return
-    from l3cli.cli.elsewhere import Elsewhere, make_way
-    from l3cli.parallel import workers
-
-    with workers(1, scheduler) as crew:
-        yield Elsewhere(crew, make_way(path, backend, known, look, target))
+        yield Here(make_renderer(way.backend, table, **way.engine), way.look)
+    else:
+        with workers(1, scheduler) as crew:
+            yield Elsewhere(crew, way)

@@ -9,7 +9,8 @@ import hashlib
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -20,13 +21,13 @@ import numpy as np
 
 from l3cli.cli import options
 from l3cli.errors import InputFileError, L3Error, RecipeError
-from l3cli.files import refuse_existing, write_whole
+from l3cli.files import refuse_existing, sha256, write_whole
 from l3cli.frame import RawFrame, upright
 from l3cli.io import images
 from l3cli.io.sequences import PATTERN, Footage, Pending, numbered_files, numbered_name
 from l3cli.io.video import VideoChoice, check_video, is_video, new_video, new_y4m
 from l3cli.parallel import Behind, ahead
-from l3cli.render.display import automatic_exposure, make_display
+from l3cli.render.display import Display, automatic_exposure, make_display
 from l3cli.render.exposure import LightMeter, SteadyExposure
 
 if TYPE_CHECKING:
@@ -63,6 +64,11 @@ class Target:
         if self.kind == "pattern":
             return numbered_name(self.path, number)
         return self.path / f"{stem}.{self.suffix}" if self.kind == "folder" else self.path
+
+    @property
+    def file_suffix(self) -> str | None:
+        """Of every file, where every frame becomes one."""
+        return self.file(0, "frame").suffix if self.one_by_one else None
 
     @property
     def mark(self) -> Path:
@@ -185,30 +191,40 @@ class Look:
 
 
 @dataclass(frozen=True)
-class Taken:
-    """A frame and how bright it is to be shown, or why it was not read; neither where its picture is there already."""
+class Unread:
+    """A frame that whoever renders it is to read."""
+
+    path: Path
+    digest: str  # SHA-256 of the file
+
+
+@dataclass(frozen=True)
+class _Read:
+    """A frame that was read or is to be, or why not."""
 
     pending: Pending
-    frame: RawFrame | Path | None = None  # a path: whoever renders it is to read it
-    scale: float = 0.0  # of exposure; 0: the frame's own
+    frame: RawFrame | Unread | None
+    brightness: float = 0.0
     error: L3Error | None = None
+    kept: bool = False  # its picture is there already
 
 
-class Here:
-    """Renders frames in this process."""
+Exposed = tuple[Pending, Any, float]  # with the frame and the scale of its exposure, 0: its own
 
-    by_path = False  # whether it reads files itself
 
-    def __init__(self, renderer: "Renderer", look: Look) -> None:
-        self._renderer, self._look = renderer, look
+@dataclass
+class _Tally:
+    """How many frames there are pictures of, and how many were left out."""
 
-    def develop(self, frames: Iterator[Taken]) -> Iterator[tuple[Taken, Any]]:
-        """Every frame with its pixels; None where there are none to be had."""
-        for each in ahead(frames, DEPTH):
-            yield (
-                each,
-                pixels_of(self._renderer, each.frame, self._look, each.scale) if isinstance(each.frame, RawFrame) else None,
-            )
+    done: int = 0
+    failures: int = 0
+
+    def leave_out(self, error: L3Error, skip_bad: bool) -> None:
+        """Say that a frame is left out; raise why, unless `skip_bad`."""
+        if not skip_bad:
+            raise error
+        self.failures += 1
+        click.echo(f"l3: {error}", err=True)
 
 
 def render_frames(
@@ -218,22 +234,20 @@ def render_frames(
     """Render every frame into the target; how many were left out. What is broken is raised, unless `skip_bad`: then it is
     said."""
     start = time.monotonic()
-    done = failures = 0
-    frames = _taken(footage, target, _Exposure(footage, target, table, look, choice.rate), goes_on, room.by_path)
+    steady = SteadyExposure(choice.rate) if _is_steady(footage, target, look) else None
+    tally = _Tally()
     with _open_sink(target, choice, table.outputs) as (write, threads), Behind(write, DEPTH, threads) as writing:
-        for each, made in options.progress(room.develop(frames), footage.count, "frames", quiet):
-            error = made if isinstance(made, L3Error) else each.error
-            if error is not None:
-                if not skip_bad:
-                    raise error
-                failures += 1
-                click.echo(f"l3: {error}", err=True)
-                continue
-            if made is not None:
-                writing.put((each.pending, made))
-            done += 1
-        if not done:
+        reading = ahead(_read(footage, target, LightMeter(table) if steady else None, goes_on, room.by_path), DEPTH)
+        reading = options.progress(reading, footage.count, "frames", quiet)
+        for pending, made in room.develop(_exposed(reading, look, steady, skip_bad, tally)):
+            if isinstance(made, L3Error):
+                tally.done -= 1
+                tally.leave_out(made, skip_bad)
+            else:
+                writing.put((pending, made))
+        if not tally.done:
             raise InputFileError("none of the frames could be read; nothing is written")
+    done, failures = tally.done, tally.failures
     if not footage.stills:
         rate = done / max(time.monotonic() - start, 1e-9)
         options.say(f"{target.path}: {done} frames, {rate:.3g} a second", quiet)
@@ -242,37 +256,23 @@ def render_frames(
     return failures
 
 
-class _Exposure:
-    """Exposure scale of one frame after the other: as the caller says, or steady in time; 0 where each has its own."""
-
-    def __init__(self, footage: Footage, target: Target, table: "TransformTable", look: Look, rate: Fraction) -> None:
-        # Stills that become files have each its own exposure.
-        steady = look.white is not None and look.exposure is None and not (footage.stills and target.one_by_one)
-        self.fixed = look.exposure or 0.0
-        self._meter = LightMeter(table) if steady else None
-        self._steady = SteadyExposure(rate)
-
-    @property
-    def measured(self) -> bool:
-        """Whether it has to see every frame."""
-        return self._meter is not None
-
-    def scale(self, frame: RawFrame) -> float:
-        return self.fixed if self._meter is None else self._steady.scale(self._meter.brightness(frame))
+def _is_steady(footage: Footage, target: Target, look: Look) -> bool:
+    """Automatic exposure is steady in time, except for stills that become files: each of those has its own."""
+    return look.white is not None and look.exposure is None and not (footage.stills and target.one_by_one)
 
 
-def _taken(footage: Footage, target: Target, exposure: _Exposure, goes_on: bool, by_path: bool) -> Iterator[Taken]:
-    """Read, and expose, frame after frame; of frames that are kept only what the exposure of later ones needs. `by_path` a
-    file that need not be looked at is left to who renders it."""
+def _read(footage: Footage, target: Target, meter: LightMeter | None, goes_on: bool, by_path: bool) -> Iterator[_Read]:
+    """Read, and measure, frame after frame; of frames that are kept only what the exposure of later ones needs. `by_path`
+    a file that becomes a file, and is not measured, is left to who renders it."""
     size: tuple[int, ...] | None = None
     for pending in footage.frames:
         kept = goes_on and target.file(pending.number, pending.stem).exists()
-        if kept and not exposure.measured and footage.count is not None:
-            yield Taken(pending)
+        if kept and meter is None and footage.count is not None:
+            yield _Read(pending, None, kept=True)
             continue
         try:
-            if by_path and pending.source and not pending.missing and target.one_by_one and not exposure.measured:
-                yield Taken(pending, pending.source.absolute(), exposure.fixed)
+            if by_path and pending.source and not pending.missing and target.one_by_one and meter is None:
+                yield _Read(pending, Unread(pending.source.absolute(), sha256(pending.source)), kept=kept)
                 continue
             frame = pending.read()
             if frame is None:
@@ -280,11 +280,11 @@ def _taken(footage: Footage, target: Target, exposure: _Exposure, goes_on: bool,
             if not target.one_by_one:
                 size = size or _upright_shape(frame)
                 _require_size(frame, size)
-            scale = exposure.scale(frame)
+            brightness = meter.brightness(frame) if meter else 0.0
         except (L3Error, OSError) as error:
-            yield Taken(pending, error=error if isinstance(error, L3Error) else InputFileError(str(error)))
+            yield _Read(pending, None, error=error if isinstance(error, L3Error) else InputFileError(str(error)))
             continue
-        yield Taken(pending) if kept else Taken(pending, frame, scale)
+        yield _Read(pending, frame, brightness, kept=kept)
 
 
 def _upright_shape(frame: RawFrame) -> tuple[int, ...]:
@@ -299,13 +299,64 @@ def _require_size(frame: RawFrame, size: tuple[int, ...]) -> None:
         )
 
 
+def _exposed(
+    reading: Iterable[_Read], look: Look, steady: SteadyExposure | None, skip_bad: bool, tally: _Tally
+) -> Iterator[Exposed]:
+    """The frames to render, each with its scale (0: its own exposure); what is broken is raised, or said and counted."""
+    for each in reading:
+        if each.error is not None:
+            tally.leave_out(each.error, skip_bad)
+            continue
+        tally.done += 1
+        if each.frame is not None:
+            scale = look.exposure or (steady.scale(each.brightness) if steady else 0.0)
+            if not each.kept:
+                yield each.pending, each.frame, scale
+
+
+class Here:
+    """Renders frames in this process."""
+
+    by_path = False  # whether it reads files itself
+
+    def __init__(self, renderer: "Renderer", look: Look) -> None:
+        self._renderer, self._look = renderer, look
+
+    def develop(self, exposed: Iterator[Exposed]) -> Iterator[tuple[Pending, Any]]:
+        """Picture, or linear outputs where there is no white, (row, col, value), of each frame, in order.
+
+        Pictures whose exposure is known beforehand overlap on the device: while one is written the next is at work.
+        """
+        at_work: deque[tuple[Pending, RawFrame]] = deque()
+
+        def displayed() -> Iterator[tuple[RawFrame, Display]]:
+            for pending, frame, scale in exposed:
+                at_work.append((pending, frame))
+                yield frame, _display(self._renderer, frame, self._look, scale)
+
+        if self._look.white is None:
+            for pending, frame, _ in exposed:
+                yield pending, _linear(self._renderer, frame)
+            return
+        for picture in self._renderer.pictures(displayed()):
+            pending, frame = at_work.popleft()
+            yield pending, upright(picture, frame.orientation)
+
+
 def pixels_of(renderer: "Renderer", frame: RawFrame, look: Look, scale: float) -> Any:
-    """Picture, or linear outputs where there is no white, (row, col, value). `scale` 0: this frame's own exposure."""
+    """What `Here` makes of a frame."""
     if look.white is None:
-        return upright(np.moveaxis(renderer.outputs(frame), 0, -1), frame.orientation)
+        return _linear(renderer, frame)
+    return upright(renderer.picture(frame, _display(renderer, frame, look, scale)), frame.orientation)
+
+
+def _linear(renderer: "Renderer", frame: RawFrame) -> Any:
+    return upright(np.moveaxis(renderer.outputs(frame), 0, -1), frame.orientation)
+
+
+def _display(renderer: "Renderer", frame: RawFrame, look: Look, scale: float) -> Display:
     # The exposure of one frame alone needs the whole frame's luminance before the first value is encoded: two runs.
-    scale = scale or automatic_exposure(renderer.outputs(frame)[1])
-    return upright(renderer.picture(frame, make_display(look.white, scale, look.bits)), frame.orientation)
+    return make_display(look.white, scale or automatic_exposure(renderer.outputs(frame)[1]), look.bits)
 
 
 def write_pixels(file: Path, made: Any, outputs: tuple[str, ...]) -> None:
