@@ -286,6 +286,7 @@ def _sent_out(client: Any, hands: _Hands, function: Callable[[T], R], items: Ite
 def _brought(client: Any, hands: _Hands, future: Any) -> Any:
     """A future's result, worked out again by dask where its worker has died; what `function` raised is raised."""
     from distributed import KilledWorker
+    from distributed.comm import CommClosedError
 
     answer = asyncio.run_coroutine_threadsafe(client.gather(future, asynchronous=True), client.loop.asyncio_loop)
     try:
@@ -294,7 +295,7 @@ def _brought(client: Any, hands: _Hands, future: Any) -> Any:
                 answer.exception(PULSE)
             hands.count()
         return answer.result()
-    except (CancelledError, asyncio.CancelledError) as error:
+    except (CancelledError, asyncio.CancelledError, CommClosedError) as error:
         raise L3Error(_GONE) from error
     except KilledWorker as error:
         raise L3Error("several workers died of the same item, perhaps for lack of memory; give them more") from error
