@@ -14,6 +14,7 @@ import platform
 import queue
 import re
 import signal
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -269,11 +270,18 @@ _GONE = "the scheduler has gone; start it and its workers again"
 
 def _sent_out(client: Any, hands: _Hands, function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
     """At most two items a worker are out at a time; results stay with the workers until their turn comes."""
+
+    def work(versions: dict[str, str], content: bytes) -> R:
+        # Local, it travels by value and not by name, so that a worker without this l3cli can say so. It and the bytes are
+        # passed on by the scheduler, which needs no l3cli.
+        from l3cli.parallel import work_elsewhere
+
+        return work_elsewhere(versions, content)
+
     waiting: collections.deque[Any] = collections.deque()
     try:
         for item in items:
-            # Bytes: the scheduler passes on what it need not understand.
-            waiting.append(client.submit(_work_elsewhere, _versions(), pickle.dumps((function, item)), pure=False))
+            waiting.append(client.submit(work, _versions(), pickle.dumps((function, item)), pure=False))
             if len(waiting) >= 2 * max(1, hands.count()):
                 yield _brought(client, hands, waiting.popleft())
         while waiting:
@@ -297,6 +305,8 @@ def _brought(client: Any, hands: _Hands, future: Any) -> Any:
         return answer.result()
     except (CancelledError, asyncio.CancelledError, CommClosedError) as error:
         raise L3Error(_GONE) from error
+    except ImportError as error:
+        raise L3Error(f"a worker cannot import what it needs ({error}); install l3cli {__version__} there") from error
     except KilledWorker as error:
         raise L3Error("several workers died of the same item, perhaps for lack of memory; give them more") from error
     finally:
@@ -309,7 +319,7 @@ def _versions() -> dict[str, str]:
     return {"l3cli": __version__, "numpy": importlib.metadata.version("numpy"), "Python": python}
 
 
-def _work_elsewhere(versions: dict[str, str], content: bytes) -> Any:
+def work_elsewhere(versions: dict[str, str], content: bytes) -> Any:
     """In a worker: function(item). One at a time, since not all that is called is safe in several threads."""
     for name, there in versions.items():
         if (here := _versions()[name]) != there:
@@ -320,6 +330,15 @@ def _work_elsewhere(versions: dict[str, str], content: bytes) -> Any:
     function, item = pickle.loads(content)
     with _one_at_a_time:
         return function(item)
+
+
+@contextlib.contextmanager
+def scratch_folder() -> Iterator[Path]:
+    """In a worker elsewhere: a folder for the block, among those that dask clears away after a worker that was killed."""
+    from distributed import get_worker
+
+    with tempfile.TemporaryDirectory(dir=get_worker().local_directory) as folder:
+        yield Path(folder)
 
 
 # ------------------------------------------------------------------------------------------------------- threads

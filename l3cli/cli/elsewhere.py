@@ -3,7 +3,6 @@ picture, as the content of its file where it becomes one."""
 
 import collections
 import functools
-import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,7 @@ from l3cli.files import require_same
 from l3cli.frame import RawFrame
 from l3cli.io.raw_files import KnownBetter, read_raw
 from l3cli.io.sequences import Pending
-from l3cli.parallel import Crew
+from l3cli.parallel import Crew, scratch_folder
 
 if TYPE_CHECKING:
     from l3cli.artifacts.table import TransformTable
@@ -79,8 +78,8 @@ def _developed(order: Order) -> Any:
     pixels = pixels_of(renderer, frame, way.look, order.scale)
     if way.suffix is None:
         return pixels
-    with tempfile.TemporaryDirectory(prefix="l3-") as folder:
-        file = Path(folder) / f"frame{way.suffix}"
+    with scratch_folder() as folder:
+        file = folder / f"frame{way.suffix}"
         write_pixels(file, pixels, table.outputs)
         return file.read_bytes()
 

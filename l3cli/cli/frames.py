@@ -1,7 +1,6 @@
 """What the workers of l3 simulate do: read or draw a scene, simulate its frames, store each in a file of its own."""
 
 import shutil
-import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,7 +12,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import whole_part, write_part
 from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.files import require_same, write_whole
-from l3cli.parallel import Crew
+from l3cli.parallel import Crew, scratch_folder
 from l3cli.simulate import sources
 from l3cli.simulate.light import OWN, Light
 from l3cli.simulate.recipe import Pair, SceneRecipe, Shot
@@ -107,8 +106,8 @@ def _sent(job: Job) -> list[tuple[int, bytes]]:
     """On another machine: the job's frames, each with the content of its file."""
     for path, digest in job.digests.items():
         require_same(path, digest)
-    with tempfile.TemporaryDirectory(prefix="l3-") as folder:
-        here = replace(job, run=replace(job.run, folder=Path(folder)))
+    with scratch_folder() as folder:
+        here = replace(job, run=replace(job.run, folder=folder))
         work_off(here)
         return [(shot.index, here.run.part(shot.index).read_bytes()) for shot in job.shots]
 
