@@ -21,7 +21,10 @@ if TYPE_CHECKING:
     from l3cli.train.lesson import Lesson
     from l3cli.train.recipe import TrainingRecipe
     from l3cli.train.solve import Solution
+    from l3cli.train.table import Pilot
     from l3cli.train.weighing import Judge
+
+MOST_GLANCED = 256  # frames that a worker looks at in one go before the passes
 
 
 def _shard(context: Any, parameter: Any, text: str | None) -> tuple[int, int] | None:
@@ -183,7 +186,7 @@ def train_whole(course: Course, output: Path, work: Work) -> None:
     from l3cli.train.lesson import LAST
     from l3cli.train.table import assemble, learn_site
 
-    lesson, table = first_lesson(course, work.quiet), None
+    lesson, table = first_lesson(course, work), None
     for number in range(lesson.number, LAST + 1):
         lesson = replace(lesson, number=number)
         found = summed(_learn_part, course, lesson, table, frame_blocks(lesson), work)
@@ -209,7 +212,7 @@ def train_shard(course: Course, shard: tuple[int, int], first: Path | None, outp
 
     table = load(TransformTable, first) if first else None
     if table is None:
-        lesson = first_lesson(course, work.quiet)
+        lesson = first_lesson(course, work)
     elif table.history == course.history(FIRST):
         about = (course.head, course.patches, table.rule, course.recipe.learning, table.white_point, course.seed)
         lesson = Lesson(*about, LAST)
@@ -277,17 +280,47 @@ def merge_shards(shards: tuple[Path, ...], output: Path, quiet: bool) -> None:
         options.say(f"this is the first pass: go on with --shard I/N --first {output}", quiet)
 
 
-def first_lesson(course: Course, quiet: bool) -> "Lesson":
+def first_lesson(course: Course, work: Work) -> "Lesson":
     """The first pass, or the only one, with the class rule that a pilot over all frames has found."""
     from l3cli.train.lesson import FIRST, LAST, Lesson, has_two_passes
-    from l3cli.train.table import survey
+    from l3cli.train.recipe import check_learning
+    from l3cli.train.table import pilot_patches, survey
 
     learning = course.recipe.learning
-    rule, white = survey(_frames(course.training), course.patches, course.head, course.recipe, course.seed)
+    check_learning(learning)
+    patches = pilot_patches(course.patches)
+    size = max(1, min(MOST_GLANCED, len(patches) // (4 * work.crew.size)))
+    runs = (range(first, min(first + size, len(patches))) for first in range(0, len(patches), size))
+    about = (course.training, work.elsewhere, course.head, course.recipe, course.seed)
+    glances = [Glance(*about, run, patches[run.start : run.stop]) for run in runs]
+    pilots = options.progress(work.crew(_glance, glances), len(glances), "pilot", work.quiet)
+    rule, white = survey(pilots, course.patches, course.head, course.recipe, course.seed)
     kinds = f"({rule.chromas} chromas + {rule.cases - 1} saturation cases)"
-    options.say(f"{len(course.patches)} frames, {rule.levels} levels × {rule.contrasts} contrasts × {kinds} a site", quiet)
+    options.say(
+        f"{len(course.patches)} frames, {rule.levels} levels × {rule.contrasts} contrasts × {kinds} a site", work.quiet
+    )
     number = FIRST if has_two_passes(course.head, learning) else LAST
     return Lesson(course.head, course.patches, rule, learning, white, course.seed, number)
+
+
+@dataclass(frozen=True)
+class Glance:
+    """A worker's share of the pilot."""
+
+    training: tuple[Source, ...]
+    elsewhere: bool  # as of Part
+    head: "TrainingSet"
+    recipe: "TrainingRecipe"
+    seed: int
+    frames: range
+    patches: list[int]  # (frame)
+
+
+def _glance(part: Glance) -> "Pilot":
+    from l3cli.train.table import look_at
+
+    frames = _frames(part.training, part.frames, part.elsewhere)
+    return look_at(frames, part.frames.start, part.patches, part.head, part.recipe, part.seed)
 
 
 @dataclass(frozen=True)
