@@ -95,6 +95,16 @@ def in_folder(folder: Path) -> Callable[["subprocess.Popen[bytes]"], int]:
     return lambda run: len(os.listdir(folder)) if folder.is_dir() else 0
 
 
+def per_frame(looks: list[Look], what: str, stretch: int) -> float:
+    """Seconds or processor seconds a frame of the fastest stretch of so many frames: others use the machine too."""
+    spent, start = [], looks[0]
+    for look in looks:
+        if look.frames - start.frames >= stretch:
+            spent.append((getattr(look, what) - getattr(start, what)) / (look.frames - start.frames))
+            start = look
+    return min(spent, default=float("nan"))
+
+
 def require_steady(what: str, looks: list[Look], frames: int, capsys: pytest.CaptureFixture[str], lasting: bool) -> None:
     """Compare the second tenth, when all is warm, with the last; rates only of a run that lasts."""
     first = [look for look in looks if frames // 10 <= look.frames < frames * 2 // 10]
@@ -104,8 +114,7 @@ def require_steady(what: str, looks: list[Look], frames: int, capsys: pytest.Cap
     memory = [float(np.median([look.memory for look in part])) for part in (first, last)]
     handles = [max(look.handles for look in part) for part in (first, last)]
     seconds, processor = (
-        [(getattr(part[-1], name) - getattr(part[0], name)) / (part[-1].frames - part[0].frames) for part in (first, last)]
-        for name in ("seconds", "processor")
+        [per_frame(part, name, frames // 100) for part in (first, last)] for name in ("seconds", "processor")
     )
     with capsys.disabled():
         if lasting:
