@@ -18,6 +18,7 @@ from test_sequences import RGGB
 
 from l3cli.artifacts.base import save
 from l3cli.io.images import write_mosaic
+from l3cli.io.sequences import chunks_of_a_frame
 
 L3 = (sys.executable, "-c", "from l3cli.cli import main; main()")
 ROOT = Path(__file__).parents[1]
@@ -38,7 +39,7 @@ size = [48, 64]
 
 @dataclass(frozen=True)
 class Look:
-    """A process at a moment."""
+    """A run at a moment."""
 
     frames: int  # done so far
     seconds: float
@@ -47,24 +48,32 @@ class Look:
     handles: int
 
 
-def look_at(process: int, frames: int) -> Look | None:
-    """None if it has ended."""
-    try:
-        handles = len(os.listdir(f"/proc/{process}/fd"))
-        status = Path(f"/proc/{process}/status").read_text().splitlines()
-        fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
-    except OSError:
-        return None
-    resident = next((int(line.split()[1]) for line in status if line.startswith("VmRSS")), 0)
-    processor = (int(fields[11]) + int(fields[12])) / TICKS
-    return Look(frames, time.monotonic(), processor, resident / 1e3, handles) if resident else None
+def look_at(run: int, frames: int) -> Look | None:
+    """All processes of a run, which leads a group of its own; None if it has ended."""
+    processor, memory, handles = 0.0, 0.0, 0
+    for entry in Path("/proc").iterdir():
+        if not entry.name.isdecimal():
+            continue
+        try:
+            fields = (entry / "stat").read_text().rpartition(")")[2].split()
+            if int(fields[2]) != run:
+                continue
+            status = (entry / "status").read_text().splitlines()
+            handles += len(os.listdir(entry / "fd"))
+        except OSError:  # it has ended meanwhile
+            continue
+        memory += next((int(line.split()[1]) / 1e3 for line in status if line.startswith("VmRSS")), 0.0)
+        processor += sum(map(int, fields[11:15])) / TICKS  # of itself and its children that have ended
+    return Look(frames, time.monotonic(), processor, memory, handles) if memory else None
 
 
 def watched(done: Callable[["subprocess.Popen[bytes]"], int], pulse: float, *command: object) -> list[Look]:
     """Looks at `l3 COMMAND`, every `pulse` seconds while it runs; `done` tells of its frames."""
     env = {**os.environ, "PYTHONPATH": str(ROOT)}
     looks = []
-    with subprocess.Popen([*L3, *map(str, command), "--quiet"], env=env, stdout=subprocess.PIPE) as run:
+    with subprocess.Popen(
+        [*L3, *map(str, command), "--quiet"], env=env, stdout=subprocess.PIPE, start_new_session=True
+    ) as run:
         while run.poll() is None:
             if (look := look_at(run.pid, done(run))) and (not looks or look.frames > looks[-1].frames):
                 looks.append(look)
@@ -200,6 +209,14 @@ def test_hundreds_of_frames_are_rendered(
 
 def test_a_hundred_frames_are_simulated(tmp_path: Path, bayer_recipe: Path, capsys: pytest.CaptureFixture[str]) -> None:
     simulate(tmp_path, bayer_recipe, 100, capsys, lasting=False)
+
+
+@pytest.mark.parametrize(("chunks", "frames"), [((8, 10, 24), 8), ((1, 20, 48), 1), ((3, 7, 48), 3 * 21 / 20)])
+def test_a_stack_keeps_no_more_than_the_next_frames(chunks: tuple[int, ...], frames: float) -> None:
+    """Of chunks of many frames those that one frame lies in; a cache of more would fill as frames go by."""
+    with h5py.File("stack", "w", driver="core", backing_store=False) as file:
+        data = file.create_dataset("raw", shape=(100, 20, 48), dtype="uint16", chunks=chunks)
+        assert chunks_of_a_frame(data) == frames * 20 * 48 * 2
 
 
 @pytest.mark.soak
