@@ -2,6 +2,7 @@
 `make soak` has 20 000 through each way of l3 render and 2 000 through l3 simulate."""
 
 import dataclasses
+import logging
 import os
 import subprocess
 import sys
@@ -19,6 +20,7 @@ from test_sequences import RGGB
 from l3cli.artifacts.base import save
 from l3cli.io.images import write_mosaic
 from l3cli.io.sequences import chunks_of_a_frame
+from l3cli.io.video import _av
 
 L3 = (sys.executable, "-c", "from l3cli.cli import main; main()")
 ROOT = Path(__file__).parents[1]
@@ -218,6 +220,13 @@ def test_a_stack_keeps_no_more_than_the_next_frames(chunks: tuple[int, ...], fra
     with h5py.File("stack", "w", driver="core", backing_store=False) as file:
         data = file.create_dataset("raw", shape=(100, 20, 48), dtype="uint16", chunks=chunks)
         assert chunks_of_a_frame(data) == frames * 20 * 48 * 2
+
+
+def test_the_video_library_is_silenced_once() -> None:
+    """It is asked for with every frame, and each handler of its log would be searched and kept."""
+    for _ in range(3):
+        _av()
+    assert len(logging.getLogger("libav").handlers) == 1
 
 
 @pytest.mark.soak
