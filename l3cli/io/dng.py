@@ -1,0 +1,150 @@
+"""DNG files, CinemaDNG too: what their tags say about the mosaic (Adobe DNG 1.7, TIFF/EP).
+
+LibRaw unpacks the pixels, of whatever packing and compression it knows, and applies the linearisation table; but it takes any
+CFA for 2 × 2 or 6 × 6 and black levels for four numbers. So all that pixels mean is read here, from the tags.
+"""
+
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.errors import InputFileError
+from l3cli.frame import RawFrame, with_one_black
+from l3cli.io.cfa_codes import LETTERS, Sensor, find_phase
+
+COLOUR_FILTER_ARRAY, LINEAR_RAW = 32803, 34892  # PhotometricInterpretation
+WHITE_CODE = LETTERS.index("W")
+LIBRAW_FLIP = (0, 0, 1, 3, 2, 4, 6, 7, 5)  # of the TIFF orientation 0…8
+BROKEN = (ValueError, TypeError, KeyError, IndexError, AttributeError, ZeroDivisionError, OverflowError, struct.error)
+
+
+@dataclass(frozen=True)
+class Mosaic:
+    """What the tags say of the raw image."""
+
+    shape: tuple[int, int]  # of all that is stored, masked borders too
+    orientation: int  # LibRaw's flip code
+    pattern: NDArray[np.int64]  # (row, col) colour codes, from the upper left corner of the active area
+    active: tuple[int, int, int, int]  # top, left, bottom, right of the pixels that see light
+    crop: tuple[int, int, int, int]  # row, column within the active area, rows, columns: what is to be shown
+    black: NDArray[np.float64]  # (row, col) DN, repeating from the corner of the active area
+    black_of_row: NDArray[np.float64]  # (active row), DN added
+    black_of_col: NDArray[np.float64]  # (active col), DN added
+    white: float  # DN
+
+
+def frame_from(path: Path, stored: NDArray[np.uint16], sensor: Sensor, phase: tuple[int, int] | None) -> RawFrame:
+    """The frame of a DNG's linear pixels as they are `stored` (row, col): active area, default crop, one black level.
+
+    InputFileError if its colour filter array does not fit the sensor's, unless the caller knows the phase of the frame's first
+    pixel, or if the tags contradict the pixels.
+    """
+    mosaic = read_tags(path)
+    if stored.shape != mosaic.shape:
+        raise InputFileError(f"{path}: its tags say {mosaic.shape} pixels, it holds {stored.shape}; it is damaged")
+    top, left, bottom, right = mosaic.active
+    row, col, rows, cols = mosaic.crop
+    shown = np.s_[row : row + rows, col : col + cols]
+    black = _black_levels(mosaic, (bottom - top, right - left))
+    black = black if black.size == 1 else black[shown]
+    if not (black.min() >= 0 and (black < mosaic.white).all()):
+        raise InputFileError(f"{path}: its black levels are not below its white level {mosaic.white:g}; it is damaged")
+    pixels = np.ascontiguousarray(stored[top:bottom, left:right][shown])
+    values, common, white = with_one_black(pixels, black, np.array(mosaic.white))
+    if phase is None:
+        phase = find_phase(str(path), np.roll(mosaic.pattern, (-row, -col), axis=(0, 1)), sensor)
+    return RawFrame(str(path), values, common, white, phase, mosaic.orientation)
+
+
+def _black_levels(mosaic: Mosaic, shape: tuple[int, int]) -> NDArray[np.float64]:
+    """(row, col) of the active area, or (1, 1) where all pixels have the same."""
+    if np.ptp(mosaic.black) == 0 and not mosaic.black_of_row.any() and not mosaic.black_of_col.any():
+        return mosaic.black[:1, :1]
+    repeats = [-(-length // period) for length, period in zip(shape, mosaic.black.shape, strict=True)]
+    tiled = np.tile(mosaic.black, repeats)[: shape[0], : shape[1]]
+    return tiled + mosaic.black_of_row[:, None] + mosaic.black_of_col
+
+
+# ------------------------------------------------------------------------------------------------------------- tags
+
+
+def read_tags(path: Path) -> Mosaic:
+    """What the tags of the file's raw image say; InputFileError if they are broken or tell of no mosaic."""
+    import tifffile
+
+    try:
+        with tifffile.TiffFile(path) as file:
+            return _mosaic(path, file.pages[0], _raw_page(path, file))
+    except (*BROKEN, tifffile.TiffFileError) as error:
+        raise InputFileError(f"{path}: its tags are damaged ({error}); copy it again") from error
+
+
+def _raw_page(path: Path, file: Any) -> Any:
+    """The full-size raw image among the file's pages and those below them."""
+    pages = [found for page in file.pages for found in (page, *(page.pages or ()))]
+    raw = [page for page in pages if page.tags.valueof(262) in (COLOUR_FILTER_ARRAY, LINEAR_RAW)]
+    full = [page for page in raw if not page.tags.valueof(254, 0) & 1]
+    if not full:
+        raise InputFileError(f"{path} holds no raw image; give a DNG with the mosaic of a camera")
+    return max(full, key=lambda page: page.imagelength * page.imagewidth)
+
+
+def _mosaic(path: Path, first: Any, raw: Any) -> Mosaic:
+    if raw.samplesperpixel != 1:
+        raise InputFileError(f"{path} is already demosaicked (linear); give the raw file the camera wrote")
+    if raw.tags.valueof(50711, 1) != 1:
+        raise InputFileError(f"{path} is of a sensor with staggered pixels, which no table is made for")
+    if raw.tags.valueof(339, 1) not in (1, (1,)):
+        raise InputFileError(f"{path} holds floating-point values; give the raw file the camera wrote")
+    shape = (raw.imagelength, raw.imagewidth)
+    top, left, bottom, right = active = tuple(int(edge) for edge in _numbers(raw, 50829, (0, 0, *shape)))
+    if not (0 <= top < bottom <= shape[0] and 0 <= left < right <= shape[1]):
+        raise InputFileError(f"{path}: its active area {active} is not within its {shape[0]}×{shape[1]} pixels")
+    rows, cols = bottom - top, right - left
+    origin, size = _numbers(raw, 50719, (0, 0)), _numbers(raw, 50720, (cols, rows))
+    crop = tuple(round(value) for value in (origin[1], origin[0], size[1], size[0]))
+    if not (min(crop[:2]) >= 0 and min(crop[2:]) >= 1 and crop[0] + crop[2] <= rows and crop[1] + crop[3] <= cols):
+        raise InputFileError(f"{path}: its crop {crop} is not within its active area of {rows}×{cols} pixels")
+    repeat = tuple(int(length) for length in _numbers(raw, 50713, (1, 1)))
+    return Mosaic(
+        shape=shape,
+        orientation=LIBRAW_FLIP[int(_numbers(first, 274, (1,))[0])],
+        pattern=_pattern(path, raw),
+        active=active,
+        crop=crop,
+        black=np.reshape(_numbers(raw, 50714, np.zeros(repeat).ravel()), repeat),
+        black_of_row=_of_length(raw, 50716, rows),
+        black_of_col=_of_length(raw, 50715, cols),
+        white=float(_numbers(raw, 50717, (2**raw.bitspersample - 1,))[0]),
+    )
+
+
+def _pattern(path: Path, raw: Any) -> NDArray[np.int64]:
+    if raw.tags.valueof(262) == LINEAR_RAW:  # of one sample: no filters at all
+        return np.array([[WHITE_CODE]])
+    codes, shape = raw.tags.valueof(33422), raw.tags.valueof(33421)
+    if codes is None or shape is None:
+        raise InputFileError(f"{path} does not tell its colour filter array; convert the camera's own file to DNG again")
+    return np.array(list(codes), np.int64).reshape(shape)
+
+
+def _of_length(page: Any, code: int, length: int) -> NDArray[np.float64]:
+    values = _numbers(page, code, np.zeros(length))
+    if len(values) != length:
+        raise ValueError(f"tag {code} has {len(values)} values instead of {length}")
+    return np.asarray(values, np.float64)
+
+
+def _numbers(page: Any, code: int, default: Any) -> Any:
+    """The numbers of a tag, fractions divided out."""
+    tag = page.tags.get(code)
+    if tag is None:
+        return default
+    values = list(tag.value) if isinstance(tag.value, tuple | bytes) else [tag.value]
+    if tag.dtype in (5, 10):  # RATIONAL, SRATIONAL
+        return [above / below for above, below in zip(values[::2], values[1::2], strict=True)]
+    return values
