@@ -106,9 +106,9 @@ def render(
     size: tuple[int, int] | None, packing: str | None, stride: int | None, skip_bad: bool, resume: bool, force: bool,
     quiet: bool,
 ) -> int:  # fmt: skip
-    """Render INPUT through TABLE: files (DNG, camera raw, one-channel TIFF, PNG or PGM, FITS, .npy, headerless .raw, .bin, .raw10
-    or .raw12), or a sequence: a folder, a pattern (a_%04d.tif, a_####.tif), a quoted glob, a stack (.npy, HDF5, FITS), a headerless file of many frames, a
-    grey video (FFV1 in MKV), or - (headerless frames on stdin).
+    """Render INPUT through TABLE: files (DNG, camera raw, one-channel TIFF, PNG or PGM, FITS, .npy, headerless .raw, .bin,
+    .raw10 or .raw12), or a sequence: a folder, a pattern (a_%04d.tif, a_####.tif), a quoted glob, a stack (.npy, HDF5,
+    FITS), a headerless file of many frames, a grey video (FFV1 in MKV), or - (headerless frames on stdin).
 
     With --exposure auto the 99th percentile of Y is shown white; in a sequence it is followed smoothly.
 

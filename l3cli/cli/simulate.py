@@ -185,7 +185,7 @@ def _write_pictures(training: Path, folder: Path) -> None:
 
 
 def _write_dng(run: "Run", training: Path, folder: Path) -> None:
-    """Each raw frame of a training set as DNG; as grey is shown what is grey under the frame's light, where that is known."""
+    """Each raw frame of a training set as DNG, with the white balance of its light where that is known."""
     from l3cli.artifacts.training_set import open_training_set
     from l3cli.io.dng_writer import LIGHT_CODES, RawColour, write_dng
     from l3cli.simulate.light import make_light

@@ -37,14 +37,14 @@ def channel_codes(channels: Sequence[str]) -> NDArray[np.uint8]:
 def find_phase(name: str, pattern: NDArray[np.integer], sensor: Sensor) -> tuple[int, int]:
     """Site of the sensor's super-pixel that pixel (0, 0) has in a file whose CFA has the codes `pattern` (row, col).
 
-    Channels that TIFF/EP knows must have their code, each of the others one code of any value. InputFileError, naming `name`,
-    if no site fits, or several that differ.
+    Channels that TIFF/EP knows must have their code, each of the others one code of any value. InputFileError, naming
+    `name`, if no site fits, or several that differ.
     """
     if max(pattern.shape) > LARGEST:
         raise InputFileError(f"{name} has a colour filter array of {pattern.shape[0]}×{pattern.shape[1]}; it is damaged")
     size = np.lcm(pattern.shape, sensor.cfa.shape)
     theirs = _tiled(pattern, size)
-    phases = list(itertools.product(*(range(length) for length in sensor.cfa.shape)))
+    phases = list(itertools.product(range(sensor.cfa.shape[0]), range(sensor.cfa.shape[1])))
     ours = {phase: _tiled(shifted_cfa(sensor.cfa, phase), size) for phase in phases}
     codes = channel_codes(sensor.channels)
     exact = [phase for phase in phases if np.array_equal(codes[ours[phase]], theirs)]

@@ -1,10 +1,11 @@
 """DNG files, CinemaDNG too: what their tags say about the mosaic (Adobe DNG 1.7, TIFF/EP).
 
-LibRaw unpacks the pixels, of whatever packing and compression it knows, and applies the linearisation table; but it takes any
-CFA for 2 × 2 or 6 × 6 and black levels for four numbers. So all that pixels mean is read here, from the tags.
+LibRaw unpacks the pixels, of whatever packing and compression it knows, and applies the linearisation table; but it takes
+any CFA for 2 × 2 or 6 × 6 and black levels for four numbers. So all that pixels mean is read here, from the tags.
 """
 
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,10 +39,10 @@ class Mosaic:
 
 
 def frame_from(path: Path, stored: NDArray[np.uint16], sensor: Sensor, phase: tuple[int, int] | None) -> RawFrame:
-    """The frame of a DNG's linear pixels as they are `stored` (row, col): active area, default crop, one black level.
+    """The frame, a copy, of a DNG's linear pixels as `stored` (row, col): active area, default crop, one black level.
 
-    InputFileError if its colour filter array does not fit the sensor's, unless the caller knows the phase of the frame's first
-    pixel, or if the tags contradict the pixels.
+    InputFileError if its colour filter array does not fit the sensor's, unless the caller knows the phase of the frame's
+    first pixel, or if the tags contradict the pixels.
     """
     mosaic = read_tags(path)
     if stored.shape != mosaic.shape:
@@ -53,7 +54,7 @@ def frame_from(path: Path, stored: NDArray[np.uint16], sensor: Sensor, phase: tu
     black = black if black.size == 1 else black[shown]
     if not (black.min() >= 0 and (black < mosaic.white).all()):
         raise InputFileError(f"{path}: its black levels are not below its white level {mosaic.white:g}; it is damaged")
-    pixels = np.ascontiguousarray(stored[top:bottom, left:right][shown])
+    pixels = stored[top:bottom, left:right][shown].copy()  # LibRaw takes its memory back
     values, common, white = with_one_black(pixels, black, np.array(mosaic.white))
     if phase is None:
         phase = find_phase(str(path), np.roll(mosaic.pattern, (-row, -col), axis=(0, 1)), sensor)
@@ -100,10 +101,14 @@ def _mosaic(path: Path, first: Any, raw: Any) -> Mosaic:
         raise InputFileError(f"{path} is of a sensor with staggered pixels, which no table is made for")
     if raw.tags.valueof(339, 1) not in (1, (1,)):
         raise InputFileError(f"{path} holds floating-point values; give the raw file the camera wrote")
+    if raw.compression == 1 and not raw.is_tiled and not _contiguous(raw.dataoffsets, raw.databytecounts):
+        raise InputFileError(f"{path}: its strips do not follow one another, as LibRaw takes them; save it in one strip")
     shape = (raw.imagelength, raw.imagewidth)
-    top, left, bottom, right = active = tuple(int(edge) for edge in _numbers(raw, 50829, (0, 0, *shape)))
+    top, left, bottom, right = (int(edge) for edge in _numbers(raw, 50829, (0, 0, *shape)))
     if not (0 <= top < bottom <= shape[0] and 0 <= left < right <= shape[1]):
-        raise InputFileError(f"{path}: its active area {active} is not within its {shape[0]}×{shape[1]} pixels")
+        raise InputFileError(
+            f"{path}: its active area {top, left, bottom, right} is not within its {shape[0]}×{shape[1]} pixels"
+        )
     rows, cols = bottom - top, right - left
     origin, size = _numbers(raw, 50719, (0, 0)), _numbers(raw, 50720, (cols, rows))
     crop = tuple(round(value) for value in (origin[1], origin[0], size[1], size[0]))
@@ -114,13 +119,17 @@ def _mosaic(path: Path, first: Any, raw: Any) -> Mosaic:
         shape=shape,
         orientation=LIBRAW_FLIP[int(_numbers(first, 274, (1,))[0])],
         pattern=_pattern(path, raw),
-        active=active,
+        active=(top, left, bottom, right),
         crop=crop,
         black=np.reshape(_numbers(raw, 50714, np.zeros(repeat).ravel()), repeat),
         black_of_row=_of_length(raw, 50716, rows),
         black_of_col=_of_length(raw, 50715, cols),
         white=float(_numbers(raw, 50717, (2**raw.bitspersample - 1,))[0]),
     )
+
+
+def _contiguous(offsets: Sequence[int], lengths: Sequence[int]) -> bool:
+    return all(offset + length == after for offset, length, after in zip(offsets, lengths, offsets[1:], strict=False))
 
 
 def _pattern(path: Path, raw: Any) -> NDArray[np.int64]:

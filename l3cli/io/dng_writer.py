@@ -39,7 +39,7 @@ def write_dng(
     neutral: NDArray[np.floating] | None,
     exposure: float,
 ) -> None:
-    """A mosaic (row, col) in DN, CFA phase (0, 0), exposed for `exposure` s; `neutral` (channel) is what grey gives, if known.
+    """A mosaic (row, col) in DN, CFA phase (0, 0), exposed for `exposure` s; `neutral` (channel): what grey gives, if known.
 
     The file appears whole or not at all.
     """

@@ -37,7 +37,7 @@ def read_fits(path: Path, number: int | None = None) -> tuple[NDArray[np.uint16]
         pattern, order = str(header.get("BAYERPAT", "")).strip().upper(), str(header.get("ROWORDER", "")).strip().upper()
         offset = (int(header.get("YBAYROFF", 0)), int(header.get("XBAYROFF", 0)))
     if values.ndim != 2 or values.dtype.kind not in "ui" or values.dtype.itemsize > 2 or values.size == 0:
-        raise InputFileError(f"{path} holds {values.dtype} {values.shape}; give unsigned 16-bit (rows, columns)")
+        raise InputFileError(f"{path} holds {values.dtype.name} {values.shape}; give unsigned 16-bit (rows, columns)")
     if values.min() < 0:
         raise InputFileError(f"{path} holds {values.min()} DN; give unsigned values, as BZERO = 32768 codes them")
     if order == "BOTTOM-UP":

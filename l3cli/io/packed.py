@@ -1,7 +1,7 @@
 """Headerless frames: how values lie in their bytes. 16-bit words, or the packed formats of MIPI CSI-2.
 
-RAW10 stores four pixels in five bytes: their upper eight bits, then their lower two bits, first pixel lowest. RAW12 stores two
-pixels in three bytes: their upper eight bits, then their lower four. A row ends with a whole group.
+RAW10 stores four pixels in five bytes: their upper eight bits, then their lower two bits, first pixel lowest. RAW12 stores
+two pixels in three bytes: their upper eight bits, then their lower four. A row ends with a whole group.
 """
 
 from dataclasses import dataclass

@@ -31,7 +31,9 @@ def read_pgm(path: Path) -> NDArray[np.uint16]:
     wanted, found = rows * cols * dtype.itemsize, path.stat().st_size - header.end()
     if found != wanted:
         held = "is truncated" if found < wanted else "holds more than one graymap"
-        raise InputFileError(f"{path} {held}: {found} bytes, {rows}×{cols} values have {wanted}; give whole files of one frame")
+        raise InputFileError(
+            f"{path} {held}: {found} bytes, {rows}×{cols} values have {wanted}; give whole files of one frame"
+        )
     values = np.fromfile(path, dtype, offset=header.end()).reshape(rows, cols).astype(np.uint16)
     if values.max() > top:
         raise InputFileError(f"{path} holds {values.max()} DN, its header says at most {top}; it is damaged")

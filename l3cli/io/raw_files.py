@@ -1,7 +1,7 @@
 """Raw files → RawFrame: camera raws and DNG through LibRaw, single-channel TIFF, PNG, PGM, FITS, .npy, headerless frames.
 
-The colour filter array comes from the table. From the file come pixels, black, white, crop, orientation, and where it tells of
-its array the phase; an array that is not the table's is refused. What a DNG says is read from its tags (`dng`).
+The colour filter array comes from the table. From the file come pixels, black, white, crop, orientation, and where it tells
+of its array the phase; an array that is not the table's is refused. What a DNG says is read from its tags (`dng`).
 """
 
 from dataclasses import dataclass, replace

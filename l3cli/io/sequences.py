@@ -29,7 +29,9 @@ CAMERA_RAWS = tuple(
     "." + name for name in ("3fr", "ari", "arw", "cr2", "cr3", "dcr", "dng", "erf", "fff", "iiq", "kdc", "mos", "mrw")
     + ("nef", "nrw", "orf", "pef", "raf", "rw2", "rwl", "srw", "x3f")
 )  # fmt: skip
-ONE_FRAME = raw_files.HEADERLESS + raw_files.IMAGES + raw_files.FITS + CAMERA_RAWS + (".npy", ".pgm")  # what is taken from a folder
+ONE_FRAME = (
+    raw_files.HEADERLESS + raw_files.IMAGES + raw_files.FITS + CAMERA_RAWS + (".npy", ".pgm")
+)  # what is taken from a folder
 FRAME_RATE = 51044  # the tag of CinemaDNG
 PATTERN = re.compile(r"%(0\d+)?d|#+")
 

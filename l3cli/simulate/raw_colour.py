@@ -11,7 +11,7 @@ Array = NDArray[np.floating]
 
 
 def colour_matrix(camera: CameraModel, light: Light) -> Array:
-    """M (channel, 3): channels = M @ XYZ of surfaces under `light`, where its white has Y = 1 and 1 in its brightest channel.
+    """M (channel, 3): channels = M @ XYZ of surfaces under `light`, whose white has Y = 1 and 1 in its brightest channel.
 
     Least squares over measured reflectances, with the white met exactly: developers find the white balance by it.
     """
