@@ -20,6 +20,7 @@ from l3cli.errors import InputFileError, RecipeError
 from l3cli.frame import with_one_black
 from l3cli.io.cfa_codes import channel_codes, find_phase
 from l3cli.io.fits_files import INSTALL
+from l3cli.io.frames import read_frame
 from l3cli.io.images import read_image
 from l3cli.io.packed import PACKED, PACKINGS, make_layout, row_bytes
 from l3cli.io.raw_files import KnownBetter, read_raw
@@ -156,6 +157,18 @@ def test_graymaps_keep_their_values(tmp_path_factory, rows, cols, top, seed, gap
     header = gap.join(("P5", str(cols), str(rows), str(top))).encode() + b"\n"
     path.write_bytes(header + values.astype(np.uint8 if top < 256 else ">u2").tobytes())
     np.testing.assert_array_equal(read_raw(path, RGGB).values, values)
+
+
+def test_a_lab_may_write_graymaps(tmp_path, mosaic):
+    (tmp_path / "a.pgm").write_bytes(b"P5 40 32 4095\n" + mosaic.astype(">u2").tobytes())
+    np.testing.assert_array_equal(read_frame(tmp_path / "a.pgm", (32, 40), 12), mosaic)
+    with pytest.raises(InputFileError, match="more than 11 bits"):
+        read_frame(tmp_path / "a.pgm", (32, 40), 11)
+    with pytest.raises(InputFileError, match="32×40 pixels, the sensor 40×32"):
+        read_frame(tmp_path / "a.pgm", (40, 32), 12)
+    (tmp_path / "b.pgm").write_bytes(b"P5 2 1 255\nab")
+    with pytest.raises(InputFileError, match="uint8"):
+        read_frame(tmp_path / "b.pgm", (1, 2), 12)
 
 
 @pytest.mark.parametrize(

@@ -71,7 +71,7 @@ def _mosaic_tags(camera: CameraModel, shape: Sequence[int]) -> list[Tag]:
         _tag(50711, SHORT, [1]),  # CFALayout: rectangular
         _tag(50713, SHORT, [1, 1]),  # BlackLevelRepeatDim
         _tag(50714, RATIONAL, [camera.black]),
-        _tag(50717, LONG, [round(camera.white)]),
+        _tag(50717, LONG, [camera.white]),
         _tag(50718, RATIONAL, [1, 1]),  # DefaultScale
         _tag(50719, LONG, [0, 0]),  # DefaultCropOrigin
         _tag(50720, LONG, [cols, rows]),  # DefaultCropSize

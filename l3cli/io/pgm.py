@@ -16,8 +16,8 @@ HEADER = re.compile(rb"P5" + GAP + rb"(\d{1,9})" + GAP + rb"(\d{1,9})" + GAP + r
 LONGEST_HEADER = 65536  # bytes, comments included
 
 
-def read_pgm(path: Path) -> NDArray[np.uint16]:
-    """Pixels (row, col) in DN; InputFileError if the file is no single, whole P5 graymap."""
+def read_pgm(path: Path) -> NDArray:
+    """Pixels (row, col) in DN, uint8 or uint16 as in the file; InputFileError if it is no single, whole P5 graymap."""
     with open(path, "rb") as stream:
         start = stream.read(LONGEST_HEADER)
     header = HEADER.match(start)
@@ -34,7 +34,7 @@ def read_pgm(path: Path) -> NDArray[np.uint16]:
         raise InputFileError(
             f"{path} {held}: {found} bytes, {rows}×{cols} values have {wanted}; give whole files of one frame"
         )
-    values = np.fromfile(path, dtype, offset=header.end()).reshape(rows, cols).astype(np.uint16)
+    values = np.fromfile(path, dtype, offset=header.end()).reshape(rows, cols)
     if values.max() > top:
         raise InputFileError(f"{path} holds {values.max()} DN, its header says at most {top}; it is damaged")
-    return values
+    return values.astype(dtype.newbyteorder("="))

@@ -45,7 +45,7 @@ def read_raw(path: Path, table: Sensor, known: KnownBetter | None = None) -> Raw
     suffix = path.suffix.lower()
     try:
         if suffix in HEADERLESS:
-            values = _read_headerless(path, layout_of(path, table, known))
+            values: NDArray = _read_headerless(path, layout_of(path, table, known))
         elif suffix == ".npy":
             values = map_npy(path, 2)
         elif suffix in IMAGES:
