@@ -1,6 +1,7 @@
 """DNG files of any packing and compression, byte by byte: what cameras and converters write and our writer does not."""
 
 import struct
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -42,10 +43,10 @@ def lossless_jpeg(values: np.ndarray) -> bytes:
 
 def write_dng(
     path: Path, values: np.ndarray, pattern: np.ndarray, bits: int = 16, order: str = "<",
-    strips: list[bytes] | None = None, gap: int = 0, tags: Tags | None = None,
+    strips: list[bytes] | None = None, gap: int = 0, tags: Tags | None = None, drop: Sequence[int] = (),
 ) -> Path:  # fmt: skip
-    """`values` (row, col) whose CFA has the codes `pattern`; `tags` add to or replace what a DNG needs. Strips lie `gap`
-    bytes apart."""
+    """`values` (row, col) whose CFA has the codes `pattern`; `tags` add to or replace what a DNG needs, `drop` are left
+    out. Strips lie `gap` bytes apart."""
     rows, cols = values.shape
     strips = strips or [packed(values, bits, order)]
     base: Tags = {
@@ -57,7 +58,7 @@ def write_dng(
         50717: (LONG, [4000]),
     }  # fmt: skip
     base |= tags or {}
-    base = {code: base[code] for code in sorted(base)}
+    base = {code: base[code] for code in sorted(base) if code not in drop}
     offsets_at = 324 if 324 in base else 273  # of tiles or strips
     start = 8 + 2 + 12 * len(base) + 4
     start += sum(len(_words(order, *tag)) + 1 for tag in base.values())

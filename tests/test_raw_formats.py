@@ -431,6 +431,16 @@ def test_libraw_tells_the_phase_of_any_array_it_knows(tmp_path, mosaic, name):
     assert read_raw(path, sensor(RGB, QUAD), KnownBetter(phase=(2, 3))).phase == (2, 3)
 
 
+@pytest.mark.parametrize("name", ["a.dng", "a.nef"])
+def test_a_sensor_without_filters(tmp_path, mosaic, name):
+    bare = {"tags": {262: (SHORT, [34892])}, "drop": (33421, 33422, 50710)}
+    path = write_dng(tmp_path / name, mosaic, np.array([[0]]), **bare)
+    frame = read_raw(path, sensor(("clear",), np.array([[0]])))
+    np.testing.assert_array_equal(frame.values, mosaic)
+    with pytest.raises(InputFileError, match="array w, the table rg/gb"):
+        read_bayer(path)
+
+
 def test_libraw_black_levels_of_the_colours_become_one(tmp_path, mosaic):
     tags = {50713: (SHORT, [2, 2]), 50714: (SHORT, [60, 64, 66, 70])}
     mosaic = np.maximum(mosaic, 100)

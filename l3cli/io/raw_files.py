@@ -184,7 +184,7 @@ def _read_camera_raw(path: Path, table: Sensor, phase: tuple[int, int] | None) -
 
 def _camera_frame(path: Path, raw: Any, table: Sensor, phase: tuple[int, int] | None) -> RawFrame:
     """LibRaw's frame without masked borders; black and white levels may differ between its colours."""
-    colours = raw.raw_colors_visible
+    colours = _colours(raw)
     black = np.array(raw.black_level_per_channel, np.float64)
     whites = np.array(raw.camera_white_level_per_channel or (0,), np.float64)
     white = np.where(whites > 0, whites, raw.white_level) + np.zeros_like(black)
@@ -203,10 +203,14 @@ def _camera_frame(path: Path, raw: Any, table: Sensor, phase: tuple[int, int] | 
 
 def _pattern(raw: Any) -> NDArray[np.int64]:
     """Colour codes (row, col) of the CFA from the first visible pixel on; a sensor without filters is white."""
-    if raw.raw_pattern is None:
-        return _codes("W").reshape(1, 1)
+    letters = "W" if raw.num_colors == 1 else raw.color_desc.decode("ascii", "replace")
     rows, cols = raw.raw_pattern.shape
-    return _codes(raw.color_desc.decode("ascii", "replace"))[raw.raw_colors_visible[:rows, :cols]]
+    return _codes(letters)[_colours(raw)[:rows, :cols]]
+
+
+def _colours(raw: Any) -> NDArray[np.uint8]:
+    """Index (row, col) of each visible pixel's colour; without filters LibRaw gives 6, which is none of its colours."""
+    return np.zeros_like(raw.raw_colors_visible) if raw.num_colors == 1 else raw.raw_colors_visible
 
 
 def _codes(letters: str) -> NDArray[np.int64]:
