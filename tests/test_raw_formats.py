@@ -407,6 +407,10 @@ def test_linearisation_table_is_applied(tmp_path, mosaic):
         ({50715: (SRATIONAL, [1, 1])}, "instead of 40"),
         ({50714: (RATIONAL, [1, 0])}, "tags are damaged"),
         ({50711: (SHORT, [2])}, "staggered"),
+        ({33421: (SHORT, [0, 4])}, "tags are damaged"),
+        ({33421: (SHORT, [65535, 65535])}, "tags are damaged"),
+        ({50713: (SHORT, [65535, 65535])}, "tags are damaged"),
+        ({274: (SHORT, [99])}, "tags are damaged"),
     ],
 )
 def test_a_dng_that_does_not_fit_is_refused(refused, tmp_path, table, mosaic, tags, word):

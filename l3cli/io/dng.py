@@ -27,7 +27,6 @@ BROKEN = (ValueError, TypeError, KeyError, IndexError, AttributeError, ZeroDivis
 class Mosaic:
     """What the tags say of the raw image."""
 
-    shape: tuple[int, int]  # of all that is stored, masked borders too
     orientation: int  # LibRaw's flip code
     pattern: NDArray[np.int64]  # (row, col) colour codes, from the upper left corner of the active area
     active: tuple[int, int, int, int]  # top, left, bottom, right of the pixels that see light
@@ -44,9 +43,7 @@ def frame_from(path: Path, stored: NDArray[np.uint16], sensor: Sensor, phase: tu
     InputFileError if its colour filter array does not fit the sensor's, unless the caller knows the phase of the frame's
     first pixel, or if the tags contradict the pixels.
     """
-    mosaic = read_tags(path)
-    if stored.shape != mosaic.shape:
-        raise InputFileError(f"{path}: its tags say {mosaic.shape} pixels, it holds {stored.shape}; it is damaged")
+    mosaic = read_tags(path, stored.shape)
     top, left, bottom, right = mosaic.active
     row, col, rows, cols = mosaic.crop
     shown = np.s_[row : row + rows, col : col + cols]
@@ -73,13 +70,16 @@ def _black_levels(mosaic: Mosaic, shape: tuple[int, int]) -> NDArray[np.float64]
 # ------------------------------------------------------------------------------------------------------------- tags
 
 
-def read_tags(path: Path) -> Mosaic:
-    """What the tags of the file's raw image say; InputFileError if they are broken or tell of no mosaic."""
+def read_tags(path: Path, shape: tuple[int, ...]) -> Mosaic:
+    """What the tags say of the file's raw image, of `shape` with its masked borders.
+
+    InputFileError if they are broken, tell of no mosaic or of one of another shape.
+    """
     import tifffile
 
     try:
         with tifffile.TiffFile(path) as file:
-            return _mosaic(path, file.pages[0], _raw_page(path, file))
+            return _mosaic(path, file.pages[0], _raw_page(path, file), shape)
     except (*BROKEN, tifffile.TiffFileError) as error:
         raise InputFileError(f"{path}: its tags are damaged ({error}); copy it again") from error
 
@@ -94,7 +94,7 @@ def _raw_page(path: Path, file: Any) -> Any:
     return max(full, key=lambda page: page.imagelength * page.imagewidth)
 
 
-def _mosaic(path: Path, first: Any, raw: Any) -> Mosaic:
+def _mosaic(path: Path, first: Any, raw: Any, shape: tuple[int, ...]) -> Mosaic:
     if raw.samplesperpixel != 1:
         raise InputFileError(f"{path} is already demosaicked (linear); give the raw file the camera wrote")
     if raw.tags.valueof(50711, 1) != 1:
@@ -103,7 +103,10 @@ def _mosaic(path: Path, first: Any, raw: Any) -> Mosaic:
         raise InputFileError(f"{path} holds floating-point values; give the raw file the camera wrote")
     if raw.compression == 1 and not raw.is_tiled and not _contiguous(raw.dataoffsets, raw.databytecounts):
         raise InputFileError(f"{path}: its strips do not follow one another, as LibRaw takes them; save it in one strip")
-    shape = (raw.imagelength, raw.imagewidth)
+    if shape != (raw.imagelength, raw.imagewidth):
+        raise InputFileError(
+            f"{path}: its tags say {raw.imagelength}×{raw.imagewidth} pixels, it holds {shape}; it is damaged"
+        )
     top, left, bottom, right = (int(edge) for edge in _numbers(raw, 50829, (0, 0, *shape)))
     if not (0 <= top < bottom <= shape[0] and 0 <= left < right <= shape[1]):
         raise InputFileError(
@@ -114,14 +117,12 @@ def _mosaic(path: Path, first: Any, raw: Any) -> Mosaic:
     crop = tuple(round(value) for value in (origin[1], origin[0], size[1], size[0]))
     if not (min(crop[:2]) >= 0 and min(crop[2:]) >= 1 and crop[0] + crop[2] <= rows and crop[1] + crop[3] <= cols):
         raise InputFileError(f"{path}: its crop {crop} is not within its active area of {rows}×{cols} pixels")
-    repeat = tuple(int(length) for length in _numbers(raw, 50713, (1, 1)))
     return Mosaic(
-        shape=shape,
         orientation=LIBRAW_FLIP[int(_numbers(first, 274, (1,))[0])],
         pattern=_pattern(path, raw),
         active=(top, left, bottom, right),
         crop=crop,
-        black=np.reshape(_numbers(raw, 50714, np.zeros(repeat).ravel()), repeat),
+        black=_repeating(_numbers(raw, 50714, (0,)), raw.tags.valueof(50713, (1, 1))).astype(np.float64),
         black_of_row=_of_length(raw, 50716, rows),
         black_of_col=_of_length(raw, 50715, cols),
         white=float(_numbers(raw, 50717, (2**raw.bitspersample - 1,))[0]),
@@ -138,7 +139,14 @@ def _pattern(path: Path, raw: Any) -> NDArray[np.int64]:
     codes, shape = raw.tags.valueof(33422), raw.tags.valueof(33421)
     if codes is None or shape is None:
         raise InputFileError(f"{path} does not tell its colour filter array; convert the camera's own file to DNG again")
-    return np.array(list(codes), np.int64).reshape(shape)
+    return _repeating(list(codes), shape).astype(np.int64)
+
+
+def _repeating(values: Sequence[float], shape: Sequence[int]) -> NDArray:
+    """(row, col) of what repeats over the mosaic."""
+    if min(shape) < 1:
+        raise ValueError(f"a pattern of {shape}")
+    return np.reshape(values, tuple(shape))
 
 
 def _of_length(page: Any, code: int, length: int) -> NDArray[np.float64]:
