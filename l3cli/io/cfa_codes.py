@@ -25,6 +25,11 @@ def code_of(name: str) -> int | None:
     return known.index(name.lower()) % OWN if name.lower() in known else None
 
 
+def codes_of(letters: str) -> NDArray[np.int64]:
+    """The code of each of the letters of a decoder; one that TIFF/EP has not is coded by its place."""
+    return np.array([LETTERS.index(each) if each in LETTERS else OWN + index for index, each in enumerate(letters.upper())])
+
+
 def channel_codes(channels: Sequence[str]) -> NDArray[np.uint8]:
     """A code for each channel, all different: TIFF/EP's, or one of our own for names that it does not know."""
     codes: list[int] = []

@@ -8,19 +8,29 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
-from l3cli.frame import RawFrame, with_one_black
-from l3cli.io.cfa_codes import LETTERS, Sensor, find_phase
+from l3cli.frame import with_one_black
+from l3cli.io.cfa_codes import LETTERS
 
 COLOUR_FILTER_ARRAY, LINEAR_RAW = 32803, 34892  # PhotometricInterpretation
 WHITE_CODE = LETTERS.index("W")
 LIBRAW_FLIP = (0, 0, 1, 3, 2, 4, 6, 7, 5)  # of the TIFF orientation 0…8
 BROKEN = (ValueError, TypeError, KeyError, IndexError, AttributeError, ZeroDivisionError, OverflowError, struct.error)
+
+
+class CameraRaw(TypedDict):
+    """What the raw file of a camera tells."""
+
+    values: NDArray[np.uint16]  # (row, col) DN, without masked borders
+    black: float  # DN
+    white: float  # DN
+    pattern: NDArray[np.int64]  # (row, col) colour codes of the CFA, from pixel (0, 0) on
+    orientation: int  # LibRaw's flip code
 
 
 @dataclass(frozen=True)
@@ -37,11 +47,9 @@ class Mosaic:
     white: float  # DN
 
 
-def frame_from(path: Path, stored: NDArray[np.uint16], sensor: Sensor, phase: tuple[int, int] | None) -> RawFrame:
-    """The frame, a copy, of a DNG's linear pixels as `stored` (row, col): active area, default crop, one black level.
-
-    InputFileError if its colour filter array does not fit the sensor's, unless the caller knows the phase of the frame's
-    first pixel, or if the tags contradict the pixels.
+def described(path: Path, stored: NDArray[np.uint16]) -> CameraRaw:
+    """A DNG's linear pixels, `stored` (row, col) by LibRaw, as its tags describe them: the default crop of the active area,
+    at one black level. InputFileError if the tags are broken or contradict the pixels.
     """
     mosaic = read_tags(path, stored.shape)
     top, left, bottom, right = mosaic.active
@@ -53,9 +61,10 @@ def frame_from(path: Path, stored: NDArray[np.uint16], sensor: Sensor, phase: tu
         raise InputFileError(f"{path}: its black levels are not below its white level {mosaic.white:g}; it is damaged")
     pixels = stored[top:bottom, left:right][shown].copy()  # LibRaw takes its memory back
     values, common, white = with_one_black(pixels, black, np.array(mosaic.white))
-    if phase is None:
-        phase = find_phase(str(path), np.roll(mosaic.pattern, (-row, -col), axis=(0, 1)), sensor)
-    return RawFrame(str(path), values, common, white, phase, mosaic.orientation)
+    pattern = np.roll(mosaic.pattern, (-row, -col), axis=(0, 1))
+    return {
+        "values": values, "black": common, "white": white, "pattern": pattern, "orientation": mosaic.orientation
+    }  # fmt: skip
 
 
 def _black_levels(mosaic: Mosaic, shape: tuple[int, int]) -> NDArray[np.float64]:

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
-from l3cli.frame import RawFrame, with_one_black
-from l3cli.io import dng
-from l3cli.io.cfa_codes import LETTERS, OWN, Sensor, find_phase
+from l3cli.frame import RawFrame
+from l3cli.io.camera_raws import read_camera_raw
+from l3cli.io.cfa_codes import Sensor, codes_of, find_phase
 from l3cli.io.fits_files import read_fits
 from l3cli.io.packed import PACKED, WORDS, Layout, make_layout
 from l3cli.io.pgm import read_pgm
@@ -74,7 +74,7 @@ def fits_frame(path: Path, number: int | None, table: Sensor, known: KnownBetter
     values, letters = read_fits(path, number)
     name = str(path) if number is None else f"{path} frame {number}"
     if letters and known.phase is None:
-        known = replace(known, phase=find_phase(name, _codes(letters).reshape(2, 2), table))
+        known = replace(known, phase=find_phase(name, codes_of(letters).reshape(2, 2), table))
     return frame_of(name, values, table, known)
 
 
@@ -165,54 +165,7 @@ def _first_line(message: str) -> str:
 
 
 def _read_camera_raw(path: Path, table: Sensor, phase: tuple[int, int] | None) -> RawFrame:
-    import rawpy
-
-    try:
-        with rawpy.imread(str(path)) as raw:
-            if raw.raw_type != rawpy.RawType.Flat or raw.raw_image_visible.ndim != 2:
-                raise InputFileError(f"{path} is already demosaicked (linear); give the raw file the camera wrote")
-            if path.suffix.lower() == ".dng":
-                return dng.frame_from(path, raw.raw_image, table, phase)
-            return _camera_frame(path, raw, table, phase)
-    except rawpy.LibRawError as error:
-        reason = error.args[0].decode() if error.args and isinstance(error.args[0], bytes) else str(error)
-        raise InputFileError(
-            f"{path} is damaged or no raw file LibRaw can read ({reason}); "
-            "give a camera raw, a one-channel TIFF or PNG, a .npy, or a headerless .raw"
-        ) from error
-
-
-def _camera_frame(path: Path, raw: Any, table: Sensor, phase: tuple[int, int] | None) -> RawFrame:
-    """LibRaw's frame without masked borders; black and white levels may differ between its colours."""
-    colours = _colours(raw)
-    black = np.array(raw.black_level_per_channel, np.float64)
-    whites = np.array(raw.camera_white_level_per_channel or (0,), np.float64)
-    white = np.where(whites > 0, whites, raw.white_level) + np.zeros_like(black)
-    used = np.unique(colours)
-    if not (black[used] < white[used]).all():
-        levels = f"{black[used].max():g} is not below its white level {white[used].min():g}"
-        raise InputFileError(f"{path}: its black level {levels}; it is damaged")
-    if np.ptp(black[used]) == 0:
-        values, common, top = raw.raw_image_visible.copy(), float(black[used[0]]), float(white[used].min())
-    else:
-        values, common, top = with_one_black(raw.raw_image_visible, black[colours], white[colours])
+    found = read_camera_raw(path)
     if phase is None:
-        phase = find_phase(str(path), _pattern(raw), table)
-    return RawFrame(str(path), values, common, top, phase, raw.sizes.flip)
-
-
-def _pattern(raw: Any) -> NDArray[np.int64]:
-    """Colour codes (row, col) of the CFA from the first visible pixel on; a sensor without filters is white."""
-    letters = "W" if raw.num_colors == 1 else raw.color_desc.decode("ascii", "replace")
-    rows, cols = raw.raw_pattern.shape
-    return _codes(letters)[_colours(raw)[:rows, :cols]]
-
-
-def _colours(raw: Any) -> NDArray[np.uint8]:
-    """Index (row, col) of each visible pixel's colour; without filters LibRaw gives 6, which is none of its colours."""
-    return np.zeros_like(raw.raw_colors_visible) if raw.num_colors == 1 else raw.raw_colors_visible
-
-
-def _codes(letters: str) -> NDArray[np.int64]:
-    """The TIFF/EP codes of colours called by a letter, others by their place."""
-    return np.array([LETTERS.index(each) if each in LETTERS else OWN + index for index, each in enumerate(letters.upper())])
+        phase = find_phase(str(path), found["pattern"], table)
+    return RawFrame(str(path), found["values"], found["black"], found["white"], phase, found["orientation"])
