@@ -16,7 +16,7 @@ import tempfile
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from multiprocessing.connection import Client, Listener
 from pathlib import Path
 
@@ -30,6 +30,7 @@ from l3cli.io.images import read_image
 from tests.conftest import bayer_camera
 from tests.test_init import SMALL
 
+PATH = f"{Path(sys.executable).parent}:{os.environ['PATH']}"  # programs of the environment that runs the tests are found
 CLIENT = """#!{python} -IS
 import os, sys
 from multiprocessing.connection import Client
@@ -68,6 +69,7 @@ for task in range(int(first), int(last or first) + 1) if state == "done" else ()
 (jobs / job / "state").write_text(state)
 print(job)
 """
+needs_snakemake = pytest.mark.skipif(not shutil.which("snakemake", path=PATH), reason="snakemake is not installed")
 MADE = ("camera.h5", "training.h5", "table.h5", "unseen.h5", "picture.png", "quality.txt", "report.html")
 
 
@@ -102,7 +104,7 @@ class Workplace:
                 caller.send((code, out.getvalue(), err.getvalue()))
 
     def start(self, folder: Path, command: str) -> subprocess.Popen:
-        environment = os.environ | {"PATH": f"{self.bin}:{os.environ['PATH']}"}
+        environment = os.environ | {"PATH": f"{self.bin}:{PATH}"}
         environment.pop("MAKEFLAGS", None)
         return subprocess.Popen(
             shlex.split(command), cwd=folder, env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
@@ -305,8 +307,41 @@ def test_a_wrong_call_of_the_slurm_script_is_told(call: str, workplace: Workplac
     assert process.returncode in (1, 2)
 
 
-def test_snakemake_learns_in_shards(workplace: Workplace, folder: Path, l3: Callable) -> None:
-    if not shutil.which("snakemake"):
-        pytest.skip("snakemake is not installed")
-    out, calls = workplace.do(folder, "snakemake --cores 2 --config shards=2")
-    print(out, calls)
+SNAKEMAKE = "snakemake --cores 2 --config shards=2 camera=camera.toml"
+RULES = {
+    "simulate": 2,
+    "first": 2,
+    "merge": 1,
+    "second": 2,
+    "table": 1,
+    "unseen": 1,
+    "picture": 1,
+    "quality": 1,
+    "report": 1,
+}
+
+
+@needs_snakemake
+def test_snakemake_plans_what_depends_on_what(workplace: Workplace, folder: Path) -> None:
+    out, calls = workplace.do(folder, f"{SNAKEMAKE} --dry-run --quiet rules")
+    assert calls == []
+    planned = dict(line.split() for line in out.splitlines() if len(line.split()) == 2 and line.split()[1].isdecimal())
+    assert {rule: int(planned[rule]) for rule in RULES} == RULES
+    assert int(planned["total"]) == sum(RULES.values()) + 1
+
+
+@needs_snakemake
+@pytest.mark.slow
+def test_snakemake_learns_in_shards(workplace: Workplace, folder: Path) -> None:
+    _, calls = workplace.do(folder, SNAKEMAKE)
+    assert len(calls) == sum(RULES.values())
+    made = folder / "snakemake"
+    assert all((made / name).stat().st_size for name in ("table.h5", "picture.png", "quality.txt", "report.html"))
+    whole = folder / "whole.h5"
+    sets = [str(made / f"training_{shard}.h5") for shard in (1, 2)]
+    assert run(["train", *sets, "--classes", str(folder / "classes.toml"), "-o", str(whole), "--quiet"]) == 0
+    assert (made / "table.h5").read_bytes() == whole.read_bytes()
+    assert workplace.do(folder, SNAKEMAKE)[1] == []
+    (folder / "unseen.toml").touch()
+    (folder / "unseen.toml").write_text(SMALL["unseen"].replace("seed = 5", "seed = 6"))
+    assert workplace.do(folder, SNAKEMAKE)[1][0] == "simulate snakemake/unseen.h5"
