@@ -7,7 +7,8 @@
 #   ./slurm.sh 16                submit everything: arrays of 16 tasks simulate, then learn, one step waiting for the other
 #   tail -n 3 slurm/16/log/*     how far it is
 # What is there is not made again, so after a failure submit the same once more; after a change of a recipe remove slurm/16 first.
-# The last table has the bytes that one l3 train over all training sets gives. Options of sbatch come from its SBATCH_ variables.
+# The last table has the bytes that one l3 train over all training sets gives. Options of sbatch come from its SBATCH_ variables;
+# the camera is made by the Makefile, which CAMERA and MEASUREMENTS reach from the environment.
 set -euo pipefail
 
 step=${1:?"number of tasks, such as: ./slurm.sh 16"}
@@ -16,6 +17,7 @@ tasks=${2:-$step}
 folder=slurm/$tasks
 shard=$(printf %04d "${SLURM_ARRAY_TASK_ID:-0}")
 jobs=${SLURM_CPUS_PER_TASK:-1}
+camera=${CAMERA:-camera.h5}
 
 submit() { # STEP OPTIONS…: submit a step that waits for all tasks of the step before; after the first
   last=$(sbatch --parsable --job-name="l3-$1" --output="$folder/log/%x-%A-%a.txt" --kill-on-invalid-dep=yes \
@@ -33,10 +35,10 @@ learn() { # PASS OPTIONS…: the partial sums of this task's share
 }
 
 case $step in
-  camera) make camera.h5 unseen.h5 JOBS="$jobs" ;;
+  camera) make "$camera" unseen.h5 JOBS="$jobs" ;;
   # Every task draws scenes of its own: the seed is its number.
   simulate)
-    make_of "$folder/training_$shard.h5" l3 simulate scenes.toml --camera camera.h5 --seed "$SLURM_ARRAY_TASK_ID" \
+    make_of "$folder/training_$shard.h5" l3 simulate scenes.toml --camera "$camera" --seed "$SLURM_ARRAY_TASK_ID" \
       --resume --jobs "$jobs"
     ;;
   # Errors of the first pass weigh the rows of the second. With first_draws = 0 in classes.toml there is only one pass: leave
@@ -47,7 +49,9 @@ case $step in
   finish)
     make_of "$folder/table.h5" l3 train --merge "$folder"/second_*.h5
     make_of "$folder/picture.png" l3 render "$folder/table.h5" unseen/00000_*_raw.tif
-    make_of "$folder/report.html" l3 report camera.h5 "$folder/table.h5" unseen.h5
+    shown=("$folder/table.h5" unseen.h5)
+    [[ $camera == *.h5 ]] && shown+=("$camera")
+    make_of "$folder/report.html" l3 report "${shown[@]}"
     l3 evaluate "$folder/table.h5" unseen.h5
     ;;
   "$tasks")
