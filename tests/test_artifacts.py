@@ -104,8 +104,8 @@ def test_camera_and_table_come_back_as_they_went(fiveband: CameraModel, bayer: C
         assert again.history == artifact.history
 
 
-def test_partial_sums_take_a_calibrated_camera_beside_any_class_rule(fiveband: CameraModel, bayer: CameraModel) -> None:
-    training = TrainingSet(camera=a_camera(fiveband), outputs=("X", "Y", "Z"), target_description="XYZ")
+def test_partial_sums_take_a_calibrated_camera_beside_any_class_rule(bayer: CameraModel) -> None:
+    training = TrainingSet(camera=a_camera(bayer), outputs=("X", "Y", "Z"), target_description="XYZ")
     rule = a_table(bayer).rule
     assert rule.contrast_edges.shape[1] != len(training.camera.fit.noise.exposure)
     sums = PartialSums(
