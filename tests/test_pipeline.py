@@ -128,6 +128,6 @@ def test_an_interrupt_is_one_line_and_130(monkeypatch: pytest.MonkeyPatch, l3: C
     def interrupted(path: Path) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("l3cli.cli.info.describe", interrupted)
+    monkeypatch.setattr("l3cli.artifacts.base.describe", interrupted)
     code, out, err = l3("info", tmp_path / "x.h5")
     assert (code, out, err.strip()) == (130, "", "l3: interrupted")

@@ -1,6 +1,7 @@
 """The camera model: what calibration finds out and simulation needs (METHOD 1)."""
 
 import functools
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -12,7 +13,7 @@ from l3cli import spectra
 from l3cli.artifacts.base import Artifact, data, group, load
 from l3cli.artifacts.fit import Fit
 from l3cli.config import Recipe, load_recipe
-from l3cli.errors import InputFileError, RecipeError
+from l3cli.errors import InputFileError, RecipeError, suggestion
 
 MAX_CHANNELS = 16  # a saturation code is 16 bits wide
 MAX_CFA = 8
@@ -242,9 +243,17 @@ def parse_cfa(cfa: CfaRecipe, name: str) -> NDArray[np.uint8]:
         raise RecipeError(f"{name}: cfa.channels must be at most {MAX_CHANNELS} different names")
     used = {channel for row in rows for channel in row}
     if used != set(cfa.channels):
-        odd = ", ".join(sorted(used ^ set(cfa.channels)))
-        raise RecipeError(f"{name}: cfa.channels and cfa.pattern do not name the same channels (see {odd})")
+        what = _differences(used, cfa.channels)
+        raise RecipeError(f"{name}: cfa.channels and cfa.pattern do not name the same channels: {what}")
     return np.array([[cfa.channels.index(channel) for channel in row] for row in rows], dtype=np.uint8)
+
+
+def _differences(names: Iterable[str], channels: list[str]) -> str:
+    """What is wrong with `names`, which ought to be the channels."""
+    odd = sorted(set(names) - set(channels))
+    if odd:
+        return f'"{odd[0]}" is no channel; {suggestion(odd[0], channels)}'
+    return f"{', '.join(sorted(set(channels) - set(names)))} is missing"
 
 
 def _responsivity(recipe: CameraRecipe, path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -257,9 +266,9 @@ def _responsivity(recipe: CameraRecipe, path: Path) -> tuple[NDArray[np.float64]
     if (declared.gaussians is None) == (declared.file is None):
         raise RecipeError(f"{path}: give either responsivity.gaussians or responsivity.file")
     if declared.gaussians is not None:
-        missing = set(recipe.cfa.channels) ^ set(declared.gaussians)
-        if missing:
-            raise RecipeError(f"{path}: responsivity.gaussians and cfa.channels differ in {', '.join(sorted(missing))}")
+        if set(recipe.cfa.channels) != set(declared.gaussians):
+            what = _differences(declared.gaussians, recipe.cfa.channels)
+            raise RecipeError(f"{path}: responsivity.gaussians and cfa.channels differ: {what}")
         curves = np.array([_sum_of_gaussians(wavelength, declared.gaussians[c]) for c in recipe.cfa.channels])
     else:
         assert declared.file is not None

@@ -4,12 +4,15 @@ import importlib
 import os
 import signal
 import sys
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from l3cli import __version__
-from l3cli.errors import L3Error
+from l3cli.errors import L3Error, suggestion
+
+if TYPE_CHECKING:
+    from click.shell_completion import CompletionItem
 
 COMMANDS = {
     "calibrate": "lab measurements → camera model",
@@ -36,6 +39,18 @@ class Pipeline(click.Group):
         if cmd_name not in COMMANDS:
             return None
         return getattr(importlib.import_module(f"l3cli.cli.{cmd_name}"), cmd_name)
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
+        if args[0] not in COMMANDS and not args[0].startswith("-") and not ctx.resilient_parsing:
+            raise click.UsageError(f'no command "{args[0]}"; {suggestion(args[0], COMMANDS)}', ctx)
+        return super().resolve_command(ctx, args)
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list["CompletionItem"]:
+        """Names and meanings from the list above: a key pressed must not import every command."""
+        from click.shell_completion import CompletionItem
+
+        found = [CompletionItem(name, help=what) for name, what in COMMANDS.items() if name.startswith(incomplete)]
+        return found + click.Command.shell_complete(self, ctx, incomplete)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
@@ -70,10 +85,7 @@ def run(arguments: list[str]) -> int:
     except click.exceptions.Exit as stop:
         return stop.exit_code
     except click.ClickException as error:
-        hint = ""
-        if isinstance(error, click.UsageError) and error.ctx is not None:
-            hint = f'; see "{error.ctx.command_path} --help"'
-        return _fail(f"{error.format_message().rstrip('.')}{hint}", 2)
+        return _fail(_usage(error), 2)
     except L3Error as error:
         return _fail(str(error), error.exit_code)
     except BrokenPipeError:
@@ -93,6 +105,17 @@ def run(arguments: list[str]) -> int:
 def _terminate(number: int, frame: object) -> None:
     signal.signal(number, signal.SIG_IGN)  # once is enough: nothing must disturb the cleaning up
     raise Terminated
+
+
+def _usage(error: click.ClickException) -> str:
+    """What is wrong with a call, and where the right ones are explained."""
+    message = error.format_message().rstrip(".")
+    if isinstance(error, click.NoSuchOption):
+        near = [name for name in error.possibilities or () if name.startswith("--")]
+        message = f"no option {error.option_name}" + (f"; {suggestion(error.option_name, near)}" if near else "")
+    if not isinstance(error, click.UsageError) or error.ctx is None:
+        return message
+    return f'{message}{"" if message.endswith("?") else ";"} see "{error.ctx.command_path} --help"'
 
 
 def _fail(message: str, code: int) -> int:

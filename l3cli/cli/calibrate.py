@@ -34,7 +34,8 @@ def calibrate(
 ) -> None:
     """Find responsivities, gain and noise of a camera from its lab measurements.
 
-    Example: l3 calibrate build/lab/MEASUREMENTS.toml -o build/camera.h5
+    \b
+    Example: l3 calibrate lab/MEASUREMENTS.toml -o camera.h5
     """
     from l3cli.artifacts.base import save
     from l3cli.artifacts.camera import load_camera
@@ -59,7 +60,7 @@ def calibrate(
     save(camera, output)
     if export:
         export_curves(camera, export)
-    click.echo(json.dumps(result, indent=2, ensure_ascii=False) if as_json else report.as_text(result))
+    click.echo(json.dumps(result, indent=2, ensure_ascii=False) if as_json else report.as_text(result, options.width()))
     if shortfall:
         options.say(f"accepted although {shortfall.partition(';')[0]}", quiet)
     if result["saturation reached"] is False:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from l3cli.cli import options
+from l3cli.columns import columns
 
 if TYPE_CHECKING:
     from l3cli.evaluate.comparison import Curve
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     multiple=True,
     default=("scielab",),
     show_default=True,
+    metavar="NAME",
     help="Which figure of the evaluations, such as mean_delta_e or psnr; several times for several.",
 )
 @options.output("HTML page with the curves", required=False)
@@ -30,7 +32,8 @@ def compare(
 ) -> None:
     """Compare cameras by figures of their evaluations at each luminance, and tell where the better one changes.
 
-    Example: l3 compare bayer.json rgbw.json --figure psnr --figure scielab -o curves.html
+    \b
+    Example: l3 compare bayer.json rgbw.json --figure psnr -o curves.html
     """
     import json
 
@@ -71,12 +74,12 @@ def compare(
         click.echo(json.dumps({"curves": rows, "crossings": found}, indent=2))
         return
     for figure, found_curves in curves.items():
-        click.echo(figure)
-        click.echo("  ".join(["cd/m²".rjust(8), *(curve.name.rjust(8) for curve in found_curves)]))
-        for index, luminance in enumerate(found_curves[0].luminance):
-            values = [f"{curve.value[index]:.2f}".rjust(max(8, len(curve.name))) for curve in found_curves]
-            click.echo("  ".join([f"{luminance:g}".rjust(8), *values]))
-        click.echo("\n".join(told[figure]))
+        rows = [
+            [f"{luminance:g}", *(f"{curve.value[index]:.2f}" for curve in found_curves)]
+            for index, luminance in enumerate(found_curves[0].luminance)
+        ]
+        named = ["cd/m²", *(curve.name for curve in found_curves)]
+        click.echo("\n".join([figure, *columns(named, rows, options.width()), *told[figure]]))
 
 
 def _read(path: Path) -> dict:

@@ -1,6 +1,5 @@
 """l3 init: a folder with the recipes of one kind of camera and the pipelines that make pictures of them."""
 
-import difflib
 import itertools
 import re
 import textwrap
@@ -10,6 +9,7 @@ from pathlib import Path
 import click
 
 from l3cli.cli import options
+from l3cli.errors import suggestion
 
 # What a folder of recipes holds beside its camera.toml: name there ← name in configs/.
 COMMON = {
@@ -32,6 +32,7 @@ def init(recipe: str | None, folder: Path | None, listed: bool, quiet: bool) -> 
 
     Without arguments, list the recipes.
 
+    \b
     Example: l3 init bayer demo && make -C demo
     """
     from l3cli.files import refuse_filled_folder
@@ -44,7 +45,7 @@ def init(recipe: str | None, folder: Path | None, listed: bool, quiet: bool) -> 
             click.echo(f"{name:{max(map(len, known))}}  {summary(path)}")
         return
     if recipe not in known:
-        raise click.UsageError(f'no recipe "{recipe}"; {_suggestion(recipe, list(known))}')
+        raise click.UsageError(f'no recipe "{recipe}"; {suggestion(recipe, known)}')
     if folder is None:
         raise click.UsageError(f'name the folder to make, such as "l3 init {recipe} {recipe}"')
     refuse_filled_folder(folder, force=False)
@@ -85,10 +86,3 @@ def write_folder(camera: Path, folder: Path) -> None:
         with atomic_output(folder / name) as temporary:
             temporary.write_bytes(origin.read_bytes())
             temporary.chmod(0o755 if origin.suffix == ".sh" else 0o644)
-
-
-def _suggestion(name: str, known: list[str]) -> str:
-    close = difflib.get_close_matches(name.lower(), known, n=3)
-    if close:
-        return "did you mean " + " or ".join(f'"{found}"' for found in close) + "?"
-    return f"there are {', '.join(known)}"

@@ -19,6 +19,7 @@ import click
 import numpy as np
 
 from l3cli.cli import options
+from l3cli.cli.cautions import Cautions
 from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.files import refuse_existing
 from l3cli.frame import RawFrame, upright
@@ -203,6 +204,7 @@ def render_frames(
     start = time.monotonic()
     steady = SteadyExposure(choice.rate) if _is_steady(footage, target, look) else None
     done = failures = 0
+    cautions = Cautions(table)
     with _open_sink(target, choice, table.outputs) as (write, threads), Behind(write, DEPTH, threads) as writing:
         reading = ahead(_read(footage, target, LightMeter(table) if steady else None, goes_on), DEPTH)
         for each in options.progress(reading, footage.count, "frames", quiet):
@@ -214,12 +216,15 @@ def render_frames(
                     click.echo(f"l3: {each.error}", err=True)
                 done += each.kept
                 continue
+            if footage.stills or not done:
+                cautions.look(each.frame)
             scale = look.exposure or (steady.scale(each.brightness) if steady else 0.0)
             if not each.kept:
                 writing.put((each.pending, _pixels(renderer, each.frame, look, scale)))
             done += 1
         if not done:
             raise InputFileError("none of the frames could be read; nothing is written")
+    cautions.tell(quiet)
     if not footage.stills:
         rate = done / max(time.monotonic() - start, 1e-9)
         options.say(f"{target.path}: {done} frames, {rate:.3g} a second", quiet)

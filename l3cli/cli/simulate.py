@@ -41,7 +41,8 @@ def simulate(
 ) -> None:  # fmt: skip
     """Simulate what a camera sees of many scenes, and the pictures it should make of them.
 
-    Example: l3 simulate configs/scenes/default.toml --camera camera.h5 -o training.h5
+    \b
+    Example: l3 simulate scenes.toml --camera camera.h5 -o training.h5
     """
     from l3cli.artifacts.camera import load_camera
     from l3cli.cli.frames import jobs_of, open_folder, work_off
