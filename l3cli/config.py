@@ -4,7 +4,7 @@ import re
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Literal, TypeVar, get_args, get_origin
+from typing import Any, ClassVar, Literal, TypeVar, get_args, get_origin
 
 import msgspec
 
@@ -13,6 +13,20 @@ from l3cli.errors import InputFileError, RecipeError, suggestion
 
 class Recipe(msgspec.Struct, forbid_unknown_fields=True):
     """Base of all recipe structures; a field without a default is a required key."""
+
+    title: ClassVar[str] = "a recipe"  # of a whole file, and what is asked for where another kind is given
+
+
+TELLING = {  # keys at the top of a file by which its kind is known: no other kind has them
+    "a measurement file": ("sweep", "curves", "band", "datasheet", "uncertainty"),
+    "a camera recipe": ("responsivity", "noise"),
+    "a lab recipe": ("flaws", "spectrometer_step_nm", "wavelength_error_nm", "lamp_drift", "monitor_error", "falloff"),
+    "a scene recipe": (
+        "scene", "pair", "illuminants", "luminances_cd_m2", "exposure_share", "exposure_saturated", "exposure_mean",
+        "exposure_s", "lens", "target",
+    ),
+    "a class recipe": ("classes", "learning"),
+}  # fmt: skip
 
 
 R = TypeVar("R", bound=Recipe)
@@ -23,7 +37,14 @@ def read_text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except OSError as error:
-        raise InputFileError(f"{path}: {error.strerror}") from error
+        what = (
+            "is a folder"
+            if path.is_dir()
+            else "does not exist"
+            if not path.exists()
+            else f"cannot be read: {error.strerror}"
+        )
+        raise InputFileError(f"{path} {what}; give a TOML recipe") from error
     except UnicodeDecodeError as error:
         raise InputFileError(f"{path} is not a text file; give a TOML recipe") from error
 
@@ -36,7 +57,11 @@ def load_recipe(path: Path, recipe: type[R]) -> R:
 def parse_recipe(text: str, recipe: type[R], name: str) -> R:
     """`text` as `recipe`; `name` stands in the error messages."""
     try:
-        return msgspec.convert(tomllib.loads(text), recipe)
+        content = tomllib.loads(text)
+        given = {kind for kind, keys in TELLING.items() if any(key in content for key in keys)}
+        if given and recipe.title in TELLING and recipe.title not in given:
+            raise RecipeError(f"{name} is {' and '.join(sorted(given))}; give {recipe.title}")
+        return msgspec.convert(content, recipe)
     except tomllib.TOMLDecodeError as error:
         raise RecipeError(f"{name} is not valid TOML: {error}") from error
     except msgspec.ValidationError as error:

@@ -27,6 +27,9 @@ class DeviceError(L3Error):
     exit_code = 4
 
 
+MOST = 240  # characters of a list of names
+
+
 def suggestion(name: str, known: Iterable[str]) -> str:
     """The cure for a name that is none of `known`: the ones it may have been meant for or, where none is near, all."""
     import difflib  # only where something went wrong
@@ -35,4 +38,5 @@ def suggestion(name: str, known: Iterable[str]) -> str:
     close = difflib.get_close_matches(name.lower(), spelled, n=3)
     if close:
         return "did you mean " + " or ".join(f'"{spelled[found]}"' for found in close) + "?"
-    return f"there are {', '.join(spelled.values())}"
+    named = ", ".join(spelled.values())
+    return f"there are {named}" if len(named) <= MOST else f"there are {named[:MOST].rpartition(',')[0]} …"

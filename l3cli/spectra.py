@@ -139,8 +139,8 @@ def _tabulated(name: str, wavelength: Array) -> Array:
     """Energy (wavelength) of a CIE illuminant, linear between its samples."""
     key = f"FL{name[1:]}" if re.fullmatch(r"F\d+", name) else name
     if key not in illuminant_names():
-        others = 'or a black body such as "3200K", daylight such as "D6000K", a CSV file'
-        raise RecipeError(f'illuminant "{name}" is unknown; {suggestion(name, illuminant_names())} ({others})')
+        others = 'black bodies such as "3200K", daylight such as "D6000K" and, in recipes, CSV files'
+        raise RecipeError(f'illuminant "{name}" is unknown; {suggestion(name, illuminant_names())} (and {others})')
     table = _colour().SDS_ILLUMINANTS[key]
     return np.interp(wavelength, table.wavelengths, table.values)
 

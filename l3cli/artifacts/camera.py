@@ -178,6 +178,8 @@ class OpticsRecipe(Recipe):
 class CameraRecipe(Recipe):
     """A camera described instead of measured (configs/cameras)."""
 
+    title: ClassVar[str] = "a camera recipe"
+
     name: str
     sensor: SensorRecipe
     cfa: CfaRecipe

@@ -1,5 +1,6 @@
 """The command line: a group that imports a command only when it is asked for, and the one door for errors."""
 
+import errno
 import importlib
 import os
 import signal
@@ -26,6 +27,13 @@ COMMANDS = {
     "bench": "frames per second here, stage by stage",
     "lab": "a virtual lab: the measurements a camera would give",
     "init": "a folder of recipes and pipelines for one kind of camera",
+}
+
+CURES = {
+    errno.ENOSPC: "; free some space and run it again",
+    errno.EACCES: "; ask for the right to read and write it, or name another",
+    errno.EROFS: "; name an output elsewhere",
+    errno.ENOTDIR: "; a part of the path is a file, not a folder",
 }
 
 
@@ -99,7 +107,8 @@ def run(arguments: list[str]) -> int:
     except MemoryError:
         return _fail("out of memory; use fewer --jobs or smaller frames", 1)
     except OSError as error:
-        return _fail(f"{error.filename or 'input/output'}: {error.strerror or error}", 1)
+        cure = CURES.get(error.errno or 0, "")
+        return _fail(f"{error.filename or 'input/output'}: {error.strerror or error}{cure}", 1)
 
 
 def _terminate(number: int, frame: object) -> None:

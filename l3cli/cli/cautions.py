@@ -6,9 +6,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from l3cli.cli import options
+from l3cli.files import sha256
 from l3cli.render.coverage import CoverageMeter
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from l3cli.artifacts.table import TransformTable
     from l3cli.frame import RawFrame
 
@@ -58,10 +61,18 @@ def caution_white(asked: str, white: np.ndarray, table: "TransformTable", quiet:
     if np.linalg.norm(_uv(white) - _uv(table.white_point)) > NEAR_WHITE:
         x, y = table.white_point[:2] / table.white_point.sum()
         options.say(
-            f"warning: --white {asked} is far from the mean light of the training, x,y = {x:.4f},{y:.4f}: colours are adapted, "
-            "not learned for it; train with it among the illuminants of SCENES.toml",
+            f"warning: --white {asked} is far from the mean light of the training, x,y = {x:.4f},{y:.4f}: "
+            "colours are adapted, not learned for it; train with it among the illuminants of SCENES.toml",
             quiet,
         )
+
+
+def caution_trained(table: "TransformTable", path: "Path", frames: "Path", quiet: bool) -> None:
+    """Say so if a table is judged on frames that its history names as its training."""
+    inputs = {digest for stage in table.history for found in stage.inputs.values() for digest in found}
+    if not quiet and sha256(frames) in inputs:
+        text = "figures flatter it; simulate other scenes, or the same ones with another --seed"
+        options.say(f"warning: {path} was trained on {frames}: {text}", quiet)
 
 
 def _uv(white: np.ndarray) -> np.ndarray:

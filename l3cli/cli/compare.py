@@ -39,12 +39,11 @@ def compare(
 
     from l3cli.errors import RecipeError
     from l3cli.evaluate.comparison import crossings, curve_of, require_comparable
-    from l3cli.files import refuse_existing
 
     if output is not None:
         if output.suffix != ".html":
             raise RecipeError(f"{output}: curves are drawn on a page; name a file that ends in .html")
-        refuse_existing(output, force)
+        options.refuse_output(output, force, *evaluations)
     documents = [_read(path) for path in evaluations]
     curves = {figure: [curve_of(document, figure) for document in documents] for figure in figures}
     require_comparable(next(iter(curves.values())))
@@ -74,12 +73,12 @@ def compare(
         click.echo(json.dumps({"curves": rows, "crossings": found}, indent=2))
         return
     for figure, found_curves in curves.items():
-        rows = [
+        lines = [
             [f"{luminance:g}", *(f"{curve.value[index]:.2f}" for curve in found_curves)]
             for index, luminance in enumerate(found_curves[0].luminance)
         ]
         named = ["cd/m²", *(curve.name for curve in found_curves)]
-        click.echo("\n".join([figure, *columns(named, rows, options.width()), *told[figure]]))
+        click.echo("\n".join([figure, *columns(named, lines, options.width()), *told[figure]]))
 
 
 def _read(path: Path) -> dict:
@@ -87,6 +86,9 @@ def _read(path: Path) -> dict:
 
     from l3cli.errors import InputFileError
 
+    if not path.is_file():
+        what = "is a folder" if path.is_dir() else "does not exist"
+        raise InputFileError(f'{path} {what}; give what "l3 evaluate --json" prints')
     try:
         document = json.loads(path.read_text())
     except (OSError, ValueError) as error:

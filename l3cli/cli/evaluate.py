@@ -53,6 +53,7 @@ def evaluate(
     from l3cli.artifacts.base import load
     from l3cli.artifacts.table import TransformTable
     from l3cli.artifacts.training_set import open_training_set
+    from l3cli.cli.cautions import caution_trained
     from l3cli.evaluate.evaluation import Evaluation
     from l3cli.evaluate.pictures import frame_pictures
     from l3cli.files import refuse_filled_folder
@@ -64,6 +65,8 @@ def evaluate(
     if pictures is not None:
         require_xyz(transforms.outputs)
         refuse_filled_folder(pictures, force)
+        options.refuse_unwritable(pictures / "any")
+    caution_trained(transforms, table, frames, quiet)
     with open_training_set(frames) as reader:
         evaluation = Evaluation(transforms, reader.head, viewing)
         renderer = make_renderer(backend, transforms)

@@ -37,6 +37,7 @@ def lab(camera: Path, output: Path, recipe: Path | None, seed: int, jobs: int, f
     from l3cli.simulate.lab import LabRecipe, plan
 
     file = output / "MEASUREMENTS.toml"
+    options.refuse_unwritable(file)
     refuse_existing(file, force)
     model = load_camera(camera)
     chosen = load_recipe(recipe, LabRecipe) if recipe else LabRecipe()

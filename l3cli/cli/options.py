@@ -10,12 +10,24 @@ from typing import Any, TypeVar
 
 import click
 
+from l3cli.errors import L3Error, RecipeError, suggestion
+
 F = TypeVar("F", bound=Callable[..., Any])
 T = TypeVar("T")
 
 FILE = click.Path(
     path_type=Path, readable=False
 )  # whoever opens it says what is wrong with it, and ends with the right code
+
+
+class Choice(click.Choice):
+    """Words to choose from, with the nearest suggested for a wrong one."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        try:
+            return super().convert(value, param, ctx)
+        except click.BadParameter:
+            raise click.BadParameter(f'"{value}"; {suggestion(str(value), map(str, self.choices))}', ctx, param) from None
 
 
 def output(what: str, required: bool = True) -> Callable[[F], F]:
@@ -39,12 +51,12 @@ device = click.option(
 )
 variant = click.option(
     "--variant",
-    type=click.Choice(["processor", "graphics"]),
+    type=Choice(["processor", "graphics"]),
     help="How frames are cut into work for the device [default: by its type].",
 )
 backend = click.option(
     "--backend",
-    type=click.Choice(["opencl", "reference"]),
+    type=Choice(["opencl", "reference"]),
     default="opencl",
     show_default=True,
     help="What renders: an OpenCL device, or numpy in float64.",
@@ -57,6 +69,27 @@ jobs = click.option(
 def frame_name(index: int, scene: str) -> str:
     """Stem of the files of one frame of a training set: its number and its scene, without odd characters."""
     return f"{index:05d}_{re.sub(r'[^A-Za-z0-9]+', '-', scene)}"
+
+
+def refuse_output(path: Path, force: bool, *inputs: Path) -> None:
+    """Refuse before any work an output that is there already, is an input, would pass for a recipe or cannot be written."""
+    from l3cli.files import refuse_existing
+
+    if path.suffix == ".toml":
+        raise RecipeError(f"{path}: .toml is for recipes; name an output that ends otherwise")
+    if path.exists() and any(given.exists() and path.samefile(given) for given in inputs):
+        raise RecipeError(f"{path} is an input; name another output")
+    refuse_existing(path, force)
+    refuse_unwritable(path)
+
+
+def refuse_unwritable(path: Path) -> None:
+    """L3Error if `path` lies where nothing can be written."""
+    folder = next(parent for parent in path.absolute().parents if parent.exists())
+    if not folder.is_dir():
+        raise L3Error(f"{folder} is a file, not a folder; name another output than {path}")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise L3Error(f"{folder} cannot be written to; name an output in a folder of your own")
 
 
 def say(message: str, quiet: bool) -> None:

@@ -24,12 +24,12 @@ def report(artifacts: tuple[Path, ...], output: Path, backend: str, force: bool,
     """
     from l3cli.cli import report_sections
     from l3cli.errors import RecipeError
-    from l3cli.files import atomic_output, refuse_existing
+    from l3cli.files import atomic_output
     from l3cli.report.page import LIMIT, render_page
 
     if output.suffix != ".html":
         raise RecipeError(f"{output}: a report is a page; name a file that ends in .html")
-    refuse_existing(output, force)
+    options.refuse_output(output, force, *artifacts)
     given = report_sections.sort(artifacts)
     title, lead, sections = report_sections.compose(given, backend, quiet)
     page = render_page(title, lead, sections).encode()

@@ -90,9 +90,11 @@ def make_target(output: Path, suffix: str, choice: VideoChoice) -> Target:
 
 
 def refuse_single(target: Target, force: bool) -> None:
-    """L3Error, before anything is read, if a video or single picture is there already."""
+    """L3Error, before anything is read, if a video or single picture is there already, or nothing can be written there."""
     if target.kind in ("video", "file"):
         refuse_existing(target.path, force)
+    if target.kind != "stream":
+        options.refuse_unwritable(target.file(0, "frame"))
 
 
 def refuse_outputs(target: Target, footage: Footage, force: bool) -> None:

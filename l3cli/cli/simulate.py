@@ -48,13 +48,14 @@ def simulate(
     from l3cli.cli.frames import jobs_of, open_folder, work_off
     from l3cli.config import load_recipe
     from l3cli.errors import L3Error
-    from l3cli.files import refuse_existing, refuse_filled_folder
+    from l3cli.files import refuse_filled_folder
     from l3cli.parallel import ordered_map
     from l3cli.simulate.recipe import SceneRecipe, shots
 
-    refuse_existing(output, force)
+    options.refuse_output(output, force, scenes, camera)
     if pictures:
         refuse_filled_folder(pictures, force)
+        options.refuse_unwritable(pictures / "any")
     model, recipe = load_camera(camera), load_recipe(scenes, SceneRecipe)
     run, files, inputs = _prepare(recipe, scenes, model, seed)
     head = _head(run, model, (scenes, camera), inputs, seed)
@@ -74,7 +75,7 @@ def simulate(
     shutil.rmtree(run.folder)
     if pictures:
         _write_pictures(output, pictures)
-    options.say(f"{output}: {total} frames", quiet)
+    options.say(f"{output}: {total} frame{'s' if total > 1 else ''}", quiet)
 
 
 def _prepare(
@@ -161,7 +162,7 @@ def _assemble(run: "Run", head: "TrainingSet", output: Path, total: int, quiet: 
         worst = max((writer.append_part(run.part(index)) for index in range(total)), key=lambda part: part.uncovered)
     if worst.uncovered > NEGLIGIBLE:
         share = f"{worst.uncovered:.1%} of the light that a channel collects from white"
-        options.say(f"warning: {worst.scene} holds no data for {share}", quiet)
+        options.say(f"warning: {worst.scene} holds no data for {share}; give scenes of more wavelengths", quiet)
 
 
 def _write_pictures(training: Path, folder: Path) -> None:

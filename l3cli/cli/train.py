@@ -88,7 +88,6 @@ def train(
 
     With first_draws = 0 in the recipe, or other outputs than XYZ, there is one pass: two steps, without --first.
     """
-    from l3cli.files import refuse_existing
     from l3cli.parallel import one_blas_thread
 
     one_blas_thread()
@@ -98,7 +97,7 @@ def train(
         raise click.UsageError(f"--shares gives {len(shares)} shares for {len(files)} training sets")
     if first and not shard:
         raise click.UsageError("--first goes with --shard")
-    refuse_existing(output, force)
+    options.refuse_output(output, force, *files, *filter(None, [classes, first]))
     if merge:
         merge_shards(files, output, quiet)
         return

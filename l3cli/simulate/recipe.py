@@ -4,7 +4,7 @@ import itertools
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 import msgspec
 import numpy as np
@@ -62,6 +62,8 @@ class Pair(Recipe):
 
 
 class SceneRecipe(Recipe):
+    title: ClassVar[str] = "a scene recipe"
+
     scene: list[Source] = msgspec.field(default_factory=list)
     pair: list[Pair] = msgspec.field(default_factory=list)
     # CIE names, "3200K", "D6000K", CSV files, mixtures "0.7 D65 + 0.3 lamp.csv", or "scene": its own
