@@ -32,8 +32,8 @@ TELLING = {  # keys at the top of a file by which its kind is known: no other ki
 R = TypeVar("R", bound=Recipe)
 
 
-def read_text(path: Path) -> str:
-    """The text of a recipe file; InputFileError if it cannot be read as UTF-8."""
+def read_text(path: Path, title: str = Recipe.title) -> str:
+    """The text of a recipe file; InputFileError, which asks for `title`, if it cannot be read as UTF-8."""
     try:
         return path.read_text(encoding="utf-8")
     except OSError as error:
@@ -44,14 +44,14 @@ def read_text(path: Path) -> str:
             if not path.exists()
             else f"cannot be read: {error.strerror}"
         )
-        raise InputFileError(f"{path} {what}; give a TOML recipe") from error
+        raise InputFileError(f"{path} {what}; give {title} (TOML)") from error
     except UnicodeDecodeError as error:
-        raise InputFileError(f"{path} is not a text file; give a TOML recipe") from error
+        raise InputFileError(f"{path} is not a text file; give {title} (TOML)") from error
 
 
 def load_recipe(path: Path, recipe: type[R]) -> R:
     """Read a TOML file as `recipe`; RecipeError names the file, the key and what is wrong with it."""
-    return parse_recipe(read_text(path), recipe, str(path))
+    return parse_recipe(read_text(path, recipe.title), recipe, str(path))
 
 
 def parse_recipe(text: str, recipe: type[R], name: str) -> R:
@@ -72,6 +72,7 @@ def _plain(message: str, recipe: type[Recipe]) -> str:
     """msgspec's message in the words of a recipe: keys and tables instead of fields and objects, and what was meant."""
     what, _, where = message.partition(" - at ")
     table = re.sub(r"^`\$\.?|`$", "", where)
+    table = re.sub(r"\[(\d+)\]", lambda number: f"[{int(number[1]) + 1}]", table)  # entries count from 1
     what = what.replace("Object missing required field", "missing key").replace(
         "Object contains unknown field", "unknown key"
     )

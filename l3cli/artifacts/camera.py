@@ -197,6 +197,7 @@ def load_camera(path: Path) -> CameraModel:
 
 def camera_from_recipe(recipe: CameraRecipe, path: Path) -> CameraModel:
     """The model a recipe describes; `path` places relative file names and names the culprit in errors."""
+    _check_figures(recipe, path)
     sensor, noise = recipe.sensor, recipe.noise
     converter = 2**sensor.bits - 1
     white = sensor.white_dn
@@ -232,6 +233,34 @@ def camera_from_recipe(recipe: CameraRecipe, path: Path) -> CameraModel:
         )
     except ValueError as error:
         raise RecipeError(f"{path}: {error}") from error
+
+
+def _check_figures(recipe: CameraRecipe, path: Path) -> None:
+    """RecipeError if a number of the recipe cannot be."""
+    sensor, noise, optics = recipe.sensor, recipe.noise, recipe.optics
+    if not 1 <= sensor.bits <= 16:
+        raise RecipeError(f"{path}: sensor.bits is {sensor.bits}; a raw value has 1 to 16 bits")
+    positive = [
+        ("sensor.rows", sensor.rows),
+        ("sensor.cols", sensor.cols),
+        ("sensor.pixel_pitch_um", sensor.pixel_pitch_um),
+        ("sensor.gain_dn_per_e", sensor.gain_dn_per_e),
+        ("responsivity.peak_efficiency", recipe.responsivity.peak_efficiency),
+        ("noise.well_capacity_e", noise.well_capacity_e),
+        ("optics.focal_length_mm", optics.focal_length_mm),
+        ("optics.f_number", optics.f_number),
+    ]
+    for channel, terms in (recipe.responsivity.gaussians or {}).items():
+        for term in terms:
+            widths = (term.sigma_nm, term.sigma_nm if term.sigma_above_nm is None else term.sigma_above_nm)
+            positive.append((f"a sigma of the Gaussians of {channel}", min(widths)))
+    spreads = [(f"noise.{key}", getattr(noise, key)) for key in noise.__struct_fields__ if key != "well_capacity_e"]
+    for key, value in positive:
+        if not 0 < value < float("inf"):
+            raise RecipeError(f"{path}: {key} is {value:g}, and must be above zero")
+    for key, value in (*spreads, ("sensor.fixed_pattern_seed", sensor.fixed_pattern_seed)):
+        if not 0 <= value < float("inf"):
+            raise RecipeError(f"{path}: {key} is {value:g}, and must not be negative")
 
 
 def parse_cfa(cfa: CfaRecipe, name: str) -> NDArray[np.uint8]:

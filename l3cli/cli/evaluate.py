@@ -65,7 +65,7 @@ def evaluate(
     if pictures is not None:
         require_xyz(transforms.outputs)
         refuse_filled_folder(pictures, force)
-        options.refuse_unwritable(pictures / "any")
+        options.refuse_unwritable(pictures)
     caution_trained(transforms, table, frames, quiet)
     with open_training_set(frames) as reader:
         evaluation = Evaluation(transforms, reader.head, viewing)

@@ -85,7 +85,8 @@ def refuse_output(path: Path, force: bool, *inputs: Path) -> None:
 
 def refuse_unwritable(path: Path) -> None:
     """L3Error if `path` lies where nothing can be written."""
-    folder = next(parent for parent in path.absolute().parents if parent.exists())
+    whole = path.absolute()
+    folder = whole if whole.is_dir() else next(parent for parent in whole.parents if parent.exists())
     if not folder.is_dir():
         raise L3Error(f"{folder} is a file, not a folder; name another output than {path}")
     if not os.access(folder, os.W_OK | os.X_OK):

@@ -55,7 +55,7 @@ def simulate(
     options.refuse_output(output, force, scenes, camera)
     if pictures:
         refuse_filled_folder(pictures, force)
-        options.refuse_unwritable(pictures / "any")
+        options.refuse_unwritable(pictures)
     model, recipe = load_camera(camera), load_recipe(scenes, SceneRecipe)
     run, files, inputs = _prepare(recipe, scenes, model, seed)
     head = _head(run, model, (scenes, camera), inputs, seed)

@@ -88,6 +88,7 @@ def train(
 
     With first_draws = 0 in the recipe, or other outputs than XYZ, there is one pass: two steps, without --first.
     """
+    from l3cli.errors import RecipeError
     from l3cli.parallel import one_blas_thread
 
     one_blas_thread()
@@ -102,10 +103,13 @@ def train(
         merge_shards(files, output, quiet)
         return
     course = open_course(files, classes, shares, seed)
-    if shard:
-        train_shard(course, shard, first, output, jobs, quiet)
-    else:
-        train_whole(course, output, jobs, quiet)
+    try:
+        if shard:
+            train_shard(course, shard, first, output, jobs, quiet)
+        else:
+            train_whole(course, output, jobs, quiet)
+    except RecipeError as error:
+        raise RecipeError(f"{classes or 'the built-in class recipe'}: {error}") from error
 
 
 @dataclass(frozen=True)
