@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-import numpy as np
 
 from l3cli.cli import options
 
@@ -167,6 +166,8 @@ def _assemble(run: "Run", head: "TrainingSet", output: Path, total: int, quiet: 
 
 def _write_pictures(training: Path, folder: Path) -> None:
     """Each frame of a training set as raw mosaic and as the picture it should become, white at display white."""
+    import numpy as np
+
     from l3cli.artifacts.training_set import open_training_set
     from l3cli.io.images import write_linear, write_mosaic, write_picture
     from l3cli.render.display import encode, make_display
