@@ -99,7 +99,9 @@ def completed(words: str) -> list[str]:
     )
     asked = {"_L3_COMPLETE": "bash_complete", "COMP_WORDS": words, "COMP_CWORD": str(words.count(" "))}
     environment = {**os.environ, **asked, "PYTHONPATH": str(CONFIGS.parent)}
-    run = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=60, check=True)
+    run = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=60, check=True
+    )
     *offered, heavy = run.stdout.splitlines()
     assert heavy == "heavy"
     return offered
@@ -118,8 +120,8 @@ def test_bash_completes_with_the_line_of_the_readme(tmp_path: Path) -> None:
     program = tmp_path / "l3"
     program.write_text(f'#!/bin/sh\nexec {sys.executable} -c "from l3cli.cli import main; main()" "$@"\n')
     program.chmod(0o755)
-    (line,) = re.findall(r"^ +(eval .*bash_source.*?\))\"? +#", (CONFIGS.parent / "README.md").read_text(), re.MULTILINE)
-    script = f'{line}"\nCOMP_WORDS=(l3 eval) COMP_CWORD=1\n_l3_completion\necho "${{COMPREPLY[@]}}"'
+    (line,) = re.findall(r'^    (eval "\$\(.*bash_source.*?\)")', (CONFIGS.parent / "README.md").read_text(), re.MULTILINE)
+    script = f'{line}\nCOMP_WORDS=(l3 eval) COMP_CWORD=1\n_l3_completion l3\necho "${{COMPREPLY[@]}}"'
     path = f"{tmp_path}:{os.environ['PATH']}"
     environment = {**os.environ, "PATH": path, "PYTHONPATH": str(CONFIGS.parent)}
     run = subprocess.run(["bash", "-c", script], env=environment, capture_output=True, text=True, timeout=60)
