@@ -66,9 +66,9 @@ def evaluate(
         require_xyz(transforms.outputs)
         refuse_filled_folder(pictures, force)
         options.refuse_unwritable(pictures)
-    caution_trained(transforms, table, frames, quiet)
     with open_training_set(frames) as reader:
         evaluation = Evaluation(transforms, reader.head, viewing)
+        caution_trained(transforms, table, frames, quiet)
         renderer = make_renderer(backend, transforms)
         for index in options.progress(range(len(reader)), len(reader), "frames", quiet):
             frame, planes = judge(evaluation, renderer, reader, index)
