@@ -1,4 +1,4 @@
-"""l3 bench: which devices there are, and how fast frames are rendered and simulated here."""
+"""l3 bench: which devices there are, and how fast frames are rendered, simulated and learned from."""
 
 import json
 from typing import Any
@@ -16,12 +16,12 @@ from l3cli.columns import columns
 @options.as_json
 @options.quiet
 def bench(device: str | None, variant: str | None, list_only: bool, as_json: bool, quiet: bool) -> None:
-    """Time the rendering of made-up frames on an OpenCL device, uint16 in host memory to sRGB in host memory, and their
-    simulation on one core of the processor.
+    """Time the rendering of made-up frames on an OpenCL device, uint16 in host memory to sRGB in host memory, and on
+    one core of the processor their simulation and training.
 
     Rendering: medians of 20 frames. With a C compiler (CC or cc) each frame is timed in turn with the bare multiply-adds of
     its transforms on all cores, hand-vectorised: "limit" is the median of their ratio. The variant that is not made for the
-    device and the numpy reference get small frames. Simulation: the fastest of 5 frames.
+    device and the numpy reference get small frames. Simulation: the fastest of 5 frames. Training: the faster of 2 runs, both passes.
 
     \b
     Example: l3 bench --device 0 --json
@@ -30,6 +30,7 @@ def bench(device: str | None, variant: str | None, list_only: bool, as_json: boo
     from l3cli.render import benchmark as rendering
     from l3cli.render.opencl_devices import survey
     from l3cli.simulate import benchmark as simulation
+    from l3cli.train import benchmark as training
 
     found = survey()
     if list_only:
@@ -40,26 +41,32 @@ def bench(device: str | None, variant: str | None, list_only: bool, as_json: boo
     simulated: list[dict[str, Any]] = []
     for case in options.progress(simulation.CASES, len(simulation.CASES), "simulations", quiet):
         simulated.append(alone(simulation.measure, case))
+    trained = [
+        alone(training.measure, case) for case in options.progress(training.CASES, len(training.CASES), "trainings", quiet)
+    ]
     if as_json:
-        click.echo(json.dumps({"devices": found, "results": results, "simulate": simulated}, indent=2))
+        document = {"devices": found, "results": results, "simulate": simulated, "train": trained}
+        click.echo(json.dumps(document, indent=2))
         return
     click.echo("\n".join(found))
     _rendering(results)
     _simulation(simulated)
+    _training(trained)
 
 
 def _rendering(results: list[dict[str, Any]]) -> None:
     stages = list(results[0]["stages_ms"])
     rows = []
-    for result in results:
+    for number, result in enumerate(results, 1):
         times = [f"{result['stages_ms'][stage]:.2f}" for stage in stages]
         limit = f"{result['limit_ratio']:.2f}" if "limit_ratio" in result else ""
         what = [
+            str(number),  # tells rows apart where the table is divided
             f"{result['width']}×{result['height']}",
             *(str(result[key]) for key in ("patch", "classes", "outputs", "variant")),
         ]
         rows.append([*what, *times, f"{result['frame_ms']:.2f}", f"{result['mp_per_s']:.1f}", limit])
-    headings = ["frame", "patch", "classes", "outputs", "variant", *stages, "whole", "MP/s", "limit"]
+    headings = ["", "frame", "patch", "classes", "outputs", "variant", *stages, "whole", "MP/s", "limit"]
     _table("rendering, milliseconds a frame; limit: times the bare multiply-adds", headings, rows)
 
 
@@ -70,6 +77,19 @@ def _simulation(results: list[dict[str, Any]]) -> None:
         rows.append([*what, f"{result['frame_ms']:.1f}", f"{result['mp_per_s']:.2f}", f"{result['peak_mb']:.0f}"])
     headings = ["frame", "channels", "optics", "whole ms", "MP/s", "peak MB"]
     _table("simulation on one core, 31 bands, noise and targets", headings, rows)
+
+
+def _training(results: list[dict[str, Any]]) -> None:
+    if not results:
+        return
+    stages = list(results[0]["stages_ns"])
+    rows = []
+    for result in results:
+        what = [str(result[key]) for key in ("patches", "channels", "rows")]
+        times = [f"{result['stages_ns'][stage]:.0f}" for stage in stages]
+        rows.append([*what, f"{result['cpu_s']:.1f}", f"{result['rows_per_s']:.0f}", *times, f"{result['peak_mb']:.0f}"])
+    headings = ["patches", "channels", "rows", "CPU s", "rows/s", *stages, "peak MB"]
+    _table("training on one core, both passes; stages: nanoseconds a patch and level", headings, rows)
 
 
 def _table(title: str, headings: list[str], rows: list[list[str]]) -> None:

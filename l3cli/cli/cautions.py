@@ -10,10 +10,12 @@ from l3cli.files import sha256
 from l3cli.render.coverage import CoverageMeter
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
     from l3cli.artifacts.table import TransformTable
     from l3cli.frame import RawFrame
+    from l3cli.io.sequences import Pending
 
 NOTABLE = {"darker": 0.05, "brighter": 0.05, "untrained": 0.2, "saturated": 0.1}  # shares of a frame that are worth a word
 NEAR_WHITE = 0.02  # distance of chromaticities u′v′ from which on two whites are different lights
@@ -39,6 +41,15 @@ class Cautions:
             if share >= limit:
                 worst, name, count = self._worst.get(what, (0.0, "", 0))
                 self._worst[what] = (share, frame.name, count + 1) if share > worst else (worst, name, count + 1)
+
+    def watched(
+        self, frames: "Iterator[tuple[Pending, RawFrame, float]]", stills: bool
+    ) -> "Iterator[tuple[Pending, RawFrame, float]]":
+        """Pass frames on, after a look at every still, or at the first frame of a sequence."""
+        for pending, frame, scale in frames:
+            if stills or not self._seen:
+                self.look(frame)
+            yield pending, frame, scale
 
     def tell(self, quiet: bool) -> None:
         """One line for each thing found."""
