@@ -21,7 +21,8 @@ def bench(device: str | None, variant: str | None, list_only: bool, as_json: boo
 
     Rendering: medians of 20 frames. With a C compiler (CC or cc) each frame is timed in turn with the bare multiply-adds of
     its transforms on all cores, hand-vectorised: "limit" is the median of their ratio. The variant that is not made for the
-    device and the numpy reference get small frames. Simulation: the fastest of 5 frames. Training: the faster of 2 runs, both passes.
+    device and the numpy reference get small frames. Simulation: the fastest of 5 frames. Training: the faster
+    of 2 runs, both passes.
 
     \b
     Example: l3 bench --device 0 --json
