@@ -1,7 +1,7 @@
 """l3 calibrate: lab measurements → camera model."""
 
-import functools
 import json
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -49,7 +49,12 @@ def calibrate(
         options.refuse_output(path, force, measurements, *filter(None, [truth]))
     true = load_camera(truth) if truth else None
     measured = load_measurements(measurements)
-    camera = model.calibrate(measured, functools.partial(ordered_map, jobs=jobs))
+
+    def each(function: Callable[[Any], Any], captures: Iterable[Any]) -> Iterator[Any]:
+        captures = list(captures)
+        return options.progress(ordered_map(function, captures, jobs), len(captures), "captures", quiet)
+
+    camera = model.calibrate(measured, each)
     if (shortfall := report.shortfall(camera)) and not accept:
         raise L3Error(f"{measurements}: {shortfall}")
     camera = replace(camera, history=(history(measurements, {"accept": True} if accept else {}),))
