@@ -142,7 +142,7 @@ def _with_lines(items: Iterable[T], total: int | None, what: str) -> Iterator[T]
         yield item
         now = time.monotonic()
         reached = 10 * done // total if total else 0
-        if (reached > tenth and now - last >= OFTEN) or now - last >= SELDOM:
+        if done != total and ((reached > tenth and now - last >= OFTEN) or now - last >= SELDOM):
             of = f" of {total}" if total else ""
             click.echo(f"{what}: {done}{of}, {_pace(done, total, now - start)}", err=True)
             last, tenth = now, reached
