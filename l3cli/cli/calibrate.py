@@ -46,7 +46,7 @@ def calibrate(
     from l3cli.parallel import ordered_map
 
     for path in (output, *(export_paths(export) if export else ())):
-        options.refuse_output(path, force, measurements, *filter(None, [truth]))
+        options.claim_file(path, force, measurements, *filter(None, [truth]))
     true = load_camera(truth) if truth else None
     measured = load_measurements(measurements)
 

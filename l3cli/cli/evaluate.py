@@ -56,7 +56,6 @@ def evaluate(
     from l3cli.cli.cautions import caution_trained
     from l3cli.evaluate.evaluation import Evaluation
     from l3cli.evaluate.pictures import frame_pictures
-    from l3cli.files import refuse_filled_folder
     from l3cli.io.images import write_picture
     from l3cli.render.display import require_xyz
     from l3cli.render.renderer import make_renderer
@@ -64,8 +63,7 @@ def evaluate(
     transforms = load(TransformTable, table)
     if pictures is not None:
         require_xyz(transforms.outputs)
-        refuse_filled_folder(pictures, force)
-        options.refuse_unwritable(pictures)
+        options.claim_folder(pictures, force)
     with open_training_set(frames) as reader:
         evaluation = Evaluation(transforms, reader.head, viewing)
         caution_trained(transforms, table, frames, quiet)

@@ -71,7 +71,7 @@ def frame_name(index: int, scene: str) -> str:
     return f"{index:05d}_{re.sub(r'[^A-Za-z0-9]+', '-', scene)}"
 
 
-def refuse_output(path: Path, force: bool, *inputs: Path) -> None:
+def claim_file(path: Path, force: bool, *inputs: Path) -> None:
     """Refuse before any work an output that is there already, is an input, would pass for a recipe or cannot be written."""
     from l3cli.files import refuse_existing
 
@@ -80,6 +80,14 @@ def refuse_output(path: Path, force: bool, *inputs: Path) -> None:
     if path.exists() and any(given.exists() and path.samefile(given) for given in inputs):
         raise RecipeError(f"{path} is an input; name another output")
     refuse_existing(path, force)
+    refuse_unwritable(path)
+
+
+def claim_folder(path: Path, force: bool) -> None:
+    """Refuse, before any work, a folder that holds something, is a file or cannot be written into."""
+    from l3cli.files import refuse_filled_folder
+
+    refuse_filled_folder(path, force)
     refuse_unwritable(path)
 
 

@@ -47,14 +47,12 @@ def simulate(
     from l3cli.cli.frames import jobs_of, open_folder, work_off
     from l3cli.config import load_recipe
     from l3cli.errors import L3Error
-    from l3cli.files import refuse_filled_folder
     from l3cli.parallel import ordered_map
     from l3cli.simulate.recipe import SceneRecipe, shots
 
-    options.refuse_output(output, force, scenes, camera)
+    options.claim_file(output, force, scenes, camera)
     if pictures:
-        refuse_filled_folder(pictures, force)
-        options.refuse_unwritable(pictures)
+        options.claim_folder(pictures, force)
     model, recipe = load_camera(camera), load_recipe(scenes, SceneRecipe)
     run, files, inputs = _prepare(recipe, scenes, model, seed)
     head = _head(run, model, (scenes, camera), inputs, seed)

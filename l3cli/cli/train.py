@@ -98,7 +98,7 @@ def train(
         raise click.UsageError(f"--shares gives {len(shares)} shares for {len(files)} training sets")
     if first and not shard:
         raise click.UsageError("--first goes with --shard")
-    options.refuse_output(output, force, *files, *filter(None, [classes, first]))
+    options.claim_file(output, force, *files, *filter(None, [classes, first]))
     if merge:
         merge_shards(files, output, quiet)
         return
