@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import click
 
-from l3cli.errors import L3Error, RecipeError, suggestion
+from l3cli.errors import L3Error, RecipeError
 
 F = TypeVar("F", bound=Callable[..., Any])
 T = TypeVar("T")
@@ -18,16 +18,6 @@ T = TypeVar("T")
 FILE = click.Path(
     path_type=Path, readable=False
 )  # whoever opens it says what is wrong with it, and ends with the right code
-
-
-class Choice(click.Choice):
-    """Words to choose from, with the nearest suggested for a wrong one."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        try:
-            return super().convert(value, param, ctx)
-        except click.BadParameter:
-            raise click.BadParameter(f'"{value}"; {suggestion(str(value), map(str, self.choices))}', ctx, param) from None
 
 
 def output(what: str, required: bool = True) -> Callable[[F], F]:
@@ -51,12 +41,12 @@ device = click.option(
 )
 variant = click.option(
     "--variant",
-    type=Choice(["processor", "graphics"]),
+    type=click.Choice(["processor", "graphics"]),
     help="How frames are cut into work for the device [default: by its type].",
 )
 backend = click.option(
     "--backend",
-    type=Choice(["opencl", "reference"]),
+    type=click.Choice(["opencl", "reference"]),
     default="opencl",
     show_default=True,
     help="What renders: an OpenCL device, or numpy in float64.",

@@ -79,7 +79,7 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
 )
 @click.option(
     "--codec",
-    type=options.Choice(["h264", "h265", "ffv1", "prores"]),
+    type=click.Choice(["h264", "h265", "ffv1", "prores"]),
     help="Of a video [default: .mp4 h264, .mov prores, .mkv ffv1].",
 )
 @click.option(
@@ -89,7 +89,7 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
     help="Rate factor of h264, h265; lower is better [default: theirs].",
 )
 @click.option(
-    "--preset", type=options.Choice(PRESETS), default="veryfast", show_default=True, metavar="NAME",
+    "--preset", type=click.Choice(PRESETS), default="veryfast", show_default=True, metavar="NAME",
     help=f"Effort of h264, h265: {', '.join(PRESETS)}.",
 )  # fmt: skip
 @options.backend
@@ -106,7 +106,7 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
 @click.option(
     "--white", metavar="NAME|x,y", help="Scene white shown neutral: illuminant or chromaticity [default: table's]."
 )
-@click.option("--bits", type=options.Choice(["8", "16"]), default="8", show_default=True, help="Bits a value of a picture.")
+@click.option("--bits", type=click.Choice(["8", "16"]), default="8", show_default=True, help="Bits a value of a picture.")
 @click.option("--black", type=float, metavar="DN", help="Black level of the inputs [default: the file's or the table's].")
 @click.option("--white-level", type=float, metavar="DN", help="White level of the inputs [default: the file's or table's].")
 @click.option("--phase", callback=_pair(","), metavar="ROW,COL", help="CFA site of the inputs' first pixel, from 0.")
