@@ -123,8 +123,9 @@ def _usage(error: click.ClickException) -> str:
         near = [name for name in error.possibilities or () if name.startswith("--")]
         message = f"no option {error.option_name}" + (f"; {suggestion(error.option_name, near)}" if near else "")
     if isinstance(error, click.BadParameter) and error.param is not None and isinstance(error.param.type, click.Choice):
-        wrong = message.partition(" is not one of ")[0]  # Invalid value for '--codec': 'h256'
-        message = f"{wrong}; {suggestion(wrong.rpartition(' ')[2].strip("'"), map(str, error.param.type.choices))}"
+        message = message.partition(" is not one of ")[0]  # Invalid value for '--codec': 'h256'
+        known = map(str, error.param.type.choices)
+        message += f"; {suggestion(message.rpartition(': ')[2][1:-1], known)}"
     if not isinstance(error, click.UsageError) or error.ctx is None:
         return message
     return f'{message}{"" if message.endswith("?") else ";"} see "{error.ctx.command_path} --help"'
