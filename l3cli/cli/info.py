@@ -30,15 +30,17 @@ def info(file: Path | None, versions: bool, as_json: bool) -> None:
         return
     width = options.width()
     for line in _version_lines(content) if versions else _lines(content):
-        click.echo(_folded(line, width))
+        _echo(line, width)
 
 
-def _folded(line: str, width: int | None) -> str:
-    """A line as it fits into `width` characters, what follows below further in."""
+def _echo(line: str, width: int | None) -> None:
+    """Print what a file says, which may be anything, without what would move a terminal's cursor; lines longer than `width`
+    go on below, further in."""
     import textwrap
 
+    line = "".join(letter if letter.isprintable() else "?" for letter in line)
     deeper = " " * (len(line) - len(line.lstrip()) + 4)
-    return textwrap.fill(line, width, subsequent_indent=deeper, break_on_hyphens=False) if width else line
+    click.echo(textwrap.fill(line, width, subsequent_indent=deeper, break_on_hyphens=False) if width else line)
 
 
 # ------------------------------------------------------------------------------------------------------ artifacts
