@@ -68,5 +68,5 @@ def calibrate(
     if shortfall:
         options.say(f"accepted although {shortfall.partition(';')[0]}", quiet)
     if result["saturation reached"] is False:
-        options.say("no white frame saturates: the saturation level is taken to be the converter's last value", quiet)
+        options.say("no white frame saturates: the converter's last value is taken for it; add one exposed longer", quiet)
     options.say(f"{output}: written", quiet)
