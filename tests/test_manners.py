@@ -23,9 +23,7 @@ from l3cli.frame import RawFrame
 from l3cli.render.coverage import CoverageMeter
 from tests.conftest import CONFIGS, in_terminal
 
-UNITS = re.compile(
-    r"\b(DN|nm|pixels?|seconds?|a second|a degree|Number|numbers|Rate factor|Patches|Processes|Bits)\b", re.IGNORECASE
-)
+UNITS = re.compile(r"\b(DN|nm|pixels?|seconds?|a second|a degree|Number|numbers|Rate factor|Bytes)\b", re.IGNORECASE)
 
 
 def command(name: str) -> click.Command:
