@@ -250,6 +250,7 @@ def test_tables_fit_a_terminal_of_eighty_columns(pipeline: Path, tmp_path: Path,
         ("info", pipeline / "camera.h5"),
         ("info", pipeline / "training.h5"),
         ("info", "--version"),
+        ("init",),
     ):
         code, out, _ = l3(*call)
         assert code == 0

@@ -28,19 +28,14 @@ def info(file: Path | None, versions: bool, as_json: bool) -> None:
     if as_json:
         click.echo(json.dumps(content, indent=2, ensure_ascii=False))
         return
-    width = options.width()
     for line in _version_lines(content) if versions else _lines(content):
-        _echo(line, width)
+        _echo(line)
 
 
-def _echo(line: str, width: int | None) -> None:
-    """Print what a file says, which may be anything, without what would move a terminal's cursor; lines longer than `width`
-    go on below, further in."""
-    import textwrap
-
+def _echo(line: str) -> None:
+    """Print what a file says, which may be anything, without what would move a terminal's cursor."""
     line = "".join(letter if letter.isprintable() else "?" for letter in line)
-    deeper = " " * (len(line) - len(line.lstrip()) + 4)
-    click.echo(textwrap.fill(line, width, subsequent_indent=deeper, break_on_hyphens=False) if width else line)
+    click.echo(options.folded(line, len(line) - len(line.lstrip()) + 4))
 
 
 # ------------------------------------------------------------------------------------------------------ artifacts

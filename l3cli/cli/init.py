@@ -42,8 +42,9 @@ def init(recipe: str | None, folder: Path | None, force: bool, quiet: bool) -> N
 
     known = recipes()
     if recipe is None:
+        wide = max(map(len, known))
         for name, path in known.items():
-            click.echo(f"{name:{max(map(len, known))}}  {summary(path)}")
+            click.echo(options.folded(f"{name:{wide}}  {summary(path)}", wide + 2))
         options.say('next: one of them and a new folder, such as "l3 init bayer demo"', quiet)
         return
     if recipe not in known:

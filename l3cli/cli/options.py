@@ -107,6 +107,14 @@ def width() -> int | None:
     return max(shutil.get_terminal_size().columns, 40)
 
 
+def folded(line: str, deeper: int) -> str:
+    """A line of stdout that goes on below, `deeper` characters further in, where it is longer than the terminal is wide."""
+    import textwrap
+
+    wide = width()
+    return textwrap.fill(line, wide, subsequent_indent=" " * deeper, break_on_hyphens=False) if wide else line
+
+
 # ------------------------------------------------------------------------------------------------------ progress
 
 SELDOM, OFTEN = 600.0, 10.0  # seconds after which a log hears of the progress at the latest, and before which it does not
