@@ -24,8 +24,13 @@ COMMON = {
 }
 
 
+def _completed(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
+    """Names of recipes for the shell."""
+    return [name for name in recipes() if name.startswith(incomplete)]
+
+
 @click.command()
-@click.argument("recipe", required=False, metavar="[RECIPE]")
+@click.argument("recipe", required=False, metavar="[RECIPE]", shell_complete=_completed)
 @click.argument("folder", type=options.FILE, required=False, metavar="[DIR]")
 @options.force
 @options.quiet
