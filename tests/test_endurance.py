@@ -27,7 +27,7 @@ ROOT = Path(__file__).parents[1]
 TABLE = dataclasses.replace(RGGB, rows=64, cols=96)
 DISTINCT = 50  # frames; all others are links to them
 FLAT = 0.05  # share by which memory may grow from the second tenth to the last
-SLOWER = 0.5  # and processor time a frame, which others on the machine stretch too; a search among all frames takes far more
+SLOWER = 0.5  # and processor time a frame, which others on the machine stretch too: give it one that is idle
 MOMENTARY = 4  # files that reading and writing have open now and then
 TICKS = os.sysconf("SC_CLK_TCK")
 SCENES = """
