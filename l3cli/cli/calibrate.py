@@ -40,13 +40,12 @@ def calibrate(
     from l3cli.artifacts.camera import load_camera
     from l3cli.calibrate import model, report
     from l3cli.errors import L3Error
-    from l3cli.files import refuse_existing
     from l3cli.io.curves import export_curves, export_paths
     from l3cli.io.measurements import history, load_measurements
     from l3cli.parallel import ordered_map
 
     for path in (output, *(export_paths(export) if export else ())):
-        refuse_existing(path, force)
+        options.claim_file(path, force)
     true = load_camera(truth) if truth else None
     measured = load_measurements(measurements)
     camera = model.calibrate(measured, functools.partial(ordered_map, jobs=jobs))

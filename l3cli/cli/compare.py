@@ -36,12 +36,11 @@ def compare(
 
     from l3cli.errors import RecipeError
     from l3cli.evaluate.comparison import crossings, curve_of, require_comparable
-    from l3cli.files import refuse_existing
 
     if output is not None:
         if output.suffix != ".html":
             raise RecipeError(f"{output}: curves are drawn on a page; name a file that ends in .html")
-        refuse_existing(output, force)
+        options.claim_file(output, force)
     documents = [_read(path) for path in evaluations]
     curves = {figure: [curve_of(document, figure) for document in documents] for figure in figures}
     require_comparable(next(iter(curves.values())))
@@ -94,7 +93,7 @@ def _read(path: Path) -> dict:
 
 
 def _page(curves: dict[str, list["Curve"]], told: dict[str, list[str]], output: Path) -> None:
-    from l3cli.files import atomic_output
+    from l3cli.files import write_whole
     from l3cli.report.evaluation import luminance_section
     from l3cli.report.page import render_page
 
@@ -103,5 +102,4 @@ def _page(curves: dict[str, list["Curve"]], told: dict[str, list[str]], output: 
     page = render_page(
         f"{names} over the light", " ".join(itertools.chain(*told.values())), [luminance_section(values, told)]
     )
-    with atomic_output(output) as temporary:
-        temporary.write_bytes(page.encode())
+    write_whole(output, page)

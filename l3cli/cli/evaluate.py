@@ -53,7 +53,6 @@ def evaluate(
     from l3cli.artifacts.training_set import open_training_set
     from l3cli.evaluate.evaluation import Evaluation
     from l3cli.evaluate.pictures import frame_pictures
-    from l3cli.files import refuse_filled_folder
     from l3cli.io.images import write_picture
     from l3cli.render.display import require_xyz
     from l3cli.render.renderer import make_renderer
@@ -61,7 +60,7 @@ def evaluate(
     transforms = load(TransformTable, table)
     if pictures is not None:
         require_xyz(transforms.outputs)
-        refuse_filled_folder(pictures, force)
+        options.claim_folder(pictures, force)
     with open_training_set(frames) as reader:
         evaluation = Evaluation(transforms, reader.head, viewing)
         renderer = make_renderer(backend, transforms)

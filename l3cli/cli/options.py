@@ -4,6 +4,7 @@ import re
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -33,6 +34,29 @@ variant = click.option(
     help="How frames are cut into work for the device [default: by its type].",
 )
 jobs = click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Processes to use.")
+
+
+def claim_file(path: Path, force: bool) -> None:
+    """Refuse to replace a file without `force`; keep other runs off it until the command ends."""
+    from l3cli.files import refuse_existing, sole_writer_of_file
+
+    hold(sole_writer_of_file(path), path)  # first: the run that holds it may be about to end
+    refuse_existing(path, force)
+
+
+def claim_folder(path: Path, force: bool) -> None:
+    """Refuse to write into a filled folder without `force`; keep other runs off it until the command ends."""
+    from l3cli.files import refuse_filled_folder, sole_writer_of_folder
+
+    refuse_filled_folder(path, force)
+    hold(sole_writer_of_folder(path), path)
+    refuse_filled_folder(path, force)  # now that no other run fills it
+
+
+def hold(claim: AbstractContextManager[bool], output: Path) -> None:
+    """Keep a claim on an output until the command ends."""
+    if not click.get_current_context().with_resource(claim):
+        click.echo(f"warning: {output} lies on storage without file locks: see that no other run writes it", err=True)
 
 
 def frame_name(index: int, scene: str) -> str:

@@ -113,7 +113,7 @@ def render(
     one_blas_thread()  # the products of the light meter are small, and threads that wait for them take the encoder's time
     from l3cli.artifacts.base import load
     from l3cli.artifacts.table import TransformTable
-    from l3cli.cli.sequence import USUAL_RATE, Look, make_target, marked, refuse_missing, refuse_single, render_frames
+    from l3cli.cli.sequence import USUAL_RATE, Look, claim, make_target, marked, refuse_missing, render_frames
     from l3cli.files import sha256
     from l3cli.io.raw_files import KnownBetter
     from l3cli.io.sequences import find_frames
@@ -123,7 +123,7 @@ def render(
 
     choice = VideoChoice(fps or USUAL_RATE, int(bits), codec, crf, preset)
     target = make_target(output, suffix, choice)
-    refuse_single(target, force)
+    claim(target, force)
     if target.linear and (exposure is not None or white is not None):
         raise RecipeError(".exr files hold the outputs as they are; --exposure and --white are for pictures")
     known = KnownBetter(black, white_level, phase, size)

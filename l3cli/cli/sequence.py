@@ -20,7 +20,7 @@ import numpy as np
 
 from l3cli.cli import options
 from l3cli.errors import InputFileError, L3Error, RecipeError
-from l3cli.files import refuse_existing
+from l3cli.files import refuse_existing, sole_writer_of_folder, write_whole
 from l3cli.frame import RawFrame, upright
 from l3cli.io import images
 from l3cli.io.sequences import PATTERN, Footage, Pending, numbered_files, numbered_name
@@ -88,10 +88,14 @@ def make_target(output: Path, suffix: str, choice: VideoChoice) -> Target:
     return target
 
 
-def refuse_single(target: Target, force: bool) -> None:
-    """L3Error, before anything is read, if a video or single picture is there already."""
+def claim(target: Target, force: bool) -> None:
+    """L3Error, before anything is read, if another run writes the target, or a video or single picture is there already."""
     if target.kind in ("video", "file"):
-        refuse_existing(target.path, force)
+        options.claim_file(target.path, force)
+    elif target.kind == "folder":
+        options.hold(sole_writer_of_folder(target.path), target.path)
+    elif target.kind == "pattern":
+        options.hold(sole_writer_of_folder(target.path.parent, target.path.name), target.path)
 
 
 def refuse_outputs(target: Target, footage: Footage, force: bool) -> None:
@@ -156,17 +160,12 @@ def marked(target: Target, key: list[Any], resume: bool, force: bool, footage: F
     if goes_on and target.mark.read_text() != text:
         raise RecipeError(f"{target.path} holds a run with another table, inputs or options; leave --resume out")
     refuse_outputs(target, footage, force or goes_on)
-    new = not target.mark.parent.exists()
-    target.mark.parent.mkdir(parents=True, exist_ok=True)
-    target.mark.write_text(text)
+    write_whole(target.mark, text)
     try:
         yield goes_on
     except BaseException:
         if not _pictures(target):
             target.mark.unlink()
-            with contextlib.suppress(OSError):
-                if new:
-                    target.mark.parent.rmdir()
         raise
     target.mark.unlink()
 

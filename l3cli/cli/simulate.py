@@ -1,10 +1,7 @@
 """l3 simulate: camera × scenes × lights → training set."""
 
 import dataclasses
-import hashlib
-import json
 import re
-import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -44,33 +41,30 @@ def simulate(
     Example: l3 simulate configs/scenes/default.toml --camera camera.h5 -o training.h5
     """
     from l3cli.artifacts.camera import load_camera
-    from l3cli.cli.frames import jobs_of, open_folder, work_off
+    from l3cli.cli.frames import close_folder, jobs_of, key_of, open_folder, remove_finished, work_off
     from l3cli.config import load_recipe
-    from l3cli.errors import L3Error
-    from l3cli.files import refuse_existing, refuse_filled_folder
-    from l3cli.parallel import ordered_map
+    from l3cli.files import refuse_existing, sole_writer_of_file
+    from l3cli.parallel import workers
     from l3cli.simulate.recipe import SceneRecipe, shots
 
+    options.hold(sole_writer_of_file(output), output)
+    remove_finished(output)
     refuse_existing(output, force)
     if pictures:
-        refuse_filled_folder(pictures, force)
+        options.claim_folder(pictures, force)
     model, recipe = load_camera(camera), load_recipe(scenes, SceneRecipe)
     run, files, inputs = _prepare(recipe, scenes, model, seed)
     head = _head(run, model, (scenes, camera), inputs, seed)
-    key = hashlib.sha256(json.dumps(dataclasses.asdict(head.history[-1]), sort_keys=True).encode()).hexdigest()
-    run = dataclasses.replace(run, folder=open_folder(output, key, resume))
+    key = key_of(head.history[-1])
+    run = dataclasses.replace(run, key=key, folder=open_folder(output, key, resume))
     work = jobs_of(run, list(shots(recipe, files)) if recipe.scene else [], jobs)
     total = sum(len(job.shots) for job in work)
-    try:
-        finished = (index for count in ordered_map(work_off, work, jobs) for index in range(count))
-        for _ in options.progress(finished, total, "frames", quiet):
-            pass
+    with close_folder(run.folder):
+        with workers(jobs) as crew:
+            finished = (index for count in crew(work_off, work) for index in range(count))
+            for _ in options.progress(finished, total, "frames", quiet):
+                pass
         _assemble(run, head, output, total, quiet)
-    except L3Error:
-        if not resume:
-            shutil.rmtree(run.folder)
-        raise
-    shutil.rmtree(run.folder)
     if pictures:
         _write_pictures(output, pictures)
     options.say(f"{output}: {total} frames", quiet)
@@ -109,7 +103,7 @@ def _prepare(
         "spectrum": [path.parent / name for name in named],
         "pair": [path.parent / name for pair in recipe.pair for name in (pair.raw, pair.picture)],
     }
-    return Run(recipe, fitted, target, lights, seed, path.parent, Path()), files, roles
+    return Run(recipe, fitted, target, lights, seed, path.parent, "", Path()), files, roles
 
 
 def _curve(path: Path, role: str) -> "Curve":
@@ -157,7 +151,7 @@ def _assemble(run: "Run", head: "TrainingSet", output: Path, total: int, quiet: 
     from l3cli.artifacts.training_set import write_training_set
 
     with write_training_set(output, head) as writer:
-        worst = max((writer.append_part(run.part(index)) for index in range(total)), key=lambda part: part.uncovered)
+        worst = max((writer.append_part(run.part(index), run.key) for index in range(total)), key=lambda part: part.uncovered)
     if worst.uncovered > NEGLIGIBLE:
         share = f"{worst.uncovered:.1%} of the light that a channel collects from white"
         options.say(f"warning: {worst.scene} holds no data for {share}", quiet)
@@ -169,7 +163,7 @@ def _write_pictures(training: Path, folder: Path) -> None:
     from l3cli.io.images import write_linear, write_mosaic, write_picture
     from l3cli.render.display import encode, make_display
 
-    with open_training_set(training) as frames:
+    with open_training_set(training, unchanged=True) as frames:
         for index, frame in enumerate(frames):
             name = options.frame_name(index, frame.scene)
             write_mosaic(folder / f"{name}_raw.tif", frame.raw)

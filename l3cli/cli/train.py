@@ -87,7 +87,6 @@ def train(
 
     With first_draws = 0 in the recipe, or other outputs than XYZ, there is one pass: two steps, without --first.
     """
-    from l3cli.files import refuse_existing
     from l3cli.parallel import one_blas_thread
 
     one_blas_thread()
@@ -97,7 +96,7 @@ def train(
         raise click.UsageError(f"--shares gives {len(shares)} shares for {len(files)} training sets")
     if first and not shard:
         raise click.UsageError("--first goes with --shard")
-    refuse_existing(output, force)
+    options.claim_file(output, force)
     if merge:
         merge_shards(files, output, quiet)
         return
@@ -334,7 +333,7 @@ def _frames(training: tuple[Path, ...], wanted: range | None = None) -> Iterator
 
     before = 0
     for path in training:
-        with open_training_set(path) as reader:
+        with open_training_set(path, unchanged=True) as reader:  # since _common_head looked at it
             for index in range(len(reader)):
                 if wanted is None or before + index in wanted:
                     yield reader.frame(index)
