@@ -273,13 +273,20 @@ def _hard(group: h5py.Group, name: str, kind: type, path: Path) -> Any:
     return member
 
 
-def _read_dataset(group: h5py.Group, name: str, spec: Spec, path: Path) -> Any:
-    dataset = _hard(group, name, h5py.Dataset, path)
-    where = _inside(group, name)
+def require_plain(dataset: h5py.Dataset, where: str, path: Path) -> None:
+    """InputFileError if a dataset is stored in a way l3 never writes, or would be larger in memory than can be."""
     created = dataset.id.get_create_plist()
     filters = {created.get_filter(i)[0] for i in range(created.get_nfilters())}
     if dataset.is_virtual or dataset.external or not filters <= KNOWN_FILTERS:
         raise InputFileError(f"{path}: dataset {where} is stored in a way l3 never writes; make the file again")
+    if dataset.size * dataset.dtype.itemsize > SMALL + LARGEST_RATIO * dataset.id.get_storage_size():
+        raise InputFileError(f"{path}: dataset {where} claims more data than the file holds; make the file again")
+
+
+def _read_dataset(group: h5py.Group, name: str, spec: Spec, path: Path) -> Any:
+    dataset = _hard(group, name, h5py.Dataset, path)
+    where = _inside(group, name)
+    require_plain(dataset, where, path)
     is_text = spec.dtype == "str"
     expected_kind = "S" if is_text else np.dtype(spec.dtype).kind
     if dataset.dtype.kind != expected_kind or dataset.ndim != len(spec.axes):
@@ -287,8 +294,6 @@ def _read_dataset(group: h5py.Group, name: str, spec: Spec, path: Path) -> Any:
             f"{path}: dataset {where} is {dataset.dtype} with {dataset.ndim} axes, "
             f"not {spec.dtype} ({', '.join(spec.axes)}); make the file again"
         )
-    if dataset.size * dataset.dtype.itemsize > SMALL + LARGEST_RATIO * dataset.id.get_storage_size():
-        raise InputFileError(f"{path}: dataset {where} claims more data than the file holds; make the file again")
     try:
         array = dataset[()]
         if is_text:
