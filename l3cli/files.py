@@ -1,9 +1,9 @@
 """Files as every command treats them: outputs appear whole or not at all, one run at a time writes them, and inputs are
 known by their SHA-256.
 
-Whoever writes holds a lock (flock) that the kernel lets go of however the process ends, be it SIGKILL: on a hidden file beside
-the output for as long as the run lasts, and on each temporary file. A temporary file that nobody holds is what a killed
-run left.
+Whoever writes holds a lock (flock) that the kernel lets go of however the process ends, be it SIGKILL: on a hidden file
+beside the output for as long as the run lasts, and on each temporary file. A temporary file that nobody holds is what a
+killed run left.
 """
 
 import contextlib
@@ -124,7 +124,7 @@ def sole_writer_of_folder(folder: Path, name: str = "", inside: tuple[str, ...] 
     """`sole_writer_of_file` for the files of a folder and of those `inside` it; with `name` (of a pattern) for those files
     alone that it stands for.
 
-    The folder is made; it is removed again if it is empty in the end. What worker processes left that were ended goes as well.
+    The folder is made; it is removed again if it is empty in the end. What worker processes left that were ended goes, too.
     """
     with _claim(folder / name, folder / (f".{name}{LOCK}" if name else LOCK)) as locked:
         swept = [folder, *(folder / each for each in inside)] if locked else []

@@ -1,7 +1,7 @@
 """Runs of l3 without their start-up: a process that has imported what the commands need, and forks for each run.
 
-Read as a program it is that process: it takes one JSON object a line (folder, arguments, files for stdout and stderr, and a disk
-to lay over the output folder), tells the number of the process it forks, and how that ended.
+Run as a program it is that process: it takes one JSON object a line, tells the number of the process it forks, and how that
+ended.
 """
 
 import json
@@ -36,10 +36,10 @@ class Ended:
 
 
 class ForkServer:
-    """Starts runs in `folder`, one at a time. With `own_disks` in mount namespaces of its own, which may mount small disks."""
+    """Starts runs in `folder`, one at a time. With `own_disks` in a mount namespace, which may mount small disks."""
 
     def __init__(self, folder: Path, own_disks: bool = False) -> None:
-        self.folder = folder
+        self.folder, self._child = folder, 0
         prefix = ["unshare", "-rm"] if own_disks else []
         root = str(Path(__file__).parents[1])
         self._server = subprocess.Popen(
@@ -54,15 +54,21 @@ class ForkServer:
         """Begin `l3 ARGUMENTS`; the number of its process. `disk`: mount options of a tmpfs laid over the folder "out";
         `kill`: seconds after which it gets a signal."""
         assert self._server.stdin is not None
+        if self._child:  # of a test that failed
+            os.kill(self._child, signal.SIGKILL)
+            self.wait()
         given = [str(each) for each in arguments]
         asked = {"folder": str(self.folder), "arguments": given, "disk": disk, "kill": kill}
         self._server.stdin.write(json.dumps(asked) + "\n")
         self._server.stdin.flush()
-        return self._answer()
+        self._child = int(self._answer())
+        return self._child
 
     def wait(self) -> Ended:
         """How the run ended that was started last."""
-        return Ended(**self._answer())
+        answer = self._answer()
+        self._child = 0
+        return Ended(**answer)
 
     def run(self, *arguments: object, disk: str = "", kill: tuple[float, int] = (0.0, 0)) -> Ended:
         self.start(*arguments, disk=disk, kill=kill)

@@ -1,24 +1,25 @@
-"""Nothing lost, nothing half-written: every stage killed at random moments, on full and read-only disks, without its inputs, cut
-short, twice at a time. A few of each here; `make soak` has forty kills a stage."""
+"""Nothing lost, nothing half-written: every stage killed at random moments, on full and read-only disks, with inputs that
+vanish or are cut short, twice at a time. A few of each here; `make soak` has forty kills a stage."""
 
+import contextlib
 import os
 import random
 import shutil
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 
 from l3cli.cli import run
 from l3cli.io.images import write_mosaic
 from tests.conftest import bayer_camera
-from tests.forkserver import Ended, ForkServer
+from tests.forkserver import ForkServer
 
 SCENES = """
 exposure_share = [0.9]
@@ -59,7 +60,7 @@ illuminants = ["D65", "A"]
 CLASSES = "[classes]\npatch = 3\nlevels = 4\n[learning]\npatches = 3000\n"
 FRAMES = 8
 ENDED = {signal.SIGINT: (130, "l3: interrupted\n"), signal.SIGTERM: (143, "l3: terminated\n"), signal.SIGKILL: (-9, "")}
-REMAINS = {"training.h5.parts", ".l3-render"}  # what --resume goes on from
+REMAINS = (".parts", ".l3-render")  # what --resume goes on from
 
 
 @dataclass(frozen=True)
@@ -96,6 +97,12 @@ STAGES = [
     Stage("evaluate", "evaluate in/table.h5 in/unseen.h5 --json --pictures out/pictures --backend reference --quiet"),
     Stage("report", "report in/camera.h5 in/table.h5 in/unseen.h5 -o out/report.html --backend reference --quiet"),
     Stage("compare", "compare in/a.json in/b.json -o out/curves.html"),
+]
+PARALLEL = [
+    Stage("lab, workers", f"{STAGES[0].line} --jobs 2"),
+    Stage("calibrate, workers", f"{STAGES[1].line} --jobs 2"),
+    Stage("simulate, workers", f"{SIMULATE} --jobs 2", resumes=True),
+    Stage("train, workers", f"{STAGES[4].line} --jobs 2"),
 ]
 every_stage = pytest.mark.parametrize("stage", STAGES, ids=lambda stage: stage.name)
 
@@ -173,7 +180,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def is_remnant(name: str) -> bool:
-    return any(part in REMAINS for part in Path(name).parts)
+    return any(part.endswith(REMAINS) for part in Path(name).parts)
 
 
 def is_hidden(name: str) -> bool:
@@ -212,9 +219,200 @@ def test_a_killed_run_leaves_nothing_that_the_next_does_not_mend(stage: Stage, s
 
 
 @pytest.mark.soak
-@every_stage
+@pytest.mark.parametrize("stage", STAGES + PARALLEL, ids=lambda stage: stage.name)
 def test_forty_killed_runs(stage: Stage, server: ForkServer, truth: Callable) -> None:
     signals = [signal.SIGKILL, signal.SIGTERM, signal.SIGKILL, signal.SIGINT]
     hit = sum(kill_once(stage, signals[seed % 4], seed, server, truth) for seed in range(100, 140))
     print(f"{stage.name}: 40 kills, {hit} while it ran, all mended")
     assert hit >= 20
+
+
+# ------------------------------------------------------------------------------------------------ what a run depends on
+
+
+@contextlib.contextmanager
+def stopped_at_work(stage: Stage, server: ForkServer) -> Iterator[None]:
+    """A run that stands still, its output claimed, while the block lasts."""
+    while True:
+        clear(server)
+        child = server.start(*stage.arguments)
+        while not (claimed := any(server.folder.glob("out/**/*.l3lock"))) and not any(server.folder.glob("out/*")):
+            time.sleep(0.001)
+        os.kill(child, signal.SIGSTOP)
+        if claimed and any(server.folder.glob("out/**/*.l3lock")):
+            break
+        os.kill(child, signal.SIGCONT)  # it was too quick
+        server.wait()
+    try:
+        yield
+    finally:
+        os.kill(child, signal.SIGCONT)
+
+
+@pytest.mark.parametrize("stage", [STAGES[index] for index in (0, 2, 4, 7, 8, 10)], ids=lambda stage: stage.name)
+def test_a_second_run_on_one_output_is_refused(
+    stage: Stage, server: ForkServer, truth: Callable, monkeypatch: pytest.MonkeyPatch, l3: Callable
+) -> None:
+    whole, _, _ = truth(stage)
+    monkeypatch.chdir(server.folder)
+    with stopped_at_work(stage, server):
+        for more in ((), ("--force",), ("--resume",) if stage.resumes else ()):
+            code, out, err = l3(*stage.arguments, *more)
+            assert (code, out, err.count("\n")) == (1, "", 1)
+            assert "is being written by another run" in err
+    assert server.wait().code == 0
+    assert contents(server.folder) == whole
+
+
+@pytest.mark.parametrize("stage", [STAGES[index] for index in (1, 4, 7, 9, 10)], ids=lambda stage: stage.name)
+def test_inputs_that_vanish_are_one_line(stage: Stage, server: ForkServer, truth: Callable) -> None:
+    whole, _, _ = truth(stage)
+    inputs, gone = server.folder / "in", server.folder / "gone"
+    try:
+        with stopped_at_work(stage, server):
+            inputs.rename(gone)
+        ended = server.wait()
+    finally:
+        gone.rename(inputs)
+    left = contents(server.folder)
+    assert ended.code in (0, 3)
+    assert ended.err.count("\n") == (ended.code != 0)
+    assert "Traceback" not in ended.err
+    assert all(whole[name] == content for name, content in left.items() if not is_remnant(name))
+
+
+@pytest.mark.parametrize(
+    ("name", "number"),
+    [
+        ("camera.h5", 2),
+        ("training.h5", 4),
+        ("table.h5", 7),
+        ("unseen.h5", 10),
+        ("frames/f_3.tif", 7),
+        ("lab/white/*.tif", 1),
+    ],
+)
+def test_an_input_cut_short_is_one_line(name: str, number: int, server: ForkServer, truth: Callable) -> None:
+    stage, path = STAGES[number], next((server.folder / "in").glob(name))
+    whole, _, _ = truth(stage)
+    content = path.read_bytes()
+    try:
+        for share in (0.0, 0.3, 0.9, 0.9999):
+            path.write_bytes(content[: int(share * len(content))])
+            clear(server)
+            ended = server.run(*stage.arguments)
+            assert (ended.code, ended.out, ended.err.count("\n")) == (3, "", 1), ended.err
+            assert path.name in ended.err
+            left = contents(server.folder)
+            assert all(whole[each] == left[each] for each in left if not is_remnant(each))
+    finally:
+        path.write_bytes(content)
+
+
+# --------------------------------------------------------------------------------------------------- disks and folders
+
+
+@pytest.fixture(scope="module")
+def small_disks(inputs: Path, compared: None) -> Iterator[ForkServer]:
+    """Runs whose output folder may be a disk of its own."""
+    mount = ["unshare", "-rm", "sh", "-c", f"mount -t tmpfs tmpfs {inputs}"]
+    if not shutil.which("unshare") or subprocess.run(mount, capture_output=True).returncode:
+        pytest.skip("no small disks can be mounted here (unshare -rm, tmpfs)")
+    server = ForkServer(inputs.parent, own_disks=True)
+    yield server
+    server.close()
+
+
+def fill_disk(stage: Stage, share: float, whole: dict[str, bytes], disks: ForkServer) -> bool:
+    """Run a stage on a disk that holds this share of what it makes; whether that was too little."""
+    size = sum(-(-len(content) // 4096) * 4096 for content in whole.values())
+    ended = disks.run(*stage.arguments, disk=f"size={max(4096, int(share * size) // 4096 * 4096)}")
+    finished = {name: size for name, size in ended.left.items() if not is_remnant(name)}
+    assert all(len(whole[name]) == size for name, size in finished.items())
+    if ended.code:
+        assert (ended.code, ended.err.count("\n")) == (1, 1), ended.err
+        assert "No space left on device" in ended.err
+        assert "out/" in ended.err
+    return ended.code != 0
+
+
+@every_stage
+def test_a_full_disk_is_one_line(stage: Stage, small_disks: ForkServer, truth: Callable) -> None:
+    assert fill_disk(stage, 0.4, truth(stage)[0], small_disks)
+
+
+@pytest.mark.soak
+@every_stage
+def test_forty_full_disks(stage: Stage, small_disks: ForkServer, truth: Callable) -> None:
+    rng, whole = random.Random(stage.name), truth(stage)[0]
+    full = sum(fill_disk(stage, rng.uniform(0.01, 1.0), whole, small_disks) for _ in range(40))
+    print(f"{stage.name}: 40 small disks, {full} of them full, one line each")
+    assert full >= 20
+
+
+@pytest.mark.parametrize("stage", [STAGES[index] for index in (0, 1, 2, 4, 6, 7, 9)], ids=lambda stage: stage.name)
+def test_a_read_only_folder_is_one_line(stage: Stage, small_disks: ForkServer) -> None:
+    ended = small_disks.run(*stage.arguments, disk="ro")
+    assert (ended.code, ended.out, ended.err.count("\n"), ended.left) == (1, "", 1, {})
+    assert "cannot be written: Read-only file system" in ended.err
+
+
+def test_what_is_no_file_is_never_replaced(inputs: Path, tmp_path: Path, refused: Callable) -> None:
+    os.mkfifo(tmp_path / "pipe.h5")
+    training, classes = inputs / "training.h5", inputs / "classes.toml"
+    assert "pipe" in refused(1, "train", training, "--classes", classes, "-o", tmp_path / "pipe.h5", "--force")
+
+
+def test_a_full_stdout_is_one_line(inputs: Path) -> None:
+    command = [sys.executable, "-c", "from l3cli.cli import main; main()", "info", str(inputs / "camera.h5")]
+    with open("/dev/full", "w") as full:
+        ended = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)
+    assert (ended.returncode, ended.stderr) == (1, "l3: input/output: No space left on device\n")
+
+
+# ------------------------------------------------------------------------------------------------------------ workers
+
+
+def kill_worker(stage: Stage, seed: int, server: ForkServer, truth: Callable) -> bool:
+    """Kill one of a run's worker processes at a random moment; whether that ended the run."""
+    whole, said, seconds = truth(stage)
+    clear(server)
+    child = server.start(*stage.arguments)
+    while not (found := workers_of(child)) and Path(f"/proc/{child}/stat").exists():
+        time.sleep(0.01)
+    time.sleep(random.Random(f"{stage.name} {seed}").uniform(0, 0.7 * seconds))
+    with contextlib.suppress(ProcessLookupError):
+        os.kill(found[seed % len(found)], signal.SIGKILL)
+    ended = server.wait()
+    left = contents(server.folder)
+    finished = {name: content for name, content in left.items() if not is_remnant(name)}
+    assert all(whole[name] == content for name, content in finished.items())
+    assert [name for name in left if ".l3" in name] == []
+    if ended.code:
+        assert (ended.code, ended.err.count("\n")) == (1, 1)
+        assert "a worker process was ended from outside" in ended.err
+        again = server.run(*stage.again)
+        assert (again.code, again.out, again.err) == (0, said, "")
+    assert contents(server.folder) == whole
+    return ended.code != 0
+
+
+def workers_of(process: int) -> list[int]:
+    """The worker processes of a run."""
+    children = Path(f"/proc/{process}/task/{process}/children")
+    try:
+        numbers = [int(number) for number in children.read_text().split()]
+        return [number for number in numbers if "spawn_main" in Path(f"/proc/{number}/cmdline").read_text()]
+    except OSError:
+        return []
+
+
+def test_a_worker_that_fails_is_one_line(server: ForkServer, truth: Callable) -> None:
+    assert kill_worker(PARALLEL[2], 0, server, truth)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("stage", PARALLEL, ids=lambda stage: stage.name)
+def test_ten_failing_workers(stage: Stage, server: ForkServer, truth: Callable) -> None:
+    ended = sum(kill_worker(stage, seed, server, truth) for seed in range(10))
+    print(f"{stage.name}: 10 workers killed, {ended} runs ended by it, all mended")

@@ -1,4 +1,4 @@
-"""A byte that has changed is found, wherever it lies; a history is compared with the files it names; older formats are read."""
+"""A byte that has changed is found, wherever it lies; a history is compared with its inputs; older formats are read."""
 
 import dataclasses
 import json
@@ -56,7 +56,9 @@ def artifacts(bayer: CameraModel, fiveband: CameraModel, tmp_path_factory: pytes
     paths = {kind: folder / f"{kind}.h5" for kind in READERS}
     save(a_camera(bayer), paths["camera"])
     save(a_table(bayer), paths["table"])
-    with write_training_set(paths["training"], TrainingSet(camera=fiveband, outputs=("X",), target_description="")) as writer:
+    with write_training_set(
+        paths["training"], TrainingSet(camera=fiveband, outputs=("X",), target_description="")
+    ) as writer:
         writer.append(dataclasses.replace(a_frame(), target=a_frame().target[:1], white=np.ones(1)))
     head, sums = some_sums(bayer)
     write_partial_sums(paths["sums"], head, iter([sums]))
@@ -85,7 +87,9 @@ def test_every_command_tells_of_a_changed_byte_in_one_line(kind: str, artifacts:
     path.write_bytes(content)
     named = {"FILE": path, "OUT.h5": tmp_path / "out.h5", "OUT.png": tmp_path / "out.png"}
     for command in (READERS[kind], ("info", path), ("info", "--verify", path), ("report", path, "-o", tmp_path / "r.html")):
-        assert "changed.h5 is truncated or damaged (checksum)" in refused(3, *(named.get(str(each), each) for each in command))
+        assert "changed.h5 is truncated or damaged (checksum)" in refused(
+            3, *(named.get(str(each), each) for each in command)
+        )
 
 
 def test_whole_artifacts_are_right_and_read_by_any_hdf5(artifacts: dict[str, Path], l3: Callable) -> None:
@@ -95,9 +99,10 @@ def test_whole_artifacts_are_right_and_read_by_any_hdf5(artifacts: dict[str, Pat
         assert "every byte is as written" in out
         with h5py.File(path) as root:
             assert root.userblock_size == container.BLOCK
-            count = []
-            root.visititems(lambda name, member: count.append(name) if isinstance(member, h5py.Dataset) else None)
-        assert json.loads(l3("info", "--verify", path, "--json")[1])["datasets"] == len(count)
+            names: list[str] = []
+            root.visit(names.append)
+            count = sum(isinstance(root[name], h5py.Dataset) for name in names)
+        assert json.loads(l3("info", "--verify", path, "--json")[1])["datasets"] == count
         assert path.read_bytes().startswith(container.TITLE)
 
 

@@ -156,7 +156,7 @@ class Part:
 
 
 def write_part(path: Path, frame: TrainingPair, uncovered: float, run: str) -> None:
-    """One frame of `run` in a file of its own, whole or not at all: what a killed run leaves and its successor goes on from."""
+    """One frame of `run` in a file of its own, whole or not at all: what a killed run leaves, its successor goes on from."""
     with container.new_file(path) as root:
         root.attrs["simulated"] = isinstance(frame, TrainingFrame)
         root.attrs["scene"] = frame.scene

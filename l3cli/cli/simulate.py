@@ -151,7 +151,9 @@ def _assemble(run: "Run", head: "TrainingSet", output: Path, total: int, quiet: 
     from l3cli.artifacts.training_set import write_training_set
 
     with write_training_set(output, head) as writer:
-        worst = max((writer.append_part(run.part(index), run.key) for index in range(total)), key=lambda part: part.uncovered)
+        worst = max(
+            (writer.append_part(run.part(index), run.key) for index in range(total)), key=lambda part: part.uncovered
+        )
     if worst.uncovered > NEGLIGIBLE:
         share = f"{worst.uncovered:.1%} of the light that a channel collects from white"
         options.say(f"warning: {worst.scene} holds no data for {share}", quiet)
