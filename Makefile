@@ -10,6 +10,7 @@ TIMED := bash -c 'time "$$0" "$$@"'
 
 .PHONY: help install demo demo-steps test study soak video curve lint format bench clean
 .DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
 
 help: ## this list
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
