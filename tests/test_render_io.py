@@ -357,3 +357,14 @@ def test_real_headerless_raw(l3, l3_data, tmp_path, table):
 def test_linear_dng_is_refused(refused, l3_data, tmp_path, table):
     line = refused(3, "render", table, l3_data / "raw" / "canon_eos_6d.dng", "-o", tmp_path / "a.png")
     assert "demosaicked" in line
+
+
+def test_device_and_variant_are_chosen_for_one_run(l3, refused, tmp_path, table, raw):
+    for variant in ("processor", "graphics"):
+        output = tmp_path / f"{variant}.png"
+        assert l3("render", table, raw, "-o", output, "--device", 0, "--variant", variant)[0] == 0
+    one, other = (read_image(tmp_path / f"{variant}.png")[0] for variant in ("processor", "graphics"))
+    assert np.abs(one.astype(int) - other).max() <= 1
+    assert "no such device" in refused(4, "render", table, raw, "-o", tmp_path / "a.png", "--device", "no such device")
+    wrong = ("render", table, raw, "-o", tmp_path / "a.png", "--backend", "reference", "--variant", "graphics")
+    assert "--variant is for the opencl backend" in refused(2, *wrong)

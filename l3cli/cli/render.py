@@ -81,6 +81,8 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
 @click.option("--crf", type=click.FloatRange(0, 51), help="Quality of h264 and h265, lower is better [default: theirs].")
 @click.option("--preset", type=click.Choice(PRESETS), default="veryfast", show_default=True, help="Effort of h264, h265.")
 @click.option("--backend", type=click.Choice(["opencl", "reference"]), default="opencl", show_default=True, help="Engine.")
+@options.device
+@options.variant
 @click.option("--exposure", default="auto", callback=_exposure, metavar="auto|VALUE", help="Y × VALUE = 1 is shown white.")
 @click.option(
     "--white", metavar="NAME|x,y", help="Scene white shown neutral: illuminant or chromaticity [default: table's]."
@@ -96,9 +98,10 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
 @options.quiet
 def render(
     table: Path, inputs: tuple[Path, ...], output: Path, suffix: str, frames: range | None, dataset: str | None,
-    fps: Fraction | None, codec: str | None, crf: float | None, preset: str, backend: str, exposure: float | None,
-    white: str | None, bits: str, black: float | None, white_level: float | None, phase: tuple[int, int] | None,
-    size: tuple[int, int] | None, skip_bad: bool, resume: bool, force: bool, quiet: bool,
+    fps: Fraction | None, codec: str | None, crf: float | None, preset: str, backend: str, device: str | None,
+    variant: str | None, exposure: float | None, white: str | None, bits: str, black: float | None,
+    white_level: float | None, phase: tuple[int, int] | None, size: tuple[int, int] | None, skip_bad: bool, resume: bool,
+    force: bool, quiet: bool,
 ) -> int:  # fmt: skip
     """Render INPUT through TABLE: files (camera raw, one-channel TIFF or PNG, .npy, headerless .raw or .bin), or a sequence:
     a folder, a pattern (a_%04d.tif, a_####.tif), a quoted glob, a stack (.npy, HDF5), a headerless file of many frames, a
@@ -126,6 +129,9 @@ def render(
     claim(target, force)
     if target.linear and (exposure is not None or white is not None):
         raise RecipeError(".exr files hold the outputs as they are; --exposure and --white are for pictures")
+    engine = {name: value for name, value in {"device": device, "variant": variant}.items() if value is not None}
+    if engine and backend != "opencl":
+        raise RecipeError(f"--{next(iter(engine))} is for the opencl backend; leave it or --backend {backend} out")
     known = KnownBetter(black, white_level, phase, size)
     transforms = load(TransformTable, table)
     if target.linear:
@@ -137,8 +143,8 @@ def render(
     if not skip_bad:
         refuse_missing(footage)
     choice = replace(choice, rate=fps or footage.rate or USUAL_RATE)
-    key = [sha256(table), __version__, inputs, frames, dataset, suffix, backend, exposure, white, choice, known]
+    key = [sha256(table), __version__, inputs, frames, dataset, suffix, backend, engine, exposure, white, choice, known]
     with marked(target, key, resume, force, footage) as goes_on:
-        renderer = make_renderer(backend, transforms)
+        renderer = make_renderer(backend, transforms, **engine)
         failures = render_frames(footage, target, renderer, transforms, look, choice, goes_on, skip_bad, quiet)
     return 1 if failures else 0
