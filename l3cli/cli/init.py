@@ -34,8 +34,6 @@ def init(recipe: str | None, folder: Path | None, listed: bool, quiet: bool) -> 
 
     Example: l3 init bayer demo && make -C demo
     """
-    from l3cli.files import refuse_filled_folder
-
     known = recipes()
     if listed or recipe is None:
         if recipe is not None:
@@ -47,7 +45,7 @@ def init(recipe: str | None, folder: Path | None, listed: bool, quiet: bool) -> 
         raise click.UsageError(f'no recipe "{recipe}"; {_suggestion(recipe, list(known))}')
     if folder is None:
         raise click.UsageError(f'name the folder to make, such as "l3 init {recipe} {recipe}"')
-    refuse_filled_folder(folder, force=False)
+    options.claim_folder(folder, force=False)
     write_folder(known[recipe], folder)
     options.say(f"{folder}: {summary(known[recipe])}; next: make -C {folder}", quiet)
 
