@@ -104,6 +104,12 @@ PARALLEL = [
     Stage("simulate, workers", f"{SIMULATE} --jobs 2", resumes=True),
     Stage("train, workers", f"{STAGES[4].line} --jobs 2"),
 ]
+
+
+def stages(*names: str) -> pytest.MarkDecorator:
+    return pytest.mark.parametrize("stage", [stage for stage in STAGES if stage.name in names], ids=lambda stage: stage.name)
+
+
 every_stage = pytest.mark.parametrize("stage", STAGES, ids=lambda stage: stage.name)
 
 
@@ -146,8 +152,15 @@ def compared(inputs: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def server(inputs: Path, compared: None) -> Iterator[ForkServer]:
-    server = ForkServer(inputs.parent)
+def has_small_disks(inputs: Path) -> bool:
+    """Whether a folder may be given a disk of its own here."""
+    mount = ["unshare", "-rm", "mount", "-t", "tmpfs", "tmpfs", str(inputs)]
+    return shutil.which("unshare") is not None and subprocess.run(mount, capture_output=True).returncode == 0
+
+
+@pytest.fixture(scope="module")
+def server(inputs: Path, compared: None, has_small_disks: bool) -> Iterator[ForkServer]:
+    server = ForkServer(inputs.parent, has_small_disks)
     yield server
     server.close()
 
@@ -213,7 +226,7 @@ def kill_once(stage: Stage, number: int, seed: int, server: ForkServer, truth: C
     return ended.code != 0
 
 
-@every_stage
+@stages("lab", "calibrate", "simulate", "train", "train, shard", "still", "sequence", "video", "evaluate", "report")
 def test_a_killed_run_leaves_nothing_that_the_next_does_not_mend(stage: Stage, server: ForkServer, truth: Callable) -> None:
     kill_once(stage, signal.SIGKILL, 0, server, truth)
 
@@ -249,7 +262,7 @@ def stopped_at_work(stage: Stage, server: ForkServer) -> Iterator[None]:
         os.kill(child, signal.SIGCONT)
 
 
-@pytest.mark.parametrize("stage", [STAGES[index] for index in (0, 2, 4, 7, 8, 10)], ids=lambda stage: stage.name)
+@stages("lab", "simulate", "train", "sequence", "pattern", "evaluate")
 def test_a_second_run_on_one_output_is_refused(
     stage: Stage, server: ForkServer, truth: Callable, monkeypatch: pytest.MonkeyPatch, l3: Callable
 ) -> None:
@@ -264,7 +277,7 @@ def test_a_second_run_on_one_output_is_refused(
     assert contents(server.folder) == whole
 
 
-@pytest.mark.parametrize("stage", [STAGES[index] for index in (1, 4, 7, 9, 10)], ids=lambda stage: stage.name)
+@stages("calibrate", "train", "sequence", "video", "evaluate")
 def test_inputs_that_vanish_are_one_line(stage: Stage, server: ForkServer, truth: Callable) -> None:
     whole, _, _ = truth(stage)
     inputs, gone = server.folder / "in", server.folder / "gone"
@@ -282,25 +295,25 @@ def test_inputs_that_vanish_are_one_line(stage: Stage, server: ForkServer, truth
 
 
 @pytest.mark.parametrize(
-    ("name", "number"),
+    ("name", "stage"),
     [
-        ("camera.h5", 2),
-        ("training.h5", 4),
-        ("table.h5", 7),
-        ("unseen.h5", 10),
-        ("frames/f_3.tif", 7),
-        ("lab/white/*.tif", 1),
+        ("camera.h5", "simulate"),
+        ("training.h5", "train"),
+        ("table.h5", "still"),
+        ("unseen.h5", "evaluate"),
+        ("frames/f_3.tif", "sequence"),
+        ("lab/white/*.tif", "calibrate"),
     ],
 )
-def test_an_input_cut_short_is_one_line(name: str, number: int, server: ForkServer, truth: Callable) -> None:
-    stage, path = STAGES[number], next((server.folder / "in").glob(name))
-    whole, _, _ = truth(stage)
+def test_an_input_cut_short_is_one_line(name: str, stage: str, server: ForkServer, truth: Callable) -> None:
+    found = next(each for each in STAGES if each.name == stage)
+    path, (whole, _, _) = next((server.folder / "in").glob(name)), truth(found)
     content = path.read_bytes()
     try:
         for share in (0.0, 0.9999):
             path.write_bytes(content[: int(share * len(content))])
             clear(server)
-            ended = server.run(*stage.arguments)
+            ended = server.run(*found.arguments)
             assert (ended.code, ended.out, ended.err.count("\n")) == (3, "", 1), ended.err
             assert path.name in ended.err
             left = contents(server.folder)
@@ -312,15 +325,12 @@ def test_an_input_cut_short_is_one_line(name: str, number: int, server: ForkServ
 # --------------------------------------------------------------------------------------------------- disks and folders
 
 
-@pytest.fixture(scope="module")
-def small_disks(inputs: Path, compared: None) -> Iterator[ForkServer]:
+@pytest.fixture
+def small_disks(server: ForkServer, has_small_disks: bool) -> ForkServer:
     """Runs whose output folder may be a disk of its own."""
-    mount = ["unshare", "-rm", "sh", "-c", f"mount -t tmpfs tmpfs {inputs}"]
-    if not shutil.which("unshare") or subprocess.run(mount, capture_output=True).returncode:
-        pytest.skip("no small disks can be mounted here (unshare -rm, tmpfs)")
-    server = ForkServer(inputs.parent, own_disks=True)
-    yield server
-    server.close()
+    if not has_small_disks:
+        pytest.skip("no small disk can be mounted here: unshare -rm mount -t tmpfs fails")
+    return server
 
 
 def fill_disk(stage: Stage, share: float, whole: dict[str, bytes], disks: ForkServer) -> bool:
@@ -336,7 +346,7 @@ def fill_disk(stage: Stage, share: float, whole: dict[str, bytes], disks: ForkSe
     return ended.code != 0
 
 
-@every_stage
+@stages("lab", "simulate", "train", "still", "sequence", "video", "report")
 def test_a_full_disk_is_one_line(stage: Stage, small_disks: ForkServer, truth: Callable) -> None:
     assert fill_disk(stage, 0.4, truth(stage)[0], small_disks)
 
@@ -350,7 +360,7 @@ def test_forty_full_disks(stage: Stage, small_disks: ForkServer, truth: Callable
     assert full >= 20
 
 
-@pytest.mark.parametrize("stage", [STAGES[index] for index in (0, 1, 2, 4, 6, 7, 9)], ids=lambda stage: stage.name)
+@stages("lab", "calibrate", "simulate", "train", "still", "sequence", "video")
 def test_a_read_only_folder_is_one_line(stage: Stage, small_disks: ForkServer) -> None:
     ended = small_disks.run(*stage.arguments, disk="ro")
     assert (ended.code, ended.out, ended.err.count("\n"), ended.left) == (1, "", 1, {})
@@ -374,7 +384,7 @@ def test_a_full_stdout_is_one_line(inputs: Path) -> None:
 
 
 def kill_worker(stage: Stage, seed: int, server: ForkServer, truth: Callable) -> bool:
-    """Kill one of a run's worker processes at a random moment; whether that ended the run. One process then goes on alone."""
+    """Kill one of a run's workers at a random moment; whether that ended the run. One process then goes on alone."""
     alone = STAGES[[each.line for each in STAGES].index(stage.line.removesuffix(" --jobs 2"))]
     whole, said, seconds = truth(alone)
     clear(server)
