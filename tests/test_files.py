@@ -127,22 +127,25 @@ def test_the_lock_of_a_dead_run_is_free(tmp_path: Path) -> None:
     assert names(tmp_path) == []
 
 
-def test_no_two_of_many_hold_a_lock_at_once(tmp_path: Path) -> None:
-    """Also when one takes it while another removes its file."""
+def test_a_lock_that_is_removed_while_it_is_taken_is_taken_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its file is opened, then its holder ends and removes it, then the lock of a file without a name is got."""
+    path, really = tmp_path / "a.h5", fcntl.flock
+    holder = sole_writer_of_file(path)
+    holder.__enter__()
 
-    def claim_often() -> None:
-        held = 0
-        while held < 50:
-            try:
-                with sole_writer_of_file(tmp_path / "a.h5"):
-                    (tmp_path / "mine").mkdir()  # FileExistsError if another process is here
-                    (tmp_path / "mine").rmdir()
-                    held += 1
-            except L3Error:
-                pass
+    def first_let_go(descriptor: int, operation: int) -> None:
+        monkeypatch.setattr(fcntl, "flock", really)
+        holder.__exit__(None, None, None)
+        really(descriptor, operation)
 
-    children = [start(claim_often) for _ in range(4)]
-    assert [os.waitpid(child, 0)[1] for child in children] == [0] * 4
+    def claim() -> None:
+        with sole_writer_of_file(path):
+            pass
+
+    monkeypatch.setattr(fcntl, "flock", first_let_go)
+    with sole_writer_of_file(path):
+        assert in_a_child(claim) == 1
+    assert in_a_child(claim) == 0
     assert names(tmp_path) == []
 
 
