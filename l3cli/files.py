@@ -52,19 +52,13 @@ def atomic_output(path: Path) -> Iterator[Path]:
     """
     temporary, held = None, None
     try:
-        try:
+        with _blamed_on(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             temporary, held = _new_temporary(path)
-        except OSError as error:
-            raise _unwritable(path, error) from error
-        yield temporary
-        _flush(temporary)
-        os.replace(temporary, path)
-        _flush(path.parent)
-    except OSError as error:
-        if error.errno in FULL:
-            raise _unwritable(path, error) from error
-        raise
+        with _blamed_on(path, FULL):  # of what goes wrong inside: inputs may be read there
+            yield temporary
+        with _blamed_on(path):
+            _put_in_place(temporary, path)
     finally:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
@@ -90,6 +84,17 @@ def _new_temporary(path: Path) -> tuple[Path, int]:
         os.close(held)  # swept between the two calls
 
 
+def _put_in_place(temporary: Path, path: Path) -> None:
+    """Give a file its name, both on the disk."""
+    _flush(temporary)
+    os.replace(temporary, path)
+    try:
+        _flush(path.parent)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.EACCES):  # storage that cannot, a folder that we may not look into
+            raise
+
+
 def _flush(path: Path) -> None:
     """Make sure that a file's content, or a folder's names, are on the disk."""
     descriptor = os.open(path, os.O_RDONLY)
@@ -99,9 +104,16 @@ def _flush(path: Path) -> None:
         os.close(descriptor)
 
 
-def _unwritable(path: Path, error: OSError) -> L3Error:
-    cure = "free some space and run again" if error.errno in FULL else "name another output or mend its folder"
-    return L3Error(f"{path} cannot be written: {error.strerror}; {cure}")
+@contextlib.contextmanager
+def _blamed_on(path: Path, numbers: tuple[int, ...] | None = None) -> Iterator[None]:
+    """Errors of the system (those `numbers`, if given) as L3Error that says that `path` cannot be written."""
+    try:
+        yield
+    except OSError as error:
+        if numbers is not None and error.errno not in numbers:
+            raise
+        cure = "free some space and run again" if error.errno in FULL else "name another output or mend its folder"
+        raise L3Error(f"{path} cannot be written: {error.strerror}; {cure}") from error
 
 
 # --------------------------------------------------------------------------------------------------- one run at a time
@@ -158,11 +170,9 @@ def _claim(output: Path, lock: Path) -> Iterator[bool]:
 def _take(lock: Path, output: Path) -> int | None:
     """The descriptor that holds the lock; None where the storage knows no locks."""
     while True:
-        try:
+        with _blamed_on(output):
             lock.parent.mkdir(parents=True, exist_ok=True)
             held = os.open(lock, os.O_RDWR | os.O_CREAT, 0o666)
-        except OSError as error:
-            raise _unwritable(output, error) from error
         with contextlib.suppress(OSError):  # if another user's run is killed, we must be able to take it
             os.fchmod(held, 0o666)
         try:

@@ -175,3 +175,11 @@ def test_a_full_disk_names_the_output(tmp_path: Path) -> None:
     with pytest.raises(L3Error, match="cannot be written: File exists"):
         write_whole(Path("/dev/null/a.txt"), "")
     assert files.TEMPORARY.fullmatch(DEAD)
+
+    def in_the_way() -> None:
+        with atomic_output(tmp_path / "b.txt"):
+            (tmp_path / "b.txt").mkdir()
+
+    with pytest.raises(L3Error, match=r"b\.txt cannot be written: Is a directory; name another output"):
+        in_the_way()
+    assert names(tmp_path) == ["b.txt"]
