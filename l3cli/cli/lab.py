@@ -36,8 +36,9 @@ def lab(camera: Path, output: Path, recipe: Path | None, seed: int, jobs: int, f
     from l3cli.simulate.lab import FOLDERS, LabRecipe, plan
 
     file = output / "MEASUREMENTS.toml"
-    options.hold(sole_writer_of_folder(output, inside=FOLDERS), output)
     refuse_existing(file, force)
+    options.hold(sole_writer_of_folder(output, inside=FOLDERS), output)
+    refuse_existing(file, force)  # now that no other run writes it
     model = load_camera(camera)
     chosen = load_recipe(recipe, LabRecipe) if recipe else LabRecipe()
     captures = plan(model, chosen, seed)
