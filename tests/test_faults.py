@@ -87,7 +87,7 @@ STAGES = [
     Stage("lab", "lab in/camera.toml --recipe in/quick.toml -o out/lab --quiet"),
     Stage("calibrate", "calibrate in/lab/MEASUREMENTS.toml -o out/camera.h5 --export out/curves --accept --quiet"),
     Stage("simulate", SIMULATE, resumes=True),
-    Stage("simulate, pictures", f"{SIMULATE} --pictures out/pictures"),
+    Stage("simulate, pictures", f"{SIMULATE} --pictures out/pictures --dng out/dng"),
     Stage("train", "train in/training.h5 --classes in/classes.toml -o out/table.h5 --quiet"),
     Stage("train, shard", "train in/training.h5 --classes in/classes.toml --shard 1/2 -o out/sums.h5 --quiet"),
     Stage("still", "render in/table.h5 in/frames/f_0.tif -o out/still.png --backend reference --quiet"),
@@ -97,6 +97,7 @@ STAGES = [
     Stage("evaluate", "evaluate in/table.h5 in/unseen.h5 --json --pictures out/pictures --backend reference --quiet"),
     Stage("report", "report in/camera.h5 in/table.h5 in/unseen.h5 -o out/report.html --backend reference --quiet"),
     Stage("compare", "compare in/a.json in/b.json -o out/curves.html"),
+    Stage("init", "init bayer out/demo --quiet"),
 ]
 PARALLEL = [
     Stage("lab, workers", f"{STAGES[0].line} --jobs 2"),
