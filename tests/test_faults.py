@@ -368,7 +368,7 @@ def test_forty_full_disks(stage: Stage, small_disks: ForkServer, truth: Callable
 def test_a_read_only_folder_is_one_line(stage: Stage, small_disks: ForkServer) -> None:
     ended = small_disks.run(*stage.arguments, disk="ro")
     assert (ended.code, ended.out, ended.err.count("\n"), ended.left) == (1, "", 1, {})
-    assert "cannot be written: Read-only file system" in ended.err
+    assert "out cannot be written to" in ended.err
 
 
 def test_what_is_no_file_is_never_replaced(inputs: Path, tmp_path: Path, refused: Callable) -> None:
@@ -381,7 +381,8 @@ def test_a_full_stdout_is_one_line(inputs: Path) -> None:
     command = [sys.executable, "-c", "from l3cli.cli import main; main()", "info", str(inputs / "camera.h5")]
     with open("/dev/full", "w") as full:
         ended = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)
-    assert (ended.returncode, ended.stderr) == (1, "l3: input/output: No space left on device\n")
+    assert (ended.returncode, ended.stderr.count("\n")) == (1, 1)
+    assert ended.stderr.startswith("l3: input/output: No space left on device")
 
 
 # ------------------------------------------------------------------------------------------------------------ workers

@@ -20,6 +20,7 @@ import click
 import numpy as np
 
 from l3cli.cli import options
+from l3cli.cli.cautions import Cautions
 from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.files import refuse_existing, sole_writer_of_folder, write_whole
 from l3cli.frame import RawFrame, upright
@@ -90,13 +91,14 @@ def make_target(output: Path, suffix: str, choice: VideoChoice) -> Target:
 
 
 def claim(target: Target, force: bool) -> None:
-    """L3Error, before anything is read, if another run writes the target, or a video or single picture is there already."""
+    """L3Error, before anything is read, if nothing can be written there, another run does so, or a video or single picture
+    is there already."""
     if target.kind in ("video", "file"):
         options.claim_file(target.path, force)
-    elif target.kind == "folder":
-        options.hold(sole_writer_of_folder(target.path), target.path)
-    elif target.kind == "pattern":
-        options.hold(sole_writer_of_folder(target.path.parent, target.path.name), target.path)
+    elif target.kind != "stream":
+        options.refuse_unwritable(target.file(0, "frame"))
+        folder, name = (target.path, "") if target.kind == "folder" else (target.path.parent, target.path.name)
+        options.hold(sole_writer_of_folder(folder, name), target.path)
 
 
 def refuse_outputs(target: Target, footage: Footage, force: bool) -> None:
@@ -210,14 +212,16 @@ def render_frames(
     said."""
     start = time.monotonic()
     steady = SteadyExposure(choice.rate) if _is_steady(footage, target, look) else None
-    tally = _Tally()
+    tally, cautions = _Tally(), Cautions(table)
     with _open_sink(target, choice, table.outputs) as (write, threads), Behind(write, DEPTH, threads) as writing:
         reading = ahead(_read(footage, target, LightMeter(table) if steady else None, goes_on), DEPTH)
         reading = options.progress(reading, footage.count, "frames", quiet)
-        for developed in _developed(renderer, _exposed(reading, look, steady, skip_bad, tally), look):
+        exposed = cautions.watched(_exposed(reading, look, steady, skip_bad, tally), footage.stills)
+        for developed in _developed(renderer, exposed, look):
             writing.put(developed)
         if not tally.done:
             raise InputFileError("none of the frames could be read; nothing is written")
+    cautions.tell(quiet)
     done, failures = tally.done, tally.failures
     if not footage.stills:
         rate = done / max(time.monotonic() - start, 1e-9)

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-import numpy as np
 
 from l3cli.cli import options
 
@@ -39,16 +38,17 @@ def simulate(
 ) -> None:  # fmt: skip
     """Simulate what a camera sees of many scenes, and the pictures it should make of them.
 
-    Example: l3 simulate configs/scenes/default.toml --camera camera.h5 -o training.h5
+    \b
+    Example: l3 simulate scenes.toml --camera camera.h5 -o training.h5
     """
     from l3cli.artifacts.camera import load_camera
     from l3cli.cli.frames import close_folder, jobs_of, key_of, open_folder, remove_finished, work_off
     from l3cli.config import load_recipe
-    from l3cli.files import refuse_existing, sole_writer_of_file
+    from l3cli.files import refuse_existing
     from l3cli.parallel import workers
     from l3cli.simulate.recipe import SceneRecipe, shots
 
-    options.hold(sole_writer_of_file(output), output)
+    options.hold_file(output, scenes, camera)
     remove_finished(output)
     refuse_existing(output, force)
     for folder in dict.fromkeys(filter(None, (pictures, dng))):
@@ -70,7 +70,7 @@ def simulate(
         _write_pictures(output, pictures)
     if dng:
         _write_dng(run, output, dng)
-    options.say(f"{output}: {total} frames", quiet)
+    options.say(f"{output}: {total} frame{'s' if total > 1 else ''}", quiet)
 
 
 def _prepare(
@@ -159,11 +159,13 @@ def _assemble(run: "Run", head: "TrainingSet", output: Path, total: int, quiet: 
         )
     if worst.uncovered > NEGLIGIBLE:
         share = f"{worst.uncovered:.1%} of the light that a channel collects from white"
-        options.say(f"warning: {worst.scene} holds no data for {share}", quiet)
+        options.say(f"warning: {worst.scene} holds no data for {share}; give scenes of more wavelengths", quiet)
 
 
 def _write_pictures(training: Path, folder: Path) -> None:
     """Each frame of a training set as raw mosaic and as the picture it should become, white at display white."""
+    import numpy as np
+
     from l3cli.artifacts.training_set import open_training_set
     from l3cli.io.images import write_linear, write_mosaic, write_picture
     from l3cli.render.display import encode, make_display
