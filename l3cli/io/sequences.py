@@ -22,7 +22,7 @@ from l3cli.io.fits_files import fits_shape
 from l3cli.io.raw_files import KnownBetter
 
 STDIN = Path("-")
-CHUNK_CACHE = 128 << 20  # bytes: chunks of many frames are unpacked once, not once a frame
+CHUNK_CACHE = 128 << 20  # bytes at most: chunks of many frames are unpacked once, not once a frame
 STACKS = (".h5", ".hdf5", ".hdf")
 VIDEOS = (".mkv", ".mov", ".mp4", ".avi")
 CAMERA_RAWS = tuple(
@@ -301,11 +301,16 @@ def _hdf5_stack(path: Path, table: TransformTable, known: KnownBetter, dataset: 
 
     if not h5py.is_hdf5(path):
         raise InputFileError(f"{path} is not an HDF5 file; give one with a dataset (frame, row, col)")
-    root = h5py.File(path, "r", rdcc_nbytes=CHUNK_CACHE)
+    root = h5py.File(path, "r")
     frames = root.get(dataset) if dataset else _only_stack(path, root)
     if not isinstance(frames, h5py.Dataset) or not _is_stack(frames, (2, 3)):
         held = f"{frames.dtype} {frames.shape}" if isinstance(frames, h5py.Dataset) else "no dataset"
         raise InputFileError(f"{path}: {dataset} is {held}; name with --dataset one of uint16 (frame, row, col)")
+
+    # A cache that held more than what is read next would fill as the frames go by.
+    name, nbytes = frames.name, min(CHUNK_CACHE, chunks_of_a_frame(frames))
+    root.close()
+    frames = h5py.File(path, "r", rdcc_nbytes=nbytes)[name]
 
     def pixels(number: int) -> NDArray:
         try:
@@ -314,6 +319,13 @@ def _hdf5_stack(path: Path, table: TransformTable, known: KnownBetter, dataset: 
             raise InputFileError(f"{path}: frame {number} of {frames.name} is damaged; copy the file again") from error
 
     return _stack(path, len(frames) if frames.ndim == 3 else 1, pixels, table, known)
+
+
+def chunks_of_a_frame(frames: Any) -> int:
+    """Bytes that are unpacked for one frame of a dataset (…, row, col)."""
+    chunks = frames.chunks or frames.shape
+    across = -(-frames.shape[-2] // chunks[-2]) * -(-frames.shape[-1] // chunks[-1])
+    return int(across * np.prod(chunks, dtype=np.int64) * frames.dtype.itemsize)
 
 
 def _only_stack(path: Path, root: Any) -> Any:
