@@ -92,6 +92,7 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
 @click.option("--size", callback=_pair("x"), metavar="ROWSxCOLS", help="Size of headerless inputs [default: the table's].")
 @click.option("--skip-bad", is_flag=True, help="Leave out missing and broken frames; exit code 1 if there were any.")
 @click.option("--resume", is_flag=True, help="Go on with a sequence of pictures where a run was stopped.")
+@options.trust
 @options.force
 @options.quiet
 def render(

@@ -33,6 +33,7 @@ NEGLIGIBLE = 1e-3  # share of a channel's light that may go unseen without a wor
 @click.option("--resume", is_flag=True, help="Go on with the frames that a run that was stopped left in OUTPUT.parts.")
 @options.seed
 @options.jobs
+@options.trust
 @options.force
 @options.quiet
 def simulate(

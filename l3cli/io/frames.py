@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
+from l3cli.io.apart import apart
+from l3cli.io.images import opened, pixels_of
 
 
 @dataclass(frozen=True)
@@ -28,29 +30,22 @@ def read_frame(path: Path, shape: tuple[int, int], bits: int) -> NDArray[np.uint
 
     InputFileError if it is none, not of `shape`, or beyond `bits`.
     """
-    import OpenImageIO
+    return _read(path, *shape, bits)
 
-    picture = OpenImageIO.ImageInput.open(str(path))
-    if picture is None:
-        reason = " ".join(str(OpenImageIO.geterror()).split()).removeprefix(f"{path}: ")
-        raise InputFileError(f"{path} cannot be read: {reason or 'unknown format'}; give 16-bit TIFF frames")
-    try:
-        spec = picture.spec()
+
+@apart
+def _read(path: Path, rows: int, cols: int, bits: int) -> NDArray[np.uint16]:
+    with opened(path) as (picture, spec):
         depths = ("uint16", "uint8") if bits <= 8 else ("uint16",)
         if str(spec.format) not in depths or spec.nchannels != 1:
             raise InputFileError(
                 f"{path} holds {spec.nchannels} channels of {spec.format}; give raw frames of one channel and 16 bits"
             )
-        if (spec.height, spec.width) != shape:
+        if (spec.height, spec.width) != (rows, cols):
             raise InputFileError(
-                f"{path} has {spec.height}×{spec.width} pixels, the sensor {shape[0]}×{shape[1]}; give whole raw frames"
+                f"{path} has {spec.height}×{spec.width} pixels, the sensor {rows}×{cols}; give whole raw frames"
             )
-        values = picture.read_image(str(spec.format))
-        if values is None:
-            raise InputFileError(f"{path} is truncated or damaged; copy or take it again")
-    finally:
-        picture.close()
-    frame = values.reshape(shape).astype(np.uint16, copy=False)
+        frame = pixels_of(path, picture, spec)[..., 0].astype(np.uint16, copy=False)
     if frame.max() >= 2**bits:
         raise InputFileError(f"{path} holds {frame.max()} DN, more than {bits} bits; check sensor.bits")
     return frame

@@ -15,6 +15,9 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import InputFileError
 from l3cli.frame import RawFrame, shifted_cfa
+from l3cli.io.camera_raws import read_camera_raw
+from l3cli.io.images import read_mono
+from l3cli.limits import require_picture
 
 HEADERLESS = (".raw", ".bin")
 IMAGES = (".tif", ".tiff", ".png")
@@ -44,7 +47,7 @@ def read_raw(path: Path, table: Sensor, known: KnownBetter | None = None) -> Raw
         elif suffix == ".npy":
             values = map_npy(path, 2)
         elif suffix in IMAGES:
-            values = _read_mono_image(path)
+            values = read_mono(path)
         else:
             return _corrected(_read_camera_raw(path, table, known.phase), table, known)
         return frame_of(str(path), values, table, known)
@@ -54,8 +57,9 @@ def read_raw(path: Path, table: Sensor, known: KnownBetter | None = None) -> Raw
 
 def frame_of(name: str, values: NDArray, table: Sensor, known: KnownBetter) -> RawFrame:
     """A frame of pixels (row, col) that came with nothing else: levels are the table's, unless the caller knows better."""
-    if values.size == 0:
+    if values.size == 0 or values.ndim != 2:
         raise InputFileError(f"{name} holds no pixels; give a raw file")
+    require_picture(name, *values.shape)
     frame = RawFrame(name, np.array(values, np.uint16, order="C"), table.black, table.white)
     return _corrected(frame, table, known)
 
@@ -108,65 +112,18 @@ def _mapped(path: Path) -> Any:
         raise InputFileError(f"{path} is not a whole .npy file; write it with numpy.save(file, uint16 array)") from error
 
 
-def _read_mono_image(path: Path) -> NDArray[np.uint16]:
-    """Single-channel 8- or 16-bit TIFF or PNG, values as stored."""
-    import OpenImageIO as oiio
-
-    source = oiio.ImageInput.open(str(path))
-    if source is None:
-        raise InputFileError(f"{path} is not an image that can be read ({_first_line(oiio.geterror())})")
-    try:
-        spec = source.spec()
-        stored = str(spec.format)
-        if spec.nchannels != 1 or stored not in ("uint8", "uint16"):
-            raise InputFileError(
-                f"{path} has {spec.nchannels} channels of {stored}; a raw image has one channel of 8 or 16 bits"
-            )
-        values = source.read_image(spec.format)
-        if values is None:
-            raise InputFileError(f"{path} is truncated or damaged ({_first_line(source.geterror())})")
-        # OpenImageIO stretches depths such as 12 bits over the whole of 16: the upper bits are what is stored.
-        depth = 8 * values.dtype.itemsize
-        unused = np.uint16(depth - spec.get_int_attribute("oiio:BitsPerSample", depth))
-        return values[..., 0].astype(np.uint16) >> unused
-    finally:
-        source.close()
-
-
-def _first_line(message: str) -> str:
-    return message.strip().splitlines()[0] if message.strip() else "no reason given"
-
-
 # ---------------------------------------------------------------------------------------------------- camera raws
 
 
 def _read_camera_raw(path: Path, table: Sensor, phase: tuple[int, int] | None) -> RawFrame:
-    import rawpy
-
-    try:
-        with rawpy.imread(str(path)) as raw:
-            if raw.raw_type != rawpy.RawType.Flat or raw.raw_image_visible.ndim != 2:
-                raise InputFileError(f"{path} is already demosaicked (linear); give the raw file the camera wrote")
-            return _camera_frame(path, raw, table, phase)
-    except rawpy.LibRawError as error:
-        reason = error.args[0].decode() if error.args and isinstance(error.args[0], bytes) else str(error)
-        raise InputFileError(
-            f"{path} is damaged or no raw file LibRaw can read ({reason}); "
-            "give a camera raw, a one-channel TIFF or PNG, a .npy, or a headerless .raw"
-        ) from error
-
-
-def _camera_frame(path: Path, raw: Any, table: Sensor, phase: tuple[int, int] | None) -> RawFrame:
-    colours = raw.raw_colors_visible
-    values, black = _common_black(raw.raw_image_visible, colours, np.array(raw.black_level_per_channel))
-    whites = [white for white in (raw.camera_white_level_per_channel or ()) if white > 0]
-    white = float(min(whites, default=raw.white_level))
+    found = read_camera_raw(path)
+    values, black = _common_black(found["values"], found["colours"], found["blacks"])
+    white = found["white"]
     if not black < white:
         raise InputFileError(f"{path}: its black level {black:g} is not below its white level {white:g}; it is damaged")
     if phase is None:
-        description = raw.color_desc.decode("ascii", "replace")
-        phase = _phase(path, np.array([[description[index] for index in row] for row in colours[:2, :2]]), table)
-    return RawFrame(str(path), values, black, white, phase, raw.sizes.flip)
+        phase = _phase(path, np.array([[found["letters"][index] for index in row] for row in found["colours"][:2, :2]]), table)
+    return RawFrame(str(path), values, black, white, phase, found["orientation"])
 
 
 def _common_black(
