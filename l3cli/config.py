@@ -1,13 +1,15 @@
 """TOML recipes → typed structures: every key is declared, units stand in the keys' names, unknown keys are refused."""
 
+import math
 import re
 import tomllib
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 
 from l3cli.errors import InputFileError, RecipeError
+from l3cli.limits import read_bounded
 
 
 class Recipe(msgspec.Struct, forbid_unknown_fields=True):
@@ -20,7 +22,7 @@ R = TypeVar("R", bound=Recipe)
 def read_text(path: Path) -> str:
     """The text of a recipe file; InputFileError if it cannot be read as UTF-8."""
     try:
-        return path.read_text(encoding="utf-8")
+        return read_bounded(path).decode("utf-8")
     except OSError as error:
         raise InputFileError(f"{path}: {error.strerror}") from error
     except UnicodeDecodeError as error:
@@ -35,11 +37,30 @@ def load_recipe(path: Path, recipe: type[R]) -> R:
 def parse_recipe(text: str, recipe: type[R], name: str) -> R:
     """`text` as `recipe`; `name` stands in the error messages."""
     try:
-        return msgspec.convert(tomllib.loads(text), recipe)
-    except tomllib.TOMLDecodeError as error:
+        content = tomllib.loads(text)
+    except ValueError as error:  # of its own kind, or of a number too long to be one
         raise RecipeError(f"{name} is not valid TOML: {error}") from error
+    except RecursionError as error:
+        raise RecipeError(f"{name} is not valid TOML: its lists or tables are too deep") from error
+    _require_sane(content, name)
+    try:
+        return msgspec.convert(content, recipe)
     except msgspec.ValidationError as error:
         raise RecipeError(f"{name}: {_plain(str(error))}") from error
+
+
+def _require_sane(value: Any, name: str, key: str = "") -> None:
+    """RecipeError if a number is not finite, or if a text holds the character that no file name can."""
+    if isinstance(value, dict):
+        for inner, item in value.items():
+            _require_sane(item, name, f"{key}.{inner}".lstrip("."))
+    elif isinstance(value, list):
+        for item in value:
+            _require_sane(item, name, key)
+    elif isinstance(value, float) and not math.isfinite(value):
+        raise RecipeError(f"{name}: {key} is {value}; give a finite number")
+    elif isinstance(value, str) and "\0" in value:
+        raise RecipeError(f"{name}: {key} holds a null character; leave it out")
 
 
 def _plain(message: str) -> str:

@@ -36,6 +36,8 @@ def atomic_output(path: Path) -> Iterator[Path]:
 
 def sha256(path: Path) -> str:
     """SHA-256 of a file's bytes, in hexadecimal."""
+    if path.exists() and not path.is_file():
+        raise InputFileError(f"{path} is no regular file; give one")
     try:
         with open(path, "rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -16,14 +16,16 @@ from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
 import h5py
+import msgspec
 import numpy as np
 
 from l3cli import __version__
-from l3cli.artifacts.stored import KNOWN_FILTERS, filters_of, require_readable
+from l3cli.artifacts.stored import KNOWN_FILTERS, datasets, filters_of, require_readable
 from l3cli.errors import InputFileError
 from l3cli.files import atomic_output
 
 COMPRESSION = {"compression": "gzip", "compression_opts": 4, "shuffle": True, "fletcher32": True}
+HDF5_ERRORS = (OSError, RuntimeError, KeyError, TypeError, ValueError, OverflowError)  # what h5py makes of damage
 CHECKSUM = {"fletcher32": True}  # for pictures: noise hardly shrinks, and shrinking it takes longer than simulating it
 
 
@@ -210,7 +212,7 @@ def open_artifact(path: Path, expected: type[Artifact] | None = None) -> Iterato
     with root:
         try:
             kind, version = str(root.attrs["kind"]), int(root.attrs["version"])
-        except (KeyError, TypeError, ValueError) as error:
+        except HDF5_ERRORS as error:
             raise InputFileError(f"{path} is an HDF5 file but no l3 artifact; give the file written by {made_by}") from error
         if expected is not None:
             if kind != expected.kind:
@@ -232,8 +234,8 @@ def load(cls: type[A], path: Path) -> A:
 def read_history(root: h5py.File, path: Path) -> tuple[Stage, ...]:
     text = _read_dataset(root, "history", Spec("str", (), "1", ""), path)
     try:
-        return tuple(Stage(**stage) for stage in json.loads(text))
-    except (ValueError, TypeError) as error:
+        return tuple(msgspec.json.decode(text, type=list[Stage]))
+    except (msgspec.MsgspecError, UnicodeEncodeError, RecursionError) as error:
         raise InputFileError(f"{path}: dataset history is not the JSON that l3 writes; make the file again") from error
 
 
@@ -244,7 +246,7 @@ def read_fields(group: h5py.Group, cls: type, path: Path, **extra: Any) -> Any:
         if isinstance(spec, Spec):
             values[name] = _read_dataset(group, name, spec, path)
         elif name in group:
-            values[name] = read_fields(_hard(group, name, h5py.Group, path), spec, path)
+            values[name] = read_fields(hard_group(group, name, path), spec, path)
         elif not optional:
             raise InputFileError(f"{path} lacks the group {_inside(group, name)}; make the file again")
     try:
@@ -257,6 +259,21 @@ def read_fields(group: h5py.Group, cls: type, path: Path, **extra: Any) -> Any:
 
 def _inside(group: h5py.Group, name: str) -> str:
     return f"{group.name.rstrip('/')}/{name}".lstrip("/")
+
+
+@contextlib.contextmanager
+def _reading(path: Path, what: str) -> Iterator[None]:
+    """What HDF5 stumbles over becomes an InputFileError."""
+    try:
+        yield
+    except (*HDF5_ERRORS, UnicodeDecodeError) as error:
+        raise InputFileError(f"{path}: {what} is damaged (checksum); make the file again") from error
+
+
+def hard_group(group: h5py.Group, name: str, path: Path) -> h5py.Group:
+    """A group below `group` that lies in this file; InputFileError if there is none."""
+    with _reading(path, f"the group {_inside(group, name)}"):
+        return _hard(group, name, h5py.Group, path)
 
 
 def _hard(group: h5py.Group, name: str, kind: type, path: Path) -> Any:
@@ -272,6 +289,11 @@ def _hard(group: h5py.Group, name: str, kind: type, path: Path) -> Any:
 
 
 def _read_dataset(group: h5py.Group, name: str, spec: Spec, path: Path) -> Any:
+    with _reading(path, f"dataset {_inside(group, name)}"):
+        return _as_declared(group, name, spec, path)
+
+
+def _as_declared(group: h5py.Group, name: str, spec: Spec, path: Path) -> Any:
     dataset = _hard(group, name, h5py.Dataset, path)
     where = _inside(group, name)
     require_readable(path, dataset)
@@ -284,13 +306,10 @@ def _read_dataset(group: h5py.Group, name: str, spec: Spec, path: Path) -> Any:
             f"{path}: dataset {where} is {dataset.dtype} with {dataset.ndim} axes, "
             f"not {spec.dtype} ({', '.join(spec.axes)}); make the file again"
         )
-    try:
-        array = dataset[()]
-        if is_text:
-            decoded = np.char.decode(array, "utf-8")
-            return tuple(str(item) for item in decoded) if spec.axes else str(decoded)
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputFileError(f"{path}: dataset {where} is damaged (checksum); make the file again") from error
+    array = dataset[()]
+    if is_text:
+        decoded = np.char.decode(array, "utf-8")
+        return tuple(str(item) for item in decoded) if spec.axes else str(decoded)
     if not spec.axes:
         return np.asarray(array, dtype=spec.dtype).item()
     array = np.asarray(array, dtype=spec.dtype)
@@ -317,26 +336,22 @@ class Described:
 def describe(path: Path) -> dict[str, Any]:
     """Kind, version, history and every dataset with axes and unit of any artifact."""
     with open_artifact(path) as root:
-        found: list[Described] = []
-
-        def visit(name: str, member: Any) -> None:
-            if not isinstance(member, h5py.Dataset) or name == "history":
-                return
-            value: Any = None
-            if member.size <= 16 and member.ndim <= 1:
-                raw = member[()]
-                value = np.char.decode(raw, "utf-8").tolist() if member.dtype.kind == "S" else raw.tolist()
-            attrs = {key: str(member.attrs.get(key, "")) for key in ("axes", "unit", "doc")}
-            dtype = "str" if member.dtype.kind == "S" else str(member.dtype)
-            found.append(Described(name, dtype, member.shape, value=value, **attrs))
-
-        try:
-            root.visititems(visit)
-        except OSError as error:
-            raise InputFileError(f"{path} is damaged (checksum); make the file again") from error
+        with _reading(path, "a dataset"):
+            found = [_described(path, name, dataset) for name, dataset in datasets(root) if name != "history"]
         return {
             "kind": str(root.attrs["kind"]),
             "version": int(root.attrs["version"]),
             "history": [dataclasses.asdict(stage) for stage in read_history(root, path)],
             "datasets": [dataclasses.asdict(item) for item in found],
         }
+
+
+def _described(path: Path, name: str, dataset: h5py.Dataset) -> Described:
+    value: Any = None
+    if dataset.ndim <= 1 and (dataset.size or 0) <= 16 and dataset.dtype.kind in "biufS":
+        require_readable(path, dataset)
+        raw = dataset[()]
+        value = np.char.decode(raw, "utf-8").tolist() if dataset.dtype.kind == "S" else raw.tolist()
+    attrs = {key: str(dataset.attrs.get(key, "")) for key in ("axes", "unit", "doc")}
+    dtype = "str" if dataset.dtype.kind == "S" else str(dataset.dtype)
+    return Described(name, dtype, dataset.shape or (), value=value, **attrs)

@@ -19,18 +19,19 @@ SMALL = 4096  # bytes that are believed without looking at what is stored
 def datasets(root: h5py.Group) -> Iterator[tuple[str, h5py.Dataset]]:
     """Every dataset that lies in the file below `root`, with its name: no soft or external link is followed, and no group
     entered twice."""
-    waiting, seen = [("", root)], {root}
-    while waiting:
-        prefix, group = waiting.pop()
-        for name in group:
-            if not isinstance(group.get(name, getlink=True), h5py.HardLink):
-                continue
-            member = group[name]
-            if isinstance(member, h5py.Dataset):
-                yield prefix + name, member
-            elif isinstance(member, h5py.Group) and member not in seen:
-                seen.add(member)
-                waiting.append((f"{prefix}{name}/", member))
+    yield from _below(root, "", {root})
+
+
+def _below(group: h5py.Group, prefix: str, seen: set[h5py.Group]) -> Iterator[tuple[str, h5py.Dataset]]:
+    for name in group:
+        if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+            continue
+        member = group[name]
+        if isinstance(member, h5py.Dataset):
+            yield prefix + name, member
+        elif isinstance(member, h5py.Group) and member not in seen:
+            seen.add(member)
+            yield from _below(member, f"{prefix}{name}/", seen)
 
 
 def filters_of(dataset: h5py.Dataset) -> set[int]:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.base import Artifact, check, data, group
+from l3cli.artifacts.camera import check_cfa, check_sensor
 
 CLASS_BITS = 12  # class decisions are taken on the upper 12 bits of a value, so that 32-bit sums are exact
 LEVEL_FRACTION = 8  # fractional bits of a channel mean in the level sum
@@ -128,6 +129,10 @@ class TransformTable(Artifact):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        check_sensor(self.rows, self.cols, self.bits, self.black, self.white)
+        check_cfa(self.cfa, self.channels)
+        if not self.outputs or not self.output_unit > 0:
+            raise ValueError("there must be an output, and its unit above zero")
         sites = self.cfa.size
         if len(self.weights) != sites * self.rule.classes_per_site:
             raise ValueError(
@@ -135,9 +140,7 @@ class TransformTable(Artifact):
             )
         if self.weights.shape[2] != self.rule.patch**2:
             raise ValueError(f"weights has {self.weights.shape[2]} taps, the rule's patch {self.rule.patch**2}")
-        if self.cfa.max() >= len(self.channels):
-            raise ValueError(f"cfa names channel {self.cfa.max()}, but there are {len(self.channels)}")
-        if not 0 <= self.bits - self.rule.shift <= CLASS_BITS or self.bits > 16:
+        if not 0 <= self.rule.shift <= self.bits <= self.rule.shift + CLASS_BITS:
             raise ValueError(f"{self.bits} bits shifted by {self.rule.shift} leave more than {CLASS_BITS}")
         if self.rule.chroma_weights.shape[1] != len(self.channels):
             raise ValueError(f"chroma_weights is for {self.rule.chroma_weights.shape[1]} channels")

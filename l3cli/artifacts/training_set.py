@@ -16,6 +16,7 @@ from l3cli.artifacts.base import (
     check,
     data,
     group,
+    hard_group,
     new_artifact,
     open_artifact,
     read_fields,
@@ -88,10 +89,10 @@ class TrainingSetReader:
     holds one frame at a time."""
 
     def __init__(self, root: h5py.File, path: Path) -> None:
-        self._root, self._path = root, path
+        self._path = path
         self.head: TrainingSet = read_fields(root, TrainingSet, path, history=read_history(root, path))
-        groups = [name for name in GROUPS if isinstance(root.get(name), h5py.Group)]
-        self._names = [f"{group}/{name}" for group in groups for name in sorted(root[group])]
+        self._groups = {name: hard_group(root, name, path) for name in GROUPS if name in root}
+        self._names = [(group, name) for group, members in self._groups.items() for name in sorted(members)]
         if not self._names:
             raise InputFileError(f'{path} holds no frames; make it again with "l3 simulate"')
 
@@ -99,8 +100,8 @@ class TrainingSetReader:
         return len(self._names)
 
     def frame(self, index: int) -> TrainingPair:
-        name = self._names[index]
-        return read_fields(self._root[name], GROUPS[name.split("/")[0]], self._path)
+        group, name = self._names[index]
+        return read_fields(hard_group(self._groups[group], name, self._path), GROUPS[group], self._path)
 
     def __iter__(self) -> Iterator[TrainingPair]:
         for index in range(len(self)):

@@ -15,6 +15,8 @@ from l3cli.errors import RecipeError
 
 PRESETS = ("ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow")
 
+PLAIN = (".npy", ".raw", ".bin", "")  # inputs that need no decoder, or none that is known yet
+
 
 def _pair(separator: str) -> Callable[[Any, Any, str | None], tuple[int, int] | None]:
     """Reads "a<separator>b" as two whole numbers."""
@@ -112,6 +114,10 @@ def render(
     from l3cli.parallel import one_blas_thread
 
     one_blas_thread()  # the products of the light meter are small, and threads that wait for them take the encoder's time
+    from l3cli.io.apart import start
+
+    if any(path.suffix.lower() not in PLAIN for path in inputs):
+        start()  # it takes a third of a second, like what follows
     from l3cli.artifacts.base import load
     from l3cli.artifacts.table import TransformTable
     from l3cli.cli.sequence import USUAL_RATE, Look, make_target, marked, refuse_missing, refuse_single, render_frames

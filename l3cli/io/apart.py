@@ -3,8 +3,8 @@ can end that process, never this one.
 
 A child is started when the first file is read and decodes one after the other; when it has died the next file gets a new
 one. Requests and answers are JSON; arrays come through a file in memory, checked against its size and copied, so that
-nothing that a child says is executed or believed here. Whoever trusts his files (`--trust`, or L3_TRUST=1) has them decoded in
-his own process.
+nothing that a child says is executed or believed here. Who trusts his files (`--trust`, or L3_TRUST=1) has them
+decoded in his own process.
 """
 
 import atexit
@@ -205,7 +205,7 @@ def _arrays_back(answer: Any, file: int) -> Any:
     if not isinstance(answer, dict):
         return answer
     if "array" in answer:
-        return _array(*answer["array"], file)
+        return _array(answer["array"], file)
     if "tuple" in answer:
         return tuple(_arrays_back(item, file) for item in answer["tuple"])
     if "list" in answer:
@@ -213,21 +213,23 @@ def _arrays_back(answer: Any, file: int) -> Any:
     return {str(key): _arrays_back(value, file) for key, value in answer["dict"].items()}
 
 
-def _array(kind: str, shape: list[int], order: str, offset: int, file: int) -> np.ndarray:
+def _array(told: list[Any], file: int) -> np.ndarray:
+    """The array that an answer describes."""
+    kind, shape, order, offset = told
     dtype = np.dtype(kind)
-    if dtype.kind not in "biuf" or order not in ("C", "F") or not all(type(length) is int and length >= 0 for length in shape):
+    if dtype.kind not in "biuf" or order not in ("C", "F") or any(type(n) is not int or n < 0 for n in (*shape, offset)):
         raise ValueError("no array of numbers")
     length = prod(shape) * dtype.itemsize
-    if not 0 <= offset <= os.fstat(file).st_size - length:
+    if offset + length > os.fstat(file).st_size:
         raise ValueError("an array outside its file")
-    array = np.empty(shape, dtype, order)  # type: ignore[call-overload]
-    rest = memoryview(array.reshape(-1, order=order).view(np.uint8)) if array.size else memoryview(b"")  # type: ignore[call-overload]
+    content = np.empty(length, np.uint8)
+    rest = content.data
     while len(rest):
         got = os.preadv(file, [rest], offset)
         if not got:
             raise ValueError("an array that has been cut")
         rest, offset = rest[got:], offset + got
-    return array
+    return content.view(dtype).reshape(shape, order=order)
 
 
 # ---------------------------------------------------------------------------------------------------------- child
@@ -281,7 +283,7 @@ class _Writer:
         order = "F" if array.flags.f_contiguous and not array.flags.c_contiguous else "C"
         flat = np.ascontiguousarray(array.T if order == "F" else array)
         start = offset = self._end
-        rest = memoryview(flat.reshape(-1).view(np.uint8)) if flat.size else memoryview(b"")
+        rest = flat.reshape(-1).view(np.uint8).data
         while len(rest):
             done = os.pwrite(self._file, rest, offset)
             rest, offset = rest[done:], offset + done

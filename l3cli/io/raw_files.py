@@ -122,7 +122,9 @@ def _read_camera_raw(path: Path, table: Sensor, phase: tuple[int, int] | None) -
     if not black < white:
         raise InputFileError(f"{path}: its black level {black:g} is not below its white level {white:g}; it is damaged")
     if phase is None:
-        phase = _phase(path, np.array([[found["letters"][index] for index in row] for row in found["colours"][:2, :2]]), table)
+        phase = _phase(
+            path, np.array([[found["letters"][index] for index in row] for row in found["colours"][:2, :2]]), table
+        )
     return RawFrame(str(path), values, black, white, phase, found["orientation"])
 
 

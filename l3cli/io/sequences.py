@@ -194,7 +194,8 @@ def _of_files(what: str, paths: Iterable[Path], table: TransformTable, known: Kn
     def read(number: int) -> RawFrame:
         return raw_files.read_raw(of_number[number], table, known)
 
-    return _Series(what, of_number, read, stem, _film_rate(paths[0]), of_number)
+    rate = _film_rate(paths[0]) if len(paths) > 1 else None  # a frame alone has no rate
+    return _Series(what, of_number, read, stem, rate, of_number)
 
 
 def _film_rate(path: Path) -> Fraction | None:
