@@ -1,15 +1,18 @@
 """TOML recipes → typed structures: every key is declared, units stand in the keys' names, unknown keys are refused."""
 
-import math
 import re
 import tomllib
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import msgspec
 
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.limits import read_bounded
+
+LARGEST = 1e24  # of any number in a recipe: beyond lies what no lamp gives and floats run over at
+MOST = 1_000_000  # of anything that can be counted
+Count = Annotated[int, msgspec.Meta(le=MOST)]
 
 
 class Recipe(msgspec.Struct, forbid_unknown_fields=True):
@@ -57,8 +60,8 @@ def _require_sane(value: Any, name: str, key: str = "") -> None:
     elif isinstance(value, list):
         for item in value:
             _require_sane(item, name, key)
-    elif isinstance(value, float) and not math.isfinite(value):
-        raise RecipeError(f"{name}: {key} is {value}; give a finite number")
+    elif isinstance(value, int | float) and not abs(value) <= LARGEST:
+        raise RecipeError(f"{name}: {key} is {str(value)[:40]}; give a number within ±{LARGEST:g}")
     elif isinstance(value, str) and "\0" in value:
         raise RecipeError(f"{name}: {key} holds a null character; leave it out")
 

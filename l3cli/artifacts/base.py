@@ -245,7 +245,7 @@ def read_fields(group: h5py.Group, cls: type, path: Path, **extra: Any) -> Any:
     for name, spec, optional in _declared(cls):
         if isinstance(spec, Spec):
             values[name] = _read_dataset(group, name, spec, path)
-        elif name in group:
+        elif name in members(group, path):
             values[name] = read_fields(hard_group(group, name, path), spec, path)
         elif not optional:
             raise InputFileError(f"{path} lacks the group {_inside(group, name)}; make the file again")
@@ -262,7 +262,7 @@ def _inside(group: h5py.Group, name: str) -> str:
 
 
 @contextlib.contextmanager
-def _reading(path: Path, what: str) -> Iterator[None]:
+def reading(path: Path, what: str) -> Iterator[None]:
     """What HDF5 stumbles over becomes an InputFileError."""
     try:
         yield
@@ -270,9 +270,15 @@ def _reading(path: Path, what: str) -> Iterator[None]:
         raise InputFileError(f"{path}: {what} is damaged (checksum); make the file again") from error
 
 
+def members(group: h5py.Group, path: Path) -> list[str]:
+    """Names of what a group holds, in order."""
+    with reading(path, f"the group {group.name}"):
+        return sorted(group)
+
+
 def hard_group(group: h5py.Group, name: str, path: Path) -> h5py.Group:
     """A group below `group` that lies in this file; InputFileError if there is none."""
-    with _reading(path, f"the group {_inside(group, name)}"):
+    with reading(path, f"the group {_inside(group, name)}"):
         return _hard(group, name, h5py.Group, path)
 
 
@@ -289,7 +295,7 @@ def _hard(group: h5py.Group, name: str, kind: type, path: Path) -> Any:
 
 
 def _read_dataset(group: h5py.Group, name: str, spec: Spec, path: Path) -> Any:
-    with _reading(path, f"dataset {_inside(group, name)}"):
+    with reading(path, f"dataset {_inside(group, name)}"):
         return _as_declared(group, name, spec, path)
 
 
@@ -336,7 +342,7 @@ class Described:
 def describe(path: Path) -> dict[str, Any]:
     """Kind, version, history and every dataset with axes and unit of any artifact."""
     with open_artifact(path) as root:
-        with _reading(path, "a dataset"):
+        with reading(path, "a dataset"):
             found = [_described(path, name, dataset) for name, dataset in datasets(root) if name != "history"]
         return {
             "kind": str(root.attrs["kind"]),

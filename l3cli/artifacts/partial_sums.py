@@ -16,6 +16,7 @@ from l3cli.artifacts.base import (
     data,
     group,
     hard_group,
+    members,
     new_artifact,
     open_artifact,
     read_fields,
@@ -83,7 +84,7 @@ class PartialSumsReader:
         self._path = path
         self.head: PartialSums = read_fields(root, PartialSums, path, history=read_history(root, path))
         self._sums = hard_group(root, "sums", path)
-        if len(self._sums) != len(self.head.sites):
+        if len(members(self._sums, path)) != len(self.head.sites):
             raise InputFileError(f"{path} lacks sums of some sites; make it again with {PartialSums.made_by}")
 
     def site(self, index: int) -> ClassSums:

@@ -17,6 +17,7 @@ from l3cli.artifacts.base import (
     data,
     group,
     hard_group,
+    members,
     new_artifact,
     open_artifact,
     read_fields,
@@ -91,8 +92,9 @@ class TrainingSetReader:
     def __init__(self, root: h5py.File, path: Path) -> None:
         self._path = path
         self.head: TrainingSet = read_fields(root, TrainingSet, path, history=read_history(root, path))
-        self._groups = {name: hard_group(root, name, path) for name in GROUPS if name in root}
-        self._names = [(group, name) for group, members in self._groups.items() for name in sorted(members)]
+        held = members(root, path)
+        self._groups = {name: hard_group(root, name, path) for name in GROUPS if name in held}
+        self._names = [(name, each) for name, group in self._groups.items() for each in members(group, path)]
         if not self._names:
             raise InputFileError(f'{path} holds no frames; make it again with "l3 simulate"')
 

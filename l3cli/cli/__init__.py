@@ -96,6 +96,6 @@ def _terminate(number: int, frame: object) -> None:
 
 
 def _fail(message: str, code: int) -> int:
-    line = " ".join(message.split())
+    line = "".join(letter if letter.isprintable() else "?" for letter in " ".join(message.split()))
     click.echo(f"l3: {line}", err=True)
     return code

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
 from l3cli.io.apart import apart
+from l3cli.io.arrays import map_array
 from l3cli.io.images import read_image
 from l3cli.io.matlab import Content, look_up, read_hdf5, read_matlab
 from l3cli.limits import read_bounded, require_picture, require_values
@@ -129,7 +130,7 @@ def _envi_unit(header: dict[str, str], listed: list[float]) -> float:
 def read_cube(path: Path, variable: str | None, axes: str) -> SpectralCube:
     """The cube `variable` (None: the only one) of a .mat, HDF5 or .npy file whose axes are those named by `axes`."""
     if path.suffix == ".npy":
-        content = {"values": _read_npy(path)}
+        content = {"values": map_array(path)}
     else:
         content = read_matlab(path) if path.suffix == ".mat" else read_hdf5(path)
     if variable is None:
@@ -163,18 +164,6 @@ def _wavelengths(content: Content) -> NDArray[np.float64] | None:
         if name.lower() in WAVELENGTH_NAMES and np.size(value) > 1 and np.asarray(value).dtype.kind in "fiu":
             return np.asarray(value, float).ravel()
     return None
-
-
-def _read_npy(path: Path) -> NDArray:
-    try:
-        values = np.load(path, mmap_mode="r", allow_pickle=False)
-    except OSError as error:
-        raise InputFileError(f"{path}: {error.strerror or error}") from error
-    except (ValueError, EOFError) as error:
-        raise InputFileError(f"{path} is not a whole .npy file; write it with numpy.save") from error
-    if not isinstance(values, np.ndarray):
-        raise InputFileError(f"{path} is an archive; give one .npy array")
-    return values
 
 
 # ------------------------------------------------------------------------------------------------ EXR and TIFF

@@ -6,7 +6,6 @@ The colour filter array comes from the table, never from the decoder, which repo
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +14,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import InputFileError
 from l3cli.frame import RawFrame, shifted_cfa
+from l3cli.io.arrays import map_array
 from l3cli.io.camera_raws import read_camera_raw
 from l3cli.io.images import read_mono
 from l3cli.limits import require_picture
@@ -92,24 +92,17 @@ def _read_headerless(path: Path, size: tuple[int, int]) -> NDArray[np.uint16]:
 
 
 def map_npy(path: Path, axes: int) -> NDArray:
-    """The array of a .npy file, mapped: a header may claim any size. InputFileError unless it has `axes` axes of DN."""
-    values = _mapped(path)
-    if not isinstance(values, np.ndarray) or values.ndim != axes or values.dtype.kind != "u" or values.dtype.itemsize > 2:
-        held = f"{values.ndim}-dimensional {values.dtype}" if isinstance(values, np.ndarray) else "an archive"
+    """The array of a .npy file, mapped. InputFileError unless it has `axes` axes of DN."""
+    values = map_array(path)
+    if values.ndim != axes or values.dtype.kind != "u" or values.dtype.itemsize > 2:
+        held = f"{values.ndim}-dimensional {values.dtype}"
         raise InputFileError(f"{path} holds {held}; give a uint16 array of rows × columns, or of frames × rows × columns")
     return values
 
 
 def npy_axes(path: Path) -> int:
     """Number of axes of a .npy file's array."""
-    return getattr(_mapped(path), "ndim", 0)
-
-
-def _mapped(path: Path) -> Any:
-    try:
-        return np.load(path, mmap_mode="r", allow_pickle=False)
-    except (ValueError, EOFError) as error:
-        raise InputFileError(f"{path} is not a whole .npy file; write it with numpy.save(file, uint16 array)") from error
+    return map_array(path).ndim
 
 
 # ---------------------------------------------------------------------------------------------------- camera raws

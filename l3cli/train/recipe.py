@@ -5,7 +5,7 @@ from typing import Literal
 import msgspec
 
 from l3cli.classify import ClassRecipe
-from l3cli.config import Recipe
+from l3cli.config import Count, Recipe
 from l3cli.errors import RecipeError
 
 
@@ -13,8 +13,8 @@ class LearningRecipe(Recipe):
     """How the transforms of the classes are learned (METHOD 4). Levels are shares of full scale."""
 
     patches: int = 60000  # patches a canonical CFA position, over all frames
-    draws: int = 8  # levels drawn a patch (METHOD 4.1)
-    first_draws: int = 3  # levels drawn a patch in the pass whose errors weigh the rows of the second; 0: one pass only
+    draws: Count = 8  # levels drawn a patch (METHOD 4.1)
+    first_draws: Count = 3  # levels drawn a patch in the pass whose errors weigh the rows of the second; 0: one pass only
     darkest: float = 0.003  # levels are drawn log-uniformly from here …
     brightest: float = 2.5  # … to here, clipped at white
     highlight_share: float = 0.25  # this share of the draws …
