@@ -26,6 +26,7 @@ from l3cli.limits import MEGAPIXELS
 SECONDS = 20  # an input that takes longer hangs
 MEMORY = 1 << 30  # bytes that an input may take beside what the process had, which is far more than MOST_MEGAPIXELS asks for
 MOST_MEGAPIXELS = 0.25
+LARGEST_SPOILT = 1 << 20  # values of a dataset that are spoilt one by one
 CAMERA = """
 name = "small Bayer"
 [sensor]
@@ -284,7 +285,7 @@ def spoiled_hdf5(content: bytes, choices: Choices) -> bytes:
 
 def _spoil_member(root: h5py.File, name: str, choices: Choices) -> None:
     member = root[name]
-    if not isinstance(member, h5py.Dataset) or choices.integer(0, 3) == 0:
+    if not isinstance(member, h5py.Dataset) or member.size > LARGEST_SPOILT or choices.integer(0, 3) == 0:
         way = choices.integer(0, 7)
         if way >= 6:
             target = root if way == 6 else member

@@ -113,6 +113,8 @@ def _check(instance: Any, lengths: dict[str, tuple[int, str]], prefix: str) -> N
         if spec.dtype != "str":
             if not np.can_cast(array.dtype, spec.dtype, "same_kind"):
                 raise ValueError(f"{label} holds {array.dtype}, not {spec.dtype}")
+            if array.size and array.dtype.kind == "u" and int(array.max()) > np.iinfo(np.int64).max:
+                raise ValueError(f"{label} holds {array.max()}, more than 63 bits")
             if array.dtype.kind == "f" and not np.isfinite(array).all():
                 raise ValueError(f"{label} holds values that are not finite")
         for axis, length in zip(spec.axes, array.shape, strict=True):

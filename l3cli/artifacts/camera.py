@@ -128,8 +128,8 @@ class CameraModel(Artifact):
         check_sensor(self.rows, self.cols, self.bits, self.black, self.white)
         check_cfa(self.cfa, self.channels)
         check_wavelengths(self.wavelength)
-        if not (self.pixel_pitch > 0 and self.gain > 0 and self.responsivity.max() > 0):
-            raise ValueError("pixel_pitch, gain and the peak of the responsivity must be above zero")
+        if not (self.pixel_pitch > 0 and self.gain > 0 and self.responsivity.max() > 0 and self.fixed_pattern_seed >= 0):
+            raise ValueError("pixel_pitch, gain and the peak of the responsivity must be above zero, the seed not below")
 
     @property
     def full_scale(self) -> float:
