@@ -213,7 +213,8 @@ TEXTS = (
     '"a/../../b"', '"$(touch hurt)"', '"`touch hurt`"', '"; touch hurt"', '"<script>"', '"\\u001b[31m"', '"%s%n"', '"~"',
     '"D65"',
     '"scene"', '"1e9K"', '"0K"', '"D4000K"', '"-1 D65 + 2 A"', '"camera"', '"r"', '"r r"', '"none.csv"', '"picture.png"',
-    '"lamp.csv"', '"frame.tif"', '"scenes.toml"', f'"{"x" * 5000}"', "'''\n'''", '"row row row"', '"é\\u202e"', "[]", '["a"]', "{}",
+    '"lamp.csv"', '"frame.tif"', '"scenes.toml"', f'"{"x" * 5000}"', "'''\n'''", '"row row row"', '"é\\u202e"', "[]",
+    '["a"]', "{}",
 )  # fmt: skip
 WORDS = re.compile(r"""("[^"\n]*"|[-+]?\d[\d.eE+-]*|\btrue\b|\bfalse\b|[A-Za-z_]\w*)""")
 

@@ -28,21 +28,27 @@ def info(file: Path, as_json: bool) -> None:
     if as_json:
         click.echo(json.dumps(content, indent=2, ensure_ascii=False))
         return
-    click.echo(f"{content['kind']}, format version {content['version']}")
+    _echo(f"{content['kind']}, format version {content['version']}")
     for stage in content["history"]:
         chosen = " ".join(f"--{key.replace('_', '-')} {value}" for key, value in sorted(stage["options"].items()))
-        click.echo(f"  made by l3 {stage['command']} {chosen}".rstrip() + f" (l3cli {stage['version']})")
+        _echo(f"  made by l3 {stage['command']} {chosen}".rstrip() + f" (l3cli {stage['version']})")
         for role, digests in sorted(stage["inputs"].items()):
             named = ", ".join(digest[:12] for digest in digests[:4]) + (" …" if len(digests) > 4 else "")
-            click.echo(f"    {role}: {named}")
+            _echo(f"    {role}: {named}")
     frames = {item["name"].split("/")[1] for item in content["datasets"] if item["name"].startswith("frames/")}
     if frames:
         click.echo(f"{len(frames)} frames; the first:")
     for item in content["datasets"]:
         if not item["name"].startswith("frames/") or item["name"].startswith(f"frames/{min(frames)}/"):
-            click.echo(_line(item))
+            _echo(_line(item))
     if "insight" in content:
-        click.echo("\n".join(_learned(content["insight"])))
+        for line in _learned(content["insight"]):
+            _echo(line)
+
+
+def _echo(line: str) -> None:
+    """Print what a file says, which may be anything, without what would move a terminal's cursor."""
+    click.echo("".join(letter if letter.isprintable() else "?" for letter in line))
 
 
 def _line(item: dict[str, Any]) -> str:
