@@ -167,47 +167,9 @@ def one_of(choices: Choices, options: Any) -> Any:
 # ------------------------------------------------------------------------------------------------------- spoiling
 
 INTEGERS = (0, 1, 0x7F, 0x80, 0xFF, 0x7FFF, 0xFFFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 2**62, 2**63, 2**64 - 1, 255, 16)
-NUMBERS = [
-    "0",
-    "-1",
-    "1",
-    "2",
-    "3",
-    "7",
-    "16",
-    "255",
-    "256",
-    "65535",
-    "65536",
-    "100000",
-    "2147483647",
-    "4294967296",
-    "9223372036854775807",
-    "9223372036854775808",
-    "-9223372036854775808",
-    "1e30",
-    "1e-30",
-    "1e300",
-    "1e-300",
-    "-1e300",
-    "0.5",
-    "-0.5",
-    "1.0000001",
-    "nan",
-    "inf",
-    "-inf",
-    "1_000",
-    "0x10",
-    "[]",
-    "[1]",
-    "[1,2,3,4,5]",
-    "true",
-    "{}",
-    "1e9",
-    "1e6",
-    "400.0",
-    "1e4",
-]
+WHOLE = (0, -1, 1, 2, 3, 7, 16, 2**31 - 1, 2**32, 2**63 - 1, 2**63, -(2**63), 10**9, 10**40)  # none that means long work
+BROKEN = (1e30, 1e-30, 1e300, 1e-300, -1e300, 0.5, -0.5, 1.0000001, 1e9, 1e20, -3.5, 1e-9, float("nan"), float("inf"))
+NUMBERS = (*map(str, WHOLE), *map(str, BROKEN), "-inf", "1_000", "0x10", "[]", "[1]", "[1, 2, 3, 4, 5]", "true", "{}")
 TEXTS = (
     '""', '"."', '".."', '"../../../etc/passwd"', '"/etc/passwd"', '"/dev/zero"', '"/dev/stdin"', '"\\u0000"', '"*"', '"["',
     '"a/../../b"', '"$(touch hurt)"', '"`touch hurt`"', '"; touch hurt"', '"<script>"', '"\\u001b[31m"', '"%s%n"', '"~"',
@@ -250,7 +212,7 @@ def spoiled_bytes(content: bytes, choices: Choices) -> bytes:
 
 def spoiled_text(content: bytes, choices: Choices) -> bytes:
     """Some words of a text replaced by others that may hurt, some lines left out or doubled; now and then some bytes."""
-    if choices.integer(0, 5) == 0:
+    if choices.integer(0, 15) == 0:
         return spoiled_bytes(content, choices)
     text = content.decode()
     for _ in range(choices.integer(1, 3)):
@@ -259,7 +221,7 @@ def spoiled_text(content: bytes, choices: Choices) -> bytes:
         if way <= 7 and words:
             word = one_of(choices, words)
             with_quotes = word[0].startswith('"')
-            kind = (TEXTS if with_quotes else NUMBERS) if choices.integer(0, 7) else TEXTS + tuple(NUMBERS)
+            kind = (TEXTS if with_quotes else NUMBERS) if choices.integer(0, 7) else TEXTS + NUMBERS
             new = one_of(choices, kind)
             text = text[: word.start()] + new + text[word.end() :]
         else:
@@ -622,7 +584,7 @@ def _verdict(arguments: list[str]) -> str | None:
         return traceback.format_exc()
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, old)
+        signal.signal(signal.SIGALRM, signal.SIG_DFL if old is None else old)  # None: set by another than Python
     said = stderr.getvalue()
     told = [line for line in said.splitlines() if line.startswith("l3: ")]
     if "Traceback" in said or "out of memory" in said:
