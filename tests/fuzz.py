@@ -1,7 +1,7 @@
 """python -m tests.fuzz: many hostile inputs, in processes whose crash is seen; every failure leaves its input behind.
 
-Choices come from seeds, so that `--first SEED --inputs 1 --batch` repeats one; with --guided from a fuzzer that prefers inputs
-which reach new lines of l3cli (atheris, pip install "l3cli[fuzz]").
+Choices come from seeds, so that `--first SEED --inputs 1 --batch` repeats one; with --guided from a fuzzer that prefers
+inputs which reach new lines of l3cli (atheris, pip install "l3cli[fuzz]").
 """
 
 import argparse

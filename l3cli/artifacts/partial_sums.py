@@ -23,7 +23,7 @@ from l3cli.artifacts.base import (
     read_history,
     write_fields,
 )
-from l3cli.artifacts.table import ClassRule
+from l3cli.artifacts.table import ClassRule, check_rule
 from l3cli.artifacts.training_set import TrainingSet
 from l3cli.errors import InputFileError
 
@@ -68,6 +68,9 @@ class PartialSums(Artifact):
         super().__post_init__()
         if not 1 <= self.shard <= self.shards or self.pass_number not in (1, 2):
             raise ValueError(f"shard {self.shard} of {self.shards}, pass {self.pass_number} cannot be")
+        check_rule(self.rule, len(self.training.camera.channels), self.training.camera.bits)
+        if len(self.white_point) != len(self.training.outputs):
+            raise ValueError(f"white_point has {len(self.white_point)} values for {len(self.training.outputs)} outputs")
 
     @property
     def shapes(self) -> tuple[tuple[int, int], tuple[int, int], tuple[int]]:

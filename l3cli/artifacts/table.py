@@ -95,6 +95,16 @@ class ClassRule:
         return self.levels * self.contrasts * self.kinds
 
 
+def check_rule(rule: ClassRule, channels: int, bits: int) -> None:
+    """ValueError if a rule is not for a camera of so many channels and bits."""
+    if not 0 <= rule.shift <= bits <= rule.shift + CLASS_BITS:
+        raise ValueError(f"{bits} bits shifted by {rule.shift} leave more than {CLASS_BITS}")
+    if rule.chroma_weights.shape[1] != channels:
+        raise ValueError(f"chroma_weights is for {rule.chroma_weights.shape[1]} channels")
+    if len(rule.case_of_code) != 2**channels:
+        raise ValueError(f"case_of_code has {len(rule.case_of_code)} codes for {channels} channels")
+
+
 @dataclass(frozen=True)
 class TransformTable(Artifact):
     """Local linear transforms for every class: output = weights · (patch − black) / (white − black) + intercept."""
@@ -140,9 +150,4 @@ class TransformTable(Artifact):
             )
         if self.weights.shape[2] != self.rule.patch**2:
             raise ValueError(f"weights has {self.weights.shape[2]} taps, the rule's patch {self.rule.patch**2}")
-        if not 0 <= self.rule.shift <= self.bits <= self.rule.shift + CLASS_BITS:
-            raise ValueError(f"{self.bits} bits shifted by {self.rule.shift} leave more than {CLASS_BITS}")
-        if self.rule.chroma_weights.shape[1] != len(self.channels):
-            raise ValueError(f"chroma_weights is for {self.rule.chroma_weights.shape[1]} channels")
-        if len(self.rule.case_of_code) != 2 ** len(self.channels):
-            raise ValueError(f"case_of_code has {len(self.rule.case_of_code)} codes for {len(self.channels)} channels")
+        check_rule(self.rule, len(self.channels), self.bits)

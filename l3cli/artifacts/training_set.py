@@ -103,7 +103,11 @@ class TrainingSetReader:
 
     def frame(self, index: int) -> TrainingPair:
         group, name = self._names[index]
-        return read_fields(hard_group(self._groups[group], name, self._path), GROUPS[group], self._path)
+        frame: TrainingPair = read_fields(hard_group(self._groups[group], name, self._path), GROUPS[group], self._path)
+        channels = len(frame.electrons) if isinstance(frame, TrainingFrame) else len(self.head.camera.channels)
+        if (channels, len(frame.target)) != (len(self.head.camera.channels), len(self.head.outputs)):
+            raise InputFileError(f"{self._path}: {group}/{name} is of another camera or target; make the file again")
+        return frame
 
     def __iter__(self) -> Iterator[TrainingPair]:
         for index in range(len(self)):

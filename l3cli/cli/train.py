@@ -228,7 +228,7 @@ def merge_shards(shards: tuple[Path, ...], output: Path, quiet: bool) -> None:
     from l3cli.errors import InputFileError
     from l3cli.train.lesson import FIRST, Lesson
     from l3cli.train.recipe import TrainingRecipe
-    from l3cli.train.table import assemble, learn_site
+    from l3cli.train.table import assemble, canonical_sites, learn_site
 
     with contextlib.ExitStack() as stack:
         readers = [stack.enter_context(open_partial_sums(path)) for path in shards]
@@ -248,6 +248,8 @@ def merge_shards(shards: tuple[Path, ...], output: Path, quiet: bool) -> None:
             head.pass_number,
         )
         lesson = Lesson(*about)
+        if head.sites.tolist() != canonical_sites(head.training, head.rule, recipe):
+            raise InputFileError(f"{shards[0]} holds sums of other sites than its camera has; make it again")
         solutions = {
             int(site): learn_site(lesson, (reader.site(index) for reader in readers), int(site))
             for index, site in enumerate(head.sites)

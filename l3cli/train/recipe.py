@@ -8,6 +8,7 @@ from l3cli.classify import ClassRecipe
 from l3cli.config import Count, Recipe
 from l3cli.errors import RecipeError
 
+MOST_PATCHES = 1_000_000_000
 MOST_DRAWS = 1000  # levels of one patch: more tell nothing new
 
 
@@ -47,6 +48,8 @@ def check_learning(recipe: LearningRecipe) -> None:
     """RecipeError if a number of the learning recipe cannot be."""
     if max(recipe.draws, recipe.first_draws) > MOST_DRAWS:
         raise RecipeError(f"learning.draws and first_draws are at most {MOST_DRAWS}")
+    if recipe.patches > MOST_PATCHES:
+        raise RecipeError(f"learning.patches are at most {MOST_PATCHES}")
     if recipe.patches < 1 or recipe.draws < 1 or min(recipe.parent_patches, recipe.first_draws) < 0:
         raise RecipeError("learning.patches and draws must be at least 1, first_draws and parent_patches at least 0")
     if not 0 < recipe.darkest < recipe.highlight_from < recipe.brightest:
