@@ -24,6 +24,7 @@ from l3cli.artifacts.stored import KNOWN_FILTERS, datasets, filters_of, require_
 from l3cli.errors import InputFileError
 from l3cli.files import atomic_output
 
+MOST = 1e27  # of any number: its square, summed up, is still one
 COMPRESSION = {"compression": "gzip", "compression_opts": 4, "shuffle": True, "fletcher32": True}
 HDF5_ERRORS = (OSError, RuntimeError, KeyError, TypeError, ValueError, OverflowError)  # what h5py makes of damage
 CHECKSUM = {"fletcher32": True}  # for pictures: noise hardly shrinks, and shrinking it takes longer than simulating it
@@ -115,8 +116,9 @@ def _check(instance: Any, lengths: dict[str, tuple[int, str]], prefix: str) -> N
                 raise ValueError(f"{label} holds {array.dtype}, not {spec.dtype}")
             if array.size and array.dtype.kind == "u" and int(array.max()) > np.iinfo(np.int64).max:
                 raise ValueError(f"{label} holds {array.max()}, more than 63 bits")
-            if array.dtype.kind == "f" and not np.isfinite(array).all():
-                raise ValueError(f"{label} holds values that are not finite")
+            if array.dtype.kind == "f" and array.size and not (array.min() >= -MOST and array.max() <= MOST):
+                told = f"beyond ±{MOST:g}" if np.isfinite(array).all() else "that are not finite"
+                raise ValueError(f"{label} holds values {told}")
         for axis, length in zip(spec.axes, array.shape, strict=True):
             known, where = lengths.setdefault(axis, (length, prefix + name))
             if known != length:

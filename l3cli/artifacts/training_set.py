@@ -29,6 +29,9 @@ from l3cli.errors import InputFileError
 from l3cli.files import atomic_output
 
 
+LARGEST = 1e12  # electrons, cd/m², seconds: 32-bit floats hold its square
+
+
 @dataclass(frozen=True)
 class TrainingPair:
     """One raw frame of a camera beside the picture it should become; where it was really taken, that is all there is."""
@@ -47,6 +50,11 @@ class TrainingPair:
 
     def __post_init__(self) -> None:
         check(self)
+        _require_moderate("target", self.target)
+        if not (self.white.size and self.white.min() >= 0 < self.white.max() <= LARGEST):
+            raise ValueError("white is no light")
+        if min(self.luminance, self.exposure) < 0 or max(self.luminance, self.exposure) > LARGEST:
+            raise ValueError(f"luminance {self.luminance:g} and exposure {self.exposure:g} must lie in 0…{LARGEST:g}")
 
 
 @dataclass(frozen=True)
@@ -66,6 +74,16 @@ class TrainingFrame(TrainingPair):
         doc="mean photo-electrons of every channel, noise-free, unclipped",
     )
     seed: tuple[int, ...] = data("int64", "seed_word", doc="seed of this frame's noise")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _require_moderate("electrons", self.electrons)
+
+
+def _require_moderate(name: str, values: NDArray[np.float32]) -> None:
+    """ValueError if products of values would run over."""
+    if values.size == 0 or max(float(values.max()), -float(values.min())) > LARGEST:
+        raise ValueError(f"{name} is empty or holds more than {LARGEST:g}")
 
 
 @dataclass(frozen=True)

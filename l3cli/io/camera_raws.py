@@ -27,12 +27,15 @@ def read_camera_raw(path: Path) -> dict[str, Any]:
             require_picture(str(path), raw.sizes.raw_height, raw.sizes.raw_width)
             if raw.raw_type != rawpy.RawType.Flat or raw.raw_image_visible.ndim != 2:
                 raise InputFileError(f"{path} is already demosaicked (linear); give the raw file the camera wrote")
+            letters, colours = raw.color_desc.decode("ascii", "replace"), raw.raw_colors_visible.copy()
+            if colours.max() >= min(len(letters), len(raw.black_level_per_channel)):
+                raise InputFileError(f"{path} names colours that it does not have; it is damaged")
             whites = [white for white in (raw.camera_white_level_per_channel or ()) if white > 0]
             return {
                 "values": raw.raw_image_visible.copy(),
-                "colours": raw.raw_colors_visible.copy(),
+                "colours": colours,
                 "blacks": np.array(raw.black_level_per_channel),
-                "letters": raw.color_desc.decode("ascii", "replace"),
+                "letters": letters,
                 "white": float(min(whites, default=raw.white_level)),
                 "orientation": int(raw.sizes.flip),
             }
