@@ -23,7 +23,8 @@ import numpy as np
 from l3cli.cli import run
 from l3cli.limits import MEGAPIXELS
 
-SECONDS = 20  # an input that takes longer hangs
+SECONDS = 10  # of processor time: an input that takes longer hangs …
+PATIENCE = 12  # … as does one that takes so many times longer by the clock
 MEMORY = 1 << 30  # bytes that an input may take beside what the process had, which is far more than MOST_MEGAPIXELS asks for
 MOST_MEGAPIXELS = 0.25
 LARGEST_SPOILT = 1 << 20  # values of a dataset that are spoilt one by one
@@ -574,8 +575,10 @@ class Workshop:
 
 def _verdict(arguments: list[str]) -> str | None:
     stdout, stderr = io.StringIO(), io.StringIO()
-    old = signal.signal(signal.SIGALRM, _ring)
-    signal.setitimer(signal.ITIMER_REAL, SECONDS)
+    timers = ((signal.ITIMER_PROF, signal.SIGPROF, SECONDS), (signal.ITIMER_REAL, signal.SIGALRM, PATIENCE * SECONDS))
+    old = [signal.signal(number, _ring) for _, number, _ in timers]
+    for timer, _, seconds in timers:
+        signal.setitimer(timer, seconds)
     try:
         with contextlib.redirect_stdout(stdout), contextlib.redirect_stderr(stderr):
             code = run(arguments)
@@ -584,8 +587,9 @@ def _verdict(arguments: list[str]) -> str | None:
     except BaseException:
         return traceback.format_exc()
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, signal.SIG_DFL if old is None else old)  # None: set by another than Python
+        for (timer, number, _), handler in zip(timers, old, strict=True):
+            signal.setitimer(timer, 0)
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)  # None: set by another than Python
     said = stderr.getvalue()
     told = [line for line in said.splitlines() if line.startswith("l3: ")]
     if "Traceback" in said or "out of memory" in said:

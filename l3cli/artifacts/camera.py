@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from l3cli import spectra
 from l3cli.artifacts.base import Artifact, data, group, load
 from l3cli.artifacts.fit import Fit
-from l3cli.config import Recipe, load_recipe, read_text
+from l3cli.config import LARGEST, Recipe, load_recipe, read_text
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.limits import most_pixels, read_bounded
 
@@ -341,8 +341,8 @@ def read_curves(path: Path, columns: int | None = None) -> tuple[NDArray[np.floa
     if not rows or len({len(row) for row in rows}) != 1 or len(rows[0]) < 2:
         raise InputFileError(f"{path}: rows must be a wavelength in nm and equally many values each")
     table = np.array(rows)
-    if not np.isfinite(table).all() or (np.diff(table[:, 0]) <= 0).any():
-        raise InputFileError(f"{path}: wavelengths must increase and every value be a number")
+    if not (np.abs(table) <= LARGEST).all() or (np.diff(table[:, 0]) <= 0).any():
+        raise InputFileError(f"{path}: wavelengths must increase and every value be a number within ±{LARGEST:g}")
     if len(table) > MOST_CURVE_ROWS or not (table[0, 0] > 0 and table[-1, 0] <= LONGEST):
         raise InputFileError(f"{path}: give {MOST_CURVE_ROWS} wavelengths at most, within 0…{LONGEST} nm")
     if columns is not None and table.shape[1] != columns + 1:

@@ -28,7 +28,6 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.errors import InputFileError
 from l3cli.files import atomic_output
 
-
 LARGEST = 1e12  # electrons, cd/m², seconds: 32-bit floats hold its square
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from l3cli import spectra
 from l3cli.artifacts.camera import CameraModel, read_curves
+from l3cli.config import LARGEST
 from l3cli.errors import InputFileError
 from l3cli.files import atomic_output
 from l3cli.limits import read_bounded
@@ -64,8 +65,8 @@ def _read_json(path: Path, channels: int) -> tuple[Array, Array]:
     if table.ndim != 2 or table.shape[1] != channels + 1:
         raise InputFileError(f"{path}: holds {table.shape[-1] - 1} curves, {channels} are wanted")
     table = table[np.argsort(table[:, 0])]
-    if not np.isfinite(table).all() or (np.diff(table[:, 0]) <= 0).any():
-        raise InputFileError(f"{path}: wavelengths must differ and every value be a number")
+    if not (np.abs(table) <= LARGEST).all() or (np.diff(table[:, 0]) <= 0).any():
+        raise InputFileError(f"{path}: wavelengths must differ and every value be a number within ±{LARGEST:g}")
     return table[:, 0], table[:, 1:].T
 
 
