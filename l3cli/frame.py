@@ -35,6 +35,23 @@ class RawFrame:
         return replace(self, values=values, black=black, white=white)
 
 
+def with_one_black(
+    values: NDArray[np.uint16], black: NDArray[np.floating], white: NDArray[np.floating]
+) -> tuple[NDArray[np.uint16], float, float]:
+    """values (row, col) of pixels whose black and white levels differ, shifted to one black level, and that black and white.
+
+    `black` and `white` broadcast against the values, in DN. The common black is the rounded mean, and white what the pixel
+    that saturates first above its black can reach: no saturated pixel is then taken for a bright one.
+    """
+    room = float((white - black).min())
+    if np.ptp(black) == 0:
+        common = float(black.flat[0])
+        return values, common, common + room
+    common = float(np.rint(black.mean()))
+    shift = np.broadcast_to(np.rint(common - black).astype(np.int32), values.shape)
+    return np.clip(values + shift, 0, np.iinfo(np.uint16).max).astype(np.uint16), common, common + room
+
+
 def upright(pixels: NDArray, orientation: int) -> NDArray:
     """pixels (row, col, …) turned as LibRaw's flip code says: 1 mirrors columns, 2 mirrors rows, 4 then transposes;
     so 3 is a half turn, 5 a quarter turn to the left, 6 one to the right."""

@@ -18,6 +18,7 @@ DOORS = {
     "OpenImageIO": ("io/",),
     "tifffile": ("io/",),
     "av": ("io/",),
+    "astropy": ("io/",),
     "h5py": ("artifacts/", "io/"),
     "colour": ("spectra.py",),
     "dask": ("parallel.py",),

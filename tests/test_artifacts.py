@@ -13,6 +13,7 @@ import pytest
 from l3cli.artifacts.base import Stage, equal, load, save
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.fit import ChartFit, Fit, NoiseFit, SeriesFit, SweepFit
+from l3cli.artifacts.partial_sums import PartialSums
 from l3cli.artifacts.table import ClassRule, TransformTable
 from l3cli.artifacts.training_set import TrainingFrame, TrainingSet, open_training_set, write_training_set
 from l3cli.errors import InputFileError
@@ -25,7 +26,7 @@ def a_fit(channels: int) -> Fit:
 
 
 def a_part(part: type, channels: int) -> Any:
-    lengths = {"channel": channels, "patch": 24, "trial": 4, "level": 3, "chart": 2, "defect": 0, "coordinate": 2}
+    lengths = {"channel": channels, "patch": 24, "trial": 4, "white_exposure": 3, "chart": 2, "defect": 0, "coordinate": 2}
     lengths |= {"left_out": 1, "light": 2, "capture": 3}
     values: dict = {}
     for field in dataclasses.fields(part):
@@ -101,6 +102,17 @@ def test_camera_and_table_come_back_as_they_went(fiveband: CameraModel, bayer: C
         again = load(type(artifact), path)
         assert equal(artifact, again)
         assert again.history == artifact.history
+
+
+def test_partial_sums_take_a_calibrated_camera_beside_any_class_rule(bayer: CameraModel) -> None:
+    training = TrainingSet(camera=a_camera(bayer), outputs=("X", "Y", "Z"), target_description="XYZ")
+    rule = a_table(bayer).rule
+    assert rule.contrast_edges.shape[1] != len(training.camera.fit.noise.exposure)
+    sums = PartialSums(
+        shard=1, shards=2, pass_number=2, patches=np.array([9]), training=training, rule=rule,
+        white_point=np.array([0.95, 1.0, 1.09]), sites=np.array([0]),
+    )  # fmt: skip
+    assert sums.rule is rule
 
 
 def test_training_set_comes_back_frame_by_frame(fiveband: CameraModel, tmp_path: Path) -> None:

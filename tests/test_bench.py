@@ -5,8 +5,10 @@ import shutil
 
 import pytest
 
+from l3cli import parallel
 from l3cli.render import benchmark
 from l3cli.simulate import benchmark as simulation
+from l3cli.train import benchmark as training
 
 FIELDS = {
     "width", "height", "patch", "channels", "outputs", "classes", "backend", "variant", "device", "stages_ms", "frame_ms",
@@ -21,9 +23,13 @@ def small(monkeypatch):
     monkeypatch.setattr(benchmark, "SMALL", (benchmark.Case(40, 30, 5, "bayer", "fast", 2),))
     monkeypatch.setattr(benchmark, "TINY", (benchmark.Case(20, 10, 5, "bayer", "fast"),))
     monkeypatch.setattr(simulation, "CASES", ())
+    monkeypatch.setattr(training, "CASES", ())
 
 
-def test_json_tells_what_was_measured_how(l3):
+def test_json_tells_what_was_measured_how(l3, monkeypatch):
+    monkeypatch.setattr(training, "CASES", (training.Case(300),))
+    monkeypatch.setattr(training, "REPEATS", 1)
+    monkeypatch.setattr(parallel, "alone", lambda function, case: function(case))
     code, out, err = l3("bench", "--json", "--quiet")
     assert (code, err) == (0, "")
     told = json.loads(out)
@@ -37,6 +43,9 @@ def test_json_tells_what_was_measured_how(l3):
         assert list(result["stages_ms"]) == STAGES
         assert all(time >= 0 for time in result["stages_ms"].values())
         assert result["mp_per_s"] == pytest.approx(result["width"] * result["height"] / result["frame_ms"] / 1e3)
+    (learned,) = told["train"]
+    assert learned["rows_per_s"] == pytest.approx(learned["rows"] / learned["cpu_s"])
+    assert sum(learned["stages_ns"].values()) == pytest.approx(1e9 / learned["rows_per_s"])
     assert ("limit_ratio" in told["results"][0]) == (shutil.which("cc") is not None)
     assert "limit_ratio" not in told["results"][1]  # limit.c has three outputs
 

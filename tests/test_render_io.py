@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio
 import pytest
-from test_render import BAYER, FIVE_BAND, XYZ, random_table
+from test_render import BAYER, XYZ, random_table
 
 from l3cli import spectra
 from l3cli.artifacts.base import save
-from l3cli.errors import InputFileError, RecipeError
+from l3cli.errors import RecipeError
 from l3cli.files import sha256
 from l3cli.frame import RawFrame
 from l3cli.io import raw_files
@@ -132,27 +132,6 @@ def test_what_the_caller_knows_better_wins(tmp_path, mosaic):
     mosaic[:10, :6].tofile(tmp_path / "a.raw")
     frame = read_raw(tmp_path / "a.raw", RGGB, KnownBetter(black=7.0, white=99.0, phase=(1, 3), size=(10, 6)))
     assert (frame.values.shape, frame.black, frame.white, frame.phase) == ((10, 6), 7.0, 99.0, (1, 1))
-
-
-def test_black_levels_of_the_colours_are_brought_to_their_mean():
-    values = np.full((4, 4), 1000, np.uint16)
-    values[0, 0] = 1
-    colours = np.tile(np.array([[0, 1], [3, 2]], np.uint8), (2, 2))
-    shifted, black = raw_files._common_black(values, colours, np.array([96, 100, 104, 100]))
-    assert black == 100
-    assert shifted[:2, :2].tolist() == [[5, 1000], [1000, 996]]
-
-
-@pytest.mark.parametrize(("pattern", "phase"), [("RGGB", (0, 0)), ("GRBG", (0, 1)), ("GBRG", (1, 0)), ("BGGR", (1, 1))])
-def test_phase_is_the_shift_that_matches(pattern, phase):
-    letters = np.array(list(pattern)).reshape(2, 2)
-    assert raw_files._phase(Path("f"), letters, RGGB) == phase
-    assert raw_files._phase(Path("f"), letters, random_table(FIVE_BAND, patch=9)) == (0, 0)
-
-
-def test_another_colour_filter_array_is_refused():
-    with pytest.raises(InputFileError, match=r"rg/bg, the table rg/gb.*--phase"):
-        raw_files._phase(Path("f"), np.array([["R", "G"], ["B", "G"]]), RGGB)
 
 
 # --------------------------------------------------------------------------------------------------------- l3 render
@@ -357,3 +336,14 @@ def test_real_headerless_raw(l3, l3_data, tmp_path, table):
 def test_linear_dng_is_refused(refused, l3_data, tmp_path, table):
     line = refused(3, "render", table, l3_data / "raw" / "canon_eos_6d.dng", "-o", tmp_path / "a.png")
     assert "demosaicked" in line
+
+
+def test_device_and_variant_are_chosen_for_one_run(l3, refused, tmp_path, table, raw):
+    for variant in ("processor", "graphics"):
+        output = tmp_path / f"{variant}.png"
+        assert l3("render", table, raw, "-o", output, "--device", 0, "--variant", variant)[0] == 0
+    one, other = (read_image(tmp_path / f"{variant}.png")[0] for variant in ("processor", "graphics"))
+    assert np.abs(one.astype(int) - other).max() <= 1
+    assert "no such device" in refused(4, "render", table, raw, "-o", tmp_path / "a.png", "--device", "no such device")
+    wrong = ("render", table, raw, "-o", tmp_path / "a.png", "--backend", "reference", "--variant", "graphics")
+    assert "--variant is for the opencl backend" in refused(2, *wrong)

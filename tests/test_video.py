@@ -250,7 +250,7 @@ def test_nothing_is_left_where_no_frame_could_be_read(refused, tmp_path, table):
 
 @pytest.mark.parametrize("name", ["a.mp4", "a.mkv", "a.y4m"])
 def test_an_interrupted_video_leaves_nothing(l3, tmp_path, table, stack, monkeypatch, name):
-    rendered = sequence._pixels
+    rendered = sequence.upright
     calls: list[int] = []
 
     def interrupted(*arguments: object) -> np.ndarray:
@@ -259,7 +259,7 @@ def test_an_interrupted_video_leaves_nothing(l3, tmp_path, table, stack, monkeyp
             raise KeyboardInterrupt
         return rendered(*arguments)
 
-    monkeypatch.setattr(sequence, "_pixels", interrupted)
+    monkeypatch.setattr(sequence, "upright", interrupted)
     before = sorted(tmp_path.iterdir())
     assert l3("render", table, stack, "-o", tmp_path / name, *FAST) == (130, "", "\nl3: interrupted\n")
     assert sorted(tmp_path.iterdir()) == before

@@ -28,12 +28,12 @@ class NoiseFit:
     defects: NDArray[np.int64] = data(
         "int64", "defect", "coordinate", unit="pixel", doc="row, col of hot and dead pixels, left out of every figure"
     )
-    exposure: NDArray[np.float64] = data("float64", "level", unit="s", doc="of each white capture")
+    exposure: NDArray[np.float64] = data("float64", "white_exposure", unit="s", doc="of each white capture")
     photon_transfer_mean: NDArray[np.float64] = data(
-        "float64", "level", "channel", unit="DN", doc="mean signal above black of each white exposure"
+        "float64", "white_exposure", "channel", unit="DN", doc="mean signal above black of each white exposure"
     )
     photon_transfer_variance: NDArray[np.float64] = data(
-        "float64", "level", "channel", unit="DN^2", doc="temporal variance at that signal"
+        "float64", "white_exposure", "channel", unit="DN^2", doc="temporal variance at that signal"
     )
 
 

@@ -1,4 +1,4 @@
-"""l3 bench: which devices there are, and how fast frames are rendered and simulated here."""
+"""l3 bench: which devices there are, and how fast frames are rendered, simulated and learned from."""
 
 import json
 from typing import Any
@@ -15,12 +15,13 @@ from l3cli.cli import options
 @options.as_json
 @options.quiet
 def bench(device: str | None, variant: str | None, list_only: bool, as_json: bool, quiet: bool) -> None:
-    """Time the rendering of made-up frames on an OpenCL device, uint16 in host memory to sRGB in host memory, and their
-    simulation on one core of the processor.
+    """Time the rendering of made-up frames on an OpenCL device, uint16 in host memory to sRGB in host memory, and on
+    one core of the processor their simulation and training.
 
     Rendering: medians of 20 frames. With a C compiler (CC or cc) each frame is timed in turn with the bare multiply-adds of
     its transforms on all cores, hand-vectorised: "limit" is the median of their ratio. The variant that is not made for the
-    device and the numpy reference get small frames. Simulation: the fastest of 5 frames.
+    device and the numpy reference get small frames. Simulation: the fastest of 5
+    frames. Training: the faster of 2 runs, both passes.
 
     Example: l3 bench --device 0 --json
     """
@@ -28,6 +29,7 @@ def bench(device: str | None, variant: str | None, list_only: bool, as_json: boo
     from l3cli.render import benchmark as rendering
     from l3cli.render.opencl_devices import survey
     from l3cli.simulate import benchmark as simulation
+    from l3cli.train import benchmark as training
 
     found = survey()
     if list_only:
@@ -38,12 +40,17 @@ def bench(device: str | None, variant: str | None, list_only: bool, as_json: boo
     simulated: list[dict[str, Any]] = []
     for case in options.progress(simulation.CASES, len(simulation.CASES), "simulations", quiet):
         simulated.append(alone(simulation.measure, case))
+    trained = [
+        alone(training.measure, case) for case in options.progress(training.CASES, len(training.CASES), "trainings", quiet)
+    ]
     if as_json:
-        click.echo(json.dumps({"devices": found, "results": results, "simulate": simulated}, indent=2))
+        document = {"devices": found, "results": results, "simulate": simulated, "train": trained}
+        click.echo(json.dumps(document, indent=2))
         return
     click.echo("\n".join(found))
     _rendering(results)
     _simulation(simulated)
+    _training(trained)
 
 
 def _rendering(results: list[dict[str, Any]]) -> None:
@@ -71,3 +78,21 @@ def _simulation(results: list[dict[str, Any]]) -> None:
         size, optics = f"{result['width']}×{result['height']}", "on" if result["optics"] else "off"
         figures = f"{result['frame_ms']:9.1f} {result['mp_per_s']:6.2f} {result['peak_mb']:8.0f}"
         click.echo(f"{size:>10} {result['channels']:>8} {optics:>6} {figures}")
+
+
+def _training(results: list[dict[str, Any]]) -> None:
+    if not results:
+        return
+    stages = list(results[0]["stages_ns"])
+    click.echo("\ntraining on one core, both passes; stages: nanoseconds a row (a patch at one of its levels)")
+    click.echo(
+        f"{'patches':>8} {'channels':>8} {'rows':>9} {'CPU s':>6} {'rows/s':>9} "
+        + " ".join(f"{stage:>8}" for stage in stages)
+        + f" {'peak MB':>8}"
+    )
+    for result in results:
+        times = " ".join(f"{result['stages_ns'][stage]:8.0f}" for stage in stages)
+        click.echo(
+            f"{result['patches']:>8} {result['channels']:>8} {result['rows']:>9} {result['cpu_s']:6.1f} "
+            f"{result['rows_per_s']:9.0f} {times} {result['peak_mb']:8.0f}"
+        )

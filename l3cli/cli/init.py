@@ -19,16 +19,19 @@ COMMON = {
     "unseen.toml": "scenes/demo_unseen.toml",
     "classes.toml": "classes/default.toml",
     "Makefile": "pipelines/Makefile",
+    "Snakefile": "pipelines/Snakefile",
+    "slurm.sh": "pipelines/slurm.sh",
 }
 
 
 @click.command()
 @click.argument("recipe", required=False, metavar="[RECIPE]")
 @click.argument("folder", type=options.FILE, required=False, metavar="[DIR]")
-@click.option("--list", "listed", is_flag=True, help="Tell the recipes there are, as without arguments.")
+@options.force
 @options.quiet
-def init(recipe: str | None, folder: Path | None, listed: bool, quiet: bool) -> None:
-    """Make DIR with the recipes of one kind of camera and a Makefile that leads from them to a picture and a report.
+def init(recipe: str | None, folder: Path | None, force: bool, quiet: bool) -> None:
+    """Make DIR with the recipes of one kind of camera and a Makefile that leads from them to a picture and a report. Beside
+    it lie the same pipeline for Snakemake and for job arrays of Slurm.
 
     Without arguments, list the recipes.
 
@@ -37,17 +40,16 @@ def init(recipe: str | None, folder: Path | None, listed: bool, quiet: bool) -> 
     from l3cli.files import refuse_filled_folder
 
     known = recipes()
-    if listed or recipe is None:
-        if recipe is not None:
-            raise click.UsageError("--list stands alone")
+    if recipe is None:
         for name, path in known.items():
             click.echo(f"{name:{max(map(len, known))}}  {summary(path)}")
+        options.say('next: one of them and a new folder, such as "l3 init bayer demo"', quiet)
         return
     if recipe not in known:
         raise click.UsageError(f'no recipe "{recipe}"; {_suggestion(recipe, list(known))}')
     if folder is None:
         raise click.UsageError(f'name the folder to make, such as "l3 init {recipe} {recipe}"')
-    refuse_filled_folder(folder, force=False)
+    refuse_filled_folder(folder, force)
     write_folder(known[recipe], folder)
     options.say(f"{folder}: {summary(known[recipe])}; next: make -C {folder}", quiet)
 

@@ -15,7 +15,7 @@ from l3cli.errors import RecipeError
 
 PRESETS = ("ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow")
 
-PLAIN = (".npy", ".raw", ".bin", "")  # inputs that need no decoder, or none that is known yet
+PLAIN = (".npy", ".pgm", ".raw", ".bin", ".raw10", ".raw12", "")  # inputs that need no decoder, or none that is known yet
 
 
 def _pair(separator: str) -> Callable[[Any, Any, str | None], tuple[int, int] | None]:
@@ -83,6 +83,8 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
 @click.option("--crf", type=click.FloatRange(0, 51), help="Quality of h264 and h265, lower is better [default: theirs].")
 @click.option("--preset", type=click.Choice(PRESETS), default="veryfast", show_default=True, help="Effort of h264, h265.")
 @click.option("--backend", type=click.Choice(["opencl", "reference"]), default="opencl", show_default=True, help="Engine.")
+@options.device
+@options.variant
 @click.option("--exposure", default="auto", callback=_exposure, metavar="auto|VALUE", help="Y × VALUE = 1 is shown white.")
 @click.option(
     "--white", metavar="NAME|x,y", help="Scene white shown neutral: illuminant or chromaticity [default: table's]."
@@ -92,6 +94,11 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
 @click.option("--white-level", type=float, metavar="DN", help="White level of the inputs [default: the file's or table's].")
 @click.option("--phase", callback=_pair(","), metavar="ROW,COL", help="CFA site of the inputs' first pixel.")
 @click.option("--size", callback=_pair("x"), metavar="ROWSxCOLS", help="Size of headerless inputs [default: the table's].")
+@click.option(
+    "--packing", type=click.Choice(["u16", "raw10", "raw12"]),
+    help="Values of headerless inputs: 16 bits, or MIPI packed [default: .raw10 and .raw12 packed, else u16].",
+)  # fmt: skip
+@click.option("--stride", type=click.IntRange(1), metavar="BYTES", help="Bytes from row to row [default: no padding].")
 @click.option("--skip-bad", is_flag=True, help="Leave out missing and broken frames; exit code 1 if there were any.")
 @click.option("--resume", is_flag=True, help="Go on with a sequence of pictures where a run was stopped.")
 @options.trust
@@ -99,13 +106,14 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
 @options.quiet
 def render(
     table: Path, inputs: tuple[Path, ...], output: Path, suffix: str, frames: range | None, dataset: str | None,
-    fps: Fraction | None, codec: str | None, crf: float | None, preset: str, backend: str, exposure: float | None,
-    white: str | None, bits: str, black: float | None, white_level: float | None, phase: tuple[int, int] | None,
-    size: tuple[int, int] | None, skip_bad: bool, resume: bool, force: bool, quiet: bool,
+    fps: Fraction | None, codec: str | None, crf: float | None, preset: str, backend: str, device: str | None,
+    variant: str | None, exposure: float | None, white: str | None, bits: str, black: float | None,
+    white_level: float | None, phase: tuple[int, int] | None, size: tuple[int, int] | None, packing: str | None,
+    stride: int | None, skip_bad: bool, resume: bool, force: bool, quiet: bool,
 ) -> int:  # fmt: skip
-    """Render INPUT through TABLE: files (camera raw, one-channel TIFF or PNG, .npy, headerless .raw or .bin), or a sequence:
-    a folder, a pattern (a_%04d.tif, a_####.tif), a quoted glob, a stack (.npy, HDF5), a headerless file of many frames, a
-    grey video (FFV1 in MKV), or - (headerless frames on stdin).
+    """Render INPUT through TABLE: files (DNG, camera raw, one-channel TIFF, PNG or PGM, FITS, .npy, headerless .raw, .bin,
+    .raw10 or .raw12), or a sequence: a folder, a pattern (a_%04d.tif, a_####.tif), a quoted glob, a stack (.npy, HDF5,
+    FITS), a headerless file of many frames, a grey video (FFV1 in MKV), or - (headerless frames on stdin).
 
     With --exposure auto the 99th percentile of Y is shown white; in a sequence it is followed smoothly.
 
@@ -133,7 +141,10 @@ def render(
     refuse_single(target, force)
     if target.linear and (exposure is not None or white is not None):
         raise RecipeError(".exr files hold the outputs as they are; --exposure and --white are for pictures")
-    known = KnownBetter(black, white_level, phase, size)
+    engine = {name: value for name, value in {"device": device, "variant": variant}.items() if value is not None}
+    if engine and backend != "opencl":
+        raise RecipeError(f"--{next(iter(engine))} is for the opencl backend; leave it or --backend {backend} out")
+    known = KnownBetter(black, white_level, phase, size, packing, stride)
     transforms = load(TransformTable, table)
     if target.linear:
         look = Look(None, None, choice.bits)
@@ -144,8 +155,8 @@ def render(
     if not skip_bad:
         refuse_missing(footage)
     choice = replace(choice, rate=fps or footage.rate or USUAL_RATE)
-    key = [sha256(table), __version__, inputs, frames, dataset, suffix, backend, exposure, white, choice, known]
+    key = [sha256(table), __version__, inputs, frames, dataset, suffix, backend, engine, exposure, white, choice, known]
     with marked(target, key, resume, force, footage) as goes_on:
-        renderer = make_renderer(backend, transforms)
+        renderer = make_renderer(backend, transforms, **engine)
         failures = render_frames(footage, target, renderer, transforms, look, choice, goes_on, skip_bad, quiet)
     return 1 if failures else 0

@@ -9,7 +9,8 @@ import hashlib
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -26,7 +27,7 @@ from l3cli.io import images
 from l3cli.io.sequences import PATTERN, Footage, Pending, numbered_files, numbered_name
 from l3cli.io.video import VideoChoice, check_video, is_video, new_video, new_y4m
 from l3cli.parallel import Behind, ahead
-from l3cli.render.display import automatic_exposure, make_display
+from l3cli.render.display import Display, automatic_exposure, make_display
 from l3cli.render.exposure import LightMeter, SteadyExposure
 
 if TYPE_CHECKING:
@@ -194,6 +195,14 @@ class _Read:
     kept: bool = False  # its picture is there already
 
 
+@dataclass
+class _Tally:
+    """How many frames there are pictures of, and how many were left out."""
+
+    done: int = 0
+    failures: int = 0
+
+
 def render_frames(
     footage: Footage, target: Target, renderer: "Renderer", table: "TransformTable", look: Look, choice: VideoChoice,
     goes_on: bool, skip_bad: bool, quiet: bool,
@@ -202,24 +211,15 @@ def render_frames(
     said."""
     start = time.monotonic()
     steady = SteadyExposure(choice.rate) if _is_steady(footage, target, look) else None
-    done = failures = 0
+    tally = _Tally()
     with _open_sink(target, choice, table.outputs) as (write, threads), Behind(write, DEPTH, threads) as writing:
         reading = ahead(_read(footage, target, LightMeter(table) if steady else None, goes_on), DEPTH)
-        for each in options.progress(reading, footage.count, "frames", quiet):
-            if each.frame is None:
-                if not skip_bad and each.error is not None:
-                    raise each.error
-                if each.error is not None:
-                    failures += 1
-                    click.echo(f"l3: {each.error}", err=True)
-                done += each.kept
-                continue
-            scale = look.exposure or (steady.scale(each.brightness) if steady else 0.0)
-            if not each.kept:
-                writing.put((each.pending, _pixels(renderer, each.frame, look, scale)))
-            done += 1
-        if not done:
+        reading = options.progress(reading, footage.count, "frames", quiet)
+        for developed in _developed(renderer, _exposed(reading, look, steady, skip_bad, tally), look):
+            writing.put(developed)
+        if not tally.done:
             raise InputFileError("none of the frames could be read; nothing is written")
+    done, failures = tally.done, tally.failures
     if not footage.stills:
         rate = done / max(time.monotonic() - start, 1e-9)
         options.say(f"{target.path}: {done} frames, {rate:.3g} a second", quiet)
@@ -267,13 +267,47 @@ def _require_size(frame: RawFrame, size: tuple[int, ...]) -> None:
         )
 
 
-def _pixels(renderer: "Renderer", frame: RawFrame, look: Look, scale: float) -> Any:
-    """Picture, or linear outputs where there is no white, (row, col, value). `scale` 0: this frame's own exposure."""
+def _exposed(
+    reading: Iterable[_Read], look: Look, steady: SteadyExposure | None, skip_bad: bool, tally: _Tally
+) -> Iterator[tuple[Pending, RawFrame, float]]:
+    """The frames to render, each with its scale (0: its own exposure); what is broken is raised, or said and counted."""
+    for each in reading:
+        if each.error is not None:
+            if not skip_bad:
+                raise each.error
+            tally.failures += 1
+            click.echo(f"l3: {each.error}", err=True)
+            continue
+        tally.done += 1
+        if each.frame is not None:
+            scale = look.exposure or (steady.scale(each.brightness) if steady else 0.0)
+            if not each.kept:
+                yield each.pending, each.frame, scale
+
+
+def _developed(
+    renderer: "Renderer", exposed: Iterator[tuple[Pending, RawFrame, float]], look: Look
+) -> Iterator[tuple[Pending, Any]]:
+    """Picture, or linear outputs where there is no white, (row, col, value), of each frame, in order.
+
+    Pictures whose exposure is known beforehand overlap on the device: while one is written the next is at work.
+    """
+    at_work: deque[tuple[Pending, RawFrame]] = deque()
+
+    def displayed() -> Iterator[tuple[RawFrame, Display]]:
+        for pending, frame, scale in exposed:
+            # The exposure of one frame alone needs the whole frame's luminance before the first value is encoded: two runs.
+            scale = scale or automatic_exposure(renderer.outputs(frame)[1])
+            at_work.append((pending, frame))
+            yield frame, make_display(look.white, scale, look.bits)
+
     if look.white is None:
-        return upright(np.moveaxis(renderer.outputs(frame), 0, -1), frame.orientation)
-    # The exposure of one frame alone needs the whole frame's luminance before the first value is encoded: two runs.
-    scale = scale or automatic_exposure(renderer.outputs(frame)[1])
-    return upright(renderer.picture(frame, make_display(look.white, scale, look.bits)), frame.orientation)
+        for pending, frame, _ in exposed:
+            yield pending, upright(np.moveaxis(renderer.outputs(frame), 0, -1), frame.orientation)
+        return
+    for picture in renderer.pictures(displayed()):
+        pending, frame = at_work.popleft()
+        yield pending, upright(picture, frame.orientation)
 
 
 @contextlib.contextmanager

@@ -30,6 +30,7 @@ NEGLIGIBLE = 1e-3  # share of a channel's light that may go unseen without a wor
 @click.option(
     "--pictures", type=options.FILE, metavar="DIR", help="Also write each raw frame (TIFF) and ideal picture (PNG)."
 )
+@click.option("--dng", type=options.FILE, metavar="DIR", help="Also write each raw frame as DNG, for other raw developers.")
 @click.option("--resume", is_flag=True, help="Go on with the frames that a run that was stopped left in OUTPUT.parts.")
 @options.seed
 @options.jobs
@@ -37,8 +38,8 @@ NEGLIGIBLE = 1e-3  # share of a channel's light that may go unseen without a wor
 @options.force
 @options.quiet
 def simulate(
-    scenes: Path, camera: Path, output: Path, pictures: Path | None, resume: bool, seed: int, jobs: int, force: bool,
-    quiet: bool,
+    scenes: Path, camera: Path, output: Path, pictures: Path | None, dng: Path | None, resume: bool, seed: int, jobs: int,
+    force: bool, quiet: bool,
 ) -> None:  # fmt: skip
     """Simulate what a camera sees of many scenes, and the pictures it should make of them.
 
@@ -53,8 +54,8 @@ def simulate(
     from l3cli.simulate.recipe import SceneRecipe, shots
 
     refuse_existing(output, force)
-    if pictures:
-        refuse_filled_folder(pictures, force)
+    for folder in filter(None, (pictures, dng)):
+        refuse_filled_folder(folder, force)
     model, recipe = load_camera(camera), load_recipe(scenes, SceneRecipe)
     run, files, inputs = _prepare(recipe, scenes, model, seed)
     head = _head(run, model, (scenes, camera), inputs, seed)
@@ -74,6 +75,8 @@ def simulate(
     shutil.rmtree(run.folder)
     if pictures:
         _write_pictures(output, pictures)
+    if dng:
+        _write_dng(run, output, dng)
     options.say(f"{output}: {total} frames", quiet)
 
 
@@ -182,3 +185,21 @@ def _write_pictures(training: Path, folder: Path) -> None:
                 continue
             display = make_display(frame.white, 1.0 / frame.white[1], bits=8)
             write_picture(folder / f"{name}_ideal.png", encode(frame.target, display))
+
+
+def _write_dng(run: "Run", training: Path, folder: Path) -> None:
+    """Each raw frame of a training set as DNG, with the white balance of its light where that is known."""
+    from l3cli.artifacts.training_set import open_training_set
+    from l3cli.io.dng_writer import LIGHT_CODES, RawColour, write_dng
+    from l3cli.simulate.light import make_light
+    from l3cli.simulate.raw_colour import colour_matrix, neutral
+
+    with open_training_set(training) as frames:
+        camera = frames.head.camera
+        lights = {name: make_light(name, {}, camera.wavelength) for name in LIGHT_CODES}
+        colour = RawColour({name: colour_matrix(camera, light) for name, light in lights.items()})
+        for index, frame in enumerate(frames):
+            light = run.lights.get(frame.illuminant)
+            grey = None if light is None else neutral(camera, light)
+            path = folder / f"{options.frame_name(index, frame.scene)}.dng"
+            write_dng(path, frame.raw, camera, colour, grey, frame.exposure)

@@ -5,18 +5,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
+from l3cli.frame import with_one_black
 from l3cli.io.apart import apart
+from l3cli.io.cfa_codes import codes_of
+from l3cli.io.dng import CameraRaw, described
 from l3cli.limits import require_picture
 
 FRAME_RATE = 51044  # the tag of CinemaDNG
 
 
 @apart
-def read_camera_raw(path: Path) -> dict[str, Any]:
-    """What a camera raw holds within its visible area: `values` (row, col) DN, `colours` (row, col) as indices of `blacks`
-    (colour) DN and of the names `letters`, `white` DN, and `orientation`, LibRaw's flip code.
+def read_camera_raw(path: Path) -> CameraRaw:
+    """What a camera raw holds within its visible area, or a DNG within its default crop.
 
     InputFileError if LibRaw cannot read it, or if it is demosaicked already.
     """
@@ -27,24 +30,44 @@ def read_camera_raw(path: Path) -> dict[str, Any]:
             require_picture(str(path), raw.sizes.raw_height, raw.sizes.raw_width)
             if raw.raw_type != rawpy.RawType.Flat or raw.raw_image_visible.ndim != 2:
                 raise InputFileError(f"{path} is already demosaicked (linear); give the raw file the camera wrote")
-            letters, colours = raw.color_desc.decode("ascii", "replace"), raw.raw_colors_visible.copy()
-            if colours.max() >= min(len(letters), len(raw.black_level_per_channel)):
-                raise InputFileError(f"{path} names colours that it does not have; it is damaged")
-            whites = [white for white in (raw.camera_white_level_per_channel or ()) if white > 0]
-            return {
-                "values": raw.raw_image_visible.copy(),
-                "colours": colours,
-                "blacks": np.array(raw.black_level_per_channel),
-                "letters": letters,
-                "white": float(min(whites, default=raw.white_level)),
-                "orientation": int(raw.sizes.flip),
-            }
+            return described(path, raw.raw_image) if path.suffix.lower() == ".dng" else _visible(path, raw)
     except rawpy.LibRawError as error:
         reason = error.args[0].decode() if error.args and isinstance(error.args[0], bytes) else str(error)
         raise InputFileError(
             f"{path} is damaged or no raw file LibRaw can read ({reason}); "
             "give a camera raw, a one-channel TIFF or PNG, a .npy, or a headerless .raw"
         ) from error
+
+
+def _visible(path: Path, raw: Any) -> CameraRaw:
+    """LibRaw's frame without masked borders; black and white levels may differ between its colours."""
+    colours, letters = raw.raw_colors_visible, raw.color_desc.decode("ascii", "replace")
+    if raw.num_colors == 1:  # no filters: LibRaw gives 6, which is none of its colours
+        colours, letters = np.zeros_like(colours), "W"
+    black, white = _levels(raw)
+    if colours.max() >= min(len(letters), len(black)):
+        raise InputFileError(f"{path} names colours that it does not have; it is damaged")
+    used = np.unique(colours)
+    if not (black[used] < white[used]).all():
+        levels = f"{black[used].max():g} is not below its white level {white[used].min():g}"
+        raise InputFileError(f"{path}: its black level {levels}; it is damaged")
+    values = raw.raw_image_visible.copy()
+    if np.ptp(black[used]) == 0:
+        common, top = float(black[used[0]]), float(white[used].min())
+    else:
+        values, common, top = with_one_black(values, black[colours], white[colours])
+    rows, cols = raw.raw_pattern.shape
+    return {
+        "values": values, "black": common, "white": top, "pattern": codes_of(letters)[colours[:rows, :cols]],
+        "orientation": int(raw.sizes.flip),
+    }  # fmt: skip
+
+
+def _levels(raw: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Black and white level (colour) in DN."""
+    black = np.array(raw.black_level_per_channel, np.float64)
+    whites = np.array(raw.camera_white_level_per_channel or (0,), np.float64)
+    return black, np.where(whites > 0, whites, raw.white_level) + np.zeros_like(black)
 
 
 def film_rate(path: Path) -> Fraction | None:

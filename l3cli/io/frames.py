@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from l3cli.errors import InputFileError
 from l3cli.io.apart import apart
 from l3cli.io.images import opened, pixels_of
+from l3cli.io.pgm import read_pgm
 
 
 @dataclass(frozen=True)
@@ -30,22 +31,25 @@ def read_frame(path: Path, shape: tuple[int, int], bits: int) -> NDArray[np.uint
 
     InputFileError if it is none, not of `shape`, or beyond `bits`.
     """
-    return _read(path, *shape, bits)
+    values = read_pgm(path) if path.suffix.lower() == ".pgm" else _read_picture(path, *shape, bits)
+    _check(path, str(values.dtype), 1, values.shape, shape, bits)
+    if values.max() >= 2**bits:
+        raise InputFileError(f"{path} holds {values.max()} DN, more than {bits} bits; check sensor.bits")
+    return values.astype(np.uint16, copy=False)
 
 
 @apart
-def _read(path: Path, rows: int, cols: int, bits: int) -> NDArray[np.uint16]:
+def _read_picture(path: Path, rows: int, cols: int, bits: int) -> NDArray:
     with opened(path) as (picture, spec):
-        depths = ("uint16", "uint8") if bits <= 8 else ("uint16",)
-        if str(spec.format) not in depths or spec.nchannels != 1:
-            raise InputFileError(
-                f"{path} holds {spec.nchannels} channels of {spec.format}; give raw frames of one channel and 16 bits"
-            )
-        if (spec.height, spec.width) != (rows, cols):
-            raise InputFileError(
-                f"{path} has {spec.height}×{spec.width} pixels, the sensor {rows}×{cols}; give whole raw frames"
-            )
-        frame = pixels_of(path, picture, spec)[..., 0].astype(np.uint16, copy=False)
-    if frame.max() >= 2**bits:
-        raise InputFileError(f"{path} holds {frame.max()} DN, more than {bits} bits; check sensor.bits")
-    return frame
+        _check(path, str(spec.format), spec.nchannels, (spec.height, spec.width), (rows, cols), bits)
+        return pixels_of(path, picture, spec)[..., 0]
+
+
+def _check(path: Path, depth: str, channels: int, found: tuple[int, ...], shape: tuple[int, int], bits: int) -> None:
+    depths = ("uint16", "uint8") if bits <= 8 else ("uint16",)
+    if depth not in depths or channels != 1:
+        raise InputFileError(f"{path} holds {channels} channels of {depth}; give raw frames of one channel and 16 bits")
+    if found != shape:
+        raise InputFileError(
+            f"{path} has {found[0]}×{found[1]} pixels, the sensor {shape[0]}×{shape[1]}; give whole raw frames"
+        )

@@ -1,28 +1,30 @@
-"""Raw files → RawFrame: camera raws through LibRaw, single-channel TIFF and PNG, .npy, headerless .raw and .bin.
+"""Raw files → RawFrame: camera raws and DNG through LibRaw, single-channel TIFF, PNG, PGM, FITS, .npy, headerless frames.
 
-The colour filter array comes from the table, never from the decoder, which reports anything but 2 × 2 wrongly and silently
-(DESIGN 4). From the file come pixels, black, white, crop, orientation, and for 2 × 2 arrays the phase.
+The colour filter array comes from the table. From the file come pixels, black, white, crop, orientation, and where it tells
+of its array the phase; an array that is not the table's is refused. What a DNG says is read from its tags (`dng`).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.table import TransformTable
 from l3cli.errors import InputFileError
-from l3cli.frame import RawFrame, shifted_cfa
+from l3cli.frame import RawFrame
 from l3cli.io.arrays import map_array
 from l3cli.io.camera_raws import read_camera_raw
+from l3cli.io.cfa_codes import Sensor, codes_of, find_phase
+from l3cli.io.fits_files import read_fits
 from l3cli.io.images import read_mono
+from l3cli.io.packed import PACKED, WORDS, Layout, make_layout
+from l3cli.io.pgm import read_pgm
 from l3cli.limits import require_picture
 
-HEADERLESS = (".raw", ".bin")
+HEADERLESS = (".raw", ".bin", *("." + packing for packing in PACKED))
 IMAGES = (".tif", ".tiff", ".png")
+FITS = (".fits", ".fit", ".fts")
 TOP = 65535  # DN, the most that 16 bits hold
-Sensor = TransformTable | CameraModel  # whose size, levels and colour filter array raw files have
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,8 @@ class KnownBetter:
     white: float | None = None  # DN
     phase: tuple[int, int] | None = None  # CFA row and column of pixel (0, 0)
     size: tuple[int, int] | None = None  # rows, columns of a headerless file
+    packing: str | None = None  # one of packed.PACKINGS, of a headerless file
+    stride: int | None = None  # bytes from row to row of a headerless file
 
 
 def read_raw(path: Path, table: Sensor, known: KnownBetter | None = None) -> RawFrame:
@@ -43,11 +47,15 @@ def read_raw(path: Path, table: Sensor, known: KnownBetter | None = None) -> Raw
     suffix = path.suffix.lower()
     try:
         if suffix in HEADERLESS:
-            values = _read_headerless(path, known.size or (table.rows, table.cols))
+            values: NDArray = _read_headerless(path, layout_of(path, table, known))
         elif suffix == ".npy":
             values = map_npy(path, 2)
         elif suffix in IMAGES:
             values = read_mono(path)
+        elif suffix == ".pgm":
+            values = read_pgm(path)
+        elif suffix in FITS:
+            return fits_frame(path, None, table, known)
         else:
             return _corrected(_read_camera_raw(path, table, known.phase), table, known)
         return frame_of(str(path), values, table, known)
@@ -62,6 +70,22 @@ def frame_of(name: str, values: NDArray, table: Sensor, known: KnownBetter) -> R
     require_picture(name, *values.shape)
     frame = RawFrame(name, np.array(values, np.uint16, order="C"), table.black, table.white)
     return _corrected(frame, table, known)
+
+
+def fits_frame(path: Path, number: int | None, table: Sensor, known: KnownBetter) -> RawFrame:
+    """The frame of a FITS file, or its frame `number`, with the phase that its BAYERPAT tells."""
+    values, letters = read_fits(path, number)
+    name = str(path) if number is None else f"{path} frame {number}"
+    if letters and known.phase is None:
+        known = replace(known, phase=find_phase(name, codes_of(letters).reshape(2, 2), table))
+    return frame_of(name, values, table, known)
+
+
+def layout_of(path: Path, table: Sensor, known: KnownBetter) -> Layout:
+    """How the values of a headerless file lie: as the caller knows, else by its suffix and the table's size."""
+    suffix = path.suffix.lower().removeprefix(".")
+    packing = known.packing or (suffix if suffix in PACKED else WORDS)
+    return make_layout(known.size or (table.rows, table.cols), packing, known.stride)
 
 
 def _corrected(frame: RawFrame, table: Sensor, known: KnownBetter) -> RawFrame:
@@ -80,15 +104,15 @@ def _corrected(frame: RawFrame, table: Sensor, known: KnownBetter) -> RawFrame:
 # -------------------------------------------------------------------------------------------------- plain formats
 
 
-def _read_headerless(path: Path, size: tuple[int, int]) -> NDArray[np.uint16]:
-    """Little-endian 16-bit values row by row, nothing else."""
-    rows, cols = size
-    found, wanted = path.stat().st_size, rows * cols * 2
+def _read_headerless(path: Path, layout: Layout) -> NDArray[np.uint16]:
+    """One frame's values and nothing else."""
+    require_picture(str(path), layout.rows, layout.cols)
+    found, wanted = path.stat().st_size, layout.frame_bytes
     if found != wanted:
         raise InputFileError(
-            f"{path} has {found} bytes, {rows}×{cols} 16-bit values have {wanted}; give its size with --size ROWSxCOLS"
+            f"{path} has {found} bytes, {layout} have {wanted}; give its size with --size ROWSxCOLS, --packing and --stride"
         )
-    return np.fromfile(path, "<u2").reshape(rows, cols)
+    return layout.unpack(np.fromfile(path, np.uint8))
 
 
 def map_npy(path: Path, axes: int) -> NDArray:
@@ -110,41 +134,6 @@ def npy_axes(path: Path) -> int:
 
 def _read_camera_raw(path: Path, table: Sensor, phase: tuple[int, int] | None) -> RawFrame:
     found = read_camera_raw(path)
-    values, black = _common_black(found["values"], found["colours"], found["blacks"])
-    white = found["white"]
-    if not black < white:
-        raise InputFileError(f"{path}: its black level {black:g} is not below its white level {white:g}; it is damaged")
     if phase is None:
-        phase = _phase(
-            path, np.array([[found["letters"][index] for index in row] for row in found["colours"][:2, :2]]), table
-        )
-    return RawFrame(str(path), values, black, white, phase, found["orientation"])
-
-
-def _common_black(
-    values: NDArray[np.uint16], colours: NDArray[np.uint8], blacks: NDArray[np.integer]
-) -> tuple[NDArray[np.uint16], float]:
-    """values (row, col) shifted so that all colours have the rounded mean of their black levels, and that mean."""
-    used = np.unique(colours)
-    black = int(np.rint(blacks[used].mean()))
-    if (blacks[used] == black).all():
-        return values.copy(), float(black)
-    shifted = values.astype(np.int64) + (black - blacks.astype(np.int64))[colours]
-    return np.clip(shifted, 0, TOP).astype(np.uint16), float(black)
-
-
-def _phase(path: Path, letters: NDArray[np.str_], table: Sensor) -> tuple[int, int]:
-    """Site of pixel (0, 0): the shift of the table's CFA that gives the file's 2 × 2 colour `letters`; (0, 0) where the
-    two cannot be compared, because the table's CFA is no 2 × 2 of r, g, b. InputFileError if no shift matches."""
-    names = np.array([name.lower() for name in table.channels])
-    if table.cfa.shape != (2, 2) or not set(names) <= {"r", "g", "b"}:
-        return 0, 0
-    wanted = np.char.lower(letters)
-    for phase in ((0, 0), (0, 1), (1, 0), (1, 1)):
-        if (names[shifted_cfa(table.cfa, phase)] == wanted).all():
-            return phase
-    ours, theirs = ("/".join("".join(row) for row in pattern) for pattern in (names[table.cfa], wanted))
-    raise InputFileError(
-        f"{path} has the colour filter array {theirs}, the table {ours}; "
-        "give the table of this camera, or the site of the first pixel with --phase ROW,COL"
-    )
+        phase = find_phase(str(path), found["pattern"], table)
+    return RawFrame(str(path), found["values"], found["black"], found["white"], phase, found["orientation"])

@@ -19,6 +19,7 @@ from l3cli.errors import InputFileError, RecipeError
 from l3cli.frame import RawFrame
 from l3cli.io import raw_files
 from l3cli.io.camera_raws import film_rate
+from l3cli.io.fits_files import fits_shape
 from l3cli.io.raw_files import KnownBetter
 from l3cli.io.stacks import find_stack, stack_frame
 
@@ -29,7 +30,9 @@ CAMERA_RAWS = tuple(
     "." + name for name in ("3fr", "ari", "arw", "cr2", "cr3", "dcr", "dng", "erf", "fff", "iiq", "kdc", "mos", "mrw")
     + ("nef", "nrw", "orf", "pef", "raf", "rw2", "rwl", "srw", "x3f")
 )  # fmt: skip
-ONE_FRAME = raw_files.HEADERLESS + raw_files.IMAGES + CAMERA_RAWS + (".npy",)  # what is taken from a folder
+ONE_FRAME = (
+    raw_files.HEADERLESS + raw_files.IMAGES + raw_files.FITS + CAMERA_RAWS + (".npy", ".pgm")
+)  # what is taken from a folder
 PATTERN = re.compile(r"%(0\d+)?d|#+")
 
 
@@ -149,6 +152,8 @@ def _series(path: Path, table: TransformTable, known: KnownBetter, dataset: str 
         return _video(path, table, known)
     if path.exists() and suffix == ".npy" and raw_files.npy_axes(path) == 3:
         return _npy_stack(path, table, known)
+    if path.exists() and suffix in raw_files.FITS and len(fits_shape(path)) == 3:
+        return _fits_stack(path, table, known)
     if path.exists() and suffix in raw_files.HEADERLESS:
         return _headerless_stack(path, table, known)
     return _of_files(str(path), (path,), table, known)
@@ -254,20 +259,24 @@ def _stack(path: Path, count: int, pixels: Callable[[int], NDArray], table: Tran
 
 def _headerless_stack(path: Path, table: TransformTable, known: KnownBetter) -> _Series:
     """As many frames as the file has room for; one that is cut is found when it is read."""
-    rows, cols = known.size or (table.rows, table.cols)
-    frame_bytes, found = 2 * rows * cols, path.stat().st_size
-    if found < 2 * frame_bytes:
+    layout, found = raw_files.layout_of(path, table, known), path.stat().st_size
+    if found < 2 * layout.frame_bytes:
         return _of_files(str(path), (path,), table, known)
 
     def pixels(number: int) -> NDArray:
-        values = np.fromfile(path, "<u2", rows * cols, offset=number * frame_bytes)
-        if values.size < rows * cols:
-            raise InputFileError(
-                f"{path} ends within frame {number} of {rows}×{cols} 16-bit values; give its size with --size ROWSxCOLS"
-            )
-        return values.reshape(rows, cols)
+        content = np.fromfile(path, np.uint8, layout.frame_bytes, offset=number * layout.frame_bytes)
+        if content.size < layout.frame_bytes:
+            raise InputFileError(f"{path} ends within frame {number} of {layout}; give its size with --size ROWSxCOLS")
+        return layout.unpack(content)
 
-    return _stack(path, -(-found // frame_bytes), pixels, table, known)
+    return _stack(path, -(-found // layout.frame_bytes), pixels, table, known)
+
+
+def _fits_stack(path: Path, table: TransformTable, known: KnownBetter) -> _Series:
+    def read(number: int) -> RawFrame:
+        return raw_files.fits_frame(path, number, table, known)
+
+    return _Series(str(path), range(fits_shape(path)[0]), read, lambda number: f"{path.stem}_{number:06d}")
 
 
 def _npy_stack(path: Path, table: TransformTable, known: KnownBetter) -> _Series:
@@ -313,18 +322,18 @@ class _Stream:
 def _stdin(table: TransformTable, known: KnownBetter) -> _Series:
     if known.size is None:
         raise RecipeError("raw frames on stdin do not tell their size; give it with --size ROWSxCOLS")
-    rows, cols = known.size
+    layout = raw_files.layout_of(STDIN, table, known)
     # Unbuffered: a thread that waits in a buffered stream would keep the interpreter from ending.
     pipe = open(0, "rb", buffering=0, closefd=False)  # noqa: SIM115
 
     def following() -> NDArray | None:
-        content = bytearray(2 * rows * cols)
+        content = bytearray(layout.frame_bytes)
         filled = 0
         while filled < len(content) and (got := pipe.readinto(memoryview(content)[filled:])):
             filled += got
         if 0 < filled < len(content):
-            raise InputFileError(f"stdin ends within the frame, of {rows}×{cols} 16-bit values; check --size ROWSxCOLS")
-        return np.frombuffer(content, "<u2").reshape(rows, cols) if filled else None
+            raise InputFileError(f"stdin ends within the frame, of {layout}; check --size ROWSxCOLS")
+        return layout.unpack(content) if filled else None
 
     stream = _Stream(following, lambda pixels, number: raw_files.frame_of(f"stdin frame {number}", pixels, table, known))
     return _Series("stdin", None, stream.read, lambda number: f"{number:06d}")

@@ -1,5 +1,7 @@
 """The plain truth of rendering in float64: what every other backend is held against (METHOD 5)."""
 
+from collections.abc import Iterable, Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,6 +29,10 @@ class ReferenceRenderer:
         """The frame as sRGB (row, col, 3); RecipeError unless the table's outputs are X, Y, Z."""
         require_xyz(self.table.outputs)
         return encode(self.exact_outputs(frame), display)
+
+    def pictures(self, frames: Iterable[tuple[RawFrame, Display]]) -> Iterator[NDArray]:
+        """The picture of each frame, in order."""
+        return (self.picture(frame, display) for frame, display in frames)
 
     def exact_outputs(self, frame: RawFrame) -> NDArray[np.float64]:
         """`outputs` before rounding to float32."""

@@ -1,6 +1,7 @@
 """The one interface of everything that renders, and the backends behind it."""
 
 import importlib
+from collections.abc import Iterable, Iterator
 from typing import Protocol
 
 import numpy as np
@@ -32,6 +33,9 @@ class Renderer(Protocol):
 
         RecipeError unless the table's outputs are X, Y, Z.
         """
+
+    def pictures(self, frames: Iterable[tuple[RawFrame, Display]]) -> Iterator[NDArray]:
+        """The picture of each frame, in order; while the caller looks at one the next may be at work."""
 
 
 def make_renderer(backend: str, table: TransformTable, **options: str | None) -> Renderer:
