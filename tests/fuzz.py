@@ -46,7 +46,8 @@ class Court:
     def __init__(self, shop: Any, seen: list[str], kept: Path, only: str | None) -> None:
         from tests.hostile import SUBJECTS
 
-        self.subjects = [subject for subject in SUBJECTS if only is None or subject.name == only]
+        chosen = [subject for subject in SUBJECTS if only is None or subject.name == only]
+        self.subjects = [subject for turn in range(3) for subject in chosen if only or subject.often > turn]
         self._shop, self._seen, self._kept = shop, seen, kept
 
     def judge(self, number: int, subject: Any, choices: Any) -> str | None:

@@ -321,7 +321,8 @@ class Subject:
     name: str
     spoil: Callable[[bytes, Choices], bytes]
     commands: tuple[str, ...]
-    text: str = ""  # of the recipe beside it that names it, as scenes.toml
+    text: str = ""  # of the recipe beside it that names it, as recipe.toml
+    often: int = 3  # as the long run takes it; 1: those whose commands take long
 
 
 def _scene(source: str, name: str, more: str = "") -> str:
@@ -352,31 +353,35 @@ SUBJECTS = (
             "evaluate table.h5 {file} --backend reference --pictures {out}/p",
             REPORT,
         ),
+        often=1,
     ),
-    Subject("sums.h5", spoiled_hdf5, ("train --merge {file} -o {out}/t.h5",)),
+    Subject("sums.h5", spoiled_hdf5, ("train --merge {file} -o {out}/t.h5",), often=1),
     Subject("camera.toml", spoiled_text, (DRAW_WITH,)),
     Subject("curves.toml", spoiled_text, (DRAW_WITH,)),
-    Subject("scenes.toml", spoiled_text, ("simulate {file} --camera camera.toml -o {out}/t.h5 --pictures {out}/p",)),
-    Subject("classes.toml", spoiled_text, ("train training.h5 --classes {file} -o {out}/t.h5",)),
-    Subject("lab.toml", spoiled_text, ("lab camera.toml --recipe {file} -o {out}/lab",)),
-    Subject("lab/MEASUREMENTS.toml", spoiled_text, (CALIBRATE,)),
+    Subject("scenes.toml", spoiled_text, ("simulate {file} --camera camera.toml -o {out}/t.h5 --pictures {out}/p",), often=1),
+    Subject("classes.toml", spoiled_text, ("train training.h5 --classes {file} -o {out}/t.h5",), often=1),
+    Subject("lab.toml", spoiled_text, ("lab camera.toml --recipe {file} -o {out}/lab",), often=1),
+    Subject("lab/MEASUREMENTS.toml", spoiled_text, (CALIBRATE,), often=1),
     Subject("table.toml", spoiled_text, (CALIBRATE,)),
     Subject("sweep.csv", spoiled_text, ("calibrate table.toml -o {out}/camera.h5 --accept",)),
     Subject("diode.csv", spoiled_text, ("calibrate table.toml -o {out}/camera.h5 --accept",)),
     Subject("curves.csv", spoiled_text, ("simulate drawn.toml --camera curves.toml -o {out}/t.h5",)),
     Subject("curves.json", spoiled_text, ("calibrate curves_of.toml -o {out}/camera.h5 --accept",)),
     Subject("lamp.csv", spoiled_text, (SIMULATE,), 'illuminants = ["lamp.csv"]\n' + DRAWN),
-    Subject("lab/spectra/mono.csv", spoiled_text, (LISTED,)),
-    Subject("lab/spectra/chart_010_D65.csv", spoiled_text, (LISTED,)),
-    Subject("lab/white/012_D65_0.tif", spoiled_bytes, (LISTED,)),
-    Subject("lab/mono/000_430nm.tif", spoiled_bytes, (LISTED,)),
-    Subject("lab/dark/015_cap_0.pgm", spoiled_bytes, ("calibrate lab/pgm.toml -o {out}/camera.h5 --accept",)),
+    Subject("lab/spectra/mono.csv", spoiled_text, (LISTED,), often=1),
+    Subject("lab/spectra/chart_010_D65.csv", spoiled_text, (LISTED,), often=1),
+    Subject("lab/white/012_D65_0.tif", spoiled_bytes, (LISTED,), often=1),
+    Subject("lab/mono/000_430nm.tif", spoiled_bytes, (LISTED,), often=1),
+    Subject("lab/dark/015_cap_0.pgm", spoiled_bytes, ("calibrate lab/pgm.toml -o {out}/camera.h5 --accept",), often=1),
     Subject("evaluation.json", spoiled_text, ("compare {file} other.json --figure psnr -o {out}/c.html",)),
     Subject("frame.npy", spoiled_bytes, (RENDER,)),
     Subject("frame.tif", spoiled_bytes, (RENDER,)),
     Subject("frame.png", spoiled_bytes, (RENDER,)),
     Subject("frame.dng", spoiled_bytes, (RENDER,)),
     Subject("frame.raw", spoiled_bytes, (RENDER + " --size 20x24",)),
+    Subject("frame.raw10", spoiled_bytes, (RENDER + " --size 20x24",)),
+    Subject("frame.pgm", spoiled_bytes, (RENDER,)),
+    Subject("frame.fits", spoiled_bytes, (RENDER,)),
     Subject("stack.npy", spoiled_bytes, (SEQUENCE,)),
     Subject("stack.h5", spoiled_hdf5, (SEQUENCE, SEQUENCE + " --dataset take/raw")),
     Subject("clip.mkv", spoiled_bytes, (SEQUENCE,)),
@@ -438,12 +443,16 @@ def make_inputs(folder: Path) -> None:
 def _make_frames(folder: Path) -> None:
     import av
     import tifffile
+    from astropy.io import fits
 
     rng = np.random.default_rng(0)
     stack = rng.integers(0, 4096, (3, 20, 24)).astype(np.uint16)
     np.save(folder / "frame.npy", stack[0])
     np.save(folder / "stack.npy", stack)
     stack[0].tofile(folder / "frame.raw")
+    (folder / "frame.raw10").write_bytes(stack.tobytes()[: 20 * 30])
+    (folder / "frame.pgm").write_bytes(b"P5 24 20 4095\n" + stack[0].astype(">u2").tobytes())
+    fits.PrimaryHDU(stack[0]).writeto(folder / "frame.fits")
     _write_image(folder / "frame.tif", stack[0][..., None], compression="zip")
     _write_image(folder / "frame.png", stack[0][..., None])
     cfa = [(33421, "H", 2, (2, 2), True), (33422, "B", 4, (0, 1, 1, 2), True)]
