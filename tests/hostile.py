@@ -358,7 +358,7 @@ SUBJECTS = (
     Subject("sums.h5", spoiled_hdf5, ("train --merge {file} -o {out}/t.h5",), often=1),
     Subject("camera.toml", spoiled_text, (DRAW_WITH,)),
     Subject("curves.toml", spoiled_text, (DRAW_WITH,)),
-    Subject("scenes.toml", spoiled_text, ("simulate {file} --camera camera.toml -o {out}/t.h5 --pictures {out}/p",), often=1),
+    Subject("scenes.toml", spoiled_text, ("simulate {file} --camera camera.toml -o {out}/t.h5 --pictures {out}",), often=1),
     Subject("classes.toml", spoiled_text, ("train training.h5 --classes {file} -o {out}/t.h5",), often=1),
     Subject("lab.toml", spoiled_text, ("lab camera.toml --recipe {file} -o {out}/lab",), often=1),
     Subject("lab/MEASUREMENTS.toml", spoiled_text, (CALIBRATE,), often=1),
