@@ -1,6 +1,7 @@
 """Nobody's file harms: spoilt inputs of every kind are refused in one line, and decoders run apart, within limits."""
 
 import dataclasses
+import io
 import json
 import os
 import struct
@@ -25,6 +26,7 @@ from l3cli.errors import InputFileError
 from l3cli.io import apart
 from l3cli.io.images import read_image, write_mosaic
 from l3cli.limits import MEGAPIXELS, MOST_TEXT, TRUST
+from l3cli.train.insight import kind_name
 from tests.decoders import abort, crash, echo, hoard, sleep, stumble, work, write_much
 from tests.hostile import SUBJECTS, Subject, Workshop, confined, watched
 
@@ -49,10 +51,14 @@ class Drawn:
 
 
 @pytest.fixture(scope="module")
-def shop(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workshop]:
-    made = Workshop(tmp_path_factory.mktemp("hostile"))
+def workshop(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
+    return Workshop(tmp_path_factory.mktemp("hostile"))
+
+
+@pytest.fixture
+def shop(workshop: Workshop) -> Iterator[Workshop]:
     with confined():
-        yield made
+        yield workshop
 
 
 @pytest.mark.parametrize("subject", SUBJECTS, ids=lambda subject: subject.name)
@@ -65,6 +71,68 @@ def test_a_spoilt_input_is_refused_or_read_and_nothing_else(shop: Workshop, subj
         assert not seen
 
     judge()
+
+
+# What the long runs have found, each mended at its cause: a subject, a command, what is replaced in the whole file.
+KEPT: list[tuple[str, int, bytes, bytes]] = [
+    ("frame.npy", 0, b"(20, 24)", b"(20, 24\n"),  # Python's tokenizer fails on the header
+    ("lab.toml", 0, b"step_nm = 30.0", b"step_nm = 1e-30"),  # more wavelengths than there is memory
+    ("lab.toml", 0, b"hot_pixels_per_million = 400", b"hot_pixels_per_million = 1e20"),
+    ("classes.toml", 0, b"draws = 2", b"draws = 100000"),  # years
+    ("classes.toml", 0, b"patches = 300", b"patches = 4294967296"),
+    ("curves.toml", 0, b"fixed_pattern_seed = 3", b"fixed_pattern_seed = 9223372036854775808"),
+    ("camera.toml", 0, b"bits = 12", b"bits = 2147483647"),
+    ("camera.toml", 0, b"[400, 700, 10]", b"[400, 1e20, 1e-9]"),
+    ("scenes.toml", 0, b"count = 1", b"count = 4294967296"),
+    ("lab/MEASUREMENTS.toml", 0, b"cols = 128", b"cols = 128282828"),
+    ("lab/spectra/chart_010_D65.csv", 0, b"\n419", b"\n418.9" + 24 * b",-1e300" + b"\n419"),  # least squares never end
+    ("training.h5", 1, b"SNOD", b"SNOX"),  # HDF5's own list of a group's members is broken
+    ("table.h5", 0, b"SNOD", b"SNOX"),
+    ("channels.exr", 0, b"lineOrder\0lineOrder", b"lineOrder\0lineOr\x01er"),  # a control character in the decoder's message
+]
+
+
+@pytest.mark.parametrize(("name", "command", "old", "new"), KEPT)
+def test_what_was_found_stays_mended(shop: Workshop, name: str, command: int, old: bytes, new: bytes) -> None:
+    subject = next(subject for subject in SUBJECTS if subject.name == name)
+    assert old in shop.whole[name]
+    assert shop.judge_content(subject, shop.whole[name].replace(old, new), command) is None
+
+
+KEPT_VALUES: list[tuple[str, int, str, Any]] = [
+    ("training.h5", 1, "frames/00000/white", np.array([-1e30, 100.0, 108.9])),  # moments that run over
+    ("training.h5", 1, "frames/00000/luminance", -1.0),
+    ("training.h5", 2, "outputs", np.array([b"X", b"Y"])),
+    ("sums.h5", 0, "sites", np.array([1, 2, 3])),  # sums of sites that the camera does not train
+    ("table.h5", 0, "rule/shift", -1),
+    ("table.h5", 1, "bits", 4096),
+    ("camera.h5", 2, "wavelength", np.linspace(1.0, 1e12, 31)),
+    ("camera.h5", 2, "gain", 0.0),
+    ("camera.h5", 0, "history", np.bytes_(b'[{"command": 1, "options": []}]')),
+]
+
+
+@pytest.mark.parametrize(("name", "command", "dataset", "value"), KEPT_VALUES)
+def test_values_that_were_found_stay_refused(shop: Workshop, name: str, command: int, dataset: str, value: Any) -> None:
+    subject = next(subject for subject in SUBJECTS if subject.name == name)
+    image = io.BytesIO(shop.whole[name])
+    with h5py.File(image, "r+") as root:
+        attributes = dict(root[dataset].attrs)
+        del root[dataset]
+        root[dataset] = value
+        root[dataset].attrs.update(attributes)
+    assert shop.judge_content(subject, image.getvalue(), command) is None
+
+
+def test_a_camera_of_many_channels_does_not_compare_all_patterns_in_pairs() -> None:
+    """16 channels have 65536 patterns: all against all would be 32 GB."""
+    table = random_table(np.arange(16).reshape(4, 4), patch=5)
+    rule = dataclasses.replace(table.rule, case_of_code=np.minimum(np.arange(2**16), 2).astype(np.uint16))
+    weights = np.zeros((table.cfa.size * rule.classes_per_site, 3, 25), np.float32)
+    each = {"intercept": weights[:, :, 0], "samples": np.ones(len(weights)), "condition": np.ones(len(weights), np.float32)}
+    table = dataclasses.replace(table, rule=rule, weights=weights, channels=tuple("abcdefghijklmnop"), **each)
+    assert kind_name(table, table.rule.chromas) == "saturated a"
+    assert kind_name(table, table.rule.chromas + 1) == "saturated a+b+c+d+e+f+g+h+i+j+k+l+m+n+o+p"
 
 
 # ----------------------------------------------------------------------------------------------------- decoding apart
