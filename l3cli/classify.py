@@ -26,6 +26,7 @@ from l3cli.artifacts.table import (
     CLASS_BITS,
     CONTRAST_FRACTION,
     LEVEL_FRACTION,
+    MAX_PATCH,
     ClassRule,
 )
 from l3cli.config import Count, Recipe
@@ -91,6 +92,8 @@ def make_rule(
     `chroma_centres` (chroma, channel) are shares of the channel means in their sum; without them there is one chroma.
     RecipeError if the recipe asks for what the camera cannot give, such as more levels than values.
     """
+    if recipe.patch % 2 == 0 or not 1 <= recipe.patch <= MAX_PATCH:
+        raise RecipeError(f"classes.patch is {recipe.patch}, not an odd number up to {MAX_PATCH}")
     neighbourhoods(camera.cfa, recipe.patch, len(camera.channels))
     if tuple(sorted(set(recipe.contrasts))) != recipe.contrasts or any(edge <= 0 for edge in recipe.contrasts):
         raise RecipeError("contrasts must be positive and increase")

@@ -2,12 +2,13 @@
 
 import re
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_args, get_origin
 
 import msgspec
 
-from l3cli.errors import InputFileError, RecipeError
+from l3cli.errors import InputFileError, RecipeError, suggestion
 from l3cli.limits import read_bounded
 
 LARGEST = 1e24  # of any number in a recipe: beyond lies what no lamp gives and floats run over at
@@ -18,23 +19,44 @@ Count = Annotated[int, msgspec.Meta(le=MOST)]
 class Recipe(msgspec.Struct, forbid_unknown_fields=True):
     """Base of all recipe structures; a field without a default is a required key."""
 
+    title: ClassVar[str] = "a recipe"  # of a whole file, and what is asked for where another kind is given
+
+
+TELLING = {  # keys at the top of a file by which its kind is known: no other kind has them
+    "a measurement file": ("sweep", "curves", "band", "datasheet", "uncertainty"),
+    "a camera recipe": ("responsivity", "noise"),
+    "a lab recipe": ("flaws", "spectrometer_step_nm", "wavelength_error_nm", "lamp_drift", "monitor_error", "falloff"),
+    "a scene recipe": (
+        "scene", "pair", "illuminants", "luminances_cd_m2", "exposure_share", "exposure_saturated", "exposure_mean",
+        "exposure_s", "lens", "target",
+    ),
+    "a class recipe": ("classes", "learning"),
+}  # fmt: skip
+
 
 R = TypeVar("R", bound=Recipe)
 
 
-def read_text(path: Path) -> str:
-    """The text of a recipe file; InputFileError if it cannot be read as UTF-8."""
+def read_text(path: Path, title: str = Recipe.title) -> str:
+    """The text of a recipe file; InputFileError, which asks for `title`, if it cannot be read as UTF-8."""
     try:
         return read_bounded(path).decode("utf-8")
     except OSError as error:
-        raise InputFileError(f"{path}: {error.strerror}") from error
+        what = (
+            "is a folder"
+            if path.is_dir()
+            else "does not exist"
+            if not path.exists()
+            else f"cannot be read: {error.strerror}"
+        )
+        raise InputFileError(f"{path} {what}; give {title} (TOML)") from error
     except UnicodeDecodeError as error:
-        raise InputFileError(f"{path} is not a text file; give a TOML recipe") from error
+        raise InputFileError(f"{path} is not a text file; give {title} (TOML)") from error
 
 
 def load_recipe(path: Path, recipe: type[R]) -> R:
     """Read a TOML file as `recipe`; RecipeError names the file, the key and what is wrong with it."""
-    return parse_recipe(read_text(path), recipe, str(path))
+    return parse_recipe(read_text(path, recipe.title), recipe, str(path))
 
 
 def parse_recipe(text: str, recipe: type[R], name: str) -> R:
@@ -45,11 +67,14 @@ def parse_recipe(text: str, recipe: type[R], name: str) -> R:
         raise RecipeError(f"{name} is not valid TOML: {error}") from error
     except RecursionError as error:
         raise RecipeError(f"{name} is not valid TOML: its lists or tables are too deep") from error
+    given = {kind for kind, keys in TELLING.items() if any(key in content for key in keys)}
+    if given and recipe.title in TELLING and recipe.title not in given:
+        raise RecipeError(f"{name} is {' and '.join(sorted(given))}; give {recipe.title}")
     _require_sane(content, name)
     try:
         return msgspec.convert(content, recipe)
     except msgspec.ValidationError as error:
-        raise RecipeError(f"{name}: {_plain(str(error))}") from error
+        raise RecipeError(f"{name}: {_plain(str(error), recipe)}") from error
 
 
 def _require_sane(value: Any, name: str, key: str = "") -> None:
@@ -66,11 +91,53 @@ def _require_sane(value: Any, name: str, key: str = "") -> None:
         raise RecipeError(f"{name}: {key} holds a null character; leave it out")
 
 
-def _plain(message: str) -> str:
-    """msgspec's message in the words of a recipe: keys and tables instead of fields and objects."""
+def _plain(message: str, recipe: type[Recipe]) -> str:
+    """msgspec's message in the words of a recipe: keys and tables instead of fields and objects, and what was meant."""
     what, _, where = message.partition(" - at ")
     table = re.sub(r"^`\$\.?|`$", "", where)
+    table = re.sub(r"\[(\d+)\]", lambda number: f"[{int(number[1]) + 1}]", table)  # entries count from 1
     what = what.replace("Object missing required field", "missing key").replace(
         "Object contains unknown field", "unknown key"
     )
-    return f"{what} in [{table}]" if table else f"{what} at the top level"
+    place = f"[{table}]" if table else "the top level"
+    line = f"{what} {'in' if table else 'at'} {place}"
+    wrong = re.fullmatch(r"unknown key `(.*)`|Invalid(?: enum)? value '(.*)'", what)
+    known = (_keys(recipe, table) if wrong[2] is None else _values(recipe, table)) if wrong else ()
+    return f"{line}; {suggestion(wrong[1] or wrong[2] or '', known)}" if wrong and known else line
+
+
+def _keys(recipe: type[Recipe], table: str) -> tuple[str, ...]:
+    """The keys that a table of a recipe, such as "scene[2].lens", may have."""
+    tables = _tables(recipe, table)
+    tags = [each.__struct_config__.tag_field for each in tables if each.__struct_config__.tag_field]
+    return tuple(dict.fromkeys(tags + [field.encode_name for each in tables for field in msgspec.structs.fields(each)]))
+
+
+def _values(recipe: type[Recipe], key: str) -> tuple[str, ...]:
+    """The words that a key of a recipe, such as "scene[2].source", may have."""
+    table, _, name = key.rpartition(".")
+    tables = _tables(recipe, table)
+    words = [str(each.__struct_config__.tag) for each in tables if each.__struct_config__.tag_field == name]
+    for each in tables:
+        for field in msgspec.structs.fields(each):
+            if field.encode_name == name:
+                words += [str(word) for kind in _parts(field.type) if get_origin(kind) is Literal for word in get_args(kind)]
+    return tuple(dict.fromkeys(words))
+
+
+def _tables(recipe: type[Recipe], where: str) -> list[type[Recipe]]:
+    """The structures that a table of a recipe may be: several where a tag chooses among them."""
+    found = [recipe]
+    for name in filter(None, re.sub(r"\[[^]]*\]", "", where).split(".")):
+        fields = [field for each in found for field in msgspec.structs.fields(each) if field.encode_name == name]
+        kinds = [kind for field in fields for kind in _parts(field.type)]
+        found = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Recipe)]
+    return found
+
+
+def _parts(kind: Any) -> Iterator[Any]:
+    """A type and, of lists, unions and the like, the types that it is made of."""
+    yield kind
+    if get_origin(kind) is not Literal:
+        for part in get_args(kind):
+            yield from _parts(part)

@@ -1,5 +1,7 @@
 """What can go wrong, and the exit code each kind of failure gives (README, "Exit codes")."""
 
+from collections.abc import Iterable
+
 
 class L3Error(Exception):
     """Something failed. The message is one line that names the culprit and the cure."""
@@ -23,3 +25,18 @@ class DeviceError(L3Error):
     """No usable OpenCL device."""
 
     exit_code = 4
+
+
+MOST = 240  # characters of a list of names
+
+
+def suggestion(name: str, known: Iterable[str]) -> str:
+    """The cure for a name that is none of `known`: the ones it may have been meant for or, where none is near, all."""
+    import difflib  # only where something went wrong
+
+    spelled = {each.lower(): each for each in known}
+    close = difflib.get_close_matches(name.lower(), spelled, n=3)
+    if close:
+        return "did you mean " + " or ".join(f'"{spelled[found]}"' for found in close) + "?"
+    named = ", ".join(spelled.values())
+    return f"there are {named}" if len(named) <= MOST else f"there are {named[:MOST].rpartition(',')[0]} …"

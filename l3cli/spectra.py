@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.errors import RecipeError
+from l3cli.errors import RecipeError, suggestion
 
 PLANCK = 6.62607015e-34  # J s
 LIGHT_SPEED = 299792458.0  # m/s
@@ -97,7 +97,7 @@ OBSERVERS = {
 def colour_matching_functions(wavelength: Array, observer: str = "CIE 1931") -> Array:
     """x̄ ȳ z̄, (3, wavelength), of a key of OBSERVERS, linearly interpolated from the tabulated 1 nm observer."""
     if observer not in OBSERVERS:
-        raise RecipeError(f'observer "{observer}" is unknown; use one of {", ".join(OBSERVERS)}')
+        raise RecipeError(f'observer "{observer}" is unknown; {suggestion(observer, OBSERVERS)}')
     cmfs = _colour().MSDS_CMFS[OBSERVERS[observer]]
     return resample(cmfs.values.T, cmfs.wavelengths, wavelength)
 
@@ -139,11 +139,8 @@ def _tabulated(name: str, wavelength: Array) -> Array:
     """Energy (wavelength) of a CIE illuminant, linear between its samples."""
     key = f"FL{name[1:]}" if re.fullmatch(r"F\d+", name) else name
     if key not in illuminant_names():
-        known = ", ".join(illuminant_names())
-        raise RecipeError(
-            f'illuminant "{name}" is unknown; use a black body such as "3200K", daylight such as "D6000K", '
-            f"a CSV file or one of {known}"
-        )
+        others = 'black bodies such as "3200K", daylight such as "D6000K" and, in recipes, CSV files'
+        raise RecipeError(f'illuminant "{name}" is unknown; {suggestion(name, illuminant_names())} (and {others})')
     table = _colour().SDS_ILLUMINANTS[key]
     return np.interp(wavelength, table.wavelengths, table.values)
 

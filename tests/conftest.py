@@ -1,5 +1,6 @@
 """Fixtures are the stages before: camera → training set → table. All are small, all are made by the real commands."""
 
+import contextlib
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -11,6 +12,7 @@ from l3cli.artifacts.camera import CameraModel, load_camera
 from l3cli.cli import run
 
 CONFIGS = Path(__file__).parents[1] / "configs"
+TERMINAL = ("TERM", "COLUMNS", "LINES", "NO_COLOR", "FORCE_COLOR")  # what tests of terminals say themselves
 
 
 @pytest.fixture(scope="session")
@@ -130,3 +132,64 @@ def lab_folder(fine_bayer_recipe: Path, tmp_path_factory: pytest.TempPathFactory
     path = tmp_path_factory.mktemp("lab")
     assert run(["lab", str(fine_bayer_recipe), "-o", str(path), "--quiet"]) == 0
     return path
+
+
+SCENES = """
+exposure_share = [0.9]
+[[scene]]
+source = "dead leaves"
+size = [96, 96]
+count = 10
+"""
+UNSEEN = """
+exposure_share = [0.8]
+[[scene]]
+source = "composition"
+size = [160, 240]
+seed = 5
+"""
+CLASSES = "[classes]\npatch = 5\nlevels = 8\n[learning]\npatches = 12000\n"
+
+
+@pytest.fixture(scope="session")
+def pipeline(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder in which every command has run, from camera.toml and lab/ to table.h5 and picture.png."""
+    folder = tmp_path_factory.mktemp("pipeline")
+    for name, text in {"camera": bayer_camera(), "scenes": SCENES, "unseen": UNSEEN, "classes": CLASSES}.items():
+        (folder / f"{name}.toml").write_text(text)
+
+    def l3(*arguments: object) -> None:
+        assert run([str(argument) for argument in arguments]) == 0
+
+    l3("lab", folder / "camera.toml", "-o", folder / "lab", "--quiet")
+    l3("calibrate", folder / "lab/MEASUREMENTS.toml", "-o", folder / "camera.h5", "--quiet")
+    l3("simulate", folder / "scenes.toml", "--camera", folder / "camera.h5", "-o", folder / "training.h5", "--quiet")
+    l3("train", folder / "training.h5", "--classes", folder / "classes.toml", "-o", folder / "table.h5", "--quiet")
+    unseen = ("--camera", folder / "camera.toml", "-o", folder / "unseen.h5", "--pictures", folder / "unseen", "--quiet")
+    l3("simulate", folder / "unseen.toml", *unseen)
+    raw = next((folder / "unseen").glob("*_raw.tif"))
+    l3("render", folder / "table.h5", raw, "-o", folder / "picture.png")
+    return folder
+
+
+def in_terminal(command: list[str], environment: dict[str, str], columns: int = 80) -> str:
+    """What a command shows on a terminal of 24 rows, stdout and stderr together."""
+    import fcntl
+    import pty
+    import struct
+    import subprocess
+    import termios
+
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, columns, 0, 0))
+    known = {"TERM": "xterm-256color", **{key: value for key, value in os.environ.items() if key not in TERMINAL}}
+    known |= {"PYTHONPATH": str(CONFIGS.parent), **environment}
+    run = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=theirs, stderr=theirs, env=known)
+    os.close(theirs)
+    shown = b""
+    with contextlib.suppress(OSError):  # what reading says when the other end is closed
+        while part := os.read(ours, 65536):
+            shown += part
+    os.close(ours)
+    assert run.wait(timeout=60) == 0, shown
+    return shown.decode()

@@ -58,7 +58,7 @@ def test_table_of_one_variant_without_a_compiler(l3, monkeypatch):
     (line,) = [line for line in lines if "80×50" in line]
     assert "processor" in line
     assert "graphics" not in out
-    assert len(line.split()) == 12  # the last would be the ratio to the limit
+    assert len(line.split()) == 13  # the last would be the ratio to the limit
 
 
 def test_devices_are_listed_and_wrong_ones_refused(l3, refused):
@@ -67,3 +67,11 @@ def test_devices_are_listed_and_wrong_ones_refused(l3, refused):
     assert out.startswith("0: ")
     assert json.loads(l3("bench", "--list", "--json")[1])["devices"] == out.splitlines()
     assert "no such device" in refused(4, "bench", "--device", "no such device", "--quiet")
+
+
+def test_tables_fit_eighty_columns(l3, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    code, out, _ = l3("bench", "--variant", "processor", "--device", "0", "--quiet")
+    assert code == 0
+    assert max(map(len, out.splitlines()[1:])) <= 80
+    assert {"whole", "MP/s", "encode", "download"} <= set(out.split())

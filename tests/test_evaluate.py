@@ -283,7 +283,7 @@ def rewritten(
 
 
 def test_json_holds_the_keys_it_promises(trained: Path, l3: Callable) -> None:
-    code, out, err = l3("evaluate", trained / "table.h5", trained / "training.h5", "--json")
+    code, out, err = l3("evaluate", trained / "table.h5", trained / "training.h5", "--json", "--quiet")
     assert (code, err) == (0, "")
     document = json.loads(out)
     assert set(document) == {

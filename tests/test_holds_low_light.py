@@ -97,9 +97,9 @@ def test_what_cannot_be_compared_is_one_line(evaluations: Path, tmp_path: Path, 
     (tmp_path / "list.json").write_text("[1]")
     document = json.loads((evaluations / "bayer.json").read_text())
     assert "not readable" in refused(3, "compare", tmp_path / "no.json")
-    assert "not readable" in refused(3, "compare", tmp_path / "missing.json")
+    assert "does not exist" in refused(3, "compare", tmp_path / "missing.json")
     assert "no evaluation" in refused(3, "compare", tmp_path / "list.json")
-    assert "no figure beauty" in refused(3, "compare", evaluations / "bayer.json", "--figure", "beauty")
+    assert 'no figure "beauty"; there are ' in refused(2, "compare", evaluations / "bayer.json", "--figure", "beauty")
     with pytest.raises(InputFileError, match="other luminances"):
         require_comparable([curve_of(document, "psnr"), Curve("b", (1.0,), (2.0,))])
 

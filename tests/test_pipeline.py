@@ -10,46 +10,9 @@ import pytest
 from l3cli.artifacts.base import load
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.table import TransformTable
-from l3cli.cli import COMMANDS, run
+from l3cli.cli import COMMANDS
 from l3cli.io.images import read_image
-from tests.conftest import bayer_camera
-
-SCENES = """
-exposure_share = [0.9]
-[[scene]]
-source = "dead leaves"
-size = [96, 96]
-count = 10
-"""
-UNSEEN = """
-exposure_share = [0.8]
-[[scene]]
-source = "composition"
-size = [160, 240]
-seed = 5
-"""
-CLASSES = "[classes]\npatch = 5\nlevels = 8\n[learning]\npatches = 12000\n"
-
-
-@pytest.fixture(scope="module")
-def pipeline(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder in which every command has run, from camera.toml and lab/ to table.h5 and picture.png."""
-    folder = tmp_path_factory.mktemp("pipeline")
-    for name, text in {"camera": bayer_camera(), "scenes": SCENES, "unseen": UNSEEN, "classes": CLASSES}.items():
-        (folder / f"{name}.toml").write_text(text)
-
-    def l3(*arguments: object) -> None:
-        assert run([str(argument) for argument in arguments]) == 0
-
-    l3("lab", folder / "camera.toml", "-o", folder / "lab", "--quiet")
-    l3("calibrate", folder / "lab/MEASUREMENTS.toml", "-o", folder / "camera.h5", "--quiet")
-    l3("simulate", folder / "scenes.toml", "--camera", folder / "camera.h5", "-o", folder / "training.h5", "--quiet")
-    l3("train", folder / "training.h5", "--classes", folder / "classes.toml", "-o", folder / "table.h5", "--quiet")
-    unseen = ("--camera", folder / "camera.toml", "-o", folder / "unseen.h5", "--pictures", folder / "unseen", "--quiet")
-    l3("simulate", folder / "unseen.toml", *unseen)
-    raw = next((folder / "unseen").glob("*_raw.tif"))
-    l3("render", folder / "table.h5", raw, "-o", folder / "picture.png")
-    return folder
+from tests.conftest import CLASSES
 
 
 def test_an_unseen_scene_comes_out_well(pipeline: Path, l3: Callable) -> None:
@@ -128,6 +91,6 @@ def test_an_interrupt_is_one_line_and_130(monkeypatch: pytest.MonkeyPatch, l3: C
     def interrupted(path: Path) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("l3cli.cli.info.describe", interrupted)
+    monkeypatch.setattr("l3cli.artifacts.base.describe", interrupted)
     code, out, err = l3("info", tmp_path / "x.h5")
     assert (code, out, err.strip()) == (130, "", "l3: interrupted")

@@ -180,7 +180,7 @@ def test_several_inputs_fill_a_folder_and_failures_can_be_left_out(l3, tmp_path,
     np.save(tmp_path / "second.npy", mosaic[:9, :11])
     (tmp_path / "broken.npy").write_bytes(b"nothing")
     inputs = (raw, tmp_path / "broken.npy", tmp_path / "second.npy")
-    code, out, err = l3("render", table, *inputs, "-o", tmp_path / "out", "--format", "tif", "--skip-bad")
+    code, out, err = l3("render", table, *inputs, "-o", tmp_path / "out", "--format", "tif", "--skip-bad", "--quiet")
     assert (code, out, err.count("\n")) == (1, "", 2)
     assert "broken.npy" in err
     assert "1 of 3 frames" in err

@@ -1,6 +1,7 @@
 """The camera model: what calibration finds out and simulation needs (METHOD 1)."""
 
 import functools
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -12,7 +13,7 @@ from l3cli import spectra
 from l3cli.artifacts.base import Artifact, data, group, load
 from l3cli.artifacts.fit import Fit
 from l3cli.config import LARGEST, Recipe, load_recipe, read_text
-from l3cli.errors import InputFileError, RecipeError
+from l3cli.errors import InputFileError, RecipeError, suggestion
 from l3cli.limits import most_pixels, read_bounded
 
 MAX_CHANNELS = 16  # a saturation code is 16 bits wide
@@ -216,6 +217,8 @@ class OpticsRecipe(Recipe):
 class CameraRecipe(Recipe):
     """A camera described instead of measured (configs/cameras)."""
 
+    title: ClassVar[str] = "a camera recipe"
+
     name: str
     sensor: SensorRecipe
     cfa: CfaRecipe
@@ -233,9 +236,8 @@ def load_camera(path: Path) -> CameraModel:
 
 def camera_from_recipe(recipe: CameraRecipe, path: Path) -> CameraModel:
     """The model a recipe describes; `path` places relative file names and names the culprit in errors."""
+    _check_figures(recipe, path)
     sensor, noise = recipe.sensor, recipe.noise
-    if not 1 <= sensor.bits <= MAX_BITS:
-        raise RecipeError(f"{path}: sensor.bits is {sensor.bits}; give 1 to {MAX_BITS}")
     converter = 2**sensor.bits - 1
     white = sensor.white_dn
     if white is None:
@@ -272,6 +274,34 @@ def camera_from_recipe(recipe: CameraRecipe, path: Path) -> CameraModel:
         raise RecipeError(f"{path}: {error}") from error
 
 
+def _check_figures(recipe: CameraRecipe, path: Path) -> None:
+    """RecipeError if a number of the recipe cannot be."""
+    sensor, noise, optics = recipe.sensor, recipe.noise, recipe.optics
+    if not 1 <= sensor.bits <= 16:
+        raise RecipeError(f"{path}: sensor.bits is {sensor.bits}; a raw value has 1 to 16 bits")
+    positive = [
+        ("sensor.rows", sensor.rows),
+        ("sensor.cols", sensor.cols),
+        ("sensor.pixel_pitch_um", sensor.pixel_pitch_um),
+        ("sensor.gain_dn_per_e", sensor.gain_dn_per_e),
+        ("responsivity.peak_efficiency", recipe.responsivity.peak_efficiency),
+        ("noise.well_capacity_e", noise.well_capacity_e),
+        ("optics.focal_length_mm", optics.focal_length_mm),
+        ("optics.f_number", optics.f_number),
+    ]
+    for channel, terms in (recipe.responsivity.gaussians or {}).items():
+        for term in terms:
+            widths = (term.sigma_nm, term.sigma_nm if term.sigma_above_nm is None else term.sigma_above_nm)
+            positive.append((f"a sigma of the Gaussians of {channel}", min(widths)))
+    spreads = [(f"noise.{key}", getattr(noise, key)) for key in noise.__struct_fields__ if key != "well_capacity_e"]
+    for key, value in positive:
+        if not 0 < value < float("inf"):
+            raise RecipeError(f"{path}: {key} is {value:g}, and must be above zero")
+    for key, value in (*spreads, ("sensor.fixed_pattern_seed", sensor.fixed_pattern_seed)):
+        if not 0 <= value < float("inf"):
+            raise RecipeError(f"{path}: {key} is {value:g}, and must not be negative")
+
+
 def parse_cfa(cfa: CfaRecipe, name: str) -> NDArray[np.uint8]:
     """Channel indices (cfa_row, cfa_col) of the super-pixel; RecipeError if a name is unknown or rows differ in length."""
     rows = [row.split() for row in cfa.pattern]
@@ -283,9 +313,17 @@ def parse_cfa(cfa: CfaRecipe, name: str) -> NDArray[np.uint8]:
         raise RecipeError(f"{name}: cfa.channels must be at most {MAX_CHANNELS} different names")
     used = {channel for row in rows for channel in row}
     if used != set(cfa.channels):
-        odd = ", ".join(sorted(used ^ set(cfa.channels)))
-        raise RecipeError(f"{name}: cfa.channels and cfa.pattern do not name the same channels (see {odd})")
+        what = _differences(used, cfa.channels)
+        raise RecipeError(f"{name}: cfa.channels and cfa.pattern do not name the same channels: {what}")
     return np.array([[cfa.channels.index(channel) for channel in row] for row in rows], dtype=np.uint8)
+
+
+def _differences(names: Iterable[str], channels: list[str]) -> str:
+    """What is wrong with `names`, which ought to be the channels."""
+    odd = sorted(set(names) - set(channels))
+    if odd:
+        return f'"{odd[0]}" is no channel; {suggestion(odd[0], channels)}'
+    return f"{', '.join(sorted(set(channels) - set(names)))} is missing"
 
 
 def _responsivity(recipe: CameraRecipe, path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -300,9 +338,9 @@ def _responsivity(recipe: CameraRecipe, path: Path) -> tuple[NDArray[np.float64]
     if (declared.gaussians is None) == (declared.file is None):
         raise RecipeError(f"{path}: give either responsivity.gaussians or responsivity.file")
     if declared.gaussians is not None:
-        missing = set(recipe.cfa.channels) ^ set(declared.gaussians)
-        if missing:
-            raise RecipeError(f"{path}: responsivity.gaussians and cfa.channels differ in {', '.join(sorted(missing))}")
+        if set(recipe.cfa.channels) != set(declared.gaussians):
+            what = _differences(declared.gaussians, recipe.cfa.channels)
+            raise RecipeError(f"{path}: responsivity.gaussians and cfa.channels differ: {what}")
         curves = np.array([_sum_of_gaussians(wavelength, declared.gaussians[c]) for c in recipe.cfa.channels])
     else:
         assert declared.file is not None

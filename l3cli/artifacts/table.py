@@ -14,6 +14,7 @@ LEVEL_FRACTION = 8  # fractional bits of a channel mean in the level sum
 CONTRAST_FRACTION = 9  # fractional bits of a channel variance in the contrast sum
 CHROMA_SCALE = 1 << 10  # of the chroma weights: sums over 16 channels stay within 32 bits
 MAX_CHROMAS = 64
+MAX_PATCH = 15
 CHROMA_FRACTION = 4  # fractional bits of a channel mean above black in the chroma scores
 
 
@@ -57,8 +58,8 @@ class ClassRule:
         check(self)
         if not 1 <= len(self.chroma_weights) <= MAX_CHROMAS or np.abs(self.chroma_weights).max() > 2 * CHROMA_SCALE:
             raise ValueError(f"chroma_weights must be 1…{MAX_CHROMAS} rows within ±{2 * CHROMA_SCALE}")
-        if self.patch % 2 == 0 or not 1 <= self.patch <= 15:
-            raise ValueError(f"patch is {self.patch}, not an odd number up to 15")
+        if self.patch % 2 == 0 or not 1 <= self.patch <= MAX_PATCH:
+            raise ValueError(f"patch is {self.patch}, not an odd number up to {MAX_PATCH}")
         if (np.diff(self.level_edges.astype(np.int64)) <= 0).any():
             raise ValueError("level_edges do not increase: more levels than values")
         if not 0 <= self.saturation_radius <= self.patch // 2 or self.saturation < 0:

@@ -8,6 +8,7 @@ from l3cli import spectra
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.fit import ChartFit, NoiseFit, SeriesFit
 from l3cli.calibrate import gain
+from l3cli.columns import columns
 from l3cli.errors import InputFileError
 
 LEAST_R_SQUARED, MOST_RMSE = 0.98, 0.02  # of every channel, or the calibration has failed
@@ -165,8 +166,8 @@ def _by_channel(camera: CameraModel, columns: dict[str, Any]) -> dict[str, dict[
     }
 
 
-def as_text(result: dict[str, Any]) -> str:
-    """`figures`, with `compare` under "truth" if there, as plain text."""
+def as_text(result: dict[str, Any], width: int | None = None) -> str:
+    """`figures`, with `compare` under "truth" if there, as plain text; tables wider than `width` characters are divided."""
     truth = result.get("truth")
     lines = []
     for name, entry in result["camera"].items():
@@ -177,7 +178,7 @@ def as_text(result: dict[str, Any]) -> str:
             line += f"  true {known['true']:10.5g}{error}"
         lines.append(line.rstrip())
     for table in (result["channels"], result["lights"], result["bands"], truth["channels"] if truth else {}):
-        lines += ["", *_table(table)] if table else []
+        lines += ["", *_table(table, width)] if table else []
     lines += ["", f"responsivity: {result['responsivity']}"]
     lines += [f"from the data sheet: {', '.join(result['declared'])}"] if result["declared"] else []
     lines += [f"left out: {capture}" for capture in result["left out"]]
@@ -188,16 +189,8 @@ def as_text(result: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _table(rows: dict[str, dict[str, float]]) -> list[str]:
-    """Rows of numbers below two header lines: names, and the units that stand in brackets after them."""
+def _table(rows: dict[str, dict[str, float]], width: int | None) -> list[str]:
+    """Rows of numbers below two lines of headings: names, and the units that stand in brackets after them."""
     titles = list(next(iter(rows.values())))
-    names = [title.partition(" (")[0] for title in titles]
-    units = [title.partition(" (")[2].rstrip(")") for title in titles]
-    widths = [max(8, len(name), len(unit)) for name, unit in zip(names, units, strict=True)]
-    side = max(len("channel"), *map(len, rows))
-
-    def line(first: str, cells: list[str]) -> str:
-        return "  ".join([first.ljust(side), *(cell.rjust(width) for cell, width in zip(cells, widths, strict=True))])
-
-    body = [line(name, [f"{row[title]:.5g}" for title in titles]) for name, row in rows.items()]
-    return [line("channel", names), line("", units), *body]
+    headings = ["channel\n", *("\n".join(title.rstrip(")").partition(" (")[::2]) for title in titles)]
+    return columns(headings, [[name, *(f"{row[title]:.5g}" for title in titles)] for name, row in rows.items()], width)

@@ -1,15 +1,19 @@
 """The command line: a group that imports a command only when it is asked for, and the one door for errors."""
 
+import errno
 import importlib
 import os
 import signal
 import sys
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from l3cli import __version__
-from l3cli.errors import L3Error
+from l3cli.errors import L3Error, suggestion
+
+if TYPE_CHECKING:
+    from click.shell_completion import CompletionItem
 
 COMMANDS = {
     "calibrate": "lab measurements → camera model",
@@ -25,6 +29,13 @@ COMMANDS = {
     "init": "a folder of recipes and pipelines for one kind of camera",
 }
 
+CURES = {
+    errno.ENOSPC: "; free some space and run it again",
+    errno.EACCES: "; ask for the right to read and write it, or name another",
+    errno.EROFS: "; name an output elsewhere",
+    errno.ENOTDIR: "; a part of the path is a file, not a folder",
+}
+
 
 class Pipeline(click.Group):
     """Commands in the order of the pipeline, each in its own module."""
@@ -36,6 +47,18 @@ class Pipeline(click.Group):
         if cmd_name not in COMMANDS:
             return None
         return getattr(importlib.import_module(f"l3cli.cli.{cmd_name}"), cmd_name)
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
+        if args[0] not in COMMANDS and not args[0].startswith("-") and not ctx.resilient_parsing:
+            raise click.UsageError(f'no command "{args[0]}"; {suggestion(args[0], COMMANDS)}', ctx)
+        return super().resolve_command(ctx, args)
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list["CompletionItem"]:
+        """Names and meanings from the list above: a key pressed must not import every command."""
+        from click.shell_completion import CompletionItem
+
+        found = [CompletionItem(name, help=what) for name, what in COMMANDS.items() if name.startswith(incomplete)]
+        return found + click.Command.shell_complete(self, ctx, incomplete)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
@@ -70,10 +93,7 @@ def run(arguments: list[str]) -> int:
     except click.exceptions.Exit as stop:
         return stop.exit_code
     except click.ClickException as error:
-        hint = ""
-        if isinstance(error, click.UsageError) and error.ctx is not None:
-            hint = f'; see "{error.ctx.command_path} --help"'
-        return _fail(f"{error.format_message().rstrip('.')}{hint}", 2)
+        return _fail(_usage(error), 2)
     except L3Error as error:
         return _fail(str(error), error.exit_code)
     except BrokenPipeError:
@@ -87,12 +107,28 @@ def run(arguments: list[str]) -> int:
     except MemoryError:
         return _fail("out of memory; use fewer --jobs or smaller frames", 1)
     except OSError as error:
-        return _fail(f"{error.filename or 'input/output'}: {error.strerror or error}", 1)
+        cure = CURES.get(error.errno or 0, "")
+        return _fail(f"{error.filename or 'input/output'}: {error.strerror or error}{cure}", 1)
 
 
 def _terminate(number: int, frame: object) -> None:
     signal.signal(number, signal.SIG_IGN)  # once is enough: nothing must disturb the cleaning up
     raise Terminated
+
+
+def _usage(error: click.ClickException) -> str:
+    """What is wrong with a call, and where the right ones are explained."""
+    message = error.format_message().rstrip(".")
+    if isinstance(error, click.NoSuchOption):
+        near = [name for name in error.possibilities or () if name.startswith("--")]
+        message = f"no option {error.option_name}" + (f"; {suggestion(error.option_name, near)}" if near else "")
+    if isinstance(error, click.BadParameter) and error.param is not None and isinstance(error.param.type, click.Choice):
+        message = message.partition(" is not one of ")[0]  # Invalid value for '--codec': 'h256'
+        known = map(str, error.param.type.choices)
+        message += f"; {suggestion(message.rpartition(': ')[2][1:-1], known)}"
+    if not isinstance(error, click.UsageError) or error.ctx is None:
+        return message
+    return f'{message}{"" if message.endswith("?") else ";"} see "{error.ctx.command_path} --help"'
 
 
 def _fail(message: str, code: int) -> int:

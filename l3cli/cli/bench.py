@@ -6,6 +6,7 @@ from typing import Any
 import click
 
 from l3cli.cli import options
+from l3cli.columns import columns
 
 
 @click.command()
@@ -20,9 +21,10 @@ def bench(device: str | None, variant: str | None, list_only: bool, as_json: boo
 
     Rendering: medians of 20 frames. With a C compiler (CC or cc) each frame is timed in turn with the bare multiply-adds of
     its transforms on all cores, hand-vectorised: "limit" is the median of their ratio. The variant that is not made for the
-    device and the numpy reference get small frames. Simulation: the fastest of 5
-    frames. Training: the faster of 2 runs, both passes.
+    device and the numpy reference get small frames. Simulation: the fastest of 5 frames. Training: the faster
+    of 2 runs, both passes.
 
+    \b
     Example: l3 bench --device 0 --json
     """
     from l3cli.parallel import alone
@@ -55,44 +57,41 @@ def bench(device: str | None, variant: str | None, list_only: bool, as_json: boo
 
 def _rendering(results: list[dict[str, Any]]) -> None:
     stages = list(results[0]["stages_ms"])
-    click.echo("\nrendering, milliseconds a frame; limit: times the bare multiply-adds")
-    click.echo(
-        f"{'frame':>9} {'patch':>5} {'classes':>7} {'outputs':>7} {'variant':>9} "
-        + " ".join(f"{stage:>10}" for stage in stages)
-        + f" {'whole':>8} {'MP/s':>6} {'limit':>5}"
-    )
-    for result in results:
-        what = f"{result['width']}×{result['height']}"
-        times = " ".join(f"{result['stages_ms'][stage]:10.2f}" for stage in stages)
-        limit = f"{result['limit_ratio']:5.2f}" if "limit_ratio" in result else f"{'':>5}"
-        click.echo(
-            f"{what:>9} {result['patch']:>5} {result['classes']:>7} {result['outputs']:>7} {result['variant']:>9} {times} "
-            f"{result['frame_ms']:8.2f} {result['mp_per_s']:6.1f} {limit}"
-        )
+    rows = []
+    for number, result in enumerate(results, 1):
+        times = [f"{result['stages_ms'][stage]:.2f}" for stage in stages]
+        limit = f"{result['limit_ratio']:.2f}" if "limit_ratio" in result else ""
+        what = [
+            str(number),  # tells rows apart where the table is divided
+            f"{result['width']}×{result['height']}",
+            *(str(result[key]) for key in ("patch", "classes", "outputs", "variant")),
+        ]
+        rows.append([*what, *times, f"{result['frame_ms']:.2f}", f"{result['mp_per_s']:.1f}", limit])
+    headings = ["", "frame", "patch", "classes", "outputs", "variant", *stages, "whole", "MP/s", "limit"]
+    _table("rendering, milliseconds a frame; limit: times the bare multiply-adds", headings, rows)
 
 
 def _simulation(results: list[dict[str, Any]]) -> None:
-    click.echo("\nsimulation on one core, 31 bands, noise and targets")
-    click.echo(f"{'frame':>10} {'channels':>8} {'optics':>6} {'whole ms':>9} {'MP/s':>6} {'peak MB':>8}")
+    rows = []
     for result in results:
-        size, optics = f"{result['width']}×{result['height']}", "on" if result["optics"] else "off"
-        figures = f"{result['frame_ms']:9.1f} {result['mp_per_s']:6.2f} {result['peak_mb']:8.0f}"
-        click.echo(f"{size:>10} {result['channels']:>8} {optics:>6} {figures}")
+        what = [f"{result['width']}×{result['height']}", str(result["channels"]), "on" if result["optics"] else "off"]
+        rows.append([*what, f"{result['frame_ms']:.1f}", f"{result['mp_per_s']:.2f}", f"{result['peak_mb']:.0f}"])
+    headings = ["frame", "channels", "optics", "whole ms", "MP/s", "peak MB"]
+    _table("simulation on one core, 31 bands, noise and targets", headings, rows)
 
 
 def _training(results: list[dict[str, Any]]) -> None:
     if not results:
         return
     stages = list(results[0]["stages_ns"])
-    click.echo("\ntraining on one core, both passes; stages: nanoseconds a row (a patch at one of its levels)")
-    click.echo(
-        f"{'patches':>8} {'channels':>8} {'rows':>9} {'CPU s':>6} {'rows/s':>9} "
-        + " ".join(f"{stage:>8}" for stage in stages)
-        + f" {'peak MB':>8}"
-    )
+    rows = []
     for result in results:
-        times = " ".join(f"{result['stages_ns'][stage]:8.0f}" for stage in stages)
-        click.echo(
-            f"{result['patches']:>8} {result['channels']:>8} {result['rows']:>9} {result['cpu_s']:6.1f} "
-            f"{result['rows_per_s']:9.0f} {times} {result['peak_mb']:8.0f}"
-        )
+        what = [str(result[key]) for key in ("patches", "channels", "rows")]
+        times = [f"{result['stages_ns'][stage]:.0f}" for stage in stages]
+        rows.append([*what, f"{result['cpu_s']:.1f}", f"{result['rows_per_s']:.0f}", *times, f"{result['peak_mb']:.0f}"])
+    headings = ["patches", "channels", "rows", "CPU s", "rows/s", *stages, "peak MB"]
+    _table("training on one core, both passes; stages: nanoseconds a patch and level", headings, rows)
+
+
+def _table(title: str, headings: list[str], rows: list[list[str]]) -> None:
+    click.echo("\n".join(["", title, *columns(headings, rows, options.width())]))

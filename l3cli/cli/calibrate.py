@@ -1,7 +1,7 @@
 """l3 calibrate: lab measurements → camera model."""
 
-import functools
 import json
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -35,22 +35,27 @@ def calibrate(
 ) -> None:
     """Find responsivities, gain and noise of a camera from its lab measurements.
 
-    Example: l3 calibrate build/lab/MEASUREMENTS.toml -o build/camera.h5
+    \b
+    Example: l3 calibrate lab/MEASUREMENTS.toml -o camera.h5
     """
     from l3cli.artifacts.base import save
     from l3cli.artifacts.camera import load_camera
     from l3cli.calibrate import model, report
     from l3cli.errors import L3Error
-    from l3cli.files import refuse_existing
     from l3cli.io.curves import export_curves, export_paths
     from l3cli.io.measurements import history, load_measurements
     from l3cli.parallel import ordered_map
 
     for path in (output, *(export_paths(export) if export else ())):
-        refuse_existing(path, force)
+        options.claim_file(path, force, measurements, *filter(None, [truth]))
     true = load_camera(truth) if truth else None
     measured = load_measurements(measurements)
-    camera = model.calibrate(measured, functools.partial(ordered_map, jobs=jobs))
+
+    def each(function: Callable[[Any], Any], captures: Iterable[Any]) -> Iterator[Any]:
+        captures = list(captures)
+        return options.progress(ordered_map(function, captures, jobs), len(captures), "captures", quiet)
+
+    camera = model.calibrate(measured, each)
     if (shortfall := report.shortfall(camera)) and not accept:
         raise L3Error(f"{measurements}: {shortfall}")
     camera = replace(camera, history=(history(measurements, {"accept": True} if accept else {}),))
@@ -60,9 +65,9 @@ def calibrate(
     save(camera, output)
     if export:
         export_curves(camera, export)
-    click.echo(json.dumps(result, indent=2, ensure_ascii=False) if as_json else report.as_text(result))
+    click.echo(json.dumps(result, indent=2, ensure_ascii=False) if as_json else report.as_text(result, options.width()))
     if shortfall:
         options.say(f"accepted although {shortfall.partition(';')[0]}", quiet)
     if result["saturation reached"] is False:
-        options.say("no white frame saturates: the saturation level is taken to be the converter's last value", quiet)
+        options.say("no white frame saturates: the converter's last value is taken for it; add one exposed longer", quiet)
     options.say(f"{output}: written", quiet)

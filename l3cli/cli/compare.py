@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from l3cli.cli import options
+from l3cli.columns import columns
 
 if TYPE_CHECKING:
     from l3cli.evaluate.comparison import Curve
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     multiple=True,
     default=("scielab",),
     show_default=True,
+    metavar="NAME",
     help="Which figure of the evaluations, such as mean_delta_e or psnr; several times for several.",
 )
 @options.output("HTML page with the curves", required=False)
@@ -30,18 +32,18 @@ def compare(
 ) -> None:
     """Compare cameras by figures of their evaluations at each luminance, and tell where the better one changes.
 
-    Example: l3 compare bayer.json rgbw.json --figure psnr --figure scielab -o curves.html
+    \b
+    Example: l3 compare bayer.json rgbw.json --figure psnr -o curves.html
     """
     import json
 
     from l3cli.errors import RecipeError
     from l3cli.evaluate.comparison import crossings, curve_of, require_comparable
-    from l3cli.files import refuse_existing
 
     if output is not None:
         if output.suffix != ".html":
             raise RecipeError(f"{output}: curves are drawn on a page; name a file that ends in .html")
-        refuse_existing(output, force)
+        options.claim_file(output, force, *evaluations)
     documents = [_read(path) for path in evaluations]
     curves = {figure: [curve_of(document, figure) for document in documents] for figure in figures}
     require_comparable(next(iter(curves.values())))
@@ -71,12 +73,12 @@ def compare(
         click.echo(json.dumps({"curves": rows, "crossings": found}, indent=2))
         return
     for figure, found_curves in curves.items():
-        click.echo(figure)
-        click.echo("  ".join(["cd/m²".rjust(8), *(curve.name.rjust(8) for curve in found_curves)]))
-        for index, luminance in enumerate(found_curves[0].luminance):
-            values = [f"{curve.value[index]:.2f}".rjust(max(8, len(curve.name))) for curve in found_curves]
-            click.echo("  ".join([f"{luminance:g}".rjust(8), *values]))
-        click.echo("\n".join(told[figure]))
+        lines = [
+            [f"{luminance:g}", *(f"{curve.value[index]:.2f}" for curve in found_curves)]
+            for index, luminance in enumerate(found_curves[0].luminance)
+        ]
+        named = ["cd/m²", *(curve.name for curve in found_curves)]
+        click.echo("\n".join([figure, *columns(named, lines, options.width()), *told[figure]]))
 
 
 def _read(path: Path) -> dict:
@@ -85,6 +87,9 @@ def _read(path: Path) -> dict:
     from l3cli.errors import InputFileError
     from l3cli.limits import read_bounded
 
+    if not path.is_file():
+        what = "is a folder" if path.is_dir() else "does not exist"
+        raise InputFileError(f'{path} {what}; give what "l3 evaluate --json" prints')
     try:
         document = json.loads(read_bounded(path))
     except (OSError, ValueError, RecursionError) as error:

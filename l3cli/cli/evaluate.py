@@ -18,12 +18,13 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("table", type=options.FILE, metavar="TABLE.h5")
 @click.argument("frames", type=options.FILE, metavar="TRAINING.h5")
-@click.option("--backend", default="opencl", show_default=True, help="Renderer: opencl or reference.")
+@options.backend
 @click.option(
     "--viewing",
     type=click.FloatRange(2, 1000),
     default=50.0,
     show_default=True,
+    metavar="2…1000",
     help="Samples a degree that S-CIELAB sees the pictures at.",
 )
 @click.option(
@@ -44,6 +45,7 @@ def evaluate(
     Beside the table stands a basic pipeline that learns nothing (interpolation, white balance, colour matrix) and, for
     a Bayer array where colour-demosaicing is installed, Malvar's and Menon's demosaicking with the same matrix.
 
+    \b
     Example: l3 evaluate table.h5 unseen.h5 --json
     """
     import json
@@ -51,9 +53,9 @@ def evaluate(
     from l3cli.artifacts.base import load
     from l3cli.artifacts.table import TransformTable
     from l3cli.artifacts.training_set import open_training_set
+    from l3cli.cli.cautions import caution_trained
     from l3cli.evaluate.evaluation import Evaluation
     from l3cli.evaluate.pictures import frame_pictures
-    from l3cli.files import refuse_filled_folder
     from l3cli.io.images import write_picture
     from l3cli.render.display import require_xyz
     from l3cli.render.renderer import make_renderer
@@ -61,9 +63,10 @@ def evaluate(
     transforms = load(TransformTable, table)
     if pictures is not None:
         require_xyz(transforms.outputs)
-        refuse_filled_folder(pictures, force)
+        options.claim_folder(pictures, force)
     with open_training_set(frames) as reader:
         evaluation = Evaluation(transforms, reader.head, viewing)
+        caution_trained(transforms, table, frames, quiet)
         renderer = make_renderer(backend, transforms)
         for index in options.progress(range(len(reader)), len(reader), "frames", quiet):
             frame, planes = judge(evaluation, renderer, reader, index)

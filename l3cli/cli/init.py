@@ -1,6 +1,5 @@
 """l3 init: a folder with the recipes of one kind of camera and the pipelines that make pictures of them."""
 
-import difflib
 import itertools
 import re
 import textwrap
@@ -10,6 +9,7 @@ from pathlib import Path
 import click
 
 from l3cli.cli import options
+from l3cli.errors import suggestion
 
 # What a folder of recipes holds beside its camera.toml: name there ← name in configs/.
 COMMON = {
@@ -24,8 +24,13 @@ COMMON = {
 }
 
 
+def _completed(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
+    """Names of recipes for the shell."""
+    return [name for name in recipes() if name.startswith(incomplete)]
+
+
 @click.command()
-@click.argument("recipe", required=False, metavar="[RECIPE]")
+@click.argument("recipe", required=False, metavar="[RECIPE]", shell_complete=_completed)
 @click.argument("folder", type=options.FILE, required=False, metavar="[DIR]")
 @options.force
 @options.quiet
@@ -35,18 +40,20 @@ def init(recipe: str | None, folder: Path | None, force: bool, quiet: bool) -> N
 
     Without arguments, list the recipes.
 
+    \b
     Example: l3 init bayer demo && make -C demo
     """
     from l3cli.files import refuse_filled_folder
 
     known = recipes()
     if recipe is None:
+        wide = max(map(len, known))
         for name, path in known.items():
-            click.echo(f"{name:{max(map(len, known))}}  {summary(path)}")
+            click.echo(options.folded(f"{name:{wide}}  {summary(path)}", wide + 2))
         options.say('next: one of them and a new folder, such as "l3 init bayer demo"', quiet)
         return
     if recipe not in known:
-        raise click.UsageError(f'no recipe "{recipe}"; {_suggestion(recipe, list(known))}')
+        raise click.UsageError(f'no recipe "{recipe}"; {suggestion(recipe, known)}')
     if folder is None:
         raise click.UsageError(f'name the folder to make, such as "l3 init {recipe} {recipe}"')
     refuse_filled_folder(folder, force)
@@ -87,10 +94,3 @@ def write_folder(camera: Path, folder: Path) -> None:
         with atomic_output(folder / name) as temporary:
             temporary.write_bytes(origin.read_bytes())
             temporary.chmod(0o755 if origin.suffix == ".sh" else 0o644)
-
-
-def _suggestion(name: str, known: list[str]) -> str:
-    close = difflib.get_close_matches(name.lower(), known, n=3)
-    if close:
-        return "did you mean " + " or ".join(f'"{found}"' for found in close) + "?"
-    return f"there are {', '.join(known)}"

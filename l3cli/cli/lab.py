@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("camera", type=options.FILE)
+@click.argument("camera", type=options.FILE, metavar="CAMERA")
 @click.option("-o", "--output", type=options.FILE, required=True, metavar="DIR", help="Folder to write to.")
 @click.option("--recipe", type=options.FILE, metavar="LAB.toml", help="What is measured; without it the built-in default.")
 @options.seed
@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 def lab(camera: Path, output: Path, recipe: Path | None, seed: int, jobs: int, force: bool, quiet: bool) -> None:
     """Measure CAMERA (a recipe or a camera.h5) in a virtual lab, as input for "l3 calibrate".
 
-    Example: l3 lab configs/cameras/fiveband.toml -o build/lab
+    \b
+    Example: l3 lab camera.toml -o lab
     """
     from l3cli.artifacts.camera import load_camera
     from l3cli.config import load_recipe
@@ -36,6 +37,7 @@ def lab(camera: Path, output: Path, recipe: Path | None, seed: int, jobs: int, f
     from l3cli.simulate.lab import LabRecipe, plan
 
     file = output / "MEASUREMENTS.toml"
+    options.refuse_unwritable(file)
     refuse_existing(file, force)
     model = load_camera(camera)
     chosen = load_recipe(recipe, LabRecipe) if recipe else LabRecipe()

@@ -1,5 +1,6 @@
 """Options that several commands share, each declared once, and what every command says on stderr."""
 
+import os
 import re
 import sys
 import time
@@ -9,10 +10,14 @@ from typing import Any, TypeVar
 
 import click
 
+from l3cli.errors import L3Error, RecipeError
+
 F = TypeVar("F", bound=Callable[..., Any])
 T = TypeVar("T")
 
-FILE = click.Path(path_type=Path)
+FILE = click.Path(
+    path_type=Path, readable=False
+)  # whoever opens it says what is wrong with it, and ends with the right code
 
 
 def output(what: str, required: bool = True) -> Callable[[F], F]:
@@ -23,7 +28,14 @@ def output(what: str, required: bool = True) -> Callable[[F], F]:
 force = click.option("--force", is_flag=True, help="Replace the output if it exists.")
 quiet = click.option("--quiet", is_flag=True, help="Say nothing on stderr but errors.")
 as_json = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on stdout.")
-seed = click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of every random draw.")
+seed = click.option(
+    "--seed",
+    type=click.IntRange(0),
+    default=0,
+    show_default=True,
+    metavar="N",
+    help="Number that every random draw starts from.",
+)
 device = click.option(
     "--device", metavar="NAME|INDEX", help='OpenCL device, by part of its name or number of "l3 bench" [default: L3_DEVICE].'
 )
@@ -32,7 +44,16 @@ variant = click.option(
     type=click.Choice(["processor", "graphics"]),
     help="How frames are cut into work for the device [default: by its type].",
 )
-jobs = click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Processes to use.")
+backend = click.option(
+    "--backend",
+    type=click.Choice(["opencl", "reference"]),
+    default="opencl",
+    show_default=True,
+    help="What renders: an OpenCL device, or numpy in float64.",
+)
+jobs = click.option(
+    "--jobs", type=click.IntRange(1), default=1, show_default=True, metavar="N", help="Number of processes to use."
+)
 
 
 def _trust(context: click.Context, parameter: click.Parameter, value: bool) -> None:
@@ -56,24 +77,110 @@ def frame_name(index: int, scene: str) -> str:
     return f"{index:05d}_{re.sub(r'[^A-Za-z0-9]+', '-', scene)}"
 
 
+def claim_file(path: Path, force: bool, *inputs: Path) -> None:
+    """Refuse before any work an output that is there already, is an input, would pass for a recipe or cannot be written."""
+    from l3cli.files import refuse_existing
+
+    if path.suffix == ".toml":
+        raise RecipeError(f"{path}: .toml is for recipes; name an output that ends otherwise")
+    if path.exists() and any(given.exists() and path.samefile(given) for given in inputs):
+        raise RecipeError(f"{path} is an input; name another output")
+    refuse_existing(path, force)
+    refuse_unwritable(path)
+
+
+def claim_folder(path: Path, force: bool) -> None:
+    """Refuse, before any work, a folder that holds something, is a file or cannot be written into."""
+    from l3cli.files import refuse_filled_folder
+
+    refuse_filled_folder(path, force)
+    refuse_unwritable(path)
+
+
+def refuse_unwritable(path: Path) -> None:
+    """L3Error if `path` lies where nothing can be written."""
+    whole = path.absolute()
+    folder = whole if whole.is_dir() else next(parent for parent in whole.parents if parent.exists())
+    if not folder.is_dir():
+        raise L3Error(f"{folder} is a file, not a folder; name another output than {path}")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise L3Error(f"{folder} cannot be written to; name an output in a folder of your own")
+
+
 def say(message: str, quiet: bool) -> None:
     """One line of talk on stderr."""
     if not quiet:
         click.echo(message, err=True)
 
 
-def progress(items: Iterable[T], total: int | None, what: str, quiet: bool) -> Iterator[T]:
-    """Pass `items` on with a bar on a terminal (rate and time left), nothing elsewhere."""
-    if quiet or not sys.stderr.isatty():
-        yield from items
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+def width() -> int | None:
+    """Characters in a line of stdout, as its terminal or the environment variable COLUMNS tells; None: any number."""
+    import shutil
 
-    rate = TextColumn("{task.fields[rate]}")
-    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), rate, TextColumn("left"), TimeRemainingColumn())
+    columns = os.environ.get("COLUMNS", "")
+    if not sys.stdout.isatty() and not columns.isdecimal():
+        return None
+    return max(shutil.get_terminal_size().columns, 40)
+
+
+def folded(line: str, deeper: int) -> str:
+    """A line of stdout that goes on below, `deeper` characters further in, where it is longer than the terminal is wide."""
+    import textwrap
+
+    wide = width()
+    return textwrap.fill(line, wide, subsequent_indent=" " * deeper, break_on_hyphens=False) if wide else line
+
+
+# ------------------------------------------------------------------------------------------------------ progress
+
+SELDOM, OFTEN = 600.0, 10.0  # seconds after which a log hears of the progress at the latest, and before which it does not
+
+
+def progress(items: Iterable[T], total: int | None, what: str, quiet: bool) -> Iterator[T]:
+    """Pass `items` on and tell rate and time left: as a bar on a terminal, elsewhere as plain lines, one every tenth."""
+    if quiet:
+        return iter(items)
+    drawn = sys.stderr.isatty() and os.environ.get("TERM", "dumb") != "dumb"
+    return (_with_bar if drawn else _with_lines)(items, total, what)
+
+
+def _with_bar(items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    told = TextColumn("{task.fields[told]}")
+    columns = (TextColumn(what), BarColumn(bar_width=16), MofNCompleteColumn(), told, TimeElapsedColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task, start = bar.add_task(what, total=total, rate=""), time.monotonic()
+        task, start = bar.add_task(what, total=total, told=""), time.monotonic()
         for done, item in enumerate(items, 1):
             yield item
-            bar.update(task, advance=1, rate=f"{done / max(time.monotonic() - start, 1e-9):.3g} a second")
+            bar.update(task, advance=1, told=_pace(done, total, time.monotonic() - start))
+
+
+def _with_lines(items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
+    start = last = time.monotonic()
+    tenth = 0
+    for done, item in enumerate(items, 1):
+        yield item
+        now = time.monotonic()
+        reached = 10 * done // total if total else 0
+        if done != total and ((reached > tenth and now - last >= OFTEN) or now - last >= SELDOM):
+            of = f" of {total}" if total else ""
+            click.echo(f"{what}: {done}{of}, {_pace(done, total, now - start)}", err=True)
+            last, tenth = now, reached
+
+
+def _pace(done: int, total: int | None, seconds: float) -> str:
+    """How fast it goes, and how long it will go on."""
+    each = max(seconds, 1e-9) / done
+    rate = f"{1 / each:.3g} a second" if each < 2 else f"{_span(each)} each"
+    return rate if total is None else f"{rate}, {_span(max(total - done, 0) * each)} left"
+
+
+def _span(seconds: float) -> str:
+    """A length of time in its two largest units."""
+    seconds = round(seconds)
+    for unit, name, part, smaller in ((86400, "d", 3600, "h"), (3600, "h", 60, "min"), (60, "min", 1, "s")):
+        if seconds >= unit:
+            return f"{seconds // unit} {name} {seconds % unit // part} {smaller}"
+    return f"{seconds} s"

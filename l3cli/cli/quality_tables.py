@@ -1,14 +1,14 @@
 """The document of `l3 evaluate` as tables on stdout."""
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import Any
 
-from rich import box
-from rich.console import Console
-from rich.table import Table
+import click
 
-PIPED = 140  # columns, where stdout is no terminal
-WIDE = 110  # columns from which every figure is shown; JSON holds all of them
+from l3cli.cli import options
+from l3cli.columns import columns
+
+WIDE = 110  # characters in a line from which every figure is shown; JSON holds all of them
 LESS_NEEDED = ("median_delta_e", "output_psnr", "ssim")
 HEADINGS = {
     "mean_delta_e": "ΔE00 mean",
@@ -26,46 +26,46 @@ HEADINGS = {
 
 def print_tables(document: dict[str, Any]) -> None:
     """Frames, means, light levels, illuminants, classes and the worst of them; beside ours the main figure of each rival."""
-    console = Console(highlight=False, width=None if Console().is_terminal else PIPED)
-    wide = console.width >= WIDE
+    width = options.width()
+    wide = width is None or width >= WIDE
     figures = [figure for figure in document["frames"][0]["ours"] if wide or figure not in LESS_NEEDED]
     rivals = document["pipelines"][1:]
     main = [figures[0]] + [figure for figure in figures if figure == "psnr" and wide]
-    columns = [("ours", figure) for figure in figures] + [(rival, figure) for rival in rivals for figure in main]
-    named = [HEADINGS[figure] if owner == "ours" else f"{owner}\n{HEADINGS[figure]}" for owner, figure in columns]
+    shown = [("ours", figure) for figure in figures] + [(rival, figure) for rival in rivals for figure in main]
+    named = [HEADINGS[figure] if owner == "ours" else f"{owner}\n{HEADINGS[figure]}" for owner, figure in shown]
 
     def values(row: dict[str, Any]) -> list[str]:
-        return [_number(figure, row[owner][figure]) for owner, figure in columns]
+        return [_number(figure, row[owner][figure]) for owner, figure in shown]
 
     rows = [[f["scene"], f["illuminant"], f"{f['level']:.3f}", *values(f)] for f in document["frames"]]
     rows.append(["mean", "", "", *values(document["mean"])])
-    _print(console, "", ["scene", "light", "level", *named], rows)
+    _print("", ["scene", "light", "level", *named], rows)
     levels = [[f"{g['from']:.3f}–{g['to']:.3f}", str(g["frames"]), *values(g)] for g in document["by_level"]]
-    _print(console, "by light level", ["level", "frames", *named], levels)
+    _print("by light level", ["level", "frames", *named], levels)
     if len(document["by_illuminant"]) > 1:
         lights = [[g["illuminant"], str(g["frames"]), *values(g)] for g in document["by_illuminant"]]
-        _print(console, "by illuminant", ["light", "frames", *named], lights)
-    _print_classes(console, document, figures[0])
+        _print("by illuminant", ["light", "frames", *named], lights)
+    _print_classes(document, figures[0])
     for rival, counts in document["better"].items():
         shares = ", ".join(f"{HEADINGS[figure]} {counts[figure]}" for figure in main)
-        console.print(f"better than {rival} in so many of {len(document['frames'])} frames: {shares}")
+        click.echo(f"better than {rival} in so many of {len(document['frames'])} frames: {shares}")
 
 
-def _print_classes(console: Console, document: dict[str, Any], figure: str) -> None:
+def _print_classes(document: dict[str, Any], figure: str) -> None:
     owners = document["pipelines"]
-    named = ["class", "pixels", *(f"{owner} {HEADINGS[figure]}" for owner in owners)]
+    named = ["class", "pixels", *(f"{owner}\n{HEADINGS[figure]}" for owner in owners)]
 
     def row(name: str, entry: dict[str, Any]) -> list[str]:
         return [name, str(entry["pixels"]), *(_number(figure, entry[owner][figure]) for owner in owners)]
 
     for axis, entries in document["by_class"].items():
         if len(entries) > 1:
-            _print(console, f"by class: {axis}", named, [row(_class_name(axis, entry), entry) for entry in entries])
+            _print(f"by class: {axis}", named, [row(_class_name(axis, entry), entry) for entry in entries])
     worst = []
     for entry in document["worst_classes"]:
         kind = f"case {entry['case']}" if entry["chroma"] is None else f"chroma {entry['chroma']}"
         worst.append(row(f"{_class_name('level', entry)} · contrast {entry['contrast']} · {kind}", entry))
-    _print(console, "worst classes", named, worst)
+    _print("worst classes", named, worst)
 
 
 def _class_name(axis: str, entry: dict[str, Any]) -> str:
@@ -82,12 +82,5 @@ def _number(figure: str, value: float) -> str:
     return f"{value:.4f}" if figure == "ssim" else f"{value:.2f}"
 
 
-def _print(console: Console, title: str, headings: Iterable[str], rows: list[list[str]]) -> None:
-    if title:
-        console.print(f"\n{title}")
-    table = Table(box=box.SIMPLE_HEAD if console.is_terminal else None, pad_edge=False, padding=(0, 1, 0, 0))
-    for index, heading in enumerate(headings):
-        table.add_column(heading, justify="left" if index == 0 else "right", no_wrap=index > 0)
-    for row in rows:
-        table.add_row(*row)
-    console.print(table)
+def _print(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    click.echo("\n".join([*(["", title] if title else []), *columns(headings, rows, options.width())]))

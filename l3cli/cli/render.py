@@ -66,34 +66,53 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
 
 
 @click.command()
-@click.argument("table", type=options.FILE)
+@click.argument("table", type=options.FILE, metavar="TABLE.h5")
 @click.argument("inputs", type=options.FILE, nargs=-1, required=True, metavar="INPUT...")
 @options.output(
     "Picture (.png .tif .jpg .exr), numbered files (a_%04d.png, a_####.tif), folder, video, or - (y4m to stdout)"
 )
-@click.option("--format", "suffix", default="png", show_default=True, help="Suffix of the files in a folder.")
+@click.option(
+    "--format", "suffix", default="png", show_default=True, metavar="SUFFIX", help="Suffix of the files in a folder."
+)
 @click.option("--frames", callback=_frames, metavar="FROM-TO[xSTEP]", help="Numbers of the frames to take.")
 @click.option("--dataset", metavar="NAME", help="Frames of an HDF5 input [default: its only stack].")
 @click.option(
     "--fps", callback=_rate, metavar="RATE", help="Frames a second, 25 or 30000/1001 [default: the input's or 30]."
 )
 @click.option(
-    "--codec", type=click.Choice(["h264", "h265", "ffv1", "prores"]), help="[default: .mp4 h264, .mov prores, .mkv ffv1]"
+    "--codec",
+    type=click.Choice(["h264", "h265", "ffv1", "prores"]),
+    help="Of a video [default: .mp4 h264, .mov prores, .mkv ffv1].",
 )
-@click.option("--crf", type=click.FloatRange(0, 51), help="Quality of h264 and h265, lower is better [default: theirs].")
-@click.option("--preset", type=click.Choice(PRESETS), default="veryfast", show_default=True, help="Effort of h264, h265.")
-@click.option("--backend", type=click.Choice(["opencl", "reference"]), default="opencl", show_default=True, help="Engine.")
+@click.option(
+    "--crf",
+    type=click.FloatRange(0, 51),
+    metavar="0…51",
+    help="Rate factor of h264, h265; lower is better [default: theirs].",
+)
+@click.option(
+    "--preset", type=click.Choice(PRESETS), default="veryfast", show_default=True, metavar="NAME",
+    help=f"Effort of h264, h265: {', '.join(PRESETS)}.",
+)  # fmt: skip
+@options.backend
 @options.device
 @options.variant
-@click.option("--exposure", default="auto", callback=_exposure, metavar="auto|VALUE", help="Y × VALUE = 1 is shown white.")
+@click.option(
+    "--exposure",
+    default="auto",
+    callback=_exposure,
+    metavar="auto|VALUE",
+    show_default=True,
+    help="Number times Y; 1 is shown white.",
+)
 @click.option(
     "--white", metavar="NAME|x,y", help="Scene white shown neutral: illuminant or chromaticity [default: table's]."
 )
 @click.option("--bits", type=click.Choice(["8", "16"]), default="8", show_default=True, help="Bits a value of a picture.")
 @click.option("--black", type=float, metavar="DN", help="Black level of the inputs [default: the file's or the table's].")
 @click.option("--white-level", type=float, metavar="DN", help="White level of the inputs [default: the file's or table's].")
-@click.option("--phase", callback=_pair(","), metavar="ROW,COL", help="CFA site of the inputs' first pixel.")
-@click.option("--size", callback=_pair("x"), metavar="ROWSxCOLS", help="Size of headerless inputs [default: the table's].")
+@click.option("--phase", callback=_pair(","), metavar="ROW,COL", help="CFA site of the inputs' first pixel, from 0.")
+@click.option("--size", callback=_pair("x"), metavar="ROWSxCOLS", help="Pixels of headerless inputs [default: the table's].")
 @click.option(
     "--packing", type=click.Choice(["u16", "raw10", "raw12"]),
     help="Values of headerless inputs: 16 bits, or MIPI packed [default: .raw10 and .raw12 packed, else u16].",
@@ -111,12 +130,13 @@ def render(
     white_level: float | None, phase: tuple[int, int] | None, size: tuple[int, int] | None, packing: str | None,
     stride: int | None, skip_bad: bool, resume: bool, force: bool, quiet: bool,
 ) -> int:  # fmt: skip
-    """Render INPUT through TABLE: files (DNG, camera raw, one-channel TIFF, PNG or PGM, FITS, .npy, headerless .raw, .bin,
-    .raw10 or .raw12), or a sequence: a folder, a pattern (a_%04d.tif, a_####.tif), a quoted glob, a stack (.npy, HDF5,
+    """Render INPUT through TABLE.h5: files (DNG, camera raw, one-channel TIFF, PNG or PGM, FITS, .npy, headerless .raw,
+    .bin, .raw10 or .raw12), or a sequence: a folder, a pattern (a_%04d.tif, a_####.tif), a quoted glob, a stack (.npy, HDF5,
     FITS), a headerless file of many frames, a grey video (FFV1 in MKV), or - (headerless frames on stdin).
 
     With --exposure auto the 99th percentile of Y is shown white; in a sequence it is followed smoothly.
 
+    \b
     Example: l3 render table.h5 frame.dng -o picture.png
     """
     from l3cli.parallel import one_blas_thread
@@ -128,6 +148,7 @@ def render(
         start()  # it takes a third of a second, like what follows
     from l3cli.artifacts.base import load
     from l3cli.artifacts.table import TransformTable
+    from l3cli.cli.cautions import caution_white
     from l3cli.cli.sequence import USUAL_RATE, Look, make_target, marked, refuse_missing, refuse_single, render_frames
     from l3cli.files import sha256
     from l3cli.io.raw_files import KnownBetter
@@ -151,6 +172,8 @@ def render(
     else:
         require_xyz(transforms.outputs)
         look = Look(transforms.white_point if white is None else scene_white(white), exposure, choice.bits)
+        if white is not None:
+            caution_white(white, look.white, transforms, quiet)
     footage = find_frames(inputs, transforms, known, frames, dataset)
     if not skip_bad:
         refuse_missing(footage)

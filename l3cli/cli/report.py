@@ -10,7 +10,7 @@ from l3cli.cli import options
 @click.command()
 @click.argument("artifacts", type=options.FILE, nargs=-1, required=True, metavar="ARTIFACT.h5...")
 @options.output("HTML page to write")
-@click.option("--backend", default="opencl", show_default=True, help="Renderer of the evaluation: opencl or reference.")
+@options.backend
 @options.force
 @options.quiet
 def report(artifacts: tuple[Path, ...], output: Path, backend: str, force: bool, quiet: bool) -> None:
@@ -19,16 +19,17 @@ def report(artifacts: tuple[Path, ...], output: Path, backend: str, force: bool,
     Every table is evaluated on every training set that it was not trained on. A camera is shown once; where no camera
     model is given, those inside the training sets are shown.
 
+    \b
     Example: l3 report camera.h5 training.h5 table.h5 unseen.h5 -o report.html
     """
     from l3cli.cli import report_sections
     from l3cli.errors import RecipeError
-    from l3cli.files import atomic_output, refuse_existing
+    from l3cli.files import atomic_output
     from l3cli.report.page import LIMIT, render_page
 
     if output.suffix != ".html":
         raise RecipeError(f"{output}: a report is a page; name a file that ends in .html")
-    refuse_existing(output, force)
+    options.claim_file(output, force, *artifacts)
     given = report_sections.sort(artifacts)
     title, lead, sections = report_sections.compose(given, backend, quiet)
     page = render_page(title, lead, sections).encode()

@@ -20,6 +20,7 @@ import click
 import numpy as np
 
 from l3cli.cli import options
+from l3cli.cli.cautions import Cautions
 from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.files import refuse_existing
 from l3cli.frame import RawFrame, upright
@@ -90,9 +91,11 @@ def make_target(output: Path, suffix: str, choice: VideoChoice) -> Target:
 
 
 def refuse_single(target: Target, force: bool) -> None:
-    """L3Error, before anything is read, if a video or single picture is there already."""
+    """L3Error, before anything is read, if a video or single picture is there already, or nothing can be written there."""
     if target.kind in ("video", "file"):
         refuse_existing(target.path, force)
+    if target.kind != "stream":
+        options.refuse_unwritable(target.file(0, "frame"))
 
 
 def refuse_outputs(target: Target, footage: Footage, force: bool) -> None:
@@ -211,14 +214,16 @@ def render_frames(
     said."""
     start = time.monotonic()
     steady = SteadyExposure(choice.rate) if _is_steady(footage, target, look) else None
-    tally = _Tally()
+    tally, cautions = _Tally(), Cautions(table)
     with _open_sink(target, choice, table.outputs) as (write, threads), Behind(write, DEPTH, threads) as writing:
         reading = ahead(_read(footage, target, LightMeter(table) if steady else None, goes_on), DEPTH)
         reading = options.progress(reading, footage.count, "frames", quiet)
-        for developed in _developed(renderer, _exposed(reading, look, steady, skip_bad, tally), look):
+        exposed = cautions.watched(_exposed(reading, look, steady, skip_bad, tally), footage.stills)
+        for developed in _developed(renderer, exposed, look):
             writing.put(developed)
         if not tally.done:
             raise InputFileError("none of the frames could be read; nothing is written")
+    cautions.tell(quiet)
     done, failures = tally.done, tally.failures
     if not footage.stills:
         rate = done / max(time.monotonic() - start, 1e-9)

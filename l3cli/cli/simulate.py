@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-import numpy as np
 
 from l3cli.cli import options
 
@@ -43,19 +42,19 @@ def simulate(
 ) -> None:  # fmt: skip
     """Simulate what a camera sees of many scenes, and the pictures it should make of them.
 
-    Example: l3 simulate configs/scenes/default.toml --camera camera.h5 -o training.h5
+    \b
+    Example: l3 simulate scenes.toml --camera camera.h5 -o training.h5
     """
     from l3cli.artifacts.camera import load_camera
     from l3cli.cli.frames import jobs_of, open_folder, work_off
     from l3cli.config import load_recipe
     from l3cli.errors import L3Error
-    from l3cli.files import refuse_existing, refuse_filled_folder
     from l3cli.parallel import ordered_map
     from l3cli.simulate.recipe import SceneRecipe, shots
 
-    refuse_existing(output, force)
+    options.claim_file(output, force, scenes, camera)
     for folder in filter(None, (pictures, dng)):
-        refuse_filled_folder(folder, force)
+        options.claim_folder(folder, force)
     model, recipe = load_camera(camera), load_recipe(scenes, SceneRecipe)
     run, files, inputs = _prepare(recipe, scenes, model, seed)
     head = _head(run, model, (scenes, camera), inputs, seed)
@@ -77,7 +76,7 @@ def simulate(
         _write_pictures(output, pictures)
     if dng:
         _write_dng(run, output, dng)
-    options.say(f"{output}: {total} frames", quiet)
+    options.say(f"{output}: {total} frame{'s' if total > 1 else ''}", quiet)
 
 
 def _prepare(
@@ -166,11 +165,13 @@ def _assemble(run: "Run", head: "TrainingSet", output: Path, total: int, quiet: 
         worst = max((writer.append_part(run.part(index)) for index in range(total)), key=lambda part: part.uncovered)
     if worst.uncovered > NEGLIGIBLE:
         share = f"{worst.uncovered:.1%} of the light that a channel collects from white"
-        options.say(f"warning: {worst.scene} holds no data for {share}", quiet)
+        options.say(f"warning: {worst.scene} holds no data for {share}; give scenes of more wavelengths", quiet)
 
 
 def _write_pictures(training: Path, folder: Path) -> None:
     """Each frame of a training set as raw mosaic and as the picture it should become, white at display white."""
+    import numpy as np
+
     from l3cli.artifacts.training_set import open_training_set
     from l3cli.io.images import write_linear, write_mosaic, write_picture
     from l3cli.render.display import encode, make_display

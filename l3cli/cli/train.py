@@ -70,7 +70,8 @@ def train(
 ) -> None:  # fmt: skip
     """Learn a table of local linear transforms from one or more training sets.
 
-    Example: l3 train training.h5 --classes configs/classes/default.toml -o table.h5
+    \b
+    Example: l3 train training.h5 --classes classes.toml -o table.h5
 
     Patches are spread evenly over all frames. With --shares 1,0.7,0.4 three training sets get patches in that proportion,
     however many frames they have.
@@ -80,14 +81,14 @@ def train(
     shards:
 
     \b
-      l3 train training.h5 --shard 1/4 -o a1.h5                     and 2/4, 3/4, 4/4
+      l3 train training.h5 --shard 1/4 -o a1.h5                    … 4/4
       l3 train --merge a1.h5 a2.h5 a3.h5 a4.h5 -o first.h5
-      l3 train training.h5 --shard 1/4 --first first.h5 -o b1.h5    and 2/4, 3/4, 4/4
+      l3 train training.h5 --shard 1/4 --first first.h5 -o b1.h5   … 4/4
       l3 train --merge b1.h5 b2.h5 b3.h5 b4.h5 -o table.h5
 
     With first_draws = 0 in the recipe, or other outputs than XYZ, there is one pass: two steps, without --first.
     """
-    from l3cli.files import refuse_existing
+    from l3cli.errors import RecipeError
     from l3cli.parallel import one_blas_thread
 
     one_blas_thread()
@@ -97,15 +98,18 @@ def train(
         raise click.UsageError(f"--shares gives {len(shares)} shares for {len(files)} training sets")
     if first and not shard:
         raise click.UsageError("--first goes with --shard")
-    refuse_existing(output, force)
+    options.claim_file(output, force, *files, *filter(None, [classes, first]))
     if merge:
         merge_shards(files, output, quiet)
         return
     course = open_course(files, classes, shares, seed)
-    if shard:
-        train_shard(course, shard, first, output, jobs, quiet)
-    else:
-        train_whole(course, output, jobs, quiet)
+    try:
+        if shard:
+            train_shard(course, shard, first, output, jobs, quiet)
+        else:
+            train_whole(course, output, jobs, quiet)
+    except RecipeError as error:
+        raise RecipeError(f"{classes or 'the built-in class recipe'}: {error}") from error
 
 
 @dataclass(frozen=True)

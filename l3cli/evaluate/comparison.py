@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from l3cli.errors import InputFileError
+from l3cli.errors import InputFileError, RecipeError, suggestion
 from l3cli.evaluate.evaluation import OURS, higher_is_better
 
 
@@ -21,8 +21,12 @@ class Curve:
 
 
 def curve_of(document: Mapping[str, Any], figure: str) -> Curve:
-    """The mean of `figure` at each luminance, from a document of `l3 evaluate --json`; InputFileError if it lacks them."""
+    """The mean of `figure` at each luminance, from a document of `l3 evaluate --json`; InputFileError if it lacks them,
+    RecipeError if its frames have no figure of that name."""
     try:
+        known = {name for frame in document["frames"] for name in frame[OURS]}
+        if known and figure not in known:
+            raise RecipeError(f'no figure "{figure}"; {suggestion(figure, sorted(known))}')
         by_luminance: dict[float, list[float]] = {}
         for frame in document["frames"]:
             by_luminance.setdefault(float(frame["luminance"]), []).append(float(frame[OURS][figure]))

@@ -57,10 +57,8 @@ def _visible(path: Path, raw: Any) -> CameraRaw:
     else:
         values, common, top = with_one_black(values, black[colours], white[colours])
     rows, cols = raw.raw_pattern.shape
-    return {
-        "values": values, "black": common, "white": top, "pattern": codes_of(letters)[colours[:rows, :cols]],
-        "orientation": int(raw.sizes.flip),
-    }  # fmt: skip
+    pattern = codes_of(letters)[colours[:rows, :cols]]
+    return CameraRaw(values=values, black=common, white=top, pattern=pattern, orientation=int(raw.sizes.flip))
 
 
 def _levels(raw: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

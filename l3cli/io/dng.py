@@ -62,9 +62,7 @@ def described(path: Path, stored: NDArray[np.uint16]) -> CameraRaw:
     pixels = stored[top:bottom, left:right][shown].copy()  # LibRaw takes its memory back
     values, common, white = with_one_black(pixels, black, np.array(mosaic.white))
     pattern = np.roll(mosaic.pattern, (-row, -col), axis=(0, 1))
-    return {
-        "values": values, "black": common, "white": white, "pattern": pattern, "orientation": mosaic.orientation
-    }  # fmt: skip
+    return CameraRaw(values=values, black=common, white=white, pattern=pattern, orientation=mosaic.orientation)
 
 
 def _black_levels(mosaic: Mosaic, shape: tuple[int, int]) -> NDArray[np.float64]:

@@ -14,7 +14,7 @@ Names of files are relative to the folder of the measurement file.
 import json
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import msgspec
 import numpy as np
@@ -104,6 +104,8 @@ class UncertaintyRecipe(Recipe):
 
 class MeasurementRecipe(Recipe):
     """MEASUREMENTS.toml."""
+
+    title: ClassVar[str] = "a measurement file"
 
     name: str
     sensor: BodyRecipe

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli import spectra
-from l3cli.errors import RecipeError
+from l3cli.errors import RecipeError, suggestion
 
 WHITE_PERCENTILE = 99  # of Y, that automatic exposure maps to display white, as the authors did
 CODES = {8: np.uint8, 16: np.uint16, "half": np.float16, "float": np.float32}  # what a value is written as
@@ -48,7 +48,7 @@ def make_display(white: NDArray[np.floating], scale: float, bits: int | str, spa
     if not (np.all(np.asarray(white) > 0) and np.isfinite(scale) and scale > 0):
         raise RecipeError("scene white and exposure must be positive")
     if space not in SPACES:
-        raise RecipeError(f'colour space "{space}" is unknown; use one of {", ".join(SPACES)}')
+        raise RecipeError(f'colour space "{space}" is unknown; {suggestion(space, SPACES)}')
     primaries = spectra.srgb_from_xyz_matrix()
     display_white = np.linalg.solve(primaries, np.ones(3))
     adapted = scale * spectra.adaptation_matrix(white, display_white)

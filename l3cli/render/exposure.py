@@ -4,6 +4,7 @@ import math
 from fractions import Fraction
 
 import numpy as np
+from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
 from l3cli.classify import label_patches, neighbourhoods
@@ -28,19 +29,26 @@ class LightMeter:
 
     def brightness(self, frame: RawFrame) -> float:
         """Y that ought to be shown white."""
-        table, (period_row, period_col) = self.table, self.table.cfa.shape
-        rows, cols = frame.values.shape
-        row = _spread(rows, period_row, GRID[0], table.rule.patch)
-        col = _spread(cols, period_col, GRID[1], table.rule.patch)
-        row_source = mirrored_indices(rows, table.rule.radius, period_row)[row]
-        col_source = mirrored_indices(cols, table.rule.radius, period_col)[col]
-        patches = frame.values[row_source[:, None, :, None], col_source[None, :, None, :]].reshape(-1, table.rule.patch**2)
-        raw = RawFrame(frame.name, patches, frame.black, frame.white).at_levels(table.black, table.white, table.bits)
-        site = frame.phase[0] * period_col + frame.phase[1]
-        classes = site * table.rule.classes_per_site + label_patches(raw.values, table.rule, self._near, site)
-        signal = (raw.values.astype(np.float32) - np.float32(table.black)) / np.float32(table.white - table.black)
+        table = self.table
+        patches, site = spread_patches(frame, table)
+        classes = site * table.rule.classes_per_site + label_patches(patches, table.rule, self._near, site)
+        signal = (patches.astype(np.float32) - np.float32(table.black)) / np.float32(table.white - table.black)
         luminance = np.einsum("nt,nt->n", self._weights[classes], signal) + self._intercept[classes]
         return float(np.percentile(luminance, WHITE_PERCENTILE))
+
+
+def spread_patches(frame: RawFrame, table: TransformTable) -> tuple[NDArray[np.uint16], int]:
+    """About 1500 patches (patch, tap) of a frame, evenly spread, at the table's levels; and the CFA site of them all, that
+    of the frame's first pixel."""
+    period_row, period_col = table.cfa.shape
+    rows, cols = frame.values.shape
+    row = _spread(rows, period_row, GRID[0], table.rule.patch)
+    col = _spread(cols, period_col, GRID[1], table.rule.patch)
+    row_source = mirrored_indices(rows, table.rule.radius, period_row)[row]
+    col_source = mirrored_indices(cols, table.rule.radius, period_col)[col]
+    patches = frame.values[row_source[:, None, :, None], col_source[None, :, None, :]].reshape(-1, table.rule.patch**2)
+    raw = RawFrame(frame.name, patches, frame.black, frame.white).at_levels(table.black, table.white, table.bits)
+    return raw.values, frame.phase[0] * period_col + frame.phase[1]
 
 
 def _spread(length: int, period: int, count: int, patch: int) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
-from l3cli.errors import RecipeError
+from l3cli.errors import RecipeError, suggestion
 from l3cli.frame import RawFrame
 from l3cli.render.display import Display
 
@@ -44,6 +44,6 @@ def make_renderer(backend: str, table: TransformTable, **options: str | None) ->
     `options` are the backend's own: of "opencl" `device` and `variant` (OpenCLRenderer).
     """
     if backend not in BACKENDS:
-        raise RecipeError(f'backend "{backend}" is unknown; use one of {", ".join(BACKENDS)}')
+        raise RecipeError(f'backend "{backend}" is unknown; {suggestion(backend, BACKENDS)}')
     module, _, name = BACKENDS[backend].partition(":")
     return getattr(importlib.import_module(module), name)(table, **options)

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import msgspec
 import numpy as np
@@ -68,6 +69,8 @@ class DarkRecipe(Recipe):
 
 class LabRecipe(Recipe):
     """What the lab measures; every key has the default that configs/lab/default.toml spells out."""
+
+    title: ClassVar[str] = "a lab recipe"
 
     mono: MonoRecipe = msgspec.field(default_factory=MonoRecipe)
     chart: ChartRecipe = msgspec.field(default_factory=ChartRecipe)

@@ -4,7 +4,7 @@ import itertools
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 import msgspec
 import numpy as np
@@ -12,7 +12,7 @@ import numpy as np
 from l3cli import spectra
 from l3cli.artifacts.camera import CameraModel, Optics
 from l3cli.config import Recipe
-from l3cli.errors import RecipeError
+from l3cli.errors import RecipeError, suggestion
 from l3cli.simulate.light import MEASURED, OWN, Curve, parts
 from l3cli.simulate.sensor import with_analog_gain
 from l3cli.simulate.sources import (
@@ -62,6 +62,8 @@ class Pair(Recipe):
 
 
 class SceneRecipe(Recipe):
+    title: ClassVar[str] = "a scene recipe"
+
     scene: list[Source] = msgspec.field(default_factory=list)
     pair: list[Pair] = msgspec.field(default_factory=list)
     # CIE names, "3200K", "D6000K", CSV files, mixtures "0.7 D65 + 0.3 lamp.csv", or "scene": its own
@@ -144,8 +146,8 @@ def check(recipe: SceneRecipe, camera: CameraModel) -> None:
             raise RecipeError(f'scene {number} holds radiance without its light; give light, or illuminants = ["{OWN}"]')
     outputs = recipe.target.outputs
     if outputs not in (*OUTPUTS, CAMERA) and not outputs.endswith(MEASURED):
-        known = '", "'.join((*OUTPUTS, CAMERA))
-        raise RecipeError(f'target.outputs "{outputs}" is unknown; use "{known}" or a CSV file')
+        known = suggestion(outputs, (*OUTPUTS, CAMERA))
+        raise RecipeError(f'target.outputs "{outputs}" is unknown; {known} (or a CSV file)')
     if recipe.target.illuminant == OWN:
         raise RecipeError(f'target.illuminant cannot be "{OWN}"; leave it out')
     for pair in recipe.pair:

@@ -1,6 +1,6 @@
 """What a class recipe (configs/classes) may say."""
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 import msgspec
 
@@ -39,6 +39,8 @@ class LearningRecipe(Recipe):
 
 class TrainingRecipe(Recipe):
     """Classes and learning; every key has the default that configs/classes/default.toml spells out."""
+
+    title: ClassVar[str] = "a class recipe"
 
     classes: ClassRecipe = msgspec.field(default_factory=ClassRecipe)
     learning: LearningRecipe = msgspec.field(default_factory=LearningRecipe)

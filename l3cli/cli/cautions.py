@@ -1,0 +1,92 @@
+"""What `l3 render` says of frames that its table was not made for, and what to do about it."""
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from l3cli.cli import options
+from l3cli.files import sha256
+from l3cli.render.coverage import CoverageMeter
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from l3cli.artifacts.table import TransformTable
+    from l3cli.frame import RawFrame
+    from l3cli.io.sequences import Pending
+
+NOTABLE = {"darker": 0.05, "brighter": 0.05, "untrained": 0.2, "saturated": 0.1}  # shares of a frame that are worth a word
+NEAR_WHITE = 0.02  # distance of chromaticities u′v′ from which on two whites are different lights
+
+
+@dataclass
+class Cautions:
+    """Looks at some frames of a run and, in the end, says each thing once: of one frame, or of the worst of several."""
+
+    table: "TransformTable"
+    _seen: int = 0
+    _worst: dict[str, tuple[float, str, int]] = field(default_factory=dict)  # share, frame, number of frames
+
+    def __post_init__(self) -> None:
+        self._meter = CoverageMeter(self.table)
+
+    def look(self, frame: "RawFrame") -> None:
+        """Measure a frame."""
+        self._seen += 1
+        found = self._meter.coverage(frame)
+        for what, limit in NOTABLE.items():
+            share = getattr(found, what)
+            if share >= limit:
+                worst, name, count = self._worst.get(what, (0.0, "", 0))
+                self._worst[what] = (share, frame.name, count + 1) if share > worst else (worst, name, count + 1)
+
+    def watched(
+        self, frames: "Iterator[tuple[Pending, RawFrame, float]]", stills: bool
+    ) -> "Iterator[tuple[Pending, RawFrame, float]]":
+        """Pass frames on, after a look at every still, or at the first frame of a sequence."""
+        for pending, frame, scale in frames:
+            if stills or not self._seen:
+                self.look(frame)
+            yield pending, frame, scale
+
+    def tell(self, quiet: bool) -> None:
+        """One line for each thing found."""
+        darkest, brightest = self._meter.learned_range()
+        texts = {
+            "darker": f"are darker than anything the table was trained on ({darkest:.2g} of full scale); lower "
+            "learning.darkest or simulate shorter exposures, and train again",
+            "brighter": f"are brighter than anything the table was trained on ({brightest:.2g} of full scale); raise "
+            "learning.brightest or simulate longer exposures, and train again",
+            "untrained": "fall into classes that are filled from their neighbours; train on more scenes or patches",
+            "saturated": "are clipped or touch clipped ones, where colour is a guess; expose shorter, or mend --white-level",
+        }
+        for what, (share, name, count) in self._worst.items():
+            where = name if self._seen == 1 else f"{count} of {self._seen} frames, most in {name}"
+            options.say(f"warning: {where}: {share:.0%} of the pixels {texts[what]}", quiet)
+
+
+def caution_white(asked: str, white: np.ndarray, table: "TransformTable", quiet: bool) -> None:
+    """Say so if colours are asked for under a light that the table was probably not trained under."""
+    if np.linalg.norm(_uv(white) - _uv(table.white_point)) > NEAR_WHITE:
+        x, y = table.white_point[:2] / table.white_point.sum()
+        options.say(
+            f"warning: --white {asked} is far from the mean light of the training, x,y = {x:.4f},{y:.4f}: "
+            "colours are adapted, not learned for it; train with it among the illuminants of SCENES.toml",
+            quiet,
+        )
+
+
+def caution_trained(table: "TransformTable", path: "Path", frames: "Path", quiet: bool) -> None:
+    """Say so if a table is judged on frames that its history names as its training."""
+    inputs = {digest for stage in table.history for found in stage.inputs.values() for digest in found}
+    if not quiet and sha256(frames) in inputs:
+        text = "figures flatter it; simulate other scenes, or the same ones with another --seed"
+        options.say(f"warning: {path} was trained on {frames}: {text}", quiet)
+
+
+def _uv(white: np.ndarray) -> np.ndarray:
+    """CIE 1976 u′v′ of XYZ."""
+    x, y, z = white
+    return np.array([4 * x, 9 * y]) / (x + 15 * y + 3 * z)

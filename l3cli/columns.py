@@ -1,0 +1,32 @@
+"""Tables of plain text, for terminals of any width and for pipes."""
+
+from collections.abc import Sequence
+
+GAP = "  "
+
+
+def columns(headings: Sequence[str], rows: Sequence[Sequence[str]], width: int | None = None) -> list[str]:
+    """Lines of a table: the first column to the left, the others to the right, below their headings of one or more lines.
+
+    A table wider than `width` characters is divided into several, one below the other, all with the first column.
+    """
+    named = [heading.split("\n") for heading in headings]
+    high = max(map(len, named))
+    lines = [[([""] * (high - len(name)) + name)[line] for name in named] for line in range(high)] + [
+        list(row) for row in rows
+    ]
+    wide = [max(len(line[index]) for line in lines) for index in range(len(headings))]
+    parts, used = [[0]], wide[0]
+    for index in range(1, len(headings)):
+        if width is not None and len(parts[-1]) > 1 and used + len(GAP) + wide[index] > width:
+            parts.append([0])
+            used = wide[0]
+        parts[-1].append(index)
+        used += len(GAP) + wide[index]
+    told = [[_line(line, part, wide) for line in lines] for part in parts]
+    return [line for number, part in enumerate(told) for line in ([""] if number else []) + part]
+
+
+def _line(cells: Sequence[str], part: Sequence[int], wide: Sequence[int]) -> str:
+    first, *others = part
+    return GAP.join([cells[first].ljust(wide[first]), *(cells[index].rjust(wide[index]) for index in others)]).rstrip()
