@@ -216,6 +216,8 @@ def is_ours(name: str) -> bool:
 
 def sha256(path: Path) -> str:
     """SHA-256 of a file's bytes, in hexadecimal."""
+    if path.exists() and not path.is_file():
+        raise InputFileError(f"{path} is no regular file; give one")
     try:
         with open(path, "rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()

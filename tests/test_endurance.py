@@ -19,7 +19,7 @@ from test_sequences import RGGB
 
 from l3cli.artifacts.base import save
 from l3cli.io.images import write_mosaic
-from l3cli.io.sequences import chunks_of_a_frame
+from l3cli.io.stacks import chunks_of_a_frame
 from l3cli.io.video import _av
 
 L3 = (sys.executable, "-c", "from l3cli.cli import main; main()")

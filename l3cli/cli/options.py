@@ -88,6 +88,22 @@ def scheduler(command: Callable[..., Any]) -> Callable[..., Any]:
     return _ADDRESS(_CA(_CERTIFICATE(_KEY(called))))
 
 
+def _trust(context: click.Context, parameter: click.Parameter, value: bool) -> None:
+    if value:
+        from l3cli.limits import trust
+
+        context.with_resource(trust())
+
+
+trust = click.option(
+    "--trust",
+    is_flag=True,
+    expose_value=False,
+    callback=_trust,
+    help="Decode raw, image, MATLAB and video files here, not in a process of limited time and memory.",
+)
+
+
 def frame_name(index: int, scene: str) -> str:
     """Stem of the files of one frame of a training set: its number and its scene, without odd characters."""
     return f"{index:05d}_{re.sub(r'[^A-Za-z0-9]+', '-', scene)}"

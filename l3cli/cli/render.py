@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 PRESETS = ("ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow")
 
+PLAIN = (".npy", ".pgm", ".raw", ".bin", ".raw10", ".raw12", "")  # inputs that need no decoder, or none that is known yet
+
 
 def _pair(separator: str) -> Callable[[Any, Any, str | None], tuple[int, int] | None]:
     """Reads "a<separator>b" as two whole numbers."""
@@ -126,6 +128,7 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
 @click.option("--skip-bad", is_flag=True, help="Leave out missing and broken frames; exit code 1 if there were any.")
 @click.option("--resume", is_flag=True, help="Go on with a sequence of pictures where a run was stopped.")
 @options.scheduler
+@options.trust
 @options.force
 @options.quiet
 def render(
@@ -147,6 +150,10 @@ def render(
     from l3cli.parallel import one_blas_thread
 
     one_blas_thread()  # the products of the light meter are small, and threads that wait for them take the encoder's time
+    from l3cli.io.apart import start
+
+    if any(path.suffix.lower() not in PLAIN for path in inputs):
+        start()  # it takes a third of a second, like what follows
     from l3cli.artifacts.base import load
     from l3cli.artifacts.table import TransformTable
     from l3cli.cli.cautions import caution_white

@@ -32,6 +32,7 @@ NEGLIGIBLE = 1e-3  # share of a channel's light that may go unseen without a wor
 @options.seed
 @options.scheduler
 @options.jobs
+@options.trust
 @options.force
 @options.quiet
 def simulate(
@@ -129,7 +130,9 @@ def _curve(path: Path, role: str) -> "Curve":
 
 def _column_names(path: Path, count: int) -> tuple[str, ...]:
     """The header of a CSV file of matching functions, or numbers where it has none."""
-    lines = path.read_text(encoding="utf-8-sig").splitlines()
+    from l3cli.limits import read_bounded
+
+    lines = read_bounded(path).decode("utf-8-sig").splitlines()
     cells = [cell.strip() for cell in next(line for line in lines if line.strip() and line[0] != "#").split(",")[1:]]
     named = len(set(cells)) == count and not any(re.fullmatch(r"[-+.\deE]*", cell) for cell in cells)
     return tuple(cells) if named else tuple(f"output {number}" for number in range(1, count + 1))
