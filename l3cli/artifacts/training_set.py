@@ -10,12 +10,15 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts import container
 from l3cli.artifacts.base import (
     CHECKSUM,
     Artifact,
     check,
     data,
     group,
+    hard_group,
+    members,
     new_artifact,
     open_artifact,
     read_fields,
@@ -23,8 +26,9 @@ from l3cli.artifacts.base import (
     write_fields,
 )
 from l3cli.artifacts.camera import CameraModel
-from l3cli.errors import InputFileError
-from l3cli.files import atomic_output
+from l3cli.errors import InputFileError, L3Error
+
+LARGEST = 1e12  # electrons, cd/m², seconds: 32-bit floats hold its square
 
 
 @dataclass(frozen=True)
@@ -45,6 +49,11 @@ class TrainingPair:
 
     def __post_init__(self) -> None:
         check(self)
+        _require_moderate("target", self.target)
+        if not (self.white.size and self.white.min() >= 0 < self.white.max() <= LARGEST):
+            raise ValueError("white is no light")
+        if min(self.luminance, self.exposure) < 0 or max(self.luminance, self.exposure) > LARGEST:
+            raise ValueError(f"luminance {self.luminance:g} and exposure {self.exposure:g} must lie in 0…{LARGEST:g}")
 
 
 @dataclass(frozen=True)
@@ -65,6 +74,16 @@ class TrainingFrame(TrainingPair):
     )
     seed: tuple[int, ...] = data("int64", "seed_word", doc="seed of this frame's noise")
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _require_moderate("electrons", self.electrons)
+
+
+def _require_moderate(name: str, values: NDArray[np.float32]) -> None:
+    """ValueError if products of values would run over."""
+    if values.size == 0 or max(float(values.max()), -float(values.min())) > LARGEST:
+        raise ValueError(f"{name} is empty or holds more than {LARGEST:g}")
+
 
 @dataclass(frozen=True)
 class TrainingSet(Artifact):
@@ -72,7 +91,7 @@ class TrainingSet(Artifact):
     pairs/00000…, and are read one by one."""
 
     kind: ClassVar[str] = "training set"
-    version: ClassVar[int] = 1
+    version: ClassVar[int] = 2
     made_by: ClassVar[str] = '"l3 simulate"'
 
     camera: CameraModel = group()
@@ -88,10 +107,11 @@ class TrainingSetReader:
     holds one frame at a time."""
 
     def __init__(self, root: h5py.File, path: Path) -> None:
-        self._root, self._path = root, path
+        self._path = path
         self.head: TrainingSet = read_fields(root, TrainingSet, path, history=read_history(root, path))
-        groups = [name for name in GROUPS if isinstance(root.get(name), h5py.Group)]
-        self._names = [f"{group}/{name}" for group in groups for name in sorted(root[group])]
+        held = members(root, path)
+        self._groups = {name: hard_group(root, name, path) for name in GROUPS if name in held}
+        self._names = [(name, each) for name, group in self._groups.items() for each in members(group, path)]
         if not self._names:
             raise InputFileError(f'{path} holds no frames; make it again with "l3 simulate"')
 
@@ -99,8 +119,12 @@ class TrainingSetReader:
         return len(self._names)
 
     def frame(self, index: int) -> TrainingPair:
-        name = self._names[index]
-        return read_fields(self._root[name], GROUPS[name.split("/")[0]], self._path)
+        group, name = self._names[index]
+        frame: TrainingPair = read_fields(hard_group(self._groups[group], name, self._path), GROUPS[group], self._path)
+        channels = len(frame.electrons) if isinstance(frame, TrainingFrame) else len(self.head.camera.channels)
+        if (channels, len(frame.target)) != (len(self.head.camera.channels), len(self.head.outputs)):
+            raise InputFileError(f"{self._path}: {group}/{name} is of another camera or target; make the file again")
+        return frame
 
     def __iter__(self) -> Iterator[TrainingPair]:
         for index in range(len(self)):
@@ -108,9 +132,10 @@ class TrainingSetReader:
 
 
 @contextlib.contextmanager
-def open_training_set(path: Path) -> Iterator[TrainingSetReader]:
-    """A reader of the training set at `path`; InputFileError if it is none or damaged."""
-    with open_artifact(path, TrainingSet) as root:
+def open_training_set(path: Path, unchanged: bool = False) -> Iterator[TrainingSetReader]:
+    """A reader of the training set at `path`; InputFileError if it is none or damaged. `unchanged`: its bytes have been
+    compared with its digest before, by this run."""
+    with open_artifact(path, TrainingSet, unchanged) as root:
         yield TrainingSetReader(root, path)
 
 
@@ -128,9 +153,11 @@ class TrainingSetWriter:
         group, name = self._place(isinstance(frame, TrainingFrame))
         write_fields(group.create_group(name), frame, CHECKSUM)
 
-    def append_part(self, path: Path) -> "Part":
-        """Append the frame that `write_part` stored, as it is stored; what else it told."""
-        with h5py.File(path, "r") as part:
+    def append_part(self, path: Path, run: str) -> "Part":
+        """Append the frame that `write_part` stored for `run`, as it is stored; what else it told."""
+        with container.open_file(path) as part:
+            if part.attrs.get("run") != run:
+                raise L3Error(f"{path} was replaced by another run; run again with --resume")
             group, name = self._place(bool(part.attrs["simulated"]))
             part.copy("frame", group, name)
             return Part(str(part.attrs["scene"]), float(part.attrs["uncovered"]))
@@ -152,19 +179,22 @@ class Part:
     uncovered: float  # share of white's electrons for which the scene holds no data
 
 
-def write_part(path: Path, frame: TrainingPair, uncovered: float) -> None:
-    """One frame in a file of its own, whole or not at all: what a killed run leaves and its successor goes on from."""
-    with atomic_output(path) as temporary, h5py.File(temporary, "w", libver=("earliest", "v110")) as root:
+def write_part(path: Path, frame: TrainingPair, uncovered: float, run: str) -> None:
+    """One frame of `run` in a file of its own, whole or not at all: what a killed run leaves, its successor goes on from."""
+    with container.new_file(path) as root:
         root.attrs["simulated"] = isinstance(frame, TrainingFrame)
         root.attrs["scene"] = frame.scene
         root.attrs["uncovered"] = uncovered
+        root.attrs["run"] = run
         write_fields(root.create_group("frame"), frame, CHECKSUM)
 
 
-def whole_part(path: Path) -> bool:
-    """Whether a part is there and can be opened."""
+def whole_part(path: Path, run: str) -> bool:
+    """Whether a part of `run` is there, as it was written."""
     try:
-        with h5py.File(path, "r") as root:
-            return "frame" in root
-    except OSError:
+        if not container.check(path, "l3 simulate"):
+            return False
+    except InputFileError:
         return False
+    with container.open_file(path) as part:
+        return bool(part.attrs.get("run") == run)

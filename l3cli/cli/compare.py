@@ -85,13 +85,14 @@ def _read(path: Path) -> dict:
     import json
 
     from l3cli.errors import InputFileError
+    from l3cli.limits import read_bounded
 
     if not path.is_file():
         what = "is a folder" if path.is_dir() else "does not exist"
         raise InputFileError(f'{path} {what}; give what "l3 evaluate --json" prints')
     try:
-        document = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
+        document = json.loads(read_bounded(path))
+    except (OSError, ValueError, RecursionError) as error:
         raise InputFileError(f'{path}: not readable as JSON; give what "l3 evaluate --json" prints') from error
     if not isinstance(document, dict):
         raise InputFileError(f'{path} is no evaluation; give what "l3 evaluate --json" prints')
@@ -99,7 +100,7 @@ def _read(path: Path) -> dict:
 
 
 def _page(curves: dict[str, list["Curve"]], told: dict[str, list[str]], output: Path) -> None:
-    from l3cli.files import atomic_output
+    from l3cli.files import write_whole
     from l3cli.report.evaluation import luminance_section
     from l3cli.report.page import render_page
 
@@ -108,5 +109,4 @@ def _page(curves: dict[str, list["Curve"]], told: dict[str, list[str]], output: 
     page = render_page(
         f"{names} over the light", " ".join(itertools.chain(*told.values())), [luminance_section(values, told)]
     )
-    with atomic_output(output) as temporary:
-        temporary.write_bytes(page.encode())
+    write_whole(output, page)

@@ -6,6 +6,7 @@ import re
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -87,29 +88,64 @@ def scheduler(command: Callable[..., Any]) -> Callable[..., Any]:
     return _ADDRESS(_CA(_CERTIFICATE(_KEY(called))))
 
 
+def _trust(context: click.Context, parameter: click.Parameter, value: bool) -> None:
+    if value:
+        from l3cli.limits import trust
+
+        context.with_resource(trust())
+
+
+trust = click.option(
+    "--trust",
+    is_flag=True,
+    expose_value=False,
+    callback=_trust,
+    help="Decode raw, image, MATLAB and video files here, not in a process of limited time and memory.",
+)
+
+
 def frame_name(index: int, scene: str) -> str:
     """Stem of the files of one frame of a training set: its number and its scene, without odd characters."""
     return f"{index:05d}_{re.sub(r'[^A-Za-z0-9]+', '-', scene)}"
 
 
 def claim_file(path: Path, force: bool, *inputs: Path) -> None:
-    """Refuse before any work an output that is there already, is an input, would pass for a recipe or cannot be written."""
+    """`hold_file`, and refuse an output that is there already."""
     from l3cli.files import refuse_existing
+
+    hold_file(path, *inputs)  # first: the run that holds it may be about to end
+    refuse_existing(path, force)
+
+
+def hold_file(path: Path, *inputs: Path) -> None:
+    """Refuse before any work an output that is an input, is no file, would pass for a recipe or cannot be written; keep
+    other runs off it until the command ends."""
+    from l3cli.files import refuse_existing, sole_writer_of_file
 
     if path.suffix == ".toml":
         raise RecipeError(f"{path}: .toml is for recipes; name an output that ends otherwise")
     if path.exists() and any(given.exists() and path.samefile(given) for given in inputs):
         raise RecipeError(f"{path} is an input; name another output")
-    refuse_existing(path, force)
+    refuse_existing(path, force=True)  # a folder or device
     refuse_unwritable(path)
+    hold(sole_writer_of_file(path), path)
 
 
 def claim_folder(path: Path, force: bool) -> None:
-    """Refuse, before any work, a folder that holds something, is a file or cannot be written into."""
-    from l3cli.files import refuse_filled_folder
+    """Refuse, before any work, a folder that holds something, is a file or cannot be written into; keep other runs off it
+    until the command ends."""
+    from l3cli.files import refuse_filled_folder, sole_writer_of_folder
 
-    refuse_filled_folder(path, force)
+    refuse_filled_folder(path, force=True)  # a file
     refuse_unwritable(path)
+    hold(sole_writer_of_folder(path), path)
+    refuse_filled_folder(path, force)
+
+
+def hold(claim: AbstractContextManager[bool], output: Path) -> None:
+    """Keep a claim on an output until the command ends."""
+    if not click.get_current_context().with_resource(claim):
+        click.echo(f"warning: {output} lies on storage without file locks: see that no other run writes it", err=True)
 
 
 def refuse_unwritable(path: Path) -> None:

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 PRESETS = ("ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow")
 
+PLAIN = (".npy", ".pgm", ".raw", ".bin", ".raw10", ".raw12", "")  # inputs that need no decoder, or none that is known yet
+
 
 def _pair(separator: str) -> Callable[[Any, Any, str | None], tuple[int, int] | None]:
     """Reads "a<separator>b" as two whole numbers."""
@@ -126,6 +128,7 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
 @click.option("--skip-bad", is_flag=True, help="Leave out missing and broken frames; exit code 1 if there were any.")
 @click.option("--resume", is_flag=True, help="Go on with a sequence of pictures where a run was stopped.")
 @options.scheduler
+@options.trust
 @options.force
 @options.quiet
 def render(
@@ -147,11 +150,15 @@ def render(
     from l3cli.parallel import one_blas_thread
 
     one_blas_thread()  # the products of the light meter are small, and threads that wait for them take the encoder's time
+    from l3cli.io.apart import start
+
+    if any(path.suffix.lower() not in PLAIN for path in inputs):
+        start()  # it takes a third of a second, like what follows
     from l3cli.artifacts.base import load
     from l3cli.artifacts.table import TransformTable
     from l3cli.cli.cautions import caution_white
     from l3cli.cli.elsewhere import Way
-    from l3cli.cli.sequence import USUAL_RATE, Look, make_target, marked, refuse_missing, refuse_single, render_frames
+    from l3cli.cli.sequence import USUAL_RATE, Look, claim, make_target, marked, refuse_missing, render_frames
     from l3cli.files import sha256
     from l3cli.io.raw_files import KnownBetter
     from l3cli.io.sequences import find_frames
@@ -160,7 +167,7 @@ def render(
 
     choice = VideoChoice(fps or USUAL_RATE, int(bits), codec, crf, preset)
     target = make_target(output, suffix, choice)
-    refuse_single(target, force)
+    claim(target, force)
     if target.linear and (exposure is not None or white is not None):
         raise RecipeError(".exr files hold the outputs as they are; --exposure and --white are for pictures")
     engine = {name: value for name, value in {"device": device, "variant": variant}.items() if value is not None}

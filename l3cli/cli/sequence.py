@@ -22,7 +22,7 @@ import numpy as np
 from l3cli.cli import options
 from l3cli.cli.cautions import Cautions
 from l3cli.errors import InputFileError, L3Error, RecipeError
-from l3cli.files import refuse_existing, sha256, write_whole
+from l3cli.files import refuse_existing, sha256, sole_writer_of_folder, write_whole
 from l3cli.frame import RawFrame, upright
 from l3cli.io import images
 from l3cli.io.sequences import PATTERN, Footage, Pending, numbered_files, numbered_name
@@ -96,12 +96,15 @@ def make_target(output: Path, suffix: str, choice: VideoChoice) -> Target:
     return target
 
 
-def refuse_single(target: Target, force: bool) -> None:
-    """L3Error, before anything is read, if a video or single picture is there already, or nothing can be written there."""
+def claim(target: Target, force: bool) -> None:
+    """L3Error, before anything is read, if nothing can be written there, another run does so, or a video or single picture
+    is there already."""
     if target.kind in ("video", "file"):
-        refuse_existing(target.path, force)
-    if target.kind != "stream":
+        options.claim_file(target.path, force)
+    elif target.kind != "stream":
         options.refuse_unwritable(target.file(0, "frame"))
+        folder, name = (target.path, "") if target.kind == "folder" else (target.path.parent, target.path.name)
+        options.hold(sole_writer_of_folder(folder, name), target.path)
 
 
 def refuse_outputs(target: Target, footage: Footage, force: bool) -> None:
@@ -166,17 +169,12 @@ def marked(target: Target, key: list[Any], resume: bool, force: bool, footage: F
     if goes_on and target.mark.read_text() != text:
         raise RecipeError(f"{target.path} holds a run with another table, inputs or options; leave --resume out")
     refuse_outputs(target, footage, force or goes_on)
-    new = not target.mark.parent.exists()
-    target.mark.parent.mkdir(parents=True, exist_ok=True)
-    target.mark.write_text(text)
+    write_whole(target.mark, text)
     try:
         yield goes_on
     except BaseException:
         if not _pictures(target):
             target.mark.unlink()
-            with contextlib.suppress(OSError):
-                if new:
-                    target.mark.parent.rmdir()
         raise
     target.mark.unlink()
 

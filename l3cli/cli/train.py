@@ -250,18 +250,21 @@ def merge_shards(shards: tuple[Path, ...], output: Path, quiet: bool) -> None:
     """The table of all shards of a pass; InputFileError if some are missing, doubled or of another run."""
     import contextlib
 
-    from l3cli.artifacts.base import save
+    from l3cli.artifacts.base import Stage, save
     from l3cli.artifacts.partial_sums import open_partial_sums
     from l3cli.config import parse_recipe
+    from l3cli.errors import InputFileError
     from l3cli.train.lesson import FIRST, Lesson
     from l3cli.train.recipe import TrainingRecipe
-    from l3cli.train.table import assemble, learn_site
+    from l3cli.train.table import assemble, canonical_sites, learn_site
 
     with contextlib.ExitStack() as stack:
         readers = [stack.enter_context(open_partial_sums(path)) for path in shards]
         _require_all_shards(shards, [reader.head for reader in readers])
         head = readers[0].head
-        stage = head.history[-1]
+        stage = head.history[-1] if head.history else Stage("", {})
+        if type(stage.options.get("seed")) is not int:
+            raise InputFileError(f"{shards[0]} does not tell the run it is a shard of; make it again")
         recipe = parse_recipe(stage.recipe, TrainingRecipe, str(shards[0])).learning
         about = (
             head.training,
@@ -273,6 +276,8 @@ def merge_shards(shards: tuple[Path, ...], output: Path, quiet: bool) -> None:
             head.pass_number,
         )
         lesson = Lesson(*about)
+        if head.sites.tolist() != canonical_sites(head.training, head.rule, recipe):
+            raise InputFileError(f"{shards[0]} holds sums of other sites than its camera has; make it again")
         solutions = {
             int(site): learn_site(lesson, (reader.site(index) for reader in readers), int(site))
             for index, site in enumerate(head.sites)
@@ -404,7 +409,7 @@ def _frames(training: tuple[Source, ...], wanted: range | None = None, elsewhere
             continue
         if elsewhere:
             require_same(source.path, source.digest)
-        with open_training_set(source.path) as reader:
+        with open_training_set(source.path, unchanged=True) as reader:  # since _common_head looked at it
             yield from map(reader.frame, here)
 
 
