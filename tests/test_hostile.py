@@ -86,6 +86,8 @@ KEPT: list[tuple[str, int, bytes, bytes]] = [
     ("scenes.toml", 0, b"count = 1", b"count = 4294967296"),
     ("lab/MEASUREMENTS.toml", 0, b"cols = 128", b"cols = 128282828"),
     ("lab/spectra/chart_010_D65.csv", 0, b"\n419", b"\n418.9" + 24 * b",-1e300" + b"\n419"),  # least squares never end
+    ("evaluation.json", 0, b"30.5", b"1e300"),  # an axis without end
+    ("evaluation.json", 0, b": 10", b": -10"),
     ("training.h5", 1, b"SNOD", b"SNOX"),  # HDF5's own list of a group's members is broken
     ("table.h5", 0, b"SNOD", b"SNOX"),
     ("channels.exr", 0, b"lineOrder\0lineOrder", b"lineOrder\0lineOr\x01er"),  # a control character in the decoder's message
