@@ -289,6 +289,8 @@ def _hurtful(dtype: np.dtype, choices: Choices) -> Any:
         return one_of(choices, (0.0, -1.0, 1e-300, 1e30, -1e30, np.nan, np.inf, 0.5, 1e6))
     if dtype.kind == "b":
         return bool(choices.integer(0, 1))
+    if dtype.kind not in "iu":
+        return 0
     limits = np.iinfo(dtype)
     return one_of(choices, (0, 1, limits.max, limits.min, 2, 3, 16, 100))
 
