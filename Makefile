@@ -9,8 +9,9 @@ INPUTS ?= 20000
 L3 := $(BIN)/l3
 TIMED := bash -c 'time "$$0" "$$@"'
 
-.PHONY: help install demo demo-steps test study video fuzz curve lint format bench clean
+.PHONY: help install demo demo-steps test study soak video fuzz curve lint format bench clean
 .DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
 
 help: ## this list
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
@@ -43,6 +44,9 @@ test: $(VENV)/installed ## the test suite
 
 study: $(VENV)/installed ## calibration over 21 seeds and a whole session's time and memory (ten minutes)
 	$(BIN)/python -m pytest -m slow -s --ignore tests/test_video_rate.py
+
+soak: $(VENV)/installed ## every stage killed forty times, and what else takes patience
+	$(BIN)/python -m pytest -m soak -s
 
 video: $(VENV)/installed ## rate and memory of 1800 raw frames to video, beside the encoder alone (six minutes)
 	$(BIN)/python -m pytest -m slow -s tests/test_video_rate.py

@@ -22,6 +22,7 @@ DOORS = {
     "h5py": ("artifacts/", "io/"),
     "colour": ("spectra.py",),
     "dask": ("parallel.py",),
+    "distributed": ("parallel.py",),
     "rich": ("cli/",),
     "jinja2": ("report/",),
     "markupsafe": ("report/",),

@@ -12,6 +12,7 @@ import pytest
 
 from l3cli.artifacts.base import Stage, equal, load, save
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.container import seal
 from l3cli.artifacts.fit import ChartFit, Fit, NoiseFit, SeriesFit, SweepFit
 from l3cli.artifacts.partial_sums import PartialSums
 from l3cli.artifacts.table import ClassRule, TransformTable
@@ -248,7 +249,7 @@ def plain_hdf5(path: Path) -> None:
         (break_shape, "responsivity"),
         (break_history, "history"),
         (truncate, "truncated or damaged"),
-        (flip, "damaged (checksum)"),
+        (flip, "dataset responsivity is damaged (checksum)"),
         (garbage, "is not an HDF5 file"),
         (plain_hdf5, "no l3 artifact"),
     ],
@@ -259,6 +260,10 @@ def test_a_broken_artifact_is_one_line(
     path = tmp_path / "camera.h5"
     save(fiveband, path)
     damage(path)
+    if damage not in (truncate, garbage, plain_hdf5):
+        with pytest.raises(InputFileError, match="damaged"):
+            load(CameraModel, path)
+        seal(path)  # as who makes such a file on purpose
     with pytest.raises(InputFileError) as caught:
         load(CameraModel, path)
     assert message in str(caught.value)
@@ -270,7 +275,7 @@ def test_info_lists_every_dataset_with_unit(fiveband: CameraModel, tmp_path: Pat
     save(a_camera(fiveband), path)
     code, out, err = l3("info", path)
     assert (code, err) == (0, "")
-    assert "camera model, format version 1" in out
+    assert "camera model, format version 2" in out
     for word in ("responsivity (channel, wavelength) 5×65 float64 e-/photon", "gain", "DN/e-", "made by l3 calibrate"):
         assert word in out
     shutil.copy(path, tmp_path / "cut.h5")

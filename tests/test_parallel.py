@@ -83,7 +83,7 @@ def _simulation(folder: Path) -> "subprocess.Popen[str]":
         text=True,
         env={**os.environ, "PYTHONPATH": str(CONFIGS.parent)},
     )
-    _wait_until(lambda: any(folder.glob("training.h5.parts/*.h5")))
+    _wait_until(lambda: any(folder.glob("training.h5.parts/0*.h5")))
     return run
 
 

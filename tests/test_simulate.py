@@ -431,7 +431,9 @@ def test_a_killed_run_goes_on_to_the_same_bytes(
     assert not (tmp_path / "cut.h5").exists()
     stored[1].write_bytes(stored[1].read_bytes()[:1000])  # as after a power cut
     kept = stored[0].stat().st_mtime_ns
-    assert "another recipe" in refused(2, *arguments, tmp_path / "cut.h5", "--resume", "--seed", 4)
+    assert (tmp_path / ".cut.h5.l3lock").exists()
+    assert "another recipe" in l3(*arguments, tmp_path / "cut.h5", "--resume", "--seed", 4)[2]
+    assert not (tmp_path / ".cut.h5.l3lock").exists()
     assert stored[0].stat().st_mtime_ns == kept
     assert l3(*arguments, tmp_path / "cut.h5", "--resume") == (0, "", "")
     assert (tmp_path / "cut.h5").read_bytes() == (tmp_path / "whole.h5").read_bytes()

@@ -20,14 +20,15 @@ import msgspec
 import numpy as np
 
 from l3cli import __version__
+from l3cli.artifacts import container
 from l3cli.artifacts.stored import KNOWN_FILTERS, datasets, filters_of, require_readable
 from l3cli.errors import InputFileError
-from l3cli.files import atomic_output
 
 MOST = 1e27  # of any number: its square, summed up, is still one
 COMPRESSION = {"compression": "gzip", "compression_opts": 4, "shuffle": True, "fletcher32": True}
 HDF5_ERRORS = (OSError, RuntimeError, KeyError, TypeError, ValueError, OverflowError)  # what h5py makes of damage
 CHECKSUM = {"fletcher32": True}  # for pictures: noise hardly shrinks, and shrinking it takes longer than simulating it
+SEALED = 2  # format version from which every file carries its digest
 
 
 @dataclass(frozen=True)
@@ -180,10 +181,7 @@ def _chunk(shape: tuple[int, ...], itemsize: int) -> tuple[int, ...]:
 def new_artifact(path: Path, kind: str, version: int, history: tuple[Stage, ...]) -> Iterator[h5py.File]:
     """An HDF5 file open for writing with kind, version and history on the root; renamed to `path` when all went well."""
     stages = json.dumps([dataclasses.asdict(stage) for stage in history], sort_keys=True, ensure_ascii=False)
-    with (
-        atomic_output(path) as temporary,
-        h5py.File(temporary, "w", libver=("earliest", "v110"), track_order=False) as root,
-    ):
+    with container.new_file(path) as root:
         root.attrs["kind"] = kind
         root.attrs["version"] = np.int64(version)
         _write_dataset(root, "history", Spec("str", (), "1", "JSON: the stages that led here, oldest first"), stages)
@@ -200,17 +198,17 @@ def save(artifact: Artifact, path: Path) -> None:
 
 
 @contextlib.contextmanager
-def open_artifact(path: Path, expected: type[Artifact] | None = None) -> Iterator[h5py.File]:
-    """The file's root, after checking that it is an artifact, of kind `expected`, and of a version this l3 reads."""
+def open_artifact(path: Path, expected: type[Artifact] | None = None, unchanged: bool = False) -> Iterator[h5py.File]:
+    """The file's root, after checking that not a byte has changed since it was written, that it is an artifact, of kind
+    `expected`, and of a version this l3 reads. `unchanged`: this run has compared the bytes before."""
     made_by = expected.made_by if expected else "an l3 command"
     if not path.exists():
         raise InputFileError(f"{path} does not exist; make it with {made_by}")
     if path.is_dir():
         raise InputFileError(f"{path} is a folder; give the file written by {made_by}")
-    if not h5py.is_hdf5(path):
-        raise InputFileError(f"{path} is not an HDF5 file; give the file written by {made_by}")
+    sealed = unchanged or container.check(path, made_by)
     try:
-        root = h5py.File(path, "r")
+        root = container.open_file(path)
     except OSError as error:
         raise InputFileError(f"{path} is truncated or damaged; make it again with {made_by}") from error
     with root:
@@ -218,6 +216,8 @@ def open_artifact(path: Path, expected: type[Artifact] | None = None) -> Iterato
             kind, version = str(root.attrs["kind"]), int(root.attrs["version"])
         except HDF5_ERRORS as error:
             raise InputFileError(f"{path} is an HDF5 file but no l3 artifact; give the file written by {made_by}") from error
+        if version >= SEALED and not sealed:
+            raise InputFileError(f"{path} lacks the digest of its bytes; make it again with {made_by}")
         if expected is not None:
             if kind != expected.kind:
                 raise InputFileError(f"{path} holds a {kind}; give the file written by {made_by}")
@@ -298,6 +298,13 @@ def _hard(group: h5py.Group, name: str, kind: type, path: Path) -> Any:
     return member
 
 
+def require_plain(dataset: h5py.Dataset, where: str, path: Path) -> None:
+    """InputFileError if a dataset is stored in a way l3 never writes, or would be larger in memory than can be."""
+    require_readable(path, dataset)
+    if not filters_of(dataset) <= KNOWN_FILTERS:
+        raise InputFileError(f"{path}: dataset {where} is stored in a way l3 never writes; make the file again")
+
+
 def _read_dataset(group: h5py.Group, name: str, spec: Spec, path: Path) -> Any:
     with reading(path, f"dataset {_inside(group, name)}"):
         return _as_declared(group, name, spec, path)
@@ -306,9 +313,7 @@ def _read_dataset(group: h5py.Group, name: str, spec: Spec, path: Path) -> Any:
 def _as_declared(group: h5py.Group, name: str, spec: Spec, path: Path) -> Any:
     dataset = _hard(group, name, h5py.Dataset, path)
     where = _inside(group, name)
-    require_readable(path, dataset)
-    if not filters_of(dataset) <= KNOWN_FILTERS:
-        raise InputFileError(f"{path}: dataset {where} is stored in a way l3 never writes; make the file again")
+    require_plain(dataset, where, path)
     is_text = spec.dtype == "str"
     expected_kind = "S" if is_text else np.dtype(spec.dtype).kind
     if dataset.dtype.kind != expected_kind or dataset.ndim != len(spec.axes):

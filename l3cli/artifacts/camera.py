@@ -91,7 +91,7 @@ class CameraModel(Artifact):
     """A camera: geometry, colour filter array, responsivities, analog chain, noise, optics."""
 
     kind: ClassVar[str] = "camera model"
-    version: ClassVar[int] = 1
+    version: ClassVar[int] = 2
     made_by: ClassVar[str] = '"l3 calibrate"'
 
     name: str = data("str", doc="what the camera is called")

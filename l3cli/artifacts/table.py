@@ -111,7 +111,7 @@ class TransformTable(Artifact):
     """Local linear transforms for every class: output = weights · (patch − black) / (white − black) + intercept."""
 
     kind: ClassVar[str] = "transform table"
-    version: ClassVar[int] = 1
+    version: ClassVar[int] = 2
     made_by: ClassVar[str] = '"l3 train"'
 
     camera_name: str = data("str", doc="the camera it was learned for")

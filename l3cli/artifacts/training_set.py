@@ -10,6 +10,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts import container
 from l3cli.artifacts.base import (
     CHECKSUM,
     Artifact,
@@ -25,8 +26,7 @@ from l3cli.artifacts.base import (
     write_fields,
 )
 from l3cli.artifacts.camera import CameraModel
-from l3cli.errors import InputFileError
-from l3cli.files import atomic_output
+from l3cli.errors import InputFileError, L3Error
 
 LARGEST = 1e12  # electrons, cd/m², seconds: 32-bit floats hold its square
 
@@ -91,7 +91,7 @@ class TrainingSet(Artifact):
     pairs/00000…, and are read one by one."""
 
     kind: ClassVar[str] = "training set"
-    version: ClassVar[int] = 1
+    version: ClassVar[int] = 2
     made_by: ClassVar[str] = '"l3 simulate"'
 
     camera: CameraModel = group()
@@ -132,9 +132,10 @@ class TrainingSetReader:
 
 
 @contextlib.contextmanager
-def open_training_set(path: Path) -> Iterator[TrainingSetReader]:
-    """A reader of the training set at `path`; InputFileError if it is none or damaged."""
-    with open_artifact(path, TrainingSet) as root:
+def open_training_set(path: Path, unchanged: bool = False) -> Iterator[TrainingSetReader]:
+    """A reader of the training set at `path`; InputFileError if it is none or damaged. `unchanged`: its bytes have been
+    compared with its digest before, by this run."""
+    with open_artifact(path, TrainingSet, unchanged) as root:
         yield TrainingSetReader(root, path)
 
 
@@ -152,9 +153,11 @@ class TrainingSetWriter:
         group, name = self._place(isinstance(frame, TrainingFrame))
         write_fields(group.create_group(name), frame, CHECKSUM)
 
-    def append_part(self, path: Path) -> "Part":
-        """Append the frame that `write_part` stored, as it is stored; what else it told."""
-        with h5py.File(path, "r") as part:
+    def append_part(self, path: Path, run: str) -> "Part":
+        """Append the frame that `write_part` stored for `run`, as it is stored; what else it told."""
+        with container.open_file(path) as part:
+            if part.attrs.get("run") != run:
+                raise L3Error(f"{path} was replaced by another run; run again with --resume")
             group, name = self._place(bool(part.attrs["simulated"]))
             part.copy("frame", group, name)
             return Part(str(part.attrs["scene"]), float(part.attrs["uncovered"]))
@@ -176,19 +179,22 @@ class Part:
     uncovered: float  # share of white's electrons for which the scene holds no data
 
 
-def write_part(path: Path, frame: TrainingPair, uncovered: float) -> None:
-    """One frame in a file of its own, whole or not at all: what a killed run leaves and its successor goes on from."""
-    with atomic_output(path) as temporary, h5py.File(temporary, "w", libver=("earliest", "v110")) as root:
+def write_part(path: Path, frame: TrainingPair, uncovered: float, run: str) -> None:
+    """One frame of `run` in a file of its own, whole or not at all: what a killed run leaves, its successor goes on from."""
+    with container.new_file(path) as root:
         root.attrs["simulated"] = isinstance(frame, TrainingFrame)
         root.attrs["scene"] = frame.scene
         root.attrs["uncovered"] = uncovered
+        root.attrs["run"] = run
         write_fields(root.create_group("frame"), frame, CHECKSUM)
 
 
-def whole_part(path: Path) -> bool:
-    """Whether a part is there and can be opened."""
+def whole_part(path: Path, run: str) -> bool:
+    """Whether a part of `run` is there, as it was written."""
     try:
-        with h5py.File(path, "r") as root:
-            return "frame" in root
-    except OSError:
+        if not container.check(path, "l3 simulate"):
+            return False
+    except InputFileError:
         return False
+    with container.open_file(path) as part:
+        return bool(part.attrs.get("run") == run)

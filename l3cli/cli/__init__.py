@@ -81,7 +81,9 @@ class Terminated(BaseException):
 
 def main() -> None:
     """Run the command line; every failure ends as one line on stderr and the exit code of README, "Exit codes"."""
-    signal.signal(signal.SIGTERM, _terminate)
+    signal.signal(signal.SIGTERM, _end)
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else it is ignored: a job in the background
+        signal.signal(signal.SIGINT, _end)
     sys.exit(run(sys.argv[1:]))
 
 
@@ -89,6 +91,7 @@ def run(arguments: list[str]) -> int:
     """Exit code of `l3 ARGUMENTS`, after printing what there is to print."""
     try:
         result: Any = l3.main(arguments, prog_name="l3", standalone_mode=False)
+        sys.stdout.flush()
         return result if isinstance(result, int) else 0
     except click.exceptions.Exit as stop:
         return stop.exit_code
@@ -97,8 +100,7 @@ def run(arguments: list[str]) -> int:
     except L3Error as error:
         return _fail(str(error), error.exit_code)
     except BrokenPipeError:
-        # Whoever read our output has gone: nothing is left to say, and Python must not try to flush it at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_stdout()  # whoever read it has gone: nothing is left to say
         return 1
     except (KeyboardInterrupt, click.Abort):
         return _fail("interrupted", 130)
@@ -107,13 +109,24 @@ def run(arguments: list[str]) -> int:
     except MemoryError:
         return _fail("out of memory; use fewer --jobs or smaller frames", 1)
     except OSError as error:
+        if error.filename is None:
+            _drop_stdout()
         cure = CURES.get(error.errno or 0, "")
         return _fail(f"{error.filename or 'input/output'}: {error.strerror or error}{cure}", 1)
 
 
-def _terminate(number: int, frame: object) -> None:
-    signal.signal(number, signal.SIG_IGN)  # once is enough: nothing must disturb the cleaning up
-    raise Terminated
+def _end(number: int, frame: object) -> None:
+    for each in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(each, signal.SIG_IGN)  # once is enough: nothing must disturb the cleaning up
+    raise KeyboardInterrupt if number == signal.SIGINT else Terminated
+
+
+def _drop_stdout() -> None:
+    """Send what is left for stdout nowhere, if it cannot be written: Python must not try to at exit."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _usage(error: click.ClickException) -> str:

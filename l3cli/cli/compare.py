@@ -100,7 +100,7 @@ def _read(path: Path) -> dict:
 
 
 def _page(curves: dict[str, list["Curve"]], told: dict[str, list[str]], output: Path) -> None:
-    from l3cli.files import atomic_output
+    from l3cli.files import write_whole
     from l3cli.report.evaluation import luminance_section
     from l3cli.report.page import render_page
 
@@ -109,5 +109,4 @@ def _page(curves: dict[str, list["Curve"]], told: dict[str, list[str]], output: 
     page = render_page(
         f"{names} over the light", " ".join(itertools.chain(*told.values())), [luminance_section(values, told)]
     )
-    with atomic_output(output) as temporary:
-        temporary.write_bytes(page.encode())
+    write_whole(output, page)

@@ -1,16 +1,22 @@
 """What the workers of l3 simulate do: read or draw a scene, simulate its frames, store each in a file of its own."""
 
-import shutil
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+import contextlib
+import dataclasses
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from l3cli.artifacts.base import Stage, open_artifact, read_history
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import whole_part, write_part
 from l3cli.errors import InputFileError, L3Error, RecipeError
+from l3cli.files import is_ours, require_same, sweep, write_whole
+from l3cli.parallel import Crew, scratch_folder
 from l3cli.simulate import sources
 from l3cli.simulate.light import OWN, Light
 from l3cli.simulate.recipe import Pair, SceneRecipe, Shot
@@ -18,6 +24,9 @@ from l3cli.simulate.targets import Target
 
 if TYPE_CHECKING:
     from l3cli.scene import Scene
+
+MARK = "run"  # names, in a folder of stored frames, the run they belong to
+SENT = 64 << 20  # bytes of frames that a worker of another machine sends at a time, if it is more than one frame
 
 
 @dataclass(frozen=True)
@@ -30,6 +39,7 @@ class Run:
     lights: Mapping[str, Light]  # of 1 cd/m²
     seed: int
     base: Path  # folder of the recipe
+    key: str  # what key_of says, once it is known
     folder: Path  # of the stored frames
 
     def part(self, index: int) -> Path:
@@ -43,6 +53,14 @@ class Job:
     run: Run
     what: sources.WantedScene | Pair
     shots: list[Shot]
+    digests: Mapping[Path, str] = field(default_factory=dict)  # SHA-256 of its files, to be checked where they are read
+
+    @property
+    def files(self) -> list[Path]:
+        """What it reads; a folder of bands stands for its files."""
+        if isinstance(self.what, Pair):
+            return [self.run.base / self.what.raw, self.run.base / self.what.picture]
+        return [self.what.path] if self.what.path else []
 
 
 def jobs_of(run: Run, work: list[tuple[sources.WantedScene, list[Shot]]], workers: int) -> list[Job]:
@@ -59,19 +77,50 @@ def jobs_of(run: Run, work: list[tuple[sources.WantedScene, list[Shot]]], worker
 def work_off(job: Job) -> int:
     """Simulate and store those frames of a job that are not stored yet; how many frames it has."""
     run = job.run
-    shots = [shot for shot in job.shots if not whole_part(run.part(shot.index))]
+    shots = [shot for shot in job.shots if not whole_part(run.part(shot.index), run.key)]
     if not shots:
         return len(job.shots)
     if isinstance(job.what, Pair):
-        write_part(run.part(shots[0].index), _pair(job.what, run), 0.0)
+        write_part(run.part(shots[0].index), _pair(job.what, run), 0.0, run.key)
         return 1
     from l3cli.simulate.light import uncovered_share
 
     scene = _scene(job.what, run)
     missing = uncovered_share(run.camera, scene.wavelength)
     for shot in shots:
-        write_part(run.part(shot.index), _frame(scene, shot, run), missing)
+        write_part(run.part(shot.index), _frame(scene, shot, run), missing, run.key)
     return len(job.shots)
+
+
+def stored(crew: Crew, work: list[Job], digests: Mapping[Path, str]) -> Iterator[int]:
+    """Work off all jobs by workers of other machines, which see the same inputs, and store what they send: how many frames
+    are done, again and again."""
+    needed = []
+    for job in work:
+        missing = [shot for shot in job.shots if not whole_part(job.run.part(shot.index), job.run.key)]
+        yield len(job.shots) - len(missing)
+        most = max(1, SENT // frame_bytes(job.run))
+        own = {path: digest for path, digest in digests.items() if path in job.files or path.parent in job.files}
+        needed += [replace(job, shots=missing[at : at + most], digests=own) for at in range(0, len(missing), most)]
+    for parts in crew(_sent, needed):
+        for index, content in parts:
+            write_whole(needed[0].run.part(index), content)
+        yield len(parts)
+
+
+def _sent(job: Job) -> list[tuple[int, bytes]]:
+    """On another machine: the job's frames, each with the content of its file."""
+    for path, digest in job.digests.items():
+        require_same(path, digest)
+    with scratch_folder() as folder:
+        here = replace(job, run=replace(job.run, folder=folder))
+        work_off(here)
+        return [(shot.index, here.run.part(shot.index).read_bytes()) for shot in job.shots]
+
+
+def frame_bytes(run: Run) -> int:
+    """Of the largest frame: electrons of every channel, raw mosaic, target."""
+    return run.camera.rows * run.camera.cols * (4 * len(run.camera.channels) + 2 + 4 * len(run.target.outputs))
 
 
 def _frame(scene: "Scene", shot: Shot, run: Run) -> Any:
@@ -194,19 +243,59 @@ def _pair(pair: Pair, run: Run) -> Any:
 # ------------------------------------------------------------------------------------------------ stored frames
 
 
+def key_of(stage: Stage) -> str:
+    """What tells a run from others: all that its frames depend on."""
+    return hashlib.sha256(json.dumps(dataclasses.asdict(stage), sort_keys=True).encode()).hexdigest()
+
+
 def open_folder(output: Path, key: str, resume: bool) -> Path:
     """The folder beside `output` for the frames of the run called `key`: with `resume` what an earlier run left there,
     else empty. RecipeError if that run was another one, L3Error if the folder is not of l3's making."""
-    folder = output.with_name(f"{output.name}.parts")
-    mark = folder / "run"
+    folder, mark = _folder_and_mark(output)
     if folder.exists():
-        if not mark.is_file():
+        if not mark.is_file() and not all(is_ours(each.name) for each in folder.iterdir()):
             raise L3Error(f"{folder} is in the way; move it elsewhere")
-        if resume and mark.read_text() != key:
-            raise RecipeError(f"{folder} is of a run with another recipe, camera, seed or version; leave --resume out")
-        if resume:
+        if resume and mark.is_file():
+            if mark.read_text() != key:
+                raise RecipeError(f"{folder} is of a run with another recipe, camera, seed or version; leave --resume out")
+            sweep(folder)
             return folder
-        shutil.rmtree(folder)
-    folder.mkdir(parents=True)
-    mark.write_text(key)
+        _remove(folder)
+    write_whole(mark, key)
     return folder
+
+
+@contextlib.contextmanager
+def close_folder(folder: Path) -> Iterator[None]:
+    """Remove the folder after the block; if that fails or is interrupted, keep what frames there are for --resume."""
+    try:
+        yield
+    except BaseException:
+        sweep(folder)  # what worker processes left that were ended
+        if not any(folder.glob("*.h5")):
+            _remove(folder)
+        raise
+    _remove(folder)
+
+
+def remove_finished(output: Path) -> None:
+    """Remove the folder of a run that was killed after `output` had appeared, which holds all its frames."""
+    folder, mark = _folder_and_mark(output)
+    if output.is_file() and mark.is_file():
+        with contextlib.suppress(InputFileError), open_artifact(output) as root:
+            if key_of(read_history(root, output)[-1]) == mark.read_text():
+                _remove(folder)
+
+
+def _folder_and_mark(output: Path) -> tuple[Path, Path]:
+    folder = output.with_name(f"{output.name}.parts")
+    return folder, folder / MARK
+
+
+def _remove(folder: Path) -> None:
+    """Remove the folder, its mark last: without one nobody would know whose it is."""
+    for each in folder.iterdir():
+        if each.name != MARK:
+            each.unlink(missing_ok=True)
+    (folder / MARK).unlink(missing_ok=True)
+    folder.rmdir()

@@ -1,5 +1,6 @@
 """l3 info: what an artifact holds, and what this l3 is made of."""
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -11,19 +12,31 @@ from l3cli.cli import options
 
 @click.command()
 @click.argument("file", type=options.FILE, required=False, metavar="FILE")
+@click.argument("inputs", type=options.FILE, nargs=-1, metavar="[INPUT…]")
+@click.option("--verify", "verifies", is_flag=True, help="Check every byte of FILE, and that it was made of the INPUTs.")
 @click.option(
     "--version", "versions", is_flag=True, help="Versions of l3, Python and libraries, and OpenCL devices; no FILE."
 )
 @options.as_json
-def info(file: Path | None, versions: bool, as_json: bool) -> None:
+def info(file: Path | None, inputs: tuple[Path, ...], verifies: bool, versions: bool, as_json: bool) -> None:
     """Show kind, version, history and every dataset (axes, type, unit, meaning) of FILE; of a transform table also
     what it has learned: classes, patches, noise gain, gain of flat areas, and its worst classes.
 
+    With --verify tell whether FILE is as it was written, to the last byte, and which of the files that its history names
+    are given as INPUT: artifacts, recipes, frames, spectra. One that it does not name is another file, or has changed: exit
+    code 3.
+
     \b
     Example: l3 info camera.h5
+             l3 info --verify table.h5 training.h5 camera.h5 scenes.toml
     """
     if versions == (file is not None):
         raise click.UsageError("give either a FILE or --version")
+    if verifies and file is not None:
+        _verify(file, inputs, as_json)
+        return
+    if verifies or inputs:
+        raise click.UsageError("one file at a time, unless --verify compares it with what it was made of")
     content = _versions() if file is None else _content(file)
     if as_json:
         click.echo(json.dumps(content, indent=2, ensure_ascii=False))
@@ -69,6 +82,37 @@ def _lines(content: dict[str, Any]) -> list[str]:
         if not item["name"].startswith("frames/") or item["name"].startswith(f"frames/{min(frames)}/"):
             lines.append(_line(item))
     return lines + (_learned(content["insight"]) if "insight" in content else [])
+
+
+def _verify(file: Path, inputs: tuple[Path, ...], as_json: bool) -> None:
+    """What is right and what is not given; InputFileError if something is not right."""
+    from l3cli.artifacts.verify import chain, verify
+    from l3cli.errors import InputFileError
+    from l3cli.files import sha256
+
+    intact = verify(file)
+    links, strangers = chain(intact.history, {path: sha256(path) for path in inputs})
+    if as_json:
+        document = {
+            "kind": intact.kind,
+            "version": intact.version,
+            "digest": intact.digest,
+            "datasets": intact.datasets,
+            "history": [dataclasses.asdict(link) for link in links],
+            "different": [str(path) for path in strangers],
+        }
+        click.echo(json.dumps(document, indent=2, ensure_ascii=False))
+    else:
+        digest = "every byte is as written" if intact.digest else "without a digest of its bytes, which version 2 has"
+        click.echo(f"{file}: {intact.kind}, format version {intact.version}: {digest}; {intact.datasets} datasets are right")
+        for link in links:
+            told = ", ".join(link.given[:4]) + (" …" if len(link.given) > 4 else "")
+            rest = f"{link.named - len(link.given)} not given" if link.named > len(link.given) else ""
+            right = f"{len(link.given)} verified ({told})" if link.given else ""
+            click.echo(f"  {link.stage} {link.role}: {', '.join(filter(None, (right, rest)))}")
+    if strangers:
+        named = ", ".join(str(path) for path in strangers)
+        raise InputFileError(f"{named}: not what {file} was made of; another file, or changed since")
 
 
 def _line(item: dict[str, Any]) -> str:

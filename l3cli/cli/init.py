@@ -43,8 +43,6 @@ def init(recipe: str | None, folder: Path | None, force: bool, quiet: bool) -> N
     \b
     Example: l3 init bayer demo && make -C demo
     """
-    from l3cli.files import refuse_filled_folder
-
     known = recipes()
     if recipe is None:
         wide = max(map(len, known))
@@ -56,7 +54,7 @@ def init(recipe: str | None, folder: Path | None, force: bool, quiet: bool) -> N
         raise click.UsageError(f'no recipe "{recipe}"; {suggestion(recipe, known)}')
     if folder is None:
         raise click.UsageError(f'name the folder to make, such as "l3 init {recipe} {recipe}"')
-    refuse_filled_folder(folder, force)
+    options.claim_folder(folder, force)
     write_folder(known[recipe], folder)
     options.say(f"{folder}: {summary(known[recipe])}; next: make -C {folder}", quiet)
 

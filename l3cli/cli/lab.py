@@ -31,22 +31,25 @@ def lab(camera: Path, output: Path, recipe: Path | None, seed: int, jobs: int, f
     """
     from l3cli.artifacts.camera import load_camera
     from l3cli.config import load_recipe
-    from l3cli.files import refuse_existing
+    from l3cli.files import refuse_existing, sole_writer_of_folder
     from l3cli.io.measurements import write_measurements
-    from l3cli.parallel import ordered_map
-    from l3cli.simulate.lab import LabRecipe, plan
+    from l3cli.parallel import workers
+    from l3cli.simulate.lab import FOLDERS, LabRecipe, plan
 
     file = output / "MEASUREMENTS.toml"
     options.refuse_unwritable(file)
     refuse_existing(file, force)
+    options.hold(sole_writer_of_folder(output, inside=FOLDERS), output)
+    refuse_existing(file, force)  # now that no other run writes it
     model = load_camera(camera)
     chosen = load_recipe(recipe, LabRecipe) if recipe else LabRecipe()
     captures = plan(model, chosen, seed)
     file.unlink(missing_ok=True)  # written last, it never names frames of two runs
     work = [(capture, trial) for capture in captures for trial in range(capture.trials)]
     take = functools.partial(_take, model, chosen.flaws, output, seed)
-    for _ in options.progress(ordered_map(take, work, jobs), len(work), "frames", quiet):
-        pass
+    with workers(jobs) as crew:
+        for _ in options.progress(crew(take, work), len(work), "frames", quiet):
+            pass
     write_measurements(_described(model, chosen, captures, output), file)
     options.say(f"{file}: {len(captures)} captures, {len(work)} frames; next: l3 calibrate {file} -o camera.h5", quiet)
 

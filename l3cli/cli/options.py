@@ -1,10 +1,12 @@
 """Options that several commands share, each declared once, and what every command says on stderr."""
 
+import functools
 import os
 import re
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -54,6 +56,36 @@ backend = click.option(
 jobs = click.option(
     "--jobs", type=click.IntRange(1), default=1, show_default=True, metavar="N", help="Number of processes to use."
 )
+_ADDRESS = click.option(
+    "--scheduler", metavar="ADDRESS", help="Work on the machines of this dask scheduler, tcp://HOST:PORT."
+)
+_CA = click.option("--tls-ca", type=FILE, metavar="PEM", help="Authority that signed the scheduler's certificate (tls://…).")
+_CERTIFICATE = click.option("--tls-cert", type=FILE, metavar="PEM", help="Certificate to show to the scheduler.")
+_KEY = click.option("--tls-key", type=FILE, metavar="PEM", help="Key of --tls-cert.")
+
+
+def scheduler(command: Callable[..., Any]) -> Callable[..., Any]:
+    """--scheduler ADDRESS and its TLS files, all as one parameter `scheduler`; to stand above --jobs and --quiet."""
+
+    @functools.wraps(command)
+    def called(
+        scheduler: str | None, tls_ca: Path | None, tls_cert: Path | None, tls_key: Path | None, **others: Any
+    ) -> Any:
+        from l3cli.parallel import Scheduler
+
+        if scheduler is None:
+            if tls_ca or tls_cert or tls_key:
+                raise click.UsageError("--tls-ca, --tls-cert and --tls-key go with --scheduler")
+            return command(scheduler=None, **others)
+        if others.get("jobs", 1) > 1:
+            raise click.UsageError("--jobs is the number of processes here; leave it out with --scheduler")
+
+        def warn(message: str) -> None:
+            say(f"warning: {message}", others["quiet"])
+
+        return command(scheduler=Scheduler(scheduler, tls_ca, tls_cert, tls_key, warn), **others)
+
+    return _ADDRESS(_CA(_CERTIFICATE(_KEY(called))))
 
 
 def _trust(context: click.Context, parameter: click.Parameter, value: bool) -> None:
@@ -78,23 +110,42 @@ def frame_name(index: int, scene: str) -> str:
 
 
 def claim_file(path: Path, force: bool, *inputs: Path) -> None:
-    """Refuse before any work an output that is there already, is an input, would pass for a recipe or cannot be written."""
+    """`hold_file`, and refuse an output that is there already."""
     from l3cli.files import refuse_existing
+
+    hold_file(path, *inputs)  # first: the run that holds it may be about to end
+    refuse_existing(path, force)
+
+
+def hold_file(path: Path, *inputs: Path) -> None:
+    """Refuse before any work an output that is an input, is no file, would pass for a recipe or cannot be written; keep
+    other runs off it until the command ends."""
+    from l3cli.files import refuse_existing, sole_writer_of_file
 
     if path.suffix == ".toml":
         raise RecipeError(f"{path}: .toml is for recipes; name an output that ends otherwise")
     if path.exists() and any(given.exists() and path.samefile(given) for given in inputs):
         raise RecipeError(f"{path} is an input; name another output")
-    refuse_existing(path, force)
+    refuse_existing(path, force=True)  # a folder or device
     refuse_unwritable(path)
+    hold(sole_writer_of_file(path), path)
 
 
 def claim_folder(path: Path, force: bool) -> None:
-    """Refuse, before any work, a folder that holds something, is a file or cannot be written into."""
-    from l3cli.files import refuse_filled_folder
+    """Refuse, before any work, a folder that holds something, is a file or cannot be written into; keep other runs off it
+    until the command ends."""
+    from l3cli.files import refuse_filled_folder, sole_writer_of_folder
 
-    refuse_filled_folder(path, force)
+    refuse_filled_folder(path, force=True)  # a file
     refuse_unwritable(path)
+    hold(sole_writer_of_folder(path), path)
+    refuse_filled_folder(path, force)
+
+
+def hold(claim: AbstractContextManager[bool], output: Path) -> None:
+    """Keep a claim on an output until the command ends."""
+    if not click.get_current_context().with_resource(claim):
+        click.echo(f"warning: {output} lies on storage without file locks: see that no other run writes it", err=True)
 
 
 def refuse_unwritable(path: Path) -> None:

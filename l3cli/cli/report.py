@@ -24,7 +24,7 @@ def report(artifacts: tuple[Path, ...], output: Path, backend: str, force: bool,
     """
     from l3cli.cli import report_sections
     from l3cli.errors import RecipeError
-    from l3cli.files import atomic_output
+    from l3cli.files import write_whole
     from l3cli.report.page import LIMIT, render_page
 
     if output.suffix != ".html":
@@ -33,7 +33,6 @@ def report(artifacts: tuple[Path, ...], output: Path, backend: str, force: bool,
     given = report_sections.sort(artifacts)
     title, lead, sections = report_sections.compose(given, backend, quiet)
     page = render_page(title, lead, sections).encode()
-    with atomic_output(output) as temporary:
-        temporary.write_bytes(page)
+    write_whole(output, page)
     much = "; fewer files would make a lighter page" if len(page) > LIMIT else ""
     options.say(f"{output}: {len(page) / 1e6:.2f} MB, {len(sections)} sections{much}", quiet)

@@ -88,7 +88,7 @@ def _artifact(path: Path) -> Artifact:
         raise InputFileError(f"{path} holds {kind}; give camera models, training sets or transform tables")
     if KINDS[kind] is not TrainingSet:
         return load(KINDS[kind], path)
-    with open_training_set(path) as reader:
+    with open_training_set(path, unchanged=True) as reader:
         return reader.head
 
 
@@ -110,7 +110,7 @@ def compose(given: Given, backend: str, quiet: bool) -> tuple[str, str, list[Sec
     cameras = [(entry.name, camera) for entry, camera in given.cameras] or _cameras_within(given)
     sections = [camera_section(camera, _camera_figures(camera), name) for name, camera in cameras]
     for entry, _ in given.training:
-        with open_training_set(entry.path) as reader:
+        with open_training_set(entry.path, unchanged=True) as reader:
             sections.append(
                 training_section(reader, entry.name, _role(given, entry), THUMBNAIL_BYTES // len(given.training), jpeg)
             )
@@ -186,7 +186,7 @@ def _evaluation(
 
     (given, transforms), (seen, _) = table, frames
     renderer = make_renderer(backend, transforms)
-    with open_training_set(seen.path) as reader:
+    with open_training_set(seen.path, unchanged=True) as reader:
         evaluation = Evaluation(transforms, reader.head)
         for index in options.progress(range(len(reader)), len(reader), "frames", quiet):
             judge(evaluation, renderer, reader, index)

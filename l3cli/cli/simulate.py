@@ -1,10 +1,7 @@
 """l3 simulate: camera × scenes × lights → training set."""
 
 import dataclasses
-import hashlib
-import json
 import re
-import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +13,7 @@ if TYPE_CHECKING:
     from l3cli.artifacts.camera import CameraModel
     from l3cli.artifacts.training_set import TrainingSet
     from l3cli.cli.frames import Run
+    from l3cli.parallel import Scheduler
     from l3cli.simulate.light import Curve
     from l3cli.simulate.recipe import SceneRecipe
 
@@ -32,13 +30,14 @@ NEGLIGIBLE = 1e-3  # share of a channel's light that may go unseen without a wor
 @click.option("--dng", type=options.FILE, metavar="DIR", help="Also write each raw frame as DNG, for other raw developers.")
 @click.option("--resume", is_flag=True, help="Go on with the frames that a run that was stopped left in OUTPUT.parts.")
 @options.seed
+@options.scheduler
 @options.jobs
 @options.trust
 @options.force
 @options.quiet
 def simulate(
     scenes: Path, camera: Path, output: Path, pictures: Path | None, dng: Path | None, resume: bool, seed: int, jobs: int,
-    force: bool, quiet: bool,
+    scheduler: "Scheduler | None", force: bool, quiet: bool,
 ) -> None:  # fmt: skip
     """Simulate what a camera sees of many scenes, and the pictures it should make of them.
 
@@ -46,32 +45,36 @@ def simulate(
     Example: l3 simulate scenes.toml --camera camera.h5 -o training.h5
     """
     from l3cli.artifacts.camera import load_camera
-    from l3cli.cli.frames import jobs_of, open_folder, work_off
+    from l3cli.cli.frames import close_folder, jobs_of, key_of, open_folder, remove_finished, stored, work_off
     from l3cli.config import load_recipe
-    from l3cli.errors import L3Error
-    from l3cli.parallel import ordered_map
+    from l3cli.files import refuse_existing
+    from l3cli.parallel import workers
     from l3cli.simulate.recipe import SceneRecipe, shots
 
-    options.claim_file(output, force, scenes, camera)
-    for folder in filter(None, (pictures, dng)):
+    options.hold_file(output, scenes, camera)
+    remove_finished(output)
+    refuse_existing(output, force)
+    for folder in dict.fromkeys(filter(None, (pictures, dng))):
         options.claim_folder(folder, force)
+    if scheduler:
+        scenes = scenes.absolute()  # its files are looked for by workers elsewhere
     model, recipe = load_camera(camera), load_recipe(scenes, SceneRecipe)
     run, files, inputs = _prepare(recipe, scenes, model, seed)
     head = _head(run, model, (scenes, camera), inputs, seed)
-    key = hashlib.sha256(json.dumps(dataclasses.asdict(head.history[-1]), sort_keys=True).encode()).hexdigest()
-    run = dataclasses.replace(run, folder=open_folder(output, key, resume))
-    work = jobs_of(run, list(shots(recipe, files)) if recipe.scene else [], jobs)
-    total = sum(len(job.shots) for job in work)
-    try:
-        finished = (index for count in ordered_map(work_off, work, jobs) for index in range(count))
-        for _ in options.progress(finished, total, "frames", quiet):
-            pass
+    sums = head.history[-1].inputs
+    digests = {path: own for role, paths in inputs.items() for path, own in zip(paths, sums.get(role, ()), strict=True)}
+    key = key_of(head.history[-1])
+    run = dataclasses.replace(run, key=key, folder=open_folder(output, key, resume))
+    wanted = list(shots(recipe, files)) if recipe.scene else []
+    total = sum(len(own) for _, own in wanted) + len(recipe.pair)
+    with close_folder(run.folder):
+        with workers(jobs, scheduler) as crew:
+            work = jobs_of(run, wanted, crew.size)
+            counts = stored(crew, work, digests) if scheduler else crew(work_off, work)
+            finished = (index for count in counts for index in range(count))
+            for _ in options.progress(finished, total, "frames", quiet):
+                pass
         _assemble(run, head, output, total, quiet)
-    except L3Error:
-        if not resume:
-            shutil.rmtree(run.folder)
-        raise
-    shutil.rmtree(run.folder)
     if pictures:
         _write_pictures(output, pictures)
     if dng:
@@ -112,7 +115,7 @@ def _prepare(
         "spectrum": [path.parent / name for name in named],
         "pair": [path.parent / name for pair in recipe.pair for name in (pair.raw, pair.picture)],
     }
-    return Run(recipe, fitted, target, lights, seed, path.parent, Path()), files, roles
+    return Run(recipe, fitted, target, lights, seed, path.parent, "", Path()), files, roles
 
 
 def _curve(path: Path, role: str) -> "Curve":
@@ -162,7 +165,9 @@ def _assemble(run: "Run", head: "TrainingSet", output: Path, total: int, quiet: 
     from l3cli.artifacts.training_set import write_training_set
 
     with write_training_set(output, head) as writer:
-        worst = max((writer.append_part(run.part(index)) for index in range(total)), key=lambda part: part.uncovered)
+        worst = max(
+            (writer.append_part(run.part(index), run.key) for index in range(total)), key=lambda part: part.uncovered
+        )
     if worst.uncovered > NEGLIGIBLE:
         share = f"{worst.uncovered:.1%} of the light that a channel collects from white"
         options.say(f"warning: {worst.scene} holds no data for {share}; give scenes of more wavelengths", quiet)
@@ -176,7 +181,7 @@ def _write_pictures(training: Path, folder: Path) -> None:
     from l3cli.io.images import write_linear, write_mosaic, write_picture
     from l3cli.render.display import encode, make_display
 
-    with open_training_set(training) as frames:
+    with open_training_set(training, unchanged=True) as frames:
         for index, frame in enumerate(frames):
             name = options.frame_name(index, frame.scene)
             write_mosaic(folder / f"{name}_raw.tif", frame.raw)

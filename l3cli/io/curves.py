@@ -12,7 +12,7 @@ from l3cli import spectra
 from l3cli.artifacts.camera import CameraModel, read_curves
 from l3cli.config import LARGEST
 from l3cli.errors import InputFileError
-from l3cli.files import atomic_output
+from l3cli.files import write_whole
 from l3cli.limits import read_bounded
 from l3cli.measurement import FinishedCurves, SweepTable
 
@@ -24,8 +24,7 @@ def write_curves(path: Path, wavelength: NDArray, columns: NDArray, names: Seque
     """Write columns (column, wavelength) as CSV below a header line."""
     lines = [",".join(["wavelength_nm", *names])]
     lines += [",".join(f"{value:.8g}" for value in row) for row in np.vstack([wavelength, columns]).T]
-    with atomic_output(path) as temporary:
-        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_whole(path, "\n".join(lines) + "\n")
 
 
 def read_sweep(path: Path, photodiode: Path, channels: Sequence[str]) -> SweepTable:
@@ -97,5 +96,4 @@ def export_curves(camera: CameraModel, folder: Path) -> None:
             "data": {"main": {f"{nm:g}": row.tolist() for nm, row in zip(RAWTOACES, table, strict=True)}},
         },
     }
-    with atomic_output(rawtoaces) as temporary:
-        temporary.write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+    write_whole(rawtoaces, json.dumps(content, indent=2, ensure_ascii=False) + "\n")

@@ -1,6 +1,7 @@
 """Pictures (PNG, TIFF, JPEG: encoded sRGB) and linear outputs (EXR) to files and back, all through OpenImageIO."""
 
 import contextlib
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError, L3Error, RecipeError
-from l3cli.files import atomic_output
+from l3cli.files import write_whole
 from l3cli.io.apart import apart
 from l3cli.limits import VALUE_BYTES, require_picture
 
@@ -78,16 +79,25 @@ def write_mosaic(path: Path, values: NDArray[np.uint16]) -> None:
 
 
 def _write(path: Path, spec: Any, pixels: NDArray) -> None:
+    write_whole(path, encoded(path.name, spec, pixels))
+
+
+def encoded(name: str, spec: Any, pixels: NDArray) -> bytes:
+    """The bytes of a file of this name; L3Error if it cannot be encoded.
+
+    They are made in memory: on a full disk the JPEG library ends the whole program, and the PNG library says nothing.
+    """
     import OpenImageIO as oiio
 
     spec.attribute("DateTime", "")  # else the clock is written into the file: the same input must give the same bytes
-    with atomic_output(path) as temporary:
-        sink = oiio.ImageOutput.create(str(temporary))
+    with open(os.memfd_create("picture"), "rb", buffering=0) as memory:
+        sink = oiio.ImageOutput.create(name)
         if sink is None:
-            raise L3Error(f"{path} cannot be written: {oiio.geterror().strip()}")
-        written = sink.open(str(temporary), spec) and sink.write_image(np.ascontiguousarray(pixels))
+            raise L3Error(f"{name} cannot be encoded: {oiio.geterror().strip()}")
+        written = sink.open(f"/proc/self/fd/{memory.fileno()}", spec) and sink.write_image(np.ascontiguousarray(pixels))
         if not (sink.close() and written):
-            raise L3Error(f"{path} cannot be written: {sink.geterror().strip()}")
+            raise L3Error(f"{name} cannot be encoded: {sink.geterror().strip()}")
+        return memory.read()
 
 
 # ------------------------------------------------------------------------------------------------------- reading

@@ -23,7 +23,7 @@ from l3cli.artifacts.base import Stage
 from l3cli.artifacts.camera import CameraModel, CfaRecipe, Noise, NoiseRecipe, Optics, OpticsRecipe, parse_cfa, read_curves
 from l3cli.config import Recipe, load_recipe, read_text
 from l3cli.errors import InputFileError, RecipeError
-from l3cli.files import atomic_output, sha256
+from l3cli.files import sha256, write_whole
 from l3cli.io.curves import read_finished, read_sweep
 from l3cli.io.frames import FrameFiles
 from l3cli.limits import MEGAPIXELS, most_pixels
@@ -306,8 +306,7 @@ def describe(camera: CameraModel, uncertainty: UncertaintyRecipe, **captures: An
 
 def write_measurements(recipe: MeasurementRecipe, path: Path) -> None:
     """Write a measurement file."""
-    with atomic_output(path) as temporary:
-        temporary.write_text(_toml(msgspec.to_builtins(recipe)), encoding="utf-8")
+    write_whole(path, _toml(msgspec.to_builtins(recipe)))
 
 
 def _toml(table: dict[str, Any], prefix: str = "") -> str:

@@ -175,7 +175,8 @@ def _in_folder(folder: Path) -> list[Path]:
 
 
 def _globbed(path: Path) -> list[Path]:
-    found = [each for each in Path(path.anchor or ".").glob(str(path.relative_to(path.anchor))) if each.is_file()]
+    matches = Path(path.anchor or ".").glob(str(path.relative_to(path.anchor)))
+    found = [each for each in matches if each.name[0] != "." and each.is_file()]
     if not found:
         raise InputFileError(f"{path} matches no file; give the raw frames' names")
     return sorted(found, key=_natural)

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.stored import datasets, require_within_file
@@ -10,7 +11,7 @@ from l3cli.errors import InputFileError
 from l3cli.io.apart import apart
 from l3cli.limits import require_picture
 
-CHUNK_CACHE = 128 << 20  # bytes: chunks of many frames are unpacked once, not once a frame
+CHUNK_CACHE = 128 << 20  # bytes at most: chunks of many frames are unpacked once, not once a frame
 
 _opened: dict[tuple[Any, ...], Any] = {}  # the last file, by what would change if it were another one
 
@@ -32,7 +33,7 @@ def find_stack(path: Path, dataset: str | None) -> tuple[str, int]:
 @apart
 def stack_frame(path: Path, name: str, number: int) -> NDArray:
     """One frame (row, col) of a stack that `find_stack` has found."""
-    frames = _open(path)[name]
+    frames = _open(path, name)[name]
     _require_frames(path, frames)
     try:
         return frames[number] if frames.ndim == 3 else frames[()]
@@ -40,20 +41,33 @@ def stack_frame(path: Path, name: str, number: int) -> NDArray:
         raise InputFileError(f"{path}: frame {number} of {frames.name} is damaged; copy the file again") from error
 
 
-def _open(path: Path) -> Any:
-    """The file, kept open from frame to frame."""
+def _open(path: Path, stack: str | None = None) -> Any:
+    """The file, kept open from frame to frame of a stack."""
     import h5py
 
     state = path.stat()
-    key = (str(path), state.st_dev, state.st_ino, state.st_size, state.st_mtime_ns)
+    key = (str(path), state.st_dev, state.st_ino, state.st_size, state.st_mtime_ns, stack)
     if key not in _opened:
         if not h5py.is_hdf5(path):
             raise InputFileError(f"{path} is not an HDF5 file; give one with a dataset (frame, row, col)")
         for other in _opened.values():
             other.close()
         _opened.clear()
-        _opened[key] = h5py.File(path, "r", rdcc_nbytes=CHUNK_CACHE)
+        root = h5py.File(path, "r")
+        if stack is not None:
+            # A cache that held more than what is read next would fill as the frames go by.
+            nbytes = min(CHUNK_CACHE, chunks_of_a_frame(root[stack]))
+            root.close()
+            root = h5py.File(path, "r", rdcc_nbytes=nbytes)
+        _opened[key] = root
     return _opened[key]
+
+
+def chunks_of_a_frame(frames: Any) -> int:
+    """Bytes that are unpacked for one frame of a dataset (…, row, col)."""
+    chunks = frames.chunks or frames.shape
+    across = -(-frames.shape[-2] // chunks[-2]) * -(-frames.shape[-1] // chunks[-1])
+    return int(across * np.prod(chunks, dtype=np.int64) * frames.dtype.itemsize)
 
 
 def _only_stack(path: Path, held: dict[str, Any]) -> str:

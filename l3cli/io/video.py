@@ -32,7 +32,8 @@ def _av() -> Any:
         raise L3Error(INSTALL) from error
     av.logging.set_level(av.logging.ERROR)  # for RawVideo; what goes wrong is told in one line, not in FFmpeg's own
     log = logging.getLogger("libav")
-    log.addHandler(logging.NullHandler())
+    if not log.handlers:  # this is called for every frame
+        log.addHandler(logging.NullHandler())
     log.propagate = False
     return av
 

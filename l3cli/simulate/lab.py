@@ -17,6 +17,7 @@ from l3cli.simulate.flaws import FlawRecipe, check_flaws, flaws_of
 from l3cli.simulate.optics import relative_illumination
 from l3cli.simulate.sensor import FixedPattern, fixed_pattern, read_out
 
+FOLDERS = ("mono", "chart", "white", "dark", "spectra")  # of captures by kind, and of what the spectrometer saw
 PATCH_SIDE = 0.8  # of a chart cell; the rest is black mount
 MARGIN = 0.08  # of the frame's height around the chart
 MOUNT = 0.03  # reflectance between and around the patches

@@ -1,0 +1,115 @@
+"""Whether an artifact is what was written, and was made of the files at hand."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+
+from l3cli.artifacts import container
+from l3cli.artifacts.base import Stage, open_artifact, read_history, require_plain
+from l3cli.errors import InputFileError
+
+SLAB = 1 << 26  # bytes of a dataset that are read at a time
+
+
+@dataclass(frozen=True)
+class Intact:
+    """What was found in order in a file."""
+
+    kind: str
+    version: int
+    digest: bool  # carries the SHA-256 of its bytes, which is right; false: format version 1
+    datasets: int  # whose checksums are right
+    history: tuple[Stage, ...]
+
+
+def verify(path: Path) -> Intact:
+    """Compare every byte with the digest and every dataset with its checksums; InputFileError if anything is wrong."""
+    digest = container.check(path, "an l3 command")
+    with open_artifact(path, unchanged=digest) as root:
+        count = 0
+        for name, dataset in _datasets(root, path):
+            require_plain(dataset, name, path)
+            try:
+                for _ in _slabs(dataset):
+                    pass
+            except OSError as error:
+                raise InputFileError(f"{path}: dataset {name} is damaged (checksum); make the file again") from error
+            count += 1
+        return Intact(str(root.attrs["kind"]), int(root.attrs["version"]), digest, count, read_history(root, path))
+
+
+def _datasets(root: h5py.File, path: Path) -> Iterator[tuple[str, h5py.Dataset]]:
+    """Every dataset by name; no soft or external link is followed."""
+    names: list[str] = []
+    try:
+        root.visit(names.append)
+        for name in names:
+            if isinstance(member := root[name], h5py.Dataset):
+                yield name, member
+    except (OSError, RuntimeError, KeyError) as error:
+        raise InputFileError(f"{path} is damaged; make the file again") from error
+
+
+def _slabs(dataset: h5py.Dataset) -> Iterator[Any]:
+    if not dataset.ndim or not dataset.size:
+        yield dataset[()]
+        return
+    rows = max(1, SLAB * len(dataset) // dataset.nbytes)
+    for start in range(0, len(dataset), rows):
+        yield dataset[start : start + rows]
+
+
+# ---------------------------------------------------------------------------------------------------------- chain
+
+
+@dataclass(frozen=True)
+class Link:
+    """The files of one role, or the recipe, that a stage of a history names, and which of them were given."""
+
+    stage: str
+    role: str
+    named: int
+    given: tuple[str, ...]
+
+
+def chain(history: tuple[Stage, ...], inputs: Mapping[Path, str]) -> tuple[tuple[Link, ...], tuple[Path, ...]]:
+    """What a history names, compared with files by their SHA-256; and those files that it does not name.
+
+    The history of a file that is named is followed, too: of several training sets, an artifact's own tells only the first.
+    """
+    stages = list(history)
+    for stage in stages:  # which grows
+        named = {digest for digests in stage.inputs.values() for digest in digests}
+        for path in (path for path, digest in inputs.items() if digest in named):
+            stages += [other for other in _own_history(path) if other not in stages]
+    links, found = [], set()
+    for stage in stages:
+        for role, digests in sorted(stage.inputs.items()):
+            given = [path for path, digest in inputs.items() if digest in digests]
+            links.append(Link(stage.command, role, len(set(digests)), tuple(str(path) for path in given)))
+            found.update(given)
+        if stage.recipe:
+            given = [path for path in inputs if _is_recipe_of(path, stage)]
+            links.append(Link(stage.command, "recipe", max(1, len(given)), tuple(str(path) for path in given)))
+            found.update(given)
+    return tuple(links), tuple(path for path in inputs if path not in found)
+
+
+def _own_history(path: Path) -> tuple[Stage, ...]:
+    """An artifact's history; nothing for another file."""
+    try:
+        with open_artifact(path) as root:
+            return read_history(root, path)
+    except InputFileError:
+        return ()
+
+
+def _is_recipe_of(path: Path, stage: Stage) -> bool:
+    """Whether a file's text is the stage's recipe, or one of two that it was joined from."""
+    if path.suffix != ".toml":
+        return False
+    text = path.read_text(encoding="utf-8", errors="replace")
+    return text == stage.recipe or stage.recipe.startswith(f"{text}\n") or stage.recipe.endswith(f"\n{text}")

@@ -1,0 +1,185 @@
+"""Outputs: whole or not at all, one writer at a time, remains of the dead removed and what the living write left alone."""
+
+import errno
+import fcntl
+import os
+from collections.abc import Callable
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from l3cli import files
+from l3cli.artifacts.container import new_file
+from l3cli.errors import L3Error
+from l3cli.files import atomic_output, sole_writer_of_file, sole_writer_of_folder, write_whole
+from l3cli.io.video import VideoChoice, new_video, new_y4m
+
+DEAD = ".a.01234567.l3tmp.h5"
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
+
+
+def start(work: Callable[[], object]) -> int:
+    """Number of a new process that does some work and ends with 0, or 1 if that raised."""
+    child = os.fork()
+    if not child:
+        try:
+            work()
+        except BaseException:
+            os._exit(1)
+        os._exit(0)
+    return child
+
+
+def in_a_child(work: Callable[[], object]) -> int:
+    """Exit code of a process of its own that does some work."""
+    return os.waitstatus_to_exitcode(os.waitpid(start(work), 0)[1])
+
+
+def test_an_output_appears_whole_or_not_at_all(tmp_path: Path) -> None:
+    path = tmp_path / "new/a.txt"
+    with atomic_output(path) as temporary:
+        temporary.write_text("half")
+        assert temporary.suffix == ".txt"
+        assert names(tmp_path) == ["new", f"new/{temporary.name}"]
+    assert names(tmp_path) == ["new", "new/a.txt"]
+
+    def stopped() -> None:
+        with atomic_output(path) as temporary:
+            temporary.write_text("half")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        stopped()
+    assert names(tmp_path) == ["new", "new/a.txt"]
+    assert path.read_text() == "half"
+
+
+def test_every_writer_writes_in_place(tmp_path: Path) -> None:
+    """A temporary file that a library replaced would be neither locked nor flushed."""
+    picture, choice = np.zeros((16, 16, 3), np.uint8), VideoChoice(Fraction(25), 8)
+    for path, writer in (
+        (tmp_path / "a.mp4", new_video),
+        (tmp_path / "a.mov", new_video),
+        (tmp_path / "a.mkv", new_video),
+        (tmp_path / "a.y4m", new_y4m),
+    ):
+        with writer(path, choice) as video:
+            video.write(picture)
+            (temporary,) = tmp_path.glob(".*")
+            before = temporary.stat().st_ino
+        assert path.stat().st_ino == before
+    with new_file(tmp_path / "a.h5") as root:
+        root["a"] = 1
+        (temporary,) = tmp_path.glob(".*")
+        before = temporary.stat().st_ino
+    assert (tmp_path / "a.h5").stat().st_ino == before
+
+
+def test_only_what_a_dead_run_left_of_the_output_is_removed(tmp_path: Path) -> None:
+    others = [".b.01234567.l3tmp.h5", ".a.01234567.l3tmp.png", ".a.h5", "a.l3tmp.h5", ".a.tmp.h5"]
+    for name in (DEAD, ".a.h5.l3lock", *others):
+        (tmp_path / name).touch()
+    with atomic_output(tmp_path / "a.h5") as alive, sole_writer_of_file(tmp_path / "a.h5") as locked:
+        assert locked
+        assert names(tmp_path) == sorted([alive.name, ".a.h5.l3lock", *others])
+    assert names(tmp_path) == sorted(["a.h5", *others])
+    with sole_writer_of_folder(tmp_path):
+        assert names(tmp_path) == sorted(["a.h5", ".l3lock", *others[2:]])
+
+
+def test_one_run_at_a_time(tmp_path: Path) -> None:
+    path = tmp_path / "new/deep/a.h5"
+
+    def claim() -> None:
+        with sole_writer_of_file(path):
+            pass
+
+    with sole_writer_of_file(path):
+        assert in_a_child(claim) == 1
+        with pytest.raises(L3Error, match="being written by another run"):
+            claim()
+        with sole_writer_of_file(path.with_name("b.h5")), sole_writer_of_folder(path.parent):
+            pass  # other outputs
+    assert names(tmp_path) == []
+    with (
+        sole_writer_of_folder(path.parent, "%04d.png"),
+        pytest.raises(L3Error),
+        sole_writer_of_folder(path.parent, "%04d.png"),
+    ):
+        pass
+    assert names(tmp_path) == []
+
+
+def test_the_lock_of_a_dead_run_is_free(tmp_path: Path) -> None:
+    def die() -> None:
+        with sole_writer_of_file(tmp_path / "a.h5"), atomic_output(tmp_path / "a.h5"):
+            os._exit(0)
+
+    assert in_a_child(die) == 0
+    assert len(names(tmp_path)) == 2
+    with sole_writer_of_file(tmp_path / "a.h5"):
+        assert names(tmp_path) == [".a.h5.l3lock"]
+    assert names(tmp_path) == []
+
+
+def test_a_lock_that_is_removed_while_it_is_taken_is_taken_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its file is opened, then its holder ends and removes it, then the lock of a file without a name is got."""
+    path, really = tmp_path / "a.h5", fcntl.flock
+    holder = sole_writer_of_file(path)
+    holder.__enter__()
+
+    def first_let_go(descriptor: int, operation: int) -> None:
+        monkeypatch.setattr(fcntl, "flock", really)
+        holder.__exit__(None, None, None)
+        really(descriptor, operation)
+
+    def claim() -> None:
+        with sole_writer_of_file(path):
+            pass
+
+    monkeypatch.setattr(fcntl, "flock", first_let_go)
+    with sole_writer_of_file(path):
+        assert in_a_child(claim) == 1
+    assert in_a_child(claim) == 0
+    assert names(tmp_path) == []
+
+
+def test_storage_without_locks_is_told_and_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, l3: Callable) -> None:
+    def unknown(*_: object) -> None:
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr(fcntl, "flock", unknown)
+    (tmp_path / DEAD).touch()
+    with sole_writer_of_file(tmp_path / "a.h5") as locked:
+        assert not locked
+        write_whole(tmp_path / "a.h5", "a")
+    assert names(tmp_path) == sorted([DEAD, "a.h5"])  # whether its writer is dead cannot be known
+    (tmp_path / "in.json").write_text("[]")
+    code, _, err = l3("compare", tmp_path / "in.json", "-o", tmp_path / "a.html")
+    assert code == 3
+    assert err.startswith(f"warning: {tmp_path}/a.html lies on storage without file locks")
+
+
+def test_a_full_disk_names_the_output(tmp_path: Path) -> None:
+    def full() -> None:
+        with atomic_output(tmp_path / "a.txt"):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with pytest.raises(L3Error, match="cannot be written: No space left on device; free some space"):
+        full()
+    with pytest.raises(L3Error, match="cannot be written: File exists"):
+        write_whole(Path("/dev/null/a.txt"), "")
+    assert files.TEMPORARY.fullmatch(DEAD)
+
+    def in_the_way() -> None:
+        with atomic_output(tmp_path / "b.txt"):
+            (tmp_path / "b.txt").mkdir()
+
+    with pytest.raises(L3Error, match=r"b\.txt cannot be written: Is a directory; name another output"):
+        in_the_way()
+    assert names(tmp_path) == ["b.txt"]
