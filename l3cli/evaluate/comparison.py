@@ -10,6 +10,8 @@ import numpy as np
 from l3cli.errors import InputFileError, RecipeError, suggestion
 from l3cli.evaluate.evaluation import OURS, higher_is_better
 
+LARGEST = 1e12  # of a figure, of a luminance in cd/m²
+
 
 @dataclass(frozen=True)
 class Curve:
@@ -30,6 +32,9 @@ def curve_of(document: Mapping[str, Any], figure: str) -> Curve:
         by_luminance: dict[float, list[float]] = {}
         for frame in document["frames"]:
             by_luminance.setdefault(float(frame["luminance"]), []).append(float(frame[OURS][figure]))
+        values = [value for found in by_luminance.values() for value in found]
+        if not all(abs(value) <= LARGEST for value in values) or not all(0 < at <= LARGEST for at in by_luminance):
+            raise ValueError("no number that a figure can be")
         rising = sorted(by_luminance)
         name = str(document["camera"])
     except (KeyError, TypeError, ValueError) as error:
