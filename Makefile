@@ -5,10 +5,11 @@ BIN := $(VENV)/bin
 DEMO := build/demo
 CURVE := build/curve
 JOBS ?= 2
+INPUTS ?= 20000
 L3 := $(BIN)/l3
 TIMED := bash -c 'time "$$0" "$$@"'
 
-.PHONY: help install demo demo-steps test study soak video curve lint format bench clean
+.PHONY: help install demo demo-steps test study soak video fuzz curve lint format bench clean
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 
@@ -49,6 +50,11 @@ soak: $(VENV)/installed ## every stage killed forty times, and what else takes p
 
 video: $(VENV)/installed ## rate and memory of 1800 raw frames to video, beside the encoder alone (six minutes)
 	$(BIN)/python -m pytest -m slow -s tests/test_video_rate.py
+
+fuzz: $(VENV)/installed ## 20 000 spoilt inputs and 2 000 led by coverage (an hour); those that fail stay in build/fuzz
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[fuzz]"
+	PYTHONPATH=$(CURDIR) nice $(BIN)/python -m tests.fuzz --inputs $(INPUTS) --jobs $(JOBS)
+	PYTHONPATH=$(CURDIR) nice $(BIN)/python -m tests.fuzz --inputs 2000 --guided
 
 curve: $(VENV)/installed ## Bayer and RGBW over the light on the scene: which is better from where (ten minutes)
 	rm -rf $(CURVE) && mkdir -p $(CURVE)

@@ -29,7 +29,7 @@ from l3cli.artifacts.table import (
     MAX_PATCH,
     ClassRule,
 )
-from l3cli.config import Recipe
+from l3cli.config import Count, Recipe
 from l3cli.errors import RecipeError
 from l3cli.frame import pad_mosaic, shifted_cfa
 
@@ -40,17 +40,17 @@ MEAN_TRUNCATED = 1 / 3  # what M, rounded down, adds to V on average: matters wh
 class ClassRecipe(Recipe):
     """How pixels are sorted into classes (configs/classes)."""
 
-    patch: int = 9  # pixels, side of the neighbourhood
-    levels: int = 20
+    patch: Count = 9  # pixels, side of the neighbourhood
+    levels: Count = 20
     spacing: Literal["logarithmic", "linear"] = "logarithmic"  # of the level edges, between …
     lowest_level: float = 0.001  # … the upper edge of the darkest level, share of full scale …
     highest_level: float = 0.95  # … and the lower edge of the brightest
     level_edges: tuple[float, ...] | None = None  # shares of full scale, in place of the four keys above
     contrasts: tuple[float, ...] = (1.4,)  # edges of √(signal variance / noise variance)
     saturation: float = 0.985  # share of full scale from which a pixel is saturated
-    saturation_radius: int = 2  # pixels
-    chromas: int = 8  # colours told apart where nothing is saturated; 1: none (METHOD 3.5)
-    max_cases: int = 12  # saturation patterns that get classes of their own, the unsaturated one included
+    saturation_radius: Count = 2  # pixels
+    chromas: Count = 8  # colours told apart where nothing is saturated; 1: none (METHOD 3.5)
+    max_cases: Count = 12  # saturation patterns that get classes of their own, the unsaturated one included
 
 
 @dataclass(frozen=True)

@@ -4,11 +4,16 @@ import re
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, ClassVar, Literal, TypeVar, get_args, get_origin
+from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_args, get_origin
 
 import msgspec
 
 from l3cli.errors import InputFileError, RecipeError, suggestion
+from l3cli.limits import read_bounded
+
+LARGEST = 1e24  # of any number in a recipe: beyond lies what no lamp gives and floats run over at
+MOST = 1_000_000  # of anything that can be counted
+Count = Annotated[int, msgspec.Meta(le=MOST)]
 
 
 class Recipe(msgspec.Struct, forbid_unknown_fields=True):
@@ -35,7 +40,7 @@ R = TypeVar("R", bound=Recipe)
 def read_text(path: Path, title: str = Recipe.title) -> str:
     """The text of a recipe file; InputFileError, which asks for `title`, if it cannot be read as UTF-8."""
     try:
-        return path.read_text(encoding="utf-8")
+        return read_bounded(path).decode("utf-8")
     except OSError as error:
         what = (
             "is a folder"
@@ -58,14 +63,32 @@ def parse_recipe(text: str, recipe: type[R], name: str) -> R:
     """`text` as `recipe`; `name` stands in the error messages."""
     try:
         content = tomllib.loads(text)
-        given = {kind for kind, keys in TELLING.items() if any(key in content for key in keys)}
-        if given and recipe.title in TELLING and recipe.title not in given:
-            raise RecipeError(f"{name} is {' and '.join(sorted(given))}; give {recipe.title}")
-        return msgspec.convert(content, recipe)
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:  # of its own kind, or of a number too long to be one
         raise RecipeError(f"{name} is not valid TOML: {error}") from error
+    except RecursionError as error:
+        raise RecipeError(f"{name} is not valid TOML: its lists or tables are too deep") from error
+    given = {kind for kind, keys in TELLING.items() if any(key in content for key in keys)}
+    if given and recipe.title in TELLING and recipe.title not in given:
+        raise RecipeError(f"{name} is {' and '.join(sorted(given))}; give {recipe.title}")
+    _require_sane(content, name)
+    try:
+        return msgspec.convert(content, recipe)
     except msgspec.ValidationError as error:
         raise RecipeError(f"{name}: {_plain(str(error), recipe)}") from error
+
+
+def _require_sane(value: Any, name: str, key: str = "") -> None:
+    """RecipeError if a number is not finite, or if a text holds the character that no file name can."""
+    if isinstance(value, dict):
+        for inner, item in value.items():
+            _require_sane(item, name, f"{key}.{inner}".lstrip("."))
+    elif isinstance(value, list):
+        for item in value:
+            _require_sane(item, name, key)
+    elif isinstance(value, int | float) and not abs(value) <= LARGEST:
+        raise RecipeError(f"{name}: {key} is {str(value)[:40]}; give a number within ±{LARGEST:g}")
+    elif isinstance(value, str) and "\0" in value:
+        raise RecipeError(f"{name}: {key} holds a null character; leave it out")
 
 
 def _plain(message: str, recipe: type[Recipe]) -> str:

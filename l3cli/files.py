@@ -9,6 +9,7 @@ killed run left.
 import contextlib
 import errno
 import fcntl
+import functools
 import hashlib
 import os
 import re
@@ -215,8 +216,28 @@ def is_ours(name: str) -> bool:
 
 def sha256(path: Path) -> str:
     """SHA-256 of a file's bytes, in hexadecimal."""
+    if path.exists() and not path.is_file():
+        raise InputFileError(f"{path} is no regular file; give one")
     try:
         with open(path, "rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
         raise InputFileError(f"{path}: {error.strerror}") from error
+
+
+def require_same(path: Path, digest: str) -> None:
+    """InputFileError unless the file has this SHA-256: on another machine, another file may have its name. It is read once
+    as long as its size and time stay."""
+    try:
+        stat = path.stat()
+    except OSError as error:
+        raise InputFileError(
+            f"{path} cannot be read by a worker ({error.strerror}); put it on storage that all share"
+        ) from error
+    if _known_sha256(path, stat.st_size, stat.st_mtime_ns) != digest:
+        raise InputFileError(f"{path} is another file for a worker than here; put it on storage that all share")
+
+
+@functools.lru_cache(10_000)
+def _known_sha256(path: Path, size: int, changed: int) -> str:
+    return sha256(path)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "l3cli"
 FLOORS = [
-    {"errors", "config", "files", "columns", "spectra"},
+    {"errors", "limits", "config", "files", "columns", "spectra"},
     {"artifacts", "scene", "frame", "measurement"},
     {"classify"},
     {"calibrate", "simulate", "train", "render", "evaluate", "report", "io", "parallel"},
@@ -22,6 +22,7 @@ DOORS = {
     "h5py": ("artifacts/", "io/"),
     "colour": ("spectra.py",),
     "dask": ("parallel.py",),
+    "distributed": ("parallel.py",),
     "rich": ("cli/",),
     "jinja2": ("report/",),
     "markupsafe": ("report/",),

@@ -54,8 +54,8 @@ def edit(folder: Path, old: str, new: str, count: int = 1) -> None:
         ("f_number = 2.8", "f_number = 0", "above 0"),
         ("object_distance_m = 0.0", "object_distance_m = 0.01", "nearer than the focal length"),
         ("exposure_s = ", "exposure_s = -", "exposure_s and monitor above 0"),
-        ("exposure_s = ", "exposure_s = nan #", "exposure_s and monitor above 0"),
-        ("monitor = ", "monitor = inf #", "exposure_s and monitor above 0"),
+        ("exposure_s = ", "exposure_s = nan #", "mono.exposure_s is nan"),
+        ("monitor = ", "monitor = inf #", "mono.monitor is inf"),
         ("[sensor]", "[datasheet]\nwell_capacity_e = 1\nblack_dn = 0\nwhite_dn = 1\n[sensor]", "or its [datasheet]"),
         ("[sensor]", '[curves]\nfile = "x.csv"\n[sensor]', "found mono and curves"),
         ("lamp_drift = ", "lamp_drift = -", "lamp_drift in 0…1"),
@@ -91,7 +91,7 @@ def no_picture(path: Path) -> None:
         (truncate, "truncated"),
         (too_small, "100×100 pixels, the sensor 192×256"),
         (too_deep, "more than 12 bits"),
-        (no_picture, "cannot be read"),
+        (no_picture, "not an image"),
     ],
 )
 @pytest.mark.parametrize("kind", ["mono", "chart", "white", "dark"])

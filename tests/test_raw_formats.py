@@ -251,6 +251,7 @@ def test_broken_fits_is_refused(refused, tmp_path, table, mosaic, monkeypatch):
     fits.HDUList([fits.PrimaryHDU()]).writeto(path, overwrite=True)
     assert "no image" in refused(3, "render", table, path, "-o", output)
     monkeypatch.setitem(sys.modules, "astropy.io", None)
+    monkeypatch.setenv("L3_TRUST", "1")  # the process that decodes has its own modules
     assert INSTALL in refused(1, "render", table, path, "-o", output)
 
 

@@ -131,7 +131,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_worked_example_prints_what_is_shown(small: Path, l3: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(small)
-    (session,) = sessions()
+    session, *_ = sessions()
     assert [commands(line)[0][0] for line, _ in session] == [
         "lab", "calibrate", "simulate", "train", "simulate", "render", "evaluate",
     ]  # fmt: skip

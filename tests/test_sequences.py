@@ -135,14 +135,17 @@ def test_camera_raws_of_a_folder_are_a_sequence(l3, l3_data, tmp_path, table):
 
 
 def test_cinema_dng_tells_its_rate(tmp_path):
-    for name, tags in (("a_1.dng", [(51044, "2i", 1, (24000, 1001), True)]), ("b_1.dng", [])):
+    told = [(51044, "2i", 1, (24000, 1001), True)]
+    for name, tags in (("a_1.dng", told), ("a_2.dng", told), ("b_1.dng", []), ("b_2.dng", [])):
         tifffile.imwrite(tmp_path / name, frames()[0], extratags=tags)
     known = KnownBetter()
     assert find_frames((tmp_path / "a_*.dng",), RGGB, known).rate == Fraction(24000, 1001)
     assert find_frames((tmp_path / "a_%d.dng",), RGGB, known).rate == Fraction(24000, 1001)
-    assert find_frames((tmp_path / "b_1.dng",), RGGB, known).rate is None
-    (tmp_path / "c_1.dng").write_bytes(b"no DNG")
-    assert find_frames((tmp_path / "c_1.dng",), RGGB, known).rate is None
+    assert find_frames((tmp_path / "b_%d.dng",), RGGB, known).rate is None
+    assert find_frames((tmp_path / "a_1.dng",), RGGB, known).rate is None  # a frame alone
+    for number in (1, 2):
+        (tmp_path / f"c_{number}.dng").write_bytes(b"no DNG")
+    assert find_frames((tmp_path / "c_%d.dng",), RGGB, known).rate is None
 
 
 def test_raw_frames_are_never_replaced(refused, tmp_path, table, folder):

@@ -16,17 +16,18 @@ from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
 import h5py
+import msgspec
 import numpy as np
 
 from l3cli import __version__
 from l3cli.artifacts import container
+from l3cli.artifacts.stored import KNOWN_FILTERS, datasets, filters_of, require_readable
 from l3cli.errors import InputFileError
 
+MOST = 1e27  # of any number: its square, summed up, is still one
 COMPRESSION = {"compression": "gzip", "compression_opts": 4, "shuffle": True, "fletcher32": True}
+HDF5_ERRORS = (OSError, RuntimeError, KeyError, TypeError, ValueError, OverflowError)  # what h5py makes of damage
 CHECKSUM = {"fletcher32": True}  # for pictures: noise hardly shrinks, and shrinking it takes longer than simulating it
-KNOWN_FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
-LARGEST_RATIO = 1100  # deflate cannot expand further than 1032 : 1
-SMALL = 4096  # bytes that are believed without looking at what is stored
 SEALED = 2  # format version from which every file carries its digest
 
 
@@ -114,8 +115,11 @@ def _check(instance: Any, lengths: dict[str, tuple[int, str]], prefix: str) -> N
         if spec.dtype != "str":
             if not np.can_cast(array.dtype, spec.dtype, "same_kind"):
                 raise ValueError(f"{label} holds {array.dtype}, not {spec.dtype}")
-            if array.dtype.kind == "f" and not np.isfinite(array).all():
-                raise ValueError(f"{label} holds values that are not finite")
+            if array.size and array.dtype.kind == "u" and int(array.max()) > np.iinfo(np.int64).max:
+                raise ValueError(f"{label} holds {array.max()}, more than 63 bits")
+            if array.dtype.kind == "f" and array.size and not (array.min() >= -MOST and array.max() <= MOST):
+                told = f"beyond ±{MOST:g}" if np.isfinite(array).all() else "that are not finite"
+                raise ValueError(f"{label} holds values {told}")
         for axis, length in zip(spec.axes, array.shape, strict=True):
             known, where = lengths.setdefault(axis, (length, prefix + name))
             if known != length:
@@ -210,7 +214,7 @@ def open_artifact(path: Path, expected: type[Artifact] | None = None, unchanged:
     with root:
         try:
             kind, version = str(root.attrs["kind"]), int(root.attrs["version"])
-        except (KeyError, TypeError, ValueError) as error:
+        except HDF5_ERRORS as error:
             raise InputFileError(f"{path} is an HDF5 file but no l3 artifact; give the file written by {made_by}") from error
         if version >= SEALED and not sealed:
             raise InputFileError(f"{path} lacks the digest of its bytes; make it again with {made_by}")
@@ -234,8 +238,8 @@ def load(cls: type[A], path: Path) -> A:
 def read_history(root: h5py.File, path: Path) -> tuple[Stage, ...]:
     text = _read_dataset(root, "history", Spec("str", (), "1", ""), path)
     try:
-        return tuple(Stage(**stage) for stage in json.loads(text))
-    except (ValueError, TypeError) as error:
+        return tuple(msgspec.json.decode(text, type=list[Stage]))
+    except (msgspec.MsgspecError, UnicodeEncodeError, RecursionError) as error:
         raise InputFileError(f"{path}: dataset history is not the JSON that l3 writes; make the file again") from error
 
 
@@ -245,8 +249,8 @@ def read_fields(group: h5py.Group, cls: type, path: Path, **extra: Any) -> Any:
     for name, spec, optional in _declared(cls):
         if isinstance(spec, Spec):
             values[name] = _read_dataset(group, name, spec, path)
-        elif name in group:
-            values[name] = read_fields(_hard(group, name, h5py.Group, path), spec, path)
+        elif name in members(group, path):
+            values[name] = read_fields(hard_group(group, name, path), spec, path)
         elif not optional:
             raise InputFileError(f"{path} lacks the group {_inside(group, name)}; make the file again")
     try:
@@ -259,6 +263,27 @@ def read_fields(group: h5py.Group, cls: type, path: Path, **extra: Any) -> Any:
 
 def _inside(group: h5py.Group, name: str) -> str:
     return f"{group.name.rstrip('/')}/{name}".lstrip("/")
+
+
+@contextlib.contextmanager
+def reading(path: Path, what: str) -> Iterator[None]:
+    """What HDF5 stumbles over becomes an InputFileError."""
+    try:
+        yield
+    except (*HDF5_ERRORS, UnicodeDecodeError) as error:
+        raise InputFileError(f"{path}: {what} is damaged (checksum); make the file again") from error
+
+
+def members(group: h5py.Group, path: Path) -> list[str]:
+    """Names of what a group holds, in order."""
+    with reading(path, f"the group {group.name}"):
+        return sorted(group)
+
+
+def hard_group(group: h5py.Group, name: str, path: Path) -> h5py.Group:
+    """A group below `group` that lies in this file; InputFileError if there is none."""
+    with reading(path, f"the group {_inside(group, name)}"):
+        return _hard(group, name, h5py.Group, path)
 
 
 def _hard(group: h5py.Group, name: str, kind: type, path: Path) -> Any:
@@ -275,15 +300,17 @@ def _hard(group: h5py.Group, name: str, kind: type, path: Path) -> Any:
 
 def require_plain(dataset: h5py.Dataset, where: str, path: Path) -> None:
     """InputFileError if a dataset is stored in a way l3 never writes, or would be larger in memory than can be."""
-    created = dataset.id.get_create_plist()
-    filters = {created.get_filter(i)[0] for i in range(created.get_nfilters())}
-    if dataset.is_virtual or dataset.external or not filters <= KNOWN_FILTERS:
+    require_readable(path, dataset)
+    if not filters_of(dataset) <= KNOWN_FILTERS:
         raise InputFileError(f"{path}: dataset {where} is stored in a way l3 never writes; make the file again")
-    if dataset.size * dataset.dtype.itemsize > SMALL + LARGEST_RATIO * dataset.id.get_storage_size():
-        raise InputFileError(f"{path}: dataset {where} claims more data than the file holds; make the file again")
 
 
 def _read_dataset(group: h5py.Group, name: str, spec: Spec, path: Path) -> Any:
+    with reading(path, f"dataset {_inside(group, name)}"):
+        return _as_declared(group, name, spec, path)
+
+
+def _as_declared(group: h5py.Group, name: str, spec: Spec, path: Path) -> Any:
     dataset = _hard(group, name, h5py.Dataset, path)
     where = _inside(group, name)
     require_plain(dataset, where, path)
@@ -294,13 +321,10 @@ def _read_dataset(group: h5py.Group, name: str, spec: Spec, path: Path) -> Any:
             f"{path}: dataset {where} is {dataset.dtype} with {dataset.ndim} axes, "
             f"not {spec.dtype} ({', '.join(spec.axes)}); make the file again"
         )
-    try:
-        array = dataset[()]
-        if is_text:
-            decoded = np.char.decode(array, "utf-8")
-            return tuple(str(item) for item in decoded) if spec.axes else str(decoded)
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputFileError(f"{path}: dataset {where} is damaged (checksum); make the file again") from error
+    array = dataset[()]
+    if is_text:
+        decoded = np.char.decode(array, "utf-8")
+        return tuple(str(item) for item in decoded) if spec.axes else str(decoded)
     if not spec.axes:
         return np.asarray(array, dtype=spec.dtype).item()
     array = np.asarray(array, dtype=spec.dtype)
@@ -327,26 +351,22 @@ class Described:
 def describe(path: Path) -> dict[str, Any]:
     """Kind, version, history and every dataset with axes and unit of any artifact."""
     with open_artifact(path) as root:
-        found: list[Described] = []
-
-        def visit(name: str, member: Any) -> None:
-            if not isinstance(member, h5py.Dataset) or name == "history":
-                return
-            value: Any = None
-            if member.size <= 16 and member.ndim <= 1:
-                raw = member[()]
-                value = np.char.decode(raw, "utf-8").tolist() if member.dtype.kind == "S" else raw.tolist()
-            attrs = {key: str(member.attrs.get(key, "")) for key in ("axes", "unit", "doc")}
-            dtype = "str" if member.dtype.kind == "S" else str(member.dtype)
-            found.append(Described(name, dtype, member.shape, value=value, **attrs))
-
-        try:
-            root.visititems(visit)
-        except OSError as error:
-            raise InputFileError(f"{path} is damaged (checksum); make the file again") from error
+        with reading(path, "a dataset"):
+            found = [_described(path, name, dataset) for name, dataset in datasets(root) if name != "history"]
         return {
             "kind": str(root.attrs["kind"]),
             "version": int(root.attrs["version"]),
             "history": [dataclasses.asdict(stage) for stage in read_history(root, path)],
             "datasets": [dataclasses.asdict(item) for item in found],
         }
+
+
+def _described(path: Path, name: str, dataset: h5py.Dataset) -> Described:
+    value: Any = None
+    if dataset.ndim <= 1 and (dataset.size or 0) <= 16 and dataset.dtype.kind in "biufS":
+        require_readable(path, dataset)
+        raw = dataset[()]
+        value = np.char.decode(raw, "utf-8").tolist() if dataset.dtype.kind == "S" else raw.tolist()
+    attrs = {key: str(dataset.attrs.get(key, "")) for key in ("axes", "unit", "doc")}
+    dtype = "str" if dataset.dtype.kind == "S" else str(dataset.dtype)
+    return Described(name, dtype, dataset.shape or (), value=value, **attrs)

@@ -12,11 +12,15 @@ from numpy.typing import NDArray
 from l3cli import spectra
 from l3cli.artifacts.base import Artifact, data, group, load
 from l3cli.artifacts.fit import Fit
-from l3cli.config import Recipe, load_recipe
+from l3cli.config import LARGEST, Recipe, load_recipe, read_text
 from l3cli.errors import InputFileError, RecipeError, suggestion
+from l3cli.limits import most_pixels, read_bounded
 
 MAX_CHANNELS = 16  # a saturation code is 16 bits wide
 MAX_CFA = 8
+MAX_BITS = 16
+MOST_CURVE_ROWS = 100_000
+MOST_WAVELENGTHS, LONGEST = 10_000, 20_000  # samples of a spectrum; nm
 
 
 @dataclass(frozen=True)
@@ -32,6 +36,11 @@ class Noise:
         "float64", unit="e-", doc="fixed offset of each column, standard deviation over columns", default=0.0
     )
 
+    def __post_init__(self) -> None:
+        figures = (self.read_noise, self.dark_current, self.dsnu, self.prnu, self.column_noise)
+        if not (min(figures) >= 0 and self.well_capacity > 0):
+            raise ValueError("noise figures must not be negative, and the well capacity must be above zero")
+
 
 @dataclass(frozen=True)
 class Optics:
@@ -41,11 +50,40 @@ class Optics:
     f_number: float = data("float64", unit="1", doc="focal length / aperture diameter")
     object_distance: float = data("float64", unit="m", doc="distance of the scene; 0: infinity")
 
+    def __post_init__(self) -> None:
+        near = self.object_distance != 0 and self.object_distance <= self.focal_length
+        if not (self.focal_length > 0 and self.f_number > 0) or near:
+            raise ValueError("focal length and f-number must be above zero, the object farther than the focal length")
+
     @property
     def irradiance_per_radiance(self) -> float:
         """Camera equation, sr: sensor irradiance / scene radiance on the axis, π / (1 + 4 N² (1+|m|)²) (METHOD 1.3)."""
         magnification = self.focal_length / (self.object_distance - self.focal_length) if self.object_distance > 0 else 0.0
         return float(np.pi / (1.0 + 4.0 * self.f_number**2 * (1.0 + magnification) ** 2))
+
+
+def check_sensor(rows: int, cols: int, bits: int, black: float, white: float) -> None:
+    """ValueError if there is no such sensor."""
+    if not (rows > 0 and cols > 0 and rows * cols <= most_pixels() and 1 <= bits <= MAX_BITS):
+        raise ValueError(f"rows {rows}, cols {cols}, bits {bits}: no sensor has these, or not up to {MAX_BITS} bits")
+    if not 0 <= black < white <= 2**bits - 1:
+        raise ValueError(f"black {black:g} and white {white:g} do not lie in 0…{2**bits - 1}")
+
+
+def check_cfa(cfa: NDArray[np.uint8], channels: tuple[str, ...]) -> None:
+    """ValueError if a super-pixel is empty, too large, or names channels that do not exist."""
+    if not (cfa.size > 0 and max(cfa.shape) <= MAX_CFA and 0 < len(channels) <= MAX_CHANNELS):
+        raise ValueError(f"cfa must be at most {MAX_CFA}×{MAX_CFA} of at most {MAX_CHANNELS} channels")
+    if cfa.max() >= len(channels):
+        raise ValueError(f"cfa names channel {cfa.max()}, but there are {len(channels)}")
+
+
+def check_wavelengths(wavelength: NDArray[np.float64]) -> None:
+    """ValueError unless wavelengths increase and are light's."""
+    if not (1 < wavelength.size <= MOST_WAVELENGTHS and (np.diff(wavelength) > 0).all()):
+        raise ValueError(f"wavelength must increase and be 2 to {MOST_WAVELENGTHS} values")
+    if not (wavelength[0] > 0 and wavelength[-1] <= LONGEST):
+        raise ValueError(f"wavelength must lie in 0…{LONGEST} nm")
 
 
 @dataclass(frozen=True)
@@ -88,10 +126,11 @@ class CameraModel(Artifact):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.cfa.max() >= len(self.channels):
-            raise ValueError(f"cfa names channel {self.cfa.max()}, but there are {len(self.channels)}")
-        if not 0 <= self.black < self.white <= 2**self.bits - 1:
-            raise ValueError(f"black {self.black:g} and white {self.white:g} do not lie in 0…{2**self.bits - 1}")
+        check_sensor(self.rows, self.cols, self.bits, self.black, self.white)
+        check_cfa(self.cfa, self.channels)
+        check_wavelengths(self.wavelength)
+        if not (self.pixel_pitch > 0 and self.gain > 0 and self.responsivity.max() > 0 and self.fixed_pattern_seed >= 0):
+            raise ValueError("pixel_pitch, gain and the peak of the responsivity must be above zero, the seed not below")
 
     @property
     def full_scale(self) -> float:
@@ -293,6 +332,8 @@ def _responsivity(recipe: CameraRecipe, path: Path) -> tuple[NDArray[np.float64]
     first, last, step = declared.wavelength_nm
     if not (0 < first < last and step > 0):
         raise RecipeError(f"{path}: responsivity.wavelength_nm must be first < last with a positive step")
+    if (last - first) / step >= MOST_WAVELENGTHS or last > LONGEST:
+        raise RecipeError(f"{path}: responsivity.wavelength_nm has {MOST_WAVELENGTHS} values at most, up to {LONGEST} nm")
     wavelength = np.arange(first, last + step / 2, step)
     if (declared.gaussians is None) == (declared.file is None):
         raise RecipeError(f"{path}: give either responsivity.gaussians or responsivity.file")
@@ -323,7 +364,7 @@ def read_curves(path: Path, columns: int | None = None) -> tuple[NDArray[np.floa
     """Spectra from a CSV file: (wavelength) in nm and (column, wavelength). Lines that begin with # and one header line
     are skipped; InputFileError if the rest is not numbers, not increasing, or not `columns` columns."""
     try:
-        lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
+        lines = [line for line in read_bounded(path).decode("utf-8-sig").splitlines() if line.strip()]
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not a text file"
         raise InputFileError(f"{path}: {reason}; give a CSV file of spectra") from error
@@ -338,8 +379,10 @@ def read_curves(path: Path, columns: int | None = None) -> tuple[NDArray[np.floa
     if not rows or len({len(row) for row in rows}) != 1 or len(rows[0]) < 2:
         raise InputFileError(f"{path}: rows must be a wavelength in nm and equally many values each")
     table = np.array(rows)
-    if not np.isfinite(table).all() or (np.diff(table[:, 0]) <= 0).any():
-        raise InputFileError(f"{path}: wavelengths must increase and every value be a number")
+    if not (np.abs(table) <= LARGEST).all() or (np.diff(table[:, 0]) <= 0).any():
+        raise InputFileError(f"{path}: wavelengths must increase and every value be a number within ±{LARGEST:g}")
+    if len(table) > MOST_CURVE_ROWS or not (table[0, 0] > 0 and table[-1, 0] <= LONGEST):
+        raise InputFileError(f"{path}: give {MOST_CURVE_ROWS} wavelengths at most, within 0…{LONGEST} nm")
     if columns is not None and table.shape[1] != columns + 1:
         raise InputFileError(f"{path}: holds {table.shape[1] - 1} curves, {columns} are wanted")
     return table[:, 0], table[:, 1:].T
@@ -347,4 +390,4 @@ def read_curves(path: Path, columns: int | None = None) -> tuple[NDArray[np.floa
 
 def recipe_text(path: Path) -> str:
     """The recipe's text for the history, or nothing for an artifact."""
-    return path.read_text(encoding="utf-8") if path.suffix == ".toml" else ""
+    return read_text(path) if path.suffix == ".toml" else ""

@@ -15,13 +15,15 @@ from l3cli.artifacts.base import (
     check,
     data,
     group,
+    hard_group,
+    members,
     new_artifact,
     open_artifact,
     read_fields,
     read_history,
     write_fields,
 )
-from l3cli.artifacts.table import ClassRule
+from l3cli.artifacts.table import ClassRule, check_rule
 from l3cli.artifacts.training_set import TrainingSet
 from l3cli.errors import InputFileError
 
@@ -66,6 +68,9 @@ class PartialSums(Artifact):
         super().__post_init__()
         if not 1 <= self.shard <= self.shards or self.pass_number not in (1, 2):
             raise ValueError(f"shard {self.shard} of {self.shards}, pass {self.pass_number} cannot be")
+        check_rule(self.rule, len(self.training.camera.channels), self.training.camera.bits)
+        if len(self.white_point) != len(self.training.outputs):
+            raise ValueError(f"white_point has {len(self.white_point)} values for {len(self.training.outputs)} outputs")
 
     @property
     def shapes(self) -> tuple[tuple[int, int], tuple[int, int], tuple[int]]:
@@ -79,18 +84,17 @@ class PartialSumsReader:
     """An open file of partial sums: `head` and `site(i)`, the sums of head.sites[i]. Memory holds one site at a time."""
 
     def __init__(self, root: h5py.File, path: Path) -> None:
-        self._root, self._path = root, path
+        self._path = path
         self.head: PartialSums = read_fields(root, PartialSums, path, history=read_history(root, path))
-        if not isinstance(root.get("sums"), h5py.Group) or len(root["sums"]) != len(self.head.sites):
+        self._sums = hard_group(root, "sums", path)
+        if len(members(self._sums, path)) != len(self.head.sites):
             raise InputFileError(f"{path} lacks sums of some sites; make it again with {PartialSums.made_by}")
 
     def site(self, index: int) -> ClassSums:
-        name = f"sums/{index:05d}"
-        if not isinstance(self._root.get(name), h5py.Group):
-            raise InputFileError(f"{self._path} lacks the group {name}; make the file again")
-        sums = read_fields(self._root[name], ClassSums, self._path)
+        name = f"{index:05d}"
+        sums = read_fields(hard_group(self._sums, name, self._path), ClassSums, self._path)
         if (sums.moments.shape, sums.noise.shape, sums.count.shape) != self.head.shapes:
-            raise InputFileError(f"{self._path}: {name} does not fit the class rule; make the file again")
+            raise InputFileError(f"{self._path}: sums/{name} does not fit the class rule; make the file again")
         return sums
 
 

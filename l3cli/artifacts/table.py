@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.base import Artifact, check, data, group
+from l3cli.artifacts.camera import check_cfa, check_sensor
 
 CLASS_BITS = 12  # class decisions are taken on the upper 12 bits of a value, so that 32-bit sums are exact
 LEVEL_FRACTION = 8  # fractional bits of a channel mean in the level sum
@@ -95,6 +96,16 @@ class ClassRule:
         return self.levels * self.contrasts * self.kinds
 
 
+def check_rule(rule: ClassRule, channels: int, bits: int) -> None:
+    """ValueError if a rule is not for a camera of so many channels and bits."""
+    if not 0 <= rule.shift <= bits <= rule.shift + CLASS_BITS:
+        raise ValueError(f"{bits} bits shifted by {rule.shift} leave more than {CLASS_BITS}")
+    if rule.chroma_weights.shape[1] != channels:
+        raise ValueError(f"chroma_weights is for {rule.chroma_weights.shape[1]} channels")
+    if len(rule.case_of_code) != 2**channels:
+        raise ValueError(f"case_of_code has {len(rule.case_of_code)} codes for {channels} channels")
+
+
 @dataclass(frozen=True)
 class TransformTable(Artifact):
     """Local linear transforms for every class: output = weights · (patch − black) / (white − black) + intercept."""
@@ -129,6 +140,10 @@ class TransformTable(Artifact):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        check_sensor(self.rows, self.cols, self.bits, self.black, self.white)
+        check_cfa(self.cfa, self.channels)
+        if not self.outputs or not self.output_unit > 0:
+            raise ValueError("there must be an output, and its unit above zero")
         sites = self.cfa.size
         if len(self.weights) != sites * self.rule.classes_per_site:
             raise ValueError(
@@ -136,11 +151,4 @@ class TransformTable(Artifact):
             )
         if self.weights.shape[2] != self.rule.patch**2:
             raise ValueError(f"weights has {self.weights.shape[2]} taps, the rule's patch {self.rule.patch**2}")
-        if self.cfa.max() >= len(self.channels):
-            raise ValueError(f"cfa names channel {self.cfa.max()}, but there are {len(self.channels)}")
-        if not 0 <= self.bits - self.rule.shift <= CLASS_BITS or self.bits > 16:
-            raise ValueError(f"{self.bits} bits shifted by {self.rule.shift} leave more than {CLASS_BITS}")
-        if self.rule.chroma_weights.shape[1] != len(self.channels):
-            raise ValueError(f"chroma_weights is for {self.rule.chroma_weights.shape[1]} channels")
-        if len(self.rule.case_of_code) != 2 ** len(self.channels):
-            raise ValueError(f"case_of_code has {len(self.rule.case_of_code)} codes for {len(self.channels)} channels")
+        check_rule(self.rule, len(self.channels), self.bits)

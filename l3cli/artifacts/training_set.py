@@ -17,6 +17,8 @@ from l3cli.artifacts.base import (
     check,
     data,
     group,
+    hard_group,
+    members,
     new_artifact,
     open_artifact,
     read_fields,
@@ -25,6 +27,8 @@ from l3cli.artifacts.base import (
 )
 from l3cli.artifacts.camera import CameraModel
 from l3cli.errors import InputFileError, L3Error
+
+LARGEST = 1e12  # electrons, cd/m², seconds: 32-bit floats hold its square
 
 
 @dataclass(frozen=True)
@@ -45,6 +49,11 @@ class TrainingPair:
 
     def __post_init__(self) -> None:
         check(self)
+        _require_moderate("target", self.target)
+        if not (self.white.size and self.white.min() >= 0 < self.white.max() <= LARGEST):
+            raise ValueError("white is no light")
+        if min(self.luminance, self.exposure) < 0 or max(self.luminance, self.exposure) > LARGEST:
+            raise ValueError(f"luminance {self.luminance:g} and exposure {self.exposure:g} must lie in 0…{LARGEST:g}")
 
 
 @dataclass(frozen=True)
@@ -64,6 +73,16 @@ class TrainingFrame(TrainingPair):
         doc="mean photo-electrons of every channel, noise-free, unclipped",
     )
     seed: tuple[int, ...] = data("int64", "seed_word", doc="seed of this frame's noise")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _require_moderate("electrons", self.electrons)
+
+
+def _require_moderate(name: str, values: NDArray[np.float32]) -> None:
+    """ValueError if products of values would run over."""
+    if values.size == 0 or max(float(values.max()), -float(values.min())) > LARGEST:
+        raise ValueError(f"{name} is empty or holds more than {LARGEST:g}")
 
 
 @dataclass(frozen=True)
@@ -88,10 +107,11 @@ class TrainingSetReader:
     holds one frame at a time."""
 
     def __init__(self, root: h5py.File, path: Path) -> None:
-        self._root, self._path = root, path
+        self._path = path
         self.head: TrainingSet = read_fields(root, TrainingSet, path, history=read_history(root, path))
-        groups = [name for name in GROUPS if isinstance(root.get(name), h5py.Group)]
-        self._names = [f"{group}/{name}" for group in groups for name in sorted(root[group])]
+        held = members(root, path)
+        self._groups = {name: hard_group(root, name, path) for name in GROUPS if name in held}
+        self._names = [(name, each) for name, group in self._groups.items() for each in members(group, path)]
         if not self._names:
             raise InputFileError(f'{path} holds no frames; make it again with "l3 simulate"')
 
@@ -99,8 +119,12 @@ class TrainingSetReader:
         return len(self._names)
 
     def frame(self, index: int) -> TrainingPair:
-        name = self._names[index]
-        return read_fields(self._root[name], GROUPS[name.split("/")[0]], self._path)
+        group, name = self._names[index]
+        frame: TrainingPair = read_fields(hard_group(self._groups[group], name, self._path), GROUPS[group], self._path)
+        channels = len(frame.electrons) if isinstance(frame, TrainingFrame) else len(self.head.camera.channels)
+        if (channels, len(frame.target)) != (len(self.head.camera.channels), len(self.head.outputs)):
+            raise InputFileError(f"{self._path}: {group}/{name} is of another camera or target; make the file again")
+        return frame
 
     def __iter__(self) -> Iterator[TrainingPair]:
         for index in range(len(self)):

@@ -18,6 +18,7 @@ from l3cli.cli import options
 @click.option("--export", type=options.FILE, metavar="DIR", help="Also write the curves as CSV and as rawtoaces JSON there.")
 @click.option("--accept", is_flag=True, help="Write the model even if it predicts its own charts badly.")
 @options.jobs
+@options.trust
 @options.force
 @options.quiet
 @options.as_json

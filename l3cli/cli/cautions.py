@@ -7,6 +7,7 @@ import numpy as np
 
 from l3cli.cli import options
 from l3cli.files import sha256
+from l3cli.frame import RawFrame
 from l3cli.render.coverage import CoverageMeter
 
 if TYPE_CHECKING:
@@ -14,7 +15,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from l3cli.artifacts.table import TransformTable
-    from l3cli.frame import RawFrame
     from l3cli.io.sequences import Pending
 
 NOTABLE = {"darker": 0.05, "brighter": 0.05, "untrained": 0.2, "saturated": 0.1}  # shares of a frame that are worth a word
@@ -45,9 +45,9 @@ class Cautions:
     def watched(
         self, frames: "Iterator[tuple[Pending, RawFrame, float]]", stills: bool
     ) -> "Iterator[tuple[Pending, RawFrame, float]]":
-        """Pass frames on, after a look at every still, or at the first frame of a sequence."""
+        """Pass frames on, after a look at every still, or at the first frame of a sequence, unless others are to read it."""
         for pending, frame, scale in frames:
-            if stills or not self._seen:
+            if isinstance(frame, RawFrame) and (stills or not self._seen):
                 self.look(frame)
             yield pending, frame, scale
 

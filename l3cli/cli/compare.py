@@ -85,13 +85,14 @@ def _read(path: Path) -> dict:
     import json
 
     from l3cli.errors import InputFileError
+    from l3cli.limits import read_bounded
 
     if not path.is_file():
         what = "is a folder" if path.is_dir() else "does not exist"
         raise InputFileError(f'{path} {what}; give what "l3 evaluate --json" prints')
     try:
-        document = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
+        document = json.loads(read_bounded(path))
+    except (OSError, ValueError, RecursionError) as error:
         raise InputFileError(f'{path}: not readable as JSON; give what "l3 evaluate --json" prints') from error
     if not isinstance(document, dict):
         raise InputFileError(f'{path} is no evaluation; give what "l3 evaluate --json" prints')

@@ -5,7 +5,7 @@ import dataclasses
 import hashlib
 import json
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,8 @@ from l3cli.artifacts.base import Stage, open_artifact, read_history
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import whole_part, write_part
 from l3cli.errors import InputFileError, L3Error, RecipeError
-from l3cli.files import is_ours, sweep, write_whole
+from l3cli.files import is_ours, require_same, sweep, write_whole
+from l3cli.parallel import Crew, scratch_folder
 from l3cli.simulate import sources
 from l3cli.simulate.light import OWN, Light
 from l3cli.simulate.recipe import Pair, SceneRecipe, Shot
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from l3cli.scene import Scene
 
 MARK = "run"  # names, in a folder of stored frames, the run they belong to
+SENT = 64 << 20  # bytes of frames that a worker of another machine sends at a time, if it is more than one frame
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,14 @@ class Job:
     run: Run
     what: sources.WantedScene | Pair
     shots: list[Shot]
+    digests: Mapping[Path, str] = field(default_factory=dict)  # SHA-256 of its files, to be checked where they are read
+
+    @property
+    def files(self) -> list[Path]:
+        """What it reads; a folder of bands stands for its files."""
+        if isinstance(self.what, Pair):
+            return [self.run.base / self.what.raw, self.run.base / self.what.picture]
+        return [self.what.path] if self.what.path else []
 
 
 def jobs_of(run: Run, work: list[tuple[sources.WantedScene, list[Shot]]], workers: int) -> list[Job]:
@@ -80,6 +90,37 @@ def work_off(job: Job) -> int:
     for shot in shots:
         write_part(run.part(shot.index), _frame(scene, shot, run), missing, run.key)
     return len(job.shots)
+
+
+def stored(crew: Crew, work: list[Job], digests: Mapping[Path, str]) -> Iterator[int]:
+    """Work off all jobs by workers of other machines, which see the same inputs, and store what they send: how many frames
+    are done, again and again."""
+    needed = []
+    for job in work:
+        missing = [shot for shot in job.shots if not whole_part(job.run.part(shot.index), job.run.key)]
+        yield len(job.shots) - len(missing)
+        most = max(1, SENT // frame_bytes(job.run))
+        own = {path: digest for path, digest in digests.items() if path in job.files or path.parent in job.files}
+        needed += [replace(job, shots=missing[at : at + most], digests=own) for at in range(0, len(missing), most)]
+    for parts in crew(_sent, needed):
+        for index, content in parts:
+            write_whole(needed[0].run.part(index), content)
+        yield len(parts)
+
+
+def _sent(job: Job) -> list[tuple[int, bytes]]:
+    """On another machine: the job's frames, each with the content of its file."""
+    for path, digest in job.digests.items():
+        require_same(path, digest)
+    with scratch_folder() as folder:
+        here = replace(job, run=replace(job.run, folder=folder))
+        work_off(here)
+        return [(shot.index, here.run.part(shot.index).read_bytes()) for shot in job.shots]
+
+
+def frame_bytes(run: Run) -> int:
+    """Of the largest frame: electrons of every channel, raw mosaic, target."""
+    return run.camera.rows * run.camera.cols * (4 * len(run.camera.channels) + 2 + 4 * len(run.target.outputs))
 
 
 def _frame(scene: "Scene", shot: Shot, run: Run) -> Any:

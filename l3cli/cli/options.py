@@ -1,5 +1,6 @@
 """Options that several commands share, each declared once, and what every command says on stderr."""
 
+import functools
 import os
 import re
 import sys
@@ -54,6 +55,52 @@ backend = click.option(
 )
 jobs = click.option(
     "--jobs", type=click.IntRange(1), default=1, show_default=True, metavar="N", help="Number of processes to use."
+)
+_ADDRESS = click.option(
+    "--scheduler", metavar="ADDRESS", help="Work on the machines of this dask scheduler, tcp://HOST:PORT."
+)
+_CA = click.option("--tls-ca", type=FILE, metavar="PEM", help="Authority that signed the scheduler's certificate (tls://…).")
+_CERTIFICATE = click.option("--tls-cert", type=FILE, metavar="PEM", help="Certificate to show to the scheduler.")
+_KEY = click.option("--tls-key", type=FILE, metavar="PEM", help="Key of --tls-cert.")
+
+
+def scheduler(command: Callable[..., Any]) -> Callable[..., Any]:
+    """--scheduler ADDRESS and its TLS files, all as one parameter `scheduler`; to stand above --jobs and --quiet."""
+
+    @functools.wraps(command)
+    def called(
+        scheduler: str | None, tls_ca: Path | None, tls_cert: Path | None, tls_key: Path | None, **others: Any
+    ) -> Any:
+        from l3cli.parallel import Scheduler
+
+        if scheduler is None:
+            if tls_ca or tls_cert or tls_key:
+                raise click.UsageError("--tls-ca, --tls-cert and --tls-key go with --scheduler")
+            return command(scheduler=None, **others)
+        if others.get("jobs", 1) > 1:
+            raise click.UsageError("--jobs is the number of processes here; leave it out with --scheduler")
+
+        def warn(message: str) -> None:
+            say(f"warning: {message}", others["quiet"])
+
+        return command(scheduler=Scheduler(scheduler, tls_ca, tls_cert, tls_key, warn), **others)
+
+    return _ADDRESS(_CA(_CERTIFICATE(_KEY(called))))
+
+
+def _trust(context: click.Context, parameter: click.Parameter, value: bool) -> None:
+    if value:
+        from l3cli.limits import trust
+
+        context.with_resource(trust())
+
+
+trust = click.option(
+    "--trust",
+    is_flag=True,
+    expose_value=False,
+    callback=_trust,
+    help="Decode raw, image, MATLAB and video files here, not in a process of limited time and memory.",
 )
 
 

@@ -1,11 +1,12 @@
 """l3 render: raw frames through a table."""
 
+import contextlib
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -13,7 +14,15 @@ from l3cli import __version__
 from l3cli.cli import options
 from l3cli.errors import RecipeError
 
+if TYPE_CHECKING:
+    from l3cli.artifacts.table import TransformTable
+    from l3cli.cli.elsewhere import Elsewhere, Way
+    from l3cli.cli.sequence import Here
+    from l3cli.parallel import Scheduler
+
 PRESETS = ("ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow")
+
+PLAIN = (".npy", ".pgm", ".raw", ".bin", ".raw10", ".raw12", "")  # inputs that need no decoder, or none that is known yet
 
 
 def _pair(separator: str) -> Callable[[Any, Any, str | None], tuple[int, int] | None]:
@@ -118,6 +127,8 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
 @click.option("--stride", type=click.IntRange(1), metavar="BYTES", help="Bytes from row to row [default: no padding].")
 @click.option("--skip-bad", is_flag=True, help="Leave out missing and broken frames; exit code 1 if there were any.")
 @click.option("--resume", is_flag=True, help="Go on with a sequence of pictures where a run was stopped.")
+@options.scheduler
+@options.trust
 @options.force
 @options.quiet
 def render(
@@ -125,7 +136,7 @@ def render(
     fps: Fraction | None, codec: str | None, crf: float | None, preset: str, backend: str, device: str | None,
     variant: str | None, exposure: float | None, white: str | None, bits: str, black: float | None,
     white_level: float | None, phase: tuple[int, int] | None, size: tuple[int, int] | None, packing: str | None,
-    stride: int | None, skip_bad: bool, resume: bool, force: bool, quiet: bool,
+    stride: int | None, skip_bad: bool, resume: bool, scheduler: "Scheduler | None", force: bool, quiet: bool,
 ) -> int:  # fmt: skip
     """Render INPUT through TABLE.h5: files (DNG, camera raw, one-channel TIFF, PNG or PGM, FITS, .npy, headerless .raw,
     .bin, .raw10 or .raw12), or a sequence: a folder, a pattern (a_%04d.tif, a_####.tif), a quoted glob, a stack (.npy, HDF5,
@@ -139,16 +150,20 @@ def render(
     from l3cli.parallel import one_blas_thread
 
     one_blas_thread()  # the products of the light meter are small, and threads that wait for them take the encoder's time
+    from l3cli.io.apart import start
+
+    if any(path.suffix.lower() not in PLAIN for path in inputs):
+        start()  # it takes a third of a second, like what follows
     from l3cli.artifacts.base import load
     from l3cli.artifacts.table import TransformTable
     from l3cli.cli.cautions import caution_white
+    from l3cli.cli.elsewhere import Way
     from l3cli.cli.sequence import USUAL_RATE, Look, claim, make_target, marked, refuse_missing, render_frames
     from l3cli.files import sha256
     from l3cli.io.raw_files import KnownBetter
     from l3cli.io.sequences import find_frames
     from l3cli.io.video import VideoChoice
     from l3cli.render.display import require_xyz, scene_white
-    from l3cli.render.renderer import make_renderer
 
     choice = VideoChoice(fps or USUAL_RATE, int(bits), codec, crf, preset)
     target = make_target(output, suffix, choice)
@@ -171,8 +186,23 @@ def render(
     if not skip_bad:
         refuse_missing(footage)
     choice = replace(choice, rate=fps or footage.rate or USUAL_RATE)
-    key = [sha256(table), __version__, inputs, frames, dataset, suffix, backend, engine, exposure, white, choice, known]
-    with marked(target, key, resume, force, footage) as goes_on:
-        renderer = make_renderer(backend, transforms, **engine)
-        failures = render_frames(footage, target, renderer, transforms, look, choice, goes_on, skip_bad, quiet)
+    way = Way(table.absolute(), sha256(table), backend, engine, known, look, target.file_suffix)
+    key = [way.digest, __version__, inputs, frames, dataset, suffix, backend, engine, exposure, white, choice, known]
+    with marked(target, key, resume, force, footage) as goes_on, _room(way, transforms, scheduler) as room:
+        failures = render_frames(footage, target, room, transforms, look, choice, goes_on, skip_bad, quiet)
     return 1 if failures else 0
+
+
+@contextlib.contextmanager
+def _room(way: "Way", table: "TransformTable", scheduler: "Scheduler | None") -> "Iterator[Here | Elsewhere]":
+    """Where frames are rendered: here, or by the workers of a scheduler."""
+    from l3cli.cli.elsewhere import Elsewhere
+    from l3cli.cli.sequence import Here
+    from l3cli.parallel import workers
+    from l3cli.render.renderer import make_renderer
+
+    if scheduler is None:
+        yield Here(make_renderer(way.backend, table, **way.engine), way.look)
+    else:
+        with workers(1, scheduler) as crew:
+            yield Elsewhere(crew, way)

@@ -22,7 +22,7 @@ import numpy as np
 from l3cli.cli import options
 from l3cli.cli.cautions import Cautions
 from l3cli.errors import InputFileError, L3Error, RecipeError
-from l3cli.files import refuse_existing, sole_writer_of_folder, write_whole
+from l3cli.files import refuse_existing, sha256, sole_writer_of_folder, write_whole
 from l3cli.frame import RawFrame, upright
 from l3cli.io import images
 from l3cli.io.sequences import PATTERN, Footage, Pending, numbered_files, numbered_name
@@ -33,6 +33,7 @@ from l3cli.render.exposure import LightMeter, SteadyExposure
 
 if TYPE_CHECKING:
     from l3cli.artifacts.table import TransformTable
+    from l3cli.cli.elsewhere import Elsewhere
     from l3cli.render.renderer import Renderer
 
 DEPTH = 3  # frames that wait at most between reading and rendering, and between rendering and writing
@@ -64,6 +65,11 @@ class Target:
         if self.kind == "pattern":
             return numbered_name(self.path, number)
         return self.path / f"{stem}.{self.suffix}" if self.kind == "folder" else self.path
+
+    @property
+    def file_suffix(self) -> str | None:
+        """Of every file, where every frame becomes one."""
+        return self.file(0, "frame").suffix if self.one_by_one else None
 
     @property
     def mark(self) -> Path:
@@ -186,14 +192,25 @@ class Look:
 
 
 @dataclass(frozen=True)
+class Unread:
+    """A frame that whoever renders it is to read."""
+
+    path: Path
+    digest: str  # SHA-256 of the file
+
+
+@dataclass(frozen=True)
 class _Read:
-    """A frame that was read, or why not."""
+    """A frame that was read or is to be, or why not."""
 
     pending: Pending
-    frame: RawFrame | None
+    frame: RawFrame | Unread | None
     brightness: float = 0.0
     error: L3Error | None = None
     kept: bool = False  # its picture is there already
+
+
+Exposed = tuple[Pending, Any, float]  # with the frame and the scale of its exposure, 0: its own
 
 
 @dataclass
@@ -203,9 +220,16 @@ class _Tally:
     done: int = 0
     failures: int = 0
 
+    def leave_out(self, error: L3Error, skip_bad: bool) -> None:
+        """Say that a frame is left out; raise why, unless `skip_bad`."""
+        if not skip_bad:
+            raise error
+        self.failures += 1
+        click.echo(f"l3: {error}", err=True)
+
 
 def render_frames(
-    footage: Footage, target: Target, renderer: "Renderer", table: "TransformTable", look: Look, choice: VideoChoice,
+    footage: Footage, target: Target, room: "Here | Elsewhere", table: "TransformTable", look: Look, choice: VideoChoice,
     goes_on: bool, skip_bad: bool, quiet: bool,
 ) -> int:  # fmt: skip
     """Render every frame into the target; how many were left out. What is broken is raised, unless `skip_bad`: then it is
@@ -214,11 +238,15 @@ def render_frames(
     steady = SteadyExposure(choice.rate) if _is_steady(footage, target, look) else None
     tally, cautions = _Tally(), Cautions(table)
     with _open_sink(target, choice, table.outputs) as (write, threads), Behind(write, DEPTH, threads) as writing:
-        reading = ahead(_read(footage, target, LightMeter(table) if steady else None, goes_on), DEPTH)
+        reading = ahead(_read(footage, target, LightMeter(table) if steady else None, goes_on, room.by_path), DEPTH)
         reading = options.progress(reading, footage.count, "frames", quiet)
         exposed = cautions.watched(_exposed(reading, look, steady, skip_bad, tally), footage.stills)
-        for developed in _developed(renderer, exposed, look):
-            writing.put(developed)
+        for pending, made in room.develop(exposed):
+            if isinstance(made, L3Error):
+                tally.done -= 1
+                tally.leave_out(made, skip_bad)
+            else:
+                writing.put((pending, made))
         if not tally.done:
             raise InputFileError("none of the frames could be read; nothing is written")
     cautions.tell(quiet)
@@ -236,8 +264,9 @@ def _is_steady(footage: Footage, target: Target, look: Look) -> bool:
     return look.white is not None and look.exposure is None and not (footage.stills and target.one_by_one)
 
 
-def _read(footage: Footage, target: Target, meter: LightMeter | None, goes_on: bool) -> Iterator[_Read]:
-    """Read, and measure, frame after frame; of frames that are kept only what the exposure of later ones needs."""
+def _read(footage: Footage, target: Target, meter: LightMeter | None, goes_on: bool, by_path: bool) -> Iterator[_Read]:
+    """Read, and measure, frame after frame; of frames that are kept only what the exposure of later ones needs. `by_path`
+    a file that becomes a file, and is not measured, is left to who renders it."""
     size: tuple[int, ...] | None = None
     for pending in footage.frames:
         kept = goes_on and target.file(pending.number, pending.stem).exists()
@@ -245,6 +274,9 @@ def _read(footage: Footage, target: Target, meter: LightMeter | None, goes_on: b
             yield _Read(pending, None, kept=True)
             continue
         try:
+            if by_path and pending.source and not pending.missing and target.one_by_one and meter is None:
+                yield _Read(pending, Unread(pending.source.absolute(), sha256(pending.source)), kept=kept)
+                continue
             frame = pending.read()
             if frame is None:
                 return
@@ -272,14 +304,11 @@ def _require_size(frame: RawFrame, size: tuple[int, ...]) -> None:
 
 def _exposed(
     reading: Iterable[_Read], look: Look, steady: SteadyExposure | None, skip_bad: bool, tally: _Tally
-) -> Iterator[tuple[Pending, RawFrame, float]]:
+) -> Iterator[Exposed]:
     """The frames to render, each with its scale (0: its own exposure); what is broken is raised, or said and counted."""
     for each in reading:
         if each.error is not None:
-            if not skip_bad:
-                raise each.error
-            tally.failures += 1
-            click.echo(f"l3: {each.error}", err=True)
+            tally.leave_out(each.error, skip_bad)
             continue
         tally.done += 1
         if each.frame is not None:
@@ -288,29 +317,57 @@ def _exposed(
                 yield each.pending, each.frame, scale
 
 
-def _developed(
-    renderer: "Renderer", exposed: Iterator[tuple[Pending, RawFrame, float]], look: Look
-) -> Iterator[tuple[Pending, Any]]:
-    """Picture, or linear outputs where there is no white, (row, col, value), of each frame, in order.
+class Here:
+    """Renders frames in this process."""
 
-    Pictures whose exposure is known beforehand overlap on the device: while one is written the next is at work.
-    """
-    at_work: deque[tuple[Pending, RawFrame]] = deque()
+    by_path = False  # whether it reads files itself
 
-    def displayed() -> Iterator[tuple[RawFrame, Display]]:
-        for pending, frame, scale in exposed:
-            # The exposure of one frame alone needs the whole frame's luminance before the first value is encoded: two runs.
-            scale = scale or automatic_exposure(renderer.outputs(frame)[1])
-            at_work.append((pending, frame))
-            yield frame, make_display(look.white, scale, look.bits)
+    def __init__(self, renderer: "Renderer", look: Look) -> None:
+        self._renderer, self._look = renderer, look
 
+    def develop(self, exposed: Iterator[Exposed]) -> Iterator[tuple[Pending, Any]]:
+        """Picture, or linear outputs where there is no white, (row, col, value), of each frame, in order.
+
+        Pictures whose exposure is known beforehand overlap on the device: while one is written the next is at work.
+        """
+        at_work: deque[tuple[Pending, RawFrame]] = deque()
+
+        def displayed() -> Iterator[tuple[RawFrame, Display]]:
+            for pending, frame, scale in exposed:
+                at_work.append((pending, frame))
+                yield frame, _display(self._renderer, frame, self._look, scale)
+
+        if self._look.white is None:
+            for pending, frame, _ in exposed:
+                yield pending, _linear(self._renderer, frame)
+            return
+        for picture in self._renderer.pictures(displayed()):
+            pending, frame = at_work.popleft()
+            yield pending, upright(picture, frame.orientation)
+
+
+def pixels_of(renderer: "Renderer", frame: RawFrame, look: Look, scale: float) -> Any:
+    """What `Here` makes of a frame."""
     if look.white is None:
-        for pending, frame, _ in exposed:
-            yield pending, upright(np.moveaxis(renderer.outputs(frame), 0, -1), frame.orientation)
-        return
-    for picture in renderer.pictures(displayed()):
-        pending, frame = at_work.popleft()
-        yield pending, upright(picture, frame.orientation)
+        return _linear(renderer, frame)
+    return upright(renderer.picture(frame, _display(renderer, frame, look, scale)), frame.orientation)
+
+
+def _linear(renderer: "Renderer", frame: RawFrame) -> Any:
+    return upright(np.moveaxis(renderer.outputs(frame), 0, -1), frame.orientation)
+
+
+def _display(renderer: "Renderer", frame: RawFrame, look: Look, scale: float) -> Display:
+    # The exposure of one frame alone needs the whole frame's luminance before the first value is encoded: two runs.
+    return make_display(look.white, scale or automatic_exposure(renderer.outputs(frame)[1]), look.bits)
+
+
+def write_pixels(file: Path, made: Any, outputs: tuple[str, ...]) -> None:
+    """A picture, or linear outputs if the file's name asks for them."""
+    if images.is_linear(file):
+        images.write_linear(file, made, outputs)
+    else:
+        images.write_picture(file, made)
 
 
 @contextlib.contextmanager
@@ -321,12 +378,12 @@ def _open_sink(
     if target.one_by_one:
 
         def write(item: tuple[Pending, Any]) -> None:
-            pending, pixels = item
+            pending, made = item
             file = target.file(pending.number, pending.stem)
-            if target.linear:
-                images.write_linear(file, pixels, outputs)
+            if isinstance(made, bytes):
+                write_whole(file, made)
             else:
-                images.write_picture(file, pixels)
+                write_pixels(file, made, outputs)
 
         yield write, PICTURE_WRITERS
     elif target.kind == "stream" or target.path.suffix.lower() == ".y4m":

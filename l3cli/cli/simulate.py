@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from l3cli.artifacts.camera import CameraModel
     from l3cli.artifacts.training_set import TrainingSet
     from l3cli.cli.frames import Run
+    from l3cli.parallel import Scheduler
     from l3cli.simulate.light import Curve
     from l3cli.simulate.recipe import SceneRecipe
 
@@ -29,12 +30,14 @@ NEGLIGIBLE = 1e-3  # share of a channel's light that may go unseen without a wor
 @click.option("--dng", type=options.FILE, metavar="DIR", help="Also write each raw frame as DNG, for other raw developers.")
 @click.option("--resume", is_flag=True, help="Go on with the frames that a run that was stopped left in OUTPUT.parts.")
 @options.seed
+@options.scheduler
 @options.jobs
+@options.trust
 @options.force
 @options.quiet
 def simulate(
     scenes: Path, camera: Path, output: Path, pictures: Path | None, dng: Path | None, resume: bool, seed: int, jobs: int,
-    force: bool, quiet: bool,
+    scheduler: "Scheduler | None", force: bool, quiet: bool,
 ) -> None:  # fmt: skip
     """Simulate what a camera sees of many scenes, and the pictures it should make of them.
 
@@ -42,7 +45,7 @@ def simulate(
     Example: l3 simulate scenes.toml --camera camera.h5 -o training.h5
     """
     from l3cli.artifacts.camera import load_camera
-    from l3cli.cli.frames import close_folder, jobs_of, key_of, open_folder, remove_finished, work_off
+    from l3cli.cli.frames import close_folder, jobs_of, key_of, open_folder, remove_finished, stored, work_off
     from l3cli.config import load_recipe
     from l3cli.files import refuse_existing
     from l3cli.parallel import workers
@@ -53,16 +56,22 @@ def simulate(
     refuse_existing(output, force)
     for folder in dict.fromkeys(filter(None, (pictures, dng))):
         options.claim_folder(folder, force)
+    if scheduler:
+        scenes = scenes.absolute()  # its files are looked for by workers elsewhere
     model, recipe = load_camera(camera), load_recipe(scenes, SceneRecipe)
     run, files, inputs = _prepare(recipe, scenes, model, seed)
     head = _head(run, model, (scenes, camera), inputs, seed)
+    sums = head.history[-1].inputs
+    digests = {path: own for role, paths in inputs.items() for path, own in zip(paths, sums.get(role, ()), strict=True)}
     key = key_of(head.history[-1])
     run = dataclasses.replace(run, key=key, folder=open_folder(output, key, resume))
-    work = jobs_of(run, list(shots(recipe, files)) if recipe.scene else [], jobs)
-    total = sum(len(job.shots) for job in work)
+    wanted = list(shots(recipe, files)) if recipe.scene else []
+    total = sum(len(own) for _, own in wanted) + len(recipe.pair)
     with close_folder(run.folder):
-        with workers(jobs) as crew:
-            finished = (index for count in crew(work_off, work) for index in range(count))
+        with workers(jobs, scheduler) as crew:
+            work = jobs_of(run, wanted, crew.size)
+            counts = stored(crew, work, digests) if scheduler else crew(work_off, work)
+            finished = (index for count in counts for index in range(count))
             for _ in options.progress(finished, total, "frames", quiet):
                 pass
         _assemble(run, head, output, total, quiet)
@@ -121,7 +130,9 @@ def _curve(path: Path, role: str) -> "Curve":
 
 def _column_names(path: Path, count: int) -> tuple[str, ...]:
     """The header of a CSV file of matching functions, or numbers where it has none."""
-    lines = path.read_text(encoding="utf-8-sig").splitlines()
+    from l3cli.limits import read_bounded
+
+    lines = read_bounded(path).decode("utf-8-sig").splitlines()
     cells = [cell.strip() for cell in next(line for line in lines if line.strip() and line[0] != "#").split(",")[1:]]
     named = len(set(cells)) == count and not any(re.fullmatch(r"[-+.\deE]*", cell) for cell in cells)
     return tuple(cells) if named else tuple(f"output {number}" for number in range(1, count + 1))

@@ -1,8 +1,7 @@
 """l3 train: training sets → transform table, whole or in shards."""
 
 import collections
-import functools
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
@@ -17,11 +16,15 @@ if TYPE_CHECKING:
     from l3cli.artifacts.partial_sums import ClassSums
     from l3cli.artifacts.table import TransformTable
     from l3cli.artifacts.training_set import TrainingPair, TrainingSet
+    from l3cli.parallel import Crew, Scheduler
     from l3cli.train.division import Portion
     from l3cli.train.lesson import Lesson
     from l3cli.train.recipe import TrainingRecipe
     from l3cli.train.solve import Solution
+    from l3cli.train.table import Pilot
     from l3cli.train.weighing import Judge
+
+MOST_GLANCED = 256  # frames that a worker looks at in one go before the passes
 
 
 def _shard(context: Any, parameter: Any, text: str | None) -> tuple[int, int] | None:
@@ -61,12 +64,14 @@ def _shares(context: Any, parameter: Any, text: str | None) -> tuple[Fraction, .
 @click.option("--first", type=options.FILE, metavar="FIRST.h5", help="First-pass table, for the shards of the last pass.")
 @click.option("--merge", is_flag=True, help="The files are all shards of a pass: make its table from them.")
 @options.seed
+@options.scheduler
 @options.jobs
 @options.force
 @options.quiet
 def train(
     files: tuple[Path, ...], classes: Path | None, shares: tuple[Fraction, ...] | None, output: Path,
-    shard: tuple[int, int] | None, first: Path | None, merge: bool, seed: int, jobs: int, force: bool, quiet: bool,
+    shard: tuple[int, int] | None, first: Path | None, merge: bool, seed: int, jobs: int,
+    scheduler: "Scheduler | None", force: bool, quiet: bool,
 ) -> None:  # fmt: skip
     """Learn a table of local linear transforms from one or more training sets.
 
@@ -89,10 +94,10 @@ def train(
     With first_draws = 0 in the recipe, or other outputs than XYZ, there is one pass: two steps, without --first.
     """
     from l3cli.errors import RecipeError
-    from l3cli.parallel import one_blas_thread
+    from l3cli.parallel import one_blas_thread, workers
 
     one_blas_thread()
-    if merge and (classes or shares or shard or first or seed):
+    if merge and (classes or shares or shard or first or seed or scheduler):
         raise click.UsageError("--merge takes shards alone: classes, shares and seed are told by them")
     if shares and len(shares) != len(files):
         raise click.UsageError(f"--shares gives {len(shares)} shares for {len(files)} training sets")
@@ -102,21 +107,43 @@ def train(
     if merge:
         merge_shards(files, output, quiet)
         return
+    if scheduler:
+        files = tuple(path.absolute() for path in files)  # for workers elsewhere
     course = open_course(files, classes, shares, seed)
     try:
-        if shard:
-            train_shard(course, shard, first, output, jobs, quiet)
-        else:
-            train_whole(course, output, jobs, quiet)
+        with workers(jobs, scheduler) as crew:  # they start while the first reads
+            work = Work(crew, elsewhere=scheduler is not None, quiet=quiet)
+            if shard:
+                train_shard(course, shard, first, output, work)
+            else:
+                train_whole(course, output, work)
     except RecipeError as error:
         raise RecipeError(f"{classes or 'the built-in class recipe'}: {error}") from error
+
+
+@dataclass(frozen=True)
+class Work:
+    """Who does the work, and how much is said of it."""
+
+    crew: "Crew"
+    elsewhere: bool  # on other machines, which have to see the same files
+    quiet: bool
+
+
+@dataclass(frozen=True)
+class Source:
+    """A training set of the run."""
+
+    path: Path
+    frames: int
+    digest: str  # SHA-256
 
 
 @dataclass(frozen=True)
 class Course:
     """A training run as it is asked for: what every shard of it has in common."""
 
-    training: tuple[Path, ...]
+    training: tuple[Source, ...]
     head: "TrainingSet"
     patches: tuple[int, ...]  # (frame)
     recipe: "TrainingRecipe"
@@ -151,31 +178,30 @@ def open_course(training: tuple[Path, ...], classes: Path | None, shares: tuple[
     patches = spread_patches(recipe.learning.patches, frames, shares)
     inputs = {"training set": [sha256(path) for path in training]}
     stage = Stage("train", chosen, read_text(classes) if classes else "", inputs)
-    return Course(training, head, patches, recipe, seed, stage)
+    sources = tuple(map(Source, training, frames, inputs["training set"]))
+    return Course(sources, head, patches, recipe, seed, stage)
 
 
-def train_whole(course: Course, output: Path, jobs: int, quiet: bool) -> None:
+def train_whole(course: Course, output: Path, work: Work) -> None:
     """Both passes and the table."""
     from l3cli.artifacts.base import save
     from l3cli.artifacts.partial_sums import ClassSums
-    from l3cli.parallel import workers
     from l3cli.train.division import frame_blocks
     from l3cli.train.lesson import LAST
     from l3cli.train.table import assemble, learn_site
 
-    with workers(jobs) as crew:  # they start while the pilot runs
-        lesson, table = first_lesson(course, quiet), None
-        for number in range(lesson.number, LAST + 1):
-            lesson = replace(lesson, number=number)
-            found = summed(functools.partial(crew, _learn_part), course, lesson, table, frame_blocks(lesson), jobs, quiet)
-            solutions = {site: learn_site(lesson, [one], site) if isinstance(one, ClassSums) else one for site, one in found}
-            table = assemble(lesson, solutions, course.history(number))
+    lesson, table = first_lesson(course, work), None
+    for number in range(lesson.number, LAST + 1):
+        lesson = replace(lesson, number=number)
+        found = summed(_learn_part, course, lesson, table, frame_blocks(lesson), work)
+        solutions = {site: learn_site(lesson, [one], site) if isinstance(one, ClassSums) else one for site, one in found}
+        table = assemble(lesson, solutions, course.history(number))
     assert table is not None  # there is at least one pass
     save(table, output)
-    _say_table(table, output, quiet)
+    _say_table(table, output, work.quiet)
 
 
-def train_shard(course: Course, shard: tuple[int, int], first: Path | None, output: Path, jobs: int, quiet: bool) -> None:
+def train_shard(course: Course, shard: tuple[int, int], first: Path | None, output: Path, work: Work) -> None:
     """One shard's sums of the first pass or, with `first`, of the last."""
     import numpy as np
 
@@ -183,7 +209,6 @@ def train_shard(course: Course, shard: tuple[int, int], first: Path | None, outp
     from l3cli.artifacts.partial_sums import PartialSums, write_partial_sums
     from l3cli.artifacts.table import TransformTable
     from l3cli.errors import InputFileError
-    from l3cli.parallel import ordered_map
     from l3cli.train.division import frame_blocks
     from l3cli.train.lesson import FIRST, LAST, Lesson
     from l3cli.train.sums import empty_sums
@@ -191,7 +216,7 @@ def train_shard(course: Course, shard: tuple[int, int], first: Path | None, outp
 
     table = load(TransformTable, first) if first else None
     if table is None:
-        lesson = first_lesson(course, quiet)
+        lesson = first_lesson(course, work)
     elif table.history == course.history(FIRST):
         about = (course.head, course.patches, table.rule, course.recipe.learning, table.white_point, course.seed)
         lesson = Lesson(*about, LAST)
@@ -203,8 +228,7 @@ def train_shard(course: Course, shard: tuple[int, int], first: Path | None, outp
     index, count = shard
     blocks = frame_blocks(lesson)[index - 1 :: count]
     sites = canonical_sites(course.head, lesson.rule, lesson.recipe)
-    work = functools.partial(ordered_map, _sum_part, jobs=jobs)
-    sums = summed(work, course, lesson, table, blocks, jobs, quiet)
+    sums = summed(_sum_part, course, lesson, table, blocks, work)
     if not blocks:  # more shards than blocks
         sums = ((site, empty_sums(lesson.rule, len(course.head.outputs))) for site in sites)
     head = PartialSums(
@@ -219,25 +243,28 @@ def train_shard(course: Course, shard: tuple[int, int], first: Path | None, outp
         sites=np.array(sites),
     )
     write_partial_sums(output, head, (add_up(lesson, [own]) for _, own in sums))
-    options.say(f"{output}: shard {index} of {count}, {'first' if lesson.number == FIRST else 'last'} pass", quiet)
+    options.say(f"{output}: shard {index} of {count}, {'first' if lesson.number == FIRST else 'last'} pass", work.quiet)
 
 
 def merge_shards(shards: tuple[Path, ...], output: Path, quiet: bool) -> None:
     """The table of all shards of a pass; InputFileError if some are missing, doubled or of another run."""
     import contextlib
 
-    from l3cli.artifacts.base import save
+    from l3cli.artifacts.base import Stage, save
     from l3cli.artifacts.partial_sums import open_partial_sums
     from l3cli.config import parse_recipe
+    from l3cli.errors import InputFileError
     from l3cli.train.lesson import FIRST, Lesson
     from l3cli.train.recipe import TrainingRecipe
-    from l3cli.train.table import assemble, learn_site
+    from l3cli.train.table import assemble, canonical_sites, learn_site
 
     with contextlib.ExitStack() as stack:
         readers = [stack.enter_context(open_partial_sums(path)) for path in shards]
         _require_all_shards(shards, [reader.head for reader in readers])
         head = readers[0].head
-        stage = head.history[-1]
+        stage = head.history[-1] if head.history else Stage("", {})
+        if type(stage.options.get("seed")) is not int:
+            raise InputFileError(f"{shards[0]} does not tell the run it is a shard of; make it again")
         recipe = parse_recipe(stage.recipe, TrainingRecipe, str(shards[0])).learning
         about = (
             head.training,
@@ -249,6 +276,8 @@ def merge_shards(shards: tuple[Path, ...], output: Path, quiet: bool) -> None:
             head.pass_number,
         )
         lesson = Lesson(*about)
+        if head.sites.tolist() != canonical_sites(head.training, head.rule, recipe):
+            raise InputFileError(f"{shards[0]} holds sums of other sites than its camera has; make it again")
         solutions = {
             int(site): learn_site(lesson, (reader.site(index) for reader in readers), int(site))
             for index, site in enumerate(head.sites)
@@ -260,34 +289,65 @@ def merge_shards(shards: tuple[Path, ...], output: Path, quiet: bool) -> None:
         options.say(f"this is the first pass: go on with --shard I/N --first {output}", quiet)
 
 
-def first_lesson(course: Course, quiet: bool) -> "Lesson":
+def first_lesson(course: Course, work: Work) -> "Lesson":
     """The first pass, or the only one, with the class rule that a pilot over all frames has found."""
     from l3cli.train.lesson import FIRST, LAST, Lesson, has_two_passes
-    from l3cli.train.table import survey
+    from l3cli.train.recipe import check_learning
+    from l3cli.train.table import pilot_patches, survey
 
     learning = course.recipe.learning
-    rule, white = survey(_frames(course.training), course.patches, course.head, course.recipe, course.seed)
+    check_learning(learning)
+    patches = pilot_patches(course.patches)
+    size = max(1, min(MOST_GLANCED, len(patches) // (4 * work.crew.size)))
+    runs = (range(first, min(first + size, len(patches))) for first in range(0, len(patches), size))
+    about = (course.training, work.elsewhere, course.head, course.recipe, course.seed)
+    glances = [Glance(*about, run, patches[run.start : run.stop]) for run in runs]
+    pilots = options.progress(work.crew(_glance, glances), len(glances), "pilot", work.quiet)
+    rule, white = survey(pilots, course.patches, course.head, course.recipe, course.seed)
     kinds = f"({rule.chromas} chromas + {rule.cases - 1} saturation cases)"
-    options.say(f"{len(course.patches)} frames, {rule.levels} levels × {rule.contrasts} contrasts × {kinds} a site", quiet)
+    options.say(
+        f"{len(course.patches)} frames, {rule.levels} levels × {rule.contrasts} contrasts × {kinds} a site", work.quiet
+    )
     number = FIRST if has_two_passes(course.head, learning) else LAST
     return Lesson(course.head, course.patches, rule, learning, white, course.seed, number)
 
 
 @dataclass(frozen=True)
-class Part:
-    """A process's share of a pass."""
+class Glance:
+    """A worker's share of the pilot."""
 
-    training: tuple[Path, ...]
+    training: tuple[Source, ...]
+    elsewhere: bool  # as of Part
+    head: "TrainingSet"
+    recipe: "TrainingRecipe"
+    seed: int
+    frames: range
+    patches: list[int]  # (frame)
+
+
+def _glance(part: Glance) -> "Pilot":
+    from l3cli.train.table import look_at
+
+    frames = _frames(part.training, part.frames, part.elsewhere)
+    return look_at(frames, part.frames.start, part.patches, part.head, part.recipe, part.seed)
+
+
+@dataclass(frozen=True)
+class Part:
+    """A worker's share of a pass."""
+
+    training: tuple[Source, ...]
+    elsewhere: bool  # on another machine: its files are to be compared with ours
     lesson: "Lesson"
     portion: "Portion"
     judges: dict[int, "Judge | None"]
 
 
 def summed(
-    work: Callable[[Iterable[Part]], Iterator[dict[int, Any]]], course: Course, lesson: "Lesson",
-    first: "TransformTable | None", blocks: list[range], jobs: int, quiet: bool,
+    function: Callable[[Part], dict[int, Any]], course: Course, lesson: "Lesson", first: "TransformTable | None",
+    blocks: list[range], work: Work,
 ) -> Iterator[tuple[int, Any]]:  # fmt: skip
-    """What `work` makes of the parts, for each canonical site in order: its sums over `blocks`, added up where several
+    """What `function` makes of the parts, for each canonical site in order: its sums over `blocks`, added up where several
     processes share a site, or what has been learned from them already."""
     from l3cli.artifacts.partial_sums import ClassSums
     from l3cli.train.division import portions
@@ -296,14 +356,14 @@ def summed(
     from l3cli.train.weighing import judge_of
 
     parts = []
-    for portion in portions(lesson, canonical_sites(lesson.head, lesson.rule, lesson.recipe), blocks, jobs):
+    for portion in portions(lesson, canonical_sites(lesson.head, lesson.rule, lesson.recipe), blocks, work.crew.size):
         judges = {
             site: judge_of(first, site, lesson.recipe.error_power) if first is not None else None for site in portion.sites
         }
-        parts.append(Part(course.training, lesson, portion, judges))
+        parts.append(Part(course.training, work.elsewhere, lesson, portion, judges))
     left = collections.Counter(site for part in parts for site in part.judges)
     waiting: dict[int, ClassSums] = {}
-    for found in options.progress(work(parts), len(parts), "sums", quiet):
+    for found in options.progress(work.crew(function, parts), len(parts), "sums", work.quiet):
         for site, result in found.items():
             left[site] -= 1
             if site in waiting:
@@ -318,7 +378,8 @@ def _sum_part(part: Part) -> dict[int, "ClassSums"]:
     """Sums of every site."""
     from l3cli.train.accumulate import sum_sites
 
-    blocks = ((block[0], sites, _frames(part.training, block)) for block, sites in part.portion.blocks)
+    training = part.training
+    blocks = ((block[0], sites, _frames(training, block, part.elsewhere)) for block, sites in part.portion.blocks)
     return sum_sites(part.lesson, blocks, part.judges)
 
 
@@ -332,17 +393,24 @@ def _learn_part(part: Part) -> dict[int, "ClassSums | Solution"]:
     return found
 
 
-def _frames(training: tuple[Path, ...], wanted: range | None = None) -> Iterator["TrainingPair"]:
-    """The frames of all training sets in order, or those whose index among all of them is `wanted`."""
+def _frames(training: tuple[Source, ...], wanted: range | None = None, elsewhere: bool = False) -> Iterator["TrainingPair"]:
+    """The frames of all training sets in order, or those whose index among all of them is `wanted`. `elsewhere` the files
+    are compared with those of the machine that asks."""
     from l3cli.artifacts.training_set import open_training_set
+    from l3cli.files import require_same
 
     before = 0
-    for path in training:
-        with open_training_set(path, unchanged=True) as reader:  # since _common_head looked at it
-            for index in range(len(reader)):
-                if wanted is None or before + index in wanted:
-                    yield reader.frame(index)
-            before += len(reader)
+    for source in training:
+        here = range(source.frames)
+        if wanted is not None:
+            here = range(max(0, wanted.start - before), min(source.frames, wanted.stop - before))
+        before += source.frames
+        if not here:
+            continue
+        if elsewhere:
+            require_same(source.path, source.digest)
+        with open_training_set(source.path, unchanged=True) as reader:  # since _common_head looked at it
+            yield from map(reader.frame, here)
 
 
 def _require_all_shards(paths: tuple[Path, ...], heads: list) -> None:

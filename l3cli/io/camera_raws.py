@@ -1,5 +1,6 @@
 """Camera raws through LibRaw: pixels, levels and colours as the file tells them."""
 
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -8,10 +9,15 @@ from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
 from l3cli.frame import with_one_black
+from l3cli.io.apart import apart
 from l3cli.io.cfa_codes import codes_of
 from l3cli.io.dng import CameraRaw, described
+from l3cli.limits import require_picture
+
+FRAME_RATE = 51044  # the tag of CinemaDNG
 
 
+@apart
 def read_camera_raw(path: Path) -> CameraRaw:
     """What a camera raw holds within its visible area, or a DNG within its default crop.
 
@@ -21,6 +27,7 @@ def read_camera_raw(path: Path) -> CameraRaw:
 
     try:
         with rawpy.imread(str(path)) as raw:
+            require_picture(str(path), raw.sizes.raw_height, raw.sizes.raw_width)
             if raw.raw_type != rawpy.RawType.Flat or raw.raw_image_visible.ndim != 2:
                 raise InputFileError(f"{path} is already demosaicked (linear); give the raw file the camera wrote")
             return described(path, raw.raw_image) if path.suffix.lower() == ".dng" else _visible(path, raw)
@@ -38,6 +45,8 @@ def _visible(path: Path, raw: Any) -> CameraRaw:
     if raw.num_colors == 1:  # no filters: LibRaw gives 6, which is none of its colours
         colours, letters = np.zeros_like(colours), "W"
     black, white = _levels(raw)
+    if colours.max() >= min(len(letters), len(black)):
+        raise InputFileError(f"{path} names colours that it does not have; it is damaged")
     used = np.unique(colours)
     if not (black[used] < white[used]).all():
         levels = f"{black[used].max():g} is not below its white level {white[used].min():g}"
@@ -57,3 +66,22 @@ def _levels(raw: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     black = np.array(raw.black_level_per_channel, np.float64)
     whites = np.array(raw.camera_white_level_per_channel or (0,), np.float64)
     return black, np.where(whites > 0, whites, raw.white_level) + np.zeros_like(black)
+
+
+def film_rate(path: Path) -> Fraction | None:
+    """Frames a second that a CinemaDNG file tells."""
+    told = _film_rate(path)
+    return Fraction(*told) if told else None
+
+
+@apart
+def _film_rate(path: Path) -> tuple[int, int] | None:
+    import tifffile
+
+    try:
+        with tifffile.TiffFile(path) as file:
+            tag = file.pages[0].tags.get(FRAME_RATE)
+            rate = Fraction(*tag.value) if tag else Fraction(0)
+    except (tifffile.TiffFileError, TypeError, ValueError, IndexError, ZeroDivisionError, OSError):
+        return None  # reading the frame tells what is wrong with it
+    return (rate.numerator, rate.denominator) if rate > 0 else None

@@ -2,16 +2,19 @@
 
 import itertools
 from collections.abc import Sequence
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.table import TransformTable
 from l3cli.errors import InputFileError
 from l3cli.frame import shifted_cfa
 
-Sensor = TransformTable | CameraModel  # whose size, levels and colour filter array raw files have
+if TYPE_CHECKING:  # the process that decodes starts without them
+    from l3cli.artifacts.camera import CameraModel
+    from l3cli.artifacts.table import TransformTable
+
+Sensor: TypeAlias = "TransformTable | CameraModel"  # whose size, levels and colour filter array raw files have
 LETTERS = "RGBCMYW"  # codes 0…6 of CFAPattern: red, green, blue, cyan, magenta, yellow, white
 NAMES = ("red", "green", "blue", "cyan", "magenta", "yellow", "white")
 OWN = len(LETTERS)  # the first code of what TIFF/EP has no name for

@@ -8,8 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
+from l3cli.io.apart import apart
+from l3cli.io.arrays import map_array
 from l3cli.io.images import read_image
 from l3cli.io.matlab import Content, look_up, read_hdf5, read_matlab
+from l3cli.limits import read_bounded, require_picture, require_values
 from l3cli.scene import SpectralCube
 
 WAVELENGTH_NAMES = ("wave", "wavelength", "wavelengths", "wavelength_nm", "wavelengths_nm", "lambda", "wl", "bands", "wlens")
@@ -77,7 +80,8 @@ def read_envi(path: Path) -> SpectralCube:
     data = _envi_data(path)
     shape = tuple(sizes[axis] for axis in axes)
     wanted = offset + math.prod(shape) * dtype.itemsize
-    if min(shape) < 1 or data.stat().st_size < wanted:
+    require_picture(str(path), sizes["lines"], sizes["samples"], sizes["bands"])
+    if min(shape) < 1 or offset < 0 or data.stat().st_size < wanted:
         raise InputFileError(f"{data} has {data.stat().st_size} bytes, its header wants {wanted}; give the whole file")
     stored = np.memmap(data, dtype, "r", offset, shape)
     values = stored.transpose([axes.index(axis) for axis in ("lines", "samples", "bands")])
@@ -88,13 +92,21 @@ def read_envi(path: Path) -> SpectralCube:
 def _envi_header(path: Path) -> dict[str, str]:
     """Keys in lower case and values, braces taken off."""
     try:
-        text = path.read_text(encoding="latin-1")
+        text = read_bounded(path).decode("latin-1")
     except OSError as error:
         raise InputFileError(f"{path}: {error.strerror}") from error
     if not text.lstrip().startswith("ENVI"):
         raise InputFileError(f"{path} is no ENVI header; give the .hdr file")
-    pairs = re.findall(r"^\s*([^=\n{}]+?)\s*=\s*(\{[^}]*\}|[^\n]*)", text, re.MULTILINE)
-    return {key.lower(): value.strip().strip("{}").strip() for key, value in pairs}
+    header, lines = {}, iter(text.splitlines())
+    for line in lines:
+        key, equals, value = line.partition("=")
+        if not equals:
+            continue
+        values = [value]
+        while values[0].lstrip().startswith("{") and "}" not in values[-1]:
+            values.append(next(lines, "}"))
+        header[key.strip().lower()] = " ".join(values).partition("}")[0].replace("{", "").strip()
+    return header
 
 
 def _envi_data(path: Path) -> Path:
@@ -118,7 +130,7 @@ def _envi_unit(header: dict[str, str], listed: list[float]) -> float:
 def read_cube(path: Path, variable: str | None, axes: str) -> SpectralCube:
     """The cube `variable` (None: the only one) of a .mat, HDF5 or .npy file whose axes are those named by `axes`."""
     if path.suffix == ".npy":
-        content = {"values": _read_npy(path)}
+        content = {"values": map_array(path)}
     else:
         content = read_matlab(path) if path.suffix == ".mat" else read_hdf5(path)
     if variable is None:
@@ -154,18 +166,6 @@ def _wavelengths(content: Content) -> NDArray[np.float64] | None:
     return None
 
 
-def _read_npy(path: Path) -> NDArray:
-    try:
-        values = np.load(path, mmap_mode="r", allow_pickle=False)
-    except OSError as error:
-        raise InputFileError(f"{path}: {error.strerror or error}") from error
-    except (ValueError, EOFError) as error:
-        raise InputFileError(f"{path} is not a whole .npy file; write it with numpy.save") from error
-    if not isinstance(values, np.ndarray):
-        raise InputFileError(f"{path} is an archive; give one .npy array")
-    return values
-
-
 # ------------------------------------------------------------------------------------------------ EXR and TIFF
 
 
@@ -185,11 +185,15 @@ def read_channels(path: Path) -> SpectralCube:
     return SpectralCube(pixels[..., np.array(keep)[order]], nanometres[order])
 
 
+@apart
 def _read_pages(path: Path) -> NDArray:
     import tifffile
 
     try:
-        pages = tifffile.imread(path)
-    except (tifffile.TiffFileError, OSError, ValueError) as error:
+        with tifffile.TiffFile(path) as file:
+            first = file.series[0]
+            require_values(str(path), first.shape, first.dtype.itemsize if first.dtype else 1)
+            pages = first.asarray()
+    except (tifffile.TiffFileError, OSError, ValueError, IndexError) as error:
         raise InputFileError(f"{path} is truncated or damaged; give a whole TIFF") from error
     return np.moveaxis(pages, 0, 2) if pages.ndim == 3 else pages[..., None]

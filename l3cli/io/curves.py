@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 
 from l3cli import spectra
 from l3cli.artifacts.camera import CameraModel, read_curves
+from l3cli.config import LARGEST
 from l3cli.errors import InputFileError
 from l3cli.files import write_whole
+from l3cli.limits import read_bounded
 from l3cli.measurement import FinishedCurves, SweepTable
 
 RAWTOACES = np.arange(380.0, 781.0, 5.0)  # nm, the grid of its database
@@ -53,17 +55,17 @@ def read_finished(path: Path, channels: Sequence[str], per_energy: bool) -> Fini
 def _read_json(path: Path, channels: int) -> tuple[Array, Array]:
     """(wavelength) nm and (channel, wavelength) of a rawtoaces file."""
     try:
-        rows = json.loads(path.read_text(encoding="utf-8"))["spectral_data"]["data"]["main"]
+        rows = json.loads(read_bounded(path))["spectral_data"]["data"]["main"]
         table = np.array([[float(key), *map(float, values)] for key, values in rows.items()])
     except OSError as error:
         raise InputFileError(f"{path}: {error.strerror}; give curves as CSV or rawtoaces JSON") from error
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise InputFileError(f"{path} is no rawtoaces JSON: spectral_data.data.main is missing or not numbers") from error
     if table.ndim != 2 or table.shape[1] != channels + 1:
         raise InputFileError(f"{path}: holds {table.shape[-1] - 1} curves, {channels} are wanted")
     table = table[np.argsort(table[:, 0])]
-    if not np.isfinite(table).all() or (np.diff(table[:, 0]) <= 0).any():
-        raise InputFileError(f"{path}: wavelengths must differ and every value be a number")
+    if not (np.abs(table) <= LARGEST).all() or (np.diff(table[:, 0]) <= 0).any():
+        raise InputFileError(f"{path}: wavelengths must differ and every value be a number within ±{LARGEST:g}")
     return table[:, 0], table[:, 1:].T
 
 

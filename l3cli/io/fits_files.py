@@ -15,17 +15,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError, L3Error
+from l3cli.io.apart import apart
+from l3cli.limits import require_picture
 
 INSTALL = 'FITS files need astropy; install it with: pip install "l3cli[fits]"'
 BROKEN = (TypeError, ValueError, KeyError, IndexError, AttributeError)  # what astropy raises over a damaged file
 
 
+@apart
 def fits_shape(path: Path) -> tuple[int, ...]:
     """(row, col) or (frame, row, col) of the first image."""
     with _first_image(path) as image:
         return tuple(image.shape)
 
 
+@apart
 def read_fits(path: Path, number: int | None = None) -> tuple[NDArray[np.uint16], str | None]:
     """Pixels (row, col) in DN, of frame `number` where there are several, and the colours BAYERPAT names, row by row.
 
@@ -62,6 +66,7 @@ def _first_image(path: Path) -> Iterator[Any]:
                 image = next((unit for unit in units if unit.is_image and unit.header.get("NAXIS", 0) >= 2), None)
                 if image is None:
                     raise InputFileError(f"{path} holds no image; give a FITS file with a raw frame")
+                require_picture(str(path), *image.shape[-2:])
                 yield image
         except (*BROKEN, OSError) as error:
             reason = str(error).splitlines()[0] if str(error) else type(error).__name__

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
+from l3cli.io.apart import apart
+from l3cli.io.images import opened, pixels_of
 from l3cli.io.pgm import read_pgm
 
 
@@ -29,29 +31,18 @@ def read_frame(path: Path, shape: tuple[int, int], bits: int) -> NDArray[np.uint
 
     InputFileError if it is none, not of `shape`, or beyond `bits`.
     """
-    values = read_pgm(path) if path.suffix.lower() == ".pgm" else _read_picture(path, shape, bits)
+    values = read_pgm(path) if path.suffix.lower() == ".pgm" else _read_picture(path, *shape, bits)
     _check(path, str(values.dtype), 1, values.shape, shape, bits)
     if values.max() >= 2**bits:
         raise InputFileError(f"{path} holds {values.max()} DN, more than {bits} bits; check sensor.bits")
     return values.astype(np.uint16, copy=False)
 
 
-def _read_picture(path: Path, shape: tuple[int, int], bits: int) -> NDArray:
-    import OpenImageIO
-
-    picture = OpenImageIO.ImageInput.open(str(path))
-    if picture is None:
-        reason = " ".join(str(OpenImageIO.geterror()).split()).removeprefix(f"{path}: ")
-        raise InputFileError(f"{path} cannot be read: {reason or 'unknown format'}; give 16-bit TIFF frames")
-    try:
-        spec = picture.spec()
-        _check(path, str(spec.format), spec.nchannels, (spec.height, spec.width), shape, bits)
-        values = picture.read_image(str(spec.format))
-        if values is None:
-            raise InputFileError(f"{path} is truncated or damaged; copy or take it again")
-    finally:
-        picture.close()
-    return values.reshape(shape)
+@apart
+def _read_picture(path: Path, rows: int, cols: int, bits: int) -> NDArray:
+    with opened(path) as (picture, spec):
+        _check(path, str(spec.format), spec.nchannels, (spec.height, spec.width), (rows, cols), bits)
+        return pixels_of(path, picture, spec)[..., 0]
 
 
 def _check(path: Path, depth: str, channels: int, found: tuple[int, ...], shape: tuple[int, int], bits: int) -> None:

@@ -1,6 +1,8 @@
 """Pictures (PNG, TIFF, JPEG: encoded sRGB) and linear outputs (EXR) to files and back, all through OpenImageIO."""
 
+import contextlib
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +11,8 @@ from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.files import write_whole
+from l3cli.io.apart import apart
+from l3cli.limits import VALUE_BYTES, require_picture
 
 PICTURES = {".png": (8, 16), ".tif": (8, 16), ".tiff": (8, 16), ".jpg": (8,), ".jpeg": (8,)}  # bits each may hold
 LINEAR = ".exr"
@@ -96,18 +100,59 @@ def encoded(name: str, spec: Any, pixels: NDArray) -> bytes:
         return memory.read()
 
 
+# ------------------------------------------------------------------------------------------------------- reading
+
+
+@apart
 def read_image(path: Path) -> tuple[NDArray, tuple[str, ...]]:
     """Pixels (row, col, channel) as stored and the channels' names; InputFileError if the file cannot be read."""
+    with opened(path) as (source, spec):
+        return pixels_of(path, source, spec), tuple(spec.channelnames)
+
+
+@apart
+def read_mono(path: Path) -> NDArray[np.uint16]:
+    """Single-channel 8- or 16-bit picture (row, col), values as stored."""
+    with opened(path) as (source, spec):
+        stored = str(spec.format)
+        if spec.nchannels != 1 or stored not in ("uint8", "uint16"):
+            raise InputFileError(
+                f"{path} has {spec.nchannels} channels of {stored}; a raw image has one channel of 8 or 16 bits"
+            )
+        values = pixels_of(path, source, spec)[..., 0]
+    # OpenImageIO stretches depths such as 12 bits over the whole of 16: the upper bits are what is stored.
+    depth = 8 * values.dtype.itemsize
+    unused = np.uint16(depth - spec.get_int_attribute("oiio:BitsPerSample", depth))
+    return values.astype(np.uint16) >> unused
+
+
+@contextlib.contextmanager
+def opened(path: Path) -> Iterator[tuple[Any, Any]]:
+    """OpenImageIO's input and the description of its first picture, whose size has been found to be bearable."""
     import OpenImageIO as oiio
 
     source = oiio.ImageInput.open(str(path))
     if source is None:
-        raise InputFileError(f"{path} is not an image that can be read; {oiio.geterror().strip()}")
+        raise InputFileError(f"{path} is not an image that can be read ({_told(oiio.geterror(), path)})")
     try:
         spec = source.spec()
-        pixels = source.read_image(spec.format)
+        require_picture(str(path), spec.height, spec.width, spec.nchannels * max(spec.format.size() // VALUE_BYTES, 1))
+        if spec.deep or spec.depth != 1:
+            raise InputFileError(f"{path} holds a volume or samples in depth; give a flat picture")
+        yield source, spec
     finally:
         source.close()
+
+
+def pixels_of(path: Path, source: Any, spec: Any) -> NDArray:
+    """Pixels (row, col, channel) of an opened picture."""
+    pixels = source.read_image(spec.format)
     if pixels is None:
-        raise InputFileError(f"{path} is truncated or damaged; give a whole image")
-    return pixels, tuple(spec.channelnames)
+        raise InputFileError(f"{path} is truncated or damaged ({_told(source.geterror(), path)}); give a whole image")
+    return pixels.reshape(spec.height, spec.width, spec.nchannels)
+
+
+def _told(message: str, path: Path) -> str:
+    """What OpenImageIO says, in one line and without the name that stands before it already."""
+    line = message.strip().splitlines()[0] if message.strip() else "unknown format"
+    return line.removeprefix(f"{path}: ")

@@ -26,6 +26,7 @@ from l3cli.errors import InputFileError, RecipeError
 from l3cli.files import sha256, write_whole
 from l3cli.io.curves import read_finished, read_sweep
 from l3cli.io.frames import FrameFiles
+from l3cli.limits import MEGAPIXELS, most_pixels
 from l3cli.measurement import (
     PATCHES,
     BandCapture,
@@ -241,6 +242,8 @@ def _body(recipe: MeasurementRecipe, path: Path) -> Body:
     sensor, optics = recipe.sensor, recipe.optics
     if not (sensor.rows > 0 and sensor.cols > 0 and sensor.pixel_pitch_um > 0 and 1 <= sensor.bits <= 16):
         raise RecipeError(f"{path}: sensor needs rows, cols and pixel_pitch_um above 0 and 1 to 16 bits")
+    if sensor.rows * sensor.cols > most_pixels():
+        raise RecipeError(f"{path}: {sensor.rows}×{sensor.cols} pixels are more than inputs may have; raise {MEGAPIXELS}")
     if not (optics.focal_length_mm > 0 and optics.f_number > 0):
         raise RecipeError(f"{path}: optics needs focal_length_mm and f_number above 0")
     if 0 < optics.object_distance_m <= optics.focal_length_mm * 1e-3:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
+from l3cli.limits import require_picture
 
 GAP = rb"(?:\s|#[^\n\r]*[\n\r])+"
 HEADER = re.compile(rb"P5" + GAP + rb"(\d{1,9})" + GAP + rb"(\d{1,9})" + GAP + rb"(\d{1,5})\s")
@@ -34,6 +35,7 @@ def read_pgm(path: Path) -> NDArray:
         raise InputFileError(
             f"{path} {held}: {found} bytes, {rows}×{cols} values have {wanted}; give whole files of one frame"
         )
+    require_picture(str(path), rows, cols)
     values = np.fromfile(path, dtype, offset=header.end()).reshape(rows, cols)
     if values.max() > top:
         raise InputFileError(f"{path} holds {values.max()} DN, its header says at most {top}; it is damaged")

@@ -6,18 +6,20 @@ of its array the phase; an array that is not the table's is refused. What a DNG 
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
 from l3cli.frame import RawFrame
+from l3cli.io.arrays import map_array
 from l3cli.io.camera_raws import read_camera_raw
 from l3cli.io.cfa_codes import Sensor, codes_of, find_phase
 from l3cli.io.fits_files import read_fits
+from l3cli.io.images import read_mono
 from l3cli.io.packed import PACKED, WORDS, Layout, make_layout
 from l3cli.io.pgm import read_pgm
+from l3cli.limits import require_picture
 
 HEADERLESS = (".raw", ".bin", *("." + packing for packing in PACKED))
 IMAGES = (".tif", ".tiff", ".png")
@@ -49,7 +51,7 @@ def read_raw(path: Path, table: Sensor, known: KnownBetter | None = None) -> Raw
         elif suffix == ".npy":
             values = map_npy(path, 2)
         elif suffix in IMAGES:
-            values = _read_mono_image(path)
+            values = read_mono(path)
         elif suffix == ".pgm":
             values = read_pgm(path)
         elif suffix in FITS:
@@ -63,8 +65,9 @@ def read_raw(path: Path, table: Sensor, known: KnownBetter | None = None) -> Raw
 
 def frame_of(name: str, values: NDArray, table: Sensor, known: KnownBetter) -> RawFrame:
     """A frame of pixels (row, col) that came with nothing else: levels are the table's, unless the caller knows better."""
-    if values.size == 0:
+    if values.size == 0 or values.ndim != 2:
         raise InputFileError(f"{name} holds no pixels; give a raw file")
+    require_picture(name, *values.shape)
     frame = RawFrame(name, np.array(values, np.uint16, order="C"), table.black, table.white)
     return _corrected(frame, table, known)
 
@@ -103,6 +106,7 @@ def _corrected(frame: RawFrame, table: Sensor, known: KnownBetter) -> RawFrame:
 
 def _read_headerless(path: Path, layout: Layout) -> NDArray[np.uint16]:
     """One frame's values and nothing else."""
+    require_picture(str(path), layout.rows, layout.cols)
     found, wanted = path.stat().st_size, layout.frame_bytes
     if found != wanted:
         raise InputFileError(
@@ -112,53 +116,17 @@ def _read_headerless(path: Path, layout: Layout) -> NDArray[np.uint16]:
 
 
 def map_npy(path: Path, axes: int) -> NDArray:
-    """The array of a .npy file, mapped: a header may claim any size. InputFileError unless it has `axes` axes of DN."""
-    values = _mapped(path)
-    if not isinstance(values, np.ndarray) or values.ndim != axes or values.dtype.kind != "u" or values.dtype.itemsize > 2:
-        held = f"{values.ndim}-dimensional {values.dtype}" if isinstance(values, np.ndarray) else "an archive"
+    """The array of a .npy file, mapped. InputFileError unless it has `axes` axes of DN."""
+    values = map_array(path)
+    if values.ndim != axes or values.dtype.kind != "u" or values.dtype.itemsize > 2:
+        held = f"{values.ndim}-dimensional {values.dtype}"
         raise InputFileError(f"{path} holds {held}; give a uint16 array of rows × columns, or of frames × rows × columns")
     return values
 
 
 def npy_axes(path: Path) -> int:
     """Number of axes of a .npy file's array."""
-    return getattr(_mapped(path), "ndim", 0)
-
-
-def _mapped(path: Path) -> Any:
-    try:
-        return np.load(path, mmap_mode="r", allow_pickle=False)
-    except (ValueError, EOFError) as error:
-        raise InputFileError(f"{path} is not a whole .npy file; write it with numpy.save(file, uint16 array)") from error
-
-
-def _read_mono_image(path: Path) -> NDArray[np.uint16]:
-    """Single-channel 8- or 16-bit TIFF or PNG, values as stored."""
-    import OpenImageIO as oiio
-
-    source = oiio.ImageInput.open(str(path))
-    if source is None:
-        raise InputFileError(f"{path} is not an image that can be read ({_first_line(oiio.geterror())})")
-    try:
-        spec = source.spec()
-        stored = str(spec.format)
-        if spec.nchannels != 1 or stored not in ("uint8", "uint16"):
-            raise InputFileError(
-                f"{path} has {spec.nchannels} channels of {stored}; a raw image has one channel of 8 or 16 bits"
-            )
-        values = source.read_image(spec.format)
-        if values is None:
-            raise InputFileError(f"{path} is truncated or damaged ({_first_line(source.geterror())})")
-        # OpenImageIO stretches depths such as 12 bits over the whole of 16: the upper bits are what is stored.
-        depth = 8 * values.dtype.itemsize
-        unused = np.uint16(depth - spec.get_int_attribute("oiio:BitsPerSample", depth))
-        return values[..., 0].astype(np.uint16) >> unused
-    finally:
-        source.close()
-
-
-def _first_line(message: str) -> str:
-    return message.strip().splitlines()[0] if message.strip() else "no reason given"
+    return map_array(path).ndim
 
 
 # ---------------------------------------------------------------------------------------------------- camera raws

@@ -18,11 +18,12 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.frame import RawFrame
 from l3cli.io import raw_files
+from l3cli.io.camera_raws import film_rate
 from l3cli.io.fits_files import fits_shape
 from l3cli.io.raw_files import KnownBetter
+from l3cli.io.stacks import find_stack, stack_frame
 
 STDIN = Path("-")
-CHUNK_CACHE = 128 << 20  # bytes: chunks of many frames are unpacked once, not once a frame
 STACKS = (".h5", ".hdf5", ".hdf")
 VIDEOS = (".mkv", ".mov", ".mp4", ".avi")
 CAMERA_RAWS = tuple(
@@ -32,7 +33,6 @@ CAMERA_RAWS = tuple(
 ONE_FRAME = (
     raw_files.HEADERLESS + raw_files.IMAGES + raw_files.FITS + CAMERA_RAWS + (".npy", ".pgm")
 )  # what is taken from a folder
-FRAME_RATE = 51044  # the tag of CinemaDNG
 PATTERN = re.compile(r"%(0\d+)?d|#+")
 
 
@@ -200,22 +200,13 @@ def _of_files(what: str, paths: Iterable[Path], table: TransformTable, known: Kn
     def read(number: int) -> RawFrame:
         return raw_files.read_raw(of_number[number], table, known)
 
-    return _Series(what, of_number, read, stem, _film_rate(paths[0]), of_number)
+    rate = _film_rate(paths[0]) if len(paths) > 1 else None  # a frame alone has no rate
+    return _Series(what, of_number, read, stem, rate, of_number)
 
 
 def _film_rate(path: Path) -> Fraction | None:
     """Frames a second that a CinemaDNG file tells."""
-    if path.suffix.lower() != ".dng" or not path.is_file():
-        return None
-    import tifffile
-
-    try:
-        with tifffile.TiffFile(path) as file:
-            tag = file.pages[0].tags.get(FRAME_RATE)
-            rate = Fraction(*tag.value) if tag else Fraction(0)
-    except (tifffile.TiffFileError, TypeError, ValueError, ZeroDivisionError, OSError):
-        return None  # reading the frame tells what is wrong with it
-    return rate if rate > 0 else None
+    return film_rate(path) if path.suffix.lower() == ".dng" and path.is_file() else None
 
 
 def numbered_name(pattern: Path, number: int) -> Path:
@@ -297,39 +288,8 @@ def _npy_stack(path: Path, table: TransformTable, known: KnownBetter) -> _Series
 
 
 def _hdf5_stack(path: Path, table: TransformTable, known: KnownBetter, dataset: str | None) -> _Series:
-    import h5py
-
-    if not h5py.is_hdf5(path):
-        raise InputFileError(f"{path} is not an HDF5 file; give one with a dataset (frame, row, col)")
-    root = h5py.File(path, "r", rdcc_nbytes=CHUNK_CACHE)
-    frames = root.get(dataset) if dataset else _only_stack(path, root)
-    if not isinstance(frames, h5py.Dataset) or not _is_stack(frames, (2, 3)):
-        held = f"{frames.dtype} {frames.shape}" if isinstance(frames, h5py.Dataset) else "no dataset"
-        raise InputFileError(f"{path}: {dataset} is {held}; name with --dataset one of uint16 (frame, row, col)")
-
-    def pixels(number: int) -> NDArray:
-        try:
-            return frames[number] if frames.ndim == 3 else frames[()]
-        except OSError as error:
-            raise InputFileError(f"{path}: frame {number} of {frames.name} is damaged; copy the file again") from error
-
-    return _stack(path, len(frames) if frames.ndim == 3 else 1, pixels, table, known)
-
-
-def _only_stack(path: Path, root: Any) -> Any:
-    found: list[str] = []
-    root.visititems(lambda name, member: found.append(name) if _is_stack(member, (3,)) else None)
-    if len(found) != 1:
-        held = (
-            f"{len(found)} datasets of frames ({', '.join(found[:4])})" if found else "no dataset uint16 (frame, row, col)"
-        )
-        raise InputFileError(f"{path} holds {held}; name one with --dataset")
-    return root[found[0]]
-
-
-def _is_stack(member: Any, axes: tuple[int, ...]) -> bool:
-    dtype = getattr(member, "dtype", None)
-    return dtype is not None and dtype.kind == "u" and dtype.itemsize <= 2 and member.ndim in axes and member.size > 0
+    name, count = find_stack(path, dataset)
+    return _stack(path, count, lambda number: stack_frame(path, name, number), table, known)
 
 
 # -------------------------------------------------------------------------------------------------------- streams
@@ -381,10 +341,12 @@ def _stdin(table: TransformTable, known: KnownBetter) -> _Series:
 
 
 def _video(path: Path, table: TransformTable, known: KnownBetter) -> _Series:
-    from l3cli.io.video import RawVideo
+    from l3cli.io.video import raw_video_frame, raw_video_rate
 
-    video = RawVideo(path)
-    stream = _Stream(
-        video.following, lambda pixels, number: raw_files.frame_of(f"{path} frame {number}", pixels, table, known)
-    )
-    return _Series(str(path), None, stream.read, lambda number: f"{path.stem}_{number:06d}", video.rate)
+    rate, numbers = raw_video_rate(path), itertools.count()
+
+    def following() -> NDArray | None:
+        return raw_video_frame(path, next(numbers))
+
+    stream = _Stream(following, lambda pixels, number: raw_files.frame_of(f"{path} frame {number}", pixels, table, known))
+    return _Series(str(path), None, stream.read, lambda number: f"{path.stem}_{number:06d}", rate)

@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.config import Recipe
+from l3cli.errors import RecipeError
+
+MOST_SPECKS, LARGEST_SPECK = 10_000, 1000  # per million pixels; pixels in radius
 
 
 class FlawRecipe(Recipe):
@@ -21,6 +24,16 @@ class FlawRecipe(Recipe):
     dust_depth: float = 0.03  # share of the light that a speck takes in its middle
     dust_radius_px: float = 12.0
     column_noise_e: float = 2.0  # standard deviation of the columns' offsets
+
+
+def check_flaws(recipe: FlawRecipe) -> None:
+    """RecipeError if flaws are more than pixels, or dust is nothing that a frame could be cleaned of."""
+    if max(recipe.hot_pixels_per_million, recipe.dead_pixels_per_million) > 1e6:
+        raise RecipeError("flaws: of a million pixels no more than a million can be hot or dead")
+    if not (recipe.dust_specks_per_million <= MOST_SPECKS and 0 < recipe.dust_radius_px <= LARGEST_SPECK):
+        raise RecipeError(
+            f"flaws: give up to {MOST_SPECKS} specks of dust per million pixels, 0…{LARGEST_SPECK} px in radius"
+        )
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli import spectra
-from l3cli.artifacts.camera import CameraModel
-from l3cli.config import Recipe
+from l3cli.artifacts.camera import LONGEST, MOST_WAVELENGTHS, CameraModel
+from l3cli.config import Count, Recipe
 from l3cli.errors import RecipeError
 from l3cli.measurement import CHART_COLS, CHART_ROWS, PATCHES
-from l3cli.simulate.flaws import FlawRecipe, flaws_of
+from l3cli.simulate.flaws import FlawRecipe, check_flaws, flaws_of
 from l3cli.simulate.optics import relative_illumination
 from l3cli.simulate.sensor import FixedPattern, fixed_pattern, read_out
 
@@ -36,8 +36,8 @@ class MonoRecipe(Recipe):
     step_nm: float = 10.0
     bandwidth_nm: float = 10.0  # full width at half maximum
     stray_light: float = 0.0005  # share of the peak at every wavelength
-    trials: int = 1  # frames a step
-    overexposed: int = 4  # steps between the first and the last, as far as there are, that are taken again far too long
+    trials: Count = 1  # frames a step
+    overexposed: Count = 4  # steps between the first and the last, as far as there are, that are taken again far too long
     level: float = 0.5  # share of full scale that the brightest channel reaches
     radiance: float = 1e18  # photons/s/sr/m² of every step
     longest_exposure_s: float = 2.0  # a step that no channel sees well stays darker
@@ -47,7 +47,7 @@ class ChartRecipe(Recipe):
     """A ColorChecker that fills the field."""
 
     illuminants: tuple[str, ...] = ("D65", "A", "3200K", "FL2")
-    trials: int = 1
+    trials: Count = 1
     luminance: float = 500.0  # cd/m² of a perfect white
     level: float = 0.5  # share of full scale that the brightest channel reaches in the brightest patch
 
@@ -58,14 +58,14 @@ class WhiteRecipe(Recipe):
     illuminant: str = "D65"
     luminance: float = 500.0  # cd/m²
     levels: tuple[float, ...] = (0.05, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.6)  # of full scale, in the brightest channel
-    trials: int = 4
+    trials: Count = 4
 
 
 class DarkRecipe(Recipe):
     """Lens-cap frames."""
 
     exposures_s: tuple[float, ...] = (0.01, 0.5, 1.0, 2.0)
-    trials: int = 4
+    trials: Count = 4
 
 
 class LabRecipe(Recipe):
@@ -190,6 +190,7 @@ def _check(recipe: LabRecipe, camera: CameraModel) -> None:
     mono = recipe.mono
     if not (mono.step_nm > 0 and mono.bandwidth_nm > recipe.spectrometer_step_nm > 0):
         raise RecipeError("mono needs step_nm above 0, bandwidth_nm above spectrometer_step_nm, and that above 0")
+    _check_grids(recipe, camera)
     centres = slit_centres(camera, mono)
     if centres.size < 3 or centres[0] <= mono.bandwidth_nm:
         raise RecipeError("mono needs three steps or more from first_nm to last_nm, at visible wavelengths")
@@ -202,10 +203,22 @@ def _check(recipe: LabRecipe, camera: CameraModel) -> None:
         raise RecipeError(f"stray_light must lie in 0…{MOST_STRAY}, falloff in 0…1, lamp_drift in 0…{MOST_DRIFT}")
     if min(mono.overexposed, recipe.monitor_error, recipe.wavelength_error_nm, *msgspec.structs.astuple(recipe.flaws)) < 0:
         raise RecipeError("overexposed, monitor_error, wavelength_error_nm and the figures of flaws must not be negative")
+    check_flaws(recipe.flaws)
     if camera.rows < 64 or camera.cols < 96:
         raise RecipeError(f"a sensor of {camera.rows}×{camera.cols} is too small for a chart; the lab needs 64×96 pixels")
     if not camera.absolute:
         raise RecipeError("the camera's responsivity is only relative; the lab needs quantum efficiencies")
+
+
+def _check_grids(recipe: LabRecipe, camera: CameraModel) -> None:
+    """RecipeError if the monochromator or the spectrometer is to take more steps than any does."""
+    mono = recipe.mono
+    first, last = mono.first_nm or camera.wavelength[0], mono.last_nm or camera.wavelength[-1]
+    reach = last - first + 2 * (mono.bandwidth_nm + SPARE)
+    if not (0 < first < last <= LONGEST and mono.bandwidth_nm <= LONGEST):
+        raise RecipeError(f"mono: first_nm and last_nm must lie in 0…{LONGEST}, and bandwidth_nm below")
+    if reach / mono.step_nm > MOST_WAVELENGTHS or reach / recipe.spectrometer_step_nm > MOST_WAVELENGTHS:
+        raise RecipeError(f"step_nm and spectrometer_step_nm must not make more than {MOST_WAVELENGTHS} steps")
 
 
 def _looked_at(camera: CameraModel, mono: MonoRecipe, step: float) -> _Look:

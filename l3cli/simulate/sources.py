@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.config import Recipe
+from l3cli.config import Count, Recipe
 from l3cli.errors import RecipeError
 
 SMALLEST = 16  # pixels of a scene's shorter side
@@ -25,11 +25,11 @@ class Framing(Recipe, kw_only=True):
 class Drawn(Framing, kw_only=True):
     """A scene of this package's own, no file."""
 
-    size: tuple[int, int]  # rows, cols
+    size: tuple[Count, Count]  # rows, cols
 
 
 class Random(Drawn, kw_only=True):
-    count: int = 1  # pictures
+    count: Count = 1  # pictures
     seed: int = 0  # beside --seed: recipes with different seeds share no picture
 
 
@@ -42,17 +42,17 @@ class Composition(Random, tag_field="source", tag="composition", kw_only=True):
 
 
 class Skin(Random, tag_field="source", tag="skin", kw_only=True):
-    patches: tuple[int, int] = (6, 9)  # rows, columns of patches
+    patches: tuple[Count, Count] = (6, 9)  # rows, columns of patches
 
 
 class Foliage(Random, tag_field="source", tag="foliage", kw_only=True):
-    patches: tuple[int, int] = (6, 9)
+    patches: tuple[Count, Count] = (6, 9)
 
 
 class Surfaces(Random, tag_field="source", tag="surfaces", kw_only=True):
     """Paints, plastics, textiles: a chart to learn colour from. No ColorChecker is among them."""
 
-    patches: tuple[int, int] = (6, 9)
+    patches: tuple[Count, Count] = (6, 9)
 
 
 class ColorChecker(Drawn, tag_field="source", tag="colorchecker", kw_only=True):
@@ -76,7 +76,7 @@ class ZonePlate(Drawn, tag_field="source", tag="zone plate", kw_only=True):
 class Frequencies(Drawn, tag_field="source", tag="frequencies", kw_only=True):
     """Gratings in columns, each of twice the frequency of the last, contrast falling downwards."""
 
-    orders: int = 6  # the last has 0.5 cycles a pixel
+    orders: Count = 6  # the last has 0.5 cycles a pixel
 
 
 class GreyRamp(Drawn, tag_field="source", tag="grey ramp", kw_only=True):
@@ -92,7 +92,7 @@ class IsetScenes(FileSource, tag_field="source", tag="iset", kw_only=True):
 
 
 class RgbPictures(FileSource, tag_field="source", tag="rgb", kw_only=True):
-    shrink: int = 1  # each shrink × shrink pixels are averaged to one, which also removes JPEG's and demosaicking's traces
+    shrink: Count = 1  # each shrink × shrink pixels are averaged to one, which also removes JPEG's and demosaicking's traces
 
 
 class Spectral(FileSource, kw_only=True):

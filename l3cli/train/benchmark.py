@@ -16,7 +16,7 @@ from l3cli.train.accumulate import sum_sites
 from l3cli.train.division import frame_blocks
 from l3cli.train.lesson import FIRST, LAST, Lesson, spread_patches
 from l3cli.train.recipe import LearningRecipe, TrainingRecipe
-from l3cli.train.table import assemble, canonical_sites, learn_site, survey
+from l3cli.train.table import assemble, canonical_sites, learn_site, look_at, pilot_patches, survey
 from l3cli.train.weighing import judge_of
 
 REPEATS = 2  # of which the faster counts, in CPU seconds: other work on the machine only slows
@@ -70,7 +70,8 @@ def train(frames: list[TrainingFrame], camera: CameraModel, recipe: TrainingReci
     """Both passes over `frames` to a table; the number of rows that were added up."""
     head = TrainingSet(camera=camera, outputs=("X", "Y", "Z"), target_description="made up")
     patches = spread_patches(recipe.learning.patches, [len(frames)], None)
-    rule, white = survey(frames, patches, head, recipe, 0)
+    pilot = look_at(frames, 0, pilot_patches(patches), head, recipe, 0)
+    rule, white = survey([pilot], patches, head, recipe, 0)
     lesson, table, rows = Lesson(head, patches, rule, recipe.learning, white, 0, FIRST), None, 0
     for number in (FIRST, LAST):
         lesson = replace(lesson, number=number)

@@ -72,9 +72,23 @@ def kind_name(table: TransformTable, kind: int) -> str:
     if kind < table.rule.chromas:
         return f"chroma {kind}"
     codes = np.flatnonzero(table.rule.case_of_code == kind - table.rule.chromas + 1)
-    apart = np.bitwise_count(codes[:, None] ^ codes[None]) + 0.5 * ((codes[:, None] & ~codes[None]) != 0)  # as choose_cases
-    code = int(codes[::-1][np.argmin(apart.sum(axis=0)[::-1])])
+    if not codes.size:
+        return "no pattern"
+    code = int(codes[::-1][np.argmin(_apart(codes, len(table.channels))[::-1])])
     return "saturated " + "+".join(name for bit, name in enumerate(table.channels) if code >> bit & 1)
+
+
+def _apart(codes: NDArray[np.int64], channels: int) -> NDArray[np.float64]:
+    """How far each pattern lies from all together, as choose_cases measures it: channels that differ, and half for each of
+    the others that is not within it. There may be 2¹⁶ patterns: too many to compare them in pairs."""
+    holds = codes[:, None] >> np.arange(channels) & 1
+    often = holds.sum(axis=0)
+    within = np.zeros(2**channels)
+    within[codes] = 1
+    for channel in range(channels):
+        halves = within.reshape(-1, 2, 2**channel)
+        halves[:, 1] += halves[:, 0]
+    return np.where(holds, len(codes) - often, often).sum(axis=1) + 0.5 * (len(codes) - within[codes])
 
 
 def _spread(values: NDArray[np.float64], names: tuple[str, ...]) -> dict[str, dict[str, float]]:

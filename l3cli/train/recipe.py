@@ -5,16 +5,19 @@ from typing import ClassVar, Literal
 import msgspec
 
 from l3cli.classify import ClassRecipe
-from l3cli.config import Recipe
+from l3cli.config import Count, Recipe
 from l3cli.errors import RecipeError
+
+MOST_PATCHES = 1_000_000_000
+MOST_DRAWS = 1000  # levels of one patch: more tell nothing new
 
 
 class LearningRecipe(Recipe):
     """How the transforms of the classes are learned (METHOD 4). Levels are shares of full scale."""
 
     patches: int = 60000  # patches a canonical CFA position, over all frames
-    draws: int = 8  # levels drawn a patch (METHOD 4.1)
-    first_draws: int = 3  # levels drawn a patch in the pass whose errors weigh the rows of the second; 0: one pass only
+    draws: Count = 8  # levels drawn a patch (METHOD 4.1)
+    first_draws: Count = 3  # levels drawn a patch in the pass whose errors weigh the rows of the second; 0: one pass only
     darkest: float = 0.003  # levels are drawn log-uniformly from here …
     brightest: float = 2.5  # … to here, clipped at white
     highlight_share: float = 0.25  # this share of the draws …
@@ -45,6 +48,10 @@ class TrainingRecipe(Recipe):
 
 def check_learning(recipe: LearningRecipe) -> None:
     """RecipeError if a number of the learning recipe cannot be."""
+    if max(recipe.draws, recipe.first_draws) > MOST_DRAWS:
+        raise RecipeError(f"learning.draws and first_draws are at most {MOST_DRAWS}")
+    if recipe.patches > MOST_PATCHES:
+        raise RecipeError(f"learning.patches are at most {MOST_PATCHES}")
     if recipe.patches < 1 or recipe.draws < 1 or min(recipe.parent_patches, recipe.first_draws) < 0:
         raise RecipeError("learning.patches and draws must be at least 1, first_draws and parent_patches at least 0")
     if not 0 < recipe.darkest < recipe.highlight_from < recipe.brightest:

@@ -1,6 +1,7 @@
 """The training room's front: what the command calls, in the order it calls it."""
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from l3cli.errors import InputFileError
 from l3cli.train.kinds import channel_shares, choose_cases, choose_chromas
 from l3cli.train.lesson import Lesson, brightness_of
 from l3cli.train.patches import draw_levels, expose_patches, patches_of
-from l3cli.train.recipe import LearningRecipe, TrainingRecipe, check_learning
+from l3cli.train.recipe import LearningRecipe, TrainingRecipe
 from l3cli.train.solve import Goal, Solution, equal_responses, solve
 from l3cli.train.sums import add, empty_sums, grid_steps, require_exact
 from l3cli.train.symmetry import orientations, site_maps, stabilisers
@@ -22,12 +23,19 @@ from l3cli.train.symmetry import orientations, site_maps, stabilisers
 PILOT_PATCHES = 4000  # patches a site over all frames that decide which saturation cases are kept
 
 
-def survey(
-    frames: Iterable[TrainingPair], patches: Sequence[int], head: TrainingSet, recipe: TrainingRecipe, seed: int
-) -> tuple[ClassRule, NDArray[np.float64]]:
-    """The class rule for `head.camera`, its saturation cases and chroma centres from a pilot sample of all frames, and the
-    mean white point (output) of their lights, each at Y = 1; frames count as they have `patches` (frame)."""
-    check_learning(recipe.learning)
+@dataclass(frozen=True)
+class Pilot:
+    """What the class rule is chosen from, of some frames."""
+
+    occurrences: NDArray[np.int64]  # (code) of each saturation code
+    shares: NDArray[np.float64]  # (patch, channel)
+    whites: NDArray[np.float64]  # (frame, output) of their lights, each at Y = 1
+
+
+def look_at(
+    frames: Iterable[TrainingPair], first: int, patches: Sequence[int], head: TrainingSet, recipe: TrainingRecipe, seed: int
+) -> Pilot:
+    """A pilot sample of `frames`, the first of which has the index `first` and which give so many `patches` (frame)."""
     camera = head.camera
     codes = 2 ** len(camera.channels)
     rule = make_rule(recipe.classes, camera, np.zeros(codes, dtype=np.uint16))
@@ -35,11 +43,10 @@ def survey(
     canonical = canonical_sites(head, rule, recipe.learning)
     occurrences = np.zeros(codes, dtype=np.int64)
     shares, whites = [], []
-    for index, (frame, share) in enumerate(zip(frames, patches, strict=True)):
+    for index, (frame, count) in enumerate(zip(frames, patches, strict=True), first):
         whites.append(_unit_white(frame, head.outputs))
         for site in canonical:
             rng = np.random.default_rng([seed, 0, index, site])
-            count = -(-PILOT_PATCHES * share // sum(patches))
             pilot = patches_of(frame, head, near, site, count, rng, recipe.learning.symmetry)
             own_level = np.maximum(pilot.signal.mean(axis=1), 1e-3)
             scale = pilot.possible(draw_levels(recipe.learning, len(own_level), rng) / own_level)[:, None]
@@ -47,9 +54,25 @@ def survey(
             values = expose_patches((pilot.signal * scale).astype(np.float32), camera, rng, carried)
             occurrences += np.bincount(saturation_codes(values, rule, near, site), minlength=codes)
             shares.append(channel_shares(pilot.signal, near, site))
-    case_of_code = choose_cases(occurrences, recipe.classes.max_cases)
-    centres = choose_chromas(np.concatenate(shares), recipe.classes.chromas, seed)
-    return make_rule(recipe.classes, camera, case_of_code, centres), np.average(whites, axis=0, weights=patches)
+    return Pilot(occurrences, np.concatenate(shares), np.array(whites))
+
+
+def pilot_patches(patches: Sequence[int]) -> list[int]:
+    """Patches (frame) a site of the pilot sample of frames that have `patches` (frame)."""
+    total = sum(patches)
+    return [-(-PILOT_PATCHES * share // total) for share in patches]
+
+
+def survey(
+    pilots: Iterable[Pilot], patches: Sequence[int], head: TrainingSet, recipe: TrainingRecipe, seed: int
+) -> tuple[ClassRule, NDArray[np.float64]]:
+    """The class rule for `head.camera`, its saturation cases and chroma centres from the pilots of all frames in order, and
+    the mean white point (output) of their lights; frames count as they have `patches` (frame)."""
+    every = list(pilots)
+    case_of_code = choose_cases(np.sum([own.occurrences for own in every], axis=0), recipe.classes.max_cases)
+    centres = choose_chromas(np.concatenate([own.shares for own in every]), recipe.classes.chromas, seed)
+    whites = np.concatenate([own.whites for own in every])
+    return make_rule(recipe.classes, head.camera, case_of_code, centres), np.average(whites, axis=0, weights=patches)
 
 
 def canonical_sites(head: TrainingSet, rule: ClassRule, recipe: LearningRecipe) -> list[int]:

@@ -1,0 +1,81 @@
+"""How much an input may ask for, checked on what its header claims, before anything is allocated; and who is trusted."""
+
+import contextlib
+import os
+from collections.abc import Iterable, Iterator
+from math import prod
+from pathlib import Path
+
+from l3cli.errors import InputFileError, RecipeError
+
+MEGAPIXELS = "L3_MEGAPIXELS"  # environment variable: the most pixels of a picture or frame, in millions
+USUAL_MEGAPIXELS = 400
+VALUES_A_PIXEL = 3  # what a file holds in all may be so many values of 32 bits for each pixel that a picture may have
+VALUE_BYTES = 4
+TRUST = "L3_TRUST"  # environment variable: decode foreign files in this process, without limits of time and memory
+MOST_TEXT = 64 << 20  # bytes of a recipe, a measurement file, a CSV table, a header
+
+
+def most_pixels() -> int:
+    """Pixels (rows × columns) that one picture or frame may have."""
+    text = os.environ.get(MEGAPIXELS, "")
+    try:
+        return int(float(text or USUAL_MEGAPIXELS) * 1e6)
+    except (ValueError, OverflowError):
+        raise RecipeError(f'{MEGAPIXELS}="{text}" is no number of megapixels; unset it or give one such as 400') from None
+
+
+def most_bytes() -> int:
+    """Bytes that the content of one file may have in memory."""
+    return VALUES_A_PIXEL * VALUE_BYTES * most_pixels()
+
+
+def require_picture(name: str, rows: int, cols: int, values: int = 1) -> None:
+    """InputFileError unless a picture of so many `values` a pixel is no larger than inputs may be."""
+    if rows * cols > most_pixels() or rows * cols * values > VALUES_A_PIXEL * most_pixels():
+        raise InputFileError(
+            f"{name} claims {rows}×{cols} pixels of {values} values, more than {most_pixels() / 1e6:g} megapixels of "
+            f"{VALUES_A_PIXEL}; if they are really there, raise {MEGAPIXELS}"
+        )
+
+
+def require_values(name: str, shape: Iterable[int], value_bytes: int = VALUE_BYTES) -> None:
+    """InputFileError unless an array of `shape` is no larger than the content of a file may be."""
+    shape = tuple(int(length) for length in shape)
+    if prod(shape) * max(value_bytes, 1) > most_bytes():
+        claimed = "×".join(map(str, shape))
+        raise InputFileError(
+            f"{name} claims {claimed} values of {value_bytes} bytes, more than {most_bytes() / 1e9:.3g} GB; "
+            f"if they are really there, raise {MEGAPIXELS}"
+        )
+
+
+def read_bounded(path: Path) -> bytes:
+    """All bytes of a text file. OSError if it cannot be read; InputFileError if it is a pipe or a device, which have no
+    end that could be waited for, or larger than texts are."""
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise InputFileError(f"{path} is no regular file; give one")
+    with open(path, "rb") as stream:
+        content = stream.read(MOST_TEXT + 1)
+    if len(content) > MOST_TEXT:
+        raise InputFileError(f"{path} is larger than {MOST_TEXT >> 20} MB; give a text file")
+    return content
+
+
+def trusted() -> bool:
+    """Whether foreign files are decoded in this process."""
+    return os.environ.get(TRUST, "") not in ("", "0")
+
+
+@contextlib.contextmanager
+def trust() -> Iterator[None]:
+    """Within the block, and in processes started there, foreign files are decoded without a child."""
+    before = os.environ.get(TRUST)
+    os.environ[TRUST] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[TRUST]
+        else:
+            os.environ[TRUST] = before

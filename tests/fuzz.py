@@ -1,0 +1,153 @@
+"""python -m tests.fuzz: many hostile inputs, in processes whose crash is seen; every failure leaves its input behind.
+
+Choices come from seeds, so that `--first SEED --inputs 1 --batch` repeats one; with --guided from a fuzzer that prefers
+inputs which reach new lines of l3cli (atheris, pip install "l3cli[fuzz]").
+"""
+
+import argparse
+import random
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+BATCH = 1000  # inputs a process
+SLOW = 3  # seconds of processor time of an input that are worth a word
+
+
+class Seeded:
+    """Choices of a seed."""
+
+    def __init__(self, seed: int) -> None:
+        self._random = random.Random(seed)
+
+    def integer(self, least: int, most: int) -> int:
+        return self._random.randint(least, most)
+
+
+class Guided:
+    """Choices of the coverage-guided fuzzer's bytes."""
+
+    def __init__(self, provider: Any) -> None:
+        self._provider = provider
+
+    def integer(self, least: int, most: int) -> int:
+        return self._provider.ConsumeIntInRange(least, most)
+
+
+class Court:
+    """Judges inputs, and keeps those that fail."""
+
+    def __init__(self, shop: Any, seen: list[str], kept: Path, only: str | None) -> None:
+        from tests.hostile import SUBJECTS
+
+        chosen = [subject for subject in SUBJECTS if only is None or subject.name == only]
+        self.subjects = [subject for turn in range(3) for subject in chosen if only or subject.often > turn]
+        self._shop, self._seen, self._kept = shop, seen, kept
+
+    def judge(self, number: int, subject: Any, choices: Any) -> str | None:
+        """Spoil the subject's file and have it read; what did not hold, or None."""
+        content = subject.spoil(self._shop.whole[subject.name], choices)
+        command = choices.integer(0, len(subject.commands) - 1)
+        mark = self._kept / f"{number}_{command}_{subject.name.replace('/', '_')}"
+        mark.write_bytes(content)  # before it is read, which may be the end of this process
+        start = time.process_time()
+        verdict = self._shop.judge_content(subject, content, command) or (self._seen.pop() if self._seen else None)
+        if (took := time.process_time() - start) > SLOW:
+            print(f"{mark.name}: slow, {took:.1f} s", flush=True)
+        if verdict is None:
+            mark.unlink()
+        else:
+            mark.with_suffix(mark.suffix + ".txt").write_text(verdict)
+            print(f"{mark.name}: {verdict.strip().splitlines()[-1]}", flush=True)
+        return verdict
+
+
+@contextmanager
+def court(kept: Path, only: str | None) -> Iterator[Court]:
+    from tests.hostile import Workshop, confined, watched
+
+    with tempfile.TemporaryDirectory(prefix="l3-fuzz-") as name:
+        shop = Workshop(Path(name))
+        with confined(), watched(Path(tempfile.gettempdir()), kept.absolute()) as seen:
+            yield Court(shop, seen, kept, only)
+
+
+def batch(chosen: argparse.Namespace) -> int:
+    """Judge the inputs of some seeds, one subject after the other; how many failed."""
+    failed = 0
+    with court(chosen.kept, chosen.only) as judges:
+        for seed in range(chosen.first, chosen.first + chosen.inputs):
+            subject = judges.subjects[seed % len(judges.subjects)]
+            failed += judges.judge(seed, subject, Seeded(seed)) is not None
+    return failed
+
+
+def guided(chosen: argparse.Namespace) -> None:
+    """Judge inputs that the coverage of those before has led to; the first failure ends it."""
+    import atheris
+
+    with atheris.instrument_imports(include=["l3cli"]):
+        import l3cli.cli.calibrate
+        import l3cli.cli.info
+        import l3cli.cli.render
+        import l3cli.cli.simulate
+        import l3cli.cli.train  # noqa: F401
+        from tests.hostile import one_of
+    corpus = chosen.kept / "corpus"
+    corpus.mkdir(exist_ok=True)
+    flags = [f"-runs={chosen.inputs}", f"-artifact_prefix={chosen.kept}/", "-timeout=0", "-rss_limit_mb=0", "-len_control=0"]
+    with court(chosen.kept, chosen.only) as judges:
+        number = 0
+
+        def one(content: bytes) -> None:
+            nonlocal number
+            number += 1
+            choices = Guided(atheris.FuzzedDataProvider(content))
+            verdict = judges.judge(number, one_of(choices, judges.subjects), choices)
+            if verdict is not None:
+                raise AssertionError(verdict)
+
+        atheris.Setup([sys.argv[0], *flags, "-max_len=256", str(corpus)], one)
+        atheris.Fuzz()
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--inputs", type=int, default=20_000)
+    parser.add_argument("--first", type=int, default=0, help="first seed")
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--only", help="one subject, such as camera.h5")
+    parser.add_argument("--kept", type=Path, default=Path("build/fuzz"), help="folder for inputs that failed")
+    parser.add_argument("--batch", action="store_true", help="judge in this process")
+    parser.add_argument("--guided", action="store_true", help="by coverage, in this process")
+    chosen = parser.parse_args()
+    chosen.kept.mkdir(parents=True, exist_ok=True)
+    if chosen.guided:
+        guided(chosen)
+    if chosen.batch:
+        return min(batch(chosen), 100)
+    command = [sys.executable, "-m", "tests.fuzz", "--batch", "--kept", str(chosen.kept)]
+    command += ["--only", chosen.only] if chosen.only else []
+
+    def one(first: int) -> int:
+        count = min(BATCH, chosen.first + chosen.inputs - first)
+        code = subprocess.run([*command, "--first", str(first), "--inputs", str(count)], check=False).returncode
+        if code < 0:
+            print(f"seeds {first}…{first + count - 1}: the process died of signal {-code}; its input lies in {chosen.kept}")
+        print(f"seeds {first}…{first + count - 1}: {abs(code)} failures", flush=True)
+        return abs(code)
+
+    with ThreadPoolExecutor(chosen.jobs) as pool:
+        failed = sum(pool.map(one, range(chosen.first, chosen.first + chosen.inputs, BATCH)))
+    print(f"{chosen.inputs} inputs, {failed} failures" + (f"; {chosen.kept} holds them" if failed else ""))
+    return int(failed > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
