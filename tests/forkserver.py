@@ -123,7 +123,10 @@ def _become(arguments: list[str]) -> None:
 
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     for number, name in ((1, "out"), (2, "err")):
-        os.dup2(os.open(f"{os.getppid()}.{name}", os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666), number)
+        said = f"{os.getppid()}.{name}"
+        if os.path.exists(said):
+            os.unlink(said)  # workers of a killed run may still have something to say to theirs
+        os.dup2(os.open(said, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666), number)
     sys.argv = ["l3", *arguments]
     for each in ENDING:
         signal.signal(each, cli._end)

@@ -2,6 +2,7 @@
 vanish or are cut short, twice at a time. A few of each here; `make soak` has forty kills a stage."""
 
 import contextlib
+import fcntl
 import os
 import random
 import shutil
@@ -216,6 +217,8 @@ def kill_once(stage: Stage, number: int, seed: int, server: ForkServer, truth: C
     assert all(whole[name] == content for name, content in finished.items())  # nothing half-written
     if ended.code != 0:
         told = (ended.code, ended.err.lstrip("\n"))
+        if "--jobs" in stage.line and ended.code > 0:  # a worker just starting may say, too, that nobody gives it work
+            told = (ended.code, next(line for line in told[1].splitlines(keepends=True) if line.startswith("l3: ")))
         # When all is done and Python is about to end it, a signal ends it as any program: 128 + number for a shell, too.
         assert told == ENDED[signal.Signals(number)] or (told == (-number, "") and finished == whole)
         if number != signal.SIGKILL:
@@ -256,14 +259,24 @@ def stopped_at_work(stage: Stage, server: ForkServer) -> Iterator[None]:
         while not (claimed := any(server.folder.glob("out/**/*.l3lock"))) and not any(server.folder.glob("out/*")):
             time.sleep(0.001)
         os.kill(child, signal.SIGSTOP)
-        if claimed and any(server.folder.glob("out/**/*.l3lock")):
+        if claimed and any(is_held(path) for path in server.folder.glob("out/**/*.l3lock")):
             break
-        os.kill(child, signal.SIGCONT)  # it was too quick
+        os.kill(child, signal.SIGCONT)  # it was too quick, or had not got its lock yet
         server.wait()
     try:
         yield
     finally:
         os.kill(child, signal.SIGCONT)
+
+
+def is_held(lock: Path) -> bool:
+    """Whether some process holds a lock."""
+    with contextlib.suppress(FileNotFoundError), open(lock) as ours:
+        try:
+            fcntl.flock(ours, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+    return False
 
 
 @stages("lab", "simulate", "train", "sequence", "pattern", "evaluate")

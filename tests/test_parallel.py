@@ -61,6 +61,27 @@ def test_an_ended_run_leaves_one_line_and_nobody(tmp_path: Path, number: int, co
     _wait_until(lambda: not _workers(run.pid))
 
 
+def test_a_signal_that_falls_into_a_finaliser_is_not_lost() -> None:
+    program = """
+import signal, time
+from l3cli import cli
+
+class Finalised:
+    def __del__(self):
+        signal.raise_signal(signal.SIGTERM)
+        time.sleep(0.01)
+
+def work(*_, **__):
+    Finalised()
+    time.sleep(60)
+
+cli.l3.main = work
+cli.main()
+"""
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=50)
+    assert (ended.returncode, ended.stderr) == (143, "l3: terminated\n")
+
+
 def test_workers_end_when_their_parent_is_killed(tmp_path: Path) -> None:
     run = _simulation(tmp_path)
     assert _workers(run.pid)

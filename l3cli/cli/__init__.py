@@ -5,6 +5,7 @@ import importlib
 import os
 import signal
 import sys
+import threading
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -81,6 +82,7 @@ class Terminated(BaseException):
 
 def main() -> None:
     """Run the command line; every failure ends as one line on stderr and the exit code of README, "Exit codes"."""
+    sys.unraisablehook = _lost
     signal.signal(signal.SIGTERM, _end)
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else it is ignored: a job in the background
         signal.signal(signal.SIGINT, _end)
@@ -119,6 +121,18 @@ def _end(number: int, frame: object) -> None:
     for each in (signal.SIGINT, signal.SIGTERM):
         signal.signal(each, signal.SIG_IGN)  # once is enough: nothing must disturb the cleaning up
     raise KeyboardInterrupt if number == signal.SIGINT else Terminated
+
+
+def _lost(what: Any) -> None:
+    """Hears of what is raised where Python cannot pass it on, as in a finaliser: a signal that fell there comes again."""
+    if what.exc_type not in (KeyboardInterrupt, Terminated):
+        sys.__unraisablehook__(what)
+        return
+    number = signal.SIGINT if what.exc_type is KeyboardInterrupt else signal.SIGTERM
+    signal.signal(number, _end)
+    main_thread = threading.main_thread().ident
+    assert main_thread is not None
+    threading.Timer(0.05, signal.pthread_kill, (main_thread, number)).start()  # not here, where it would be lost, too
 
 
 def _drop_stdout() -> None:
