@@ -5,6 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+BRIGHTEST = 1e6  # times a perfect white: the sun on a sheet of paper, seen beside it
+BRIGHTEST_RADIANCE = 1e26  # photons/s/sr/m²/nm: a thousand times the surface of the sun
+
 
 @dataclass(frozen=True)
 class Scene:
@@ -29,6 +32,9 @@ class Scene:
             raise ValueError(f"scene {self.name}: the illuminant does not fit {bands} wavelengths")
         if not np.isfinite(self.reflectance).all():
             raise ValueError(f"scene {self.name}: holds values that are not finite")
+        brightest = BRIGHTEST if self.illuminant is not None else BRIGHTEST_RADIANCE
+        if float(np.max(self.reflectance, initial=0.0)) > brightest:
+            raise ValueError(f"scene {self.name}: holds values above {brightest:g}, more than light can be; check its white")
 
 
 @dataclass(frozen=True)

@@ -259,6 +259,8 @@ def stopped_at_work(stage: Stage, server: ForkServer) -> Iterator[None]:
         while not (claimed := any(server.folder.glob("out/**/*.l3lock"))) and not any(server.folder.glob("out/*")):
             time.sleep(0.001)
         os.kill(child, signal.SIGSTOP)
+        while state_of(child) not in "TtZ":  # a moment may pass until it stands still
+            time.sleep(0.001)
         if claimed and any(is_held(path) for path in server.folder.glob("out/**/*.l3lock")):
             break
         os.kill(child, signal.SIGCONT)  # it was too quick, or had not got its lock yet
@@ -267,6 +269,14 @@ def stopped_at_work(stage: Stage, server: ForkServer) -> Iterator[None]:
         yield
     finally:
         os.kill(child, signal.SIGCONT)
+
+
+def state_of(process: int) -> str:
+    """Letter of a process's state, as the kernel tells it; Z if there is none any more."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
+    except (FileNotFoundError, ProcessLookupError):
+        return "Z"
 
 
 def is_held(lock: Path) -> bool:

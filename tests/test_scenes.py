@@ -9,6 +9,7 @@ import pytest
 from l3cli import spectra
 from l3cli.errors import InputFileError
 from l3cli.io.scene_files import find, read_iset_scene, read_rgb_picture
+from l3cli.scene import Scene
 from l3cli.simulate import charts, leaves, light, procedural, reflectances, rgb
 from tests.conftest import CONFIGS
 
@@ -285,3 +286,11 @@ def test_recipes_in_configs_are_right(name: str, fiveband: object) -> None:
 
     recipe = load_recipe(CONFIGS / f"scenes/{name}.toml", SceneRecipe)
     check(recipe, fiveband)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("illuminant", "value"), [(np.ones(3), 2e6), (None, 2e26)])
+def test_more_light_than_can_be_is_refused(illuminant: np.ndarray | None, value: float) -> None:
+    bands = np.array([400.0, 500.0, 600.0])
+    Scene("sun", bands, np.full((2, 2, 3), value / 4, np.float32), illuminant)
+    with pytest.raises(ValueError, match="more than light can be"):
+        Scene("sun", bands, np.full((2, 2, 3), value, np.float32), illuminant)
