@@ -15,11 +15,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l3cli import parallel
 from l3cli.cli import run
 from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.files import require_same, sha256
-from l3cli.parallel import ONE_THREAD, Scheduler, workers
+from l3cli.parallel import ONE_THREAD, workers
+from l3cli.parallel import cluster as elsewhere
+from l3cli.parallel.cluster import Scheduler
 from tests.test_parallel import PATIENCE, refusing, squared
 
 WORKERS = 4
@@ -234,7 +235,7 @@ def test_few_results_are_under_way(cluster: Cluster) -> None:
 
 
 def test_a_worker_of_another_version_is_refused(cluster: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(parallel, "__version__", "0.0.1")
+    monkeypatch.setattr(elsewhere, "__version__", "0.0.1")
     with (
         workers(1, Scheduler(cluster.address)) as crew,
         pytest.raises(L3Error, match=r"a worker has l3cli \S+, this machine 0\.0\.1"),
@@ -259,18 +260,18 @@ def test_without_workers_a_run_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     with a_cluster(tmp_path, 0) as cluster:
         there = _there(cluster)
         with monkeypatch.context() as hasty:
-            hasty.setattr(parallel, "PATIENCE", 1.0)
+            hasty.setattr(elsewhere, "PATIENCE", 1.0)
             with pytest.raises(L3Error, match="no worker for 1 s"), workers(1, there):
                 pass
         cluster.add(1)
         with workers(1, there) as crew:
-            monkeypatch.setattr(parallel, "PATIENCE", 1.0)
+            monkeypatch.setattr(elsewhere, "PATIENCE", 1.0)
             with pytest.raises(L3Error, match="no worker for 1 s"):
                 _go_on(crew(_process, range(10_000)), cluster.workers[0].kill)
 
 
 def test_a_scheduler_that_goes_ends_a_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(parallel, "ANSWER", 2.0)
+    monkeypatch.setattr(elsewhere, "ANSWER", 2.0)
     with a_cluster(tmp_path, 1) as cluster:
         with workers(1, _there(cluster)) as crew, pytest.raises(L3Error, match="the scheduler has gone"):
             _go_on(crew(_process, range(10_000)), cluster.scheduler.kill)
@@ -333,7 +334,7 @@ def test_wrong_doors_are_one_line(
     absent = (*tls[:-1], tmp_path / "absent.pem")
     assert "absent.pem does not exist" in refused(3, *run, "--scheduler", "tls://127.0.0.1:1", *absent)
     assert "give PEM files" in refused(3, *run, "--scheduler", "tls://127.0.0.1:1", *tls)
-    monkeypatch.setattr(parallel, "ANSWER", 1.0)
+    monkeypatch.setattr(elsewhere, "ANSWER", 1.0)
     assert "no scheduler answers at tcp://127.0.0.1:1" in refused(1, *run, "--scheduler", "tcp://127.0.0.1:1")
     monkeypatch.setitem(sys.modules, "distributed", None)
     assert 'pip install "l3cli[cluster]"' in refused(1, *run, "--scheduler", "tcp://127.0.0.1:1")
@@ -358,13 +359,13 @@ def test_wrong_doors_are_one_line(
     ],
 )
 def test_what_listens_on_this_machine_alone_is_known(address: str, near: bool) -> None:
-    assert parallel._is_loopback(address) == near
+    assert elsewhere._is_loopback(address) == near
 
 
 def test_a_scheduler_open_to_others_is_warned_of(cluster: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
     told: list[str] = []
     with workers(1, Scheduler(cluster.address, warn=told.append)):
         assert told == []
-    monkeypatch.setattr(parallel, "_is_loopback", lambda address: False)
+    monkeypatch.setattr(elsewhere, "_is_loopback", lambda address: False)
     with workers(1, Scheduler(cluster.address, warn=told.append)):
-        assert told == [parallel.WITHOUT_TLS]
+        assert told == [elsewhere.WITHOUT_TLS]

@@ -14,7 +14,8 @@ from l3cli.files import require_same
 from l3cli.frame import RawFrame
 from l3cli.io.raw_files import KnownBetter, read_raw
 from l3cli.io.sequences import Pending
-from l3cli.parallel import Crew, scratch_folder
+from l3cli.parallel import Crew
+from l3cli.parallel.cluster import scratch_folder
 
 if TYPE_CHECKING:
     from l3cli.artifacts.table import TransformTable

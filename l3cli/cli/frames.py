@@ -16,7 +16,8 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import whole_part, write_part
 from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.files import is_ours, require_same, sweep, write_whole
-from l3cli.parallel import Crew, scratch_folder
+from l3cli.parallel import Crew
+from l3cli.parallel.cluster import scratch_folder
 from l3cli.simulate import sources
 from l3cli.simulate.light import OWN, Light
 from l3cli.simulate.recipe import Pair, SceneRecipe, Shot

@@ -71,7 +71,7 @@ def scheduler(command: Callable[..., Any]) -> Callable[..., Any]:
     def called(
         scheduler: str | None, tls_ca: Path | None, tls_cert: Path | None, tls_key: Path | None, **others: Any
     ) -> Any:
-        from l3cli.parallel import Scheduler
+        from l3cli.parallel.cluster import Scheduler
 
         if scheduler is None:
             if tls_ca or tls_cert or tls_key:

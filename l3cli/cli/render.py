@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from l3cli.artifacts.table import TransformTable
     from l3cli.cli.elsewhere import Elsewhere, Way
     from l3cli.cli.sequence import Here
-    from l3cli.parallel import Scheduler
+    from l3cli.parallel.cluster import Scheduler
 
 PRESETS = ("ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow")
 

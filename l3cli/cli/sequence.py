@@ -27,7 +27,7 @@ from l3cli.frame import RawFrame, upright
 from l3cli.io import images
 from l3cli.io.sequences import PATTERN, Footage, Pending, numbered_files, numbered_name
 from l3cli.io.video import VideoChoice, check_video, is_video, new_video, new_y4m
-from l3cli.parallel import Behind, ahead
+from l3cli.parallel.threads import Behind, ahead
 from l3cli.render.display import Display, automatic_exposure, make_display
 from l3cli.render.exposure import LightMeter, SteadyExposure
 

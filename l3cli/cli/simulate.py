@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from l3cli.artifacts.camera import CameraModel
     from l3cli.artifacts.training_set import TrainingSet
     from l3cli.cli.frames import Run
-    from l3cli.parallel import Scheduler
+    from l3cli.parallel.cluster import Scheduler
     from l3cli.simulate.light import Curve
     from l3cli.simulate.recipe import SceneRecipe
 

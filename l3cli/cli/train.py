@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from l3cli.artifacts.partial_sums import ClassSums
     from l3cli.artifacts.table import TransformTable
     from l3cli.artifacts.training_set import TrainingPair, TrainingSet
-    from l3cli.parallel import Crew, Scheduler
+    from l3cli.parallel import Crew
+    from l3cli.parallel.cluster import Scheduler
     from l3cli.train.division import Portion
     from l3cli.train.lesson import Lesson
     from l3cli.train.recipe import TrainingRecipe

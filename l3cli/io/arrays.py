@@ -12,7 +12,8 @@ from l3cli.errors import InputFileError
 def map_array(path: Path) -> NDArray[Any]:
     """The array of a .npy file. InputFileError if the file is none, is cut, or holds objects, which would be unpickled."""
     try:
-        values = np.load(path, mmap_mode="r", allow_pickle=False)
+        with np.errstate(over="ignore"):  # of a shape beyond all bounds, which is refused
+            values = np.load(path, mmap_mode="r", allow_pickle=False)
     except OSError as error:
         raise InputFileError(f"{path}: {error.strerror or error}") from error
     except Exception as error:  # a damaged header makes Python's own tokenizer fail in many ways

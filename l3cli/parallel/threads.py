@@ -1,0 +1,98 @@
+"""Queues between threads: items made ahead of who takes them, and calls that are done behind who asks for them."""
+
+import queue
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, TypeVar
+
+T = TypeVar("T")
+
+
+class _End(Exception):
+    """Put behind the last item of a queue."""
+
+
+def ahead(items: Iterable[T], depth: int) -> Iterator[T]:
+    """The same items, made by a thread of their own at most `depth` ahead of who takes them."""
+    ready: queue.Queue[Any] = queue.Queue()
+    room = threading.Semaphore(depth)
+    stopped = threading.Event()
+
+    def work() -> None:
+        try:
+            for item in _while_room(items, room, stopped):
+                ready.put((item, None))
+            ready.put((None, _End()))
+        except BaseException as error:
+            ready.put((None, error))
+
+    # A daemon: one that waits for a stream that never comes must not keep the program from ending.
+    threading.Thread(target=work, daemon=True).start()
+    try:
+        while True:
+            item, error = ready.get()
+            if isinstance(error, _End):
+                return
+            if error is not None:
+                raise error
+            yield item
+            room.release()
+    finally:
+        stopped.set()
+        room.release()
+
+
+def _while_room(items: Iterable[T], room: threading.Semaphore, stopped: threading.Event) -> Iterator[T]:
+    iterator = iter(items)
+    while True:
+        room.acquire()  # before an item is made: `depth` counts those in the making
+        if stopped.is_set():
+            return
+        try:
+            item = next(iterator)
+        except StopIteration:
+            return
+        yield item
+
+
+class Behind:
+    """Calls function(item) in threads of their own, at most `depth` items behind; in order if there is one thread.
+
+    As a context manager it waits for the last item, also when the block fails. What goes wrong is raised by the next
+    `put`, or at the end; after that, or when the block is interrupted, what waits is dropped.
+    """
+
+    def __init__(self, function: Callable[[T], object], depth: int, threads: int = 1) -> None:
+        self._function = function
+        self._items: queue.Queue[Any] = queue.Queue(depth)
+        self._error: BaseException | None = None
+        self._threads = [threading.Thread(target=self._work, daemon=True) for _ in range(threads)]
+
+    def __enter__(self) -> "Behind":
+        for thread in self._threads:
+            thread.start()
+        return self
+
+    def put(self, item: Any) -> None:
+        if self._error is not None:
+            raise self._error
+        self._items.put(item)
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if error is not None and not isinstance(error, Exception):
+            self._error = self._error or error
+        for _ in self._threads:
+            self._items.put(_End)
+        for thread in self._threads:
+            thread.join()
+        if error is None and self._error is not None:
+            raise self._error
+
+    def _work(self) -> None:
+        while (item := self._items.get()) is not _End:
+            if self._error is not None:
+                continue  # emptied, so that nobody waits to put
+            try:
+                self._function(item)
+            except BaseException as error:
+                self._error = error
