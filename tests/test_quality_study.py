@@ -4,7 +4,8 @@ and of learning is worth (METHOD 3 and 4).
 python -m pytest -m slow -s tests/test_quality_study.py      needs L3_DATA; twenty minutes on two cores
 
 The camera has the measured responsivities of the prototype, 10 000 e- full scale, 10 e- read noise and 12 bits. It sees five
-faces at a mean signal of 0.4, 0.2 and 0.02 of full scale: 15 cells, none of which training sees.
+faces at a mean signal of 0.4, 0.2 and 0.02 of full scale: 15 cells, none of which training sees. What is trained on dead
+leaves alone is the mean of three draws of them, since another draw moves a single table by 0.1 ΔE00 and 0.1 dB.
 """
 
 import contextlib
@@ -21,7 +22,8 @@ from l3cli.cli import run
 CONFIGS = Path(__file__).parents[1] / "configs"
 FACES = (1, 2, 4, 5, 6)
 LEVELS = (0.4, 0.2, 0.02)
-NOISE_DIFFERENCE = 0.03  # ΔE00: smaller differences of two tables are chance (METHOD 3)
+DRAWS = 3  # of the dead leaves
+NOISE_DIFFERENCE = 0.05  # ΔE00: smaller differences are chance (METHOD 3; patches are drawn, too)
 
 # Every ingredient, and how the default recipe is written without it.
 WITHOUT = {
@@ -50,7 +52,8 @@ class Studio:
     def __init__(self, folder: Path, data: Path) -> None:
         self.folder, self.data = folder, data
         self.camera = self._camera()
-        self.own = self._simulated("own", (CONFIGS / "scenes/default.toml").read_text())
+        leaves = (CONFIGS / "scenes/default.toml").read_text()
+        self.own = [self._simulated(f"own{seed}", leaves, seed) for seed in range(DRAWS)]
         pictures = sorted(path for path in (data / "pictures").iterdir() if path.is_file())
         sources = [f'source = "rgb"\nshrink = 2\nfile = "{path}"' for path in pictures]
         self.pictures = self._simulated("pictures", _scenes("exposure_share = [0.9]", sources))
@@ -63,6 +66,10 @@ class Studio:
         recipe.write_text(classes)
         self._run("train", *training, "--classes", recipe, "-o", table, "--jobs", 2, "--force", *options)
         return table
+
+    def judge_draws(self, classes: str) -> list[dict[str, Any]]:
+        """The cells of tables from each draw of the dead leaves alone."""
+        return [cell for own in self.own for cell in self.judge(self.train("draw", [own], classes))]
 
     def judge(self, table: Path, faces: tuple[int, ...] = FACES) -> list[dict[str, Any]]:
         """The cells of `faces`, as `l3 evaluate --json` gives them."""
@@ -91,10 +98,10 @@ class Studio:
         path = self.data / f"scenes/people_small_{face}_scene.mat"
         return self._simulated(f"{name}{face}", _scenes(exposure, [f'source = "iset"\nfile = "{path}"']))
 
-    def _simulated(self, name: str, recipe: str) -> Path:
+    def _simulated(self, name: str, recipe: str, seed: int = 0) -> Path:
         path, training = self.folder / f"{name}_scenes.toml", self.folder / f"{name}_set.h5"
         path.write_text(recipe)
-        self._run("simulate", path, "--camera", self.camera, "-o", training, "--jobs", 2)
+        self._run("simulate", path, "--camera", self.camera, "-o", training, "--jobs", 2, "--seed", seed)
         return training
 
     def _run(self, *arguments: object) -> None:
@@ -146,7 +153,7 @@ def _must_hold(cells: list[dict[str, Any]], delta_e: float, psnr: float) -> None
 
 def test_faces_from_procedural_scenes_alone(studio: Studio) -> None:
     for name in ("fast", "default", "best"):
-        cells = studio.judge(studio.train(name, [studio.own], (CONFIGS / f"classes/{name}.toml").read_text()))
+        cells = studio.judge_draws((CONFIGS / f"classes/{name}.toml").read_text())
         print(_line(f"procedural scenes alone, {name}", cells), flush=True)
         if name != "fast":
             _must_hold(cells, 4.2, 28.3)
@@ -160,7 +167,7 @@ def test_faces_left_out_one_by_one(studio: Studio) -> None:
             others = [studio.faces[other] for other in FACES if other != face]
             shares = ",".join(["0.25"] * len(others) + ["0.7", "0.4"])
             recipe = (CONFIGS / f"classes/{name}.toml").read_text()
-            table = studio.train(f"{name}{face}", [*others, studio.pictures, studio.own], recipe, "--shares", shares)
+            table = studio.train(f"{name}{face}", [*others, studio.pictures, studio.own[0]], recipe, "--shares", shares)
             cells += studio.judge(table, (face,))
         print(_line(f"leave one face out, {name}", cells), flush=True)
         _must_hold(cells, 4.1, 28.3 if name == "best" else 28.0)
@@ -169,13 +176,13 @@ def test_faces_left_out_one_by_one(studio: Studio) -> None:
 def test_each_ingredient_is_worth_its_place(studio: Studio) -> None:
     """Default recipe on procedural scenes, one ingredient left out at a time; none may be better left out."""
     default = (CONFIGS / "classes/default.toml").read_text()
-    whole = studio.judge(studio.train("whole", [studio.own], default))
+    whole = studio.judge_draws(default)
     print(_line("default", whole), flush=True)
     for ingredient, changes in WITHOUT.items():
         recipe = default
         for words, instead in changes.items():
             assert recipe.count(words) == 1, words
             recipe = recipe.replace(words, instead)
-        cells = studio.judge(studio.train("without", [studio.own], recipe))
+        cells = studio.judge_draws(recipe)
         print(_line(f"without {ingredient}", cells), flush=True)
         assert _figures(cells)[:, 0].mean() > _figures(whole)[:, 0].mean() - NOISE_DIFFERENCE, ingredient
