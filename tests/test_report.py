@@ -430,3 +430,7 @@ def test_the_page_works_without_scripts_and_on_paper(tab: Browser, page: Path, t
     assert not tab.run("document.querySelector('.controls').checkVisibility()")
     assert tab.pdf(tmp_path / "page.pdf").read_bytes().startswith(b"%PDF")
     tab.call("Emulation.setEmulatedMedia", media="")
+
+
+def test_what_is_no_number_is_told_as_such() -> None:
+    assert [tidy(value) for value in (float("nan"), float("inf"), float("-inf"))] == ["–", "∞", "−∞"]

@@ -1,5 +1,6 @@
 """What a report is made of, as plain data: sections of parts of tables, figures and pictures. page.html lays them out."""
 
+import math
 import re
 from dataclasses import dataclass, field
 from typing import ClassVar
@@ -128,7 +129,11 @@ class Section:
 
 
 def tidy(value: float, digits: int = 3) -> str:
-    """A number to so many significant digits, without exponent where it can be read without."""
+    """A number to so many significant digits, without exponent where it can be read without; a dash where there is none."""
+    if math.isnan(value):
+        return "–"
+    if math.isinf(value):
+        return "∞" if value > 0 else "−∞"
     if value == 0:
         return "0"
     if not 1e-4 <= abs(value) < 1e5:
