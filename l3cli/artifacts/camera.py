@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli import spectra
-from l3cli.artifacts.base import Artifact, data, group, load
+from l3cli.artifacts.base import MOST, Artifact, data, group, load
 from l3cli.artifacts.fit import Fit
 from l3cli.config import LARGEST, Recipe, load_recipe, read_text
 from l3cli.errors import InputFileError, RecipeError, suggestion
@@ -145,9 +145,18 @@ class CameraModel(Artifact):
 
     @functools.cached_property
     def white_dose(self) -> float:
-        """cd s/m²: scene luminance × exposure time at which a perfect white under D65 just fills the brightest channel."""
+        """cd s/m²: scene luminance × exposure time at which a perfect white under D65 just fills the brightest channel.
+
+        InputFileError if the camera collects next to nothing of that light.
+        """
         white = spectra.at_luminance(spectra.illuminant("D65", self.wavelength), self.wavelength, 1.0)
-        return self.full_scale / float((self.electron_weights @ white).max())
+        electrons = float((self.electron_weights @ white).max())
+        dose = self.full_scale / electrons if electrons > 0 else np.inf
+        if not dose <= MOST:
+            raise InputFileError(
+                f"camera {self.name}: {dose:.3g} cd s/m² of daylight fill a pixel; check responsivity, pixel pitch, f-number, gain"
+            )
+        return dose
 
     def noise_variance(self, signal: NDArray[np.floating]) -> NDArray[np.floating]:
         """Variance in DN² of a pixel whose mean lies `signal` DN above black (METHOD 1.3, with quantisation)."""
