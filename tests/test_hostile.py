@@ -107,7 +107,7 @@ KEPT_VALUES: list[tuple[str, int, str, Any]] = [
     ("training.h5", 1, "frames/00000/luminance", -1.0),
     ("training.h5", 2, "outputs", np.array([b"X", b"Y"])),
     ("sums.h5", 0, "sites", np.array([1, 2, 3])),  # sums of sites that the camera does not train
-    ("sums.h5", 0, "camera/pixel_pitch", 1e-18),  # a pixel that takes ages to fill
+    ("sums.h5", 0, "training/camera/pixel_pitch", 1e-25),  # a pixel that takes ages to fill
     ("table.h5", 0, "rule/shift", -1),
     ("table.h5", 1, "bits", 4096),
     ("camera.h5", 2, "wavelength", np.linspace(1.0, 1e12, 31)),

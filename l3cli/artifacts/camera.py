@@ -154,7 +154,7 @@ class CameraModel(Artifact):
         dose = self.full_scale / electrons if electrons > 0 else np.inf
         if not dose <= MOST:
             raise InputFileError(
-                f"camera {self.name}: {dose:.3g} cd s/m² of daylight fill a pixel; check responsivity, pixel pitch, f-number, gain"
+                f"camera {self.name}: {dose:.3g} cd s/m² of daylight fill a pixel; check responsivity, pitch, f-number"
             )
         return dose
 
