@@ -16,8 +16,17 @@ from numpy.typing import NDArray
 from l3cli.errors import InputFileError
 from l3cli.frame import with_one_black
 from l3cli.io.cfa_codes import LETTERS
+from l3cli.io.tiff_tags import (
+    COLOUR_FILTER_ARRAY,
+    FRACTIONS,
+    LINEAR_RAW,
+    RECTANGULAR,
+    REDUCED,
+    UNSIGNED,
+    UPRIGHT,
+    TiffTag,
+)
 
-COLOUR_FILTER_ARRAY, LINEAR_RAW = 32803, 34892  # PhotometricInterpretation
 WHITE_CODE = LETTERS.index("W")
 LIBRAW_FLIP = (0, 0, 1, 3, 2, 4, 6, 7, 5)  # of the TIFF orientation 0…8
 BROKEN = (ValueError, TypeError, KeyError, IndexError, AttributeError, ZeroDivisionError, OverflowError, struct.error)
@@ -94,8 +103,9 @@ def read_tags(path: Path, shape: tuple[int, ...]) -> Mosaic:
 def _raw_page(path: Path, file: Any) -> Any:
     """The full-size raw image among the file's pages and those below them."""
     pages = [found for page in file.pages for found in (page, *(page.pages or ()))]
-    raw = [page for page in pages if page.tags.valueof(262) in (COLOUR_FILTER_ARRAY, LINEAR_RAW)]
-    full = [page for page in raw if not page.tags.valueof(254, 0) & 1]
+    kinds = (COLOUR_FILTER_ARRAY, LINEAR_RAW)
+    raw = [page for page in pages if page.tags.valueof(TiffTag.PHOTOMETRIC_INTERPRETATION) in kinds]
+    full = [page for page in raw if not page.tags.valueof(TiffTag.NEW_SUBFILE_TYPE, 0) & REDUCED]
     if not full:
         raise InputFileError(f"{path} holds no raw image; give a DNG with the mosaic of a camera")
     return max(full, key=lambda page: page.imagelength * page.imagewidth)
@@ -104,9 +114,9 @@ def _raw_page(path: Path, file: Any) -> Any:
 def _mosaic(path: Path, first: Any, raw: Any, shape: tuple[int, ...]) -> Mosaic:
     if raw.samplesperpixel != 1:
         raise InputFileError(f"{path} is already demosaicked (linear); give the raw file the camera wrote")
-    if raw.tags.valueof(50711, 1) != 1:
+    if raw.tags.valueof(TiffTag.CFA_LAYOUT, RECTANGULAR) != RECTANGULAR:
         raise InputFileError(f"{path} is of a sensor with staggered pixels, which no table is made for")
-    if raw.tags.valueof(339, 1) not in (1, (1,)):
+    if raw.tags.valueof(TiffTag.SAMPLE_FORMAT, UNSIGNED) not in (UNSIGNED, (UNSIGNED,)):
         raise InputFileError(f"{path} holds floating-point values; give the raw file the camera wrote")
     if raw.compression == 1 and not raw.is_tiled and not _contiguous(raw.dataoffsets, raw.databytecounts):
         raise InputFileError(f"{path}: its strips do not follow one another, as LibRaw takes them; save it in one strip")
@@ -114,25 +124,26 @@ def _mosaic(path: Path, first: Any, raw: Any, shape: tuple[int, ...]) -> Mosaic:
         raise InputFileError(
             f"{path}: its tags say {raw.imagelength}×{raw.imagewidth} pixels, it holds {shape}; it is damaged"
         )
-    top, left, bottom, right = (int(edge) for edge in _numbers(raw, 50829, (0, 0, *shape)))
+    top, left, bottom, right = (int(edge) for edge in _numbers(raw, TiffTag.ACTIVE_AREA, (0, 0, *shape)))
     if not (0 <= top < bottom <= shape[0] and 0 <= left < right <= shape[1]):
         raise InputFileError(
             f"{path}: its active area {top, left, bottom, right} is not within its {shape[0]}×{shape[1]} pixels"
         )
     rows, cols = bottom - top, right - left
-    origin, size = _numbers(raw, 50719, (0, 0)), _numbers(raw, 50720, (cols, rows))
+    origin, size = _numbers(raw, TiffTag.DEFAULT_CROP_ORIGIN, (0, 0)), _numbers(raw, TiffTag.DEFAULT_CROP_SIZE, (cols, rows))
     crop = tuple(round(value) for value in (origin[1], origin[0], size[1], size[0]))
     if not (min(crop[:2]) >= 0 and min(crop[2:]) >= 1 and crop[0] + crop[2] <= rows and crop[1] + crop[3] <= cols):
         raise InputFileError(f"{path}: its crop {crop} is not within its active area of {rows}×{cols} pixels")
+    black_shape = raw.tags.valueof(TiffTag.BLACK_LEVEL_REPEAT_DIM, (1, 1))
     return Mosaic(
-        orientation=LIBRAW_FLIP[int(_numbers(first, 274, (1,))[0])],
+        orientation=LIBRAW_FLIP[int(_numbers(first, TiffTag.ORIENTATION, (UPRIGHT,))[0])],
         pattern=_pattern(path, raw),
         active=(top, left, bottom, right),
         crop=crop,
-        black=_repeating(_numbers(raw, 50714, (0,)), raw.tags.valueof(50713, (1, 1))).astype(np.float64),
-        black_of_row=_of_length(raw, 50716, rows),
-        black_of_col=_of_length(raw, 50715, cols),
-        white=float(_numbers(raw, 50717, (2**raw.bitspersample - 1,))[0]),
+        black=_repeating(_numbers(raw, TiffTag.BLACK_LEVEL, (0,)), black_shape).astype(np.float64),
+        black_of_row=_of_length(raw, TiffTag.BLACK_LEVEL_DELTA_V, rows),
+        black_of_col=_of_length(raw, TiffTag.BLACK_LEVEL_DELTA_H, cols),
+        white=float(_numbers(raw, TiffTag.WHITE_LEVEL, (2**raw.bitspersample - 1,))[0]),
     )
 
 
@@ -141,9 +152,9 @@ def _contiguous(offsets: Sequence[int], lengths: Sequence[int]) -> bool:
 
 
 def _pattern(path: Path, raw: Any) -> NDArray[np.int64]:
-    if raw.tags.valueof(262) == LINEAR_RAW:  # of one sample: no filters at all
+    if raw.tags.valueof(TiffTag.PHOTOMETRIC_INTERPRETATION) == LINEAR_RAW:  # of one sample: no filters at all
         return np.array([[WHITE_CODE]])
-    codes, shape = raw.tags.valueof(33422), raw.tags.valueof(33421)
+    codes, shape = raw.tags.valueof(TiffTag.CFA_PATTERN), raw.tags.valueof(TiffTag.CFA_REPEAT_PATTERN_DIM)
     if codes is None or shape is None:
         raise InputFileError(f"{path} does not tell its colour filter array; convert the camera's own file to DNG again")
     return _repeating(list(codes), shape).astype(np.int64)
@@ -169,6 +180,6 @@ def _numbers(page: Any, code: int, default: Any) -> Any:
     if tag is None:
         return default
     values = list(tag.value) if isinstance(tag.value, tuple | bytes) else [tag.value]
-    if tag.dtype in (5, 10):  # RATIONAL, SRATIONAL
+    if tag.dtype in FRACTIONS:
         return [above / below for above, below in zip(values[::2], values[1::2], strict=True)]
     return values

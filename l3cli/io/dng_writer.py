@@ -15,9 +15,23 @@ from l3cli import __version__
 from l3cli.artifacts.camera import CameraModel
 from l3cli.files import atomic_output
 from l3cli.io.cfa_codes import channel_codes
-from l3cli.io.dng import COLOUR_FILTER_ARRAY
+from l3cli.io.tiff_tags import (
+    ASCII,
+    BYTE,
+    COLOUR_FILTER_ARRAY,
+    DOUBLE,
+    FRACTIONS,
+    LONG,
+    RATIONAL,
+    RECTANGULAR,
+    SHORT,
+    SRATIONAL,
+    UPRIGHT,
+    TiffTag,
+)
 
-BYTE, ASCII, SHORT, LONG, RATIONAL, SRATIONAL, DOUBLE = 1, 2, 3, 4, 5, 10, 12  # types of TIFF
+COLOR_MATRICES = (TiffTag.COLOR_MATRIX_1, TiffTag.COLOR_MATRIX_2)
+ILLUMINANTS = (TiffTag.CALIBRATION_ILLUMINANT_1, TiffTag.CALIBRATION_ILLUMINANT_2)
 LIGHT_CODES = {"A": 17, "D65": 21}  # of CalibrationIlluminant (EXIF LightSource), in the order of the matrices
 FINE = 10**9  # denominator at most
 LARGEST = 2**31 - 1  # of numerator and denominator
@@ -64,32 +78,32 @@ def _mosaic_tags(camera: CameraModel, shape: Sequence[int]) -> list[Tag]:
     rows, cols = shape
     codes = channel_codes(camera.channels)
     return [
-        _tag(254, LONG, [0]),  # NewSubfileType: the full picture
-        _tag(33421, SHORT, camera.cfa.shape),  # CFARepeatPatternDim
-        _tag(33422, BYTE, codes[camera.cfa].ravel()),  # CFAPattern
-        _tag(50710, BYTE, codes[_planes(camera)]),  # CFAPlaneColor
-        _tag(50711, SHORT, [1]),  # CFALayout: rectangular
-        _tag(50713, SHORT, [1, 1]),  # BlackLevelRepeatDim
-        _tag(50714, RATIONAL, [camera.black]),
-        _tag(50717, LONG, [camera.white]),
-        _tag(50718, RATIONAL, [1, 1]),  # DefaultScale
-        _tag(50719, LONG, [0, 0]),  # DefaultCropOrigin
-        _tag(50720, LONG, [cols, rows]),  # DefaultCropSize
-        _tag(50829, LONG, [0, 0, rows, cols]),  # ActiveArea
+        _tag(TiffTag.NEW_SUBFILE_TYPE, LONG, [0]),  # the full picture
+        _tag(TiffTag.CFA_REPEAT_PATTERN_DIM, SHORT, camera.cfa.shape),
+        _tag(TiffTag.CFA_PATTERN, BYTE, codes[camera.cfa].ravel()),
+        _tag(TiffTag.CFA_PLANE_COLOR, BYTE, codes[_planes(camera)]),
+        _tag(TiffTag.CFA_LAYOUT, SHORT, [RECTANGULAR]),
+        _tag(TiffTag.BLACK_LEVEL_REPEAT_DIM, SHORT, [1, 1]),
+        _tag(TiffTag.BLACK_LEVEL, RATIONAL, [camera.black]),
+        _tag(TiffTag.WHITE_LEVEL, LONG, [camera.white]),
+        _tag(TiffTag.DEFAULT_SCALE, RATIONAL, [1, 1]),
+        _tag(TiffTag.DEFAULT_CROP_ORIGIN, LONG, [0, 0]),
+        _tag(TiffTag.DEFAULT_CROP_SIZE, LONG, [cols, rows]),
+        _tag(TiffTag.ACTIVE_AREA, LONG, [0, 0, rows, cols]),
     ]
 
 
 def _colour_tags(camera: CameraModel, colour: RawColour, neutral: NDArray[np.floating] | None) -> list[Tag]:
     tags, planes = [], _planes(camera)
     for index, (light, code) in enumerate(LIGHT_CODES.items()):
-        tags.append(_tag(50721 + index, SRATIONAL, colour.matrices[light][planes].ravel()))  # ColorMatrix1, 2
-        tags.append(_tag(50778 + index, SHORT, [code]))  # CalibrationIlluminant1, 2
+        tags.append(_tag(COLOR_MATRICES[index], SRATIONAL, colour.matrices[light][planes].ravel()))
+        tags.append(_tag(ILLUMINANTS[index], SHORT, [code]))
     if neutral is not None:
-        tags.append(_tag(50728, RATIONAL, neutral[planes]))  # AsShotNeutral
+        tags.append(_tag(TiffTag.AS_SHOT_NEUTRAL, RATIONAL, neutral[planes]))
     full_scale = camera.white - camera.black
     constant, linear, _ = camera.noise_terms
     noise = (linear / full_scale, constant / full_scale**2)  # variance = S · x + O of values x between black and white
-    return [*tags, _tag(51041, DOUBLE, noise)]  # NoiseProfile
+    return [*tags, _tag(TiffTag.NOISE_PROFILE, DOUBLE, noise)]
 
 
 def _planes(camera: CameraModel) -> list[int]:
@@ -106,27 +120,27 @@ def _planes(camera: CameraModel) -> list[int]:
 def _shot(camera: CameraModel, exposure: float) -> list[Tag]:
     name = camera.name.encode("ascii", "replace").decode()
     return [
-        _text(271, "l3cli"),  # Make
-        _text(272, name),  # Model
-        _tag(274, SHORT, [1]),  # Orientation
-        _tag(33434, RATIONAL, [exposure]),  # ExposureTime
-        _tag(33437, RATIONAL, [camera.optics.f_number]),  # FNumber
-        _tag(37386, RATIONAL, [camera.optics.focal_length * 1e3]),  # FocalLength
-        _tag(50706, BYTE, [1, 4, 0, 0]),  # DNGVersion
-        _tag(50707, BYTE, [1, 1, 0, 0]),  # DNGBackwardVersion
-        _text(50708, name),  # UniqueCameraModel
+        _text(TiffTag.MAKE, "l3cli"),
+        _text(TiffTag.MODEL, name),
+        _tag(TiffTag.ORIENTATION, SHORT, [UPRIGHT]),
+        _tag(TiffTag.EXPOSURE_TIME, RATIONAL, [exposure]),
+        _tag(TiffTag.F_NUMBER, RATIONAL, [camera.optics.f_number]),
+        _tag(TiffTag.FOCAL_LENGTH, RATIONAL, [camera.optics.focal_length * 1e3]),
+        _tag(TiffTag.DNG_VERSION, BYTE, [1, 4, 0, 0]),
+        _tag(TiffTag.DNG_BACKWARD_VERSION, BYTE, [1, 1, 0, 0]),
+        _text(TiffTag.UNIQUE_CAMERA_MODEL, name),
     ]
 
 
 def _tag(code: int, kind: int, numbers: Iterable[float]) -> Tag:
     if kind == DOUBLE:
         values: list[float] = [float(number) for number in numbers]
-    elif kind in (RATIONAL, SRATIONAL):
+    elif kind in FRACTIONS:
         fractions = [_fraction(float(number)) for number in numbers]
         values = [part for fraction in fractions for part in (fraction.numerator, fraction.denominator)]
     else:
         values = [int(number) for number in numbers]
-    count = len(values) // (2 if kind in (RATIONAL, SRATIONAL) else 1)
+    count = len(values) // (2 if kind in FRACTIONS else 1)
     return code, kind, count, tuple(values) if len(values) > 1 else values[0], True
 
 
