@@ -130,7 +130,13 @@ def _become(arguments: list[str]) -> None:
     sys.argv = ["l3", *arguments]
     for each in ENDING:
         signal.signal(each, cli._end)
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
+    group = cli.l3.main
+
+    def begin(*arguments: Any, **options: Any) -> Any:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)  # now it knows
+        return group(*arguments, **options)
+
+    cli.l3.main = begin  # type: ignore[method-assign]
     cli.main()
 
 

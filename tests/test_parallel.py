@@ -82,6 +82,40 @@ cli.main()
     assert (ended.returncode, ended.stderr) == (143, "l3: terminated\n")
 
 
+@pytest.mark.parametrize("call", ["pwrite", "ftruncate"])
+def test_a_signal_that_falls_into_hdf5_waits_until_it_has_written(tmp_path: Path, call: str) -> None:
+    """An exception out of what HDF5 calls would crash it, or be forgotten together with what was to be written."""
+    program = f"""
+import os, pathlib, signal, time
+import numpy as np
+from l3cli import cli
+from l3cli.artifacts import container
+
+path, system = pathlib.Path("whole.h5"), os.{call}
+
+def disturbed(*arguments):
+    os.{call} = system
+    signal.raise_signal(signal.SIGTERM)
+    return system(*arguments)
+
+def work(*_, **__):
+    os.{call} = disturbed
+    with container.new_file(path) as file:
+        file["data"] = np.arange(1000)
+    print(container.check(path, ""), flush=True)
+    time.sleep(60)
+
+cli.LATER = 2.0
+cli.l3.main = work
+cli.main()
+"""
+    env = {**os.environ, "PYTHONPATH": str(CONFIGS.parent)}
+    ended = subprocess.run(
+        [sys.executable, "-c", program], cwd=tmp_path, env=env, capture_output=True, text=True, timeout=50
+    )
+    assert (ended.returncode, ended.stdout, ended.stderr) == (143, "True\n", "l3: terminated\n")
+
+
 def test_workers_end_when_their_parent_is_killed(tmp_path: Path) -> None:
     run = _simulation(tmp_path)
     assert _workers(run.pid)

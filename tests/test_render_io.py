@@ -1,6 +1,7 @@
 """`l3 render` and its files: raw files in, pictures out, and one clear line for everything that cannot be."""
 
 import dataclasses
+import signal
 import subprocess
 import sys
 import time
@@ -11,7 +12,7 @@ import OpenImageIO as oiio
 import pytest
 from test_render import BAYER, XYZ, random_table
 
-from l3cli import spectra
+from l3cli import cli, spectra
 from l3cli.artifacts.base import save
 from l3cli.errors import RecipeError
 from l3cli.files import sha256
@@ -22,6 +23,8 @@ from l3cli.io.raw_files import KnownBetter, read_raw
 from l3cli.render import opencl_devices
 from l3cli.render.display import make_display, scene_white
 from l3cli.render.reference import ReferenceRenderer
+
+ENDING = (signal.SIGALRM, signal.SIGINT, signal.SIGTERM)
 
 RGGB = dataclasses.replace(random_table(BAYER, bits=14, black=512.0), camera_name="RGGB")
 
@@ -84,6 +87,27 @@ def test_pictures_say_that_they_are_srgb(tmp_path):
         write_picture(tmp_path / name, np.zeros((2, 2, 3), np.uint8))
         tagged = oiio.ImageInput.open(str(tmp_path / name)).spec()["oiio:ColorSpace"]
         assert "srgb" in str(tagged).lower()
+
+
+def test_an_interrupted_picture_leaves_no_complaints(tmp_path, capfd):
+    """A signal at any moment: the PNG library would tell stderr that half a picture is one."""
+    picture, before = np.zeros((2, 2, 3), np.uint8), {each: signal.getsignal(each) for each in ENDING}
+    ends = 0
+    try:
+        for moment in np.linspace(2e-6, 2e-4, 100):
+            for each in ENDING:
+                signal.signal(each, cli._end)
+            try:
+                signal.setitimer(signal.ITIMER_REAL, moment)
+                write_picture(tmp_path / "picture.png", picture)
+                time.sleep(0.2)  # it may have had to wait
+            except cli.Terminated:
+                ends += 1
+    finally:
+        for each in ENDING:
+            signal.signal(each, before[each])
+    assert ends == 100
+    assert capfd.readouterr().err == ""
 
 
 def test_formats_that_cannot_be_are_refused():

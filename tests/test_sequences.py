@@ -1,6 +1,7 @@
 """Sequences in, numbered pictures out: every kind of input, order and numbers, broken frames, resuming, exposure in time."""
 
 import dataclasses
+import signal
 import subprocess
 import sys
 import threading
@@ -345,6 +346,37 @@ def test_a_failing_block_still_writes_what_was_put_an_interrupted_one_does_not()
         with pytest.raises(error):
             stopped(Behind(slow, 3))
         assert written == list(range(count))
+
+
+def test_an_interrupt_while_the_last_items_are_waited_for_drops_what_waits():
+    """What is being done is done: a thread at work when the program ends could abort it."""
+    main_thread, written = threading.main_thread().ident, []
+
+    def slow(item: int) -> None:
+        time.sleep(0.1)
+        if item == 0:
+            signal.pthread_kill(main_thread, signal.SIGINT)
+        time.sleep(0.1)
+        written.append(item)
+
+    def interrupted() -> None:
+        with Behind(slow, 3, threads=2) as writing:
+            for number in range(4):
+                writing.put(number)
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert sorted(written) == [0, 1]
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_many_threads_end(threads: int):
+    for count in (0, 1, 5):
+        written: list[int] = []
+        with Behind(written.append, 2, threads) as writing:
+            for number in range(count):
+                writing.put(number)
+        assert sorted(written) == list(range(count))
 
 
 # --------------------------------------------------------------------------------------------------------- exposure

@@ -21,7 +21,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet, write_training_set
 from l3cli.classify import ClassRecipe, make_rule
 from l3cli.parallel import workers
-from l3cli.train.benchmark import made_up_camera, made_up_frame, stage_shares, train
+from l3cli.train.benchmark import made_up_frame, stage_shares, train
 from l3cli.train.division import BATCH, SUM_BYTES, frame_blocks, portions
 from l3cli.train.lesson import LAST, Lesson, spread_patches
 from l3cli.train.recipe import LearningRecipe, TrainingRecipe
@@ -230,11 +230,11 @@ def test_shares_do_not_go_with_merge(tmp_path: Path, refused: Callable) -> None:
     assert "--merge takes shards alone" in refused(2, "train", "--merge", "a.h5", "--shares", "1", "-o", tmp_path / "no.h5")
 
 
-def test_the_benchmark_accounts_for_its_time() -> None:
-    camera, few = made_up_camera(), ClassRecipe(patch=5, levels=4, chromas=2)
-    frames = [made_up_frame(camera, seed) for seed in range(2)]
+def test_the_benchmark_accounts_for_its_time(fiveband: CameraModel) -> None:
+    few = ClassRecipe(patch=5, levels=4, chromas=2)
+    frames = [made_up_frame(fiveband, seed) for seed in range(2)]
     with cProfile.Profile() as profile:
-        rows = train(frames, camera, TrainingRecipe(classes=few, learning=LearningRecipe(patches=500)))
+        rows = train(frames, fiveband, TrainingRecipe(classes=few, learning=LearningRecipe(patches=500)))
     assert rows == 5 * 500 * (3 + 8)
     shares = stage_shares(profile)
     assert sum(shares.values()) == pytest.approx(1.0)
@@ -242,13 +242,12 @@ def test_the_benchmark_accounts_for_its_time() -> None:
 
 
 @pytest.mark.slow
-def test_memory_does_not_grow_with_frames_or_jobs(tmp_path: Path) -> None:
+def test_memory_does_not_grow_with_frames_or_jobs(tmp_path: Path, fiveband: CameraModel) -> None:
     """Default rule, 60 and 600 frames, one and two workers: all processes together stay below 1.5 GB."""
-    camera = made_up_camera()
-    head = TrainingSet(camera=camera, outputs=("X", "Y", "Z"), target_description="made up")
+    head = TrainingSet(camera=fiveband, outputs=("X", "Y", "Z"), target_description="made up")
     with write_training_set(tmp_path / "training.h5", head) as writer:
         for seed in range(60):
-            writer.append(made_up_frame(camera, seed))
+            writer.append(made_up_frame(fiveband, seed))
     for jobs, times in ((1, 1), (1, 10), (2, 1), (2, 10)):
         files = [str(tmp_path / "training.h5")] * times
         command = [sys.executable, "-c", "from l3cli.cli import main; main()", "train", *files, "--jobs", str(jobs)]

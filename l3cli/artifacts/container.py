@@ -16,6 +16,7 @@ import h5py
 
 from l3cli.errors import InputFileError
 from l3cli.files import atomic_output
+from l3cli.interrupts import uninterrupted
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"  # of HDF5
 BLOCK = 512  # bytes before it
@@ -23,26 +24,31 @@ TITLE = b"l3 artifact, SHA-256 of the bytes after the first 512: "
 
 
 class _Sink(io.RawIOBase):
-    """The file that HDF5 writes to. HDF5 crashes when it cannot write, so errors are kept from it, and raised afterwards."""
+    """The file that HDF5 writes to. HDF5 crashes when it cannot write, so errors are kept from it, and raised afterwards;
+    and signals: an exception out of one of these methods crashes it, or is forgotten and what was to be written with it."""
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor, self._position = descriptor, 0
         self.error: OSError | None = None
 
+    @uninterrupted
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
         start = {os.SEEK_SET: 0, os.SEEK_CUR: self._position}.get(whence)
         self._position = offset + (os.fstat(self._descriptor).st_size if start is None else start)
         return self._position
 
+    @uninterrupted
     def tell(self) -> int:
         return self._position
 
+    @uninterrupted
     def readinto(self, buffer: Any) -> int:
         found = os.pread(self._descriptor, len(buffer), self._position)
         buffer[: len(found)] = found
         self._position += len(found)
         return len(found)
 
+    @uninterrupted
     def write(self, content: Any) -> int:
         rest = memoryview(content).cast("B")
         length = len(rest)
@@ -56,6 +62,7 @@ class _Sink(io.RawIOBase):
         self._position += length
         return length
 
+    @uninterrupted
     def truncate(self, size: int | None = None) -> int:
         size = self._position if size is None else size
         try:

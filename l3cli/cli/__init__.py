@@ -6,12 +6,14 @@ import os
 import signal
 import sys
 import threading
+from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from l3cli import __version__
 from l3cli.errors import L3Error, suggestion
+from l3cli.interrupts import must_wait
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
@@ -36,6 +38,7 @@ CURES = {
     errno.EROFS: "; name an output elsewhere",
     errno.ENOTDIR: "; a part of the path is a file, not a folder",
 }
+LATER = 0.05  # seconds until a signal comes again that came where it must wait
 
 
 class Pipeline(click.Group):
@@ -117,7 +120,10 @@ def run(arguments: list[str]) -> int:
         return _fail(f"{error.filename or 'input/output'}: {error.strerror or error}{cure}", 1)
 
 
-def _end(number: int, frame: object) -> None:
+def _end(number: int, frame: FrameType | None) -> None:
+    if must_wait(frame):
+        _come_again(number)
+        return
     for each in (signal.SIGINT, signal.SIGTERM):
         signal.signal(each, signal.SIG_IGN)  # once is enough: nothing must disturb the cleaning up
     raise KeyboardInterrupt if number == signal.SIGINT else Terminated
@@ -130,9 +136,14 @@ def _lost(what: Any) -> None:
         return
     number = signal.SIGINT if what.exc_type is KeyboardInterrupt else signal.SIGTERM
     signal.signal(number, _end)
+    _come_again(number)  # not here, where it would be lost, too
+
+
+def _come_again(number: int) -> None:
+    """Send the main thread a signal a little later."""
     main_thread = threading.main_thread().ident
     assert main_thread is not None
-    threading.Timer(0.05, signal.pthread_kill, (main_thread, number)).start()  # not here, where it would be lost, too
+    threading.Timer(LATER, signal.pthread_kill, (main_thread, number)).start()
 
 
 def _drop_stdout() -> None:

@@ -1,5 +1,6 @@
 """l3 bench: which devices there are, and how fast frames are rendered, simulated and learned from."""
 
+import functools
 import json
 from typing import Any
 
@@ -27,6 +28,8 @@ def bench(device: str | None, variant: str | None, list_only: bool, as_json: boo
     \b
     Example: l3 bench --device 0 --json
     """
+    from l3cli.artifacts.camera import load_camera
+    from l3cli.cli.init import config_folder
     from l3cli.parallel import alone
     from l3cli.render import benchmark as rendering
     from l3cli.render.opencl_devices import survey
@@ -39,12 +42,14 @@ def bench(device: str | None, variant: str | None, list_only: bool, as_json: boo
         return
     jobs = rendering.jobs(device, variant)
     results: list[dict[str, Any]] = [job() for job in options.progress(jobs, len(jobs), "cases", quiet)]
-    simulated: list[dict[str, Any]] = []
-    for case in options.progress(simulation.CASES, len(simulation.CASES), "simulations", quiet):
-        simulated.append(alone(simulation.measure, case))
-    trained = [
-        alone(training.measure, case) for case in options.progress(training.CASES, len(training.CASES), "trainings", quiet)
-    ]
+    camera = load_camera(config_folder() / "cameras/fiveband.toml")
+    simulated, trained = (
+        [
+            alone(functools.partial(room.measure, camera), case)
+            for case in options.progress(room.CASES, len(room.CASES), what, quiet)
+        ]
+        for room, what in ((simulation, "simulations"), (training, "trainings"))
+    )
     if as_json:
         document = {"devices": found, "results": results, "simulate": simulated, "train": trained}
         click.echo(json.dumps(document, indent=2))

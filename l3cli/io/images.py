@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.files import write_whole
+from l3cli.interrupts import uninterrupted
 from l3cli.io.apart import apart
 from l3cli.limits import VALUE_BYTES, require_picture
 
@@ -82,10 +83,12 @@ def _write(path: Path, spec: Any, pixels: NDArray) -> None:
     write_whole(path, encoded(path.name, spec, pixels))
 
 
+@uninterrupted
 def encoded(name: str, spec: Any, pixels: NDArray) -> bytes:
     """The bytes of a file of this name; L3Error if it cannot be encoded.
 
-    They are made in memory: on a full disk the JPEG library ends the whole program, and the PNG library says nothing.
+    They are made in memory: on a full disk the JPEG library ends the whole program, and the PNG library says nothing. Left
+    half-way by a signal, that one complains on stderr.
     """
     import OpenImageIO as oiio
 

@@ -1,11 +1,13 @@
 """Queues between threads: items made ahead of who takes them, and calls that are done behind who asks for them."""
 
+import contextlib
 import queue
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, TypeVar
 
 T = TypeVar("T")
+PATIENCE = 1.0  # seconds in which an item in the making is finished
 
 
 class _End(Exception):
@@ -27,7 +29,8 @@ def ahead(items: Iterable[T], depth: int) -> Iterator[T]:
             ready.put((None, error))
 
     # A daemon: one that waits for a stream that never comes must not keep the program from ending.
-    threading.Thread(target=work, daemon=True).start()
+    thread = threading.Thread(target=work, daemon=True)
+    thread.start()
     try:
         while True:
             item, error = ready.get()
@@ -40,6 +43,7 @@ def ahead(items: Iterable[T], depth: int) -> Iterator[T]:
     finally:
         stopped.set()
         room.release()
+        thread.join(PATIENCE)  # a library whose thread is still at work when the program ends aborts it
 
 
 def _while_room(items: Iterable[T], room: threading.Semaphore, stopped: threading.Event) -> Iterator[T]:
@@ -59,13 +63,14 @@ class Behind:
     """Calls function(item) in threads of their own, at most `depth` items behind; in order if there is one thread.
 
     As a context manager it waits for the last item, also when the block fails. What goes wrong is raised by the next
-    `put`, or at the end; after that, or when the block is interrupted, what waits is dropped.
+    `put`, or at the end; after that, or after an interrupt, what waits is dropped, but what is being done is done.
     """
 
     def __init__(self, function: Callable[[T], object], depth: int, threads: int = 1) -> None:
         self._function = function
         self._items: queue.Queue[Any] = queue.Queue(depth)
         self._error: BaseException | None = None
+        self._complete = False  # nothing more will be put
         self._threads = [threading.Thread(target=self._work, daemon=True) for _ in range(threads)]
 
     def __enter__(self) -> "Behind":
@@ -81,18 +86,32 @@ class Behind:
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if error is not None and not isinstance(error, Exception):
             self._error = self._error or error
-        for _ in self._threads:
-            self._items.put(_End)
-        for thread in self._threads:
-            thread.join()
+        try:
+            self._wait()
+        except BaseException as interrupt:  # of the waiting; a thread at work when the program ends could abort it
+            self._error = self._error or interrupt
+            self._wait()
+            raise
         if error is None and self._error is not None:
             raise self._error
 
+    def _wait(self) -> None:
+        self._complete = True
+        self._wake_one()
+        for thread in self._threads:
+            thread.join()
+
+    def _wake_one(self) -> None:
+        with contextlib.suppress(queue.Full):  # whoever takes the last item will see
+            self._items.put_nowait(_End)
+
     def _work(self) -> None:
-        while (item := self._items.get()) is not _End:
-            if self._error is not None:
+        while not (self._complete and self._items.empty()):
+            item = self._items.get()
+            if item is _End or self._error is not None:
                 continue  # emptied, so that nobody waits to put
             try:
                 self._function(item)
             except BaseException as error:
                 self._error = error
+        self._wake_one()  # it may wait for items, too
