@@ -17,6 +17,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from l3cli.errors import InputFileError, L3Error
+from l3cli.interrupts import uninterrupted
 
 TEMPORARY = re.compile(r"\.(.*)\.[0-9a-f]{8}\.l3tmp(\.[^.]*)?")
 LOCK = ".l3lock"
@@ -73,6 +74,7 @@ def write_whole(path: Path, content: bytes | str) -> None:
         temporary.write_bytes(content.encode() if isinstance(content, str) else content)
 
 
+@uninterrupted
 def _new_temporary(path: Path) -> tuple[Path, int]:
     """A new, empty, locked temporary file beside `path`, and the descriptor that holds the lock."""
     while True:
@@ -160,14 +162,14 @@ def _claim(output: Path, lock: Path) -> Iterator[bool]:
             yield held is not None
         finally:
             if held is not None:
-                lock.unlink(missing_ok=True)
-                os.close(held)
+                _let_go(lock, held)
     finally:
         for folder in made:
             with contextlib.suppress(OSError):
                 folder.rmdir()
 
 
+@uninterrupted
 def _take(lock: Path, output: Path) -> int | None:
     """The descriptor that holds the lock; None where the storage knows no locks."""
     while True:
@@ -189,6 +191,12 @@ def _take(lock: Path, output: Path) -> int | None:
             if os.path.samestat(os.stat(lock), os.fstat(held)):
                 return held
         os.close(held)  # its holder has ended and removed it between the two calls
+
+
+@uninterrupted
+def _let_go(lock: Path, held: int) -> None:
+    lock.unlink(missing_ok=True)
+    os.close(held)
 
 
 def sweep(folder: Path, output: Path | None = None) -> None:

@@ -1,9 +1,11 @@
-"""Where SIGINT and SIGTERM must wait: in functions that libraries call or that call them half-way.
+"""Where SIGINT and SIGTERM must wait, since an exception there would do harm.
 
 A signal becomes an exception wherever Python happens to be. A C library that has called back crashes on it or, worse, takes
-what was not written for written; another complains on stderr that it was left with half a picture.
+what was not written for written; another complains on stderr that it was left with half a picture; a lock file that has just
+been made stays; a condition that has just been acquired stays so for ever.
 """
 
+import threading
 from collections.abc import Callable
 from types import CodeType, FrameType
 from typing import Any, TypeVar
@@ -11,18 +13,30 @@ from typing import Any, TypeVar
 F = TypeVar("F", bound=Callable[..., Any])
 
 _uninterrupted: set[CodeType] = set()
+_someone_waits = False
 
 
 def uninterrupted(function: F) -> F:
-    """Have signals wait until `function`, and what it calls, has returned."""
+    """Have signals wait until `function`, and what it calls, has returned; if that may take long it looks at `is_wanted`."""
     _uninterrupted.add(function.__code__)
     return function
 
 
 def must_wait(frame: FrameType | None) -> bool:
     """Whether a signal that has come while `frame` ran has to wait."""
-    while frame is not None:
-        if frame.f_code in _uninterrupted:
-            return True
+    global _someone_waits
+    while frame is not None and frame.f_code not in _uninterrupted:
         frame = frame.f_back
-    return False
+    _someone_waits = frame is not None
+    return _someone_waits
+
+
+def is_wanted() -> bool:
+    """Whether a signal waits: what is not yet begun should be left."""
+    return _someone_waits
+
+
+# Queues, semaphores and futures are made of conditions. An exception on the way into or out of the "with" of one would leave
+# it acquired, or let it go twice; in the middle of a notification it would have the next one go to nobody.
+for _step in ("__enter__", "__exit__", "_release_save", "_acquire_restore", "notify"):
+    uninterrupted(getattr(threading.Condition, _step))

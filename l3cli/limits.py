@@ -8,6 +8,7 @@ from pathlib import Path
 
 from l3cli.errors import InputFileError, RecipeError
 
+ONE_BLAS_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")  # environment
 MEGAPIXELS = "L3_MEGAPIXELS"  # environment variable: the most pixels of a picture or frame, in millions
 USUAL_MEGAPIXELS = 400
 VALUES_A_PIXEL = 3  # what a file holds in all may be so many values of 32 bits for each pixel that a picture may have

@@ -12,6 +12,7 @@ from l3cli.artifacts.base import load
 from l3cli.artifacts.camera import CameraModel, load_camera
 from l3cli.io.frames import read_frame
 from l3cli.io.images import write_mosaic
+from tests.hostile import TABLE
 
 L3 = Callable[..., tuple[int, str, str]]
 Refused = Callable[..., str]
@@ -166,29 +167,6 @@ def test_a_lost_channel_is_named_by_the_validation(copied: Path, tmp_path: Path,
     assert code == 0
     assert "accepted although channel r" in err
     assert load(CameraModel, tmp_path / "camera.h5").history[0].options == {"accept": True}
-
-
-TABLE = """
-name = "table"
-[sensor]
-rows = 300
-cols = 400
-pixel_pitch_um = 5.0
-bits = 12
-[cfa]
-channels = ["r", "g", "b"]
-pattern = ["r g", "g b"]
-[optics]
-focal_length_mm = 50
-f_number = 4
-[sweep]
-table = "sweep.csv"
-photodiode = "diode.csv"
-[datasheet]
-black_dn = 64
-white_dn = 4000
-well_capacity_e = 20000
-"""
 
 
 @pytest.fixture

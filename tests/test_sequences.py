@@ -16,6 +16,7 @@ import pytest
 import tifffile
 from test_render import BAYER, FIVE_BAND, random_table
 
+from l3cli import cli
 from l3cli.artifacts.base import save
 from l3cli.errors import InputFileError
 from l3cli.frame import RawFrame
@@ -363,10 +364,40 @@ def test_an_interrupt_while_the_last_items_are_waited_for_drops_what_waits():
         with Behind(slow, 3, threads=2) as writing:
             for number in range(4):
                 writing.put(number)
+        time.sleep(60)
 
-    with pytest.raises(KeyboardInterrupt):
-        interrupted()
+    before = {each: signal.signal(each, cli._end) for each in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            interrupted()
+    finally:
+        for each, handler in before.items():
+            signal.signal(each, handler)
     assert sorted(written) == [0, 1]
+
+
+def test_no_interrupt_makes_threads_wait_for_ever():
+    """At any moment of what is handed from thread to thread: half-way through a notification the next would be lost."""
+    program = """
+import random, signal, sys, time
+from l3cli import cli
+from l3cli.parallel.threads import Behind, ahead
+
+moments, sys.unraisablehook = random.Random(0), cli._lost
+for _ in range(200):
+    for each in (signal.SIGALRM, signal.SIGINT, signal.SIGTERM):
+        signal.signal(each, cli._end)
+    try:
+        signal.setitimer(signal.ITIMER_REAL, moments.uniform(2e-6, 4e-4))
+        with Behind(abs, 2) as writing:
+            for item in ahead(range(100), 2):
+                writing.put(item)
+        time.sleep(1.0)
+    except cli.Terminated:
+        print("terminated")
+"""
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=100)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, 200 * "terminated\n", "")
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3])

@@ -89,7 +89,11 @@ def main() -> None:
     signal.signal(signal.SIGTERM, _end)
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else it is ignored: a job in the background
         signal.signal(signal.SIGINT, _end)
-    sys.exit(run(sys.argv[1:]))
+    code = run(sys.argv[1:])
+    for each in (signal.SIGINT, signal.SIGTERM):
+        if signal.getsignal(each) is _end:  # all is done, but for Python's own end, where an exception finds no door
+            signal.signal(each, signal.SIG_DFL)
+    sys.exit(code)
 
 
 def run(arguments: list[str]) -> int:

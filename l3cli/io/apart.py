@@ -28,7 +28,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from l3cli.errors import InputFileError, L3Error, RecipeError
-from l3cli.limits import MEGAPIXELS, TRUST, most_bytes, trusted
+from l3cli.limits import MEGAPIXELS, ONE_BLAS_THREAD, TRUST, most_bytes, trusted
 
 SECONDS = "L3_DECODE_SECONDS"  # environment variable: processor time for one file
 USUAL_SECONDS = 60.0
@@ -39,7 +39,7 @@ MOST_TALK = 64 << 20  # bytes of an answer beside its arrays
 ALIGNMENT = 64
 LENGTH = struct.Struct("<I")
 KINDS = {kind.__name__: kind for kind in (L3Error, RecipeError, InputFileError)}
-ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OPENIMAGEIO_THREADS")
+ONE_THREAD = ONE_BLAS_THREAD | {"OPENIMAGEIO_THREADS": "1"}
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -112,7 +112,7 @@ class _Child:
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,  # decoders chatter there
                 pass_fds=inherited,
-                env=os.environ | dict.fromkeys(ONE_THREAD, "1") | {"MALLOC_ARENA_MAX": "2", TRUST: "1"},
+                env=os.environ | ONE_THREAD | {"MALLOC_ARENA_MAX": "2", TRUST: "1"},
                 process_group=0,  # Ctrl-C is for this process, which then ends its child
             )
         self._open = True

@@ -16,11 +16,10 @@ from multiprocessing.connection import wait
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from l3cli.errors import L3Error
+from l3cli.limits import ONE_BLAS_THREAD
 
 if TYPE_CHECKING:
     from l3cli.parallel.cluster import Scheduler
-
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -29,7 +28,7 @@ R = TypeVar("R")
 def one_blas_thread() -> None:
     """Keep BLAS to one thread in this process and its children: small products are faster so, and the number of cores does
     not change how they are rounded. To be called before numpy is first imported; what the user has set himself stays."""
-    for name, value in ONE_THREAD.items():
+    for name, value in ONE_BLAS_THREAD.items():
         os.environ.setdefault(name, value)
 
 
@@ -78,8 +77,8 @@ def alone(function: Callable[[T], R], item: T) -> R:
 @contextlib.contextmanager
 def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
     """Processes that end with the block: at once where it fails or is interrupted."""
-    saved = {name: os.environ.get(name) for name in ONE_THREAD}
-    os.environ.update(ONE_THREAD)
+    saved = {name: os.environ.get(name) for name in ONE_BLAS_THREAD}
+    os.environ.update(ONE_BLAS_THREAD)
     pool = ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), _end_with_parent)
     before = multiprocessing.active_children()
     try:

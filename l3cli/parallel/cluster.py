@@ -22,7 +22,8 @@ from typing import Any, TypeVar
 
 from l3cli import __version__
 from l3cli.errors import InputFileError, L3Error, RecipeError
-from l3cli.parallel import ONE_THREAD, Crew
+from l3cli.limits import ONE_BLAS_THREAD
+from l3cli.parallel import Crew
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -207,8 +208,8 @@ def work_elsewhere(versions: dict[str, str], content: bytes) -> Any:
     for name, there in versions.items():
         if (here := _versions()[name]) != there:
             raise L3Error(f"a worker has {name} {here}, this machine {there}; install the same version on both")
-    if any(os.environ.get(name) != number for name, number in ONE_THREAD.items()):
-        names = " ".join(f"{name}={number}" for name, number in ONE_THREAD.items())
+    if any(os.environ.get(name) != number for name, number in ONE_BLAS_THREAD.items()):
+        names = " ".join(f"{name}={number}" for name, number in ONE_BLAS_THREAD.items())
         raise L3Error(f"a worker computes in several threads, which may round otherwise; start it with {names}")
     function, item = pickle.loads(content)
     with _one_at_a_time:

@@ -6,6 +6,8 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, TypeVar
 
+from l3cli.interrupts import is_wanted, uninterrupted
+
 T = TypeVar("T")
 PATIENCE = 1.0  # seconds in which an item in the making is finished
 
@@ -43,7 +45,7 @@ def ahead(items: Iterable[T], depth: int) -> Iterator[T]:
     finally:
         stopped.set()
         room.release()
-        thread.join(PATIENCE)  # a library whose thread is still at work when the program ends aborts it
+        thread.join(PATIENCE)  # as in Behind
 
 
 def _while_room(items: Iterable[T], room: threading.Semaphore, stopped: threading.Event) -> Iterator[T]:
@@ -83,23 +85,16 @@ class Behind:
             raise self._error
         self._items.put(item)
 
+    @uninterrupted  # a thread that is still at work in a library when the program ends aborts it
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if error is not None and not isinstance(error, Exception):
             self._error = self._error or error
-        try:
-            self._wait()
-        except BaseException as interrupt:  # of the waiting; a thread at work when the program ends could abort it
-            self._error = self._error or interrupt
-            self._wait()
-            raise
-        if error is None and self._error is not None:
-            raise self._error
-
-    def _wait(self) -> None:
         self._complete = True
         self._wake_one()
         for thread in self._threads:
             thread.join()
+        if error is None and self._error is not None:
+            raise self._error
 
     def _wake_one(self) -> None:
         with contextlib.suppress(queue.Full):  # whoever takes the last item will see
@@ -108,7 +103,7 @@ class Behind:
     def _work(self) -> None:
         while not (self._complete and self._items.empty()):
             item = self._items.get()
-            if item is _End or self._error is not None:
+            if item is _End or self._error is not None or is_wanted():
                 continue  # emptied, so that nobody waits to put
             try:
                 self._function(item)
