@@ -233,6 +233,15 @@ def sha256(path: Path) -> str:
         raise InputFileError(f"{path}: {error.strerror}") from error
 
 
+def stamp(path: Path) -> tuple[int, ...]:
+    """What tells a file from another that takes its name: number on the disk, size, time. Empty if it is not there."""
+    try:
+        stat = path.stat()
+    except OSError:
+        return ()
+    return stat.st_dev, stat.st_ino, stat.st_size, stat.st_mtime_ns
+
+
 def require_same(path: Path, digest: str) -> None:
     """InputFileError unless the file has this SHA-256: on another machine, another file may have its name. It is read once
     as long as its size and time stay."""

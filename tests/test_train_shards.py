@@ -20,6 +20,8 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet, write_training_set
 from l3cli.classify import ClassRecipe, make_rule
+from l3cli.cli.passes import Work, first_lesson, open_course
+from l3cli.errors import InputFileError
 from l3cli.parallel import workers
 from l3cli.train.benchmark import made_up_frame, stage_shares, train
 from l3cli.train.division import BATCH, SUM_BYTES, frame_blocks, portions
@@ -165,6 +167,17 @@ def test_same_bytes_for_jobs_and_shards(bayer: CameraModel, tmp_path: Path, l3: 
         assert why in refused(2, "train", *run, "--shard", wrong, "-o", out)
     assert "--merge takes shards alone" in refused(2, "train", "--merge", *a, "--shard", "1/3", "-o", out)
     assert "--first goes with --shard" in refused(2, "train", *run, "--first", first, "-o", out)
+
+
+def test_a_training_set_that_is_replaced_meanwhile_is_noticed(bayer: CameraModel, tmp_path: Path) -> None:
+    training, other = a_set(tmp_path / "training.h5", bayer, 2), a_set(tmp_path / "other.h5", bayer, 3)
+    course = open_course((training,), None, None, seed=0)
+    with workers(1) as crew:
+        work = Work(crew, elsewhere=False, quiet=True)
+        first_lesson(course, work)
+        other.rename(training)
+        with pytest.raises(InputFileError, match="replaced while it was trained on"):
+            first_lesson(course, work)
 
 
 def test_shares_weigh_training_sets(bayer: CameraModel, tmp_path: Path, l3: Callable) -> None:

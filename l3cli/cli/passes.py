@@ -14,7 +14,7 @@ from l3cli.artifacts.training_set import TrainingPair, TrainingSet, open_trainin
 from l3cli.cli import options
 from l3cli.config import load_recipe, read_text
 from l3cli.errors import InputFileError
-from l3cli.files import require_same, sha256
+from l3cli.files import require_same, sha256, stamp
 from l3cli.parallel import Crew
 from l3cli.train.accumulate import sum_sites
 from l3cli.train.division import Portion, portions
@@ -44,6 +44,7 @@ class Source:
     path: Path
     frames: int
     digest: str  # SHA-256
+    stamp: tuple[int, ...]  # of the file that has it
 
 
 @dataclass(frozen=True)
@@ -67,6 +68,7 @@ def open_course(training: tuple[Path, ...], classes: Path | None, shares: tuple[
     """The run of these training sets; InputFileError or RecipeError if they or the recipe cannot be used. A set whose share
     is zero is as if it were not given."""
     recipe = load_recipe(classes, TrainingRecipe) if classes else TrainingRecipe()
+    stamps = {path: stamp(path) for path in training}
     head, frames = _common_head(training)
     chosen: dict[str, Any] = {"seed": seed}
     if shares is not None:
@@ -77,7 +79,7 @@ def open_course(training: tuple[Path, ...], classes: Path | None, shares: tuple[
     patches = spread_patches(recipe.learning.patches, frames, shares)
     inputs = {"training set": [sha256(path) for path in training]}
     stage = Stage("train", chosen, read_text(classes) if classes else "", inputs)
-    sources = tuple(map(Source, training, frames, inputs["training set"]))
+    sources = tuple(map(Source, training, frames, inputs["training set"], map(stamps.__getitem__, training)))
     return Course(sources, head, patches, recipe, seed, stage)
 
 
@@ -170,8 +172,8 @@ def learn_part(part: Part) -> dict[int, ClassSums | Solution]:
 
 
 def _frames(training: tuple[Source, ...], wanted: range | None = None, elsewhere: bool = False) -> Iterator[TrainingPair]:
-    """The frames of all training sets in order, or those whose index among all of them is `wanted`. `elsewhere` the files
-    are compared with those of the machine that asks."""
+    """The frames of all training sets in order, or those whose index among all of them is `wanted`. InputFileError if a set
+    is not the one that the run began with; `elsewhere` its bytes are compared with those of the machine that asks."""
     before = 0
     for source in training:
         here = range(source.frames)
@@ -183,6 +185,8 @@ def _frames(training: tuple[Source, ...], wanted: range | None = None, elsewhere
         if elsewhere:
             require_same(source.path, source.digest)
         with open_training_set(source.path, unchanged=True) as reader:  # since _common_head looked at it
+            if not elsewhere and stamp(source.path) != source.stamp:
+                raise InputFileError(f"{source.path} has been replaced while it was trained on; train again")
             yield from map(reader.frame, here)
 
 
