@@ -23,7 +23,7 @@ from l3cli.errors import L3Error
 from l3cli.io.images import read_image
 from l3cli.train.accumulate import sum_sites
 from l3cli.train.insight import kind_name
-from l3cli.train.kinds import choose_cases
+from l3cli.train.kinds import choose_cases, choose_chromas
 from l3cli.train.lesson import LAST, Lesson
 from l3cli.train.patches import draw_levels, expose_patches, sample_patches
 from l3cli.train.recipe import LearningRecipe, TrainingRecipe
@@ -156,6 +156,18 @@ def test_rare_saturation_patterns_join_the_nearest_kept_one() -> None:
     assert choose_cases(occurrences, 12).tolist() == [0, 3, 1, 3, 2, 3, 2, 3]
     assert choose_cases(occurrences, 2).tolist() == [0, 1, 1, 1, 1, 1, 1, 1]
     assert choose_cases(np.array([5, 0, 0, 0]), 12).tolist() == [0, 0, 0, 0]
+
+
+@pytest.mark.filterwarnings("error")
+def test_few_colours_are_their_own_chromas() -> None:
+    """Charts have few; there is nothing to be said of it, such as that clusters are empty."""
+    few = np.array([[0.5, 0.3, 0.2], [0.2, 0.3, 0.5], [0.1, 0.2, 0.7]])
+    shares = np.repeat(few, 40, axis=0)
+    np.testing.assert_array_equal(choose_chromas(shares, 8, 0), few[::-1])
+    assert choose_chromas(shares, 1, 0) is None
+    nearest = choose_chromas(np.random.default_rng(0).dirichlet([9, 9, 9], 400), 8, 0)
+    assert nearest is not None
+    assert nearest.shape == (8, 3)
 
 
 def test_flat_fields_give_their_true_output(bayer: CameraModel, tmp_path: Path, l3: Callable) -> None:

@@ -1,5 +1,7 @@
 """Which saturation patterns and which colours get classes of their own (METHOD 3.3, 3.5)."""
 
+import warnings
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -40,5 +42,10 @@ def choose_chromas(shares: NDArray[np.float64], count: int, seed: int) -> NDArra
         return None
     from scipy.cluster.vq import kmeans2
 
-    centres, member = kmeans2(shares, count, iter=30, minit="++", rng=np.random.default_rng([seed, 2]))
+    distinct = np.unique(shares, axis=0)
+    if len(distinct) <= count:
+        return distinct
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # of empty clusters
+        centres, member = kmeans2(shares, count, iter=30, minit="++", rng=np.random.default_rng([seed, 2]))
     return centres[np.unique(member)]  # a centre that nobody is nearest to is left out
