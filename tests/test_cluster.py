@@ -18,8 +18,9 @@ import pytest
 from l3cli.cli import run
 from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.files import require_same, sha256
-from l3cli.parallel import ONE_THREAD, workers
+from l3cli.limits import ONE_BLAS_THREAD
 from l3cli.parallel import cluster as elsewhere
+from l3cli.parallel import workers
 from l3cli.parallel.cluster import Scheduler
 from tests.test_parallel import PATIENCE, refusing, squared
 
@@ -58,7 +59,7 @@ class Cluster:
 
     def _start(self, *command: object) -> "subprocess.Popen[bytes]":
         tests = Path(__file__).parent  # holds what the workers are to do
-        here = {"PYTHONPATH": f"{tests.parent}{os.pathsep}{tests}", **ONE_THREAD}
+        here = {"PYTHONPATH": f"{tests.parent}{os.pathsep}{tests}", **ONE_BLAS_THREAD}
         line = [sys.executable, "-m", "dask", *command, "--no-dashboard", *self._tls]
         with open(self._folder / "log", "ab") as log:
             return subprocess.Popen(list(map(str, line)), stdout=log, stderr=log, env={**os.environ, **here})
