@@ -23,6 +23,7 @@ from l3cli.frame import RawFrame
 from l3cli.io.images import read_image, write_mosaic
 from l3cli.io.raw_files import KnownBetter
 from l3cli.io.sequences import find_frames, numbered_files, numbered_name
+from l3cli.parallel import threads
 from l3cli.parallel.threads import Behind, ahead
 from l3cli.render.display import automatic_exposure
 from l3cli.render.exposure import TIME_CONSTANT, LightMeter, SteadyExposure
@@ -376,6 +377,22 @@ def test_an_interrupt_while_the_last_items_are_waited_for_drops_what_waits():
     assert sorted(written) == [0, 1]
 
 
+def test_what_never_ends_is_not_waited_for_after_an_interrupt(monkeypatch):
+    """As when nobody reads the pipe that is written to."""
+    monkeypatch.setattr(threads, "WRITING", 0.2)
+    monkeypatch.setattr(threads, "STEP", 0.1)
+    gate = threading.Event()
+
+    def interrupted() -> None:
+        with Behind(lambda item: gate.wait(), 3) as writing:
+            writing.put(0)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    gate.set()
+
+
 def test_no_interrupt_makes_threads_wait_for_ever():
     """At any moment of what is handed from thread to thread: half-way through a notification the next would be lost."""
     program = """
@@ -400,13 +417,13 @@ for _ in range(200):
     assert (ended.returncode, ended.stdout, ended.stderr) == (0, 200 * "terminated\n", "")
 
 
-@pytest.mark.parametrize("threads", [1, 2, 3])
-def test_many_threads_end(threads: int):
+@pytest.mark.parametrize("number", [1, 2, 3])
+def test_many_threads_end(number: int):
     for count in (0, 1, 5):
         written: list[int] = []
-        with Behind(written.append, 2, threads) as writing:
-            for number in range(count):
-                writing.put(number)
+        with Behind(written.append, 2, number) as writing:
+            for item in range(count):
+                writing.put(item)
         assert sorted(written) == list(range(count))
 
 

@@ -9,7 +9,8 @@ from typing import Any, TypeVar
 from l3cli.interrupts import is_wanted, uninterrupted
 
 T = TypeVar("T")
-PATIENCE = 1.0  # seconds in which an item in the making is finished
+READING, WRITING = 1.0, 25.0  # seconds after an interrupt in which an item that is being read, or written, is finished
+STEP = 0.5  # seconds
 
 
 class _End(Exception):
@@ -45,7 +46,7 @@ def ahead(items: Iterable[T], depth: int) -> Iterator[T]:
     finally:
         stopped.set()
         room.release()
-        thread.join(PATIENCE)  # as in Behind
+        thread.join(READING)  # as in Behind
 
 
 def _while_room(items: Iterable[T], room: threading.Semaphore, stopped: threading.Event) -> Iterator[T]:
@@ -65,7 +66,8 @@ class Behind:
     """Calls function(item) in threads of their own, at most `depth` items behind; in order if there is one thread.
 
     As a context manager it waits for the last item, also when the block fails. What goes wrong is raised by the next
-    `put`, or at the end; after that, or after an interrupt, what waits is dropped, but what is being done is done.
+    `put`, or at the end; after that, or after an interrupt, what waits is dropped, but what is being done is done: for up to
+    WRITING seconds after an interrupt, without a limit otherwise.
     """
 
     def __init__(self, function: Callable[[T], object], depth: int, threads: int = 1) -> None:
@@ -87,12 +89,16 @@ class Behind:
 
     @uninterrupted  # a thread that is still at work in a library when the program ends aborts it
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        if error is not None and not isinstance(error, Exception):
+        interrupted = error is not None and not isinstance(error, Exception)
+        if interrupted:
             self._error = self._error or error
         self._complete = True
         self._wake_one()
+        left = WRITING
         for thread in self._threads:
-            thread.join()
+            while thread.is_alive() and left > 0:  # a pipe that nobody reads would take for ever
+                thread.join(STEP)
+                left -= STEP if interrupted or is_wanted() else 0
         if error is None and self._error is not None:
             raise self._error
 
