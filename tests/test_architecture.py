@@ -10,6 +10,7 @@ FLOORS = [
     {"classify"},
     {"calibrate", "simulate", "train", "render", "evaluate", "report", "io", "parallel"},
     {"cli"},
+    {"__main__"},
 ]
 DOORS = {
     "click": ("cli/",),

@@ -82,6 +82,28 @@ cli.main()
     assert (ended.returncode, ended.stderr) == (143, "l3: terminated\n")
 
 
+@pytest.mark.parametrize(
+    ("number", "code", "word"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")]
+)
+def test_a_signal_before_anything_is_imported_is_one_line(number: int, code: int, word: str) -> None:
+    program = f"""
+import signal, sys
+
+class Finder:
+    def find_spec(self, name, *_):
+        if name == "click":
+            signal.raise_signal({int(number)})
+
+sys.meta_path.insert(0, Finder())
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from l3cli.__main__ import main
+main()
+"""
+    env = {**os.environ, "PYTHONPATH": str(CONFIGS.parent)}
+    ended = subprocess.run([sys.executable, "-c", program], env=env, capture_output=True, text=True, timeout=50)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (code, "", f"l3: {word}\n")
+
+
 @pytest.mark.parametrize("call", ["pwrite", "ftruncate"])
 def test_a_signal_that_falls_into_hdf5_waits_until_it_has_written(tmp_path: Path, call: str) -> None:
     """An exception out of what HDF5 calls would crash it, or be forgotten together with what was to be written."""

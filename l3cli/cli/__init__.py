@@ -86,9 +86,9 @@ class Terminated(BaseException):
 def main() -> None:
     """Run the command line; every failure ends as one line on stderr and the exit code of README, "Exit codes"."""
     sys.unraisablehook = _lost
-    signal.signal(signal.SIGTERM, _end)
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else it is ignored: a job in the background
-        signal.signal(signal.SIGINT, _end)
+    for each in (signal.SIGINT, signal.SIGTERM):
+        if signal.getsignal(each) is not signal.SIG_IGN:  # as a job in the background ignores Ctrl-C
+            signal.signal(each, _end)
     code = run(sys.argv[1:])
     for each in (signal.SIGINT, signal.SIGTERM):
         if signal.getsignal(each) is _end:  # all is done, but for Python's own end, where an exception finds no door
