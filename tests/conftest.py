@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l3cli.artifacts.camera import CameraModel, load_camera
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.cli import run
 
 CONFIGS = Path(__file__).parents[1] / "configs"

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from l3cli.artifacts.base import load
-from l3cli.artifacts.camera import CameraModel, load_camera, read_curves
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera_recipe import load_camera, read_curves
 from l3cli.calibrate import defects, gain, noise
 from l3cli.calibrate.curves import Curves
 from l3cli.calibrate.model import efficiency

@@ -13,7 +13,8 @@ from test_render import BAYER, random_table
 
 from l3cli import spectra
 from l3cli.artifacts.base import save
-from l3cli.artifacts.camera import CameraModel, load_camera
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.training_set import open_training_set
 from l3cli.cli import run
 from l3cli.io.dng_writer import LIGHT_CODES, RawColour, write_dng

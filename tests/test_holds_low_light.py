@@ -109,7 +109,7 @@ def test_both_cameras_differ_in_the_array_alone() -> None:
 
     import numpy as np
 
-    from l3cli.artifacts.camera import load_camera
+    from l3cli.artifacts.camera_recipe import load_camera
 
     bayer, rgbw = (load_camera(CONFIGS / f"cameras/{name}.toml") for name in ("bayer", "rgbw"))
     for field in fields(bayer):

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l3cli.artifacts.camera import load_camera
+from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.training_set import open_training_set
 from l3cli.cli.init import COMMON, recipes
 from l3cli.config import load_recipe

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l3cli.artifacts.camera import CameraModel, read_curves
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera_recipe import read_curves
 from l3cli.cli import run
 from l3cli.config import load_recipe
 from l3cli.io.frames import read_frame

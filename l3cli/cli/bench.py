@@ -28,7 +28,7 @@ def bench(device: str | None, variant: str | None, list_only: bool, as_json: boo
     \b
     Example: l3 bench --device 0 --json
     """
-    from l3cli.artifacts.camera import load_camera
+    from l3cli.artifacts.camera_recipe import load_camera
     from l3cli.cli.init import config_folder
     from l3cli.parallel import alone
     from l3cli.render import benchmark as rendering

@@ -39,7 +39,7 @@ def calibrate(
     Example: l3 calibrate lab/MEASUREMENTS.toml -o camera.h5
     """
     from l3cli.artifacts.base import save
-    from l3cli.artifacts.camera import load_camera
+    from l3cli.artifacts.camera_recipe import load_camera
     from l3cli.calibrate import model, report
     from l3cli.errors import L3Error
     from l3cli.io.curves import export_curves, export_paths

@@ -29,7 +29,7 @@ def lab(camera: Path, output: Path, recipe: Path | None, seed: int, jobs: int, f
     \b
     Example: l3 lab camera.toml -o lab
     """
-    from l3cli.artifacts.camera import load_camera
+    from l3cli.artifacts.camera_recipe import load_camera
     from l3cli.config import load_recipe
     from l3cli.files import refuse_existing, sole_writer_of_folder
     from l3cli.io.measurements import write_measurements

@@ -44,7 +44,7 @@ def simulate(
     \b
     Example: l3 simulate scenes.toml --camera camera.h5 -o training.h5
     """
-    from l3cli.artifacts.camera import load_camera
+    from l3cli.artifacts.camera_recipe import load_camera
     from l3cli.cli.frames import close_folder, jobs_of, key_of, open_folder, remove_finished, stored, work_off
     from l3cli.config import load_recipe
     from l3cli.files import refuse_existing
@@ -119,7 +119,7 @@ def _prepare(
 
 
 def _curve(path: Path, role: str) -> "Curve":
-    from l3cli.artifacts.camera import read_curves
+    from l3cli.artifacts.camera_recipe import read_curves
     from l3cli.simulate.light import check_measured
 
     curve = read_curves(path, 1 if role == "transmittance" else None)
@@ -143,7 +143,7 @@ def _head(
 ) -> "TrainingSet":
     """The training set's head, with this stage as the last of the camera's history."""
     from l3cli.artifacts.base import Stage
-    from l3cli.artifacts.camera import recipe_text
+    from l3cli.artifacts.camera_recipe import recipe_text
     from l3cli.artifacts.training_set import TrainingSet
     from l3cli.config import read_text
     from l3cli.files import sha256

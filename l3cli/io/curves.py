@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli import spectra
-from l3cli.artifacts.camera import CameraModel, read_curves
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera_recipe import read_curves
 from l3cli.config import LARGEST
 from l3cli.errors import InputFileError
 from l3cli.files import write_whole

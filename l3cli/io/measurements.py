@@ -20,7 +20,8 @@ import msgspec
 import numpy as np
 
 from l3cli.artifacts.base import Stage
-from l3cli.artifacts.camera import CameraModel, CfaRecipe, Noise, NoiseRecipe, Optics, OpticsRecipe, parse_cfa, read_curves
+from l3cli.artifacts.camera import CameraModel, Noise, Optics
+from l3cli.artifacts.camera_recipe import CfaRecipe, NoiseRecipe, OpticsRecipe, parse_cfa, read_curves
 from l3cli.config import Recipe, load_recipe, read_text
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.files import sha256, write_whole
