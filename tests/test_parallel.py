@@ -138,6 +138,39 @@ cli.main()
     assert (ended.returncode, ended.stdout, ended.stderr) == (143, "True\n", "l3: terminated\n")
 
 
+def test_a_signal_that_falls_into_the_start_of_a_worker_waits() -> None:
+    """A worker half started would wait for its beginning, the items for a worker, and the program for both."""
+    program = """
+import signal
+from multiprocessing import util
+from l3cli import cli
+from l3cli.parallel import ordered_map
+
+start = util.spawnv_passfds
+
+def disturbed(path, arguments, descriptors):
+    child = start(path, arguments, descriptors)
+    if b"--multiprocessing-fork" in arguments or "--multiprocessing-fork" in arguments:
+        signal.raise_signal(signal.SIGTERM)
+    return child
+
+def work(*_, **__):
+    util.spawnv_passfds = disturbed
+    list(ordered_map(len, (bytes(1 << 20) for _ in range(10_000)), 2))
+
+cli.l3.main = work
+if __name__ == "__main__":
+    cli.main()
+"""
+    env = {**os.environ, "PYTHONPATH": str(CONFIGS.parent)}
+    run = subprocess.Popen([sys.executable, "-c", program], env=env, stderr=subprocess.PIPE, text=True)
+    try:
+        assert run.communicate(timeout=50) == (None, "l3: terminated\n")
+    finally:
+        run.kill()
+    assert run.returncode == 143
+
+
 def test_workers_end_when_their_parent_is_killed(tmp_path: Path) -> None:
     run = _simulation(tmp_path)
     assert _workers(run.pid)

@@ -16,6 +16,7 @@ from multiprocessing.connection import wait
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from l3cli.errors import L3Error
+from l3cli.interrupts import uninterrupted
 from l3cli.limits import ONE_BLAS_THREAD
 
 if TYPE_CHECKING:
@@ -97,6 +98,7 @@ def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
                 os.environ[name] = value
 
 
+@uninterrupted  # a process that is only half started would wait for its beginning, and we for its end
 def _submit(pool: ProcessPoolExecutor, function: Callable[[T], R], item: T) -> "Future[R]":
     """Hand an item to the pool, which may start a process for it: one that leaves Ctrl-C, which reaches the whole group, to
     its parent. A blocked signal is inherited from the first instruction on, and still reaches the parent afterwards."""
