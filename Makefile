@@ -45,13 +45,13 @@ test: $(VENV)/installed ## the test suite
 study: $(VENV)/installed ## calibration over 21 seeds and a whole session's time and memory (ten minutes)
 	$(BIN)/python -m pytest -m slow -s --ignore tests/test_video_rate.py
 
-soak: $(VENV)/installed ## every stage killed forty times, and what else takes patience
+soak: $(VENV)/installed ## every stage killed forty times, full disks, endurance (half an hour)
 	$(BIN)/python -m pytest -m soak -s
 
 video: $(VENV)/installed ## rate and memory of 1800 raw frames to video, beside the encoder alone (six minutes)
 	$(BIN)/python -m pytest -m slow -s tests/test_video_rate.py
 
-fuzz: $(VENV)/installed ## 20 000 spoilt inputs and 2 000 led by coverage (an hour); those that fail stay in build/fuzz
+fuzz: $(VENV)/installed ## 20 000 spoilt inputs and 2 000 led by coverage (ten minutes); those that fail stay in build/fuzz
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[fuzz]"
 	PYTHONPATH=$(CURDIR) nice $(BIN)/python -m tests.fuzz --inputs $(INPUTS) --jobs $(JOBS)
 	PYTHONPATH=$(CURDIR) nice $(BIN)/python -m tests.fuzz --inputs 2000 --guided

@@ -226,7 +226,7 @@ def kill_once(stage: Stage, number: int, seed: int, server: ForkServer, truth: C
         if number != signal.SIGKILL:
             assert [name for name in left if is_hidden(name) and not is_remnant(name)] == []
             assert [name for name in left if ".l3tmp" in name] == []
-    again = server.run(*stage.arguments) if finished == whole and whole else server.run(*stage.again)
+    again = server.run(*stage.arguments) if left == whole and whole else server.run(*stage.again)
     assert again.err.count("\n") <= 1
     assert again.code == 0 or (again.code == 1 and "--force" in again.err and finished == whole)
     if again.code == 0:
