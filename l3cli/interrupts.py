@@ -5,6 +5,7 @@ what was not written for written; another complains on stderr that it was left w
 been made stays; a condition that has just been acquired stays so for ever.
 """
 
+import signal
 import threading
 from collections.abc import Callable
 from types import CodeType, FrameType
@@ -13,7 +14,7 @@ from typing import Any, TypeVar
 F = TypeVar("F", bound=Callable[..., Any])
 
 _uninterrupted: set[CodeType] = set()
-_someone_waits = False
+_waiting: type[BaseException] | None = None  # what a signal that waits will be
 
 
 def uninterrupted(function: F) -> F:
@@ -22,18 +23,33 @@ def uninterrupted(function: F) -> F:
     return function
 
 
-def must_wait(frame: FrameType | None) -> bool:
-    """Whether a signal that has come while `frame` ran has to wait."""
-    global _someone_waits
+def must_wait(frame: FrameType | None, ending: type[BaseException]) -> bool:
+    """Whether a signal, to become the exception `ending`, has to wait since it has come while `frame` ran."""
+    global _waiting
     while frame is not None and frame.f_code not in _uninterrupted:
         frame = frame.f_back
-    _someone_waits = frame is not None
-    return _someone_waits
+    _waiting = ending if frame is not None else None
+    return _waiting is not None
 
 
 def is_wanted() -> bool:
     """Whether a signal waits: what is not yet begun should be left."""
-    return _someone_waits
+    return _waiting is not None
+
+
+def give_way() -> None:
+    """Raise what the signal that waits would become, if one does: after it something has been left, nothing may go on."""
+    global _waiting
+    if _waiting is not None:
+        ignore()
+        ending, _waiting = _waiting, None
+        raise ending
+
+
+def ignore() -> None:
+    """Heed no more signals: once is enough, nothing must disturb the cleaning up."""
+    for each in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(each, signal.SIG_IGN)
 
 
 # Queues, semaphores and futures are made of conditions. An exception on the way into or out of the "with" of one would leave

@@ -13,7 +13,7 @@ import click
 
 from l3cli import __version__
 from l3cli.errors import L3Error, suggestion
-from l3cli.interrupts import must_wait
+from l3cli.interrupts import ignore, must_wait
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
@@ -125,12 +125,12 @@ def run(arguments: list[str]) -> int:
 
 
 def _end(number: int, frame: FrameType | None) -> None:
-    if must_wait(frame):
+    ending = KeyboardInterrupt if number == signal.SIGINT else Terminated
+    if must_wait(frame, ending):
         _come_again(number)
         return
-    for each in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(each, signal.SIG_IGN)  # once is enough: nothing must disturb the cleaning up
-    raise KeyboardInterrupt if number == signal.SIGINT else Terminated
+    ignore()
+    raise ending
 
 
 def _lost(what: Any) -> None:

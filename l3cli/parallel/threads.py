@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, TypeVar
 
-from l3cli.interrupts import is_wanted, uninterrupted
+from l3cli.interrupts import give_way, is_wanted, uninterrupted
 
 T = TypeVar("T")
 READING, WRITING = 1.0, 25.0  # seconds after an interrupt in which an item that is being read, or written, is finished
@@ -99,8 +99,10 @@ class Behind:
             while thread.is_alive() and left > 0:  # a pipe that nobody reads would take for ever
                 thread.join(STEP)
                 left -= STEP if interrupted or is_wanted() else 0
-        if error is None and self._error is not None:
-            raise self._error
+        if error is None:
+            give_way()  # what waited has been dropped: nobody may take what is written for all
+            if self._error is not None:
+                raise self._error
 
     def _wake_one(self) -> None:
         with contextlib.suppress(queue.Full):  # whoever takes the last item will see
