@@ -383,15 +383,23 @@ def test_what_never_ends_is_not_waited_for_after_an_interrupt(monkeypatch):
     """As when nobody reads the pipe that is written to."""
     monkeypatch.setattr(threads, "WRITING", 0.2)
     monkeypatch.setattr(threads, "STEP", 0.1)
-    gate = threading.Event()
+    begun, gate = threading.Event(), threading.Event()
+
+    def stuck(item: int) -> None:
+        begun.set()
+        gate.wait(20)
 
     def interrupted() -> None:
-        with Behind(lambda item: gate.wait(), 3) as writing:
+        with Behind(stuck, 3) as writing:
             writing.put(0)
+            begun.wait()
             raise KeyboardInterrupt
+
+    start = time.monotonic()
 
     with pytest.raises(KeyboardInterrupt):
         interrupted()
+    assert time.monotonic() - start < 10
     gate.set()
 
 
@@ -400,8 +408,10 @@ def test_no_interrupt_makes_threads_wait_for_ever():
     program = """
 import random, signal, sys, time
 from l3cli import cli
+from l3cli.parallel import threads
 from l3cli.parallel.threads import Behind, ahead
 
+threads.WRITING = 1e9
 moments, sys.unraisablehook, cli.LATER = random.Random(0), cli._lost, 0.02
 for _ in range(100):
     for each in (signal.SIGALRM, signal.SIGINT, signal.SIGTERM):
@@ -417,7 +427,7 @@ for _ in range(100):
         time.sleep(0.05)  # it may come again
         print("terminated")
 """
-    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=100)
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=50)
     assert (ended.returncode, ended.stdout, ended.stderr) == (0, 100 * "terminated\n", "")
 
 
