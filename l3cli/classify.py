@@ -86,8 +86,10 @@ def make_rule(
     camera: CameraModel,
     case_of_code: NDArray[np.uint16],
     chroma_centres: NDArray[np.float64] | None = None,
+    dark: float = 0.0,
 ) -> ClassRule:
-    """The integer rule for a camera: edges in DN, contrast edges from its noise model (METHOD 3.1–3.4).
+    """The integer rule for a camera: edges in DN, contrast edges from its noise model (METHOD 3.1–3.4) for frames of which
+    `dark` DN of dark current have been taken off.
 
     `chroma_centres` (chroma, channel) are shares of the channel means in their sum; without them there is one chroma.
     RecipeError if the recipe asks for what the camera cannot give, such as more levels than values.
@@ -104,7 +106,7 @@ def make_rule(
     in_values = (camera.black + edges * span - truncated) / 2**shift
     level_edges = np.rint(in_values * 2**LEVEL_FRACTION * channels).astype(np.uint32)
     centres = np.concatenate([[edges[0] / 2], np.sqrt(edges[1:] * edges[:-1]), [(1 + edges[-1]) / 2]])
-    variance = camera.noise_variance(centres * span) / 4**shift + (1 / 12 if shift else 0.0) + MEAN_TRUNCATED
+    variance = camera.noise_variance(centres * span, dark) / 4**shift + (1 / 12 if shift else 0.0) + MEAN_TRUNCATED
     limit = 2.0**32 - 1 - channels
     squared = np.array(recipe.contrasts, dtype=np.float64).reshape(-1, 1) ** 2
     contrast_edges = np.minimum(np.rint(squared * variance * channels * 2**CONTRAST_FRACTION), limit)

@@ -1,5 +1,6 @@
 """A raw frame: one mosaic of digital numbers as a camera gives it, brought to the levels of a table."""
 
+import functools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,23 +17,50 @@ class RawFrame:
     white: float  # DN at which a pixel saturates
     phase: tuple[int, int] = (0, 0)  # CFA row and column of pixel (0, 0)
     orientation: int = 0  # how the camera was held: LibRaw's flip code (see `upright`)
+    exposure: float | None = None  # s; None: unknown
+    dark: float = 0.0  # DN above black, the mean signal of dark current …
+    dark_measured: bool = False  # … as a dark frame tells, not the exposure time
 
     def __post_init__(self) -> None:
         if self.values.ndim != 2 or self.values.dtype != np.uint16 or self.values.size == 0:
             raise ValueError(f"{self.name}: a raw frame is rows × columns of 16-bit values")
         if not self.black < self.white:
             raise ValueError(f"{self.name}: black level {self.black:g} is not below white level {self.white:g}")
+        if not self.black + self.dark < self.white:
+            raise ValueError(
+                f"{self.name}: dark current of {self.dark:g} DN leaves no room below white level {self.white:g}"
+            )
+
+    @property
+    def light_share(self) -> float:
+        """Share of full scale that dark current leaves to light."""
+        return 1.0 - self.dark / (self.white - self.black)
 
     def at_levels(self, black: float, white: float, bits: int) -> "RawFrame":
-        """The same light on another scale: DN mapped linearly so that black and white become those given, within `bits`."""
-        top = 2**bits - 1
+        """The light alone on another scale: DN mapped linearly so that black and dark current become `black`, white becomes
+        `white`, within `bits`. Full scale then stands for `light_share` of what it stood for.
+
+        Values are shifted by whole DN, so that no level is lost; what is left of the dark current, below half a DN, is told
+        by the black level of the frame that is returned.
+        """
+        whole = round(self.dark)
+        scale = (white - black) / (self.white - self.black - self.dark)
         values = self.values
-        if (black, white) != (self.black, self.white):
-            scale = (white - black) / (self.white - self.black)
-            values = np.clip(np.rint((values.astype(np.float64) - self.black) * scale + black), 0, top).astype(np.uint16)
-        elif values.max() > top:
-            values = np.minimum(values, np.uint16(top))
-        return replace(self, values=values, black=black, white=white)
+        table = _level_table(self.black + whole, black, scale, 2**bits - 1)
+        if table is not None:
+            values = table.take(values)
+        elif values.max() >= 2**bits:
+            values = np.minimum(values, np.uint16(2**bits - 1))
+        black += (self.dark - whole) * scale
+        return replace(self, values=values, black=black, white=white, dark=0.0)
+
+
+@functools.lru_cache(maxsize=8)
+def _level_table(black: float, new_black: float, scale: float, top: int) -> NDArray[np.uint16] | None:
+    """What each of all 16-bit values becomes, at most `top`; None if all up to `top` stay as they are."""
+    every = np.arange(1 << 16)
+    table = np.clip(np.rint((every - black) * scale + new_black), 0, top).astype(np.uint16)
+    return None if np.array_equal(table[: top + 1], every[: top + 1]) else table
 
 
 def with_one_black(

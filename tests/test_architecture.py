@@ -6,7 +6,7 @@ from pathlib import Path
 PACKAGE = Path(__file__).parents[1] / "l3cli"
 FLOORS = [
     {"errors", "limits", "interrupts", "config", "files", "columns", "spectra"},
-    {"artifacts", "scene", "frame", "measurement"},
+    {"artifacts", "scene", "frame", "dark", "measurement"},
     {"classify"},
     {"calibrate", "simulate", "train", "render", "evaluate", "report", "io", "parallel"},
     {"cli"},

@@ -42,7 +42,8 @@ class Spec:
 
 
 def data(dtype: str, *axes: str, unit: str = "1", doc: str = "", default: Any = dataclasses.MISSING) -> Any:
-    """Declare one dataset: `dtype` ("float64", "uint16", "str"…), axis names (none: a scalar), unit and meaning."""
+    """Declare one dataset: `dtype` ("float64", "uint16", "str"…), axis names (none: a scalar), unit and meaning; with a
+    default it may be absent, as it is from files of older versions."""
     return field(metadata={"spec": Spec(dtype, axes, unit, doc)}, default=default)
 
 
@@ -87,7 +88,7 @@ def _declared(cls: type) -> Iterator[tuple[str, Spec | type, bool]]:
     for item in dataclasses.fields(cls):
         spec = item.metadata.get("spec")
         if spec is not None:
-            yield item.name, spec, False
+            yield item.name, spec, item.default is not dataclasses.MISSING
             continue
         hint = hints[item.name]
         members = typing.get_args(hint) if isinstance(hint, types.UnionType) else (hint,)
@@ -247,11 +248,13 @@ def read_fields(group: h5py.Group, cls: type, path: Path, **extra: Any) -> Any:
     """An instance of dataclass `cls` from the datasets below `group`."""
     values = dict(extra)
     for name, spec, optional in _declared(cls):
+        if optional and name not in members(group, path):
+            continue  # what files of older versions do not tell
         if isinstance(spec, Spec):
             values[name] = _read_dataset(group, name, spec, path)
         elif name in members(group, path):
             values[name] = read_fields(hard_group(group, name, path), spec, path)
-        elif not optional:
+        else:
             raise InputFileError(f"{path} lacks the group {_inside(group, name)}; make the file again")
     try:
         instance = cls(**values)

@@ -154,15 +154,27 @@ class CameraModel(Artifact):
             )
         return dose
 
-    def noise_variance(self, signal: NDArray[np.floating]) -> NDArray[np.floating]:
-        """Variance in DN² of a pixel whose mean lies `signal` DN above black (METHOD 1.3, with quantisation)."""
-        constant, linear, quadratic = self.noise_terms
+    def dark_signal(self, exposure: float | None) -> float:
+        """DN above black that dark current makes, on average, in `exposure` s (METHOD 1.2); 0 if that is unknown."""
+        return 0.0 if exposure is None else self.gain * self.noise.dark_current * exposure
+
+    def noise_variance(self, signal: NDArray[np.floating], dark: float = 0.0) -> NDArray[np.floating]:
+        """Variance in DN² of a pixel whose mean lies `signal` DN above black (METHOD 1.3, with quantisation), of a frame
+        that is `RawFrame.at_levels` after `dark` DN of dark current."""
+        constant, linear, quadratic = self.noise_terms(dark)
         signal = np.maximum(signal, 0.0)
         return constant + (linear + quadratic * signal) * signal
 
-    @property
-    def noise_terms(self) -> tuple[float, float, float]:
-        """The noise variance's constant (DN²), linear (DN) and quadratic term over the signal above black."""
-        noise = self.noise
+    def noise_terms(self, dark: float = 0.0) -> tuple[float, float, float]:
+        """The noise variance's constant (DN²), linear (DN) and quadratic term over the signal above black.
+
+        Of `dark` DN the mean has been taken off, and the light that is left stretched to full scale; the shot noise of the
+        dark electrons, and what pixels differ in them, stays. ValueError if dark current alone fills a pixel.
+        """
+        noise, span = self.noise, self.white - self.black
+        if not dark < span:
+            raise ValueError(f"dark current alone fills a pixel of camera {self.name}: {dark:.4g} DN of {span:.4g}")
+        stretch, prnu = span / (span - dark), noise.prnu**2
         constant = self.gain**2 * (noise.read_noise**2 + noise.dsnu**2 + noise.column_noise**2) + 1.0 / 12.0
-        return constant, self.gain, noise.prnu**2
+        constant += (self.gain + prnu * dark) * dark
+        return stretch**2 * constant, stretch * (self.gain + 2 * prnu * dark), prnu

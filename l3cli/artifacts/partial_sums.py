@@ -63,6 +63,7 @@ class PartialSums(Artifact):
         "float64", "output", doc="output of a perfect white under the training light, Y = 1"
     )
     sites: NDArray[np.int64] = data("int64", "canonical_site", doc="CFA sites that are trained, row · cfa columns + column")
+    exposure: float = data("float64", unit="s", doc="mean exposure time of the simulated training frames", default=0.0)
 
     def __post_init__(self) -> None:
         super().__post_init__()

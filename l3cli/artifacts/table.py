@@ -137,6 +137,8 @@ class TransformTable(Artifact):
     intercept: NDArray[np.float32] = data("float32", "class", "output", doc="added to the weighted sum")
     samples: NDArray[np.float64] = data("float64", "class", doc="training patches; 0: filled from a neighbour")
     condition: NDArray[np.float32] = data("float32", "class", doc="condition number of the class's equations; 0: none")
+    exposure: float = data("float64", unit="s", doc="mean exposure time of the simulated training frames", default=0.0)
+    dark_rate: float = data("float64", unit="DN/s", doc="mean signal of the camera's dark current", default=0.0)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -144,6 +146,8 @@ class TransformTable(Artifact):
         check_cfa(self.cfa, self.channels)
         if not self.outputs or not self.output_unit > 0:
             raise ValueError("there must be an output, and its unit above zero")
+        if not (self.exposure >= 0 and self.dark_rate >= 0):
+            raise ValueError("exposure and dark_rate must not be negative")
         sites = self.cfa.size
         if len(self.weights) != sites * self.rule.classes_per_site:
             raise ValueError(
@@ -152,3 +156,7 @@ class TransformTable(Artifact):
         if self.weights.shape[2] != self.rule.patch**2:
             raise ValueError(f"weights has {self.weights.shape[2]} taps, the rule's patch {self.rule.patch**2}")
         check_rule(self.rule, len(self.channels), self.bits)
+
+    def dark_signal(self, exposure: float | None) -> float:
+        """DN above black that dark current makes, on average, in `exposure` s; if that is unknown, in that of training."""
+        return self.dark_rate * (self.exposure if exposure is None else exposure)

@@ -27,6 +27,7 @@ class Cautions:
 
     table: "TransformTable"
     _seen: int = 0
+    _untimed: list[str] = field(default_factory=list)  # frames whose exposure time and dark level are unknown
     _worst: dict[str, tuple[float, str, int]] = field(default_factory=dict)  # share, frame, number of frames
 
     def __post_init__(self) -> None:
@@ -35,6 +36,8 @@ class Cautions:
     def look(self, frame: "RawFrame") -> None:
         """Measure a frame."""
         self._seen += 1
+        if self.table.dark_rate and frame.exposure is None and not frame.dark_measured:
+            self._untimed.append(frame.name)
         found = self._meter.coverage(frame)
         for what, limit in NOTABLE.items():
             share = getattr(found, what)
@@ -62,6 +65,13 @@ class Cautions:
             "untrained": "fall into classes that are filled from their neighbours; train on more scenes or patches",
             "saturated": "are clipped or touch clipped ones, where colour is a guess; expose shorter, or mend --white-level",
         }
+        if self._untimed:
+            exposure, dark = self.table.exposure, self.table.dark_signal(None)
+            options.say(
+                f"{self._untimed[0]}: exposure time unknown; dark current of the training's {exposure:.3g} s is taken off "
+                f"({dark:.2g} DN); give --exposure-time or --dark",
+                quiet,
+            )
         for what, (share, name, count) in self._worst.items():
             where = name if self._seen == 1 else f"{count} of {self._seen} frames, most in {name}"
             options.say(f"warning: {where}: {share:.0%} of the pixels {texts[what]}", quiet)

@@ -47,10 +47,9 @@ class Order:
 class Elsewhere:
     """Renders frames by the workers of other machines."""
 
-    by_path = True
-
-    def __init__(self, crew: Crew, way: Way) -> None:
-        self._crew, self._way = crew, way
+    def __init__(self, crew: Crew, way: Way, by_path: bool) -> None:
+        """`by_path`: workers read the files themselves."""
+        self._crew, self._way, self.by_path = crew, way, by_path
 
     def develop(self, exposed: Iterator[Exposed]) -> Iterator[tuple[Pending, Any]]:
         """Pixels of each frame, content of its picture's file, or what is wrong with it, in order."""

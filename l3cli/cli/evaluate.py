@@ -88,5 +88,6 @@ def judge(
     from l3cli.frame import RawFrame
 
     frame, camera = reader.frame(index), reader.head.camera
-    raw = RawFrame(frame.scene, frame.raw, camera.black, camera.white)
+    dark = camera.dark_signal(frame.exposure)
+    raw = RawFrame(frame.scene, frame.raw, camera.black, camera.white, exposure=frame.exposure, dark=dark)
     return frame, evaluation.add(frame, renderer.outputs(raw), renderer.labels(raw))

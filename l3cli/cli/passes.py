@@ -93,13 +93,13 @@ def first_lesson(course: Course, work: Work) -> Lesson:
     about = (course.training, work.elsewhere, course.head, course.recipe, course.seed)
     glances = [Glance(*about, run, patches[run.start : run.stop]) for run in runs]
     pilots = options.progress(work.crew(_glance, glances), len(glances), "pilot", work.quiet)
-    rule, white = survey(pilots, course.patches, course.head, course.recipe, course.seed)
+    rule, white, exposure = survey(pilots, course.patches, course.head, course.recipe, course.seed)
     kinds = f"({rule.chromas} chromas + {rule.cases - 1} saturation cases)"
     options.say(
         f"{len(course.patches)} frames, {rule.levels} levels × {rule.contrasts} contrasts × {kinds} a site", work.quiet
     )
     number = FIRST if has_two_passes(course.head, learning) else LAST
-    return Lesson(course.head, course.patches, rule, learning, white, course.seed, number)
+    return Lesson(course.head, course.patches, rule, learning, white, course.seed, number, exposure)
 
 
 @dataclass(frozen=True)

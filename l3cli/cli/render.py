@@ -118,6 +118,14 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
 @click.option("--bits", type=click.Choice(["8", "16"]), default="8", show_default=True, help="Bits a value of a picture.")
 @click.option("--black", type=float, metavar="DN", help="Black level of the inputs [default: the file's or the table's].")
 @click.option("--white-level", type=float, metavar="DN", help="White level of the inputs [default: the file's or table's].")
+@click.option(
+    "--exposure-time", type=click.FloatRange(0, 1e5), metavar="SECONDS",
+    help="Of the inputs, by which dark current is taken off [default: the file's or the table's training's].",
+)  # fmt: skip
+@click.option(
+    "--dark", type=options.FILE, multiple=True, metavar="FRAME",
+    help="Frames of the same exposure time without light, files or a sequence; their mean is taken off. May be repeated.",
+)  # fmt: skip
 @click.option("--phase", callback=_pair(","), metavar="ROW,COL", help="CFA site of the inputs' first pixel, from 0.")
 @click.option("--size", callback=_pair("x"), metavar="ROWSxCOLS", help="Pixels of headerless inputs [default: the table's].")
 @click.option(
@@ -135,7 +143,8 @@ def render(
     table: Path, inputs: tuple[Path, ...], output: Path, suffix: str, frames: range | None, dataset: str | None,
     fps: Fraction | None, codec: str | None, crf: float | None, preset: str, backend: str, device: str | None,
     variant: str | None, exposure: float | None, white: str | None, bits: str, black: float | None,
-    white_level: float | None, phase: tuple[int, int] | None, size: tuple[int, int] | None, packing: str | None,
+    white_level: float | None, exposure_time: float | None, dark: tuple[Path, ...],
+    phase: tuple[int, int] | None, size: tuple[int, int] | None, packing: str | None,
     stride: int | None, skip_bad: bool, resume: bool, scheduler: "Scheduler | None", force: bool, quiet: bool,
 ) -> int:  # fmt: skip
     """Render INPUT through TABLE.h5: files (DNG, camera raw, one-channel TIFF, PNG or PGM, FITS, .npy, headerless .raw,
@@ -161,7 +170,7 @@ def render(
     from l3cli.cli.sequence import USUAL_RATE, Look, claim, make_target, marked, refuse_missing, render_frames
     from l3cli.files import sha256
     from l3cli.io.raw_files import KnownBetter
-    from l3cli.io.sequences import find_frames
+    from l3cli.io.sequences import find_frames, read_dark
     from l3cli.io.video import VideoChoice
     from l3cli.render.display import require_xyz, scene_white
 
@@ -173,8 +182,10 @@ def render(
     engine = {name: value for name, value in {"device": device, "variant": variant}.items() if value is not None}
     if engine and backend != "opencl":
         raise RecipeError(f"--{next(iter(engine))} is for the opencl backend; leave it or --backend {backend} out")
-    known = KnownBetter(black, white_level, phase, size, packing, stride)
+    known = KnownBetter(black, white_level, phase, size, packing, stride, exposure_time)
     transforms = load(TransformTable, table)
+    if dark:
+        known = replace(known, dark=read_dark(dark, transforms, known))
     if target.linear:
         look = Look(None, None, choice.bits)
     else:
@@ -205,4 +216,4 @@ def _room(way: "Way", table: "TransformTable", scheduler: "Scheduler | None") ->
         yield Here(make_renderer(way.backend, table, **way.engine), way.look)
     else:
         with workers(1, scheduler) as crew:
-            yield Elsewhere(crew, way)
+            yield Elsewhere(crew, replace(way, known=replace(way.known, dark=None)), by_path=way.known.dark is None)

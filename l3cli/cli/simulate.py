@@ -184,7 +184,7 @@ def _write_pictures(training: Path, folder: Path) -> None:
     with open_training_set(training, unchanged=True) as frames:
         for index, frame in enumerate(frames):
             name = options.frame_name(index, frame.scene)
-            write_mosaic(folder / f"{name}_raw.tif", frame.raw)
+            write_mosaic(folder / f"{name}_raw.tif", frame.raw, frame.exposure)
             if frames.head.outputs != ("X", "Y", "Z"):
                 planes = np.moveaxis(frame.target / np.float32(frame.white.max()), 0, -1)
                 write_linear(folder / f"{name}_ideal.exr", planes, frames.head.outputs)

@@ -150,7 +150,7 @@ def train_shard(course: "Course", shard: tuple[int, int], first: Path | None, ou
         lesson = first_lesson(course, work)
     elif table.history == course.history(FIRST):
         about = (course.head, course.patches, table.rule, course.recipe.learning, table.white_point, course.seed)
-        lesson = Lesson(*about, LAST)
+        lesson = Lesson(*about, LAST, table.exposure)
     else:
         raise InputFileError(
             f"{first} is not the first pass of this run: other training sets, shares, recipe or seed; "
@@ -172,6 +172,7 @@ def train_shard(course: "Course", shard: tuple[int, int], first: Path | None, ou
         rule=lesson.rule,
         white_point=lesson.white_point,
         sites=np.array(sites),
+        exposure=lesson.exposure,
     )
     write_partial_sums(output, head, (add_up(lesson, [own]) for _, own in sums))
     options.say(f"{output}: shard {index} of {count}, {'first' if lesson.number == FIRST else 'last'} pass", work.quiet)
@@ -205,6 +206,7 @@ def merge_shards(shards: tuple[Path, ...], output: Path, quiet: bool) -> None:
             head.white_point,
             stage.options["seed"],
             head.pass_number,
+            head.exposure,
         )
         lesson = Lesson(*about)
         if head.sites.tolist() != canonical_sites(head.training, head.rule, recipe):

@@ -60,7 +60,8 @@ class Evaluation:
         planes = {OURS: outputs * (self._table.output_unit / frame.exposure)}
         for name, demosaic in self._rivals.items():
             planes[name] = develop(frame, self._camera, self._colour(light_of(frame)), demosaic)
-        level = float(frame.raw.mean() - self._camera.black) / (self._camera.white - self._camera.black)
+        black = self._camera.black + self._camera.dark_signal(frame.exposure)
+        level = float(frame.raw.mean() - black) / (self._camera.white - self._camera.black)
         about = {"scene": frame.scene, "illuminant": frame.illuminant, "luminance": frame.luminance, "level": level}
         figures = {name: self._quality(of, frame, border) for name, of in planes.items()}
         self._frames.append({**about, **figures})
@@ -73,8 +74,8 @@ class Evaluation:
 
         format         1, raised when keys change
         camera, outputs, viewing (samples a degree of S-CIELAB), pipelines ("ours" first)
-        frames         scene, illuminant, luminance (cd/m²), level (mean raw signal / full scale), then per pipeline the
-                       fields of Quality (XYZ) or BandQuality (other outputs)
+        frames         scene, illuminant, luminance (cd/m²), level (mean signal above the dark / full scale), then per
+                       pipeline the fields of Quality (XYZ) or BandQuality (other outputs)
         mean           per pipeline the mean of every figure over the frames
         better         per rival pipeline: in how many frames ours is better, by figure
         by_level       from, to (of the frames' level, a factor of two), frames, then per pipeline the mean figures

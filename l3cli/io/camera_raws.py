@@ -58,7 +58,10 @@ def _visible(path: Path, raw: Any) -> CameraRaw:
         values, common, top = with_one_black(values, black[colours], white[colours])
     rows, cols = raw.raw_pattern.shape
     pattern = codes_of(letters)[colours[:rows, :cols]]
-    return CameraRaw(values=values, black=common, white=top, pattern=pattern, orientation=int(raw.sizes.flip))
+    exposure = float(raw.other.shutter)
+    return CameraRaw(
+        values=values, black=common, white=top, pattern=pattern, orientation=int(raw.sizes.flip), exposure=exposure
+    )
 
 
 def _levels(raw: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

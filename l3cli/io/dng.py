@@ -40,6 +40,7 @@ class CameraRaw(TypedDict):
     white: float  # DN
     pattern: NDArray[np.int64]  # (row, col) colour codes of the CFA, from pixel (0, 0) on
     orientation: int  # LibRaw's flip code
+    exposure: float | None  # s, if it tells
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,7 @@ class Mosaic:
     black_of_row: NDArray[np.float64]  # (active row), DN added
     black_of_col: NDArray[np.float64]  # (active col), DN added
     white: float  # DN
+    exposure: float | None  # s
 
 
 def described(path: Path, stored: NDArray[np.uint16]) -> CameraRaw:
@@ -71,7 +73,9 @@ def described(path: Path, stored: NDArray[np.uint16]) -> CameraRaw:
     pixels = stored[top:bottom, left:right][shown].copy()  # LibRaw takes its memory back
     values, common, white = with_one_black(pixels, black, np.array(mosaic.white))
     pattern = np.roll(mosaic.pattern, (-row, -col), axis=(0, 1))
-    return CameraRaw(values=values, black=common, white=white, pattern=pattern, orientation=mosaic.orientation)
+    return CameraRaw(
+        values=values, black=common, white=white, pattern=pattern, orientation=mosaic.orientation, exposure=mosaic.exposure
+    )
 
 
 def _black_levels(mosaic: Mosaic, shape: tuple[int, int]) -> NDArray[np.float64]:
@@ -144,7 +148,16 @@ def _mosaic(path: Path, first: Any, raw: Any, shape: tuple[int, ...]) -> Mosaic:
         black_of_row=_of_length(raw, TiffTag.BLACK_LEVEL_DELTA_V, rows),
         black_of_col=_of_length(raw, TiffTag.BLACK_LEVEL_DELTA_H, cols),
         white=float(_numbers(raw, TiffTag.WHITE_LEVEL, (2**raw.bitspersample - 1,))[0]),
+        exposure=exposure_time(first),
     )
+
+
+def exposure_time(page: Any) -> float | None:
+    """Exposure time (s) that the first page of a TIFF file or DNG tells, itself (TIFF/EP) or by its Exif tags."""
+    told = page.tags.valueof(TiffTag.EXPOSURE_TIME) or (page.tags.valueof(TiffTag.EXIF) or {}).get("ExposureTime")
+    if not (isinstance(told, tuple) and len(told) == 2 and told[1]):
+        return None  # not told, or no time
+    return float(told[0] / told[1])
 
 
 def _contiguous(offsets: Sequence[int], lengths: Sequence[int]) -> bool:

@@ -101,7 +101,7 @@ def _colour_tags(camera: CameraModel, colour: RawColour, neutral: NDArray[np.flo
     if neutral is not None:
         tags.append(_tag(TiffTag.AS_SHOT_NEUTRAL, RATIONAL, neutral[planes]))
     full_scale = camera.white - camera.black
-    constant, linear, _ = camera.noise_terms
+    constant, linear, _ = camera.noise_terms()
     noise = (linear / full_scale, constant / full_scale**2)  # variance = S · x + O of values x between black and white
     return [*tags, _tag(TiffTag.NOISE_PROFILE, DOUBLE, noise)]
 

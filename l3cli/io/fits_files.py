@@ -30,8 +30,9 @@ def fits_shape(path: Path) -> tuple[int, ...]:
 
 
 @apart
-def read_fits(path: Path, number: int | None = None) -> tuple[NDArray[np.uint16], str | None]:
-    """Pixels (row, col) in DN, of frame `number` where there are several, and the colours BAYERPAT names, row by row.
+def read_fits(path: Path, number: int | None = None) -> tuple[NDArray[np.uint16], str | None, float | None]:
+    """Pixels (row, col) in DN, of frame `number` where there are several, the colours BAYERPAT names, row by row, and the
+    exposure time (s) of EXPTIME or EXPOSURE.
 
     InputFileError if the file holds anything but unsigned integers of at most 16 bits.
     """
@@ -40,6 +41,7 @@ def read_fits(path: Path, number: int | None = None) -> tuple[NDArray[np.uint16]
         header = image.header
         pattern, order = str(header.get("BAYERPAT", "")).strip().upper(), str(header.get("ROWORDER", "")).strip().upper()
         offset = (int(header.get("YBAYROFF", 0)), int(header.get("XBAYROFF", 0)))
+        told = header.get("EXPTIME", header.get("EXPOSURE"))
     if values.ndim != 2 or values.dtype.kind not in "ui" or values.dtype.itemsize > 2 or values.size == 0:
         raise InputFileError(f"{path} holds {values.dtype.name} {values.shape}; give unsigned 16-bit (rows, columns)")
     if values.min() < 0:
@@ -50,7 +52,8 @@ def read_fits(path: Path, number: int | None = None) -> tuple[NDArray[np.uint16]
     if len(pattern) == 4:
         square = np.roll(np.array(list(pattern)).reshape(2, 2), (-offset[0], -offset[1]), axis=(0, 1))
         letters = "".join(square.ravel())
-    return np.ascontiguousarray(values, np.uint16), letters
+    exposure = float(told) if isinstance(told, int | float) else None
+    return np.ascontiguousarray(values, np.uint16), letters, exposure
 
 
 @contextlib.contextmanager

@@ -25,6 +25,7 @@ COMPRESSION: dict[str, dict[str, str | int]] = {
     ".jpg": {"Compression": "jpeg:95", "jpeg:subsampling": "4:4:4"},
     ".jpeg": {"Compression": "jpeg:95", "jpeg:subsampling": "4:4:4"},
 }
+EXPOSURE_TIME = "ExposureTime"  # OpenImageIO's name of the Exif tag
 XYZ_CHROMATICITIES = (1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1 / 3, 1 / 3)  # of the X, Y, Z primaries and their white
 
 
@@ -70,12 +71,14 @@ def write_linear(path: Path, pixels: NDArray[np.float32], names: tuple[str, ...]
     _write(path, spec, pixels)
 
 
-def write_mosaic(path: Path, values: NDArray[np.uint16]) -> None:
-    """A raw mosaic (row, col) in DN as an uncompressed 16-bit mono TIFF."""
+def write_mosaic(path: Path, values: NDArray[np.uint16], exposure: float | None = None) -> None:
+    """A raw mosaic (row, col) in DN as an uncompressed 16-bit mono TIFF, with its exposure time (s) if that is known."""
     import OpenImageIO as oiio
 
     spec = oiio.ImageSpec(values.shape[1], values.shape[0], 1, "uint16")
     spec.attribute("compression", "none")
+    if exposure is not None:
+        spec.attribute(EXPOSURE_TIME, exposure)
     _write(path, spec, values[..., None])
 
 
@@ -114,8 +117,8 @@ def read_image(path: Path) -> tuple[NDArray, tuple[str, ...]]:
 
 
 @apart
-def read_mono(path: Path) -> NDArray[np.uint16]:
-    """Single-channel 8- or 16-bit picture (row, col), values as stored."""
+def read_mono(path: Path) -> tuple[NDArray[np.uint16], float | None]:
+    """Single-channel 8- or 16-bit picture (row, col), values as stored, and the exposure time (s) of its Exif tags."""
     with opened(path) as (source, spec):
         stored = str(spec.format)
         if spec.nchannels != 1 or stored not in ("uint8", "uint16"):
@@ -126,7 +129,7 @@ def read_mono(path: Path) -> NDArray[np.uint16]:
     # OpenImageIO stretches depths such as 12 bits over the whole of 16: the upper bits are what is stored.
     depth = 8 * values.dtype.itemsize
     unused = np.uint16(depth - spec.get_int_attribute("oiio:BitsPerSample", depth))
-    return values.astype(np.uint16) >> unused
+    return values.astype(np.uint16) >> unused, spec.get_float_attribute(EXPOSURE_TIME, 0.0) or None
 
 
 @contextlib.contextmanager

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.dark import DarkFrame, without_dark
 from l3cli.errors import InputFileError
 from l3cli.frame import RawFrame
 from l3cli.io.arrays import map_array
@@ -25,6 +26,7 @@ HEADERLESS = (".raw", ".bin", *("." + packing for packing in PACKED))
 IMAGES = (".tif", ".tiff", ".png")
 FITS = (".fits", ".fit", ".fts")
 TOP = 65535  # DN, the most that 16 bits hold
+LONGEST = 1e5  # s, the longest exposure that is believed
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,8 @@ class KnownBetter:
     size: tuple[int, int] | None = None  # rows, columns of a headerless file
     packing: str | None = None  # one of packed.PACKINGS, of a headerless file
     stride: int | None = None  # bytes from row to row of a headerless file
+    exposure: float | None = None  # s
+    dark: DarkFrame | None = None  # what the camera gives without light
 
 
 def read_raw(path: Path, table: Sensor, known: KnownBetter | None = None) -> RawFrame:
@@ -44,41 +48,41 @@ def read_raw(path: Path, table: Sensor, known: KnownBetter | None = None) -> Raw
     known = known or KnownBetter()
     if path.is_dir() or not path.exists():
         raise InputFileError(f"{path} {'is a folder' if path.is_dir() else 'does not exist'}; give a raw file")
-    suffix = path.suffix.lower()
+    suffix, exposure = path.suffix.lower(), None
     try:
         if suffix in HEADERLESS:
             values: NDArray = _read_headerless(path, layout_of(path, table, known))
         elif suffix == ".npy":
             values = map_npy(path, 2)
         elif suffix in IMAGES:
-            values = read_mono(path)
+            values, exposure = read_mono(path)
         elif suffix == ".pgm":
             values = read_pgm(path)
         elif suffix in FITS:
             return fits_frame(path, None, table, known)
         else:
             return _corrected(_read_camera_raw(path, table, known.phase), table, known)
-        return frame_of(str(path), values, table, known)
+        return frame_of(str(path), values, table, known, exposure)
     except OSError as error:
         raise InputFileError(f"{path}: {error.strerror or error}") from error
 
 
-def frame_of(name: str, values: NDArray, table: Sensor, known: KnownBetter) -> RawFrame:
-    """A frame of pixels (row, col) that came with nothing else: levels are the table's, unless the caller knows better."""
+def frame_of(name: str, values: NDArray, table: Sensor, known: KnownBetter, exposure: float | None = None) -> RawFrame:
+    """A frame of pixels (row, col) that came without levels: they are the table's, unless the caller knows better."""
     if values.size == 0 or values.ndim != 2:
         raise InputFileError(f"{name} holds no pixels; give a raw file")
     require_picture(name, *values.shape)
-    frame = RawFrame(name, np.array(values, np.uint16, order="C"), table.black, table.white)
+    frame = RawFrame(name, np.array(values, np.uint16, order="C"), table.black, table.white, exposure=exposure)
     return _corrected(frame, table, known)
 
 
 def fits_frame(path: Path, number: int | None, table: Sensor, known: KnownBetter) -> RawFrame:
     """The frame of a FITS file, or its frame `number`, with the phase that its BAYERPAT tells."""
-    values, letters = read_fits(path, number)
+    values, letters, exposure = read_fits(path, number)
     name = str(path) if number is None else f"{path} frame {number}"
     if letters and known.phase is None:
         known = replace(known, phase=find_phase(name, codes_of(letters).reshape(2, 2), table))
-    return frame_of(name, values, table, known)
+    return frame_of(name, values, table, known, exposure)
 
 
 def layout_of(path: Path, table: Sensor, known: KnownBetter) -> Layout:
@@ -89,7 +93,7 @@ def layout_of(path: Path, table: Sensor, known: KnownBetter) -> Layout:
 
 
 def _corrected(frame: RawFrame, table: Sensor, known: KnownBetter) -> RawFrame:
-    """The frame with what the caller knows better in place of what the file says."""
+    """The frame with what the caller knows better in place of what the file says, and what dark current adds to it."""
     black = frame.black if known.black is None else known.black
     white = frame.white if known.white is None else known.white
     phase = frame.phase if known.phase is None else known.phase
@@ -98,7 +102,18 @@ def _corrected(frame: RawFrame, table: Sensor, known: KnownBetter) -> RawFrame:
             f"{frame.name}: black level {black:g} and white level {white:g} do not fit; give --black and --white-level"
         )
     rows, cols = table.cfa.shape
-    return RawFrame(frame.name, frame.values, black, white, (phase[0] % rows, phase[1] % cols), frame.orientation)
+    told = frame.exposure if frame.exposure is not None and 0 < frame.exposure <= LONGEST else None
+    exposure = told if known.exposure is None else known.exposure
+    dark = table.dark_signal(exposure) * (white - black) / (table.white - table.black)
+    if not dark < white - black:
+        raise InputFileError(
+            f"{frame.name}: dark current alone fills a pixel with {dark:.4g} of {white - black:.4g} DN; "
+            "is its exposure time in seconds?"
+        )
+    corrected = replace(
+        frame, black=black, white=white, phase=(phase[0] % rows, phase[1] % cols), exposure=exposure, dark=dark
+    )
+    return corrected if known.dark is None else without_dark(corrected, known.dark)
 
 
 # -------------------------------------------------------------------------------------------------- plain formats
@@ -136,4 +151,5 @@ def _read_camera_raw(path: Path, table: Sensor, phase: tuple[int, int] | None) -
     found = read_camera_raw(path)
     if phase is None:
         phase = find_phase(str(path), found["pattern"], table)
-    return RawFrame(str(path), found["values"], found["black"], found["white"], phase, found["orientation"])
+    levels = (found["black"], found["white"])
+    return RawFrame(str(path), found["values"], *levels, phase, found["orientation"], found["exposure"])

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
+from l3cli.dark import DarkFrame, average_dark
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.frame import RawFrame
 from l3cli.io import raw_files
@@ -93,6 +94,15 @@ def find_frames(
     wanted = selection or series.expected or series.numbers or ()
     count = len(wanted)
     return Footage(_Frames(series, wanted, selection is not None), count, stills or count == 1, series.rate)
+
+
+def read_dark(paths: Iterable[Path], table: TransformTable, known: KnownBetter) -> DarkFrame:
+    """The mean of the raw frames at `paths`, named as for `find_frames`, of an exposure without light."""
+    return average_dark(
+        frame
+        for pending in find_frames(tuple(paths), table, known, None, None).frames
+        if (frame := pending.read()) is not None
+    )
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ class CoverageMeter:
         """How a frame of any size and phase is covered."""
         rule = self._table.rule
         patches, site = spread_patches(frame, self._table)
-        label = label_patches(patches, rule, self._near, site)
+        label = label_patches(patches.values, rule, self._near, site)
         level, within = np.divmod(label, rule.contrasts * rule.kinds)
         learned = np.flatnonzero(self._samples[site].sum(axis=1) > 0)
         lowest, highest = (learned[0], learned[-1]) if learned.size else (0, rule.levels - 1)

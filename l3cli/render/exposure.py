@@ -1,10 +1,10 @@
 """Exposure of a sequence: measured on a few pixels of each frame, followed in time so that nothing flickers (METHOD 5)."""
 
 import math
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
-from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
 from l3cli.classify import label_patches, neighbourhoods
@@ -31,13 +31,13 @@ class LightMeter:
         """Y that ought to be shown white."""
         table = self.table
         patches, site = spread_patches(frame, table)
-        classes = site * table.rule.classes_per_site + label_patches(patches, table.rule, self._near, site)
-        signal = (patches.astype(np.float32) - np.float32(table.black)) / np.float32(table.white - table.black)
+        classes = site * table.rule.classes_per_site + label_patches(patches.values, table.rule, self._near, site)
+        signal = (patches.values.astype(np.float32) - np.float32(patches.black)) / np.float32(table.white - table.black)
         luminance = np.einsum("nt,nt->n", self._weights[classes], signal) + self._intercept[classes]
-        return float(np.percentile(luminance, WHITE_PERCENTILE))
+        return frame.light_share * float(np.percentile(luminance, WHITE_PERCENTILE))
 
 
-def spread_patches(frame: RawFrame, table: TransformTable) -> tuple[NDArray[np.uint16], int]:
+def spread_patches(frame: RawFrame, table: TransformTable) -> tuple[RawFrame, int]:
     """About 1500 patches (patch, tap) of a frame, evenly spread, at the table's levels; and the CFA site of them all, that
     of the frame's first pixel."""
     period_row, period_col = table.cfa.shape
@@ -47,8 +47,8 @@ def spread_patches(frame: RawFrame, table: TransformTable) -> tuple[NDArray[np.u
     row_source = mirrored_indices(rows, table.rule.radius, period_row)[row]
     col_source = mirrored_indices(cols, table.rule.radius, period_col)[col]
     patches = frame.values[row_source[:, None, :, None], col_source[None, :, None, :]].reshape(-1, table.rule.patch**2)
-    raw = RawFrame(frame.name, patches, frame.black, frame.white).at_levels(table.black, table.white, table.bits)
-    return raw.values, frame.phase[0] * period_col + frame.phase[1]
+    levelled = replace(frame, values=patches).at_levels(table.black, table.white, table.bits)
+    return levelled, frame.phase[0] * period_col + frame.phase[1]
 
 
 def _spread(length: int, period: int, count: int, patch: int) -> np.ndarray:

@@ -68,6 +68,8 @@ class OpenCLRenderer:
         """Outputs of the table, (output, row, col)."""
         planes, work = self._start_outputs(frame)
         self._wait(work)
+        if frame.light_share != 1:
+            planes *= np.float32(frame.light_share)
         return planes
 
     def picture(self, frame: RawFrame, display: Display) -> NDArray:
@@ -113,14 +115,15 @@ class OpenCLRenderer:
     def _start_picture(self, frame: RawFrame, display: Display) -> tuple[NDArray, "_Work"]:
         require_xyz(self.table.outputs)
         picture = np.empty((*frame.values.shape, 3), display.dtype)
-        return picture, self._start(frame, [picture], layout.display_macros(display), display.matrix)
+        return picture, self._start(frame, [picture], layout.display_macros(display), display.matrix * frame.light_share)
 
     def _start(
         self, frame: RawFrame, results: Sequence[NDArray], ending: layout.Macros | None, matrix: NDArray | None = None
     ) -> "_Work":
         """Start to fill `results`, one or several arrays (row, …) that follow one another on the device, with what the
         kernel `transform` with this ending writes, or without one with the labels."""
-        values, work = self._values(frame), _Work()
+        levelled, work = frame.at_levels(self.table.black, self.table.white, self.table.bits), _Work()
+        values = np.ascontiguousarray(levelled.values)
         with self._refusals():
             kernel = None if ending is None else self._transform_kernel(ending)
             encoding = self._constant(np.zeros(9) if matrix is None else matrix, np.float32)
@@ -130,7 +133,7 @@ class OpenCLRenderer:
                 self._classify(values, frame.phase, track, band, work)
                 offset, sizes = 0, [result[band.rows].nbytes for result in results]
                 if kernel is not None:
-                    self._transform(kernel, encoding, track, band, sum(sizes), work)
+                    self._transform(kernel, encoding, track, band, sum(sizes), levelled.black, work)
                 for result, size in zip(results, sizes, strict=True):
                     source = track.labels if kernel is None else track.result
                     work.add("download", track.download(source, result[band.rows], offset))
@@ -144,13 +147,6 @@ class OpenCLRenderer:
                 event.wait()
             return work.milliseconds()
 
-    def _values(self, frame: RawFrame) -> NDArray[np.uint16]:
-        """The frame's values (row, col) at the table's levels; the kernels clip them to its depth."""
-        table = self.table
-        if (frame.black, frame.white) != (table.black, table.white):
-            frame = frame.at_levels(table.black, table.white, table.bits)
-        return np.ascontiguousarray(frame.values)
-
     def _classify(self, values: NDArray, phase: tuple[int, int], track: "_Track", band: "_Band", work: "_Work") -> None:
         """Upload and classes of a band."""
         source = values[band.raw_rows]
@@ -162,11 +158,13 @@ class OpenCLRenderer:
         buffers = (track.raw, band.row_source, band.column_source, *self._class_buffers, track.labels)
         work.add("classes", self._run(self._classes, track, band, *buffers, *map(np.int32, site)))
 
-    def _transform(self, kernel: Any, encoding: Any, track: "_Track", band: "_Band", size: int, work: "_Work") -> None:
-        """Transforms and encoding of a classified band into the track's result, `size` bytes."""
+    def _transform(
+        self, kernel: Any, encoding: Any, track: "_Track", band: "_Band", size: int, black: float, work: "_Work"
+    ) -> None:
+        """Transforms and encoding of a classified band above its black level into the track's result, `size` bytes."""
         track.result = self._scratch(track.result, size)
         buffers = (track.raw, band.row_source, band.column_source, track.labels, self._weights, encoding, track.result)
-        work.add("transforms", self._run(kernel, track, band, *buffers, np.float32(self.table.black)))
+        work.add("transforms", self._run(kernel, track, band, *buffers, np.float32(black)))
 
     def _run(self, kernel: Any, track: "_Track", band: "_Band", *arguments: Any) -> Any:
         """Enqueue a kernel over a band; rows and columns are the last arguments of each."""

@@ -37,7 +37,7 @@ class ReferenceRenderer:
     def exact_outputs(self, frame: RawFrame) -> NDArray[np.float64]:
         """`outputs` before rounding to float32."""
         levelled = at_table_levels(frame, self.table)
-        return output_planes(levelled.values, table_labels(levelled, self.table), self.table)
+        return frame.light_share * output_planes(levelled, table_labels(levelled, self.table), self.table)
 
 
 def at_table_levels(frame: RawFrame, table: TransformTable) -> RawFrame:
@@ -50,11 +50,12 @@ def table_labels(frame: RawFrame, table: TransformTable) -> classify.Integers:
     return classify.label_mosaic(frame.values, table.rule, table.cfa, len(table.channels), frame.phase)
 
 
-def output_planes(values: NDArray[np.uint16], labels: classify.Integers, table: TransformTable) -> NDArray[np.float64]:
-    """Each pixel's transform applied to its neighbourhood: (output, row, col) from DN and classes (row, col)."""
-    rows, cols = values.shape
+def output_planes(frame: RawFrame, labels: classify.Integers, table: TransformTable) -> NDArray[np.float64]:
+    """Each pixel's transform applied to its neighbourhood: (output, row, col) from a frame at the table's levels and its
+    classes (row, col)."""
+    rows, cols = frame.values.shape
     patch, outputs = table.rule.patch, len(table.outputs)
-    signal = (values - table.black) / (table.white - table.black)
+    signal = (frame.values - frame.black) / (table.white - table.black)
     padded = pad_mosaic(signal, table.rule.radius, (table.cfa.shape[0], table.cfa.shape[1]))
     windows = np.lib.stride_tricks.sliding_window_view(padded, (patch, patch))
     planes = np.empty((outputs, rows, cols))

@@ -38,7 +38,7 @@ def make_pair(
         raise ValueError("the picture is smaller than the CFA's super-pixel")
     values = levelled[top + down : top + rows, left + across : left + cols]
     wanted = np.moveaxis(picture[down:, across:], 2, 0)
-    scale = pair.scale or _grey_world_scale(values, wanted, camera)
+    scale = pair.scale / raw.light_share if pair.scale else _grey_world_scale(values, wanted, camera)
     white = spectra.white_point("D65") if outputs == ("X", "Y", "Z") else np.ones(len(outputs))
     unit = scale * camera.white_dose  # one second's exposure
     return TrainingPair(

@@ -111,7 +111,7 @@ class _Batch:
         carried: Floats | None = None if patches.carried is None else patches.carried[here].T[order.taps]
         for row in scale:
             left = None if carried is None else carried * row**2
-            values = expose_patches(signal * row, lesson.head.camera, rng, left)
+            values = expose_patches(signal * row, lesson.head.camera, rng, left, lesson.dark)
             sums, squares, code = patch_statistics(values, lesson.rule, order)
             yield label_statistics(sums, squares, code, lesson.rule, self.near, self.site), self._level(sums)
 
@@ -137,7 +137,7 @@ class _Batch:
         clean *= scale[:, None]
         target = self.patches.target[patch] * scale[:, None]
         carried = None if self.patches.carried is None else self.patches.carried[patch] * scale[:, None] ** 2
-        variance = noise_share(clean, self.lesson.head.camera, carried)
+        variance = noise_share(clean, self.lesson.head.camera, carried, self.lesson.dark)
         if self.lesson.recipe.noise == "sampled":
             clean += np.sqrt(variance) * rng.standard_normal(clean.shape, dtype=np.float32)
             variance[:] = 0

@@ -26,6 +26,12 @@ class Lesson:
     white_point: NDArray[np.float64]  # (output) a perfect white under the training light, Y = 1
     seed: int
     number: int  # FIRST or LAST
+    exposure: float = 0.0  # s, mean of the simulated frames
+
+    @property
+    def dark(self) -> float:
+        """DN above black that dark current makes, on average, in a frame that the table is for."""
+        return self.head.camera.dark_signal(self.exposure)
 
     @property
     def draws(self) -> int:

@@ -160,11 +160,16 @@ def _normal(shape: tuple[int, ...], rng: np.random.Generator) -> Floats:
 
 
 def expose_patches(
-    signal: Floats, camera: CameraModel, rng: np.random.Generator, carried: Floats | None = None
+    signal: Floats,
+    camera: CameraModel,
+    rng: np.random.Generator,
+    carried: Floats | None = None,
+    dark: float = 0.0,
 ) -> NDArray[np.uint32]:
-    """The noisy DN that decide the class of `signal` in shares of full scale, (patch, tap) or (tap, patch). A simulated
-    signal lacks all noise, a real one what goes beyond the variance `carried` already."""
-    noisy = _variance(signal, camera, carried, QUANTISATION)
+    """The noisy DN that decide the class of `signal` in shares of full scale, (patch, tap) or (tap, patch), in a frame of
+    which `dark` DN of dark current have been taken off. A simulated signal lacks all noise, a real one what goes beyond the
+    variance `carried` already."""
+    noisy = _variance(signal, camera, carried, dark, QUANTISATION)
     np.sqrt(noisy, out=noisy)
     noisy *= _normal(signal.shape, rng)
     noisy += signal
@@ -173,20 +178,21 @@ def expose_patches(
     return np.clip(noisy, 0.0, np.floor(camera.white), out=noisy).astype(np.uint32)
 
 
-def noise_share(signal: Floats, camera: CameraModel, carried: Floats | None = None) -> Floats:
-    """Variance of the noise that signals (patch, tap) lack, in units of full scale squared; 0 where clipped."""
-    variance = _variance(signal, camera, carried)
+def noise_share(signal: Floats, camera: CameraModel, carried: Floats | None = None, dark: float = 0.0) -> Floats:
+    """Variance of the noise that signals (patch, tap) lack, in units of full scale squared; 0 where clipped. `dark` as for
+    `expose_patches`."""
+    variance = _variance(signal, camera, carried, dark)
     variance *= signal < 1
     return variance
 
 
-def _variance(signal: Floats, camera: CameraModel, carried: Floats | None, later: float = 0.0) -> Floats:
+def _variance(signal: Floats, camera: CameraModel, carried: Floats | None, dark: float, later: float = 0.0) -> Floats:
     """camera.noise_variance in units of full scale, less what signals carry, as only real ones do, which alone are ever
     negative, and what rounding will add `later` (DN²)."""
     if carried is not None:
         signal = np.clip(signal, 0.0, np.inf)
     span = camera.white - camera.black
-    constant, linear, quadratic = camera.noise_terms
+    constant, linear, quadratic = camera.noise_terms(dark)
     variance = signal * np.float32(quadratic)
     variance += np.float32(linear / span)
     variance *= signal

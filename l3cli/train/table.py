@@ -7,9 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.base import Stage
+from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.partial_sums import ClassSums
 from l3cli.artifacts.table import ClassRule, TransformTable
-from l3cli.artifacts.training_set import TrainingPair, TrainingSet
+from l3cli.artifacts.training_set import TrainingFrame, TrainingPair, TrainingSet
 from l3cli.classify import make_rule, neighbourhoods, saturation_codes
 from l3cli.errors import InputFileError
 from l3cli.train.kinds import channel_shares, choose_cases, choose_chromas
@@ -30,6 +31,7 @@ class Pilot:
     occurrences: NDArray[np.int64]  # (code) of each saturation code
     shares: NDArray[np.float64]  # (patch, channel)
     whites: NDArray[np.float64]  # (frame, output) of their lights, each at Y = 1
+    exposures: NDArray[np.float64]  # (frame) s; real pairs, whose dark current is off already: 0
 
 
 def look_at(
@@ -42,19 +44,21 @@ def look_at(
     near = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
     canonical = canonical_sites(head, rule, recipe.learning)
     occurrences = np.zeros(codes, dtype=np.int64)
-    shares, whites = [], []
+    shares, whites, exposures = [], [], []
     for index, (frame, count) in enumerate(zip(frames, patches, strict=True), first):
         whites.append(_unit_white(frame, head.outputs))
+        exposures.append(frame.exposure if isinstance(frame, TrainingFrame) else 0.0)
+        dark = _dark_signal(frame.scene, exposures[-1], camera)
         for site in canonical:
             rng = np.random.default_rng([seed, 0, index, site])
             pilot = patches_of(frame, head, near, site, count, rng, recipe.learning.symmetry)
             own_level = np.maximum(pilot.signal.mean(axis=1), 1e-3)
             scale = pilot.possible(draw_levels(recipe.learning, len(own_level), rng) / own_level)[:, None]
             carried = None if pilot.carried is None else (pilot.carried * scale**2).astype(np.float32)
-            values = expose_patches((pilot.signal * scale).astype(np.float32), camera, rng, carried)
+            values = expose_patches((pilot.signal * scale).astype(np.float32), camera, rng, carried, dark)
             occurrences += np.bincount(saturation_codes(values, rule, near, site), minlength=codes)
             shares.append(channel_shares(pilot.signal, near, site))
-    return Pilot(occurrences, np.concatenate(shares), np.array(whites))
+    return Pilot(occurrences, np.concatenate(shares), np.array(whites), np.array(exposures))
 
 
 def pilot_patches(patches: Sequence[int]) -> list[int]:
@@ -65,14 +69,19 @@ def pilot_patches(patches: Sequence[int]) -> list[int]:
 
 def survey(
     pilots: Iterable[Pilot], patches: Sequence[int], head: TrainingSet, recipe: TrainingRecipe, seed: int
-) -> tuple[ClassRule, NDArray[np.float64]]:
-    """The class rule for `head.camera`, its saturation cases and chroma centres from the pilots of all frames in order, and
-    the mean white point (output) of their lights; frames count as they have `patches` (frame)."""
+) -> tuple[ClassRule, NDArray[np.float64], float]:
+    """The class rule for `head.camera`, its saturation cases and chroma centres from the pilots of all frames in order, the
+    mean white point (output) of their lights and the mean exposure time (s) of those that are simulated; frames count as
+    they have `patches` (frame)."""
     every = list(pilots)
     case_of_code = choose_cases(np.sum([own.occurrences for own in every], axis=0), recipe.classes.max_cases)
     centres = choose_chromas(np.concatenate([own.shares for own in every]), recipe.classes.chromas, seed)
     whites = np.concatenate([own.whites for own in every])
-    return make_rule(recipe.classes, head.camera, case_of_code, centres), np.average(whites, axis=0, weights=patches)
+    exposures = np.concatenate([own.exposures for own in every])
+    counts = np.where(exposures > 0, patches, 0)
+    exposure = float(exposures @ counts / max(counts.sum(), 1))
+    rule = make_rule(recipe.classes, head.camera, case_of_code, centres, head.camera.dark_signal(exposure))
+    return rule, np.average(whites, axis=0, weights=patches), exposure
 
 
 def canonical_sites(head: TrainingSet, rule: ClassRule, recipe: LearningRecipe) -> list[int]:
@@ -136,12 +145,22 @@ def assemble(lesson: Lesson, solutions: dict[int, Solution], history: tuple[Stag
         intercept=np.concatenate(intercept).astype(np.float32),
         samples=np.concatenate(samples),
         condition=np.concatenate(condition).astype(np.float32),
+        exposure=lesson.exposure,
+        dark_rate=camera.dark_signal(1.0),
     )
 
 
 def _goal(lesson: Lesson) -> Goal:
     camera = lesson.head.camera
     return Goal(lesson.head.outputs, lesson.white_point, camera.black, camera.white)
+
+
+def _dark_signal(scene: str, exposure: float, camera: CameraModel) -> float:
+    """DN of dark current in a frame after `exposure` s; InputFileError if that fills its pixels."""
+    dark = camera.dark_signal(exposure)
+    if not dark < camera.white - camera.black:
+        raise InputFileError(f"frame of scene {scene}: in {exposure:.4g} s dark current alone fills a pixel; expose shorter")
+    return dark
 
 
 def _unit_white(frame: TrainingPair, outputs: tuple[str, ...]) -> NDArray[np.float64]:
