@@ -52,7 +52,7 @@ def bin_widths(wavelength: Array) -> Array:
     return np.abs(np.gradient(wavelength)) if wavelength.size > 1 else np.ones(1)
 
 
-def ascending(wavelength: Array, values: Array) -> tuple[Array, Array]:
+def ascending(wavelength: NDArray[np.float64], values: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[Any]]:
     """A grid that falls, with its values (…, wavelength), turned round; any other as it is."""
     falls = wavelength.size > 1 and (np.diff(wavelength) < 0).all()
     return (wavelength[::-1], values[..., ::-1]) if falls else (wavelength, values)
@@ -115,11 +115,11 @@ def resample(spectrum: Array, source: Array, target: Array) -> Array:
     return spectrum @ sampling_matrix(source, target).T
 
 
-def average(curve: Array, source: Array, target: Array) -> Array:
+def average(curve: Array, source: Array, target: Array) -> NDArray[np.float64]:
     """A ratio (…, source) such as a transmittance or a responsivity, averaged over the steps of another grid like a density
     in `sampling_matrix`; at its ends over what is known of it, and zero at wavelengths outside its range."""
     inside = (target >= source.min()) & (target <= source.max())
-    return curve @ (_step_matrix(source, target, held=True) * inside[:, None]).T
+    return np.asarray(curve @ (_step_matrix(source, target, held=True) * inside[:, None]).T, dtype=np.float64)
 
 
 def held_interpolation(bands: Array, wavelength: Array) -> Array:

@@ -51,7 +51,8 @@ def make_light(text: str, measured: Mapping[str, Curve], seen: Array) -> Light:
     `measured`, power per nm), or a mixture of several by their shares of luminance.
 
     It is tabulated every nm over what the observer and a camera with wavelengths `seen` see; what a measured light holds
-    between is shared between the two nanometres about it, so that no spectral line is missed. A light measured on the camera's own grid stays on it: all sums then run over that grid, as in ISETCam.
+    in between goes to the two nanometres about it, so that no spectral line is lost. A light measured on the camera's own
+    grid stays on it: all sums then run over that grid, as in ISETCam.
     RecipeError if a name is unknown or the light cannot be seen.
     """
     names = parts(text)
