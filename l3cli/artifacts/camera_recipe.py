@@ -231,7 +231,8 @@ def read_curves(path: Path, columns: int | None = None) -> tuple[NDArray[np.floa
     if not rows or len({len(row) for row in rows}) != 1 or len(rows[0]) < 2:
         raise InputFileError(f"{path}: rows must be a wavelength in nm and equally many values each")
     table = np.array(rows)
-    table = spectra.ascending(table[:, 0], table.T)[1].T
+    if (np.diff(table[:, 0]) < 0).all():
+        table = table[::-1].copy()
     if not (np.abs(table) <= LARGEST).all() or (np.diff(table[:, 0]) <= 0).any():
         raise InputFileError(f"{path}: wavelengths must increase and every value be a number within ±{LARGEST:g}")
     if len(table) > MOST_CURVE_ROWS or not (table[0, 0] > 0 and table[-1, 0] <= LONGEST):
