@@ -38,37 +38,92 @@ def photons_from_energy(wavelength: Array, energy: Array) -> Array:
     return energy * (wavelength * 1e-9) / (PLANCK * LIGHT_SPEED)
 
 
+def bin_edges(wavelength: Array) -> Array:
+    """Edges (wavelength + 1) in nm of the steps that the samples of an increasing grid stand for: half-way between them; the
+    outermost as far beyond the ends as the next lie inside. One sample alone stands for 1 nm."""
+    if wavelength.size == 1:
+        return wavelength[0] + np.array([-0.5, 0.5])
+    inner = (wavelength[1:] + wavelength[:-1]) / 2
+    return np.concatenate([[2 * wavelength[0] - inner[0]], inner, [2 * wavelength[-1] - inner[-1]]])
+
+
 def bin_widths(wavelength: Array) -> Array:
-    """Width in nm that each sample of a grid stands for, (wavelength): Σ f·Δλ approximates the integral."""
-    return np.gradient(wavelength) if wavelength.size > 1 else np.ones(1)
+    """Width in nm of the step that each sample of a grid stands for, (wavelength): Σ f·Δλ is the integral of f."""
+    return np.abs(np.gradient(wavelength)) if wavelength.size > 1 else np.ones(1)
+
+
+def ascending(wavelength: NDArray[np.float64], values: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[Any]]:
+    """A grid that falls, with its values (…, wavelength), turned round; any other as it is."""
+    falls = wavelength.size > 1 and (np.diff(wavelength) < 0).all()
+    return (wavelength[::-1], values[..., ::-1]) if falls else (wavelength, values)
+
+
+def _neighbours(grid: Array, at: Array) -> tuple[NDArray[np.intp], Array]:
+    """The two samples of an increasing grid about each wavelength, and their weights in a linear interpolation that is held
+    beyond the ends, both (2, at)."""
+    if grid.size == 1:
+        return np.zeros((2, at.size), np.intp), np.array([[1.0], [0.0]]) * np.ones(at.size)
+    right = np.clip(np.searchsorted(grid, at), 1, grid.size - 1)
+    share = np.clip((at - grid[right - 1]) / (grid[right] - grid[right - 1]), 0.0, 1.0)
+    return np.stack([right - 1, right]), np.stack([1.0 - share, share])
 
 
 def interpolation_matrix(source: Array, target: Array) -> Array:
-    """M (target, source): linear interpolation, zero outside the source's range."""
+    """M (target, source): a smooth function at points, linear between its samples and zero outside their range."""
     matrix = np.zeros((target.size, source.size))
-    for column in range(source.size):
-        unit = np.zeros(source.size)
-        unit[column] = 1.0
-        matrix[:, column] = np.interp(target, source, unit, left=0.0, right=0.0)
+    samples, shares = _neighbours(source, target)
+    inside = (target >= source[0]) & (target <= source[-1])
+    np.add.at(matrix, (np.arange(target.size), samples), shares * inside)
     return matrix
 
 
-def resample(spectrum: Array, source: Array, target: Array) -> Array:
-    """spectrum (…, source) linearly interpolated onto `target`, zero outside the source's range."""
-    return spectrum @ interpolation_matrix(source, target).T
+def _step_matrix(source: Array, target: Array, held: bool) -> Array:
+    """M (target, source): the mean over each of the target's steps, for `sampling_matrix` and, `held`, `average`.
+
+    The source is linear between its samples and constant in the outer half of its outermost steps; beyond, it is zero or
+    held. Its integral over every piece between samples of either grid is shared between the two samples of the target
+    about them by their distances, as a function that is linear between the target's samples weighs it: so power and the
+    power's mean wavelength are kept, and equal grids give the unit matrix. ValueError if a wavelength occurs twice.
+    """
+    rising, aim = np.argsort(source), np.argsort(target)
+    low, high = source[rising], target[aim]
+    if min(np.diff(low, prepend=-np.inf).min(), np.diff(high, prepend=-np.inf).min()) <= 0:
+        raise ValueError("a wavelength occurs twice")
+    ends, known = bin_edges(high)[[0, -1]], bin_edges(low)[[0, -1]]
+    first, last = ends if held else (max(ends[0], known[0]), min(ends[1], known[1]))
+    knots = np.unique(np.concatenate([[first, last], low, high]))
+    knots = knots[(knots >= first) & (knots <= last)]
+    pieces = np.diff(knots) / 2
+    widths = np.append(pieces, 0.0) + np.append(0.0, pieces)
+    (rows, taken), (columns, given) = _neighbours(high, knots), _neighbours(low, knots)
+    matrix = np.zeros((target.size, source.size))
+    np.add.at(matrix, (aim[rows][:, None], rising[columns][None]), taken[:, None] * given[None] * widths)
+    return matrix / bin_widths(high)[np.argsort(aim), None]
 
 
 def sampling_matrix(source: Array, target: Array) -> Array:
-    """M (target, source): a spectrum as its samples at `target` see it. On a grid finer than the target's, the mean under
-    the hat about each sample, so that spectral lines between samples count; otherwise linear interpolation."""
-    if source.size <= target.size:
-        return interpolation_matrix(source, target)
-    hats = interpolation_matrix(target, source).T * bin_widths(source)
-    return hats / hats.sum(axis=1, keepdims=True)
+    """M (target, source): a density (power or photons per nm) as means over the steps of another grid, so that the sum of
+    value × bin width stays what it was, wherever spectral lines lie between the samples. Zero beyond the source's steps.
+
+    Grids are in any order. On a finer grid this is linear interpolation, on the same grid it changes nothing.
+    """
+    return _step_matrix(source, target, held=False)
+
+
+def resample(spectrum: Array, source: Array, target: Array) -> Array:
+    """A density (…, source) by `sampling_matrix`."""
+    return spectrum @ sampling_matrix(source, target).T
+
+
+def average(curve: Array, source: Array, target: Array) -> NDArray[np.float64]:
+    """A ratio (…, source) such as a transmittance or a responsivity, averaged over the steps of another grid like a density
+    in `sampling_matrix`; at its ends over what is known of it, and zero at wavelengths outside its range."""
+    inside = (target >= source.min()) & (target <= source.max())
+    return np.asarray(curve @ (_step_matrix(source, target, held=True) * inside[:, None]).T, dtype=np.float64)
 
 
 def held_interpolation(bands: Array, wavelength: Array) -> Array:
-    """M (wavelength, band): a reflectance between its bands and, held constant, beyond the first and last (CIE 15).
+    """M (wavelength, band): a reflectance's mean over each step of a grid; held constant beyond the first and last (CIE 15).
 
     Evenly spaced bands of 20 nm at most are interpolated by Sprague's polynomials as CIE 167 recommends and colour-science
     does, all others linearly.
@@ -79,13 +134,15 @@ def held_interpolation(bands: Array, wavelength: Array) -> Array:
 @functools.lru_cache(maxsize=8)
 def _held_interpolation(bands: tuple[float, ...], wavelength: tuple[float, ...]) -> Array:
     source, target = np.array(bands), np.array(wavelength)
-    inside = np.clip(target, source[0], source[-1])
     steps = np.diff(source)
     even = source.size >= 6 and np.ptp(steps) < 1e-6 * steps[0] and steps[0] <= SPRAGUE_STEP
     if not even or np.array_equal(source, target):
-        return interpolation_matrix(source, inside)
+        return _step_matrix(source, target, held=True)
     sprague = _colour().SpragueInterpolator
-    return np.stack([sprague(source, unit)(inside) for unit in np.eye(source.size)], axis=1)
+    fine = np.union1d(source, target)
+    inside = np.clip(fine, source[0], source[-1])
+    smooth = np.stack([sprague(source, unit)(inside) for unit in np.eye(source.size)], axis=1)
+    return _step_matrix(fine, target, held=True) @ smooth
 
 
 OBSERVERS = {
@@ -99,7 +156,7 @@ def colour_matching_functions(wavelength: Array, observer: str = "CIE 1931") -> 
     if observer not in OBSERVERS:
         raise RecipeError(f'observer "{observer}" is unknown; {suggestion(observer, OBSERVERS)}')
     cmfs = _colour().MSDS_CMFS[OBSERVERS[observer]]
-    return resample(cmfs.values.T, cmfs.wavelengths, wavelength)
+    return cmfs.values.T @ interpolation_matrix(cmfs.wavelengths, wavelength).T
 
 
 def matching_weights(functions: Array, wavelength: Array) -> Array:
@@ -136,13 +193,13 @@ def illuminant(name: str, wavelength: Array) -> Array:
 
 
 def _tabulated(name: str, wavelength: Array) -> Array:
-    """Energy (wavelength) of a CIE illuminant, linear between its samples."""
+    """Energy (wavelength) of a CIE illuminant, linear between its samples and held beyond them."""
     key = f"FL{name[1:]}" if re.fullmatch(r"F\d+", name) else name
     if key not in illuminant_names():
         others = 'black bodies such as "3200K", daylight such as "D6000K" and, in recipes, CSV files'
         raise RecipeError(f'illuminant "{name}" is unknown; {suggestion(name, illuminant_names())} (and {others})')
     table = _colour().SDS_ILLUMINANTS[key]
-    return np.interp(wavelength, table.wavelengths, table.values)
+    return table.values @ _step_matrix(table.wavelengths, wavelength, held=True).T
 
 
 def _daylight(temperature: float, wavelength: Array) -> Array:
@@ -156,7 +213,7 @@ def _daylight(temperature: float, wavelength: Array) -> Array:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         table = colour.sd_CIE_illuminant_D_series(colour.temperature.CCT_to_xy_CIE_D(temperature))
-    return np.interp(wavelength, table.wavelengths, table.values)
+    return table.values @ _step_matrix(table.wavelengths, wavelength, held=True).T
 
 
 def at_luminance(radiance: Array, wavelength: Array, luminance: float) -> Array:
@@ -198,7 +255,10 @@ def _reflectance_tables() -> tuple[tuple[Array, Array], ...]:
 
 
 def reflectance_library(wavelength: Array) -> Array:
-    """Measured reflectances of natural and man-made surfaces, (sample, wavelength), within 0.003–0.999 (METHOD 2.1)."""
+    """Measured reflectances of natural and man-made surfaces, (sample, wavelength), within 0.003–0.999 (METHOD 2.1).
+
+    They are smooth: taken at points, for that is where `held_interpolation` leads a curve through; means would be flatter.
+    """
     library = np.concatenate(
         [[np.interp(wavelength, grid, sample) for sample in samples] for grid, samples in _reflectance_tables()]
     )

@@ -313,6 +313,9 @@ BAD = {
     "too large": (lambda p: write(p, a_cube((20, 300))) + RANGE, 3, "larger than the sensor"),
     "two axes": (lambda p: write(p, a_cube()[..., 0]) + RANGE, 3, "three axes"),
     "no relighting": (lambda p: write(p, a_cube()) + RANGE + 'holds = "radiance"\n', 2, "without its light"),
+    "light of its own": (
+        lambda p: write(p, a_cube()) + RANGE + 'holds = "radiance"\nlight = "scene"\n', 2, '"scene" is unknown'
+    ),
     "wrong axes": (lambda p: write(p, a_cube()) + RANGE + 'axes = "row col"\n', 2, "axes"),
     "crop": (lambda p: write(p, a_cube()) + RANGE + "crop = [0, 0, 30, 30]\n", 3, "beyond"),
     "crop drawn": (lambda p: '[[scene]]\nsource = "munsell"\nsize = [32, 32]\ncrop = [0, 0, 40, 20]\n', 2, "beyond"),

@@ -196,7 +196,7 @@ def _responsivity(recipe: CameraRecipe, path: Path) -> tuple[NDArray[np.float64]
     else:
         assert declared.file is not None
         grid, table = read_curves(path.parent / declared.file, len(recipe.cfa.channels))
-        curves = spectra.resample(table, grid, wavelength)
+        curves = spectra.average(table, grid, wavelength)
     if declared.per_energy:
         curves = curves / wavelength
     return wavelength, declared.peak_efficiency * curves / curves.max()
@@ -212,8 +212,9 @@ def _sum_of_gaussians(wavelength: NDArray[np.float64], terms: list[Gaussian]) ->
 
 
 def read_curves(path: Path, columns: int | None = None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Spectra from a CSV file: (wavelength) in nm and (column, wavelength). Lines that begin with # and one header line
-    are skipped; InputFileError if the rest is not numbers, not increasing, or not `columns` columns."""
+    """Spectra from a CSV file: (wavelength) in nm, increasing, and (column, wavelength). Lines that begin with # and one
+    header line are skipped, a file that falls is turned round; InputFileError if the rest is not numbers, neither rises nor
+    falls all through, or is not `columns` columns."""
     try:
         lines = [line for line in read_bounded(path).decode("utf-8-sig").splitlines() if line.strip()]
     except (OSError, UnicodeDecodeError) as error:
@@ -230,6 +231,8 @@ def read_curves(path: Path, columns: int | None = None) -> tuple[NDArray[np.floa
     if not rows or len({len(row) for row in rows}) != 1 or len(rows[0]) < 2:
         raise InputFileError(f"{path}: rows must be a wavelength in nm and equally many values each")
     table = np.array(rows)
+    if (np.diff(table[:, 0]) < 0).all():
+        table = table[::-1].copy()
     if not (np.abs(table) <= LARGEST).all() or (np.diff(table[:, 0]) <= 0).any():
         raise InputFileError(f"{path}: wavelengths must increase and every value be a number within ±{LARGEST:g}")
     if len(table) > MOST_CURVE_ROWS or not (table[0, 0] > 0 and table[-1, 0] <= LONGEST):

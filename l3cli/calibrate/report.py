@@ -136,7 +136,7 @@ def compare(camera: CameraModel, truth: CameraModel) -> dict[str, Any]:
             f"the truth has the channels {' '.join(truth.channels)}, the measurements {' '.join(camera.channels)}; "
             "give the camera that was measured"
         )
-    real = spectra.resample(truth.responsivity, truth.wavelength, camera.wavelength)
+    real = spectra.average(truth.responsivity, truth.wavelength, camera.wavelength)
     if not camera.absolute:
         real = real / real.max()
     error = camera.responsivity - real

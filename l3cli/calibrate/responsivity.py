@@ -36,8 +36,7 @@ def node_grid(lights: list[tuple[Array, Array]]) -> Array:
 
 def node_photons(wavelength: Array, radiance: Array, nodes: Array) -> Array:
     """(…, node): integral of radiance (…, wavelength) × each node's hat, photons/s/sr/m²."""
-    hats = spectra.interpolation_matrix(nodes, wavelength)
-    return np.asarray((radiance * spectra.bin_widths(wavelength)) @ hats, dtype=np.float64)
+    return np.asarray(spectra.resample(radiance, wavelength, nodes) * spectra.bin_widths(nodes), dtype=np.float64)
 
 
 def roughness(nodes: int) -> Array:

@@ -106,7 +106,7 @@ def follow_exposure(series: Series) -> tuple[Array, Array, NDArray[np.bool_]]:
 def band_centre(capture: BandCapture) -> float:
     """Centre of gravity in nm of what a filter lets through at half its peak or more."""
     light = capture.radiance.sum(axis=0)
-    inside = np.where(light >= light.max() / 2, light, 0.0)
+    inside = np.where(light >= light.max() / 2, light * spectra.bin_widths(capture.wavelength), 0.0)
     return float(inside @ capture.wavelength / inside.sum())
 
 

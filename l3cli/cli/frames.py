@@ -38,6 +38,7 @@ class Run:
     camera: CameraModel
     target: Target
     lights: Mapping[str, Light]  # of 1 cd/m²
+    recorded: Mapping[str, Light]  # the lights that scenes were recorded under
     seed: int
     base: Path  # folder of the recipe
     key: str  # what key_of says, once it is known
@@ -171,7 +172,7 @@ def _iset(wanted: sources.WantedScene, run: Run) -> "Scene":
 
     assert wanted.path is not None
     assert isinstance(wanted.source, sources.IsetScenes)
-    light = run.lights[wanted.source.light] if wanted.source.light else None
+    light = run.recorded[wanted.source.light] if wanted.source.light else None
     return read_iset_scene(wanted.path, (light.wavelength, light.radiance) if light else None)
 
 
@@ -199,7 +200,7 @@ def _cube(wanted: sources.WantedScene, run: Run) -> "Scene":
     else:
         cube = (cubes.read_envi if isinstance(source, sources.Envi) else cubes.read_channels)(path)
     try:
-        return scene_of(cube, source, path.stem, run.lights[source.light] if source.light else None)
+        return scene_of(cube, source, path.stem, run.recorded[source.light] if source.light else None)
     except ValueError as error:
         raise InputFileError(f"{path}: {error}") from error
 

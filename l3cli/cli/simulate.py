@@ -91,7 +91,7 @@ def _prepare(
     from l3cli.io.cubes import band_pictures
     from l3cli.io.scene_files import find
     from l3cli.simulate import recipe as asked
-    from l3cli.simulate.light import OWN, make_light
+    from l3cli.simulate.light import OWN, make_light, recorded_under
     from l3cli.simulate.sources import BandFolder
     from l3cli.simulate.targets import make_target
 
@@ -101,8 +101,9 @@ def _prepare(
         curves = {name: _curve(path.parent / name, role) for name, role in named.items()}
         fitted = asked.set_up(camera, recipe, curves)
         other = recipe.target.illuminant
-        wanted = {*recipe.illuminants, *asked.scene_lights(recipe), *filter(None, [other])} - {OWN}
+        wanted = {*recipe.illuminants, *filter(None, [other])} - {OWN}
         lights = {name: make_light(name, curves, fitted.wavelength) for name in sorted(wanted)}
+        recorded = {name: recorded_under(name, curves, fitted.wavelength) for name in asked.scene_lights(recipe)}
     except RecipeError as error:
         raise RecipeError(f"{path}: {error}") from error
     outputs = recipe.target.outputs
@@ -115,7 +116,7 @@ def _prepare(
         "spectrum": [path.parent / name for name in named],
         "pair": [path.parent / name for pair in recipe.pair for name in (pair.raw, pair.picture)],
     }
-    return Run(recipe, fitted, target, lights, seed, path.parent, "", Path()), files, roles
+    return Run(recipe, fitted, target, lights, recorded, seed, path.parent, "", Path()), files, roles
 
 
 def _curve(path: Path, role: str) -> "Curve":

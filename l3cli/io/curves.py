@@ -39,7 +39,7 @@ def read_sweep(path: Path, photodiode: Path, channels: Sequence[str]) -> SweepTa
             f"{photodiode}: its {grid[0]:g}…{grid[-1]:g} nm do not cover the sweep's "
             f"{wavelength[0]:g}…{wavelength[-1]:g} nm; give the response over the whole sweep"
         )
-    diode = np.interp(wavelength, grid, response[0])
+    diode = np.interp(wavelength, grid, response[0])  # at points: smooth, and each step is one line
     if wavelength.size < 3 or diode.min() <= 0:
         raise InputFileError(f"{path}: a sweep needs three wavelengths or more that the photodiode responds to")
     return SweepTable(wavelength, table[:count], table[count : 2 * count], table[-2], table[-1], diode)
@@ -81,7 +81,7 @@ def export_curves(camera: CameraModel, folder: Path) -> None:
     curves = camera.responsivity * camera.wavelength
     curves = curves / curves.max()
     write_curves(csv, camera.wavelength, curves, camera.channels)
-    table = spectra.resample(curves, camera.wavelength, RAWTOACES).T
+    table = spectra.average(curves, camera.wavelength, RAWTOACES).T
     manufacturer, _, model = camera.name.partition(" ")
     content: dict[str, Any] = {
         "header": {

@@ -49,7 +49,9 @@ def read_iset_scene(path: Path, light: Curve | None = None) -> Scene:
             f"{path} is no complete ISET scene: it lacks {error.args[0]}; save it from ISET again"
         ) from error
     except (ValueError, TypeError) as error:
-        raise InputFileError(f"{path}: wavelengths or photons are no numbers; save the scene from ISET again") from error
+        raise InputFileError(
+            f"{path}: wavelengths or photons are no numbers, or a wavelength occurs twice; save it again"
+        ) from error
     if wavelength.size == 1 and photons.ndim == 2:
         photons = photons[..., None]  # the axis was dropped
     if photons.ndim != 3 or photons.shape[2] != wavelength.size:
@@ -60,6 +62,8 @@ def read_iset_scene(path: Path, light: Curve | None = None) -> Scene:
         raise InputFileError(f"{path}: its illuminant is not one positive value for each of {wavelength.size} wavelengths")
     try:
         photons /= illuminant.astype(np.float32)
+        _, illuminant = spectra.ascending(wavelength, illuminant)
+        wavelength, photons = spectra.ascending(wavelength, photons)
         return Scene(path.stem, wavelength, np.maximum(photons, 0.0, out=photons), illuminant)
     except ValueError as error:
         raise InputFileError(f"{path}: {error}") from error
@@ -87,7 +91,7 @@ def _illuminant(found: Any, wavelength: NDArray[np.float64], light: Curve | None
     if not isinstance(found, dict):
         if light is None:
             raise KeyError('illuminant (or give "light" in the recipe)')
-        return np.interp(wavelength, light[0], light[1].ravel())
+        return spectra.average(light[1].ravel(), light[0], wavelength)
     if isinstance(found.get("data"), dict):
         data = found["data"]
         photons = np.asarray(_decoded(data["photons"], data, "min", "max"), float).ravel()
@@ -97,7 +101,7 @@ def _illuminant(found: Any, wavelength: NDArray[np.float64], light: Curve | None
     else:
         grid = _numbers(found["wavelength"])
         photons = spectra.photons_from_energy(grid, np.asarray(found["data"], float).ravel())
-    return photons if grid.size != photons.size or np.array_equal(grid, wavelength) else np.interp(wavelength, grid, photons)
+    return spectra.average(photons, grid, wavelength) if grid.size == photons.size else photons
 
 
 def _numbers(values: Any) -> NDArray[np.float64]:

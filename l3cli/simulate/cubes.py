@@ -19,17 +19,16 @@ def scene_of(cube: SpectralCube, source: Spectral, name: str, light: Light | Non
     cube's own, only `white` can tell; without a light the brightest pixels are taken as a white under equal photons, and
     the scene keeps only that. Small negatives become zero (METHOD 2). ValueError says what does not fit.
     """
-    wavelength = _wavelength(cube, source)
-    values = cube.values
+    wavelength, values = _bands(cube, source)
     white = source.white or cube.white or (np.iinfo(values.dtype).max if values.dtype.kind in "iu" else 1.0)
     per_white = np.full(wavelength.size, 1.0 / white)
     illuminant = None
     if source.holds != "reflectance":
-        if source.holds == "radiance":
-            per_white = spectra.photons_from_energy(wavelength, per_white)
+        per_white *= _photons(wavelength, source)
         illuminant = np.ones(wavelength.size)
         if light is not None:
-            illuminant = np.maximum(spectra.resample(light.radiance, light.wavelength, wavelength), 0.0)
+            stored = light.radiance / _photons(light.wavelength, source)
+            illuminant = spectra.average(stored, light.wavelength, wavelength) * _photons(wavelength, source)
             if not (illuminant > 0).all():
                 dark = wavelength[illuminant <= 0][0]
                 raise ValueError(f"its light has no power at {dark:g} nm; give a light that covers all bands")
@@ -46,6 +45,12 @@ def scene_of(cube: SpectralCube, source: Spectral, name: str, light: Light | Non
     return Scene(name, wavelength, reflectance, illuminant)
 
 
+def _photons(wavelength: np.ndarray, source: Spectral) -> np.ndarray:
+    """Photons of one unit of what the cube holds, (wavelength), up to a factor that is the same for all."""
+    one = np.ones(wavelength.size)
+    return spectra.photons_from_energy(wavelength, one) if source.holds == "radiance" else one
+
+
 def _normalise(reflectance: np.ndarray) -> None:
     """Scale so that nearly all pixels are at most a perfect white."""
     peak = float(np.quantile(reflectance.max(axis=2), BRIGHT))
@@ -54,8 +59,9 @@ def _normalise(reflectance: np.ndarray) -> None:
     reflectance /= np.float32(peak)
 
 
-def _wavelength(cube: SpectralCube, source: Spectral) -> np.ndarray:
-    """The bands' wavelengths in nm: the recipe's, else the file's."""
+def _bands(cube: SpectralCube, source: Spectral) -> tuple[np.ndarray, np.ndarray]:
+    """The bands' wavelengths in nm, increasing, and values (row, col, band): the wavelengths are the recipe's, else the
+    file's."""
     if source.wavelengths_nm is not None:
         wavelength = np.array(source.wavelengths_nm)
     elif source.wavelength_range_nm is not None:
@@ -66,8 +72,6 @@ def _wavelength(cube: SpectralCube, source: Spectral) -> np.ndarray:
     else:
         raise ValueError("holds no wavelengths; give wavelengths_nm or wavelength_range_nm in the recipe")
     shape = cube.values.shape
-    if not np.isfinite(wavelength).all() or (np.diff(wavelength) <= 0).any():
-        raise ValueError("its wavelengths do not increase; sort the bands or give wavelengths_nm in the recipe")
     if shape[2] != wavelength.size:
         found = f"its {' × '.join(map(str, shape))} values (row × col × band) do not fit {wavelength.size} wavelengths"
         if wavelength.size in shape[:2]:
@@ -75,4 +79,7 @@ def _wavelength(cube: SpectralCube, source: Spectral) -> np.ndarray:
                 f"{found}: the bands lie along its {AXES[shape.index(wavelength.size)]} axis; turn the cube (axes)"
             )
         raise ValueError(f"{found}; correct wavelengths_nm")
-    return wavelength
+    wavelength, values = spectra.ascending(wavelength, cube.values)
+    if not np.isfinite(wavelength).all() or (np.diff(wavelength) <= 0).any():
+        raise ValueError("its wavelengths do not increase; sort the bands or give wavelengths_nm in the recipe")
+    return wavelength, values

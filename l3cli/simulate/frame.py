@@ -49,13 +49,17 @@ def simulate(
     collected = electron_weights(camera, light, bands)
     transfer = optics.lens_transfer(camera.optics, pitch, bands, lens.diffraction, lens.defocus_um * 1e-6)
     terms = np.ones((1, bands.size)) if transfer is None else transfer.spectral
-    through = (collected[:, None] * terms).reshape(-1, bands.size)
+    unit = (
+        collected.max() or 1.0
+    )  # taken out of what is rounded to float32, so that rounding is the same for every luminance
+    through = (collected[:, None] / unit * terms).reshape(-1, bands.size)
     planes = optics.project(scene.reflectance, np.concatenate([wanted, through]))
     ideal, rates = planes[: len(wanted)], planes[len(wanted) :]
     if transfer is not None:
         shape = (len(collected), len(terms), *rates.shape[1:])
         rates = optics.blurred_channels(rates.reshape(shape), transfer, pitch)
         np.maximum(rates, 0.0, out=rates)  # diffraction of a point may ring below zero
+    rates *= np.float32(unit)
     if lens.off_axis:
         rates *= optics.relative_illumination(camera.optics, pitch, rates.shape[1:])
     if isinstance(exposure, Saturating):

@@ -228,7 +228,7 @@ def _looked_at(camera: CameraModel, mono: MonoRecipe, step: float) -> _Look:
     last = max(camera.wavelength[-1], centres[-1] + mono.bandwidth_nm) + SPARE
     wavelength = np.arange(first, last + step / 2, step)
     area = camera.optics.irradiance_per_radiance * camera.pixel_pitch**2
-    responsivity = spectra.resample(camera.responsivity, camera.wavelength, wavelength)
+    responsivity = spectra.average(camera.responsivity, camera.wavelength, wavelength)
     return _Look(camera, wavelength, responsivity * area * spectra.bin_widths(wavelength))
 
 

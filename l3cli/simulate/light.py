@@ -50,8 +50,9 @@ def make_light(text: str, measured: Mapping[str, Curve], seen: Array) -> Light:
     """The light a recipe calls `text`, at 1 cd/m²: a name that spectra.illuminant knows, a measured light (a key of
     `measured`, power per nm), or a mixture of several by their shares of luminance.
 
-    It is tabulated every nm over what the observer and a camera with wavelengths `seen` see, so that no spectral line is
-    missed. A light measured on the camera's own grid stays on it: all sums then run over that grid, as in ISETCam.
+    It is tabulated every nm over what the observer and a camera with wavelengths `seen` see; what a measured light holds
+    in between goes to the two nanometres about it, so that no spectral line is lost. A light measured on the camera's own
+    grid stays on it: all sums then run over that grid, as in ISETCam.
     RecipeError if a name is unknown or the light cannot be seen.
     """
     names = parts(text)
@@ -70,6 +71,12 @@ def make_light(text: str, measured: Mapping[str, Curve], seen: Array) -> Light:
     if not (np.isfinite(radiance).all() and radiance.any()):
         raise RecipeError(f'illuminant "{text}" gives no light that can be seen')
     return Light(text, 1.0, wavelength, radiance / sum(share for share, _ in names))
+
+
+def recorded_under(text: str, measured: Mapping[str, Curve], seen: Array) -> Light:
+    """As make_light, for the light that a scene was recorded under: one measured light stays on its own grid, for the bands
+    of the scene are often the same."""
+    return make_light(text, measured, measured[text][0] if text in measured else seen)
 
 
 def check_measured(curve: Curve, name: str) -> None:

@@ -121,7 +121,7 @@ def set_up(camera: CameraModel, recipe: SceneRecipe, curves: Mapping[str, Curve]
         raise RecipeError("lens: focal length and f-number must be above zero, the object farther than the focal length")
     if isinstance(lens.transmittance, str):
         grid, values = curves[lens.transmittance]
-        passed = spectra.resample(values[0], grid, camera.wavelength)
+        passed = spectra.average(values[0], grid, camera.wavelength)
     else:
         passed = np.full(camera.wavelength.size, 1.0 if lens.transmittance is None else lens.transmittance)
     if not (passed.min() >= 0 and 0 < passed.max() <= 1):

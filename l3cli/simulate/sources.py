@@ -180,8 +180,9 @@ def _check_spectral(source: Spectral, name: str) -> None:
     if source.wavelengths_nm is not None and source.wavelength_range_nm is not None:
         raise RecipeError(f"{name}: give either wavelengths_nm or wavelength_range_nm")
     listed = source.wavelengths_nm or []
-    if any(later <= earlier for earlier, later in itertools.pairwise(listed)):
-        raise RecipeError(f"{name}: wavelengths_nm must increase; name them in the order of the bands")
+    steps = [later - earlier for earlier, later in itertools.pairwise(listed)]
+    if not (all(step > 0 for step in steps) or all(step < 0 for step in steps)):
+        raise RecipeError(f"{name}: wavelengths_nm must increase or decrease; name them in the order of the bands")
     if source.wavelength_range_nm is not None:
         first, last, step = source.wavelength_range_nm
         if not (0 < first < last and step > 0):

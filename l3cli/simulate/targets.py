@@ -59,7 +59,7 @@ def output_weights(target: Target, camera: CameraModel, light: Light, bands: Arr
         return electron_weights(camera, light, bands) * (camera.white_dose / camera.full_scale)
     if target.functions:
         grid, values = target.functions
-        functions = spectra.resample(values, grid, light.wavelength)
+        functions: Array = spectra.average(values, grid, light.wavelength)
     elif target.kind == "luminance":
         functions = spectra.colour_matching_functions(light.wavelength)[1:2]
     else:

@@ -1,0 +1,239 @@
+"""Spectra on other grids: what a table holds between the samples of another is neither lost nor counted twice."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from l3cli import spectra
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera_recipe import load_camera, read_curves
+from l3cli.calibrate import responsivity, series
+from l3cli.errors import InputFileError
+from l3cli.io.scene_files import read_iset_scene
+from l3cli.measurement import BandCapture
+from l3cli.scene import Scene, SpectralCube
+from l3cli.simulate import light, recipe
+from l3cli.simulate.cubes import scene_of
+from l3cli.simulate.sources import Cube, check_source
+from l3cli.simulate.targets import make_target, output_weights
+
+HALVES = np.arange(380.0, 780.1, 0.5)
+SEEN = np.arange(400.0, 701.0, 10.0)
+
+
+def lamp(*lines: float, grid: np.ndarray = HALVES, ground: float = 1.0) -> np.ndarray:
+    """Power (1, wavelength) of a lamp with lines of 150 ground levels × nm each at samples of `grid`."""
+    power = np.full(grid.size, ground)
+    for line in lines:
+        index = int(np.abs(grid - line).argmin())
+        power[index] += 150.0 * ground / spectra.bin_widths(grid)[index]
+    return power[None]
+
+
+def chromaticity(xyz: np.ndarray) -> np.ndarray:
+    return xyz[:2] / xyz.sum()
+
+
+def summed_up(grid: np.ndarray, power: np.ndarray) -> np.ndarray:
+    """XYZ of a table, summed over its own samples."""
+    return spectra.colour_matching_functions(grid) @ (power * spectra.bin_widths(grid))
+
+
+@pytest.mark.parametrize("line", [546.5, 546.0, 435.5, 611.5])
+@pytest.mark.parametrize("turned", [1, -1])
+def test_a_line_between_two_nanometres_counts(line: float, turned: int, tmp_path: Path) -> None:
+    power = lamp(line)
+    table = np.vstack([HALVES, power])[:, ::turned].T
+    (tmp_path / "lamp.csv").write_text("".join(f"{x},{y}\n" for x, y in table))
+    found = light.make_light("lamp.csv", {"lamp.csv": read_curves(tmp_path / "lamp.csv")}, SEEN)
+    xyz = spectra.xyz_weights(found.wavelength) @ found.radiance
+    assert np.allclose(chromaticity(xyz), chromaticity(summed_up(HALVES, power[0])), atol=1e-5)
+    if line == 546.5:
+        assert np.allclose(chromaticity(xyz), (0.311, 0.483), atol=1e-3)
+
+
+# --------------------------------------------------------------------------------------------------- the mechanism
+
+
+@st.composite
+def grids(draw: Callable, least: int = 1, within: tuple[float, float] = (400.0, 700.0)) -> np.ndarray:
+    """A grid in no step of its own, rising or falling, that may be far finer or coarser than another."""
+    steps = np.array(draw(st.lists(st.floats(0.05, 60.0), min_size=least, max_size=40)))
+    first, last = within
+    grid = first + (last - first) * np.cumsum(steps) / (steps.sum() + steps[0])
+    return grid[:: draw(st.sampled_from([1, -1]))]
+
+
+@settings(max_examples=80, deadline=None)
+@given(grids(), grids(least=2, within=(200.0, 1000.0)), st.integers(0, 2**32 - 1))
+def test_power_is_kept_on_any_grid(source: np.ndarray, target: np.ndarray, seed: int) -> None:
+    wide = np.concatenate([[100.0, 150.0], np.sort(target), [1100.0, 1150.0]])[:: np.sign(target[1] - target[0]).astype(int)]
+    power = np.random.default_rng(seed).random((3, source.size)) ** 8
+    found = spectra.resample(power, source, wide)
+    assert (found >= 0).all()
+    total = (power * spectra.bin_widths(source)).sum(axis=1)
+    assert np.allclose((found * spectra.bin_widths(wide)).sum(axis=1), total, rtol=1e-6)
+    same = spectra.resample(power, source, source)
+    assert np.allclose(same, power, rtol=1e-9, atol=1e-12)
+    assert np.allclose(spectra.average(np.ones(source.size), source, target)[inside(target, source)], 1.0, rtol=1e-9)
+    assert np.allclose(spectra.resample(np.ones(wide.size), wide, source), 1.0, rtol=1e-9)
+
+
+def inside(target: np.ndarray, source: np.ndarray) -> np.ndarray:
+    return (target >= source.min()) & (target <= source.max())
+
+
+def test_a_finer_grid_is_interpolation_and_a_line_keeps_its_place() -> None:
+    coarse, fine = np.arange(400.0, 701.0, 5.0), np.arange(380.0, 721.0, 1.0)
+    curve = np.random.default_rng(0).random(coarse.size)
+    inner = slice(20, -20)
+    assert np.allclose(spectra.resample(curve, coarse, fine)[inner], np.interp(fine, coarse, curve)[inner], rtol=1e-12)
+    grid = np.arange(380.0, 780.0, 0.01)
+    for line in (546.07, 546.25, 546.93):
+        power = np.where(np.isclose(grid, line), 1.0, 0.0)
+        found = spectra.resample(power, grid, fine)
+        assert found @ fine / found.sum() == pytest.approx(line, abs=1e-6)
+
+
+@pytest.mark.parametrize("grid", [[400.0, 500.0, 500.0], [500.0, 400.0, 500.0]])
+def test_a_wavelength_twice_is_refused(grid: list[float]) -> None:
+    with pytest.raises(ValueError, match="occurs twice"):
+        spectra.resample(np.ones(3), np.array(grid), SEEN)
+    with pytest.raises(ValueError, match="occurs twice"):
+        spectra.resample(np.ones(SEEN.size), SEEN, np.array(grid))
+
+
+# ----------------------------------------------------------------------------------------------------- its places
+
+
+def test_a_lamp_of_lines_gives_a_camera_all_its_light(bayer: CameraModel) -> None:
+    """Electrons and luminance against the sums over the table's own 0.1 nm."""
+    grid = np.arange(380.0, 780.05, 0.1)
+    power = lamp(435.8, 546.1, 577.0, 579.1, 611.3, grid=grid, ground=0.01)
+    found = light.make_light("lamp.csv", {"lamp.csv": (grid, power)}, bayer.wavelength)
+    first, last = spectra.bin_edges(bayer.wavelength)[[0, -1]]
+    curves = np.array([np.interp(grid, bayer.wavelength, curve) for curve in bayer.responsivity])
+    curves *= (grid >= first) & (grid <= last)
+    curves *= bayer.electron_weights.max() / (bayer.responsivity * spectra.bin_widths(bayer.wavelength)).max()
+    photons = spectra.photons_from_energy(grid, power[0])
+    expected = curves @ (photons * spectra.bin_widths(grid)) / (spectra.xyz_weights(grid)[1] @ photons)
+    assert np.allclose(light.white_rates(bayer, found), expected, rtol=1e-4)
+
+
+def test_a_scene_of_finer_bands_than_the_cameras_has_electrons(bayer: CameraModel) -> None:
+    """Its bands end where the camera still has samples: these see nothing, and are no 0 / 0."""
+    bands = np.arange(430.0, 671.0, 1.0)
+    scene = Scene("fine", bands, np.ones((16, 16, bands.size), np.float32), np.ones(bands.size))
+    rates = light.white_rates(bayer, light.own_light(scene, 10.0))
+    coarse = bands[::5]
+    scene = Scene("coarse", coarse, np.ones((16, 16, coarse.size), np.float32), np.ones(coarse.size))
+    assert np.allclose(rates, light.white_rates(bayer, light.own_light(scene, 10.0)), rtol=0.02)
+
+
+def test_a_cube_is_divided_by_all_of_its_light() -> None:
+    """A line between two bands lights both; a light on the cube's own bands leaves a white tile white."""
+    ramp = np.linspace(0.2, 0.8, 31)
+    fine = lamp(546.5)
+    bands = np.array([fine[0] @ np.maximum(0, 1 - abs(HALVES - x) / 10) / 20 for x in SEEN])  # of 10 nm half width
+    for grid, power in ((HALVES, fine), (SEEN, bands[None]), (SEEN[::-1], bands[None, ::-1])):
+        falling = light.recorded_under("lamp.csv", {"lamp.csv": spectra.ascending(grid, power)}, SEEN)
+        cube = SpectralCube((bands * ramp * np.ones((16, 16, 1))).astype(np.float32), SEEN)
+        found = scene_of(cube, Cube(file="x", holds="radiance", light="lamp.csv"), "x", falling).reflectance[0, 0]
+        assert np.allclose((found / ramp)[1:-1], (found / ramp)[1], rtol=2e-3)
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_bands_that_fall_are_turned_round(told: bool, bayer: CameraModel) -> None:
+    values = np.random.default_rng(0).random((16, 16, 31)).astype(np.float32)
+    listed = {"wavelengths_nm": SEEN[::-1].tolist()} if told else {}
+    source = Cube(file="x", **listed)
+    check_source(source, bayer, "scene 1")
+    scene = scene_of(SpectralCube(values[..., ::-1], None if told else SEEN[::-1]), source, "x", None)
+    assert np.array_equal(scene.wavelength, SEEN)
+    assert np.array_equal(scene.reflectance, values)
+
+
+def test_an_iset_scene_that_falls_is_turned_round(tmp_path: Path) -> None:
+    from scipy.io import savemat
+
+    values, white = np.random.default_rng(0).random((16, 16, 31)), np.linspace(1.0, 2.0, 31)
+    for turn, own in ((1, 1), (-1, -1), (1, -1), (-1, 1)):
+        of_light = {"data": {"photons": white[::own]}, "spectrum": {"wave": SEEN[::own]}}
+        savemat(tmp_path / "scene.mat", {"photons": values[..., ::turn], "wave": SEEN[::turn], "illuminant": of_light})
+        scene = read_iset_scene(tmp_path / "scene.mat")
+        assert np.array_equal(scene.wavelength, SEEN)
+        assert np.allclose(scene.illuminant, white)
+        assert np.allclose(scene.reflectance, values / white, rtol=1e-6)
+
+
+def narrow(centre: float) -> np.ndarray:
+    return np.exp(-0.5 * ((HALVES - centre) / 1.0) ** 2)
+
+
+CENTRES = (550.0, 552.5, 555.0)
+WIDTH = np.sqrt(2 * np.pi)  # nm, the area of a narrow band
+
+
+def test_a_narrow_responsivity_between_the_cameras_samples_counts(tmp_path: Path, bayer_recipe: Path) -> None:
+    text = bayer_recipe.read_text()
+    gaussians = text[text.index("[responsivity.gaussians]") : text.index("[noise]")]
+    (tmp_path / "camera.toml").write_text(text.replace(gaussians, 'file = "curves.csv"\n'))
+    for centre in CENTRES:
+        table = np.stack([HALVES, np.ones(HALVES.size), narrow(centre), narrow(centre)], axis=1)
+        np.savetxt(tmp_path / "curves.csv", table, delimiter=",")
+        flat, band, _ = load_camera(tmp_path / "camera.toml").responsivity * 10.0  # nm
+        assert band.sum() / flat[0] * 10.0 == pytest.approx(WIDTH, rel=1e-3)
+
+
+def test_a_narrow_filter_between_the_cameras_samples_counts(bayer: CameraModel) -> None:
+    lens = recipe.SceneRecipe(lens=recipe.Lens(transmittance="filter.csv"))
+    for centre in CENTRES:
+        behind = recipe.set_up(bayer, lens, {"filter.csv": (HALVES, narrow(centre)[None])})
+        expected = [np.interp(centre, bayer.wavelength, curve) * WIDTH for curve in bayer.responsivity]
+        assert np.allclose(behind.responsivity.sum(axis=1) * 10.0, expected, rtol=0.05)  # it is seen by 20 nm of a tail
+
+
+def test_narrow_functions_and_reflectances_between_a_lights_samples_count(bayer: CameraModel) -> None:
+    equal = light.Light("E", 1.0, SEEN, np.ones(SEEN.size))
+    for centre in CENTRES:
+        target = make_target("f.csv", (HALVES, narrow(centre)[None]), ("f",), None, bayer)
+        per_photon = output_weights(target, bayer, equal, SEEN) @ (SEEN / 550.0)
+        joule = spectra.PLANCK * spectra.LIGHT_SPEED / 550e-9
+        assert per_photon[0] == pytest.approx(spectra.LUMINOUS_EFFICACY * joule * WIDTH, rel=1e-3)
+        reflected = spectra.held_interpolation(HALVES, SEEN) @ narrow(centre)
+        assert reflected.sum() * 10.0 == pytest.approx(WIDTH, rel=1e-3)
+
+
+def test_coarse_spectra_light_every_node() -> None:
+    """Spectra every 10 nm on nodes every 5: those between the samples get their share."""
+    nodes = np.arange(400.0, 701.0, 5.0)
+    radiance = np.ones(31)
+    found = responsivity.node_photons(SEEN, radiance, nodes)
+    assert np.allclose(found[1:-1], 5.0)
+    assert found.sum() == pytest.approx(305.0)  # what lies within the nodes' own steps
+
+
+def test_a_bands_centre_does_not_depend_on_where_it_was_sampled_most() -> None:
+    grid = np.concatenate([np.arange(500.0, 550.0, 0.5), np.arange(550.0, 601.0, 5.0)])
+    shape = np.maximum(0.0, 1.0 - np.abs(grid - 550.0) / 40.0) * np.ones((24, 1))
+    capture = BandCapture("b", 1.0, [], "filter", np.zeros((4, 2)), grid, shape)
+    assert series.band_centre(capture) == pytest.approx(550.0, abs=1.0)
+
+
+# ----------------------------------------------------------------------------------------------------------- files
+
+
+def test_a_table_that_falls_is_read_and_one_out_of_order_refused(tmp_path: Path) -> None:
+    path = tmp_path / "curve.csv"
+    path.write_text("nm,a,b\n500,1,2\n450,3,4\n400,5,6\n")
+    wavelength, curves = read_curves(path)
+    assert wavelength.tolist() == [400.0, 450.0, 500.0]
+    assert curves.tolist() == [[5.0, 3.0, 1.0], [6.0, 4.0, 2.0]]
+    for wrong in ("500,1\n400,2\n450,3\n", "500,1\n450,2\n450,3\n", "400,1\n400,2\n"):
+        path.write_text(wrong)
+        with pytest.raises(InputFileError, match="must increase"):
+            read_curves(path)
