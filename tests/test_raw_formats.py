@@ -46,6 +46,9 @@ class Sensor:
     black: float = 64.0
     white: float = 4095.0
 
+    def dark_signal(self, exposure: float | None) -> float:
+        return 0.0
+
 
 def sensor(channels: tuple[str, ...], cfa: np.ndarray) -> Any:
     return Sensor(channels, cfa.astype(np.uint8))

@@ -58,7 +58,8 @@ def _visible(path: Path, raw: Any) -> CameraRaw:
         values, common, top = with_one_black(values, black[colours], white[colours])
     rows, cols = raw.raw_pattern.shape
     pattern = codes_of(letters)[colours[:rows, :cols]]
-    exposure = float(raw.other.shutter)
+    shot = getattr(raw, "other", None)  # rawpy has it since 0.26
+    exposure = float(shot.shutter_speed) if shot is not None else None
     return CameraRaw(
         values=values, black=common, white=top, pattern=pattern, orientation=int(raw.sizes.flip), exposure=exposure
     )
