@@ -21,8 +21,10 @@ NEGLIGIBLE = 1e-3  # share of a channel's light that may go unseen without a wor
 
 
 @click.command()
-@click.argument("scenes", type=options.FILE, metavar="SCENES.toml")
-@click.option("--camera", type=options.FILE, required=True, metavar="FILE", help="Camera model or camera recipe (.toml).")
+@click.argument("scenes", type=options.RecipeFile("scenes"), metavar="SCENES.toml")
+@click.option(
+    "--camera", type=options.CAMERA, required=True, metavar="CAMERA", help="Camera model, camera recipe (.toml) or its name."
+)
 @options.output("Training set to write")
 @click.option(
     "--pictures", type=options.FILE, metavar="DIR", help="Also write each raw frame (TIFF) and ideal picture (PNG)."
@@ -40,6 +42,8 @@ def simulate(
     scheduler: "Scheduler | None", force: bool, quiet: bool,
 ) -> None:  # fmt: skip
     """Simulate what a camera sees of many scenes, and the pictures it should make of them.
+
+    SCENES.toml is a recipe, or the name of one that comes with l3, such as default or small.
 
     \b
     Example: l3 simulate scenes.toml --camera camera.h5 -o training.h5
