@@ -1,7 +1,5 @@
 """What a first-time user meets: l3 alone, recipes by name, recipes that explain themselves, pictures of any size."""
 
-import contextlib
-import io
 import os
 import re
 import shutil

@@ -29,8 +29,8 @@ def bench(device: str | None, variant: str | None, list_only: bool, as_json: boo
     Example: l3 bench --device 0 --json
     """
     from l3cli.artifacts.camera_recipe import load_camera
-    from l3cli.config import known_recipes
     from l3cli.parallel import alone
+    from l3cli.recipes import known_recipes
     from l3cli.render import benchmark as rendering
     from l3cli.render.opencl_devices import survey
     from l3cli.simulate import benchmark as simulation

@@ -170,9 +170,14 @@ def _iset(wanted: sources.WantedScene, run: Run) -> "Scene":
     from l3cli.io.scene_files import read_iset_scene
 
     assert wanted.path is not None
+    return read_iset_scene(wanted.path, _own_light(wanted, run))
+
+
+def _own_light(wanted: sources.WantedScene, run: Run) -> Any:
+    """The light that the recipe gives ISET scenes which lack their own: wavelengths in nm and photons, or None."""
     assert isinstance(wanted.source, sources.IsetScenes)
     light = run.lights[wanted.source.light] if wanted.source.light else None
-    return read_iset_scene(wanted.path, (light.wavelength, light.radiance) if light else None)
+    return (light.wavelength, light.radiance) if light else None
 
 
 def _rgb(wanted: sources.WantedScene, run: Run) -> "Scene":
@@ -211,6 +216,77 @@ READERS: dict[type, Callable[[sources.WantedScene, Run], "Scene"]] = {
     sources.Envi: _cube,
     sources.Cube: _cube,
     sources.ImageChannels: _cube,
+}
+
+
+# --------------------------------------------------------------------------------------------------- sizes of scenes
+
+
+def refusals(run: Run, files: list[list[Path]]) -> list[dict[Path, InputFileError]]:
+    """Of the files of each source those that cannot be read or do not fit on the sensor, and why, from their headers.
+    RecipeError if a drawn scene does not fit."""
+    bad: list[dict[Path, InputFileError]] = []
+    for source, paths in zip(run.recipe.scene, files, strict=True):
+        bad.append({})
+        for wanted in sources.wanted_scenes(source, paths):
+            try:
+                _check_size(wanted, run)
+            except InputFileError as error:
+                assert wanted.path is not None
+                bad[-1][wanted.path] = error
+    return bad
+
+
+def _check_size(wanted: sources.WantedScene, run: Run) -> None:
+    """RecipeError for a drawn scene, InputFileError for a file, if it does not fit on the sensor."""
+    from l3cli.simulate.framing import framed_size
+
+    source, error = wanted.source, RecipeError if wanted.path is None else InputFileError
+    size = source.size if isinstance(source, sources.Drawn) else SIZES[type(source)](wanted, run)
+    name = str(wanted.path or wanted.name)
+    try:
+        sources.check_size(framed_size(size, source, run.camera), run.camera, error, name)
+    except ValueError as wrong:
+        raise error(f"{name}: {wrong}") from wrong
+
+
+def _iset_size(wanted: sources.WantedScene, run: Run) -> tuple[int, int]:
+    from l3cli.io.scene_files import iset_size
+
+    assert wanted.path is not None
+    return iset_size(wanted.path, _own_light(wanted, run))
+
+
+def _picture_size(wanted: sources.WantedScene, run: Run) -> tuple[int, int]:
+    from l3cli.io.images import picture_size
+
+    assert wanted.path is not None
+    rows, cols = picture_size(wanted.path)
+    by = wanted.source.shrink if isinstance(wanted.source, sources.RgbPictures) else 1
+    return rows // by, cols // by
+
+
+def _cube_size(wanted: sources.WantedScene, run: Run) -> tuple[int, int]:
+    from l3cli.io import cubes
+    from l3cli.io.images import picture_size
+
+    path, source = wanted.path, wanted.source
+    assert path is not None
+    if isinstance(source, sources.Cube):
+        return cubes.cube_size(path, source.variable, source.axes)
+    if isinstance(source, sources.BandFolder) and (pictures := cubes.band_pictures(path)):
+        return picture_size(pictures[0])
+    rows, cols, _ = (cubes.read_envi if isinstance(source, sources.Envi) else cubes.read_band_folder)(path).values.shape
+    return rows, cols  # an ENVI file's data are only mapped; an empty folder is refused
+
+
+SIZES: dict[type, Callable[[sources.WantedScene, Run], tuple[int, int]]] = {
+    sources.IsetScenes: _iset_size,
+    sources.RgbPictures: _picture_size,
+    sources.BandFolder: _cube_size,
+    sources.Envi: _cube_size,
+    sources.Cube: _cube_size,
+    sources.ImageChannels: _picture_size,
 }
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import click
 
 from l3cli.cli import options
-from l3cli.config import known_recipes, recipe_folder
 from l3cli.errors import suggestion
+from l3cli.recipes import known_recipes, recipe_folder
 
 # What a folder of recipes holds beside its camera.toml: name there ← name in configs/.
 COMMON = {

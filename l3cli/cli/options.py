@@ -33,7 +33,7 @@ class RecipeFile(click.Path):
         self.kind = kind
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
-        from l3cli.config import find_recipe
+        from l3cli.recipes import find_recipe
 
         return find_recipe(os.fspath(value), self.kind)
 
@@ -41,7 +41,7 @@ class RecipeFile(click.Path):
         """Names and, beside them, files: bash does not look for files where anything else is offered."""
         from click.shell_completion import CompletionItem
 
-        from l3cli.config import known_recipes
+        from l3cli.recipes import known_recipes
 
         names = [name for name in known_recipes(self.kind) if name.startswith(incomplete)]
         if not names:

@@ -31,6 +31,10 @@ NEGLIGIBLE = 1e-3  # share of a channel's light that may go unseen without a wor
 )
 @click.option("--dng", type=options.FILE, metavar="DIR", help="Also write each raw frame as DNG, for other raw developers.")
 @click.option("--resume", is_flag=True, help="Go on with the frames that a run that was stopped left in OUTPUT.parts.")
+@click.option(
+    "--skip-bad", is_flag=True,
+    help="Leave out scenes whose files have no readable header or do not fit the sensor; exit code 1 if there were any.",
+)  # fmt: skip
 @options.seed
 @options.scheduler
 @options.jobs
@@ -38,9 +42,9 @@ NEGLIGIBLE = 1e-3  # share of a channel's light that may go unseen without a wor
 @options.force
 @options.quiet
 def simulate(
-    scenes: Path, camera: Path, output: Path, pictures: Path | None, dng: Path | None, resume: bool, seed: int, jobs: int,
-    scheduler: "Scheduler | None", force: bool, quiet: bool,
-) -> None:  # fmt: skip
+    scenes: Path, camera: Path, output: Path, pictures: Path | None, dng: Path | None, resume: bool, skip_bad: bool,
+    seed: int, jobs: int, scheduler: "Scheduler | None", force: bool, quiet: bool,
+) -> int:  # fmt: skip
     """Simulate what a camera sees of many scenes, and the pictures it should make of them.
 
     SCENES.toml is a recipe, or the name of one that comes with l3, such as default or small.
@@ -63,7 +67,9 @@ def simulate(
     if scheduler:
         scenes = scenes.absolute()  # its files are looked for by workers elsewhere
     model, recipe = load_camera(camera), load_recipe(scenes, SceneRecipe)
-    run, files, inputs = _prepare(recipe, scenes, model, seed)
+    run, files = _prepare(recipe, scenes, model, seed)
+    files, bad = _fitting(run, files, scenes, skip_bad)
+    inputs = _inputs(run, files)
     head = _head(run, model, (scenes, camera), inputs, seed)
     sums = head.history[-1].inputs
     digests = {path: own for role, paths in inputs.items() for path, own in zip(paths, sums.get(role, ()), strict=True)}
@@ -83,16 +89,15 @@ def simulate(
         _write_pictures(output, pictures)
     if dng:
         _write_dng(run, output, dng)
-    options.say(f"{output}: {total} frame{'s' if total > 1 else ''}", quiet)
+    left_out = f"; {bad} scene{'s' if bad > 1 else ''} left out" if bad else ""
+    options.say(f"{output}: {total} frame{'s' if total > 1 else ''}{left_out}", quiet)
+    return 1 if bad else 0
 
 
-def _prepare(
-    recipe: "SceneRecipe", path: Path, camera: "CameraModel", seed: int
-) -> tuple["Run", list[list[Path]], dict[str, list[Path]]]:
-    """Everything checked and looked up before any work: the run, the files of each source, all files by their role."""
+def _prepare(recipe: "SceneRecipe", path: Path, camera: "CameraModel", seed: int) -> tuple["Run", list[list[Path]]]:
+    """Everything checked and looked up before any work: the run, and the files of each source."""
     from l3cli.cli.frames import Run
     from l3cli.errors import RecipeError
-    from l3cli.io.cubes import band_pictures
     from l3cli.io.scene_files import find
     from l3cli.simulate import recipe as asked
     from l3cli.simulate.light import OWN, make_light
@@ -114,12 +119,45 @@ def _prepare(
     target = make_target(outputs, curves.get(outputs), names, lights[other] if other else None, fitted)
     patterns = zip(recipe.scene, asked.patterns(recipe), strict=True)
     files = [find(text, path.parent, isinstance(source, BandFolder)) if text else [] for source, text in patterns]
-    roles = {
+    return Run(recipe, fitted, target, lights, seed, path.parent, "", Path()), files
+
+
+def _fitting(run: "Run", files: list[list[Path]], path: Path, skip_bad: bool) -> tuple[list[list[Path]], int]:
+    """The files of each source that can be read and fit on the sensor, and how many do not: with `skip_bad` each is said
+    and left out, else InputFileError names them all."""
+    from l3cli.cli.frames import refusals
+    from l3cli.errors import InputFileError, listed
+    from l3cli.simulate.sources import FileSource
+
+    refused = refusals(run, files)
+    bad = [error for own in refused for error in own.values()]
+    if not bad:
+        return files, 0
+    if not skip_bad:
+        count = sum(map(len, files))
+        told = f"{len(bad)} of {count} scenes cannot be taken: " if len(bad) > 1 else ""
+        why = [str(error).partition("; ")[0] for error in bad]
+        cure = "give scale, crop or (rgb) shrink, mend the files, or leave them out with --skip-bad"
+        raise InputFileError(f"{told}{listed(why)}; {cure}")
+    kept = [[each for each in found if each not in own] for found, own in zip(files, refused, strict=True)]
+    drawn = any(not isinstance(source, FileSource) for source in run.recipe.scene)
+    if not (any(kept) or drawn or run.recipe.pair):
+        raise InputFileError(f"{path}: no scene is left of {len(bad)}: {listed(map(str, bad))}")
+    for error in bad:
+        click.echo(f"l3: {error}", err=True)
+    return kept, len(bad)
+
+
+def _inputs(run: "Run", files: list[list[Path]]) -> dict[str, list[Path]]:
+    """All files of a run by their role; `files` are those of each source."""
+    from l3cli.io.cubes import band_pictures
+    from l3cli.simulate.recipe import curve_files
+
+    return {
         "scene": [file for found in files for each in found for file in (band_pictures(each) if each.is_dir() else [each])],
-        "spectrum": [path.parent / name for name in named],
-        "pair": [path.parent / name for pair in recipe.pair for name in (pair.raw, pair.picture)],
+        "spectrum": [run.base / name for name in curve_files(run.recipe)],
+        "pair": [run.base / name for pair in run.recipe.pair for name in (pair.raw, pair.picture)],
     }
-    return Run(recipe, fitted, target, lights, seed, path.parent, "", Path()), files, roles
 
 
 def _curve(path: Path, role: str) -> "Curve":

@@ -114,6 +114,13 @@ def read_image(path: Path) -> tuple[NDArray, tuple[str, ...]]:
 
 
 @apart
+def picture_size(path: Path) -> tuple[int, int]:
+    """(rows, cols) of a picture as its header tells them; InputFileError if it has none."""
+    with opened(path) as (_, spec):
+        return spec.height, spec.width
+
+
+@apart
 def read_mono(path: Path) -> NDArray[np.uint16]:
     """Single-channel 8- or 16-bit picture (row, col), values as stored."""
     with opened(path) as (source, spec):
