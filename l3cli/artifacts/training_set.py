@@ -156,8 +156,7 @@ class TrainingSetWriter:
     def append_part(self, path: Path, run: str) -> "Part":
         """Append the frame that `write_part` stored for `run`, as it is stored; what else it told."""
         with container.open_file(path) as part:
-            if part.attrs.get("run") != run:
-                raise L3Error(f"{path} was replaced by another run; run again with --resume")
+            _require_run(part, path, run)
             group, name = self._place(bool(part.attrs["simulated"]))
             part.copy("frame", group, name)
             return Part(str(part.attrs["scene"]), float(part.attrs["uncovered"]))
@@ -187,6 +186,20 @@ def write_part(path: Path, frame: TrainingPair, uncovered: float, run: str) -> N
         root.attrs["uncovered"] = uncovered
         root.attrs["run"] = run
         write_fields(root.create_group("frame"), frame, CHECKSUM)
+
+
+def read_part(path: Path, run: str) -> TrainingPair:
+    """The frame that `write_part` stored for `run`."""
+    with container.open_file(path) as part:
+        _require_run(part, path, run)
+        kind = TrainingFrame if part.attrs["simulated"] else TrainingPair
+        frame: TrainingPair = read_fields(part["frame"], kind, path)
+        return frame
+
+
+def _require_run(part: h5py.File, path: Path, run: str) -> None:
+    if part.attrs.get("run") != run:
+        raise L3Error(f"{path} was replaced by another run; run again with --resume")
 
 
 def whole_part(path: Path, run: str) -> bool:

@@ -13,7 +13,7 @@ import numpy as np
 
 from l3cli.artifacts.base import Stage, open_artifact, read_history
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.training_set import whole_part, write_part
+from l3cli.artifacts.training_set import TrainingPair, read_part, whole_part, write_part
 from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.files import is_ours, require_same, sweep, write_whole
 from l3cli.parallel import Crew
@@ -325,18 +325,22 @@ def key_of(stage: Stage) -> str:
     return hashlib.sha256(json.dumps(dataclasses.asdict(stage), sort_keys=True).encode()).hexdigest()
 
 
-def open_folder(output: Path, key: str, resume: bool) -> Path:
+def open_folder(output: Path, key: str, resume: bool, force: bool) -> Path:
     """The folder beside `output` for the frames of the run called `key`: with `resume` what an earlier run left there,
-    else empty. RecipeError if that run was another one, L3Error if the folder is not of l3's making."""
+    else empty. If that run was another one, RecipeError, or with `force` empty, too. L3Error if the folder is not of l3's
+    making."""
     folder, mark = _folder_and_mark(output)
     if folder.exists():
         if not mark.is_file() and not all(is_ours(each.name) for each in folder.iterdir()):
             raise L3Error(f"{folder} is in the way; move it elsewhere")
         if resume and mark.is_file():
-            if mark.read_text() != key:
-                raise RecipeError(f"{folder} is of a run with another recipe, camera, seed or version; leave --resume out")
-            sweep(folder)
-            return folder
+            if mark.read_text() == key:
+                sweep(folder)
+                return folder
+            if not force:
+                raise RecipeError(
+                    f"{folder} is of a run with another recipe, camera, seed or version; leave --resume out or add --force"
+                )
         _remove(folder)
     write_whole(mark, key)
     return folder
@@ -358,10 +362,32 @@ def close_folder(folder: Path) -> Iterator[None]:
 def remove_finished(output: Path) -> None:
     """Remove the folder of a run that was killed after `output` had appeared, which holds all its frames."""
     folder, mark = _folder_and_mark(output)
-    if output.is_file() and mark.is_file():
-        with contextlib.suppress(InputFileError), open_artifact(output) as root:
-            if key_of(read_history(root, output)[-1]) == mark.read_text():
-                _remove(folder)
+    if mark.is_file() and is_of_run(output, mark.read_text()):
+        _remove(folder)
+
+
+def is_of_run(output: Path, key: str) -> bool:
+    """Whether `output` is the whole training set of the run called `key`."""
+    if not output.is_file():
+        return False
+    try:
+        with open_artifact(output) as root:
+            history = read_history(root, output)
+    except InputFileError:
+        return False
+    return bool(history) and key_of(history[-1]) == key
+
+
+@dataclass(frozen=True)
+class StoredFrames:
+    """All stored frames of a run in their order, read one by one."""
+
+    run: Run
+    total: int
+
+    def __iter__(self) -> Iterator[TrainingPair]:
+        for index in range(self.total):
+            yield read_part(self.run.part(index), self.run.key)
 
 
 def _folder_and_mark(output: Path) -> tuple[Path, Path]:

@@ -164,14 +164,21 @@ def hold_file(path: Path, *inputs: Path) -> None:
 
 
 def claim_folder(path: Path, force: bool) -> None:
-    """Refuse, before any work, a folder that holds something, is a file or cannot be written into; keep other runs off it
-    until the command ends."""
+    """`hold_folder`, and refuse a folder that holds something."""
+    from l3cli.files import refuse_filled_folder
+
+    hold_folder(path)
+    refuse_filled_folder(path, force)
+
+
+def hold_folder(path: Path) -> None:
+    """Refuse, before any work, a folder that is a file or cannot be written into; keep other runs off it until the command
+    ends."""
     from l3cli.files import refuse_filled_folder, sole_writer_of_folder
 
     refuse_filled_folder(path, force=True)  # a file
     refuse_unwritable(path)
     hold(sole_writer_of_folder(path), path)
-    refuse_filled_folder(path, force)
 
 
 def hold(claim: AbstractContextManager[bool], output: Path) -> None:

@@ -1,7 +1,9 @@
 """l3 simulate: camera × scenes × lights → training set."""
 
+import contextlib
 import dataclasses
 import re
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +13,7 @@ from l3cli.cli import options
 
 if TYPE_CHECKING:
     from l3cli.artifacts.camera import CameraModel
-    from l3cli.artifacts.training_set import TrainingSet
+    from l3cli.artifacts.training_set import TrainingPair, TrainingSet
     from l3cli.cli.frames import Run
     from l3cli.parallel.cluster import Scheduler
     from l3cli.simulate.light import Curve
@@ -30,7 +32,7 @@ NEGLIGIBLE = 1e-3  # share of a channel's light that may go unseen without a wor
     "--pictures", type=options.FILE, metavar="DIR", help="Also write each raw frame (TIFF) and ideal picture (PNG)."
 )
 @click.option("--dng", type=options.FILE, metavar="DIR", help="Also write each raw frame as DNG, for other raw developers.")
-@click.option("--resume", is_flag=True, help="Go on with the frames that a run that was stopped left in OUTPUT.parts.")
+@click.option("--resume", is_flag=True, help="Go on with the frames in OUTPUT.parts, or make the pictures of a whole set.")
 @click.option(
     "--skip-bad", is_flag=True,
     help="Leave out scenes whose files have no readable header or do not fit the sensor; exit code 1 if there were any.",
@@ -53,45 +55,65 @@ def simulate(
     Example: l3 simulate scenes.toml --camera camera.h5 -o training.h5
     """
     from l3cli.artifacts.camera_recipe import load_camera
-    from l3cli.cli.frames import close_folder, jobs_of, key_of, open_folder, remove_finished, stored, work_off
+    from l3cli.artifacts.training_set import open_training_set
+    from l3cli.cli.frames import StoredFrames, close_folder, is_of_run, key_of, open_folder, remove_finished
     from l3cli.config import load_recipe
-    from l3cli.files import refuse_existing
-    from l3cli.parallel import workers
-    from l3cli.simulate.recipe import SceneRecipe, shots
+    from l3cli.files import finished_together, refuse_existing
+    from l3cli.simulate.recipe import SceneRecipe
 
     options.hold_file(output, scenes, camera)
     remove_finished(output)
-    refuse_existing(output, force)
-    for folder in dict.fromkeys(filter(None, (pictures, dng))):
-        options.claim_folder(folder, force)
+    refuse_existing(output, force or resume)
+    folders = list(dict.fromkeys(filter(None, (pictures, dng))))
+    for folder in folders:
+        options.hold_folder(folder)
     if scheduler:
         scenes = scenes.absolute()  # its files are looked for by workers elsewhere
     model, recipe = load_camera(camera), load_recipe(scenes, SceneRecipe)
     run, files = _prepare(recipe, scenes, model, seed)
     files, bad = _fitting(run, files, scenes, skip_bad)
-    inputs = _inputs(run, files)
-    head = _head(run, model, (scenes, camera), inputs, seed)
-    sums = head.history[-1].inputs
-    digests = {path: own for role, paths in inputs.items() for path, own in zip(paths, sums.get(role, ()), strict=True)}
-    key = key_of(head.history[-1])
-    run = dataclasses.replace(run, key=key, folder=open_folder(output, key, resume))
-    wanted = list(shots(recipe, files)) if recipe.scene else []
-    total = sum(len(own) for _, own in wanted) + len(recipe.pair)
-    with close_folder(run.folder):
-        with workers(jobs, scheduler) as crew:
-            work = jobs_of(run, wanted, crew.size)
-            counts = stored(crew, work, digests) if scheduler else crew(work_off, work)
-            finished = (index for count in counts for index in range(count))
-            for _ in options.progress(finished, total, "frames", quiet):
-                pass
-        _assemble(run, head, output, total, quiet)
-    if pictures:
-        _write_pictures(output, pictures)
-    if dng:
-        _write_dng(run, output, dng)
+    head = _head(run, model, (scenes, camera), _inputs(run, files), seed)
+    run = dataclasses.replace(run, key=key_of(head.history[-1]))
+    stands = resume and not force and is_of_run(output, run.key)
+    if not stands:
+        refuse_existing(output, force)
+    with contextlib.ExitStack() as unfinished:
+        for folder in folders:
+            unfinished.enter_context(finished_together(folder, run.key, force))
+        if stands:
+            with open_training_set(output, unchanged=True) as frames:
+                total = len(frames)
+                _write_beside(run, frames, pictures, dng)
+        else:
+            run = dataclasses.replace(run, folder=open_folder(output, run.key, resume, force))
+            with close_folder(run.folder):
+                total = _simulate_frames(run, files, head, jobs, scheduler, quiet)
+                _write_beside(run, StoredFrames(run, total), pictures, dng)
+                _assemble(run, head, output, total, quiet)  # last: whoever finds the set finds its pictures, too
     left_out = f"; {bad} scene{'s' if bad > 1 else ''} left out" if bad else ""
     options.say(f"{output}: {total} frame{'s' if total > 1 else ''}{left_out}", quiet)
     return 1 if bad else 0
+
+
+def _simulate_frames(
+    run: "Run", files: list[list[Path]], head: "TrainingSet", jobs: int, scheduler: "Scheduler | None", quiet: bool
+) -> int:
+    """Simulate and store those frames of a run that are not stored yet; how many it has."""
+    from l3cli.cli.frames import jobs_of, stored, work_off
+    from l3cli.parallel import workers
+    from l3cli.simulate.recipe import shots
+
+    inputs, sums = _inputs(run, files), head.history[-1].inputs
+    digests = {path: own for role, paths in inputs.items() for path, own in zip(paths, sums.get(role, ()), strict=True)}
+    wanted = list(shots(run.recipe, files)) if run.recipe.scene else []
+    total = sum(len(own) for _, own in wanted) + len(run.recipe.pair)
+    with workers(jobs, scheduler) as crew:
+        work = jobs_of(run, wanted, crew.size)
+        counts = stored(crew, work, digests) if scheduler else crew(work_off, work)
+        finished = (index for count in counts for index in range(count))
+        for _ in options.progress(finished, total, "frames", quiet):
+            pass
+    return total
 
 
 def _prepare(recipe: "SceneRecipe", path: Path, camera: "CameraModel", seed: int) -> tuple["Run", list[list[Path]]]:
@@ -215,39 +237,43 @@ def _assemble(run: "Run", head: "TrainingSet", output: Path, total: int, quiet: 
         options.say(f"warning: {worst.scene} holds no data for {share}; give scenes of more wavelengths", quiet)
 
 
-def _write_pictures(training: Path, folder: Path) -> None:
-    """Each frame of a training set as raw mosaic and as the picture it should become, white at display white."""
+def _write_beside(run: "Run", frames: "Iterable[TrainingPair]", pictures: Path | None, dng: Path | None) -> None:
+    """The pictures and DNGs of all `frames`, as far as they are asked for."""
+    if pictures:
+        _write_pictures(run, frames, pictures)
+    if dng:
+        _write_dng(run, frames, dng)
+
+
+def _write_pictures(run: "Run", frames: "Iterable[TrainingPair]", folder: Path) -> None:
+    """Each frame as raw mosaic and as the picture it should become, white at display white."""
     import numpy as np
 
-    from l3cli.artifacts.training_set import open_training_set
     from l3cli.io.images import write_linear, write_mosaic, write_picture
     from l3cli.render.display import encode, make_display
 
-    with open_training_set(training, unchanged=True) as frames:
-        for index, frame in enumerate(frames):
-            name = options.frame_name(index, frame.scene)
-            write_mosaic(folder / f"{name}_raw.tif", frame.raw)
-            if frames.head.outputs != ("X", "Y", "Z"):
-                planes = np.moveaxis(frame.target / np.float32(frame.white.max()), 0, -1)
-                write_linear(folder / f"{name}_ideal.exr", planes, frames.head.outputs)
-                continue
-            display = make_display(frame.white, 1.0 / frame.white[1], bits=8)
-            write_picture(folder / f"{name}_ideal.png", encode(frame.target, display))
+    for index, frame in enumerate(frames):
+        name = options.frame_name(index, frame.scene)
+        write_mosaic(folder / f"{name}_raw.tif", frame.raw)
+        if run.target.outputs != ("X", "Y", "Z"):
+            planes = np.moveaxis(frame.target / np.float32(frame.white.max()), 0, -1)
+            write_linear(folder / f"{name}_ideal.exr", planes, run.target.outputs)
+            continue
+        display = make_display(frame.white, 1.0 / frame.white[1], bits=8)
+        write_picture(folder / f"{name}_ideal.png", encode(frame.target, display))
 
 
-def _write_dng(run: "Run", training: Path, folder: Path) -> None:
-    """Each raw frame of a training set as DNG, with the white balance of its light where that is known."""
-    from l3cli.artifacts.training_set import open_training_set
+def _write_dng(run: "Run", frames: "Iterable[TrainingPair]", folder: Path) -> None:
+    """Each raw frame as DNG, with the white balance of its light where that is known."""
     from l3cli.io.dng_writer import LIGHT_CODES, RawColour, write_dng
     from l3cli.simulate.light import make_light
     from l3cli.simulate.raw_colour import colour_matrix, neutral
 
-    with open_training_set(training) as frames:
-        camera = frames.head.camera
-        lights = {name: make_light(name, {}, camera.wavelength) for name in LIGHT_CODES}
-        colour = RawColour({name: colour_matrix(camera, light) for name, light in lights.items()})
-        for index, frame in enumerate(frames):
-            light = run.lights.get(frame.illuminant)
-            grey = None if light is None else neutral(camera, light)
-            path = folder / f"{options.frame_name(index, frame.scene)}.dng"
-            write_dng(path, frame.raw, camera, colour, grey, frame.exposure)
+    camera = run.camera
+    lights = {name: make_light(name, {}, camera.wavelength) for name in LIGHT_CODES}
+    colour = RawColour({name: colour_matrix(camera, light) for name, light in lights.items()})
+    for index, frame in enumerate(frames):
+        light = run.lights.get(frame.illuminant)
+        grey = None if light is None else neutral(camera, light)
+        path = folder / f"{options.frame_name(index, frame.scene)}.dng"
+        write_dng(path, frame.raw, camera, colour, grey, frame.exposure)
