@@ -72,6 +72,7 @@ class Pipeline(click.Group):
 @click.group(
     cls=Pipeline,
     invoke_without_command=True,
+    subcommand_metavar="COMMAND [ARGS]...",
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
 @click.version_option(__version__, prog_name="l3")
