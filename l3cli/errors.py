@@ -30,6 +30,13 @@ class DeviceError(L3Error):
 MOST = 240  # characters of a list of names
 
 
+def listed(lines: Iterable[str]) -> str:
+    """What is told of several things, as far as it can be read, and how many more there are."""
+    lines = list(lines)
+    shown = [line for number, line in enumerate(lines) if number < 1 or sum(map(len, lines[: number + 1])) < 2 * MOST]
+    return ", ".join(shown) + (f" and {len(lines) - len(shown)} more" if len(shown) < len(lines) else "")
+
+
 def suggestion(name: str, known: Iterable[str]) -> str:
     """The cure for a name that is none of `known`: the ones it may have been meant for or, where none is near, all."""
     import difflib  # only where something went wrong

@@ -21,6 +21,7 @@ from l3cli.interrupts import uninterrupted
 
 TEMPORARY = re.compile(r"\.(.*)\.[0-9a-f]{8}\.l3tmp(\.[^.]*)?")
 LOCK = ".l3lock"
+UNFINISHED = ".l3-unfinished"  # names, in a folder of pictures, the run that has not written all of them yet
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -153,6 +154,24 @@ def sole_writer_of_folder(folder: Path, name: str = "", inside: tuple[str, ...] 
 
 
 @contextlib.contextmanager
+def finished_together(folder: Path, run: str, force: bool) -> Iterator[None]:
+    """Mark `folder` as of the run called `run` until the block ends without an error: if it is stopped, the same run may go
+    on there. L3Error if the folder holds something else, unless `force`."""
+    mark = folder / UNFINISHED
+    goes_on = mark.is_file() and mark.read_bytes() == run.encode()
+    refuse_filled_folder(folder, force or goes_on)
+    write_whole(mark, run)
+    try:
+        yield
+    except BaseException:
+        sweep(folder)
+        if all(is_ours(each.name) for each in folder.iterdir()):
+            mark.unlink(missing_ok=True)
+        raise
+    mark.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
 def _claim(output: Path, lock: Path) -> Iterator[bool]:
     """Hold `lock` while the block lasts; folders that had to be made for it go again if they stay empty."""
     made = [folder for folder in (lock.parent, *lock.parent.parents) if not folder.exists()]
@@ -215,8 +234,8 @@ def sweep(folder: Path, output: Path | None = None) -> None:
 
 
 def is_ours(name: str) -> bool:
-    """Whether a file of this name is a lock or temporary."""
-    return name.endswith(LOCK) or TEMPORARY.fullmatch(name) is not None
+    """Whether a file of this name is a lock, a mark or temporary."""
+    return name.endswith((LOCK, UNFINISHED)) or TEMPORARY.fullmatch(name) is not None
 
 
 # --------------------------------------------------------------------------------------------------------- inputs

@@ -10,17 +10,19 @@ import pytest
 
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.training_set import open_training_set
-from l3cli.cli.init import COMMON, recipes
+from l3cli.cli.init import COMMON
 from l3cli.config import load_recipe
 from l3cli.evaluate.demosaic import interpolate
 from l3cli.evaluate.quality import psnr
 from l3cli.io.images import read_image
+from l3cli.recipes import known_recipes
 from l3cli.simulate.lab import LabRecipe
 from l3cli.simulate.recipe import SceneRecipe
 from l3cli.train.recipe import TrainingRecipe
 from tests.conftest import CONFIGS
 
-NAMES = sorted(recipes())
+CAMERAS = known_recipes("cameras")
+NAMES = sorted(CAMERAS)
 SMALL = {
     "scenes": 'exposure_share = [0.9]\n[[scene]]\nsource = "dead leaves"\nsize = [64, 64]\ncount = 4\n',
     "unseen": 'exposure_share = [0.9]\n[[scene]]\nsource = "composition"\nsize = [96, 144]\nseed = 5\n',
@@ -32,7 +34,7 @@ BANDS = '\n[target]\noutputs = "camera"\n'
 
 def array(name: str) -> np.ndarray:
     """The colour filter array of a recipe, as names of channels."""
-    cfa = tomllib.loads(recipes()[name].read_text())["cfa"]
+    cfa = tomllib.loads(CAMERAS[name].read_text())["cfa"]
     return np.array([row.split() for row in cfa["pattern"]])
 
 
@@ -107,9 +109,7 @@ def test_the_bayer_recipes_are_the_phases_of_one_array() -> None:
     }
     for name, cfa in shifted.items():
         np.testing.assert_array_equal(array(name), cfa)
-        np.testing.assert_array_equal(
-            load_camera(recipes()[name]).responsivity, load_camera(recipes()["bayer"]).responsivity
-        )
+        np.testing.assert_array_equal(load_camera(CAMERAS[name]).responsivity, load_camera(CAMERAS["bayer"]).responsivity)
     np.testing.assert_array_equal(array("quad_bayer"), bayer.repeat(2, axis=0).repeat(2, axis=1))
 
 

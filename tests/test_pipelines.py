@@ -7,6 +7,7 @@ anew for each. Slurm is a program that runs the tasks of a job when it is submit
 import contextlib
 import io
 import os
+import re
 import shlex
 import shutil
 import signal
@@ -26,6 +27,7 @@ import pytest
 from l3cli.artifacts.base import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.cli import run
+from l3cli.files import sole_writer_of_file, sole_writer_of_folder
 from l3cli.io.images import read_image
 from tests.conftest import bayer_camera
 from tests.test_init import SMALL
@@ -70,6 +72,7 @@ for task in range(int(first), int(last or first) + 1) if state == "done" else ()
 print(job)
 """
 needs_snakemake = pytest.mark.skipif(not shutil.which("snakemake", path=PATH), reason="snakemake is not installed")
+CALL = re.compile(r"^ *l3 [a-z]+ ", re.MULTILINE)
 MADE = ("camera.h5", "training.h5", "table.h5", "unseen.h5", "picture.png", "quality.txt", "report.html")
 
 
@@ -159,7 +162,7 @@ def folder(made: tuple[Path, str, list[str]], tmp_path: Path) -> Path:
 def test_make_leads_from_recipes_to_a_picture_and_a_report(made: tuple[Path, str, list[str]]) -> None:
     folder, out, calls = made
     assert sorted(calls) == sorted(
-        ["lab virtual_lab", "calibrate camera.h5", "simulate training.h5", "simulate unseen/set.h5", "train table.h5"]
+        ["lab virtual_lab", "calibrate camera.h5", "simulate training.h5", "simulate .unseen.h5", "train table.h5"]
         + ["render picture.png", "evaluate", "report report.html"]
     )
     assert all((folder / name).stat().st_size for name in MADE)
@@ -181,7 +184,7 @@ def test_a_second_make_has_nothing_to_do(workplace: Workplace, folder: Path) -> 
     ("changed", "again"),
     [
         ("classes.toml", {"train table.h5", "render picture.png", "evaluate", "report report.html"}),
-        ("unseen.toml", {"simulate unseen/set.h5", "render picture.png", "evaluate", "report report.html"}),
+        ("unseen.toml", {"simulate .unseen.h5", "render picture.png", "evaluate", "report report.html"}),
         ("bands_scenes.toml", set()),
     ],
 )
@@ -191,7 +194,7 @@ def test_only_what_depends_on_a_recipe_is_made_again(
     (folder / changed).touch()
     out, _ = workplace.do(folder, "make -n")
     assert {call for call in again if f"l3 {call.split()[0]} " in out} == again
-    assert out.count("l3 ") == len(again)
+    assert len(CALL.findall(out)) == len(again)
 
 
 def test_another_camera_makes_everything_again(workplace: Workplace, folder: Path) -> None:
@@ -201,7 +204,7 @@ def test_another_camera_makes_everything_again(workplace: Workplace, folder: Pat
         ("MEASUREMENTS=virtual_lab/../virtual_lab/MEASUREMENTS.toml", 7),
     ):
         out, _ = workplace.do(folder, f"make -n {asked}")
-        assert out.count("\nl3 ") + out.startswith("l3 ") == calls, out
+        assert len(CALL.findall(out)) == calls, out
 
 
 def test_a_stopped_make_goes_on_where_it_was(workplace: Workplace, folder: Path, tmp_path: Path) -> None:
@@ -230,10 +233,51 @@ def test_a_stopped_make_goes_on_where_it_was(workplace: Workplace, folder: Path,
     assert not parts.exists()
 
     parts.mkdir()
-    (parts / "run").touch()
+    (parts / "run").write_text("another run")  # of another recipe: those frames are of no use
+    (parts / "000000.h5").touch()
     os.utime(folder / "scenes.toml", (time.time() + 1, time.time() + 1))
-    workplace.do(folder, "make training.h5 L3=:")  # of another recipe: those frames are of no use
+    assert workplace.do(folder, "make training.h5 JOBS=1")[1] == ["simulate training.h5"]
+    assert (folder / "training.h5").read_bytes() == undisturbed
     assert not parts.exists()
+
+
+def test_a_second_make_takes_nothing_from_the_first(workplace: Workplace, folder: Path) -> None:
+    """While another run writes what a make is about to make, that make is refused, and nothing of the other goes."""
+    for name in ("unseen.toml", "scenes.toml", "camera.toml"):
+        (folder / name).touch()
+    being_written = (
+        "virtual_lab/dark_0.tif",
+        "unseen/00000_a_raw.tif",
+        "training.h5.parts/000000.h5",
+        "training.h5.parts/run",
+    )
+    for name in being_written:
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_text("being written")
+    os.utime(folder / "training.h5.parts/run", (1, 1))
+    with contextlib.ExitStack() as other:
+        for name in ("virtual_lab", "unseen"):
+            other.enter_context(sole_writer_of_folder(folder / name))
+        other.enter_context(sole_writer_of_file(folder / "training.h5"))
+        for target in ("virtual_lab/MEASUREMENTS.toml", "unseen.h5", "training.h5"):
+            before = {path: path.stat().st_mtime_ns for path in folder.rglob("*") if path.is_file() and path.name[0] != "."}
+            process = workplace.start(folder, f"make {target} -o camera.h5 JOBS=1")
+            out, err = process.communicate(timeout=60)
+            assert process.returncode == 2, out + err
+            assert err.count("is being written by another run") == 1, err
+            after = {path: path.stat().st_mtime_ns for path in folder.rglob("*") if path.is_file() and path.name[0] != "."}
+            assert after == before
+
+
+def test_make_leaves_no_picture_of_an_earlier_recipe(workplace: Workplace, folder: Path) -> None:
+    (folder / "unseen/00000_earlier_raw.tif").write_text("of an earlier recipe")
+    (folder / "unseen.toml").write_text(SMALL["unseen"].replace("seed = 5", "seed = 6"))
+    _, calls = workplace.do(folder, "make picture.png -o training.h5 -o table.h5 JOBS=1")
+    assert calls == ["simulate .unseen.h5", "render picture.png"]
+    assert sorted(path.name for path in (folder / "unseen").iterdir()) == [
+        "00000_composition-6-0_ideal.png", "00000_composition-6-0_raw.tif",
+    ]  # fmt: skip
+    assert not list(folder.glob(".unseen*"))
 
 
 def test_make_bands_gives_every_band_of_the_camera(workplace: Workplace, folder: Path) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 import click
 import pytest
 
+from l3cli import recipes
 from l3cli.artifacts.base import load
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import CameraRecipe, load_camera
@@ -132,6 +133,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_worked_example_prints_what_is_shown(small: Path, l3: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(small)
+    monkeypatch.setattr(recipes, "recipe_folder", lambda: small / "configs")
     session, *_ = sessions()
     assert [commands(line)[0][0] for line, _ in session] == [
         "lab", "calibrate", "simulate", "train", "simulate", "render", "evaluate",

@@ -55,6 +55,11 @@ class TrainingPair:
         if min(self.luminance, self.exposure) < 0 or max(self.luminance, self.exposure) > LARGEST:
             raise ValueError(f"luminance {self.luminance:g} and exposure {self.exposure:g} must lie in 0…{LARGEST:g}")
 
+    @property
+    def dark_time(self) -> float:
+        """Seconds of dark current that are in `raw`; it has been taken off real pairs already."""
+        return 0.0
+
 
 @dataclass(frozen=True)
 class TrainingFrame(TrainingPair):
@@ -77,6 +82,10 @@ class TrainingFrame(TrainingPair):
     def __post_init__(self) -> None:
         super().__post_init__()
         _require_moderate("electrons", self.electrons)
+
+    @property
+    def dark_time(self) -> float:
+        return self.exposure
 
 
 def _require_moderate(name: str, values: NDArray[np.float32]) -> None:
@@ -156,8 +165,7 @@ class TrainingSetWriter:
     def append_part(self, path: Path, run: str) -> "Part":
         """Append the frame that `write_part` stored for `run`, as it is stored; what else it told."""
         with container.open_file(path) as part:
-            if part.attrs.get("run") != run:
-                raise L3Error(f"{path} was replaced by another run; run again with --resume")
+            _require_run(part, path, run)
             group, name = self._place(bool(part.attrs["simulated"]))
             part.copy("frame", group, name)
             return Part(str(part.attrs["scene"]), float(part.attrs["uncovered"]))
@@ -187,6 +195,20 @@ def write_part(path: Path, frame: TrainingPair, uncovered: float, run: str) -> N
         root.attrs["uncovered"] = uncovered
         root.attrs["run"] = run
         write_fields(root.create_group("frame"), frame, CHECKSUM)
+
+
+def read_part(path: Path, run: str) -> TrainingPair:
+    """The frame that `write_part` stored for `run`."""
+    with container.open_file(path) as part:
+        _require_run(part, path, run)
+        kind = TrainingFrame if part.attrs["simulated"] else TrainingPair
+        frame: TrainingPair = read_fields(part["frame"], kind, path)
+        return frame
+
+
+def _require_run(part: h5py.File, path: Path, run: str) -> None:
+    if part.attrs.get("run") != run:
+        raise L3Error(f"{path} was replaced by another run; run again with --resume")
 
 
 def whole_part(path: Path, run: str) -> bool:

@@ -69,14 +69,23 @@ class Pipeline(click.Group):
             formatter.write_dl(list(COMMANDS.items()))
 
 
-@click.group(cls=Pipeline, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.group(
+    cls=Pipeline,
+    invoke_without_command=True,
+    subcommand_metavar="COMMAND [ARGS]...",
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
 @click.version_option(__version__, prog_name="l3")
-def l3() -> None:
+@click.pass_context
+def l3(context: click.Context) -> None:
     """Give a camera with any colour filter array its image pipeline.
 
     Measure the camera (calibrate), simulate it on scenes (simulate), learn a table of local linear transforms (train),
     render raw frames through it (render). Every stage leaves one HDF5 file for the next.
     """
+    if context.invoked_subcommand is None:  # a wrong call, such as of a script whose variable is empty
+        click.echo(context.get_help(), err=True)
+        context.exit(2)
 
 
 class Terminated(BaseException):

@@ -29,8 +29,8 @@ def bench(device: str | None, variant: str | None, list_only: bool, as_json: boo
     Example: l3 bench --device 0 --json
     """
     from l3cli.artifacts.camera_recipe import load_camera
-    from l3cli.cli.init import config_folder
     from l3cli.parallel import alone
+    from l3cli.recipes import known_recipes
     from l3cli.render import benchmark as rendering
     from l3cli.render.opencl_devices import survey
     from l3cli.simulate import benchmark as simulation
@@ -42,7 +42,7 @@ def bench(device: str | None, variant: str | None, list_only: bool, as_json: boo
         return
     jobs = rendering.jobs(device, variant)
     results: list[dict[str, Any]] = [job() for job in options.progress(jobs, len(jobs), "cases", quiet)]
-    camera = load_camera(config_folder() / "cameras/fiveband.toml")
+    camera = load_camera(known_recipes("cameras")["fiveband"])
     simulated, trained = (
         [
             alone(functools.partial(room.measure, camera), case)

@@ -14,7 +14,7 @@ from l3cli.cli import options
 @click.command()
 @click.argument("measurements", type=options.FILE, metavar="MEASUREMENTS.toml")
 @options.output("Camera model to write")
-@click.option("--truth", type=options.FILE, metavar="CAMERA", help="The camera behind a virtual lab, to compare with.")
+@click.option("--truth", type=options.CAMERA, metavar="CAMERA", help="The camera behind a virtual lab, to compare with.")
 @click.option("--export", type=options.FILE, metavar="DIR", help="Also write the curves as CSV and as rawtoaces JSON there.")
 @click.option("--accept", is_flag=True, help="Write the model even if it predicts its own charts badly.")
 @options.jobs

@@ -48,14 +48,17 @@ def evaluate(
     \b
     Example: l3 evaluate table.h5 unseen.h5 --json
     """
+    import contextlib
     import json
 
+    from l3cli import __version__
     from l3cli.artifacts.base import load
     from l3cli.artifacts.table import TransformTable
     from l3cli.artifacts.training_set import open_training_set
     from l3cli.cli.cautions import caution_trained
     from l3cli.evaluate.evaluation import Evaluation
     from l3cli.evaluate.pictures import frame_pictures
+    from l3cli.files import finished_together, sha256
     from l3cli.io.images import write_picture
     from l3cli.render.display import require_xyz
     from l3cli.render.renderer import make_renderer
@@ -63,8 +66,11 @@ def evaluate(
     transforms = load(TransformTable, table)
     if pictures is not None:
         require_xyz(transforms.outputs)
-        options.claim_folder(pictures, force)
-    with open_training_set(frames) as reader:
+        options.hold_folder(pictures)
+    with open_training_set(frames) as reader, contextlib.ExitStack() as unfinished:
+        if pictures is not None:
+            key = json.dumps([__version__, sha256(table), sha256(frames), backend, viewing])
+            unfinished.enter_context(finished_together(pictures, key, force))
         evaluation = Evaluation(transforms, reader.head, viewing)
         caution_trained(transforms, table, frames, quiet)
         renderer = make_renderer(backend, transforms)
@@ -88,6 +94,5 @@ def judge(
     from l3cli.frame import RawFrame
 
     frame, camera = reader.frame(index), reader.head.camera
-    dark = camera.dark_signal(frame.exposure)
-    raw = RawFrame(frame.scene, frame.raw, camera.black, camera.white, exposure=frame.exposure, dark=dark)
+    raw = RawFrame(frame.scene, frame.raw, camera.black, camera.white, dark=camera.dark_signal(frame.dark_time))
     return frame, evaluation.add(frame, renderer.outputs(raw), renderer.labels(raw))

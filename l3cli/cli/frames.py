@@ -13,7 +13,7 @@ import numpy as np
 
 from l3cli.artifacts.base import Stage, open_artifact, read_history
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.training_set import whole_part, write_part
+from l3cli.artifacts.training_set import TrainingPair, read_part, whole_part, write_part
 from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.files import is_ours, require_same, sweep, write_whole
 from l3cli.parallel import Crew
@@ -171,9 +171,14 @@ def _iset(wanted: sources.WantedScene, run: Run) -> "Scene":
     from l3cli.io.scene_files import read_iset_scene
 
     assert wanted.path is not None
+    return read_iset_scene(wanted.path, _own_light(wanted, run))
+
+
+def _own_light(wanted: sources.WantedScene, run: Run) -> Any:
+    """The light that the recipe gives ISET scenes which lack their own: wavelengths in nm and photons, or None."""
     assert isinstance(wanted.source, sources.IsetScenes)
     light = run.recorded[wanted.source.light] if wanted.source.light else None
-    return read_iset_scene(wanted.path, (light.wavelength, light.radiance) if light else None)
+    return (light.wavelength, light.radiance) if light else None
 
 
 def _rgb(wanted: sources.WantedScene, run: Run) -> "Scene":
@@ -215,6 +220,77 @@ READERS: dict[type, Callable[[sources.WantedScene, Run], "Scene"]] = {
 }
 
 
+# --------------------------------------------------------------------------------------------------- sizes of scenes
+
+
+def refusals(run: Run, files: list[list[Path]]) -> list[dict[Path, InputFileError]]:
+    """Of the files of each source those that cannot be read or do not fit on the sensor, and why, from their headers.
+    RecipeError if a drawn scene does not fit."""
+    bad: list[dict[Path, InputFileError]] = []
+    for source, paths in zip(run.recipe.scene, files, strict=True):
+        bad.append({})
+        for wanted in sources.wanted_scenes(source, paths):
+            try:
+                _check_size(wanted, run)
+            except InputFileError as error:
+                assert wanted.path is not None
+                bad[-1][wanted.path] = error
+    return bad
+
+
+def _check_size(wanted: sources.WantedScene, run: Run) -> None:
+    """RecipeError for a drawn scene, InputFileError for a file, if it does not fit on the sensor."""
+    from l3cli.simulate.framing import framed_size
+
+    source, error = wanted.source, RecipeError if wanted.path is None else InputFileError
+    size = source.size if isinstance(source, sources.Drawn) else SIZES[type(source)](wanted, run)
+    name = str(wanted.path or wanted.name)
+    try:
+        sources.check_size(framed_size(size, source, run.camera), run.camera, error, name)
+    except ValueError as wrong:
+        raise error(f"{name}: {wrong}") from wrong
+
+
+def _iset_size(wanted: sources.WantedScene, run: Run) -> tuple[int, int]:
+    from l3cli.io.scene_files import iset_size
+
+    assert wanted.path is not None
+    return iset_size(wanted.path, _own_light(wanted, run))
+
+
+def _picture_size(wanted: sources.WantedScene, run: Run) -> tuple[int, int]:
+    from l3cli.io.images import picture_size
+
+    assert wanted.path is not None
+    rows, cols = picture_size(wanted.path)
+    by = wanted.source.shrink if isinstance(wanted.source, sources.RgbPictures) else 1
+    return rows // by, cols // by
+
+
+def _cube_size(wanted: sources.WantedScene, run: Run) -> tuple[int, int]:
+    from l3cli.io import cubes
+    from l3cli.io.images import picture_size
+
+    path, source = wanted.path, wanted.source
+    assert path is not None
+    if isinstance(source, sources.Cube):
+        return cubes.cube_size(path, source.variable, source.axes)
+    if isinstance(source, sources.BandFolder) and (pictures := cubes.band_pictures(path)):
+        return picture_size(pictures[0])
+    rows, cols, _ = (cubes.read_envi if isinstance(source, sources.Envi) else cubes.read_band_folder)(path).values.shape
+    return rows, cols  # an ENVI file's data are only mapped; an empty folder is refused
+
+
+SIZES: dict[type, Callable[[sources.WantedScene, Run], tuple[int, int]]] = {
+    sources.IsetScenes: _iset_size,
+    sources.RgbPictures: _picture_size,
+    sources.BandFolder: _cube_size,
+    sources.Envi: _cube_size,
+    sources.Cube: _cube_size,
+    sources.ImageChannels: _picture_size,
+}
+
+
 # -------------------------------------------------------------------------------------------------------- pairs
 
 
@@ -250,18 +326,22 @@ def key_of(stage: Stage) -> str:
     return hashlib.sha256(json.dumps(dataclasses.asdict(stage), sort_keys=True).encode()).hexdigest()
 
 
-def open_folder(output: Path, key: str, resume: bool) -> Path:
+def open_folder(output: Path, key: str, resume: bool, force: bool) -> Path:
     """The folder beside `output` for the frames of the run called `key`: with `resume` what an earlier run left there,
-    else empty. RecipeError if that run was another one, L3Error if the folder is not of l3's making."""
+    else empty. If that run was another one, RecipeError, or with `force` empty, too. L3Error if the folder is not of l3's
+    making."""
     folder, mark = _folder_and_mark(output)
     if folder.exists():
         if not mark.is_file() and not all(is_ours(each.name) for each in folder.iterdir()):
             raise L3Error(f"{folder} is in the way; move it elsewhere")
         if resume and mark.is_file():
-            if mark.read_text() != key:
-                raise RecipeError(f"{folder} is of a run with another recipe, camera, seed or version; leave --resume out")
-            sweep(folder)
-            return folder
+            if mark.read_text() == key:
+                sweep(folder)
+                return folder
+            if not force:
+                raise RecipeError(
+                    f"{folder} is of a run with another recipe, camera, seed or version; leave --resume out or add --force"
+                )
         _remove(folder)
     write_whole(mark, key)
     return folder
@@ -283,10 +363,32 @@ def close_folder(folder: Path) -> Iterator[None]:
 def remove_finished(output: Path) -> None:
     """Remove the folder of a run that was killed after `output` had appeared, which holds all its frames."""
     folder, mark = _folder_and_mark(output)
-    if output.is_file() and mark.is_file():
-        with contextlib.suppress(InputFileError), open_artifact(output) as root:
-            if key_of(read_history(root, output)[-1]) == mark.read_text():
-                _remove(folder)
+    if mark.is_file() and is_of_run(output, mark.read_text()):
+        _remove(folder)
+
+
+def is_of_run(output: Path, key: str) -> bool:
+    """Whether `output` is the whole training set of the run called `key`."""
+    if not output.is_file():
+        return False
+    try:
+        with open_artifact(output) as root:
+            history = read_history(root, output)
+    except InputFileError:
+        return False
+    return bool(history) and key_of(history[-1]) == key
+
+
+@dataclass(frozen=True)
+class StoredFrames:
+    """All stored frames of a run in their order, read one by one."""
+
+    run: Run
+    total: int
+
+    def __iter__(self) -> Iterator[TrainingPair]:
+        for index in range(self.total):
+            yield read_part(self.run.part(index), self.run.key)
 
 
 def _folder_and_mark(output: Path) -> tuple[Path, Path]:

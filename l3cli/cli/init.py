@@ -10,6 +10,7 @@ import click
 
 from l3cli.cli import options
 from l3cli.errors import suggestion
+from l3cli.recipes import known_recipes, recipe_folder
 
 # What a folder of recipes holds beside its camera.toml: name there ← name in configs/.
 COMMON = {
@@ -26,7 +27,7 @@ COMMON = {
 
 def _completed(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
     """Names of recipes for the shell."""
-    return [name for name in recipes() if name.startswith(incomplete)]
+    return [name for name in known_recipes("cameras") if name.startswith(incomplete)]
 
 
 @click.command()
@@ -43,7 +44,7 @@ def init(recipe: str | None, folder: Path | None, force: bool, quiet: bool) -> N
     \b
     Example: l3 init bayer demo && make -C demo
     """
-    known = recipes()
+    known = known_recipes("cameras")
     if recipe is None:
         wide = max(map(len, known))
         for name, path in known.items():
@@ -57,18 +58,6 @@ def init(recipe: str | None, folder: Path | None, force: bool, quiet: bool) -> N
     options.claim_folder(folder, force)
     write_folder(known[recipe], folder)
     options.say(f"{folder}: {summary(known[recipe])}; next: make -C {folder}", quiet)
-
-
-def config_folder() -> Path:
-    """Where the recipes lie: inside the installed package, or beside it in a checkout."""
-    package = Path(__file__).parents[1]
-    inside = package / "configs"
-    return inside if inside.is_dir() else package.parent / "configs"
-
-
-def recipes() -> dict[str, Path]:
-    """Camera recipes by name."""
-    return {path.stem: path for path in sorted((config_folder() / "cameras").glob("*.toml"))}
 
 
 def summary(path: Path) -> str:
@@ -88,7 +77,7 @@ def write_folder(camera: Path, folder: Path) -> None:
     from l3cli.files import atomic_output
 
     for name, source in {**COMMON, "camera.toml": f"cameras/{camera.name}"}.items():
-        origin = config_folder() / source
+        origin = recipe_folder() / source
         with atomic_output(folder / name) as temporary:
             temporary.write_bytes(origin.read_bytes())
             temporary.chmod(0o755 if origin.suffix == ".sh" else 0o644)

@@ -16,15 +16,18 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("camera", type=options.FILE, metavar="CAMERA")
+@click.argument("camera", type=options.CAMERA, metavar="CAMERA")
 @click.option("-o", "--output", type=options.FILE, required=True, metavar="DIR", help="Folder to write to.")
-@click.option("--recipe", type=options.FILE, metavar="LAB.toml", help="What is measured; without it the built-in default.")
+@click.option(
+    "--recipe", type=options.RecipeFile("lab"), metavar="LAB.toml", help="What is measured; without it the built-in default."
+)
 @options.seed
 @options.jobs
 @options.force
 @options.quiet
 def lab(camera: Path, output: Path, recipe: Path | None, seed: int, jobs: int, force: bool, quiet: bool) -> None:
-    """Measure CAMERA (a recipe or a camera.h5) in a virtual lab, as input for "l3 calibrate".
+    """Measure CAMERA in a virtual lab, as input for "l3 calibrate": a recipe, the name of one ("l3 init" lists them) or a
+    camera.h5.
 
     \b
     Example: l3 lab camera.toml -o lab

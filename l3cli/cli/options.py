@@ -8,11 +8,14 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
 from l3cli.errors import L3Error, RecipeError
+
+if TYPE_CHECKING:
+    from click.shell_completion import CompletionItem
 
 F = TypeVar("F", bound=Callable[..., Any])
 T = TypeVar("T")
@@ -20,6 +23,35 @@ T = TypeVar("T")
 FILE = click.Path(
     path_type=Path, readable=False
 )  # whoever opens it says what is wrong with it, and ends with the right code
+
+
+class RecipeFile(click.Path):
+    """A recipe: a file, or the name of one of the `kind` (a folder of configs/) that come with l3."""
+
+    def __init__(self, kind: str) -> None:
+        super().__init__(path_type=Path, readable=False)
+        self.kind = kind
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
+        from l3cli.recipes import find_recipe
+
+        return find_recipe(os.fspath(value), self.kind)
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list["CompletionItem"]:
+        """Names and, beside them, files: bash does not look for files where anything else is offered."""
+        from click.shell_completion import CompletionItem
+
+        from l3cli.recipes import known_recipes
+
+        names = [name for name in known_recipes(self.kind) if name.startswith(incomplete)]
+        if not names:
+            return super().shell_complete(ctx, param, incomplete)
+        visible = (each for each in os.scandir() if each.name.startswith(incomplete) and not each.name.startswith("."))
+        files = [each.name + "/" * each.is_dir() for each in visible]
+        return [CompletionItem(each) for each in (*names, *sorted(files))]
+
+
+CAMERA = RecipeFile("cameras")
 
 
 def output(what: str, required: bool = True) -> Callable[[F], F]:
@@ -132,14 +164,21 @@ def hold_file(path: Path, *inputs: Path) -> None:
 
 
 def claim_folder(path: Path, force: bool) -> None:
-    """Refuse, before any work, a folder that holds something, is a file or cannot be written into; keep other runs off it
-    until the command ends."""
+    """`hold_folder`, and refuse a folder that holds something."""
+    from l3cli.files import refuse_filled_folder
+
+    hold_folder(path)
+    refuse_filled_folder(path, force)
+
+
+def hold_folder(path: Path) -> None:
+    """Refuse, before any work, a folder that is a file or cannot be written into; keep other runs off it until the command
+    ends."""
     from l3cli.files import refuse_filled_folder, sole_writer_of_folder
 
     refuse_filled_folder(path, force=True)  # a file
     refuse_unwritable(path)
     hold(sole_writer_of_folder(path), path)
-    refuse_filled_folder(path, force)
 
 
 def hold(claim: AbstractContextManager[bool], output: Path) -> None:

@@ -1,7 +1,9 @@
 """l3 simulate: camera × scenes × lights → training set."""
 
+import contextlib
 import dataclasses
 import re
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +13,7 @@ from l3cli.cli import options
 
 if TYPE_CHECKING:
     from l3cli.artifacts.camera import CameraModel
-    from l3cli.artifacts.training_set import TrainingSet
+    from l3cli.artifacts.training_set import TrainingPair, TrainingSet
     from l3cli.cli.frames import Run
     from l3cli.parallel.cluster import Scheduler
     from l3cli.simulate.light import Curve
@@ -21,14 +23,20 @@ NEGLIGIBLE = 1e-3  # share of a channel's light that may go unseen without a wor
 
 
 @click.command()
-@click.argument("scenes", type=options.FILE, metavar="SCENES.toml")
-@click.option("--camera", type=options.FILE, required=True, metavar="FILE", help="Camera model or camera recipe (.toml).")
+@click.argument("scenes", type=options.RecipeFile("scenes"), metavar="SCENES.toml")
+@click.option(
+    "--camera", type=options.CAMERA, required=True, metavar="CAMERA", help="Camera model, camera recipe (.toml) or its name."
+)
 @options.output("Training set to write")
 @click.option(
     "--pictures", type=options.FILE, metavar="DIR", help="Also write each raw frame (TIFF) and ideal picture (PNG)."
 )
 @click.option("--dng", type=options.FILE, metavar="DIR", help="Also write each raw frame as DNG, for other raw developers.")
-@click.option("--resume", is_flag=True, help="Go on with the frames that a run that was stopped left in OUTPUT.parts.")
+@click.option("--resume", is_flag=True, help="Go on with the frames in OUTPUT.parts, or make the pictures of a whole set.")
+@click.option(
+    "--skip-bad", is_flag=True,
+    help="Leave out scenes whose files have no readable header or do not fit the sensor; exit code 1 if there were any.",
+)  # fmt: skip
 @options.seed
 @options.scheduler
 @options.jobs
@@ -36,59 +44,82 @@ NEGLIGIBLE = 1e-3  # share of a channel's light that may go unseen without a wor
 @options.force
 @options.quiet
 def simulate(
-    scenes: Path, camera: Path, output: Path, pictures: Path | None, dng: Path | None, resume: bool, seed: int, jobs: int,
-    scheduler: "Scheduler | None", force: bool, quiet: bool,
-) -> None:  # fmt: skip
+    scenes: Path, camera: Path, output: Path, pictures: Path | None, dng: Path | None, resume: bool, skip_bad: bool,
+    seed: int, jobs: int, scheduler: "Scheduler | None", force: bool, quiet: bool,
+) -> int:  # fmt: skip
     """Simulate what a camera sees of many scenes, and the pictures it should make of them.
+
+    SCENES.toml is a recipe, or the name of one that comes with l3, such as default or small.
 
     \b
     Example: l3 simulate scenes.toml --camera camera.h5 -o training.h5
     """
     from l3cli.artifacts.camera_recipe import load_camera
-    from l3cli.cli.frames import close_folder, jobs_of, key_of, open_folder, remove_finished, stored, work_off
+    from l3cli.artifacts.training_set import open_training_set
+    from l3cli.cli.frames import StoredFrames, close_folder, is_of_run, key_of, open_folder, remove_finished
     from l3cli.config import load_recipe
-    from l3cli.files import refuse_existing
-    from l3cli.parallel import workers
-    from l3cli.simulate.recipe import SceneRecipe, shots
+    from l3cli.files import finished_together, refuse_existing
+    from l3cli.simulate.recipe import SceneRecipe
 
     options.hold_file(output, scenes, camera)
     remove_finished(output)
-    refuse_existing(output, force)
-    for folder in dict.fromkeys(filter(None, (pictures, dng))):
-        options.claim_folder(folder, force)
+    refuse_existing(output, force or resume)
+    folders = list(dict.fromkeys(filter(None, (pictures, dng))))
+    for folder in folders:
+        options.hold_folder(folder)
     if scheduler:
         scenes = scenes.absolute()  # its files are looked for by workers elsewhere
     model, recipe = load_camera(camera), load_recipe(scenes, SceneRecipe)
-    run, files, inputs = _prepare(recipe, scenes, model, seed)
-    head = _head(run, model, (scenes, camera), inputs, seed)
-    sums = head.history[-1].inputs
+    run, files = _prepare(recipe, scenes, model, seed)
+    files, bad = _fitting(run, files, scenes, skip_bad)
+    head = _head(run, model, (scenes, camera), _inputs(run, files), seed)
+    run = dataclasses.replace(run, key=key_of(head.history[-1]))
+    stands = resume and not force and is_of_run(output, run.key)
+    if not stands:
+        refuse_existing(output, force)
+    with contextlib.ExitStack() as unfinished:
+        for folder in folders:
+            unfinished.enter_context(finished_together(folder, run.key, force))
+        if stands:
+            with open_training_set(output, unchanged=True) as frames:
+                total = len(frames)
+                _write_beside(run, frames, pictures, dng)
+        else:
+            run = dataclasses.replace(run, folder=open_folder(output, run.key, resume, force))
+            with close_folder(run.folder):
+                total = _simulate_frames(run, files, head, jobs, scheduler, quiet)
+                _write_beside(run, StoredFrames(run, total), pictures, dng)
+                _assemble(run, head, output, total, quiet)  # last: whoever finds the set finds its pictures, too
+    left_out = f"; {bad} scene{'s' if bad > 1 else ''} left out" if bad else ""
+    options.say(f"{output}: {total} frame{'s' if total > 1 else ''}{left_out}", quiet)
+    return 1 if bad else 0
+
+
+def _simulate_frames(
+    run: "Run", files: list[list[Path]], head: "TrainingSet", jobs: int, scheduler: "Scheduler | None", quiet: bool
+) -> int:
+    """Simulate and store those frames of a run that are not stored yet; how many it has."""
+    from l3cli.cli.frames import jobs_of, stored, work_off
+    from l3cli.parallel import workers
+    from l3cli.simulate.recipe import shots
+
+    inputs, sums = _inputs(run, files), head.history[-1].inputs
     digests = {path: own for role, paths in inputs.items() for path, own in zip(paths, sums.get(role, ()), strict=True)}
-    key = key_of(head.history[-1])
-    run = dataclasses.replace(run, key=key, folder=open_folder(output, key, resume))
-    wanted = list(shots(recipe, files)) if recipe.scene else []
-    total = sum(len(own) for _, own in wanted) + len(recipe.pair)
-    with close_folder(run.folder):
-        with workers(jobs, scheduler) as crew:
-            work = jobs_of(run, wanted, crew.size)
-            counts = stored(crew, work, digests) if scheduler else crew(work_off, work)
-            finished = (index for count in counts for index in range(count))
-            for _ in options.progress(finished, total, "frames", quiet):
-                pass
-        _assemble(run, head, output, total, quiet)
-    if pictures:
-        _write_pictures(output, pictures)
-    if dng:
-        _write_dng(run, output, dng)
-    options.say(f"{output}: {total} frame{'s' if total > 1 else ''}", quiet)
+    wanted = list(shots(run.recipe, files)) if run.recipe.scene else []
+    total = sum(len(own) for _, own in wanted) + len(run.recipe.pair)
+    with workers(jobs, scheduler) as crew:
+        work = jobs_of(run, wanted, crew.size)
+        counts = stored(crew, work, digests) if scheduler else crew(work_off, work)
+        finished = (index for count in counts for index in range(count))
+        for _ in options.progress(finished, total, "frames", quiet):
+            pass
+    return total
 
 
-def _prepare(
-    recipe: "SceneRecipe", path: Path, camera: "CameraModel", seed: int
-) -> tuple["Run", list[list[Path]], dict[str, list[Path]]]:
-    """Everything checked and looked up before any work: the run, the files of each source, all files by their role."""
+def _prepare(recipe: "SceneRecipe", path: Path, camera: "CameraModel", seed: int) -> tuple["Run", list[list[Path]]]:
+    """Everything checked and looked up before any work: the run, and the files of each source."""
     from l3cli.cli.frames import Run
     from l3cli.errors import RecipeError
-    from l3cli.io.cubes import band_pictures
     from l3cli.io.scene_files import find
     from l3cli.simulate import recipe as asked
     from l3cli.simulate.light import OWN, make_light, recorded_under
@@ -111,12 +142,45 @@ def _prepare(
     target = make_target(outputs, curves.get(outputs), names, lights[other] if other else None, fitted)
     patterns = zip(recipe.scene, asked.patterns(recipe), strict=True)
     files = [find(text, path.parent, isinstance(source, BandFolder)) if text else [] for source, text in patterns]
-    roles = {
+    return Run(recipe, fitted, target, lights, recorded, seed, path.parent, "", Path()), files
+
+
+def _fitting(run: "Run", files: list[list[Path]], path: Path, skip_bad: bool) -> tuple[list[list[Path]], int]:
+    """The files of each source that can be read and fit on the sensor, and how many do not: with `skip_bad` each is said
+    and left out, else InputFileError names them all."""
+    from l3cli.cli.frames import refusals
+    from l3cli.errors import InputFileError, listed
+    from l3cli.simulate.sources import FileSource
+
+    refused = refusals(run, files)
+    bad = [error for own in refused for error in own.values()]
+    if not bad:
+        return files, 0
+    if not skip_bad:
+        count = sum(map(len, files))
+        told = f"{len(bad)} of {count} scenes cannot be taken: " if len(bad) > 1 else ""
+        why = [str(error).partition("; ")[0] for error in bad]
+        cure = "give scale, crop or (rgb) shrink, mend the files, or leave them out with --skip-bad"
+        raise InputFileError(f"{told}{listed(why)}; {cure}")
+    kept = [[each for each in found if each not in own] for found, own in zip(files, refused, strict=True)]
+    drawn = any(not isinstance(source, FileSource) for source in run.recipe.scene)
+    if not (any(kept) or drawn or run.recipe.pair):
+        raise InputFileError(f"{path}: no scene is left of {len(bad)}: {listed(map(str, bad))}")
+    for error in bad:
+        click.echo(f"l3: {error}", err=True)
+    return kept, len(bad)
+
+
+def _inputs(run: "Run", files: list[list[Path]]) -> dict[str, list[Path]]:
+    """All files of a run by their role; `files` are those of each source."""
+    from l3cli.io.cubes import band_pictures
+    from l3cli.simulate.recipe import curve_files
+
+    return {
         "scene": [file for found in files for each in found for file in (band_pictures(each) if each.is_dir() else [each])],
-        "spectrum": [path.parent / name for name in named],
-        "pair": [path.parent / name for pair in recipe.pair for name in (pair.raw, pair.picture)],
+        "spectrum": [run.base / name for name in curve_files(run.recipe)],
+        "pair": [run.base / name for pair in run.recipe.pair for name in (pair.raw, pair.picture)],
     }
-    return Run(recipe, fitted, target, lights, recorded, seed, path.parent, "", Path()), files, roles
 
 
 def _curve(path: Path, role: str) -> "Curve":
@@ -174,39 +238,43 @@ def _assemble(run: "Run", head: "TrainingSet", output: Path, total: int, quiet: 
         options.say(f"warning: {worst.scene} holds no data for {share}; give scenes of more wavelengths", quiet)
 
 
-def _write_pictures(training: Path, folder: Path) -> None:
-    """Each frame of a training set as raw mosaic and as the picture it should become, white at display white."""
+def _write_beside(run: "Run", frames: "Iterable[TrainingPair]", pictures: Path | None, dng: Path | None) -> None:
+    """The pictures and DNGs of all `frames`, as far as they are asked for."""
+    if pictures:
+        _write_pictures(run, frames, pictures)
+    if dng:
+        _write_dng(run, frames, dng)
+
+
+def _write_pictures(run: "Run", frames: "Iterable[TrainingPair]", folder: Path) -> None:
+    """Each frame as raw mosaic and as the picture it should become, white at display white."""
     import numpy as np
 
-    from l3cli.artifacts.training_set import open_training_set
     from l3cli.io.images import write_linear, write_mosaic, write_picture
     from l3cli.render.display import encode, make_display
 
-    with open_training_set(training, unchanged=True) as frames:
-        for index, frame in enumerate(frames):
-            name = options.frame_name(index, frame.scene)
-            write_mosaic(folder / f"{name}_raw.tif", frame.raw, frame.exposure)
-            if frames.head.outputs != ("X", "Y", "Z"):
-                planes = np.moveaxis(frame.target / np.float32(frame.white.max()), 0, -1)
-                write_linear(folder / f"{name}_ideal.exr", planes, frames.head.outputs)
-                continue
-            display = make_display(frame.white, 1.0 / frame.white[1], bits=8)
-            write_picture(folder / f"{name}_ideal.png", encode(frame.target, display))
+    for index, frame in enumerate(frames):
+        name = options.frame_name(index, frame.scene)
+        write_mosaic(folder / f"{name}_raw.tif", frame.raw, frame.dark_time)
+        if run.target.outputs != ("X", "Y", "Z"):
+            planes = np.moveaxis(frame.target / np.float32(frame.white.max()), 0, -1)
+            write_linear(folder / f"{name}_ideal.exr", planes, run.target.outputs)
+            continue
+        display = make_display(frame.white, 1.0 / frame.white[1], bits=8)
+        write_picture(folder / f"{name}_ideal.png", encode(frame.target, display))
 
 
-def _write_dng(run: "Run", training: Path, folder: Path) -> None:
-    """Each raw frame of a training set as DNG, with the white balance of its light where that is known."""
-    from l3cli.artifacts.training_set import open_training_set
+def _write_dng(run: "Run", frames: "Iterable[TrainingPair]", folder: Path) -> None:
+    """Each raw frame as DNG, with the white balance of its light where that is known."""
     from l3cli.io.dng_writer import LIGHT_CODES, RawColour, write_dng
     from l3cli.simulate.light import make_light
     from l3cli.simulate.raw_colour import colour_matrix, neutral
 
-    with open_training_set(training) as frames:
-        camera = frames.head.camera
-        lights = {name: make_light(name, {}, camera.wavelength) for name in LIGHT_CODES}
-        colour = RawColour({name: colour_matrix(camera, light) for name, light in lights.items()})
-        for index, frame in enumerate(frames):
-            light = run.lights.get(frame.illuminant)
-            grey = None if light is None else neutral(camera, light)
-            path = folder / f"{options.frame_name(index, frame.scene)}.dng"
-            write_dng(path, frame.raw, camera, colour, grey, frame.exposure)
+    camera = run.camera
+    lights = {name: make_light(name, {}, camera.wavelength) for name in LIGHT_CODES}
+    colour = RawColour({name: colour_matrix(camera, light) for name, light in lights.items()})
+    for index, frame in enumerate(frames):
+        light = run.lights.get(frame.illuminant)
+        grey = None if light is None else neutral(camera, light)
+        path = folder / f"{options.frame_name(index, frame.scene)}.dng"
+        write_dng(path, frame.raw, camera, colour, grey, frame.exposure)

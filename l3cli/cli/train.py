@@ -43,7 +43,10 @@ def _shares(context: Any, parameter: Any, text: str | None) -> tuple[Fraction, .
 
 @click.command()
 @click.argument("files", type=options.FILE, nargs=-1, required=True, metavar="TRAINING.h5…")
-@click.option("--classes", type=options.FILE, metavar="TOML", help="Class recipe; without it the built-in default.")
+@click.option(
+    "--classes", type=options.RecipeFile("classes"), metavar="TOML",
+    help="Class recipe or its name, such as best; without it the built-in default.",
+)  # fmt: skip
 @click.option(
     "--shares", callback=_shares, metavar="A,B…", help="Patches of each training set in this proportion, not by frames."
 )

@@ -58,7 +58,7 @@ def white_preserving_ridge(channels: Array, outputs: Array) -> Array:
 
 def develop(frame: TrainingPair, camera: CameraModel, colour: Colour, demosaic: Demosaic) -> Array:
     """XYZ (3, row, col) in the target's unit of a frame's raw: black and dark off, white balance, demosaic, matrix."""
-    electrons = (frame.raw - camera.black) / camera.gain - camera.noise.dark_current * frame.exposure
+    electrons = (frame.raw - camera.black) / camera.gain - camera.noise.dark_current * frame.dark_time
     white = colour.white_rates * frame.luminance * frame.exposure
     balanced = electrons / white[tiled(camera.cfa, frame.raw.shape)]
     planes = np.einsum("oc,crk->ork", colour.matrix, demosaic(balanced, camera.cfa))

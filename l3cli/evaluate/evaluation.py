@@ -60,7 +60,7 @@ class Evaluation:
         planes = {OURS: outputs * (self._table.output_unit / frame.exposure)}
         for name, demosaic in self._rivals.items():
             planes[name] = develop(frame, self._camera, self._colour(light_of(frame)), demosaic)
-        black = self._camera.black + self._camera.dark_signal(frame.exposure)
+        black = self._camera.black + self._camera.dark_signal(frame.dark_time)
         level = float(frame.raw.mean() - black) / (self._camera.white - self._camera.black)
         about = {"scene": frame.scene, "illuminant": frame.illuminant, "luminance": frame.luminance, "level": level}
         figures = {name: self._quality(of, frame, border) for name, of in planes.items()}

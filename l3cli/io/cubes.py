@@ -11,7 +11,7 @@ from l3cli.errors import InputFileError
 from l3cli.io.apart import apart
 from l3cli.io.arrays import map_array
 from l3cli.io.images import read_image
-from l3cli.io.matlab import Content, look_up, read_hdf5, read_matlab
+from l3cli.io.matlab import Content, array_shapes, look_up, read_hdf5, read_matlab
 from l3cli.limits import read_bounded, require_picture, require_values
 from l3cli.scene import SpectralCube
 
@@ -146,6 +146,18 @@ def read_cube(path: Path, variable: str | None, axes: str) -> SpectralCube:
     order = axes.split()
     values = values.transpose([order.index(axis) for axis in ("row", "col", "band")])
     return SpectralCube(values, _wavelengths(content))
+
+
+def cube_size(path: Path, variable: str | None, axes: str) -> tuple[int, int]:
+    """(rows, cols) of what `read_cube` reads, from headers where they tell it; InputFileError as there."""
+    shapes = {"values": map_array(path).shape} if path.suffix == ".npy" else array_shapes(path)
+    wanted = (variable or "").replace(".", "/").strip("/")
+    found = [shape for name, shape in shapes.items() if len(shape) == 3 and (variable is None or name == wanted)]
+    if len(found) != 1:
+        rows, cols, _ = read_cube(path, variable, axes).values.shape  # which says what is wrong
+        return rows, cols
+    order = axes.split()
+    return found[0][order.index("row")], found[0][order.index("col")]
 
 
 def _cubes(content: Content, prefix: str = "") -> dict[str, NDArray]:

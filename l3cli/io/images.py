@@ -77,7 +77,7 @@ def write_mosaic(path: Path, values: NDArray[np.uint16], exposure: float | None 
 
     spec = oiio.ImageSpec(values.shape[1], values.shape[0], 1, "uint16")
     spec.attribute("compression", "none")
-    if exposure is not None:
+    if exposure:
         spec.attribute(EXPOSURE_TIME, exposure)
     _write(path, spec, values[..., None])
 
@@ -114,6 +114,13 @@ def read_image(path: Path) -> tuple[NDArray, tuple[str, ...]]:
     """Pixels (row, col, channel) as stored and the channels' names; InputFileError if the file cannot be read."""
     with opened(path) as (source, spec):
         return pixels_of(path, source, spec), tuple(spec.channelnames)
+
+
+@apart
+def picture_size(path: Path) -> tuple[int, int]:
+    """(rows, cols) of a picture as its header tells them; InputFileError if it has none."""
+    with opened(path) as (_, spec):
+        return spec.height, spec.width
 
 
 @apart

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from l3cli import spectra
 from l3cli.errors import InputFileError
 from l3cli.io.images import read_image
-from l3cli.io.matlab import Content, read_matlab
+from l3cli.io.matlab import Content, array_shapes, read_matlab
 from l3cli.scene import Scene
 
 Curve = tuple[NDArray[np.floating], NDArray[np.floating]]
@@ -67,6 +67,16 @@ def read_iset_scene(path: Path, light: Curve | None = None) -> Scene:
         return Scene(path.stem, wavelength, np.maximum(photons, 0.0, out=photons), illuminant)
     except ValueError as error:
         raise InputFileError(f"{path}: {error}") from error
+
+
+def iset_size(path: Path, light: Curve | None = None) -> tuple[int, int]:
+    """(rows, cols) of an ISET scene, from headers where they tell it; InputFileError as `read_iset_scene`."""
+    shapes = array_shapes(path)
+    for name in (f"{scene}{array}" for scene in ("scene/", "") for array in ("mcCOEF", "photons", "data/photons")):
+        if len(shapes.get(name, ())) in (2, 3):
+            return shapes[name][0], shapes[name][1]
+    rows, cols, _ = read_iset_scene(path, light).reflectance.shape  # which says what is wrong
+    return rows, cols
 
 
 def _photons(content: Content) -> tuple[NDArray[np.float64], NDArray[np.float32]]:

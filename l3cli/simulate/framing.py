@@ -15,21 +15,48 @@ from l3cli.simulate.sources import Framing
 def framed(scene: Scene, framing: Framing, camera: CameraModel) -> Scene:
     """The scene as `framing` lays it on the sensor of `camera`; ValueError if the crop reaches beyond the scene."""
     cube = scene.reflectance
-    if framing.crop is not None:
-        top, left, rows, cols = framing.crop
-        if top + rows > cube.shape[0] or left + cols > cube.shape[1]:
-            raise ValueError(f"crop {list(framing.crop)} reaches beyond the scene of {cube.shape[0]}×{cube.shape[1]}")
-        cube = cube[top : top + rows, left : left + cols]
+    top, left, rows, cols = _cropped(cube.shape, framing)
+    cube = cube[top : top + rows, left : left + cols]
     if framing.flip is not None:
         cube = np.flip(cube, axis=("rows", "cols").index(framing.flip))
     cube = np.rot90(cube, framing.rotate // 90)
-    scale = framing.scale
-    if framing.field_of_view_deg is not None:
-        width = 2.0 * image_distance(camera.optics) * np.tan(np.radians(framing.field_of_view_deg) / 2.0)
-        scale = width / camera.pixel_pitch / cube.shape[1]
+    scale = _scale(framing, camera, cube.shape[1])
     if scale is not None:
         cube = _scaled(cube, scale, (camera.rows, camera.cols))
     return replace(scene, reflectance=np.ascontiguousarray(cube))
+
+
+def framed_size(size: tuple[int, int], framing: Framing, camera: CameraModel) -> tuple[int, int]:
+    """(rows, cols) that `framed` makes of a scene of `size`; ValueError if the crop reaches beyond the scene."""
+    _, _, rows, cols = _cropped(size, framing)
+    if framing.rotate % 180:
+        rows, cols = cols, rows
+    scale = _scale(framing, camera, cols)
+    if scale is not None:
+        rows, cols = min(_pixels(rows, scale), camera.rows), min(_pixels(cols, scale), camera.cols)
+    return rows, cols
+
+
+def _cropped(size: tuple[int, ...], framing: Framing) -> tuple[int, int, int, int]:
+    """First row, first column, rows and columns of what is used of a scene."""
+    if framing.crop is None:
+        return 0, 0, size[0], size[1]
+    top, left, rows, cols = framing.crop
+    if top + rows > size[0] or left + cols > size[1]:
+        raise ValueError(f"crop {list(framing.crop)} reaches beyond the scene of {size[0]}×{size[1]}")
+    return framing.crop
+
+
+def _scale(framing: Framing, camera: CameraModel, cols: int) -> float | None:
+    """Pixels a sample of a scene that is `cols` wide."""
+    if framing.field_of_view_deg is None:
+        return framing.scale
+    width = 2.0 * image_distance(camera.optics) * np.tan(np.radians(framing.field_of_view_deg) / 2.0)
+    return float(width / camera.pixel_pitch / cols)
+
+
+def _pixels(length: int, scale: float) -> int:
+    return max(1, round(length * scale))
 
 
 def _scaled(cube: NDArray[np.float32], scale: float, most: tuple[int, int]) -> NDArray[np.float32]:
@@ -48,7 +75,7 @@ def _resampling(length: int, scale: float, most: int) -> Any:
     sample."""
     from scipy.sparse import csr_array
 
-    whole = max(1, round(length * scale))
+    whole = _pixels(length, scale)
     pixels, step = min(whole, most), length / whole
     points = max(1, round(4 * step)) if step > 1 else 1
     inside = (np.arange(points) + 0.5) / points

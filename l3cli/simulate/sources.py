@@ -7,7 +7,7 @@ from typing import Literal
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.config import Count, Recipe
-from l3cli.errors import RecipeError
+from l3cli.errors import L3Error, RecipeError
 
 SMALLEST = 16  # pixels of a scene's shorter side
 
@@ -203,10 +203,10 @@ def can_be_relit(source: Source) -> bool:
     return not (isinstance(source, Spectral) and source.holds != "reflectance" and source.light is None)
 
 
-def check_size(size: tuple[int, ...], camera: CameraModel | None, error: type[Exception], name: str) -> None:
+def check_size(size: tuple[int, ...], camera: CameraModel | None, error: type[L3Error], name: str) -> None:
     """Raise `error` if a scene of `size` (rows, cols) is too small to learn from or does not fit the sensor of `camera`."""
     rows, cols = size
     if min(size) < SMALLEST:
-        raise error(f"{name} is {rows}×{cols}; a scene has at least {SMALLEST}×{SMALLEST} pixels")
+        raise error(f"{name} is {rows}×{cols}, and a scene has at least {SMALLEST}×{SMALLEST} pixels; make it larger")
     if camera and (rows > camera.rows or cols > camera.cols):
         raise error(f"{name} is {rows}×{cols}, larger than the sensor of {camera.rows}×{camera.cols}; make it smaller")

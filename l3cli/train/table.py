@@ -10,7 +10,7 @@ from l3cli.artifacts.base import Stage
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.partial_sums import ClassSums
 from l3cli.artifacts.table import ClassRule, TransformTable
-from l3cli.artifacts.training_set import TrainingFrame, TrainingPair, TrainingSet
+from l3cli.artifacts.training_set import TrainingPair, TrainingSet
 from l3cli.classify import make_rule, neighbourhoods, saturation_codes
 from l3cli.errors import InputFileError
 from l3cli.train.kinds import channel_shares, choose_cases, choose_chromas
@@ -47,8 +47,8 @@ def look_at(
     shares, whites, exposures = [], [], []
     for index, (frame, count) in enumerate(zip(frames, patches, strict=True), first):
         whites.append(_unit_white(frame, head.outputs))
-        exposures.append(frame.exposure if isinstance(frame, TrainingFrame) else 0.0)
-        dark = _dark_signal(frame.scene, exposures[-1], camera)
+        exposures.append(frame.dark_time)
+        dark = _dark_signal(frame, camera)
         for site in canonical:
             rng = np.random.default_rng([seed, 0, index, site])
             pilot = patches_of(frame, head, near, site, count, rng, recipe.learning.symmetry)
@@ -155,11 +155,13 @@ def _goal(lesson: Lesson) -> Goal:
     return Goal(lesson.head.outputs, lesson.white_point, camera.black, camera.white)
 
 
-def _dark_signal(scene: str, exposure: float, camera: CameraModel) -> float:
-    """DN of dark current in a frame after `exposure` s; InputFileError if that fills its pixels."""
-    dark = camera.dark_signal(exposure)
+def _dark_signal(frame: TrainingPair, camera: CameraModel) -> float:
+    """DN of dark current in a frame; InputFileError if that fills its pixels."""
+    dark = camera.dark_signal(frame.dark_time)
     if not dark < camera.white - camera.black:
-        raise InputFileError(f"frame of scene {scene}: in {exposure:.4g} s dark current alone fills a pixel; expose shorter")
+        raise InputFileError(
+            f"frame of scene {frame.scene}: in {frame.dark_time:.4g} s dark current alone fills a pixel; expose shorter"
+        )
     return dark
 
 
