@@ -63,7 +63,8 @@ def evaluate(
     transforms = load(TransformTable, table)
     if pictures is not None:
         require_xyz(transforms.outputs)
-        options.claim_folder(pictures, force)
+        options.spare(table, frames)
+        options.claim_folder(pictures, force, "*.png")
     with open_training_set(frames) as reader:
         evaluation = Evaluation(transforms, reader.head, viewing)
         caution_trained(transforms, table, frames, quiet)

@@ -1,6 +1,7 @@
 """l3 simulate: camera × scenes × lights → training set."""
 
 import dataclasses
+import itertools
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from l3cli.simulate.light import Curve
     from l3cli.simulate.recipe import SceneRecipe
 
+WRITTEN = ("*_raw.tif", "*_ideal.png", "*_ideal.exr", "*.dng")  # into the folders of pictures
 NEGLIGIBLE = 1e-3  # share of a channel's light that may go unseen without a word
 
 
@@ -44,22 +46,25 @@ def simulate(
     \b
     Example: l3 simulate scenes.toml --camera camera.h5 -o training.h5
     """
-    from l3cli.artifacts.camera_recipe import load_camera
+    from l3cli.artifacts.camera_recipe import camera_files, load_camera
     from l3cli.cli.frames import close_folder, jobs_of, key_of, open_folder, remove_finished, stored, work_off
     from l3cli.config import load_recipe
     from l3cli.files import refuse_existing
     from l3cli.parallel import workers
     from l3cli.simulate.recipe import SceneRecipe, shots
 
-    options.hold_file(output, scenes, camera)
+    options.spare(scenes, *camera_files(camera))
+    options.hold_file(output)
     remove_finished(output)
     refuse_existing(output, force)
     for folder in dict.fromkeys(filter(None, (pictures, dng))):
-        options.claim_folder(folder, force)
+        options.claim_folder(folder, force, *WRITTEN)
     if scheduler:
         scenes = scenes.absolute()  # its files are looked for by workers elsewhere
     model, recipe = load_camera(camera), load_recipe(scenes, SceneRecipe)
     run, files, inputs = _prepare(recipe, scenes, model, seed)
+    inputs = {"camera": camera_files(camera), **inputs}
+    options.spare(*itertools.chain(*inputs.values()))
     head = _head(run, model, (scenes, camera), inputs, seed)
     sums = head.history[-1].inputs
     digests = {path: own for role, paths in inputs.items() for path, own in zip(paths, sums.get(role, ()), strict=True)}
@@ -86,9 +91,8 @@ def _prepare(
     recipe: "SceneRecipe", path: Path, camera: "CameraModel", seed: int
 ) -> tuple["Run", list[list[Path]], dict[str, list[Path]]]:
     """Everything checked and looked up before any work: the run, the files of each source, all files by their role."""
-    from l3cli.cli.frames import Run
+    from l3cli.cli.frames import Run, files_of
     from l3cli.errors import RecipeError
-    from l3cli.io.cubes import band_pictures
     from l3cli.io.scene_files import find
     from l3cli.simulate import recipe as asked
     from l3cli.simulate.light import OWN, make_light
@@ -111,7 +115,12 @@ def _prepare(
     patterns = zip(recipe.scene, asked.patterns(recipe), strict=True)
     files = [find(text, path.parent, isinstance(source, BandFolder)) if text else [] for source, text in patterns]
     roles = {
-        "scene": [file for found in files for each in found for file in (band_pictures(each) if each.is_dir() else [each])],
+        "scene": [
+            file
+            for source, found in zip(recipe.scene, files, strict=True)
+            for each in found
+            for file in files_of(source, each)
+        ],
         "spectrum": [path.parent / name for name in named],
         "pair": [path.parent / name for pair in recipe.pair for name in (pair.raw, pair.picture)],
     }
@@ -151,7 +160,7 @@ def _head(
     texts = [read_text(recipes[0]), recipe_text(recipes[1])]
     sums = {role: [sha256(path) for path in paths] for role, paths in inputs.items() if paths}
     recipe = "\n".join(text for text in texts if text)
-    stage = Stage("simulate", {"seed": seed}, recipe, {"camera": [sha256(recipes[1])], **sums})
+    stage = Stage("simulate", {"seed": seed}, recipe, sums)
     return TrainingSet(
         camera=dataclasses.replace(run.camera, history=()),
         outputs=run.target.outputs,

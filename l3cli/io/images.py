@@ -46,6 +46,11 @@ def check_format(path: Path, bits: int) -> None:
 
 def write_picture(path: Path, picture: NDArray) -> None:
     """Encoded sRGB (row, col, 3), uint8 or uint16, to a file whose format its suffix tells, tagged as sRGB."""
+    write_whole(path, picture_file(path, picture))
+
+
+def picture_file(path: Path, picture: NDArray) -> bytes:
+    """What `write_picture` writes."""
     import OpenImageIO as oiio
 
     check_format(path, 8 * picture.dtype.itemsize)
@@ -54,11 +59,16 @@ def write_picture(path: Path, picture: NDArray) -> None:
     spec.attribute("oiio:ColorSpace", "sRGB")
     for name, value in COMPRESSION[path.suffix.lower()].items():
         spec.attribute(name, value)
-    _write(path, spec, picture)
+    return encoded(path.name, spec, picture)
 
 
 def write_linear(path: Path, pixels: NDArray[np.float32], names: tuple[str, ...]) -> None:
     """Linear outputs (row, col, output) to an EXR file of float channels called `names`."""
+    write_whole(path, linear_file(path, pixels, names))
+
+
+def linear_file(path: Path, pixels: NDArray[np.float32], names: tuple[str, ...]) -> bytes:
+    """What `write_linear` writes."""
     import OpenImageIO as oiio
 
     rows, cols, outputs = pixels.shape
@@ -67,7 +77,7 @@ def write_linear(path: Path, pixels: NDArray[np.float32], names: tuple[str, ...]
     spec.attribute("compression", "none")
     if names == ("X", "Y", "Z"):
         spec.attribute("chromaticities", oiio.TypeDesc("float[8]"), XYZ_CHROMATICITIES)
-    _write(path, spec, pixels)
+    return encoded(path.name, spec, pixels)
 
 
 def write_mosaic(path: Path, values: NDArray[np.uint16]) -> None:
@@ -76,11 +86,7 @@ def write_mosaic(path: Path, values: NDArray[np.uint16]) -> None:
 
     spec = oiio.ImageSpec(values.shape[1], values.shape[0], 1, "uint16")
     spec.attribute("compression", "none")
-    _write(path, spec, values[..., None])
-
-
-def _write(path: Path, spec: Any, pixels: NDArray) -> None:
-    write_whole(path, encoded(path.name, spec, pixels))
+    write_whole(path, encoded(path.name, spec, values[..., None]))
 
 
 @uninterrupted

@@ -45,6 +45,7 @@ class Pending:
     read: Callable[[], RawFrame | None]  # None: there is no such frame, the stream ended before; InputFileError: broken
     missing: InputFileError | None = None  # known before reading; `read` raises it too
     source: Path | None = None  # the file that holds it alone
+    origin: str | None = None  # what tells it from another frame of its number, once somebody has asked
 
 
 @dataclass(frozen=True)
