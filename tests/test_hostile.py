@@ -33,7 +33,7 @@ from tests.fuzz import Seeded
 from tests.hostile import SUBJECTS, Subject, Workshop, confined, watched
 from tests.hostile_identities import Identities
 
-IDENTITIES = 80
+IDENTITIES = 40
 INPUTS = int(os.environ.get("L3_HOSTILE_INPUTS", "500"))  # of all subjects together
 EACH = settings(
     max_examples=-(-INPUTS // len(SUBJECTS)),

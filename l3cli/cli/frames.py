@@ -66,11 +66,11 @@ class Job:
 
 def files_of(source: sources.Source, path: Path) -> list[Path]:
     """What is read of a scene of that name: bands of a folder, an ENVI header and its data, else the file itself."""
-    from l3cli.io.cubes import band_pictures, envi_data
+    from l3cli.io.cubes import band_pictures, envi_files
 
     if isinstance(source, sources.BandFolder):
         return band_pictures(path)
-    return [path, envi_data(path)] if isinstance(source, sources.Envi) else [path]
+    return envi_files(path) if isinstance(source, sources.Envi) else [path]
 
 
 def jobs_of(run: Run, work: list[tuple[sources.WantedScene, list[Shot]]], workers: int) -> list[Job]:

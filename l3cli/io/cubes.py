@@ -77,7 +77,7 @@ def read_envi(path: Path) -> SpectralCube:
         raise InputFileError(f"{path}: {error.args[0]} is missing or of no known kind; give a whole ENVI header") from error
     except ValueError as error:
         raise InputFileError(f"{path}: {error}; give a whole ENVI header") from error
-    data = envi_data(path)
+    data = _envi_data(path)
     shape = tuple(sizes[axis] for axis in axes)
     wanted = offset + math.prod(shape) * dtype.itemsize
     require_picture(str(path), sizes["lines"], sizes["samples"], sizes["bands"])
@@ -109,8 +109,13 @@ def _envi_header(path: Path) -> dict[str, str]:
     return header
 
 
-def envi_data(path: Path) -> Path:
-    """The data file of an ENVI header; InputFileError if there is none."""
+def envi_files(path: Path) -> list[Path]:
+    """An ENVI header and its data; InputFileError unless both are there."""
+    _envi_header(path)
+    return [path, _envi_data(path)]
+
+
+def _envi_data(path: Path) -> Path:
     stem = path.with_suffix("")
     for suffix in ENVI_DATA:
         for data in (stem.with_name(stem.name + suffix), stem.with_name(stem.name + suffix.upper())):
