@@ -159,6 +159,7 @@ def sole_writer_of_folder(folder: Path, name: str = "", inside: tuple[str, ...] 
 @contextlib.contextmanager
 def _claim(output: Path, lock: Path) -> Iterator[bool]:
     """Hold `lock` while the block lasts; folders that had to be made for it go again if they stay empty."""
+    refuse_spared(lock)  # it is removed in the end
     made = [folder for folder in (lock.parent, *lock.parent.parents) if not folder.exists()]
     try:
         held = _take(lock, output)
@@ -208,6 +209,8 @@ def sweep(folder: Path, output: Path | None = None) -> None:
     for name in os.listdir(folder) if folder.is_dir() else ():
         found = TEMPORARY.fullmatch(name)
         if not found or (output is not None and (found[1], found[2] or "") != (output.stem, output.suffix)):
+            continue
+        if identity(folder / name) in _spared:
             continue
         with contextlib.suppress(OSError):  # a living writer's, or gone already
             held = os.open(folder / name, os.O_RDWR)

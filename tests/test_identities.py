@@ -77,6 +77,18 @@ def test_stored_frames_are_not_removed_where_they_are_what_is_read(desk: Path, s
     spared("simulate cube.toml --camera camera.toml -o t.h5")
 
 
+def test_what_looks_like_ours_is_not_removed_where_it_is_read(desk: Path, spared: Callable[..., str], l3: Callable) -> None:
+    spared_name = desk / ".a.0123abcd.l3tmp.npy"
+    np.save(spared_name, frames()[0])
+    held = spared_name.read_bytes()
+    assert l3("render", "table.h5", spared_name, "-o", "a.png", *FAST)[0] == 0
+    assert l3("render", "table.h5", spared_name, "-o", "pictures", *FAST)[0] == 0
+    np.save(desk / "a.npy", frames()[0])
+    (desk / "a.npy").rename(desk / ".b.png.l3lock")
+    spared("render table.h5 .b.png.l3lock -o b.png")
+    assert spared_name.read_bytes() == held
+
+
 def test_recipes_are_not_copied_over_themselves(
     desk: Path, spared: Callable[..., str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -14,6 +14,7 @@ import os
 import stat
 from dataclasses import replace
 from pathlib import Path
+from typing import BinaryIO
 
 from l3cli.errors import RecipeError
 from l3cli.files import write_whole
@@ -39,7 +40,7 @@ class Mark:
         self._path, self._key, self.force = path, key, force
         self._made: dict[str, tuple[Dated, str]] = {}  # picture → what tells its file, what it was made of
         self._unasked: set[str] = set()  # pictures whose frames have not come up yet
-        self._file: int | None = None
+        self._file: BinaryIO | None = None
 
     def take_over(self, made_by: str) -> None:
         """Go on where the run under the path stopped; RecipeError, naming the output, if that was another one."""
@@ -80,20 +81,20 @@ class Mark:
         lines = [f"{self._key} force" if self.force else self._key]
         lines += [json.dumps([name, *own]) for name, own in self._made.items()]
         write_whole(self._path, "\n".join(lines))
-        self._file = os.open(self._path, os.O_WRONLY | os.O_APPEND)
+        self._file = open(self._path, "ab", buffering=0)  # noqa: SIM115
 
     def add(self, file: Path, temporary: Path, origin: str | None) -> None:
         """List a picture that is about to get its name."""
         assert self._file is not None
-        line = "\n" + json.dumps([file.name, _dated(temporary), origin])
-        if os.write(self._file, line.encode()) < len(line):  # ASCII
+        line = ("\n" + json.dumps([file.name, _dated(temporary), origin])).encode()
+        if self._file.write(line) < len(line):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         os.fdatasync(self._file)
 
     def end(self, complete: bool) -> None:
         """Remove the mark of a run that is complete, or has listed nothing."""
         assert self._file is not None
-        os.close(self._file)
+        self._file.close()
         if complete or b"\n" not in self._path.read_bytes():
             self._path.unlink()
 

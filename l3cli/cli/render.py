@@ -194,21 +194,8 @@ def render(
     choice = replace(choice, rate=fps or footage.rate or USUAL_RATE)
     way = Way(table.absolute(), sha256(table), backend, engine, known, look, target.file_suffix)
     steady = is_steady(footage, target, look)
-    key = [
-        way.digest,
-        __version__,
-        frames,
-        dataset,
-        suffix,
-        backend,
-        engine,
-        os.environ.get("L3_DEVICE"),
-        exposure,
-        white,
-        choice,
-        known,
-        steady,
-    ]
+    chosen = {"device": os.environ.get("L3_DEVICE"), **engine}
+    key = [way.digest, __version__, frames, dataset, suffix, backend, chosen, exposure, white, choice, known, steady]
     origins = functools.partial(Origins, inputs[0], steady)
     with marked(target, key, resume, force, footage, origins) as mark, _room(way, transforms, scheduler) as room:
         failures = render_frames(footage, target, room, transforms, look, choice, mark, origins(), skip_bad, quiet)
