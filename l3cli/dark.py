@@ -1,5 +1,6 @@
 """Dark frames: what a camera gives in an exposure without light, taken off raw frames pixel by pixel."""
 
+import hashlib
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -25,6 +26,11 @@ class DarkFrame:
     phase: tuple[int, int]  # CFA row and column of pixel (0, 0)
     orientation: int
     exposure: float | None  # s; None: unknown
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of all that it changes in a picture."""
+        return hashlib.sha256(repr(self.level).encode() + self.offset.tobytes()).hexdigest()
 
 
 def average_dark(frames: Iterable[RawFrame]) -> DarkFrame:

@@ -13,15 +13,17 @@ import functools
 import hashlib
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
+from stat import S_ISREG
 
-from l3cli.errors import InputFileError, L3Error
+from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.interrupts import uninterrupted
 
 TEMPORARY = re.compile(r"\.(.*)\.[0-9a-f]{8}\.l3tmp(\.[^.]*)?")
 LOCK = ".l3lock"
 UNFINISHED = ".l3-unfinished"  # names, in a folder of pictures, the run that has not written all of them yet
+STDIN = Path("-")
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -51,8 +53,10 @@ def atomic_output(path: Path) -> Iterator[Path]:
     """A temporary path beside `path` to write to; flushed to disk and renamed into place on success, removed on failure.
 
     The temporary file keeps the suffix of `path`, since writers choose their format by it; it must be written in place, not
-    replaced. No two processes ever write to the same one. L3Error if `path` cannot be written, or the disk is full.
+    replaced. No two processes ever write to the same one. L3Error if `path` cannot be written, or the disk is full;
+    RecipeError if it is a file that is spared.
     """
+    refuse_spared(path)
     temporary, held = None, None
     try:
         with _blamed_on(path):
@@ -174,6 +178,7 @@ def finished_together(folder: Path, run: str, force: bool) -> Iterator[None]:
 @contextlib.contextmanager
 def _claim(output: Path, lock: Path) -> Iterator[bool]:
     """Hold `lock` while the block lasts; folders that had to be made for it go again if they stay empty."""
+    refuse_spared(lock)  # it is removed in the end
     made = [folder for folder in (lock.parent, *lock.parent.parents) if not folder.exists()]
     try:
         held = _take(lock, output)
@@ -224,6 +229,8 @@ def sweep(folder: Path, output: Path | None = None) -> None:
         found = TEMPORARY.fullmatch(name)
         if not found or (output is not None and (found[1], found[2] or "") != (output.stem, output.suffix)):
             continue
+        if identity(folder / name) in _spared:
+            continue
         with contextlib.suppress(OSError):  # a living writer's, or gone already
             held = os.open(folder / name, os.O_RDWR)
             try:
@@ -239,6 +246,42 @@ def is_ours(name: str) -> bool:
 
 
 # --------------------------------------------------------------------------------------------------------- inputs
+
+Identity = tuple[int, int]  # device and number on it: the same for every name, symbolic and hard link of a file
+_spared: dict[Identity, Path] = {}  # files that the command reads, each with a name it was given by
+
+
+@contextlib.contextmanager
+def sparing(paths: Iterable[Path]) -> Iterator[None]:
+    """While the block lasts, no output of this process takes the place of these files, under whatever name; "-": stdin."""
+    named = ((identity(0 if path == STDIN else path), path) for path in paths)
+    added = {found: path for found, path in named if found is not None and found not in _spared}
+    _spared.update(added)
+    try:
+        yield
+    finally:
+        for found in added:
+            del _spared[found]
+
+
+def refuse_spared(output: Path | int) -> None:
+    """RecipeError if an output, a path or a descriptor, is a file that is spared."""
+    found = identity(output) if _spared else None
+    if found is None or found not in _spared:
+        return
+    source = _spared[found]
+    name = "stdout" if isinstance(output, int) else str(output)
+    other = "stdin" if source == STDIN else str(source)
+    raise RecipeError(f"{name} is an input{'' if name == other else f', {other}'}; name another output")
+
+
+def identity(file: Path | int) -> Identity | None:
+    """Of what is there under a path or descriptor, symbolic links followed; None if it is no regular file."""
+    try:
+        found = os.stat(file)
+    except OSError:
+        return None
+    return (found.st_dev, found.st_ino) if S_ISREG(found.st_mode) else None
 
 
 def sha256(path: Path) -> str:

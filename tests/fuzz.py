@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 BATCH = 1000  # inputs a process
+IDENTITIES = "identities"  # as --only: outputs that are inputs alone
 SLOW = 3  # seconds of processor time of an input that are worth a word
 
 
@@ -45,7 +46,9 @@ class Court:
 
     def __init__(self, shop: Any, seen: list[str], kept: Path, only: str | None) -> None:
         from tests.hostile import SUBJECTS
+        from tests.hostile_identities import Identities
 
+        self._identities = Identities(shop)
         chosen = [subject for subject in SUBJECTS if only is None or subject.name == only]
         self.subjects = [subject for turn in range(3) for subject in chosen if only or subject.often > turn]
         self._shop, self._seen, self._kept = shop, seen, kept
@@ -67,6 +70,15 @@ class Court:
             print(f"{mark.name}: {verdict.strip().splitlines()[-1]}", flush=True)
         return verdict
 
+    def judge_identities(self, number: int, choices: Any) -> str | None:
+        """Have a command write over what it reads; what did not hold, or None."""
+        verdict = self._identities.judge(choices) or (self._seen.pop() if self._seen else None)
+        if verdict is not None:
+            mark = self._kept / f"{number}_{IDENTITIES}.txt"
+            mark.write_text(verdict)
+            print(f"{mark.name}: {verdict.strip().splitlines()[-1]}", flush=True)
+        return verdict
+
 
 @contextmanager
 def court(kept: Path, only: str | None) -> Iterator[Court]:
@@ -83,6 +95,10 @@ def batch(chosen: argparse.Namespace) -> int:
     failed = 0
     with court(chosen.kept, chosen.only) as judges:
         for seed in range(chosen.first, chosen.first + chosen.inputs):
+            if chosen.only == IDENTITIES or (chosen.only is None and seed % 10 == 0):
+                failed += judges.judge_identities(seed, Seeded(seed)) is not None
+            if chosen.only == IDENTITIES:
+                continue
             subject = judges.subjects[seed % len(judges.subjects)]
             failed += judges.judge(seed, subject, Seeded(seed)) is not None
     return failed

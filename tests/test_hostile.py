@@ -29,8 +29,11 @@ from l3cli.io.images import read_image, write_mosaic
 from l3cli.limits import MEGAPIXELS, MOST_TEXT, TRUST
 from l3cli.train.insight import kind_name
 from tests.decoders import abort, crash, echo, hoard, sleep, stumble, work, write_much
+from tests.fuzz import Seeded
 from tests.hostile import SUBJECTS, Subject, Workshop, confined, watched
+from tests.hostile_identities import Identities
 
+IDENTITIES = 40
 INPUTS = int(os.environ.get("L3_HOSTILE_INPUTS", "500"))  # of all subjects together
 EACH = settings(
     max_examples=-(-INPUTS // len(SUBJECTS)),
@@ -72,6 +75,12 @@ def test_a_spoilt_input_is_refused_or_read_and_nothing_else(shop: Workshop, subj
         assert not seen
 
     judge()
+
+
+def test_an_output_that_is_an_input_is_refused_whatever_it_is_called(shop: Workshop) -> None:
+    identities = Identities(shop)
+    for seed in range(IDENTITIES):
+        assert identities.judge(Seeded(seed)) is None
 
 
 # What the long runs have found, each mended at its cause: a subject, a command, what is replaced in the whole file.

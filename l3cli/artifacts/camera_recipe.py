@@ -85,6 +85,12 @@ def load_camera(path: Path) -> CameraModel:
     return load(CameraModel, path)
 
 
+def camera_files(path: Path) -> list[Path]:
+    """What `load_camera` reads: the file, and the curves that a recipe names."""
+    named = load_recipe(path, CameraRecipe).responsivity.file if path.suffix == ".toml" else None
+    return [path] if named is None else [path, path.parent / named]
+
+
 def camera_from_recipe(recipe: CameraRecipe, path: Path) -> CameraModel:
     """The model a recipe describes; `path` places relative file names and names the culprit in errors."""
     _check_figures(recipe, path)

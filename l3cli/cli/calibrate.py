@@ -39,15 +39,17 @@ def calibrate(
     Example: l3 calibrate lab/MEASUREMENTS.toml -o camera.h5
     """
     from l3cli.artifacts.base import save
-    from l3cli.artifacts.camera_recipe import load_camera
+    from l3cli.artifacts.camera_recipe import camera_files, load_camera
     from l3cli.calibrate import model, report
     from l3cli.errors import L3Error
     from l3cli.io.curves import export_curves, export_paths
-    from l3cli.io.measurements import history, load_measurements
+    from l3cli.io.measurements import history, load_measurements, measurement_files
     from l3cli.parallel import ordered_map
 
+    options.spare(measurements, *filter(None, [truth]))
     for path in (output, *(export_paths(export) if export else ())):
-        options.claim_file(path, force, measurements, *filter(None, [truth]))
+        options.claim_file(path, force)
+    options.spare(*measurement_files(measurements), *(camera_files(truth) if truth else ()))
     true = load_camera(truth) if truth else None
     measured = load_measurements(measurements)
 

@@ -43,7 +43,8 @@ def compare(
     if output is not None:
         if output.suffix != ".html":
             raise RecipeError(f"{output}: curves are drawn on a page; name a file that ends in .html")
-        options.claim_file(output, force, *evaluations)
+        options.spare(*evaluations)
+        options.claim_file(output, force)
     documents = [_read(path) for path in evaluations]
     curves = {figure: [curve_of(document, figure) for document in documents] for figure in figures}
     require_comparable(next(iter(curves.values())))

@@ -8,14 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from l3cli.cli.sequence import Exposed, Look, Unread, pixels_of, write_pixels
+from l3cli.cli.sequence import Exposed, Look, Unread, file_of, pixels_of
 from l3cli.errors import InputFileError, L3Error
 from l3cli.files import require_same
 from l3cli.frame import RawFrame
 from l3cli.io.raw_files import KnownBetter, read_raw
 from l3cli.io.sequences import Pending
 from l3cli.parallel import Crew
-from l3cli.parallel.cluster import scratch_folder
 
 if TYPE_CHECKING:
     from l3cli.artifacts.table import TransformTable
@@ -78,10 +77,7 @@ def _developed(order: Order) -> Any:
     pixels = pixels_of(renderer, frame, way.look, order.scale)
     if way.suffix is None:
         return pixels
-    with scratch_folder() as folder:
-        file = folder / f"frame{way.suffix}"
-        write_pixels(file, pixels, table.outputs)
-        return file.read_bytes()
+    return file_of(Path(f"frame{way.suffix}"), pixels, table.outputs)
 
 
 @functools.lru_cache(1)

@@ -66,7 +66,8 @@ def evaluate(
     transforms = load(TransformTable, table)
     if pictures is not None:
         require_xyz(transforms.outputs)
-        options.hold_folder(pictures)
+        options.spare(table, frames)
+        options.hold_folder(pictures, "*.png")
     with open_training_set(frames) as reader, contextlib.ExitStack() as unfinished:
         if pictures is not None:
             key = json.dumps([__version__, sha256(table), sha256(frames), backend, viewing])

@@ -15,7 +15,7 @@ from l3cli.artifacts.base import Stage, open_artifact, read_history
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import TrainingPair, read_part, whole_part, write_part
 from l3cli.errors import InputFileError, L3Error, RecipeError
-from l3cli.files import is_ours, require_same, sweep, write_whole
+from l3cli.files import is_ours, refuse_spared, require_same, sweep, write_whole
 from l3cli.parallel import Crew
 from l3cli.parallel.cluster import scratch_folder
 from l3cli.simulate import sources
@@ -59,10 +59,19 @@ class Job:
 
     @property
     def files(self) -> list[Path]:
-        """What it reads; a folder of bands stands for its files."""
+        """What it reads."""
         if isinstance(self.what, Pair):
             return [self.run.base / self.what.raw, self.run.base / self.what.picture]
-        return [self.what.path] if self.what.path else []
+        return files_of(self.what.source, self.what.path) if self.what.path else []
+
+
+def files_of(source: sources.Source, path: Path) -> list[Path]:
+    """What is read of a scene of that name: bands of a folder, an ENVI header and its data, else the file itself."""
+    from l3cli.io.cubes import band_pictures, envi_files
+
+    if isinstance(source, sources.BandFolder):
+        return band_pictures(path)
+    return envi_files(path) if isinstance(source, sources.Envi) else [path]
 
 
 def jobs_of(run: Run, work: list[tuple[sources.WantedScene, list[Shot]]], workers: int) -> list[Job]:
@@ -102,7 +111,7 @@ def stored(crew: Crew, work: list[Job], digests: Mapping[Path, str]) -> Iterator
         missing = [shot for shot in job.shots if not whole_part(job.run.part(shot.index), job.run.key)]
         yield len(job.shots) - len(missing)
         most = max(1, SENT // frame_bytes(job.run))
-        own = {path: digest for path, digest in digests.items() if path in job.files or path.parent in job.files}
+        own = {path: digests[path] for path in job.files}
         needed += [replace(job, shots=missing[at : at + most], digests=own) for at in range(0, len(missing), most)]
     for parts in crew(_sent, needed):
         for index, content in parts:
@@ -332,6 +341,8 @@ def open_folder(output: Path, key: str, resume: bool, force: bool) -> Path:
     making."""
     folder, mark = _folder_and_mark(output)
     if folder.exists():
+        for each in folder.iterdir():
+            refuse_spared(each)
         if not mark.is_file() and not all(is_ours(each.name) for each in folder.iterdir()):
             raise L3Error(f"{folder} is in the way; move it elsewhere")
         if resume and mark.is_file():

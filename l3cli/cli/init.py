@@ -55,8 +55,10 @@ def init(recipe: str | None, folder: Path | None, force: bool, quiet: bool) -> N
         raise click.UsageError(f'no recipe "{recipe}"; {suggestion(recipe, known)}')
     if folder is None:
         raise click.UsageError(f'name the folder to make, such as "l3 init {recipe} {recipe}"')
-    options.claim_folder(folder, force)
-    write_folder(known[recipe], folder)
+    origins = folder_files(known[recipe])
+    options.spare(*origins.values())
+    options.claim_folder(folder, force, *origins)
+    write_folder(origins, folder)
     options.say(f"{folder}: {summary(known[recipe])}; next: make -C {folder}", quiet)
 
 
@@ -72,12 +74,16 @@ def summary(path: Path) -> str:
     return f"{period}, {len(cfa['channels']):2} channels  {sentence}"
 
 
-def write_folder(camera: Path, folder: Path) -> None:
-    """The recipe folder of a camera recipe, each file whole or not at all."""
+def folder_files(camera: Path) -> dict[str, Path]:
+    """What the recipe folder of a camera recipe holds, by name: the files it is copied from."""
+    return {name: recipe_folder() / source for name, source in COMMON.items()} | {"camera.toml": camera}
+
+
+def write_folder(origins: dict[str, Path], folder: Path) -> None:
+    """A recipe folder, each file whole or not at all."""
     from l3cli.files import atomic_output
 
-    for name, source in {**COMMON, "camera.toml": f"cameras/{camera.name}"}.items():
-        origin = recipe_folder() / source
+    for name, origin in origins.items():
         with atomic_output(folder / name) as temporary:
             temporary.write_bytes(origin.read_bytes())
             temporary.chmod(0o755 if origin.suffix == ".sh" else 0o644)

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from l3cli.simulate.flaws import FlawRecipe
     from l3cli.simulate.lab import LabCapture, LabRecipe
 
+MONO = "spectra/mono.csv"  # spectra of the monochromator's steps
+
 
 @click.command()
 @click.argument("camera", type=options.CAMERA, metavar="CAMERA")
@@ -32,21 +34,26 @@ def lab(camera: Path, output: Path, recipe: Path | None, seed: int, jobs: int, f
     \b
     Example: l3 lab camera.toml -o lab
     """
-    from l3cli.artifacts.camera_recipe import load_camera
+    from l3cli.artifacts.camera_recipe import camera_files, load_camera
     from l3cli.config import load_recipe
-    from l3cli.files import refuse_existing, sole_writer_of_folder
+    from l3cli.files import refuse_existing, refuse_spared, sole_writer_of_folder
     from l3cli.io.measurements import write_measurements
     from l3cli.parallel import workers
     from l3cli.simulate.lab import FOLDERS, LabRecipe, plan
 
     file = output / "MEASUREMENTS.toml"
+    options.spare(camera, *filter(None, [recipe]))
+    refuse_spared(file)
     options.refuse_unwritable(file)
     refuse_existing(file, force)
     options.hold(sole_writer_of_folder(output, inside=FOLDERS), output)
     refuse_existing(file, force)  # now that no other run writes it
+    options.spare(*camera_files(camera))
     model = load_camera(camera)
     chosen = load_recipe(recipe, LabRecipe) if recipe else LabRecipe()
     captures = plan(model, chosen, seed)
+    for name in _names(captures):
+        refuse_spared(output / name)
     file.unlink(missing_ok=True)  # written last, it never names frames of two runs
     work = [(capture, trial) for capture in captures for trial in range(capture.trials)]
     take = functools.partial(_take, model, chosen.flaws, output, seed)
@@ -70,6 +77,17 @@ def _frame_name(capture: "LabCapture", trial: int) -> str:
     return f"{capture.name}_{trial}.tif" if capture.trials > 1 else f"{capture.name}.tif"
 
 
+def _names(captures: "tuple[LabCapture, ...]") -> list[str]:
+    """Of all files that are written, relative to the folder."""
+    frames = [_frame_name(capture, trial) for capture in captures for trial in range(capture.trials)]
+    charts = [_chart_name(capture) for capture in captures if capture.kind == "chart"]
+    return ["MEASUREMENTS.toml", MONO, *charts, *frames]
+
+
+def _chart_name(capture: "LabCapture") -> str:
+    return f"spectra/{capture.name.replace('/', '_')}.csv"
+
+
 def _described(
     model: "CameraModel", chosen: "LabRecipe", captures: "tuple[LabCapture, ...]", folder: Path
 ) -> "MeasurementRecipe":
@@ -90,9 +108,9 @@ def _described(
             "monitor": capture.monitor,
         }
         if capture.kind == "mono":
-            mono.append(files.MonoRecipe(**common, spectrum="spectra/mono.csv", column=len(mono) + 1))
+            mono.append(files.MonoRecipe(**common, spectrum=MONO, column=len(mono) + 1))
         elif capture.kind == "chart":
-            name = f"spectra/{capture.name.replace('/', '_')}.csv"
+            name = _chart_name(capture)
             patches = [f"patch_{patch}" for patch in range(1, len(capture.radiance) + 1)]
             write_curves(folder / name, capture.wavelength, capture.radiance, patches)
             corners = chart_corners(model)
@@ -101,6 +119,6 @@ def _described(
             others[capture.kind].append(files.CaptureRecipe(**common))
     steps = [capture for capture in captures if capture.kind == "mono"]
     radiances, lights = np.concatenate([step.radiance for step in steps]), [step.light for step in steps]
-    write_curves(folder / "spectra/mono.csv", steps[0].wavelength, radiances, lights)
+    write_curves(folder / MONO, steps[0].wavelength, radiances, lights)
     uncertainty = files.UncertaintyRecipe(lamp_drift=chosen.monitor_error, wavelength_nm=chosen.wavelength_error_nm)
     return files.describe(model, uncertainty, mono=mono, chart=charts, **others)

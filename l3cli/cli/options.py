@@ -1,6 +1,7 @@
 """Options that several commands share, each declared once, and what every command says on stderr."""
 
 import functools
+import itertools
 import os
 import re
 import sys
@@ -105,6 +106,7 @@ def scheduler(command: Callable[..., Any]) -> Callable[..., Any]:
     ) -> Any:
         from l3cli.parallel.cluster import Scheduler
 
+        spare(*filter(None, [tls_ca, tls_cert, tls_key]))
         if scheduler is None:
             if tls_ca or tls_cert or tls_key:
                 raise click.UsageError("--tls-ca, --tls-cert and --tls-key go with --scheduler")
@@ -141,43 +143,70 @@ def frame_name(index: int, scene: str) -> str:
     return f"{index:05d}_{re.sub(r'[^A-Za-z0-9]+', '-', scene)}"
 
 
-def claim_file(path: Path, force: bool, *inputs: Path) -> None:
+CLAIMED = "l3cli.claimed"  # in the context: outputs, and (folder, globs) of those in folders, that the command has claimed
+
+
+def spare(*inputs: Path) -> None:
+    """Say what files the command reads, as soon as they are known: until it ends, nothing takes the place of one of them,
+    by whatever name and whatever --force says. RecipeError if an output that is claimed already would."""
+    from l3cli.files import sparing
+
+    context = click.get_current_context()
+    context.with_resource(sparing(inputs))
+    for claimed in context.meta.get(CLAIMED, ()):
+        _refuse_spared(*claimed)
+
+
+def _claim(folder: Path, *globs: str) -> None:
+    """Refuse outputs in place of what the command reads, as far as that is known, and remember them for what will be."""
+    _refuse_spared(folder, *globs)
+    click.get_current_context().meta.setdefault(CLAIMED, []).append((folder, *globs))
+
+
+def _refuse_spared(path: Path, *globs: str) -> None:
+    from l3cli.files import refuse_spared
+
+    for file in itertools.chain([path], *(path.glob(each) for each in globs)):
+        refuse_spared(file)
+
+
+def claim_file(path: Path, force: bool) -> None:
     """`hold_file`, and refuse an output that is there already."""
     from l3cli.files import refuse_existing
 
-    hold_file(path, *inputs)  # first: the run that holds it may be about to end
+    hold_file(path)  # first: the run that holds it may be about to end
     refuse_existing(path, force)
 
 
-def hold_file(path: Path, *inputs: Path) -> None:
-    """Refuse before any work an output that is an input, is no file, would pass for a recipe or cannot be written; keep
+def hold_file(path: Path) -> None:
+    """Refuse before any work an output that is read, is no file, would pass for a recipe or cannot be written; keep
     other runs off it until the command ends."""
     from l3cli.files import refuse_existing, sole_writer_of_file
 
     if path.suffix == ".toml":
         raise RecipeError(f"{path}: .toml is for recipes; name an output that ends otherwise")
-    if path.exists() and any(given.exists() and path.samefile(given) for given in inputs):
-        raise RecipeError(f"{path} is an input; name another output")
+    _claim(path)
     refuse_existing(path, force=True)  # a folder or device
     refuse_unwritable(path)
     hold(sole_writer_of_file(path), path)
 
 
-def claim_folder(path: Path, force: bool) -> None:
+def claim_folder(path: Path, force: bool, *globs: str) -> None:
     """`hold_folder`, and refuse a folder that holds something."""
     from l3cli.files import refuse_filled_folder
 
-    hold_folder(path)
+    hold_folder(path, *globs)
     refuse_filled_folder(path, force)
 
 
-def hold_folder(path: Path) -> None:
-    """Refuse, before any work, a folder that is a file or cannot be written into; keep other runs off it until the command
-    ends."""
+def hold_folder(path: Path, *globs: str) -> None:
+    """Refuse, before any work, a folder that is a file or cannot be written into, or where what is read is among the files
+    that will be written, which the globs match; keep other runs off it until the command ends."""
     from l3cli.files import refuse_filled_folder, sole_writer_of_folder
 
     refuse_filled_folder(path, force=True)  # a file
     refuse_unwritable(path)
+    _claim(path, *globs)
     hold(sole_writer_of_folder(path), path)
 
 

@@ -1,6 +1,8 @@
 """l3 render: raw frames through a table."""
 
 import contextlib
+import functools
+import os
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -167,7 +169,8 @@ def render(
     from l3cli.artifacts.table import TransformTable
     from l3cli.cli.cautions import caution_white
     from l3cli.cli.elsewhere import Way
-    from l3cli.cli.sequence import USUAL_RATE, Look, claim, make_target, marked, refuse_missing, render_frames
+    from l3cli.cli.mark import Origins
+    from l3cli.cli.sequence import USUAL_RATE, Look, claim, is_steady, make_target, marked, refuse_missing, render_frames
     from l3cli.files import sha256
     from l3cli.io.raw_files import KnownBetter
     from l3cli.io.sequences import find_frames, read_dark
@@ -176,6 +179,7 @@ def render(
 
     choice = VideoChoice(fps or USUAL_RATE, int(bits), codec, crf, preset)
     target = make_target(output, suffix, choice)
+    options.spare(table, *inputs, *dark)
     claim(target, force)
     if target.linear and (exposure is not None or white is not None):
         raise RecipeError(".exr files hold the outputs as they are; --exposure and --white are for pictures")
@@ -185,7 +189,9 @@ def render(
     known = KnownBetter(black, white_level, phase, size, packing, stride, exposure_time)
     transforms = load(TransformTable, table)
     if dark:
-        known = replace(known, dark=read_dark(dark, transforms, known))
+        darks = find_frames(dark, transforms, known)
+        options.spare(*(pending.source for pending in darks.frames if pending.source))
+        known = replace(known, dark=read_dark(darks))
     if target.linear:
         look = Look(None, None, choice.bits)
     else:
@@ -194,13 +200,19 @@ def render(
         if white is not None:
             caution_white(white, look.white, transforms, quiet)
     footage = find_frames(inputs, transforms, known, frames, dataset)
+    if footage.count is not None:
+        options.spare(*(pending.source for pending in footage.frames if pending.source))
     if not skip_bad:
         refuse_missing(footage)
     choice = replace(choice, rate=fps or footage.rate or USUAL_RATE)
     way = Way(table.absolute(), sha256(table), backend, engine, known, look, target.file_suffix)
-    key = [way.digest, __version__, inputs, frames, dataset, suffix, backend, engine, exposure, white, choice, known]
-    with marked(target, key, resume, force, footage) as goes_on, _room(way, transforms, scheduler) as room:
-        failures = render_frames(footage, target, room, transforms, look, choice, goes_on, skip_bad, quiet)
+    steady = is_steady(footage, target, look)
+    chosen = {"device": os.environ.get("L3_DEVICE"), **engine}
+    levels = (replace(known, dark=None), known.dark and known.dark.digest)
+    key = [way.digest, __version__, frames, dataset, suffix, backend, chosen, exposure, white, choice, *levels, steady]
+    origins = functools.partial(Origins, inputs[0], steady)
+    with marked(target, key, resume, force, footage, origins) as mark, _room(way, transforms, scheduler) as room:
+        failures = render_frames(footage, target, room, transforms, look, choice, mark, origins(), skip_bad, quiet)
     return 1 if failures else 0
 
 

@@ -29,7 +29,8 @@ def report(artifacts: tuple[Path, ...], output: Path, backend: str, force: bool,
 
     if output.suffix != ".html":
         raise RecipeError(f"{output}: a report is a page; name a file that ends in .html")
-    options.claim_file(output, force, *artifacts)
+    options.spare(*artifacts)
+    options.claim_file(output, force)
     given = report_sections.sort(artifacts)
     title, lead, sections = report_sections.compose(given, backend, quiet)
     page = render_page(title, lead, sections).encode()

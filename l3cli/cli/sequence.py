@@ -21,8 +21,9 @@ import numpy as np
 
 from l3cli.cli import options
 from l3cli.cli.cautions import Cautions
+from l3cli.cli.mark import Mark, Origins
 from l3cli.errors import InputFileError, L3Error, RecipeError
-from l3cli.files import refuse_existing, sha256, sole_writer_of_folder, write_whole
+from l3cli.files import atomic_output, refuse_existing, refuse_spared, sha256, sole_writer_of_folder
 from l3cli.frame import RawFrame, upright
 from l3cli.io import images
 from l3cli.io.sequences import PATTERN, Footage, Pending, numbered_files, numbered_name
@@ -98,25 +99,26 @@ def make_target(output: Path, suffix: str, choice: VideoChoice) -> Target:
 
 def claim(target: Target, force: bool) -> None:
     """L3Error, before anything is read, if nothing can be written there, another run does so, or a video or single picture
-    is there already."""
+    is there already; RecipeError if that is read."""
     if target.kind in ("video", "file"):
         options.claim_file(target.path, force)
-    elif target.kind != "stream":
+    elif target.kind == "stream":
+        refuse_spared(1)
+    else:
         options.refuse_unwritable(target.file(0, "frame"))
         folder, name = (target.path, "") if target.kind == "folder" else (target.path.parent, target.path.name)
         options.hold(sole_writer_of_folder(folder, name), target.path)
 
 
-def refuse_outputs(target: Target, footage: Footage, force: bool) -> None:
-    """RecipeError if the frames do not fit into the target, L3Error if they would replace what is there."""
+def refuse_outputs(target: Target, footage: Footage, force: bool, mark: Mark | None = None) -> None:
+    """RecipeError if the frames do not fit into the target or would replace what is read, L3Error if they would replace
+    what is there and not of the mark's run."""
     if target.kind == "file" and footage.count != 1:
         count = "a sequence" if footage.count is None else f"{footage.count} frames"
         raise RecipeError(
             f"{target.path} holds one picture, the inputs are {count}; name a folder, a pattern "
             f"({target.path.stem}_%04d{target.path.suffix}) or a video"
         )
-    if footage.count is not None and target.one_by_one:
-        _spare_inputs(target, footage)
     if target.kind not in ("pattern", "folder"):
         return
     if footage.count is None:
@@ -126,15 +128,8 @@ def refuse_outputs(target: Target, footage: Footage, force: bool) -> None:
     if len(set(files)) < len(files):
         raise RecipeError("two inputs have the same name and would write the same file; render them one by one")
     for file in files:
-        refuse_existing(file, force)
-
-
-def _spare_inputs(target: Target, footage: Footage) -> None:
-    """RecipeError if a picture would take the place of a raw frame, whatever --force says."""
-    for pending in footage.frames:
-        file = target.file(pending.number, pending.stem)
-        if pending.source is not None and file.exists() and pending.source.exists() and file.samefile(pending.source):
-            raise RecipeError(f"{file} is an input; name another output")
+        refuse_spared(file)
+        refuse_existing(file, force or (mark is not None and mark.is_ours(file)))
 
 
 def refuse_missing(footage: Footage) -> None:
@@ -153,30 +148,39 @@ def _pictures(target: Target) -> list[Path]:
 
 
 @contextlib.contextmanager
-def marked(target: Target, key: list[Any], resume: bool, force: bool, footage: Footage) -> Iterator[bool]:
-    """Refuse what cannot be written, then keep the run's mark until all is done. Yields whether an earlier run goes on.
+def marked(
+    target: Target, key: list[Any], resume: bool, force: bool, footage: Footage, origins: Callable[[], Origins]
+) -> Iterator[Mark | None]:
+    """Refuse what cannot be written, then keep the run's mark, for a sequence of pictures, until all is done.
 
-    `key` tells all that the pictures' bytes depend on.
+    `key` tells all that the pictures' bytes depend on beside the inputs, which `origins` tell.
     """
     if target.kind not in ("pattern", "folder"):
         if resume:
             raise RecipeError(f"--resume goes on with a sequence of pictures; {target.path} is written in one go")
         refuse_outputs(target, footage, force)
-        yield False
+        yield None
         return
-    text = hashlib.sha256(json.dumps(key, sort_keys=True, default=str).encode()).hexdigest()
-    goes_on = resume and target.mark.is_file()
-    if goes_on and target.mark.read_text() != text:
-        raise RecipeError(f"{target.path} holds a run with another table, inputs or options; leave --resume out")
-    refuse_outputs(target, footage, force or goes_on)
-    write_whole(target.mark, text)
+    mark = Mark(target.mark, hashlib.sha256(json.dumps(key, sort_keys=True, default=str).encode()).hexdigest(), force)
+    if resume and target.mark.is_file():
+        mark.take_over(str(target.path))
+        if footage.count is not None:
+            _refuse_changed(target, footage, mark, origins())
+    refuse_outputs(target, footage, mark.force, mark)
+    mark.begin()
     try:
-        yield goes_on
+        yield mark
     except BaseException:
-        if not _pictures(target):
-            target.mark.unlink()
+        mark.end(complete=False)
         raise
-    target.mark.unlink()
+    mark.end(complete=True)
+
+
+def _refuse_changed(target: Target, footage: Footage, mark: Mark, origins: Origins) -> None:
+    """RecipeError, before anything is read, if pictures are there that are known to be of other frames."""
+    for pending in footage.frames:
+        mark.keeps(target.file(pending.number, pending.stem), origins.of(pending).origin)
+    mark.refuse_others()
 
 
 # ------------------------------------------------------------------------------------------------------ rendering
@@ -230,15 +234,16 @@ class _Tally:
 
 def render_frames(
     footage: Footage, target: Target, room: "Here | Elsewhere", table: "TransformTable", look: Look, choice: VideoChoice,
-    goes_on: bool, skip_bad: bool, quiet: bool,
+    mark: Mark | None, origins: Origins, skip_bad: bool, quiet: bool,
 ) -> int:  # fmt: skip
     """Render every frame into the target; how many were left out. What is broken is raised, unless `skip_bad`: then it is
     said."""
     start = time.monotonic()
-    steady = SteadyExposure(choice.rate) if _is_steady(footage, target, look) else None
+    steady = SteadyExposure(choice.rate) if is_steady(footage, target, look) else None
     tally, cautions = _Tally(), Cautions(table)
-    with _open_sink(target, choice, table.outputs) as (write, threads), Behind(write, DEPTH, threads) as writing:
-        reading = ahead(_read(footage, target, LightMeter(table) if steady else None, goes_on, room.by_path), DEPTH)
+    with _open_sink(target, choice, table.outputs, mark) as (write, threads), Behind(write, DEPTH, threads) as writing:
+        meter = LightMeter(table) if steady else None
+        reading = ahead(_read(footage, target, meter, mark, origins, room.by_path), DEPTH)
         reading = options.progress(reading, footage.count, "frames", quiet)
         exposed = cautions.watched(_exposed(reading, look, steady, skip_bad, tally), footage.stills)
         for pending, made in room.develop(exposed):
@@ -259,17 +264,22 @@ def render_frames(
     return failures
 
 
-def _is_steady(footage: Footage, target: Target, look: Look) -> bool:
+def is_steady(footage: Footage, target: Target, look: Look) -> bool:
     """Automatic exposure is steady in time, except for stills that become files: each of those has its own."""
     return look.white is not None and look.exposure is None and not (footage.stills and target.one_by_one)
 
 
-def _read(footage: Footage, target: Target, meter: LightMeter | None, goes_on: bool, by_path: bool) -> Iterator[_Read]:
+def _read(
+    footage: Footage, target: Target, meter: LightMeter | None, mark: Mark | None, origins: Origins, by_path: bool
+) -> Iterator[_Read]:
     """Read, and measure, frame after frame; of frames that are kept only what the exposure of later ones needs. `by_path`
     a file that becomes a file, and is not measured, is left to who renders it."""
     size: tuple[int, ...] | None = None
     for pending in footage.frames:
-        kept = goes_on and target.file(pending.number, pending.stem).exists()
+        file, kept = target.file(pending.number, pending.stem), False
+        if mark:
+            pending = origins.of(pending)
+            kept = pending.origin is not None and mark.keeps(file, pending.origin)
         if kept and meter is None and footage.count is not None:
             yield _Read(pending, None, kept=True)
             continue
@@ -279,7 +289,7 @@ def _read(footage: Footage, target: Target, meter: LightMeter | None, goes_on: b
                 continue
             frame = pending.read()
             if frame is None:
-                return
+                break
             if not target.one_by_one:
                 size = size or _upright_shape(frame)
                 _require_size(frame, size)
@@ -287,7 +297,12 @@ def _read(footage: Footage, target: Target, meter: LightMeter | None, goes_on: b
         except (L3Error, OSError) as error:
             yield _Read(pending, None, error=error if isinstance(error, L3Error) else InputFileError(str(error)))
             continue
+        if mark and pending.origin is None:
+            pending = origins.of_read(pending, frame)
+            kept = mark.keeps(file, pending.origin)
         yield _Read(pending, frame, brightness, kept=kept)
+    if mark:
+        mark.refuse_others()
 
 
 def _upright_shape(frame: RawFrame) -> tuple[int, ...]:
@@ -362,17 +377,14 @@ def _display(renderer: "Renderer", frame: RawFrame, look: Look, scale: float) ->
     return make_display(look.white, scale or automatic_exposure(renderer.outputs(frame)[1]), look.bits)
 
 
-def write_pixels(file: Path, made: Any, outputs: tuple[str, ...]) -> None:
-    """A picture, or linear outputs if the file's name asks for them."""
-    if images.is_linear(file):
-        images.write_linear(file, made, outputs)
-    else:
-        images.write_picture(file, made)
+def file_of(path: Path, made: Any, outputs: tuple[str, ...]) -> bytes:
+    """The content of a picture's file, or of one of linear outputs if its name asks for them."""
+    return images.linear_file(path, made, outputs) if images.is_linear(path) else images.picture_file(path, made)
 
 
 @contextlib.contextmanager
 def _open_sink(
-    target: Target, choice: VideoChoice, outputs: tuple[str, ...]
+    target: Target, choice: VideoChoice, outputs: tuple[str, ...], mark: Mark | None
 ) -> Iterator[tuple[Callable[[tuple[Pending, Any]], None], int]]:
     """What writes a frame, and the number of threads that may do so at a time."""
     if target.one_by_one:
@@ -380,10 +392,11 @@ def _open_sink(
         def write(item: tuple[Pending, Any]) -> None:
             pending, made = item
             file = target.file(pending.number, pending.stem)
-            if isinstance(made, bytes):
-                write_whole(file, made)
-            else:
-                write_pixels(file, made, outputs)
+            content = made if isinstance(made, bytes) else file_of(file, made, outputs)
+            with atomic_output(file) as temporary:
+                temporary.write_bytes(content)
+                if mark:
+                    mark.add(file, temporary, pending.origin)
 
         yield write, PICTURE_WRITERS
     elif target.kind == "stream" or target.path.suffix.lower() == ".y4m":

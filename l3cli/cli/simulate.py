@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import itertools
 import re
 from collections.abc import Iterable
 from pathlib import Path
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from l3cli.simulate.light import Curve
     from l3cli.simulate.recipe import SceneRecipe
 
+WRITTEN = ("*_raw.tif", "*_ideal.png", "*_ideal.exr", "*.dng")  # into the folders of pictures
 NEGLIGIBLE = 1e-3  # share of a channel's light that may go unseen without a word
 
 
@@ -54,25 +56,28 @@ def simulate(
     \b
     Example: l3 simulate scenes.toml --camera camera.h5 -o training.h5
     """
-    from l3cli.artifacts.camera_recipe import load_camera
+    from l3cli.artifacts.camera_recipe import camera_files, load_camera
     from l3cli.artifacts.training_set import open_training_set
     from l3cli.cli.frames import StoredFrames, close_folder, is_of_run, key_of, open_folder, remove_finished
     from l3cli.config import load_recipe
     from l3cli.files import finished_together, refuse_existing
     from l3cli.simulate.recipe import SceneRecipe
 
-    options.hold_file(output, scenes, camera)
+    options.spare(scenes, *camera_files(camera))
+    options.hold_file(output)
     remove_finished(output)
     refuse_existing(output, force or resume)
     folders = list(dict.fromkeys(filter(None, (pictures, dng))))
     for folder in folders:
-        options.hold_folder(folder)
+        options.hold_folder(folder, *WRITTEN)
     if scheduler:
         scenes = scenes.absolute()  # its files are looked for by workers elsewhere
     model, recipe = load_camera(camera), load_recipe(scenes, SceneRecipe)
     run, files = _prepare(recipe, scenes, model, seed)
     files, bad = _fitting(run, files, scenes, skip_bad)
-    head = _head(run, model, (scenes, camera), _inputs(run, files), seed)
+    inputs = {"camera": camera_files(camera), **_inputs(run, files)}
+    options.spare(*itertools.chain(*inputs.values()))
+    head = _head(run, model, (scenes, camera), inputs, seed)
     run = dataclasses.replace(run, key=key_of(head.history[-1]))
     stands = resume and not force and is_of_run(output, run.key)
     if not stands:
@@ -173,11 +178,16 @@ def _fitting(run: "Run", files: list[list[Path]], path: Path, skip_bad: bool) ->
 
 def _inputs(run: "Run", files: list[list[Path]]) -> dict[str, list[Path]]:
     """All files of a run by their role; `files` are those of each source."""
-    from l3cli.io.cubes import band_pictures
+    from l3cli.cli.frames import files_of
     from l3cli.simulate.recipe import curve_files
 
     return {
-        "scene": [file for found in files for each in found for file in (band_pictures(each) if each.is_dir() else [each])],
+        "scene": [
+            file
+            for source, found in zip(run.recipe.scene, files, strict=True)
+            for each in found
+            for file in files_of(source, each)
+        ],
         "spectrum": [run.base / name for name in curve_files(run.recipe)],
         "pair": [run.base / name for pair in run.recipe.pair for name in (pair.raw, pair.picture)],
     }
@@ -216,7 +226,7 @@ def _head(
     texts = [read_text(recipes[0]), recipe_text(recipes[1])]
     sums = {role: [sha256(path) for path in paths] for role, paths in inputs.items() if paths}
     recipe = "\n".join(text for text in texts if text)
-    stage = Stage("simulate", {"seed": seed}, recipe, {"camera": [sha256(recipes[1])], **sums})
+    stage = Stage("simulate", {"seed": seed}, recipe, sums)
     return TrainingSet(
         camera=dataclasses.replace(run.camera, history=()),
         outputs=run.target.outputs,

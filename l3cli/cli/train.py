@@ -96,7 +96,8 @@ def train(
         raise click.UsageError(f"--shares gives {len(shares)} shares for {len(files)} training sets")
     if first and not shard:
         raise click.UsageError("--first goes with --shard")
-    options.claim_file(output, force, *files, *filter(None, [classes, first]))
+    options.spare(*files, *filter(None, [classes, first]))
+    options.claim_file(output, force)
     if merge:
         merge_shards(files, output, quiet)
         return

@@ -109,6 +109,12 @@ def _envi_header(path: Path) -> dict[str, str]:
     return header
 
 
+def envi_files(path: Path) -> list[Path]:
+    """An ENVI header and its data; InputFileError unless both are there."""
+    _envi_header(path)
+    return [path, _envi_data(path)]
+
+
 def _envi_data(path: Path) -> Path:
     stem = path.with_suffix("")
     for suffix in ENVI_DATA:

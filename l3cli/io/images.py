@@ -47,6 +47,11 @@ def check_format(path: Path, bits: int) -> None:
 
 def write_picture(path: Path, picture: NDArray) -> None:
     """Encoded sRGB (row, col, 3), uint8 or uint16, to a file whose format its suffix tells, tagged as sRGB."""
+    write_whole(path, picture_file(path, picture))
+
+
+def picture_file(path: Path, picture: NDArray) -> bytes:
+    """What `write_picture` writes."""
     import OpenImageIO as oiio
 
     check_format(path, 8 * picture.dtype.itemsize)
@@ -55,11 +60,16 @@ def write_picture(path: Path, picture: NDArray) -> None:
     spec.attribute("oiio:ColorSpace", "sRGB")
     for name, value in COMPRESSION[path.suffix.lower()].items():
         spec.attribute(name, value)
-    _write(path, spec, picture)
+    return encoded(path.name, spec, picture)
 
 
 def write_linear(path: Path, pixels: NDArray[np.float32], names: tuple[str, ...]) -> None:
     """Linear outputs (row, col, output) to an EXR file of float channels called `names`."""
+    write_whole(path, linear_file(path, pixels, names))
+
+
+def linear_file(path: Path, pixels: NDArray[np.float32], names: tuple[str, ...]) -> bytes:
+    """What `write_linear` writes."""
     import OpenImageIO as oiio
 
     rows, cols, outputs = pixels.shape
@@ -68,7 +78,7 @@ def write_linear(path: Path, pixels: NDArray[np.float32], names: tuple[str, ...]
     spec.attribute("compression", "none")
     if names == ("X", "Y", "Z"):
         spec.attribute("chromaticities", oiio.TypeDesc("float[8]"), XYZ_CHROMATICITIES)
-    _write(path, spec, pixels)
+    return encoded(path.name, spec, pixels)
 
 
 def write_mosaic(path: Path, values: NDArray[np.uint16], exposure: float | None = None) -> None:
@@ -79,11 +89,7 @@ def write_mosaic(path: Path, values: NDArray[np.uint16], exposure: float | None 
     spec.attribute("compression", "none")
     if exposure:
         spec.attribute(EXPOSURE_TIME, exposure)
-    _write(path, spec, values[..., None])
-
-
-def _write(path: Path, spec: Any, pixels: NDArray) -> None:
-    write_whole(path, encoded(path.name, spec, pixels))
+    write_whole(path, encoded(path.name, spec, values[..., None]))
 
 
 @uninterrupted

@@ -278,6 +278,12 @@ def spectrum_names(recipe: MeasurementRecipe) -> list[str]:
     return list(dict.fromkeys(names))
 
 
+def measurement_files(path: Path) -> list[Path]:
+    """Every file that calibration reads."""
+    recipe = load_recipe(path, MeasurementRecipe)
+    return [path, *(path.parent / name for name in frame_names(recipe) + spectrum_names(recipe))]
+
+
 def history(path: Path, options: dict[str, Any]) -> Stage:
     """What calibration leaves in the history: options, the measurement file and the SHA-256 of all that it names."""
     recipe = load_recipe(path, MeasurementRecipe)

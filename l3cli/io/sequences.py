@@ -46,6 +46,7 @@ class Pending:
     read: Callable[[], RawFrame | None]  # None: there is no such frame, the stream ended before; InputFileError: broken
     missing: InputFileError | None = None  # known before reading; `read` raises it too
     source: Path | None = None  # the file that holds it alone
+    origin: str | None = None  # what tells it from another frame of its number, once somebody has asked
 
 
 @dataclass(frozen=True)
@@ -96,13 +97,11 @@ def find_frames(
     return Footage(_Frames(series, wanted, selection is not None), count, stills or count == 1, series.rate)
 
 
-def read_dark(paths: Iterable[Path], table: TransformTable, known: KnownBetter) -> DarkFrame:
-    """The mean of the raw frames at `paths`, named as for `find_frames`, of an exposure without light."""
-    return average_dark(
-        frame
-        for pending in find_frames(tuple(paths), table, known, None, None).frames
-        if (frame := pending.read()) is not None
-    )
+def read_dark(footage: Footage) -> DarkFrame:
+    """The mean of frames that were exposed without light; InputFileError if one is missing, broken or of another kind."""
+    if footage.count is None:
+        raise RecipeError("dark frames are files, not a stream; save them first")
+    return average_dark(frame for pending in footage.frames if (frame := pending.read()) is not None)
 
 
 @dataclass(frozen=True)

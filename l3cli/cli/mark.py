@@ -1,0 +1,126 @@
+"""The mark of a sequence of pictures: it lies beside them while a run is under way, tells `l3 render --resume` which run
+that is, and lists what it has made, of what.
+
+A picture is listed before it gets its name, the list being on the disk by then. So a file that is not listed is none of the
+run's, however it ended; one that is listed, but not there, is made. Files are told by size and time: digests would take as
+long as a tenth of the rendering.
+"""
+
+import contextlib
+import errno
+import hashlib
+import json
+import os
+import stat
+from dataclasses import replace
+from pathlib import Path
+from typing import BinaryIO
+
+from l3cli.errors import RecipeError
+from l3cli.files import write_whole
+from l3cli.frame import RawFrame
+from l3cli.io.sequences import Pending
+
+Dated = tuple[int, int]  # size in bytes, time of the last change in ns
+
+
+def _dated(path: Path) -> Dated | None:
+    """Size and time of a regular file; None if there is none."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return (found.st_size, found.st_mtime_ns) if stat.S_ISREG(found.st_mode) else None
+
+
+class Mark:
+    """The mark of the run `key`. `force`: it may replace what it finds."""
+
+    def __init__(self, path: Path, key: str, force: bool) -> None:
+        self._path, self._key, self.force = path, key, force
+        self._made: dict[str, tuple[Dated, str]] = {}  # picture → what tells its file, what it was made of
+        self._unasked: set[str] = set()  # pictures whose frames have not come up yet
+        self._file: BinaryIO | None = None
+
+    def take_over(self, made_by: str) -> None:
+        """Go on where the run under the path stopped; RecipeError, naming the output, if that was another one."""
+        first, *lines = self._path.read_text(encoding="utf-8", errors="replace").split("\n")
+        if first.split(" ")[0] != self._key:
+            raise RecipeError(f"{made_by} holds a run with another table, inputs or options; leave --resume out")
+        self.force = self.force or first.endswith(" force")
+        for line in lines:
+            with contextlib.suppress(ValueError):  # a line that was cut off
+                name, dated, origin = json.loads(line)
+                self._made[name] = (tuple(dated), origin)
+        self._made = {name: own for name, own in self._made.items() if self.is_ours(self._path.with_name(name))}
+        self._unasked = set(self._made)
+
+    def is_ours(self, file: Path) -> bool:
+        """Whether a file is there that the run has made."""
+        return file.name in self._made and _dated(file) == self._made[file.name][0]
+
+    def keeps(self, file: Path, origin: str | None) -> bool:
+        """Whether the picture of a frame is there already; RecipeError if it was made of something else. Without an origin
+        nothing can be said yet."""
+        self._unasked.discard(file.name)
+        if origin is None or not self.is_ours(file):
+            return False
+        if self._made[file.name][1] != origin:
+            raise RecipeError(f"{file} was made of another input than is given now; leave --resume out")
+        return True
+
+    def refuse_others(self) -> None:
+        """RecipeError if pictures are there whose frames have not come up."""
+        if self._unasked:
+            raise RecipeError(
+                f"{self._path.with_name(min(self._unasked))} was made of a frame that is not given now; leave --resume out"
+            )
+
+    def begin(self) -> None:
+        """Write the mark; what is listed from now on goes behind it."""
+        lines = [f"{self._key} force" if self.force else self._key]
+        lines += [json.dumps([name, *own]) for name, own in self._made.items()]
+        write_whole(self._path, "\n".join(lines))
+        self._file = open(self._path, "ab", buffering=0)  # noqa: SIM115
+
+    def add(self, file: Path, temporary: Path, origin: str | None) -> None:
+        """List a picture that is about to get its name."""
+        assert self._file is not None
+        line = ("\n" + json.dumps([file.name, _dated(temporary), origin])).encode()
+        if self._file.write(line) < len(line):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        os.fdatasync(self._file)
+
+    def end(self, complete: bool) -> None:
+        """Remove the mark of a run that is complete, or has listed nothing."""
+        assert self._file is not None
+        self._file.close()
+        if complete or b"\n" not in self._path.read_bytes():
+            self._path.unlink()
+
+
+class Origins:
+    """Tells what pictures are made of, frame after frame: by file, number, size and time; by content where there is no file
+    to go by. `all_before`: the exposure of a frame depends on every one before it, and so does its picture."""
+
+    def __init__(self, whole: Path, all_before: bool) -> None:
+        self._whole, self._all_before = whole, all_before  # `whole`: the file of frames that have none of their own
+        self._before = ""
+
+    def of(self, pending: Pending) -> Pending:
+        """The frame with its origin, if that can be told before it is read; ask before, lest it change in between."""
+        source = pending.source or self._whole
+        dated = _dated(source)
+        return pending if dated is None else self._told(pending, [os.path.realpath(source), pending.number, *dated])
+
+    def of_read(self, pending: Pending, frame: RawFrame) -> Pending:
+        """The frame with its origin."""
+        if pending.origin is not None:
+            return pending
+        return self._told(pending, [pending.number, hashlib.sha256(frame.values.tobytes()).hexdigest()])
+
+    def _told(self, pending: Pending, own: list) -> Pending:
+        origin = hashlib.sha256(json.dumps([self._before, *own]).encode()).hexdigest()
+        if self._all_before:
+            self._before = origin
+        return replace(pending, origin=origin)
