@@ -34,11 +34,11 @@ class Evaluation:
         if head.outputs != table.outputs:
             names = f"{', '.join(table.outputs)} of the table, {', '.join(head.outputs)} of the frames"
             raise InputFileError(f"outputs differ ({names}); evaluate a matching pair")
-        self._table, self._camera, self._viewing = table, camera, viewing
+        self._table, self._camera, self._wanted, self._viewing = table, camera, head.target_light, viewing
         self._pictures = table.outputs == XYZ
         self._rivals = rivals(camera.cfa) if self._pictures else {}
         self._figure = "mean_delta_e" if self._pictures else "mean_angle"
-        self._colours: dict[str, Colour] = {}
+        self._colours: dict[bytes, Colour] = {}  # by light
         self._frames: list[dict[str, Any]] = []
         self._classes = ClassErrors(table, self.pipelines)
 
@@ -59,7 +59,7 @@ class Evaluation:
             raise InputFileError(f"frame {frame.scene} has {size} pixels, none with a whole patch; give larger frames")
         planes = {OURS: outputs * (self._table.output_unit / frame.exposure)}
         for name, demosaic in self._rivals.items():
-            planes[name] = develop(frame, self._camera, self._colour(light_of(frame)), demosaic)
+            planes[name] = develop(frame, self._camera, self._colour(frame), demosaic)
         level = float(frame.raw.mean() - self._camera.black) / (self._camera.white - self._camera.black)
         about = {"scene": frame.scene, "illuminant": frame.illuminant, "luminance": frame.luminance, "level": level}
         figures = {name: self._quality(of, frame, border) for name, of in planes.items()}
@@ -98,10 +98,12 @@ class Evaluation:
             "worst_classes": self._classes.worst(self._figure, OURS),
         }
 
-    def _colour(self, light: str) -> Colour:
-        if light not in self._colours:
-            self._colours[light] = fit_colour(self._camera, light)
-        return self._colours[light]
+    def _colour(self, frame: TrainingPair) -> Colour:
+        light = light_of(frame, self._camera)
+        key = light.wavelength.tobytes() + light.radiance.tobytes()
+        if key not in self._colours:
+            self._colours[key] = fit_colour(self._camera, light, self._wanted)
+        return self._colours[key]
 
     def _quality(self, planes: Array, frame: TrainingPair, border: int) -> dict[str, float]:
         if self._pictures:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from l3cli import spectra
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.training_set import LightSpectrum
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.scene import Scene
 
@@ -33,6 +34,11 @@ class Light:
     def at(self, luminance: float) -> "Light":
         """The same light at another luminance."""
         return replace(self, luminance=luminance, radiance=self.radiance * (luminance / self.luminance))
+
+    @property
+    def spectrum(self) -> LightSpectrum:
+        """What a training set keeps of the light."""
+        return LightSpectrum(self.wavelength.astype(np.float64), (self.radiance / self.luminance).astype(np.float32))
 
 
 def parts(text: str) -> list[tuple[float, str]]:
