@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.base import Artifact, check, data, group
-from l3cli.artifacts.camera import check_cfa, check_sensor
+from l3cli.artifacts.camera import CameraModel, check_cfa, check_sensor
 
 CLASS_BITS = 12  # class decisions are taken on the upper 12 bits of a value, so that 32-bit sums are exact
 LEVEL_FRACTION = 8  # fractional bits of a channel mean in the level sum
@@ -137,6 +137,7 @@ class TransformTable(Artifact):
     intercept: NDArray[np.float32] = data("float32", "class", "output", doc="added to the weighted sum")
     samples: NDArray[np.float64] = data("float64", "class", doc="training patches; 0: filled from a neighbour")
     condition: NDArray[np.float32] = data("float32", "class", doc="condition number of the class's equations; 0: none")
+    camera: CameraModel | None = group(default=None)  # it was learned for, without its fit; None: an older file
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -53,7 +53,7 @@ def evaluate(
     from l3cli.artifacts.base import load
     from l3cli.artifacts.table import TransformTable
     from l3cli.artifacts.training_set import open_training_set
-    from l3cli.cli.cautions import caution_trained
+    from l3cli.cli.cautions import caution_trained, caution_unlike
     from l3cli.evaluate.evaluation import Evaluation
     from l3cli.evaluate.pictures import frame_pictures
     from l3cli.io.images import write_picture
@@ -67,6 +67,7 @@ def evaluate(
     with open_training_set(frames) as reader:
         evaluation = Evaluation(transforms, reader.head, viewing)
         caution_trained(transforms, table, frames, quiet)
+        caution_unlike((table, transforms), (frames, reader.head.camera), quiet)
         renderer = make_renderer(backend, transforms)
         for index in options.progress(range(len(reader)), len(reader), "frames", quiet):
             frame, planes = judge(evaluation, renderer, reader, index)

@@ -20,7 +20,7 @@ RIDGE = (
     0.05  # of the matrix, relative to the mean square of the channels' differences: noise against colour (ΔE 1.7 of a chart)
 )
 BLIND = 1e-6  # of the brightest channel's white: below it a channel sees nothing of a light
-OBSERVED = (360.0, 830.0)  # nm, of the CIE's observers
+ENDS = ((min, 360.0, 0), (max, 830.0, -1))  # nm, of the CIE's observers
 UNNAMED = ("A", "D50", "D55", "D65", "D75", "E", "FL2", "FL11")  # lights taken for one of which only the white is known
 
 
@@ -38,14 +38,12 @@ def fit_colour(camera: CameraModel, light: LightSpectrum, wanted: LightSpectrum 
 
     InputFileError if eye or camera see nothing of a light.
     """
-    library, falling = _lit_library(light)
-    electrons = (
-        library * falling @ (camera.electron_weights @ spectra.sampling_matrix(light.wavelength, camera.wavelength)).T
-    )
+    library, falling = lit_library(light)
+    electrons = electrons_of(camera, light, library * falling)
     seen = electrons[0] > BLIND * electrons[0].max()
     if not seen.any():
         raise InputFileError(f"camera {camera.name} sees nothing of a frame's light; simulate it under another")
-    library, falling = _lit_library(wanted or light)
+    library, falling = lit_library(wanted or light)
     xyz = library * falling @ spectra.xyz_weights((wanted or light).wavelength).T
     balance, matrix = np.zeros(len(seen)), np.zeros((3, len(seen)))
     balance[seen] = 1.0 / electrons[0, seen]
@@ -53,7 +51,12 @@ def fit_colour(camera: CameraModel, light: LightSpectrum, wanted: LightSpectrum 
     return Colour(balance, matrix)
 
 
-def _lit_library(light: LightSpectrum) -> tuple[Array, Array]:
+def electrons_of(camera: CameraModel, light: LightSpectrum, radiances: Array) -> Array:
+    """Photo-electrons a second (sample, channel) of `radiances` (sample, wavelength) on a light's grid."""
+    return radiances @ (camera.electron_weights @ spectra.sampling_matrix(light.wavelength, camera.wavelength)).T
+
+
+def lit_library(light: LightSpectrum) -> tuple[Array, Array]:
     """White and measured reflectances (sample, wavelength), and the light (wavelength) that makes white 1 cd/m²."""
     radiance = light.radiance.astype(np.float64)
     if not spectra.xyz_weights(light.wavelength)[1] @ radiance > 0:
@@ -70,7 +73,7 @@ def white_preserving_ridge(channels: Array, outputs: Array) -> Array:
     differences = channels - mean
     gram = differences.T @ differences
     ridge = RIDGE * np.trace(gram) / len(gram) * np.eye(len(gram))
-    matrix = np.linalg.solve(gram + ridge, differences.T @ (outputs - mean)).T
+    matrix = np.linalg.lstsq(gram + ridge, differences.T @ (outputs - mean))[0].T  # a single channel leaves 0 = 0
     return matrix - matrix.mean(axis=1, keepdims=True) + 1.0 / len(gram)
 
 
@@ -92,7 +95,13 @@ def light_of(frame: TrainingPair, camera: CameraModel) -> LightSpectrum:
         name = frame.illuminant
     except RecipeError:
         name = min(UNNAMED, key=lambda each: _distance(spectra.white_point(each), frame.white))
-    grid = np.arange(np.floor(min(OBSERVED[0], camera.wavelength[0])), max(OBSERVED[1], camera.wavelength[-1]) + 1.0)
+    return named_light(name, camera)
+
+
+def named_light(name: str, *cameras: CameraModel) -> LightSpectrum:
+    """A light of a name that spectra.illuminant knows, at every nm of what the observer and the cameras see."""
+    first, last = (bound(end, *(camera.wavelength[at] for camera in cameras)) for bound, end, at in ENDS)
+    grid = np.arange(np.floor(first), last + 1.0)
     light = spectra.at_luminance(spectra.illuminant(name, grid), grid, 1.0)
     return LightSpectrum(grid, light.astype(np.float32))
 

@@ -1,7 +1,7 @@
 """The training room's front: what the command calls, in the order it calls it."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -136,6 +136,7 @@ def assemble(lesson: Lesson, solutions: dict[int, Solution], history: tuple[Stag
         intercept=np.concatenate(intercept).astype(np.float32),
         samples=np.concatenate(samples),
         condition=np.concatenate(condition).astype(np.float32),
+        camera=replace(camera, fit=None),
     )
 
 
