@@ -64,7 +64,8 @@ def sampling_matrix(source: Array, target: Array) -> Array:
     if source.size <= target.size:
         return interpolation_matrix(source, target)
     hats = interpolation_matrix(target, source).T * bin_widths(source)
-    return hats / hats.sum(axis=1, keepdims=True)
+    sums = hats.sum(axis=1, keepdims=True)
+    return hats / np.where(sums > 0, sums, 1.0)  # nothing is known of a sample beyond the grid
 
 
 def held_interpolation(bands: Array, wavelength: Array) -> Array:

@@ -70,8 +70,9 @@ class TrainingPair:
         _require_moderate("target", self.target)
         if not (self.white.size and self.white.min() >= 0 < self.white.max() <= LARGEST):
             raise ValueError("white is no light")
-        if min(self.luminance, self.exposure) < 0 or max(self.luminance, self.exposure) > LARGEST:
-            raise ValueError(f"luminance {self.luminance:g} and exposure {self.exposure:g} must lie in 0…{LARGEST:g}")
+        if min(self.luminance, self.exposure) < 1 / LARGEST or max(self.luminance, self.exposure) > LARGEST:
+            bounds = f"{1 / LARGEST:g}…{LARGEST:g}"
+            raise ValueError(f"luminance {self.luminance:g} and exposure {self.exposure:g} must lie in {bounds}")
 
 
 @dataclass(frozen=True)

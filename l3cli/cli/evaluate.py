@@ -48,8 +48,6 @@ def evaluate(
     \b
     Example: l3 evaluate table.h5 unseen.h5 --json
     """
-    import json
-
     from l3cli.artifacts.base import load
     from l3cli.artifacts.table import TransformTable
     from l3cli.artifacts.training_set import open_training_set
@@ -75,7 +73,7 @@ def evaluate(
                 for name, picture in frame_pictures(frame, planes).items():
                     write_picture(pictures / f"{options.frame_name(index, frame.scene)}_{name}.png", picture)
     if as_json:
-        click.echo(json.dumps(evaluation.document(), indent=2))
+        options.print_json(evaluation.document(), quiet)
         return
     from l3cli.cli.quality_tables import print_tables
 

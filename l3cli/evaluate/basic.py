@@ -47,7 +47,8 @@ def fit_colour(camera: CameraModel, light: LightSpectrum, wanted: LightSpectrum 
     xyz = library * falling @ spectra.xyz_weights((wanted or light).wavelength).T
     balance, matrix = np.zeros(len(seen)), np.zeros((3, len(seen)))
     balance[seen] = 1.0 / electrons[0, seen]
-    matrix[:, seen] = white_preserving_ridge(electrons[1:, seen] * balance[seen], xyz[1:] / xyz[0])
+    white = np.where(xyz[0] > 0, xyz[0], 1.0)  # deep red has no Z at all
+    matrix[:, seen] = white_preserving_ridge(electrons[1:, seen] * balance[seen], xyz[1:] / white)
     return Colour(balance, matrix)
 
 

@@ -21,6 +21,7 @@ from l3cli.evaluate.similarity import spectral_angle
 Array = NDArray[np.floating]
 FORMAT = 1  # of the document; a change of its keys raises it
 OURS = "ours"
+LARGEST = 1e24  # cd/m² that a table may answer with: its square, summed up, is a number
 
 
 class Evaluation:
@@ -51,13 +52,19 @@ class Evaluation:
         """Count a frame whose raw the table rendered to `outputs` (output, row, col) by the classes `labels` (row, col).
 
         Returns the planes (output, row, col) of every pipeline in the target's unit. InputFileError if the frame is too
-        small to have pixels whose neighbourhood lies inside it.
+        small to have pixels whose neighbourhood lies inside it, if its light is dark, or if `outputs` are no colours.
         """
         border = self._table.rule.radius
         if min(frame.raw.shape) <= 2 * border:
             size = "×".join(map(str, frame.raw.shape))
             raise InputFileError(f"frame {frame.scene} has {size} pixels, none with a whole patch; give larger frames")
-        planes = {OURS: outputs * (self._table.output_unit / frame.exposure)}
+        if self._pictures and not frame.white[1] > 0:
+            raise InputFileError(f"frame {frame.scene} has a white without luminance; simulate it again")
+        with np.errstate(over="ignore"):
+            ours = outputs * (self._table.output_unit / frame.exposure)
+        if not np.abs(ours).max() <= LARGEST:
+            raise InputFileError(f"the table renders frame {frame.scene} to numbers beyond all light; train it again")
+        planes: dict[str, Array] = {OURS: ours}
         for name, demosaic in self._rivals.items():
             planes[name] = develop(frame, self._camera, self._colour(frame), demosaic)
         level = float(frame.raw.mean() - self._camera.black) / (self._camera.white - self._camera.black)

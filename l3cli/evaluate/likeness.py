@@ -7,10 +7,13 @@ and 60D, 500D and 50D) lie 0.9 to 1.5 ΔE00 apart, nearly all others 2.2 to 40; 
 gain of a channel 1.2.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli import spectra
+from l3cli.artifacts.base import equal
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import LightSpectrum
@@ -30,8 +33,10 @@ def unlike(known: TransformTable | CameraModel, camera: CameraModel) -> str:
 
     Of a table that does not hold its camera, as older ones do not, sensitivity alone is known.
     """
-    differences = []
     learned, dose = (known.camera, known.output_unit) if isinstance(known, TransformTable) else (known, known.white_dose)
+    if learned is not None and equal(replace(learned, fit=None), replace(camera, fit=None)):
+        return ""
+    differences = []
     if learned is not None and (colour := colour_difference(learned, camera)) > MOST_COLOUR:
         differences.append(f"colours by ΔE00 {colour:.1f}")
     sensitivity = dose / camera.white_dose

@@ -133,4 +133,5 @@ def uncovered_share(camera: CameraModel, bands: Array) -> float:
     """Share of a white of equal photons's electrons from outside the scene's bands, in the channel where it is largest."""
     weights = camera.electron_weights
     outside = (camera.wavelength < bands[0]) | (camera.wavelength > bands[-1])
-    return float((weights[:, outside].sum(axis=1) / weights.sum(axis=1)).max())
+    every = weights.sum(axis=1)
+    return float((weights[:, outside].sum(axis=1) / np.where(every > 0, every, 1.0)).max())
