@@ -143,6 +143,8 @@ class TransformTable(Artifact):
         super().__post_init__()
         check_sensor(self.rows, self.cols, self.bits, self.black, self.white)
         check_cfa(self.cfa, self.channels)
+        if self.camera and not (self.camera.channels == self.channels and np.array_equal(self.camera.cfa, self.cfa)):
+            raise ValueError("camera has another CFA than the table")
         if not self.outputs or not self.output_unit > 0:
             raise ValueError("there must be an output, and its unit above zero")
         sites = self.cfa.size

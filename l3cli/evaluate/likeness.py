@@ -37,7 +37,7 @@ def unlike(known: TransformTable | CameraModel, camera: CameraModel) -> str:
     if learned is not None and equal(replace(learned, fit=None), replace(camera, fit=None)):
         return ""
     differences = []
-    if learned is not None and (colour := colour_difference(learned, camera)) > MOST_COLOUR:
+    if learned is not None and not (colour := colour_difference(learned, camera)) <= MOST_COLOUR:
         differences.append(f"colours by ΔE00 {colour:.1f}")
     sensitivity = dose / camera.white_dose
     if _factor(sensitivity) > MOST_SENSITIVITY:
