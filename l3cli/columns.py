@@ -1,8 +1,14 @@
 """Tables of plain text, for terminals of any width and for pipes."""
 
+import math
 from collections.abc import Sequence
 
 GAP = "  "
+
+
+def figure(value: float, form: str) -> str:
+    """A number as the format `form` says, a dash where there is none."""
+    return format(value, form) if math.isfinite(value) else "–"
 
 
 def columns(headings: Sequence[str], rows: Sequence[Sequence[str]], width: int | None = None) -> list[str]:

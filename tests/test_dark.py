@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_render import BAYER, FIVE_BAND, X_TRANS, random_table
+from test_render import BAYER, FIVE_BAND, X_TRANS, random_camera, random_table
 
 from l3cli.artifacts.base import load, save
 from l3cli.artifacts.camera import CameraModel
@@ -163,7 +163,9 @@ def test_a_dark_frame_of_another_kind_is_refused(change: dict, message: str) -> 
 @pytest.fixture
 def leaky(tmp_path: Path) -> Path:
     """A table of a camera whose dark current makes 100 DN/s, and a grey frame of 3 s as .npy, 300 DN too bright."""
-    table = replace(random_table(BAYER, black=100.0, patch=3), exposure=0.1, dark_rate=100.0)
+    camera = random_camera(BAYER, 3, 12, 100.0)
+    camera = replace(camera, noise=replace(camera.noise, dark_current=100.0 / camera.gain))
+    table = replace(random_table(BAYER, black=100.0, patch=3), exposure=0.1, camera=camera)
     save(table, tmp_path / "table.h5")
     rng = np.random.default_rng(1)
     np.save(tmp_path / "light.npy", rng.integers(900, 1500, (24, 32)).astype(np.uint16))
@@ -214,12 +216,12 @@ def test_what_cannot_be_taken_off_is_refused(leaky: Path, refused: object) -> No
 
 def test_a_table_of_before_has_no_dark_current(leaky: Path, l3: object) -> None:
     with h5py.File(leaky / "table.h5", "r+") as root:
-        del root["dark_rate"], root["exposure"]
+        del root["camera"], root["exposure"]
     from l3cli.artifacts.container import seal
 
     seal(leaky / "table.h5")
     table = load(TransformTable, leaky / "table.h5")
-    assert (table.dark_rate, table.exposure) == (0.0, 0.0)
+    assert (table.dark_signal(1.0), table.exposure) == (0.0, 0.0)
     assert "dark" not in picture(leaky, l3)[1]
 
 

@@ -13,9 +13,10 @@ from l3cli import spectra
 from l3cli.artifacts.base import load, save
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.table import TransformTable
-from l3cli.artifacts.training_set import TrainingFrame, TrainingSet, open_training_set, write_training_set
+from l3cli.artifacts.training_set import LightSpectrum, TrainingFrame, TrainingSet, open_training_set, write_training_set
 from l3cli.classify import label_mosaic
 from l3cli.cli import run
+from l3cli.errors import InputFileError
 from l3cli.evaluate.basic import develop, fit_colour, light_of, white_preserving_ridge
 from l3cli.evaluate.classes import ClassErrors, chroma_centres
 from l3cli.evaluate.demosaic import bayer_roles, interpolate, rivals, tiled
@@ -200,6 +201,7 @@ def a_frame(camera: CameraModel, reflectance: np.ndarray, illuminant: str = "D65
         illuminant=illuminant,
         luminance=100.0,
         exposure=exposure,
+        light=LightSpectrum(wavelength, (light / 100).astype(np.float32)),
         seed=(0,),
     )
 
@@ -209,7 +211,7 @@ def test_the_basic_pipeline_is_exact_on_flat_grey(fiveband: CameraModel, bayer: 
     for camera in (fiveband, bayer):
         frame = a_frame(camera, np.full(81, 0.4), illuminant)
         for demosaic in rivals(camera.cfa).values():
-            planes = develop(frame, camera, fit_colour(camera, illuminant), demosaic)
+            planes = develop(frame, camera, fit_colour(camera, light_of(frame, camera)), demosaic)
             assert planes == pytest.approx(np.asarray(frame.target), rel=1.5e-3)  # half a DN of quantisation in 700
 
 
@@ -218,7 +220,7 @@ def test_the_basic_colours_are_those_of_a_laboratory(fiveband: CameraModel) -> N
     errors = []
     for reflectance in spectra.colorchecker(wavelength)[1]:
         frame = a_frame(fiveband, reflectance)
-        planes = develop(frame, fiveband, fit_colour(fiveband, "D65"), interpolate)
+        planes = develop(frame, fiveband, fit_colour(fiveband, light_of(frame, fiveband)), interpolate)
         labs = [spectra.lab(of.mean(axis=(1, 2)), frame.white) for of in (planes, np.asarray(frame.target))]
         errors.append(float(spectra.delta_e_2000(*labs)))
     assert 0.5 < np.mean(errors) < 2.2  # a five-channel matrix over wide reflectances, regularised against noise
@@ -235,10 +237,27 @@ def test_the_matrix_keeps_white_and_finds_the_truth() -> None:
 
 
 def test_a_light_without_a_name_is_taken_for_the_nearest(fiveband: CameraModel) -> None:
-    frame = a_frame(fiveband, np.full(81, 0.4), "A")
-    assert light_of(frame) == "A"
-    assert light_of(dataclasses.replace(frame, illuminant="scene")) == "A"
-    assert light_of(dataclasses.replace(frame, illuminant="scene", white=np.array([94.9, 100.0, 108.7]))) == "D65"
+    frame = dataclasses.replace(a_frame(fiveband, np.full(81, 0.4), "A"), light=None)
+    like_a = light_of(frame, fiveband)
+    assert light_of(dataclasses.replace(frame, illuminant="scene"), fiveband).radiance == pytest.approx(like_a.radiance)
+    white = np.array([94.9, 100.0, 108.7])
+    like_d65 = light_of(dataclasses.replace(frame, illuminant="scene", white=white), fiveband)
+    named = dataclasses.replace(frame, illuminant="D65")
+    assert like_d65.radiance == pytest.approx(light_of(named, fiveband).radiance)
+    measured = LightSpectrum(np.array([400.0, 700.0]), np.array([1.0, 2.0], np.float32))
+    assert light_of(dataclasses.replace(frame, light=measured), fiveband) is measured
+
+
+def test_a_channel_that_sees_nothing_of_the_light_has_no_say(fiveband: CameraModel) -> None:
+    dark = fiveband.responsivity * np.array([1, 1, 1, 0, 1])[:, None]
+    blind = dataclasses.replace(fiveband, responsivity=dark)
+    frame = a_frame(blind, np.full(81, 0.4))
+    colour = fit_colour(blind, light_of(frame, blind))
+    assert (colour.balance[3], colour.matrix[:, 3].any()) == (0, False)
+    assert develop(frame, blind, colour, interpolate) == pytest.approx(np.asarray(frame.target), rel=1.5e-3)
+    nothing = dataclasses.replace(light_of(frame, blind), wavelength=np.linspace(900, 1000, 81))
+    with pytest.raises(InputFileError, match="cannot be seen"):
+        fit_colour(blind, nothing)
 
 
 # ------------------------------------------------------------------------------------------------ l3 evaluate
@@ -380,7 +399,7 @@ def test_bands_are_judged_as_spectra(trained: Path, l3: Callable, refused: Calla
 def test_wrong_calls_are_one_line(trained: Path, refused: Callable, tmp_path: Path) -> None:
     table, frames = trained / "table.h5", trained / "training.h5"
     five = load(TransformTable, table)
-    save(dataclasses.replace(five, cfa=five.cfa[::-1]), tmp_path / "other.h5")
+    save(dataclasses.replace(five, cfa=five.cfa[::-1], camera=None), tmp_path / "other.h5")
     with open_training_set(frames) as reader, write_training_set(tmp_path / "empty.h5", reader.head):
         pass
 

@@ -297,7 +297,7 @@ def test_levels_without_training_are_counted(pipeline: Path, capsys) -> None:
     samples = table.samples.reshape(table.cfa.size, table.rule.levels, -1).copy()
     samples[:, 2:5] = 100.0
     samples[:, :2] = samples[:, 5:] = 0.0
-    part = replace(table, samples=samples.ravel(), dark_rate=0.0)
+    part = replace(table, samples=samples.ravel(), camera=None)
     meter = CoverageMeter(part)
     dark, middle, bright = (meter.coverage(next(frames_of(part, level, 1))) for level in (0.0, 0.01, 0.7))
     assert (dark.darker, dark.brighter, middle.darker, middle.brighter) == (1.0, 0.0, 0.0, 0.0)

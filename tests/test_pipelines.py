@@ -207,6 +207,16 @@ def test_another_camera_makes_everything_again(workplace: Workplace, folder: Pat
         assert len(CALL.findall(out)) == calls, out
 
 
+def test_another_camera_takes_its_own_unseen_frames(workplace: Workplace, folder: Path) -> None:
+    shutil.copy(folder / "camera.toml", folder / "other.toml")
+    own = {"": "camera.toml", "CAMERA=other.toml": "other.toml", "MEASUREMENTS=mine.toml": "camera.h5"}
+    (folder / "mine.toml").touch()
+    for asked, camera in own.items():
+        assert f"simulate unseen.toml --camera {camera} " in workplace.do(folder, f"make -n -W unseen.toml {asked}")[0], (
+            asked
+        )
+
+
 def test_a_stopped_make_goes_on_where_it_was(workplace: Workplace, folder: Path, tmp_path: Path) -> None:
     undisturbed = (folder / "training.h5").read_bytes()
     (folder / "training.h5").unlink()

@@ -47,9 +47,9 @@ def data(dtype: str, *axes: str, unit: str = "1", doc: str = "", default: Any = 
     return field(metadata={"spec": Spec(dtype, axes, unit, doc)}, default=default)
 
 
-def group(default: Any = dataclasses.MISSING) -> Any:
+def group(default: Any = dataclasses.MISSING, kw_only: bool = False) -> Any:
     """Declare a group: the field's type is a dataclass of declared fields; with default None it may be absent."""
-    return field(default=default)
+    return field(default=default, kw_only=kw_only)
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.base import Artifact, check, data, group
-from l3cli.artifacts.camera import check_cfa, check_sensor
+from l3cli.artifacts.camera import CameraModel, check_cfa, check_sensor
 
 CLASS_BITS = 12  # class decisions are taken on the upper 12 bits of a value, so that 32-bit sums are exact
 LEVEL_FRACTION = 8  # fractional bits of a channel mean in the level sum
@@ -138,16 +138,18 @@ class TransformTable(Artifact):
     samples: NDArray[np.float64] = data("float64", "class", doc="training patches; 0: filled from a neighbour")
     condition: NDArray[np.float32] = data("float32", "class", doc="condition number of the class's equations; 0: none")
     exposure: float = data("float64", unit="s", doc="mean exposure time of the simulated training frames", default=0.0)
-    dark_rate: float = data("float64", unit="DN/s", doc="mean signal of the camera's dark current", default=0.0)
+    camera: CameraModel | None = group(default=None)  # it was learned for, without its fit; None: an older file
 
     def __post_init__(self) -> None:
         super().__post_init__()
         check_sensor(self.rows, self.cols, self.bits, self.black, self.white)
         check_cfa(self.cfa, self.channels)
+        if self.camera and not (self.camera.channels == self.channels and np.array_equal(self.camera.cfa, self.cfa)):
+            raise ValueError("camera has another CFA than the table")
         if not self.outputs or not self.output_unit > 0:
             raise ValueError("there must be an output, and its unit above zero")
-        if not (self.exposure >= 0 and self.dark_rate >= 0):
-            raise ValueError("exposure and dark_rate must not be negative")
+        if not self.exposure >= 0:
+            raise ValueError("exposure must not be negative")
         sites = self.cfa.size
         if len(self.weights) != sites * self.rule.classes_per_site:
             raise ValueError(
@@ -158,5 +160,6 @@ class TransformTable(Artifact):
         check_rule(self.rule, len(self.channels), self.bits)
 
     def dark_signal(self, exposure: float | None) -> float:
-        """DN above black that dark current makes, on average, in `exposure` s; if that is unknown, in that of training."""
-        return self.dark_rate * (self.exposure if exposure is None else exposure)
+        """DN above black that dark current makes, on average, in `exposure` s; if that is unknown, in that of training. A
+        table of before has no camera, and none."""
+        return self.camera.dark_signal(self.exposure if exposure is None else exposure) if self.camera else 0.0

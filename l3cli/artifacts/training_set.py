@@ -32,6 +32,23 @@ LARGEST = 1e12  # electrons, cd/m², seconds: 32-bit floats hold its square
 
 
 @dataclass(frozen=True)
+class LightSpectrum:
+    """What falls on a scene: the radiance of a perfect white of 1 cd/m²."""
+
+    wavelength: NDArray[np.float64] = data("float64", "light_wavelength", unit="nm", doc="where the light is tabulated")
+    radiance: NDArray[np.float32] = data(
+        "float32", "light_wavelength", unit="photons/s/sr/m^2/nm", doc="of a perfect white of 1 cd/m^2"
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
+        if not (self.wavelength.size > 1 and self.wavelength[0] > 0 and (np.diff(self.wavelength) > 0).all()):
+            raise ValueError("light_wavelength must increase, above zero")
+        if not self.radiance.min() >= 0 < self.radiance.max():
+            raise ValueError("radiance is no light")
+
+
+@dataclass(frozen=True)
 class TrainingPair:
     """One raw frame of a camera beside the picture it should become; where it was really taken, that is all there is."""
 
@@ -46,14 +63,16 @@ class TrainingPair:
     illuminant: str = data("str", doc="name of the illuminant")
     luminance: float = data("float64", unit="cd/m^2", doc="luminance of a perfect white")
     exposure: float = data("float64", unit="s", doc="exposure time")
+    light: LightSpectrum | None = group(default=None, kw_only=True)  # None: a real pair, or an older file
 
     def __post_init__(self) -> None:
         check(self)
         _require_moderate("target", self.target)
         if not (self.white.size and self.white.min() >= 0 < self.white.max() <= LARGEST):
             raise ValueError("white is no light")
-        if min(self.luminance, self.exposure) < 0 or max(self.luminance, self.exposure) > LARGEST:
-            raise ValueError(f"luminance {self.luminance:g} and exposure {self.exposure:g} must lie in 0…{LARGEST:g}")
+        if min(self.luminance, self.exposure) < 1 / LARGEST or max(self.luminance, self.exposure) > LARGEST:
+            bounds = f"{1 / LARGEST:g}…{LARGEST:g}"
+            raise ValueError(f"luminance {self.luminance:g} and exposure {self.exposure:g} must lie in {bounds}")
 
     @property
     def dark_time(self) -> float:
@@ -106,6 +125,7 @@ class TrainingSet(Artifact):
     camera: CameraModel = group()
     outputs: tuple[str, ...] = data("str", "output", doc="names of the outputs")
     target_description: str = data("str", doc="what the target is")
+    target_light: LightSpectrum | None = group(default=None)  # that the target is wanted under; None: that of each frame
 
 
 GROUPS: dict[str, type[TrainingPair]] = {"frames": TrainingFrame, "pairs": TrainingPair}

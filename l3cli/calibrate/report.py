@@ -8,7 +8,7 @@ from l3cli import spectra
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.fit import ChartFit, NoiseFit, SeriesFit
 from l3cli.calibrate import gain
-from l3cli.columns import columns
+from l3cli.columns import columns, figure
 from l3cli.errors import InputFileError
 
 LEAST_R_SQUARED, MOST_RMSE = 0.98, 0.02  # of every channel, or the calibration has failed
@@ -171,11 +171,11 @@ def as_text(result: dict[str, Any], width: int | None = None) -> str:
     truth = result.get("truth")
     lines = []
     for name, entry in result["camera"].items():
-        line = f"{name:24}{entry['value']:12.5g} {entry['unit']:6}"
+        line = f"{name:24}{figure(entry['value'], '.5g'):>12} {entry['unit']:6}"
         if truth:
             known = truth["camera"][name]
-            error = "" if known["error %"] is None else f"  error {known['error %']:+.2f} %"
-            line += f"  true {known['true']:10.5g}{error}"
+            error = "" if known["error %"] is None else f"  error {figure(known['error %'], '+.2f')} %"
+            line += f"  true {figure(known['true'], '.5g'):>10}{error}"
         lines.append(line.rstrip())
     for table in (result["channels"], result["lights"], result["bands"], truth["channels"] if truth else {}):
         lines += ["", *_table(table, width)] if table else []
@@ -193,4 +193,4 @@ def _table(rows: dict[str, dict[str, float]], width: int | None) -> list[str]:
     """Rows of numbers below two lines of headings: names, and the units that stand in brackets after them."""
     titles = list(next(iter(rows.values())))
     headings = ["channel\n", *("\n".join(title.rstrip(")").partition(" (")[::2]) for title in titles)]
-    return columns(headings, [[name, *(f"{row[title]:.5g}" for title in titles)] for name, row in rows.items()], width)
+    return columns(headings, [[name, *(figure(row[title], ".5g") for title in titles)] for name, row in rows.items()], width)

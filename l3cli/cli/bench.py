@@ -1,7 +1,6 @@
 """l3 bench: which devices there are, and how fast frames are rendered, simulated and learned from."""
 
 import functools
-import json
 from typing import Any
 
 import click
@@ -38,7 +37,10 @@ def bench(device: str | None, variant: str | None, list_only: bool, as_json: boo
 
     found = survey()
     if list_only:
-        click.echo(json.dumps({"devices": found}, indent=2) if as_json else "\n".join(found))
+        if as_json:
+            options.print_json({"devices": found}, quiet)
+        else:
+            click.echo("\n".join(found))
         return
     jobs = rendering.jobs(device, variant)
     results: list[dict[str, Any]] = [job() for job in options.progress(jobs, len(jobs), "cases", quiet)]
@@ -52,7 +54,7 @@ def bench(device: str | None, variant: str | None, list_only: bool, as_json: boo
     )
     if as_json:
         document = {"devices": found, "results": results, "simulate": simulated, "train": trained}
-        click.echo(json.dumps(document, indent=2))
+        options.print_json(document, quiet)
         return
     click.echo("\n".join(found))
     _rendering(results)

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
+    from l3cli.artifacts.camera import CameraModel
     from l3cli.artifacts.table import TransformTable
     from l3cli.io.sequences import Pending
 
@@ -36,7 +37,7 @@ class Cautions:
     def look(self, frame: "RawFrame") -> None:
         """Measure a frame."""
         self._seen += 1
-        if self.table.dark_rate and frame.exposure is None and not frame.dark_measured:
+        if self.table.dark_signal(1.0) and frame.exposure is None and not frame.dark_measured:
             self._untimed.append(frame.name)
         found = self._meter.coverage(frame)
         for what, limit in NOTABLE.items():
@@ -94,6 +95,22 @@ def caution_trained(table: "TransformTable", path: "Path", frames: "Path", quiet
     if not quiet and sha256(frames) in inputs:
         text = "figures flatter it; simulate other scenes, or the same ones with another --seed"
         options.say(f"warning: {path} was trained on {frames}: {text}", quiet)
+
+
+def caution_unlike(table: tuple[object, "TransformTable"], frames: tuple[object, "CameraModel"], quiet: bool) -> str:
+    """Say so if a table is judged on frames of another camera than it was trained for; both with the name of their file.
+    What is said, or ""."""
+    from l3cli.evaluate.likeness import unlike
+
+    (name, transforms), (other, camera) = table, frames
+    if not (differences := unlike(transforms, camera)):
+        return ""
+    text = (
+        f"{name} was trained for another camera ({transforms.camera_name}) than took the frames of {other} ({camera.name}): "
+        f"they differ in {differences}; judge it on frames of its own camera"
+    )
+    options.say(f"warning: {text}", quiet)
+    return text
 
 
 def _uv(white: np.ndarray) -> np.ndarray:

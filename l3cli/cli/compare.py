@@ -35,8 +35,6 @@ def compare(
     \b
     Example: l3 compare bayer.json rgbw.json --figure psnr -o curves.html
     """
-    import json
-
     from l3cli.errors import RecipeError
     from l3cli.evaluate.comparison import crossings, curve_of, require_comparable
 
@@ -71,7 +69,7 @@ def compare(
         ]
         keys = ("figure", "one", "other", "luminances")
         found = [dict(zip(keys, (figure, *change), strict=True)) for figure, group in changes.items() for change in group]
-        click.echo(json.dumps({"curves": rows, "crossings": found}, indent=2))
+        options.print_json({"curves": rows, "crossings": found})
         return
     for figure, found_curves in curves.items():
         lines = [

@@ -55,7 +55,7 @@ def evaluate(
     from l3cli.artifacts.base import load
     from l3cli.artifacts.table import TransformTable
     from l3cli.artifacts.training_set import open_training_set
-    from l3cli.cli.cautions import caution_trained
+    from l3cli.cli.cautions import caution_trained, caution_unlike
     from l3cli.evaluate.evaluation import Evaluation
     from l3cli.evaluate.pictures import frame_pictures
     from l3cli.files import finished_together, sha256
@@ -74,6 +74,7 @@ def evaluate(
             unfinished.enter_context(finished_together(pictures, key, force))
         evaluation = Evaluation(transforms, reader.head, viewing)
         caution_trained(transforms, table, frames, quiet)
+        caution_unlike((table, transforms), (frames, reader.head.camera), quiet)
         renderer = make_renderer(backend, transforms)
         for index in options.progress(range(len(reader)), len(reader), "frames", quiet):
             frame, planes = judge(evaluation, renderer, reader, index)
@@ -81,7 +82,7 @@ def evaluate(
                 for name, picture in frame_pictures(frame, planes).items():
                     write_picture(pictures / f"{options.frame_name(index, frame.scene)}_{name}.png", picture)
     if as_json:
-        click.echo(json.dumps(evaluation.document(), indent=2))
+        options.print_json(evaluation.document(), quiet)
         return
     from l3cli.cli.quality_tables import print_tables
 

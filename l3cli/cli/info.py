@@ -1,13 +1,13 @@
 """l3 info: what an artifact holds, and what this l3 is made of."""
 
 import dataclasses
-import json
 from pathlib import Path
 from typing import Any
 
 import click
 
 from l3cli.cli import options
+from l3cli.columns import figure
 
 
 @click.command()
@@ -39,7 +39,7 @@ def info(file: Path | None, inputs: tuple[Path, ...], verifies: bool, versions: 
         raise click.UsageError("one file at a time, unless --verify compares it with what it was made of")
     content = _versions() if file is None else _content(file)
     if as_json:
-        click.echo(json.dumps(content, indent=2, ensure_ascii=False))
+        options.print_json(content)
         return
     for line in _version_lines(content) if versions else _lines(content):
         _echo(line)
@@ -101,7 +101,7 @@ def _verify(file: Path, inputs: tuple[Path, ...], as_json: bool) -> None:
             "history": [dataclasses.asdict(link) for link in links],
             "different": [str(path) for path in strangers],
         }
-        click.echo(json.dumps(document, indent=2, ensure_ascii=False))
+        options.print_json(document)
     else:
         digest = "every byte is as written" if intact.digest else "without a digest of its bytes, which version 2 has"
         click.echo(f"{file}: {intact.kind}, format version {intact.version}: {digest}; {intact.datasets} datasets are right")
@@ -126,7 +126,7 @@ def _short(value: Any) -> str:
     """A number to six digits, text as it is; JSON tells all digits."""
     if isinstance(value, list):
         return f"[{', '.join(map(_short, value))}]"
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+    return figure(value, ".6g") if isinstance(value, float) else str(value)
 
 
 def _learned(found: dict[str, Any]) -> list[str]:

@@ -2,6 +2,7 @@
 
 import functools
 import itertools
+import math
 import os
 import re
 import sys
@@ -230,6 +231,30 @@ def say(message: str, quiet: bool) -> None:
     """One line of talk on stderr."""
     if not quiet:
         click.echo(message, err=True)
+
+
+def print_json(document: Any, quiet: bool = False) -> None:
+    """A result as JSON on stdout: the one door. JSON has no NaN, so a figure that cannot be computed is null, and named."""
+    import json
+
+    missing: list[str] = []
+    text = json.dumps(_finite(document, "", missing), indent=2, ensure_ascii=False, allow_nan=False)
+    click.echo(text)
+    if missing:
+        named = ", ".join(missing[:4]) + (f" and {len(missing) - 4} more" if len(missing) > 4 else "")
+        say(f"warning: {named}: cannot be computed; null in the JSON", quiet)
+
+
+def _finite(value: Any, name: str, missing: list[str]) -> Any:
+    """`value` with null for numbers that are none; their names are added to `missing`."""
+    if isinstance(value, dict):
+        return {key: _finite(each, f"{name}.{key}".lstrip("."), missing) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(each, f"{name}.{index}".lstrip("."), missing) for index, each in enumerate(value)]
+    if isinstance(value, float) and not math.isfinite(value):
+        missing.append(name)
+        return None
+    return value
 
 
 def width() -> int | None:

@@ -7,6 +7,7 @@ import click
 
 from l3cli.cli import options
 from l3cli.columns import columns
+from l3cli.columns import figure as number
 
 WIDE = 110  # characters in a line from which every figure is shown; JSON holds all of them
 LESS_NEEDED = ("median_delta_e", "output_psnr", "ssim")
@@ -79,7 +80,7 @@ def _class_name(axis: str, entry: dict[str, Any]) -> str:
 
 
 def _number(figure: str, value: float) -> str:
-    return f"{value:.4f}" if figure == "ssim" else f"{value:.2f}"
+    return number(value, ".4f" if figure == "ssim" else ".2f")
 
 
 def _print(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

@@ -1,7 +1,7 @@
 """What `l3 report` shows of which artifact: rooms are asked here, since they do not know one another."""
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +13,14 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet, open_training_set
 from l3cli.cli import options
+from l3cli.cli.cautions import caution_unlike
 from l3cli.cli.evaluate import judge
 from l3cli.errors import InputFileError
 from l3cli.files import sha256
 from l3cli.io.embedded import jpeg
 from l3cli.report.camera import camera_section
 from l3cli.report.colours import channel_light
-from l3cli.report.evaluation import evaluation_section, shown_frames, summary
+from l3cli.report.evaluation import evaluation_section, shown_frames
 from l3cli.report.page import history_section
 from l3cli.report.parts import Section, counted
 from l3cli.report.training import training_section
@@ -105,6 +106,7 @@ def _require_one_array(entries: list[Entry]) -> None:
 
 def compose(given: Given, backend: str, quiet: bool) -> tuple[str, str, list[Section]]:
     """Title, lead and sections of the page."""
+    _caution_cameras(given, quiet)
     share = PICTURE_BYTES // max(len(given.pairs), 1)
     judged = [_evaluation(*pair, str(number), share, backend, quiet) for number, pair in enumerate(given.pairs)]
     cameras = [(entry.name, camera) for entry, camera in given.cameras] or _cameras_within(given)
@@ -121,6 +123,18 @@ def compose(given: Given, backend: str, quiet: bool) -> tuple[str, str, list[Sec
     sections.append(history_section(files))
     names = [camera.name for _, camera in cameras] or [table.camera_name for _, table in given.tables]
     return f"{', '.join(dict.fromkeys(names))}: report", _lead(given, [told for told, _ in judged]), sections
+
+
+def _caution_cameras(given: Given, quiet: bool) -> None:
+    """Say so of every camera model that is unlike the first table's camera or, without one, unlike the first artifact's."""
+    from l3cli.evaluate.likeness import unlike
+
+    held = [(entry, head.camera) for entry, head in given.training]
+    known: list[tuple[Entry, Any]] = [*given.tables, *given.cameras, *held]
+    for entry, camera in given.cameras if given.tables else [*given.cameras, *held]:
+        if entry is not known[0][0] and (differences := unlike(known[0][1], camera)):
+            text = f"they differ in {differences}; report on each camera alone"
+            options.say(f"warning: {entry.name} is of another camera than {known[0][0].name}: {text}", quiet)
 
 
 def _lead(given: Given, told: list[str]) -> str:
@@ -184,7 +198,8 @@ def _evaluation(
     from l3cli.evaluate.quality import XYZ
     from l3cli.render.renderer import make_renderer
 
-    (given, transforms), (seen, _) = table, frames
+    (given, transforms), (seen, head) = table, frames
+    caution = caution_unlike((given.name, transforms), (seen.name, head.camera), quiet)
     renderer = make_renderer(backend, transforms)
     with open_training_set(seen.path, unchanged=True) as reader:
         evaluation = Evaluation(transforms, reader.head)
@@ -196,4 +211,6 @@ def _evaluation(
             again = Evaluation(transforms, reader.head)
             for index in shown_frames(document):
                 pictures[index] = frame_pictures(*judge(again, renderer, reader, index))
-    return summary(document), evaluation_section(document, pictures, (given.name, seen.name), anchor, limit, jpeg)
+    section = evaluation_section(document, pictures, (given.name, seen.name), anchor, limit, jpeg)
+    told = f"{section.lead} But {caution}." if caution else section.lead
+    return told, replace(section, lead=told)

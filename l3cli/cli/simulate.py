@@ -231,6 +231,7 @@ def _head(
         camera=dataclasses.replace(run.camera, history=()),
         outputs=run.target.outputs,
         target_description=run.target.description,
+        target_light=run.target.light.spectrum if run.target.light else None,
         history=(*camera.history, stage),
     )
 

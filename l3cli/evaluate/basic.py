@@ -11,14 +11,16 @@ from numpy.typing import NDArray
 
 from l3cli import spectra
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.training_set import TrainingPair
-from l3cli.errors import RecipeError
+from l3cli.artifacts.training_set import LightSpectrum, TrainingPair
+from l3cli.errors import InputFileError, RecipeError
 from l3cli.evaluate.demosaic import Demosaic, tiled
 
 Array = NDArray[np.floating]
 RIDGE = (
     0.05  # of the matrix, relative to the mean square of the channels' differences: noise against colour (ΔE 1.7 of a chart)
 )
+BLIND = 1e-6  # of the brightest channel's white: below it a channel sees nothing of a light
+ENDS = ((min, 360.0, 0), (max, 830.0, -1))  # nm, of the CIE's observers
 UNNAMED = ("A", "D50", "D55", "D65", "D75", "E", "FL2", "FL11")  # lights taken for one of which only the white is known
 
 
@@ -26,22 +28,42 @@ UNNAMED = ("A", "D50", "D55", "D65", "D75", "E", "FL2", "FL11")  # lights taken 
 class Colour:
     """A camera's colour correction for one light, both sides relative to a perfect white."""
 
-    white_rates: Array  # (channel) photo-electrons a second of a perfect white of 1 cd/m²
+    balance: Array  # (channel) share of a perfect white of 1 cd/m² a photo-electron a second; 0: sees nothing of the light
     matrix: Array  # (output, channel), each row sums to 1
 
 
-def fit_colour(camera: CameraModel, illuminant: str) -> Colour:
-    """XYZ from channels by ridge regression over measured reflectances under a named light; white stays exactly white.
+def fit_colour(camera: CameraModel, light: LightSpectrum, wanted: LightSpectrum | None = None) -> Colour:
+    """XYZ under the light that is `wanted` (None: `light` itself) from the channels under `light`, by ridge regression over
+    measured reflectances on the lights' whole grids; white stays exactly white.
 
-    RecipeError if the illuminant has no such name.
+    InputFileError if eye or camera see nothing of a light.
     """
-    wavelength = np.arange(380.0, 781.0, 5.0)
-    light = spectra.at_luminance(spectra.illuminant(illuminant, wavelength), wavelength, 1.0)
-    library = np.vstack([np.ones(wavelength.size), spectra.reflectance_library(wavelength)])
-    seen = camera.electron_weights @ spectra.sampling_matrix(wavelength, camera.wavelength)
-    electrons = (library * light) @ seen.T
-    xyz = (library * light) @ spectra.xyz_weights(wavelength).T
-    return Colour(electrons[0], white_preserving_ridge(electrons[1:] / electrons[0], xyz[1:] / xyz[0]))
+    library, falling = lit_library(light)
+    electrons = electrons_of(camera, light, library * falling)
+    seen = electrons[0] > BLIND * electrons[0].max()
+    if not seen.any():
+        raise InputFileError(f"camera {camera.name} sees nothing of a frame's light; simulate it under another")
+    library, falling = lit_library(wanted or light)
+    xyz = library * falling @ spectra.xyz_weights((wanted or light).wavelength).T
+    balance, matrix = np.zeros(len(seen)), np.zeros((3, len(seen)))
+    balance[seen] = 1.0 / electrons[0, seen]
+    white = np.where(xyz[0] > 0, xyz[0], 1.0)  # deep red has no Z at all
+    matrix[:, seen] = white_preserving_ridge(electrons[1:, seen] * balance[seen], xyz[1:] / white)
+    return Colour(balance, matrix)
+
+
+def electrons_of(camera: CameraModel, light: LightSpectrum, radiances: Array) -> Array:
+    """Photo-electrons a second (sample, channel) of `radiances` (sample, wavelength) on a light's grid."""
+    return radiances @ (camera.electron_weights @ spectra.sampling_matrix(light.wavelength, camera.wavelength)).T
+
+
+def lit_library(light: LightSpectrum) -> tuple[Array, Array]:
+    """White and measured reflectances (sample, wavelength), and the light (wavelength) that makes white 1 cd/m²."""
+    radiance = light.radiance.astype(np.float64)
+    if not spectra.xyz_weights(light.wavelength)[1] @ radiance > 0:
+        raise InputFileError("a frame's light cannot be seen; simulate it again")
+    library = np.vstack([np.ones(light.wavelength.size), spectra.reflectance_library(light.wavelength)])
+    return library, spectra.at_luminance(radiance, light.wavelength, 1.0)
 
 
 def white_preserving_ridge(channels: Array, outputs: Array) -> Array:
@@ -52,26 +74,37 @@ def white_preserving_ridge(channels: Array, outputs: Array) -> Array:
     differences = channels - mean
     gram = differences.T @ differences
     ridge = RIDGE * np.trace(gram) / len(gram) * np.eye(len(gram))
-    matrix = np.linalg.solve(gram + ridge, differences.T @ (outputs - mean)).T
+    matrix = np.linalg.lstsq(gram + ridge, differences.T @ (outputs - mean))[0].T  # a single channel leaves 0 = 0
     return matrix - matrix.mean(axis=1, keepdims=True) + 1.0 / len(gram)
 
 
 def develop(frame: TrainingPair, camera: CameraModel, colour: Colour, demosaic: Demosaic) -> Array:
     """XYZ (3, row, col) in the target's unit of a frame's raw: black and dark off, white balance, demosaic, matrix."""
     electrons = (frame.raw - camera.black) / camera.gain - camera.noise.dark_current * frame.dark_time
-    white = colour.white_rates * frame.luminance * frame.exposure
-    balanced = electrons / white[tiled(camera.cfa, frame.raw.shape)]
+    balance = colour.balance / (frame.luminance * frame.exposure)
+    balanced = electrons * balance[tiled(camera.cfa, frame.raw.shape)]
     planes = np.einsum("oc,crk->ork", colour.matrix, demosaic(balanced, camera.cfa))
     return planes * frame.white[:, None, None]
 
 
-def light_of(frame: TrainingPair) -> str:
-    """The name of a frame's light, or of the common light nearest to its white where it has none ("scene")."""
+def light_of(frame: TrainingPair, camera: CameraModel) -> LightSpectrum:
+    """The light of a frame; where it does not hold it, that of its name, or the common light nearest to its white."""
+    if frame.light is not None:
+        return frame.light
     try:
         spectra.illuminant(frame.illuminant, np.array([550.0]))
+        name = frame.illuminant
     except RecipeError:
-        return min(UNNAMED, key=lambda name: _distance(spectra.white_point(name), frame.white))
-    return frame.illuminant
+        name = min(UNNAMED, key=lambda each: _distance(spectra.white_point(each), frame.white))
+    return named_light(name, camera)
+
+
+def named_light(name: str, *cameras: CameraModel) -> LightSpectrum:
+    """A light of a name that spectra.illuminant knows, at every nm of what the observer and the cameras see."""
+    first, last = (bound(end, *(camera.wavelength[at] for camera in cameras)) for bound, end, at in ENDS)
+    grid = np.arange(np.floor(first), last + 1.0)
+    light = spectra.at_luminance(spectra.illuminant(name, grid), grid, 1.0)
+    return LightSpectrum(grid, light.astype(np.float32))
 
 
 def _distance(one: Array, other: Array) -> float:

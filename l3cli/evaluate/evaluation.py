@@ -21,6 +21,7 @@ from l3cli.evaluate.similarity import spectral_angle
 Array = NDArray[np.floating]
 FORMAT = 1  # of the document; a change of its keys raises it
 OURS = "ours"
+LARGEST = 1e24  # cd/m² that a table may answer with: its square, summed up, is a number
 
 
 class Evaluation:
@@ -34,11 +35,11 @@ class Evaluation:
         if head.outputs != table.outputs:
             names = f"{', '.join(table.outputs)} of the table, {', '.join(head.outputs)} of the frames"
             raise InputFileError(f"outputs differ ({names}); evaluate a matching pair")
-        self._table, self._camera, self._viewing = table, camera, viewing
+        self._table, self._camera, self._wanted, self._viewing = table, camera, head.target_light, viewing
         self._pictures = table.outputs == XYZ
         self._rivals = rivals(camera.cfa) if self._pictures else {}
         self._figure = "mean_delta_e" if self._pictures else "mean_angle"
-        self._colours: dict[str, Colour] = {}
+        self._colours: dict[bytes, Colour] = {}  # by light
         self._frames: list[dict[str, Any]] = []
         self._classes = ClassErrors(table, self.pipelines)
 
@@ -51,15 +52,21 @@ class Evaluation:
         """Count a frame whose raw the table rendered to `outputs` (output, row, col) by the classes `labels` (row, col).
 
         Returns the planes (output, row, col) of every pipeline in the target's unit. InputFileError if the frame is too
-        small to have pixels whose neighbourhood lies inside it.
+        small to have pixels whose neighbourhood lies inside it, if its light is dark, or if `outputs` are no colours.
         """
         border = self._table.rule.radius
         if min(frame.raw.shape) <= 2 * border:
             size = "×".join(map(str, frame.raw.shape))
             raise InputFileError(f"frame {frame.scene} has {size} pixels, none with a whole patch; give larger frames")
-        planes = {OURS: outputs * (self._table.output_unit / frame.exposure)}
+        if self._pictures and not frame.white[1] > 0:
+            raise InputFileError(f"frame {frame.scene} has a white without luminance; simulate it again")
+        with np.errstate(over="ignore"):
+            ours = outputs * (self._table.output_unit / frame.exposure)
+        if not np.abs(ours).max() <= LARGEST:
+            raise InputFileError(f"the table renders frame {frame.scene} to numbers beyond all light; train it again")
+        planes: dict[str, Array] = {OURS: ours}
         for name, demosaic in self._rivals.items():
-            planes[name] = develop(frame, self._camera, self._colour(light_of(frame)), demosaic)
+            planes[name] = develop(frame, self._camera, self._colour(frame), demosaic)
         black = self._camera.black + self._camera.dark_signal(frame.dark_time)
         level = float(frame.raw.mean() - black) / (self._camera.white - self._camera.black)
         about = {"scene": frame.scene, "illuminant": frame.illuminant, "luminance": frame.luminance, "level": level}
@@ -99,10 +106,12 @@ class Evaluation:
             "worst_classes": self._classes.worst(self._figure, OURS),
         }
 
-    def _colour(self, light: str) -> Colour:
-        if light not in self._colours:
-            self._colours[light] = fit_colour(self._camera, light)
-        return self._colours[light]
+    def _colour(self, frame: TrainingPair) -> Colour:
+        light = light_of(frame, self._camera)
+        key = light.wavelength.tobytes() + light.radiance.tobytes()
+        if key not in self._colours:
+            self._colours[key] = fit_colour(self._camera, light, self._wanted)
+        return self._colours[key]
 
     def _quality(self, planes: Array, frame: TrainingPair, border: int) -> dict[str, float]:
         if self._pictures:

@@ -49,7 +49,7 @@ def quality(rendered: Array, target: Array, white: Array, border: int = 0, viewi
     difference = delta_e(ours, ideal)
     seen = scielab(displayed_xyz(ours), displayed_xyz(ideal), display_white(), viewing)
     our_curve, ideal_curve = spectra.srgb_curve(ours), spectra.srgb_curve(ideal)
-    peaks = scale * np.asarray(white)[:, None, None] / white[1]
+    peaks = scale * np.where(white > 0, white, white[1])[:, None, None] / white[1]  # deep red has no Z at all
     return Quality(
         mean_delta_e=float(difference.mean()),
         median_delta_e=float(np.median(difference)),

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from l3cli.columns import figure as number
 from l3cli.report.colours import SERIES
 from l3cli.report.drawing import Plot, spanning
 from l3cli.report.parts import Block, Comparison, Figure, Figures, Key, Part, Picture, Section, Table, Text, counted, tidy
@@ -100,7 +101,7 @@ def summary(document: dict[str, Any]) -> str:
 
 def _told(figures: dict[str, float], figure: str) -> str:
     """The main figure and, of pictures, the PSNR."""
-    return _number(figure, figures[figure]) + (f" ({figures['psnr']:.1f} dB)" if "psnr" in figures else "")
+    return _number(figure, figures[figure]) + (f" ({number(figures['psnr'], '.1f')} dB)" if "psnr" in figures else "")
 
 
 def _quality_blocks(document: dict[str, Any], figure: str) -> tuple[Block, ...]:
@@ -214,7 +215,7 @@ def _class_name(axis: str, entry: dict[str, Any]) -> str:
 
 
 def _number(figure: str, value: float) -> str:
-    return f"{value:.4f}" if figure == "ssim" else f"{value:.2f}"
+    return number(value, ".4f" if figure == "ssim" else ".2f")
 
 
 # -------------------------------------------------------------------------------------------------------- pictures

@@ -77,5 +77,6 @@ def simulate(
         illuminant=light.name,
         luminance=light.luminance,
         exposure=exposure,
+        light=light.spectrum,
         seed=seed,
     )

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from l3cli import spectra
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.training_set import LightSpectrum
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.scene import Scene
 
@@ -33,6 +34,11 @@ class Light:
     def at(self, luminance: float) -> "Light":
         """The same light at another luminance."""
         return replace(self, luminance=luminance, radiance=self.radiance * (luminance / self.luminance))
+
+    @property
+    def spectrum(self) -> LightSpectrum:
+        """What a training set keeps of the light."""
+        return LightSpectrum(self.wavelength.astype(np.float64), (self.radiance / self.luminance).astype(np.float32))
 
 
 def parts(text: str) -> list[tuple[float, str]]:
@@ -134,4 +140,5 @@ def uncovered_share(camera: CameraModel, bands: Array) -> float:
     """Share of a white of equal photons's electrons from outside the scene's bands, in the channel where it is largest."""
     weights = camera.electron_weights
     outside = (camera.wavelength < bands[0]) | (camera.wavelength > bands[-1])
-    return float((weights[:, outside].sum(axis=1) / weights.sum(axis=1)).max())
+    every = weights.sum(axis=1)
+    return float((weights[:, outside].sum(axis=1) / np.where(every > 0, every, 1.0)).max())

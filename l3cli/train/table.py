@@ -1,7 +1,7 @@
 """The training room's front: what the command calls, in the order it calls it."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -146,7 +146,7 @@ def assemble(lesson: Lesson, solutions: dict[int, Solution], history: tuple[Stag
         samples=np.concatenate(samples),
         condition=np.concatenate(condition).astype(np.float32),
         exposure=lesson.exposure,
-        dark_rate=camera.dark_signal(1.0),
+        camera=replace(camera, fit=None),
     )
 
 
