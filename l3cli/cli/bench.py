@@ -1,12 +1,12 @@
 """l3 bench: which devices there are, and how fast frames are rendered, simulated and learned from."""
 
 import functools
-import json
 from typing import Any
 
 import click
 
 from l3cli.cli import options
+from l3cli.cli.terminal import show, show_json
 from l3cli.columns import columns
 
 
@@ -29,6 +29,7 @@ def bench(device: str | None, variant: str | None, list_only: bool, as_json: boo
     Example: l3 bench --device 0 --json
     """
     from l3cli.artifacts.camera_recipe import load_camera
+    from l3cli.cli.cautions import caution_kernels
     from l3cli.cli.init import config_folder
     from l3cli.parallel import alone
     from l3cli.render import benchmark as rendering
@@ -38,10 +39,14 @@ def bench(device: str | None, variant: str | None, list_only: bool, as_json: boo
 
     found = survey()
     if list_only:
-        click.echo(json.dumps({"devices": found}, indent=2) if as_json else "\n".join(found))
+        if as_json:
+            show_json({"devices": found})
+        else:
+            show(*found)
         return
     jobs = rendering.jobs(device, variant)
     results: list[dict[str, Any]] = [job() for job in options.progress(jobs, len(jobs), "cases", quiet)]
+    caution_kernels(quiet)
     camera = load_camera(config_folder() / "cameras/fiveband.toml")
     simulated, trained = (
         [
@@ -51,10 +56,9 @@ def bench(device: str | None, variant: str | None, list_only: bool, as_json: boo
         for room, what in ((simulation, "simulations"), (training, "trainings"))
     )
     if as_json:
-        document = {"devices": found, "results": results, "simulate": simulated, "train": trained}
-        click.echo(json.dumps(document, indent=2))
+        show_json({"devices": found, "results": results, "simulate": simulated, "train": trained})
         return
-    click.echo("\n".join(found))
+    show(*found)
     _rendering(results)
     _simulation(simulated)
     _training(trained)
@@ -99,4 +103,4 @@ def _training(results: list[dict[str, Any]]) -> None:
 
 
 def _table(title: str, headings: list[str], rows: list[list[str]]) -> None:
-    click.echo("\n".join(["", title, *columns(headings, rows, options.width())]))
+    show("", title, *columns(headings, rows, options.width()))

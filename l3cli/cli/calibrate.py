@@ -1,6 +1,5 @@
 """l3 calibrate: lab measurements → camera model."""
 
-import json
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import Any
 import click
 
 from l3cli.cli import options
+from l3cli.cli.terminal import show, show_json
 
 
 @click.command()
@@ -65,7 +65,10 @@ def calibrate(
     save(camera, output)
     if export:
         export_curves(camera, export)
-    click.echo(json.dumps(result, indent=2, ensure_ascii=False) if as_json else report.as_text(result, options.width()))
+    if as_json:
+        show_json(result)
+    else:
+        show(*report.as_text(result, options.width()))
     if shortfall:
         options.say(f"accepted although {shortfall.partition(';')[0]}", quiet)
     if result["saturation reached"] is False:

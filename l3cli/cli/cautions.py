@@ -9,6 +9,7 @@ from l3cli.cli import options
 from l3cli.files import sha256
 from l3cli.frame import RawFrame
 from l3cli.render.coverage import CoverageMeter
+from l3cli.render.kernels import unkept
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -84,6 +85,12 @@ def caution_trained(table: "TransformTable", path: "Path", frames: "Path", quiet
     if not quiet and sha256(frames) in inputs:
         text = "figures flatter it; simulate other scenes, or the same ones with another --seed"
         options.say(f"warning: {path} was trained on {frames}: {text}", quiet)
+
+
+def caution_kernels(quiet: bool) -> None:
+    """Say so if the next run has to compile the same kernels again."""
+    if told := unkept():
+        options.say(f"warning: {told}", quiet)
 
 
 def _uv(white: np.ndarray) -> np.ndarray:

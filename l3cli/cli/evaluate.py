@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 from l3cli.cli import options
+from l3cli.cli.terminal import show_json
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -48,12 +49,10 @@ def evaluate(
     \b
     Example: l3 evaluate table.h5 unseen.h5 --json
     """
-    import json
-
     from l3cli.artifacts.base import load
     from l3cli.artifacts.table import TransformTable
     from l3cli.artifacts.training_set import open_training_set
-    from l3cli.cli.cautions import caution_trained
+    from l3cli.cli.cautions import caution_kernels, caution_trained
     from l3cli.evaluate.evaluation import Evaluation
     from l3cli.evaluate.pictures import frame_pictures
     from l3cli.io.images import write_picture
@@ -73,8 +72,9 @@ def evaluate(
             if pictures is not None:
                 for name, picture in frame_pictures(frame, planes).items():
                     write_picture(pictures / f"{options.frame_name(index, frame.scene)}_{name}.png", picture)
+    caution_kernels(quiet)
     if as_json:
-        click.echo(json.dumps(evaluation.document(), indent=2))
+        show_json(evaluation.document())
         return
     from l3cli.cli.quality_tables import print_tables
 

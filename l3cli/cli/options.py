@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 
 import click
 
+from l3cli.cli.terminal import tell
 from l3cli.errors import L3Error, RecipeError
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -145,7 +146,7 @@ def claim_folder(path: Path, force: bool) -> None:
 def hold(claim: AbstractContextManager[bool], output: Path) -> None:
     """Keep a claim on an output until the command ends."""
     if not click.get_current_context().with_resource(claim):
-        click.echo(f"warning: {output} lies on storage without file locks: see that no other run writes it", err=True)
+        tell(f"warning: {output} lies on storage without file locks: see that no other run writes it")
 
 
 def refuse_unwritable(path: Path) -> None:
@@ -161,7 +162,7 @@ def refuse_unwritable(path: Path) -> None:
 def say(message: str, quiet: bool) -> None:
     """One line of talk on stderr."""
     if not quiet:
-        click.echo(message, err=True)
+        tell(message)
 
 
 def width() -> int | None:
@@ -174,12 +175,12 @@ def width() -> int | None:
     return max(shutil.get_terminal_size().columns, 40)
 
 
-def folded(line: str, deeper: int) -> str:
-    """A line of stdout that goes on below, `deeper` characters further in, where it is longer than the terminal is wide."""
+def folded(line: str, deeper: int) -> list[str]:
+    """A line of stdout as several, `deeper` characters further in from the second on, where the terminal is not as wide."""
     import textwrap
 
     wide = width()
-    return textwrap.fill(line, wide, subsequent_indent=" " * deeper, break_on_hyphens=False) if wide else line
+    return textwrap.wrap(line, wide, subsequent_indent=" " * deeper, break_on_hyphens=False) if wide else [line]
 
 
 # ------------------------------------------------------------------------------------------------------ progress
@@ -217,7 +218,7 @@ def _with_lines(items: Iterable[T], total: int | None, what: str) -> Iterator[T]
         reached = 10 * done // total if total else 0
         if done != total and ((reached > tenth and now - last >= OFTEN) or now - last >= SELDOM):
             of = f" of {total}" if total else ""
-            click.echo(f"{what}: {done}{of}, {_pace(done, total, now - start)}", err=True)
+            tell(f"{what}: {done}{of}, {_pace(done, total, now - start)}")
             last, tenth = now, reached
 
 

@@ -156,7 +156,7 @@ def render(
         start()  # it takes a third of a second, like what follows
     from l3cli.artifacts.base import load
     from l3cli.artifacts.table import TransformTable
-    from l3cli.cli.cautions import caution_white
+    from l3cli.cli.cautions import caution_kernels, caution_white
     from l3cli.cli.elsewhere import Way
     from l3cli.cli.sequence import USUAL_RATE, Look, claim, make_target, marked, refuse_missing, render_frames
     from l3cli.files import sha256
@@ -190,6 +190,7 @@ def render(
     key = [way.digest, __version__, inputs, frames, dataset, suffix, backend, engine, exposure, white, choice, known]
     with marked(target, key, resume, force, footage) as goes_on, _room(way, transforms, scheduler) as room:
         failures = render_frames(footage, target, room, transforms, look, choice, goes_on, skip_bad, quiet)
+    caution_kernels(quiet)
     return 1 if failures else 0
 
 

@@ -1,0 +1,46 @@
+"""The one place that prints. Names and texts may come from anybody's file: nothing of them moves a cursor, hides what
+stands beside it or makes a line of its own."""
+
+import contextlib
+import json
+import os
+import sys
+from typing import IO, Any
+
+import click
+
+from l3cli.columns import printable
+
+
+def show(*lines: str) -> None:
+    """Lines of a result on stdout."""
+    click.echo("\n".join(map(printable, lines)))
+
+
+def show_json(document: Any) -> None:
+    """A result as JSON on stdout: in ASCII, so that every encoding and every file name has its place there."""
+    click.echo(json.dumps(document, indent=2))
+
+
+def tell(message: str) -> None:
+    """One line of talk on stderr. Where it cannot be said, on a full disk or to a reader who has gone, the work goes on."""
+    try:
+        click.echo(printable(message), err=True)
+    except OSError:
+        drop(sys.stderr)
+
+
+def prepare() -> None:
+    """What the encoding of stdout or stderr does not have becomes a question mark."""
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="replace")
+
+
+def drop(stream: IO[str]) -> None:
+    """Send what is left for a stream nowhere, if it cannot be written: Python must not try to at exit."""
+    try:
+        stream.flush()
+    except OSError:
+        with contextlib.closing(open(os.devnull, "wb")) as nowhere:
+            os.dup2(nowhere.fileno(), stream.fileno())

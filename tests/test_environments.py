@@ -1,0 +1,233 @@
+"""Where a command runs: closed streams, small and foreign disks, other locales, odd file names, odd variables."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from l3cli.config import Recipe, load_recipe
+from l3cli.errors import RecipeError
+from l3cli.io.images import read_image
+from l3cli.limits import TRUST, trusted
+from tests.conftest import CONFIGS
+from tests.fuzz import Seeded
+from tests.hostile_environments import PLACES, Place, judge, make_desk
+
+RUN = [sys.executable, "-m", "l3cli"]
+
+
+@pytest.fixture(scope="module")
+def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a table and a raw frame as .tif and .npy."""
+    folder = tmp_path_factory.mktemp("desk")
+    make_desk(folder)
+    return folder
+
+
+def environment(**variables: str) -> dict[str, str]:
+    return {**os.environ, "PYTHONPATH": str(CONFIGS.parent), **variables}
+
+
+# ------------------------------------------------------------------------------------------------------- streams
+@pytest.mark.parametrize("closed", ["0", "1", "2", "012"])
+def test_closed_streams_change_nothing(desk: Path, tmp_path: Path, closed: str) -> None:
+    """What a command opens must not come to lie where the streams were: the decoder would read it as its standard input."""
+    shut = " ".join(f"{number}>&-" for number in closed)
+    render = f'"$@" render table.h5 raw.tif -o {tmp_path}/a.png --backend reference --exposure 1 {shut}'
+    show = f'"$@" info table.h5 {shut}'
+    for line in (render, show):
+        ended = subprocess.run(["sh", "-c", line, "sh", *RUN], cwd=desk, env=environment(), capture_output=True, text=True)
+        assert (ended.returncode, ended.stderr) == (0, ""), line
+    assert (tmp_path / "a.png").read_bytes() == (desk / "reference.png").read_bytes()
+    ended = subprocess.run(
+        ["sh", "-c", f'"$@" info nothing.h5 {shut}', "sh", *RUN], cwd=desk, env=environment(), capture_output=True, text=True
+    )
+    assert ended.returncode == 3
+    assert ended.stderr.count("\n") == ("2" not in closed)
+
+
+def test_what_cannot_be_said_changes_no_exit_code(desk: Path, tmp_path: Path) -> None:
+    with open("/dev/full", "w") as full:
+        for arguments, code in (
+            (("info", "nothing.h5"), 3),
+            (("render", "table.h5", "raw.tif", "-o", tmp_path / "a.png", "--backend", "reference", "--white", "A"), 0),
+        ):
+            ended = subprocess.run([*RUN, *arguments], cwd=desk, env=environment(), stdout=subprocess.PIPE, stderr=full)
+            assert (ended.returncode, ended.stdout) == (code, b""), arguments
+    assert (tmp_path / "a.png").exists()
+
+
+# ------------------------------------------------------------------------------------------------- locales, names
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "utf-8"])
+def test_every_encoding_shows_what_it_can(desk: Path, encoding: str) -> None:
+    for arguments in (("compare", "evaluation.json"), ("init", "--quiet"), ("info", "table.h5"), ("evaluate", "--help")):
+        ended = subprocess.run(
+            [*RUN, *arguments], cwd=desk, env=environment(PYTHONIOENCODING=encoding), capture_output=True, check=False
+        )
+        assert (ended.returncode, ended.stderr) == (0, b""), arguments
+        assert ended.stdout
+
+
+@pytest.mark.parametrize("locale", [{}, {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}])
+def test_file_names_of_any_bytes(desk: Path, tmp_path: Path, locale: dict[str, str]) -> None:
+    for name in (b"f\xff", "\u00e9\u00b5".encode()):
+        folder = os.fsencode(tmp_path / "in") + name
+        os.mkdir(folder)
+        for suffix in (b".h5", b".tif", b".npy"):
+            source = "table" if suffix == b".h5" else "raw"
+            shutil.copy(os.fsencode(desk / source) + suffix, folder + b"/" + name + suffix)
+        start = [*RUN, "render", name + b".h5", name + b".tif"]
+        end = ["--backend", "reference", "--quiet", "-o"]
+        commands = (
+            [*start, *end, name + b".png"],
+            [*start, *end, name + b".exr"],
+            [*start, name + b".npy", *end, name + b".mkv"],
+            [*RUN, "info", "--verify", name + b".h5"],
+        )
+        for command in commands:
+            ended = subprocess.run(command, cwd=folder, env=environment(**locale), capture_output=True, check=False)
+            assert (ended.returncode, ended.stderr) == (0, b""), command
+        made = {name + suffix for suffix in (b".h5", b".tif", b".npy", b".png", b".exr", b".mkv")}
+        assert set(os.listdir(folder)) == made
+        pixels, _ = read_image(Path(os.fsdecode(folder + b"/" + name + b".tif")))
+        assert pixels.shape[:2] == (20, 24)
+
+
+def test_json_tells_names_of_any_bytes(desk: Path, tmp_path: Path, capfdbinary: Any) -> None:
+    from l3cli.cli.terminal import show_json
+
+    show_json({"name": "f\udcff\x1b\x9b\u202e"})
+    out = capfdbinary.readouterr().out
+    assert out.isascii()
+    assert not {0x1B, 0x9B} & set(out)
+    assert json.loads(out) == {"name": "f\udcff\x1b\x9b\u202e"}
+
+
+class Word(Recipe):
+    word: str
+
+
+def test_a_recipe_of_another_editor_is_the_same_recipe(tmp_path: Path) -> None:
+    path = tmp_path / "a.toml"
+    for content in (b'word = "\xc2\xb5"\n', b'\xef\xbb\xbfword = "\xc2\xb5"\r\n', b'word = "\xc2\xb5"\r\n'):
+        path.write_bytes(content)
+        assert load_recipe(path, Word).word == "µ"
+
+
+def test_other_line_ends_give_the_same_artifact(tmp_path: Path, l3: Callable) -> None:
+    camera = CONFIGS / "cameras/bayer.toml"
+    text = 'exposure_share = [0.9]\n[[scene]]\nsource = "grey ramp"\nsize = [16, 20]\n'
+    for name, content in {"a": text.encode(), "b": b"\xef\xbb\xbf" + text.replace("\n", "\r\n").encode()}.items():
+        (tmp_path / f"{name}.toml").write_bytes(content)
+        call = ("simulate", tmp_path / f"{name}.toml", "--camera", camera, "-o", tmp_path / f"{name}.h5", "--quiet")
+        assert l3(*call) == (0, "", "")
+    assert (tmp_path / "a.h5").read_bytes() == (tmp_path / "b.h5").read_bytes()
+    code, out, _ = l3("info", "--verify", tmp_path / "a.h5", tmp_path / "b.toml", camera)
+    assert code == 0
+    assert "simulate recipe: 2 verified" in out
+
+
+# ------------------------------------------------------------------------------------------------------ variables
+@pytest.mark.parametrize("word", ["", "0", "false", "False", "no", "OFF", " no ", "n", "f"])
+def test_who_says_no_does_not_trust(word: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(TRUST, word)
+    assert not trusted()
+
+
+def test_who_says_yes_trusts_and_what_is_neither_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    for word in ("1", "true", "Yes", "ON", "y", "t"):
+        monkeypatch.setenv(TRUST, word)
+        assert trusted()
+    monkeypatch.setenv(TRUST, "maybe")
+    with pytest.raises(RecipeError, match='L3_TRUST="maybe" is neither yes nor no'):
+        trusted()
+
+
+# --------------------------------------------------------------------------------------------------------- caches
+PROGRAM = """
+import numpy as np
+from l3cli.render import opencl_devices
+from l3cli.render.opencl import OpenCLRenderer
+cl = opencl_devices.pyopencl()
+class Bare(OpenCLRenderer):
+    def __init__(self):
+        self.device = opencl_devices.choose_device("")
+        self._context = cl.Context([self.device])
+one = Bare()
+kernel = cl.Kernel(one._compile("__kernel void f(__global int *a) { a[get_global_id(0)] = 7; }", []), "f")
+queue, numbers = cl.CommandQueue(one._context), np.zeros(16, np.int32)
+buffer = cl.Buffer(one._context, cl.mem_flags.WRITE_ONLY, numbers.nbytes)
+kernel(queue, (16,), None, buffer)
+cl.enqueue_copy(queue, numbers, buffer)
+assert (numbers == 7).all()
+from l3cli.render import kernels
+kernels.keep()
+print(kernels.unkept())
+"""
+
+
+def computed(**variables: str) -> str:
+    """What a process says of its cache that has compiled and run a small kernel."""
+    known = {key: value for key, value in environment().items() if key not in ("POCL_CACHE_DIR", "XDG_CACHE_HOME")}
+    ended = subprocess.run(
+        [sys.executable, "-c", PROGRAM], env={**known, **variables}, capture_output=True, text=True, check=False
+    )
+    assert (ended.returncode, ended.stderr) == (0, "")
+    return ended.stdout.strip()
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_kernels_are_kept_and_a_damaged_cache_is_built_anew(tmp_path: Path) -> None:
+    assert computed(XDG_CACHE_HOME=str(tmp_path)) == ""
+    kept = tree(tmp_path)
+    assert list(map(os.path.dirname, kept)) == ["l3cli/kernels"]
+    written = {name: (tmp_path / name).stat().st_mtime_ns for name in kept}
+    assert computed(XDG_CACHE_HOME=str(tmp_path)) == ""
+    assert {name: (tmp_path / name).stat().st_mtime_ns for name in kept} == written  # nothing had to be built
+    for spoil in (lambda content: content[: len(content) // 2], lambda content: content[:-9] + b"x" + content[-8:]):
+        for name, content in kept.items():
+            (tmp_path / name).write_bytes(spoil(content))
+        assert computed(XDG_CACHE_HOME=str(tmp_path)) == ""
+        assert tree(tmp_path).keys() == kept.keys()
+        assert {name: len(content) for name, content in tree(tmp_path).items()} != dict.fromkeys(kept, 0)
+        for name in kept:
+            assert (tmp_path / name).read_bytes() != spoil(kept[name])
+
+
+@pytest.mark.parametrize(
+    "variables", [{"HOME": "/proc"}, {"HOME": ""}, {"XDG_CACHE_HOME": "/proc/x"}, {"POCL_CACHE_DIR": "/proc"}]
+)
+def test_kernels_are_compiled_without_a_place_to_keep_them(variables: dict[str, str]) -> None:
+    assert "compiled kernels cannot be kept" in computed(**variables)
+
+
+def test_a_full_disk_for_the_cache_is_one_warning(desk: Path, tmp_path: Path) -> None:
+    mount = f"mount -t tmpfs -o size=16k tmpfs {tmp_path}"
+    if subprocess.run(["unshare", "-rm", "sh", "-c", mount], capture_output=True, check=False).returncode:
+        pytest.skip("no small disk can be mounted here")
+    line = f'{mount} && cd "{desk}" && "$@" render table.h5 raw.npy -o {desk}/full.png'
+    known = environment(XDG_CACHE_HOME=str(tmp_path))
+    known.pop("POCL_CACHE_DIR", None)
+    ended = subprocess.run(
+        ["unshare", "-rm", "sh", "-c", line, "sh", *RUN], env=known, capture_output=True, text=True, check=False
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert (desk / "full.png").exists()
+    (warning,) = [line for line in ended.stderr.splitlines() if "kernels" in line]
+    assert warning.startswith("warning: compiled kernels cannot be kept")
+    assert "No space left" in warning
+
+
+# ------------------------------------------------------------------------------------------------------- together
+@pytest.mark.parametrize("seed", range(PLACES))
+def test_a_command_does_the_same_wherever_it_runs(desk: Path, seed: int) -> None:
+    assert judge(desk, Place.drawn(Seeded(seed))) is None
