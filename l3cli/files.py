@@ -207,6 +207,7 @@ def _take(lock: Path, output: Path) -> int | None:
     while True:
         with _blamed_on(output):
             lock.parent.mkdir(parents=True, exist_ok=True)
+            held: int | None
             try:
                 held = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_EXCL, _mode(output))
             except FileExistsError:

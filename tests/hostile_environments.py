@@ -27,7 +27,7 @@ T = TypeVar("T")
 PACKAGE = Path(__file__).parents[1]
 RUN = [sys.executable, "-m", "l3cli"]
 SECONDS = 60
-PLACES = int(os.environ.get("L3_HOSTILE_PLACES", "5"))  # that the test suite draws
+PLACES = int(os.environ.get("L3_HOSTILE_PLACES", "3"))  # that the test suite draws
 CLOSED = ("", "0", "1", "2", "01", "02", "12", "012")
 LOCALES: tuple[dict[str, str], ...] = (
     {},

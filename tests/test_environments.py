@@ -9,13 +9,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from l3cli.config import Recipe, load_recipe
 from l3cli.errors import RecipeError
-from l3cli.io.images import read_image
+from l3cli.io.camera_raws import read_camera_raw
+from l3cli.io.images import write_picture
 from l3cli.limits import TRUST, trusted
-from tests.conftest import CONFIGS
+from tests.conftest import CONFIGS, in_terminal
+from tests.dng_files import write_dng
 from tests.fuzz import Seeded
 from tests.hostile_environments import PLACES, Place, judge, make_desk
 
@@ -35,7 +38,7 @@ def environment(**variables: str) -> dict[str, str]:
 
 
 # ------------------------------------------------------------------------------------------------------- streams
-@pytest.mark.parametrize("closed", ["0", "1", "2", "012"])
+@pytest.mark.parametrize("closed", ["0", "2", "012"])
 def test_closed_streams_change_nothing(desk: Path, tmp_path: Path, closed: str) -> None:
     """What a command opens must not come to lie where the streams were: the decoder would read it as its standard input."""
     shut = " ".join(f"{number}>&-" for number in closed)
@@ -64,9 +67,9 @@ def test_what_cannot_be_said_changes_no_exit_code(desk: Path, tmp_path: Path) ->
 
 
 # ------------------------------------------------------------------------------------------------- locales, names
-@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "utf-8"])
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
 def test_every_encoding_shows_what_it_can(desk: Path, encoding: str) -> None:
-    for arguments in (("compare", "evaluation.json"), ("init", "--quiet"), ("info", "table.h5"), ("evaluate", "--help")):
+    for arguments in (("compare", "evaluation.json"), ("info", "--verify", "table.h5")):
         ended = subprocess.run(
             [*RUN, *arguments], cwd=desk, env=environment(PYTHONIOENCODING=encoding), capture_output=True, check=False
         )
@@ -74,29 +77,40 @@ def test_every_encoding_shows_what_it_can(desk: Path, encoding: str) -> None:
         assert ended.stdout
 
 
-@pytest.mark.parametrize("locale", [{}, {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}])
-def test_file_names_of_any_bytes(desk: Path, tmp_path: Path, locale: dict[str, str]) -> None:
-    for name in (b"f\xff", "\u00e9\u00b5".encode()):
-        folder = os.fsencode(tmp_path / "in") + name
-        os.mkdir(folder)
-        for suffix in (b".h5", b".tif", b".npy"):
-            source = "table" if suffix == b".h5" else "raw"
-            shutil.copy(os.fsencode(desk / source) + suffix, folder + b"/" + name + suffix)
-        start = [*RUN, "render", name + b".h5", name + b".tif"]
-        end = ["--backend", "reference", "--quiet", "-o"]
-        commands = (
-            [*start, *end, name + b".png"],
-            [*start, *end, name + b".exr"],
-            [*start, name + b".npy", *end, name + b".mkv"],
-            [*RUN, "info", "--verify", name + b".h5"],
-        )
-        for command in commands:
-            ended = subprocess.run(command, cwd=folder, env=environment(**locale), capture_output=True, check=False)
-            assert (ended.returncode, ended.stderr) == (0, b""), command
-        made = {name + suffix for suffix in (b".h5", b".tif", b".npy", b".png", b".exr", b".mkv")}
-        assert set(os.listdir(folder)) == made
-        pixels, _ = read_image(Path(os.fsdecode(folder + b"/" + name + b".tif")))
-        assert pixels.shape[:2] == (20, 24)
+C_LOCALE = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+
+
+@pytest.mark.parametrize(("name", "locale"), [(b"f\xff", {}), ("éµ".encode(), C_LOCALE)])
+def test_file_names_of_any_bytes(desk: Path, tmp_path: Path, name: bytes, locale: dict[str, str]) -> None:
+    folder = os.fsencode(tmp_path) + b"/in" + name
+    os.mkdir(folder)
+    for source, suffix in (("table", b".h5"), ("raw", b".tif"), ("raw", b".npy")):
+        shutil.copy(os.fsencode(desk / source) + suffix, folder + b"/" + name + suffix)
+    start = [*RUN, "render", name + b".h5", name + b".tif", "--backend", "reference", "--quiet"]
+    for command in ([*start, "-o", name + b".exr"], [*start, name + b".npy", "-o", name + b".mkv"]):
+        ended = subprocess.run(command, cwd=folder, env=environment(**locale), capture_output=True, check=False)
+        assert (ended.returncode, ended.stdout, ended.stderr) == (0, b"", b""), command
+    assert set(os.listdir(folder)) == {name + suffix for suffix in (b".h5", b".tif", b".npy", b".exr", b".mkv")}
+
+
+def test_camera_raws_and_scenes_are_named_by_any_bytes(tmp_path: Path, l3: Callable) -> None:
+    folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/in\xff"))
+    folder.mkdir()
+    write_dng(folder / "a\udcff.dng", np.full((64, 64), 500, np.uint16), np.array([[0, 1], [1, 2]]))
+    assert read_camera_raw(folder / "a\udcff.dng")["values"].shape == (64, 64)
+    write_picture(folder / "b\udcff.png", np.full((24, 32, 3), 120, np.uint8))
+    (folder / "s.toml").write_text('exposure_share = [0.9]\n[[scene]]\nsource = "rgb"\nfile = "*.png"\n')
+    call = (
+        "simulate",
+        folder / "s.toml",
+        "--camera",
+        CONFIGS / "cameras/bayer.toml",
+        "-o",
+        folder / "t\udcff.h5",
+        "--quiet",
+    )
+    assert l3(*call) == (0, "", "")
+    assert "scene str = b?" in l3("info", folder / "t\udcff.h5")[1]
 
 
 def test_json_tells_names_of_any_bytes(desk: Path, tmp_path: Path, capfdbinary: Any) -> None:
@@ -134,6 +148,12 @@ def test_other_line_ends_give_the_same_artifact(tmp_path: Path, l3: Callable) ->
 
 
 # ------------------------------------------------------------------------------------------------------ variables
+@pytest.mark.parametrize("size", ["²", "0", "-3", "1e9", ""])
+def test_a_terminal_of_no_size_gets_a_bar(size: str) -> None:
+    bar = "from l3cli.cli import options, terminal; terminal.prepare(); list(options.progress(range(3), 3, 'frames', False))"
+    assert "3/3" in in_terminal([sys.executable, "-c", bar], {"COLUMNS": size, "LINES": size})
+
+
 @pytest.mark.parametrize("word", ["", "0", "false", "False", "no", "OFF", " no ", "n", "f"])
 def test_who_says_no_does_not_trust(word: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(TRUST, word)
@@ -193,19 +213,13 @@ def test_kernels_are_kept_and_a_damaged_cache_is_built_anew(tmp_path: Path) -> N
     written = {name: (tmp_path / name).stat().st_mtime_ns for name in kept}
     assert computed(XDG_CACHE_HOME=str(tmp_path)) == ""
     assert {name: (tmp_path / name).stat().st_mtime_ns for name in kept} == written  # nothing had to be built
-    for spoil in (lambda content: content[: len(content) // 2], lambda content: content[:-9] + b"x" + content[-8:]):
-        for name, content in kept.items():
-            (tmp_path / name).write_bytes(spoil(content))
-        assert computed(XDG_CACHE_HOME=str(tmp_path)) == ""
-        assert tree(tmp_path).keys() == kept.keys()
-        assert {name: len(content) for name, content in tree(tmp_path).items()} != dict.fromkeys(kept, 0)
-        for name in kept:
-            assert (tmp_path / name).read_bytes() != spoil(kept[name])
+    for name, content in kept.items():
+        (tmp_path / name).write_bytes(content[:-9] + bytes([content[-9] ^ 1]) + content[-8:])
+    assert computed(XDG_CACHE_HOME=str(tmp_path)) == ""
+    assert {name: (tmp_path / name).stat().st_mtime_ns for name in kept}.items().isdisjoint(written.items())
 
 
-@pytest.mark.parametrize(
-    "variables", [{"HOME": "/proc"}, {"HOME": ""}, {"XDG_CACHE_HOME": "/proc/x"}, {"POCL_CACHE_DIR": "/proc"}]
-)
+@pytest.mark.parametrize("variables", [{"HOME": "/proc"}, {"HOME": ""}])
 def test_kernels_are_compiled_without_a_place_to_keep_them(variables: dict[str, str]) -> None:
     assert "compiled kernels cannot be kept" in computed(**variables)
 

@@ -31,10 +31,14 @@ def tell(message: str) -> None:
 
 
 def prepare() -> None:
-    """What the encoding of stdout or stderr does not have becomes a question mark."""
+    """What the encoding of stdout or stderr does not have becomes a question mark; a size that is no number counts as none."""
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
+    for name in ("COLUMNS", "LINES"):
+        size = os.environ.get(name, "")
+        if not (size.isascii() and size.isdecimal() and int(size)):
+            os.environ.pop(name, None)
 
 
 def drop(stream: IO[str]) -> None:

@@ -2,7 +2,6 @@
 
 import contextlib
 import os
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.files import write_whole
 from l3cli.interrupts import uninterrupted
 from l3cli.io.apart import apart
+from l3cli.io.names import named_in_utf8
 from l3cli.limits import VALUE_BYTES, require_picture
 
 PICTURES = {".png": (8, 16), ".tif": (8, 16), ".tiff": (8, 16), ".jpg": (8,), ".jpeg": (8,)}  # bits each may hold
@@ -135,7 +135,7 @@ def opened(path: Path) -> Iterator[tuple[Any, Any]]:
     """OpenImageIO's input and the description of its first picture, whose size has been found to be bearable."""
     import OpenImageIO as oiio
 
-    with _named_in_utf8(path) as name:
+    with named_in_utf8(path) as name:
         source = oiio.ImageInput.open(name)
         if source is None:
             raise InputFileError(f"{path} is not an image that can be read ({_told(oiio.geterror(), name)})")
@@ -155,18 +155,6 @@ def pixels_of(path: Path, source: Any, spec: Any) -> NDArray:
     if pixels is None:
         raise InputFileError(f"{path} is truncated or damaged ({_told(source.geterror(), str(path))}); give a whole image")
     return pixels.reshape(spec.height, spec.width, spec.nchannels)
-
-
-@contextlib.contextmanager
-def _named_in_utf8(path: Path) -> Iterator[str]:
-    """A name of the file for OpenImageIO, which takes UTF-8 alone: for one of other bytes that of a link."""
-    try:
-        yield os.fsencode(path).decode()
-    except UnicodeDecodeError:
-        with tempfile.TemporaryDirectory(prefix="l3-picture-") as folder:
-            link = Path(folder, "picture").with_suffix(path.suffix)
-            link.symlink_to(path.absolute())
-            yield str(link)
 
 
 def _told(message: str, name: str) -> str:
