@@ -31,7 +31,7 @@ def tell(message: str) -> None:
 
 
 def prepare() -> None:
-    """What the encoding of stdout or stderr does not have becomes a question mark; a size that is no number counts as none."""
+    """What the encoding of stdout or stderr does not have becomes "?"; a size that is no number counts as none."""
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
