@@ -6,6 +6,7 @@ DEMO := build/demo
 CURVE := build/curve
 JOBS ?= 2
 INPUTS ?= 20000
+PLACES ?= 500
 L3 := $(BIN)/l3
 TIMED := bash -c 'time "$$0" "$$@"'
 
@@ -51,10 +52,11 @@ soak: $(VENV)/installed ## every stage killed forty times, full disks, endurance
 video: $(VENV)/installed ## rate and memory of 1800 raw frames to video, beside the encoder alone (six minutes)
 	$(BIN)/python -m pytest -m slow -s tests/test_video_rate.py
 
-fuzz: $(VENV)/installed ## 20 000 spoilt inputs and 2 000 led by coverage (ten minutes); those that fail stay in build/fuzz
+fuzz: $(VENV)/installed ## 20 000 spoilt inputs, 2 000 led by coverage, 500 environments (a quarter of an hour); what fails stays in build/fuzz
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[fuzz]"
 	PYTHONPATH=$(CURDIR) nice $(BIN)/python -m tests.fuzz --inputs $(INPUTS) --jobs $(JOBS)
 	PYTHONPATH=$(CURDIR) nice $(BIN)/python -m tests.fuzz --inputs 2000 --guided
+	PYTHONPATH=$(CURDIR) nice $(BIN)/python -m tests.fuzz --environments $(PLACES) --jobs $(JOBS)
 
 curve: $(VENV)/installed ## Bayer and RGBW over the light on the scene: which is better from where (ten minutes)
 	rm -rf $(CURVE) && mkdir -p $(CURVE)

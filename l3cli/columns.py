@@ -1,9 +1,15 @@
-"""Tables of plain text, for terminals of any width and for pipes."""
+"""Lines and tables of plain text, for terminals of any width and for pipes."""
 
 import math
 from collections.abc import Sequence
 
 GAP = "  "
+
+
+def printable(text: str) -> str:
+    """`text` as one line that a terminal can show, "?" in the place of what it cannot or would obey: control characters,
+    ends of lines, marks that turn the direction of writing, bytes of a file name that are no text."""
+    return "".join(letter if letter.isprintable() else "?" for letter in text)
 
 
 def figure(value: float, form: str) -> str:
@@ -14,12 +20,13 @@ def figure(value: float, form: str) -> str:
 def columns(headings: Sequence[str], rows: Sequence[Sequence[str]], width: int | None = None) -> list[str]:
     """Lines of a table: the first column to the left, the others to the right, below their headings of one or more lines.
 
-    A table wider than `width` characters is divided into several, one below the other, all with the first column.
+    A table wider than `width` characters is divided into several, one below the other, all with the first column. What is
+    not `printable` is replaced.
     """
-    named = [heading.split("\n") for heading in headings]
+    named = [[printable(line) for line in heading.split("\n")] for heading in headings]
     high = max(map(len, named))
     lines = [[([""] * (high - len(name)) + name)[line] for name in named] for line in range(high)] + [
-        list(row) for row in rows
+        [printable(cell) for cell in row] for row in rows
     ]
     wide = [max(len(line[index]) for line in lines) for index in range(len(headings))]
     parts, used = [[0]], wide[0]

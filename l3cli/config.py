@@ -38,9 +38,10 @@ R = TypeVar("R", bound=Recipe)
 
 
 def read_text(path: Path, title: str = Recipe.title) -> str:
-    """The text of a recipe file; InputFileError, which asks for `title`, if it cannot be read as UTF-8."""
+    """The text of a recipe file, without what some editors add: a mark at the beginning, a character more at the end of each
+    line. InputFileError, which asks for `title`, if it cannot be read as UTF-8."""
     try:
-        return read_bounded(path).decode("utf-8")
+        return read_bounded(path).decode("utf-8-sig").replace("\r\n", "\n")
     except OSError as error:
         what = (
             "is a folder"
@@ -51,7 +52,7 @@ def read_text(path: Path, title: str = Recipe.title) -> str:
         )
         raise InputFileError(f"{path} {what}; give {title} (TOML)") from error
     except UnicodeDecodeError as error:
-        raise InputFileError(f"{path} is not a text file; give {title} (TOML)") from error
+        raise InputFileError(f"{path} is not a text file; give {title} (TOML, UTF-8)") from error
 
 
 def load_recipe(path: Path, recipe: type[R]) -> R:

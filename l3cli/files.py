@@ -13,9 +13,9 @@ import functools
 import hashlib
 import os
 import re
+import stat
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from stat import S_ISREG
 
 from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.interrupts import uninterrupted
@@ -24,6 +24,8 @@ TEMPORARY = re.compile(r"\.(.*)\.[0-9a-f]{8}\.l3tmp(\.[^.]*)?")
 LOCK = ".l3lock"
 UNFINISHED = ".l3-unfinished"  # names, in a folder of pictures, the run that has not written all of them yet
 STDIN = Path("-")
+LONGEST = 255  # bytes of a file's name
+LONGEST_SUFFIX = 16  # bytes of one by which writers choose their format
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -82,14 +84,39 @@ def write_whole(path: Path, content: bytes | str) -> None:
 @uninterrupted
 def _new_temporary(path: Path) -> tuple[Path, int]:
     """A new, empty, locked temporary file beside `path`, and the descriptor that holds the lock."""
+    stem, suffix = _hidden_name(path)
     while True:
-        temporary = path.with_name(f".{path.stem}.{os.urandom(4).hex()}.l3tmp{path.suffix}")
-        held = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
+        temporary = path.with_name(f".{stem}.{os.urandom(4).hex()}.l3tmp{suffix}")
+        held = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL, _mode(path))
         with contextlib.suppress(OSError):  # storage without locks: nobody can take it for a dead run's
             fcntl.flock(held, fcntl.LOCK_EX)
         if os.fstat(held).st_nlink:
             return temporary, held
         os.close(held)  # swept between the two calls
+
+
+def _hidden_name(path: Path) -> tuple[str, str]:
+    """Stem and suffix of temporary files of `path`."""
+    stem, suffix = (path.stem, path.suffix) if len(os.fsencode(path.suffix)) <= LONGEST_SUFFIX else (path.name, "")
+    return _fitting(stem, len(f"..01234567.l3tmp{suffix}")), suffix
+
+
+def _fitting(name: str, more: int) -> str:
+    """`name`, or where it is too long for `more` bytes beside it, its beginning and a digest of it."""
+    coded, room = os.fsencode(name), LONGEST - more
+    if len(coded) <= room:
+        return name
+    digest = hashlib.sha256(coded).hexdigest()[:16]
+    return coded[: room - len(digest)].decode(errors="ignore") + digest
+
+
+def _mode(output: Path) -> int:
+    """Mode, before the umask, of what is created for an output: whoever may not read the one that is replaced may not
+    read these."""
+    try:
+        return 0o666 & (output.stat().st_mode | 0o600)
+    except OSError:
+        return 0o666
 
 
 def _put_in_place(temporary: Path, path: Path) -> None:
@@ -133,7 +160,7 @@ def sole_writer_of_file(path: Path) -> Iterator[bool]:
 
     Yields whether the storage knows locks at all. L3Error if another run writes the file, or its folder cannot be written.
     """
-    with _claim(path, path.with_name(f".{path.name}{LOCK}")) as locked:
+    with _claim(path, path.with_name(_lock_name(path.name))) as locked:
         if locked:
             sweep(path.parent, path)
         yield locked
@@ -146,7 +173,7 @@ def sole_writer_of_folder(folder: Path, name: str = "", inside: tuple[str, ...] 
 
     The folder is made; it is removed again if it is empty in the end. What worker processes left that were ended goes, too.
     """
-    with _claim(folder / name, folder / (f".{name}{LOCK}" if name else LOCK)) as locked:
+    with _claim(folder / name, folder / (_lock_name(name) if name else LOCK)) as locked:
         swept = [folder, *(folder / each for each in inside)] if locked else []
         for each in swept:
             sweep(each)
@@ -155,6 +182,10 @@ def sole_writer_of_folder(folder: Path, name: str = "", inside: tuple[str, ...] 
         finally:
             for each in swept:
                 sweep(each)
+
+
+def _lock_name(name: str) -> str:
+    return f".{_fitting(name, len(f'.{LOCK}'))}{LOCK}"
 
 
 @contextlib.contextmanager
@@ -199,40 +230,71 @@ def _take(lock: Path, output: Path) -> int | None:
     while True:
         with _blamed_on(output):
             lock.parent.mkdir(parents=True, exist_ok=True)
-            held = os.open(lock, os.O_RDWR | os.O_CREAT, 0o666)
-        with contextlib.suppress(OSError):  # if another user's run is killed, we must be able to take it
-            os.fchmod(held, 0o666)
+            held: int | None
+            try:
+                held = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_EXCL, _mode(output))
+            except FileExistsError:
+                held = _existing(lock)
+        if held is None:
+            continue  # its holder has just removed it
         try:
             fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             os.close(held)
             raise L3Error(f"{output} is being written by another run; wait until it ends or name another output") from error
         except OSError:
-            os.close(held)
-            lock.unlink(missing_ok=True)
+            _let_go(lock, held)
             return None
         with contextlib.suppress(FileNotFoundError):
-            if os.path.samestat(os.stat(lock), os.fstat(held)):
+            if os.path.samestat(os.lstat(lock), os.fstat(held)):
                 return held
         os.close(held)  # its holder has ended and removed it between the two calls
 
 
+def _existing(lock: Path) -> int | None:
+    """A descriptor of the lock file that is there already; None if it is there no more. L3Error if it is none of l3's or
+    may not be opened. Nothing is followed, created or waited for: in a folder that others share, anything may lie here."""
+    try:
+        return _open_quietly(lock)
+    except FileNotFoundError:
+        return None
+    except PermissionError as error:
+        raise L3Error(f"{lock} is another user's; remove it if no run of theirs goes on, or name another output") from error
+    except OSError as error:
+        raise L3Error(f"{lock} is no lock file of l3's; remove it or name another output") from error
+
+
+def _open_quietly(path: Path) -> int:
+    """A descriptor of a regular file, for its lock; OSError if it is another kind of file. To write is wanted for locks
+    over NFS alone: another user's file may be readable only."""
+    try:
+        found = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK)
+    except PermissionError:
+        found = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    if not stat.S_ISREG(os.fstat(found).st_mode):
+        os.close(found)
+        raise OSError(errno.EINVAL, os.strerror(errno.EINVAL))
+    return found
+
+
 @uninterrupted
 def _let_go(lock: Path, held: int) -> None:
-    lock.unlink(missing_ok=True)
+    with contextlib.suppress(FileNotFoundError, PermissionError):  # another user's, where only they may remove it
+        lock.unlink()
     os.close(held)
 
 
 def sweep(folder: Path, output: Path | None = None) -> None:
     """Remove the temporary files in `folder` (those of `output`, if given) whose writer is dead."""
+    wanted = None if output is None else _hidden_name(output)
     for name in os.listdir(folder) if folder.is_dir() else ():
         found = TEMPORARY.fullmatch(name)
-        if not found or (output is not None and (found[1], found[2] or "") != (output.stem, output.suffix)):
+        if not found or wanted not in (None, (found[1], found[2] or "")):
             continue
         if identity(folder / name) in _spared:
             continue
-        with contextlib.suppress(OSError):  # a living writer's, or gone already
-            held = os.open(folder / name, os.O_RDWR)
+        with contextlib.suppress(OSError):  # a living writer's, or gone already, or none of l3's
+            held = _open_quietly(folder / name)
             try:
                 fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 os.unlink(folder / name)
@@ -281,7 +343,7 @@ def identity(file: Path | int) -> Identity | None:
         found = os.stat(file)
     except OSError:
         return None
-    return (found.st_dev, found.st_ino) if S_ISREG(found.st_mode) else None
+    return (found.st_dev, found.st_ino) if stat.S_ISREG(found.st_mode) else None
 
 
 def sha256(path: Path) -> str:

@@ -14,6 +14,7 @@ USUAL_MEGAPIXELS = 400
 VALUES_A_PIXEL = 3  # what a file holds in all may be so many values of 32 bits for each pixel that a picture may have
 VALUE_BYTES = 4
 TRUST = "L3_TRUST"  # environment variable: decode foreign files in this process, without limits of time and memory
+YES, NO = ("1", "true", "yes", "on", "y", "t"), ("", "0", "false", "no", "off", "n", "f")
 MOST_TEXT = 64 << 20  # bytes of a recipe, a measurement file, a CSV table, a header
 
 
@@ -64,8 +65,11 @@ def read_bounded(path: Path) -> bytes:
 
 
 def trusted() -> bool:
-    """Whether foreign files are decoded in this process."""
-    return os.environ.get(TRUST, "") not in ("", "0")
+    """Whether foreign files are decoded in this process. RecipeError if what the environment says of it is unclear."""
+    word = os.environ.get(TRUST, "").strip().lower()
+    if word not in YES + NO:
+        raise RecipeError(f'{TRUST}="{word}" is neither yes nor no; unset it or give 1 or 0')
+    return word in YES
 
 
 @contextlib.contextmanager

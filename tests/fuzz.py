@@ -1,7 +1,8 @@
 """python -m tests.fuzz: many hostile inputs, in processes whose crash is seen; every failure leaves its input behind.
 
 Choices come from seeds, so that `--first SEED --inputs 1 --batch` repeats one; with --guided from a fuzzer that prefers
-inputs which reach new lines of l3cli (atheris, pip install "l3cli[fuzz]").
+inputs which reach new lines of l3cli (atheris, pip install "l3cli[fuzz]"). With --environments it is whole commands in so
+many places that none was made for: `--first SEED --environments 1` repeats one.
 """
 
 import argparse
@@ -133,6 +134,25 @@ def guided(chosen: argparse.Namespace) -> None:
         atheris.Fuzz()
 
 
+def environments(chosen: argparse.Namespace) -> int:
+    """Judge whole commands in hostile environments of some seeds; how many failed."""
+    from tests.hostile_environments import Place, judge, make_desk
+
+    with tempfile.TemporaryDirectory(prefix="l3-fuzz-") as name, ThreadPoolExecutor(chosen.jobs) as pool:
+        make_desk(Path(name))
+        seeds = range(chosen.first, chosen.first + chosen.environments)
+        failed = 0
+        for seed, verdict in zip(
+            seeds, pool.map(lambda seed: judge(Path(name), Place.drawn(Seeded(seed))), seeds), strict=True
+        ):
+            if verdict is not None:
+                failed += 1
+                (chosen.kept / f"place_{seed}.txt").write_text(verdict)
+                print(f"place {seed}: {verdict}", flush=True)
+    print(f"{len(seeds)} environments, {failed} failures" + (f"; {chosen.kept} holds them" if failed else ""))
+    return int(failed > 0)
+
+
 def main() -> int:
     parser = argparse.ArgumentParser()
     parser.add_argument("--inputs", type=int, default=20_000)
@@ -142,8 +162,11 @@ def main() -> int:
     parser.add_argument("--kept", type=Path, default=Path("build/fuzz"), help="folder for inputs that failed")
     parser.add_argument("--batch", action="store_true", help="judge in this process")
     parser.add_argument("--guided", action="store_true", help="by coverage, in this process")
+    parser.add_argument("--environments", type=int, default=0, help="places to run whole commands in, and no inputs")
     chosen = parser.parse_args()
     chosen.kept.mkdir(parents=True, exist_ok=True)
+    if chosen.environments:
+        return environments(chosen)
     if chosen.guided:
         guided(chosen)
     if chosen.batch:

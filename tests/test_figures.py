@@ -13,7 +13,7 @@ import pytest
 from l3cli import spectra
 from l3cli.artifacts.base import load, save
 from l3cli.artifacts.table import TransformTable
-from l3cli.cli import options
+from l3cli.cli import terminal
 from l3cli.cli.quality_tables import print_tables
 from l3cli.columns import figure
 from tests.conftest import bayer_camera
@@ -103,16 +103,16 @@ def test_a_grid_finer_than_the_camera_and_beyond_it_holds_no_nan() -> None:
 
 def test_what_is_no_number_is_null_and_said(capsys: pytest.CaptureFixture[str]) -> None:
     document = {"a": [1.0, float("nan")], "b": {"c": float("-inf")}, "d": "nan", "e": None, "f": (True, 2)}
-    options.print_json(document, quiet=False)
+    terminal.show_json(document, quiet=False)
     out, err = capsys.readouterr()
     assert strict(out) == {"a": [1.0, None], "b": {"c": None}, "d": "nan", "e": None, "f": [True, 2]}
     assert err == "warning: a.1, b.c: cannot be computed; null in the JSON\n"
-    options.print_json(document, quiet=True)
+    terminal.show_json(document, quiet=True)
     assert capsys.readouterr().err == ""
     assert [figure(value, ".2f") for value in (1.234, float("nan"), float("inf"))] == ["1.23", "–", "–"]
 
 
 def test_every_json_goes_through_one_door() -> None:
-    sources = Path(options.__file__).parent.glob("*.py")
+    sources = Path(terminal.__file__).parent.glob("*.py")
     printing = [path.name for path in sources if re.search(r"\bdumps\([^\n]*indent", path.read_text())]
-    assert printing == ["options.py"]
+    assert printing == ["terminal.py"]

@@ -183,3 +183,100 @@ def test_a_full_disk_names_the_output(tmp_path: Path) -> None:
     with pytest.raises(L3Error, match=r"b\.txt cannot be written: Is a directory; name another output"):
         in_the_way()
     assert names(tmp_path) == ["b.txt"]
+
+
+# ------------------------------------------------------------------------------------------------ in folders of others
+
+
+@pytest.mark.parametrize("kind", ["link", "dangling link", "pipe", "folder"])
+def test_what_lies_in_the_locks_place_is_neither_followed_nor_touched(tmp_path: Path, kind: str) -> None:
+    victim, lock = tmp_path / "victim", tmp_path / ".out.h5.l3lock"
+    victim.write_text("mine")
+    victim.chmod(0o600)
+    if kind == "pipe":
+        os.mkfifo(lock)
+    elif kind == "folder":
+        lock.mkdir()
+    else:
+        lock.symlink_to(victim if kind == "link" else tmp_path / "new")
+    with (
+        pytest.raises(L3Error, match=r"\.out\.h5\.l3lock is no lock file of l3's; remove it"),
+        sole_writer_of_file(tmp_path / "out.h5"),
+    ):
+        pass
+    assert names(tmp_path) == [".out.h5.l3lock", "victim"]
+    assert (victim.stat().st_mode & 0o777, victim.read_text()) == (0o600, "mine")
+
+
+def test_a_link_among_the_temporary_files_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "victim").write_text("mine")
+    (tmp_path / DEAD).symlink_to(tmp_path / "victim")
+    os.mkfifo(tmp_path / ".a.01234568.l3tmp.h5")
+    with sole_writer_of_file(tmp_path / "a.h5"):
+        pass
+    assert names(tmp_path) == [DEAD, ".a.01234568.l3tmp.h5", "victim"]
+
+
+@pytest.mark.parametrize(("umask", "mode"), [(0o022, 0o644), (0o077, 0o600), (0o002, 0o664)])
+def test_modes_are_the_umasks_and_no_more_than_the_output_had(tmp_path: Path, umask: int, mode: int) -> None:
+    path = tmp_path / "a.h5"
+
+    def modes() -> tuple[int, ...]:
+        with sole_writer_of_file(path), atomic_output(path) as temporary:
+            temporary.write_text("a")
+            hidden = (tmp_path / ".a.h5.l3lock", temporary)
+            found = tuple(each.stat().st_mode & 0o777 for each in hidden)
+        return (*found, path.stat().st_mode & 0o777)
+
+    before = os.umask(umask)
+    try:
+        assert modes() == (mode, mode, mode)
+        path.chmod(0o600)  # a private output that is replaced stays private
+        assert modes() == (0o600, 0o600, 0o600)
+        path.chmod(0o444)
+        assert modes() == (0o644 & ~umask,) * 3  # we must write it ourselves
+    finally:
+        os.umask(before)
+
+
+def test_the_lock_of_another_users_dead_run_is_free_where_it_can_be_read(tmp_path: Path) -> None:
+    if os.geteuid():
+        pytest.skip("only root can be another user")
+    tmp_path.chmod(0o777)
+    for folder in tmp_path.parents[:2]:
+        folder.chmod(folder.stat().st_mode | 0o011)
+
+    def as_nobody() -> None:
+        os.setgid(65534)
+        os.setuid(65534)
+        with sole_writer_of_file(tmp_path / "a.h5"):
+            pass
+
+    lock = tmp_path / ".a.h5.l3lock"
+    lock.touch(0o644)
+    assert in_a_child(as_nobody) == 0
+    assert names(tmp_path) == []
+    lock.touch(0o600)
+    assert in_a_child(as_nobody) == 1
+    assert names(tmp_path) == [".a.h5.l3lock"]
+
+
+@pytest.mark.parametrize("name", ["n" * 240 + ".h5", "µ" * 120 + ".h5", "a." + "s" * 240, "m" * 255])
+def test_names_as_long_as_names_may_be(tmp_path: Path, name: str) -> None:
+    path, other = tmp_path / name, tmp_path / (name[:-8] + "x" + name[-7:])
+
+    def die() -> None:
+        with sole_writer_of_file(path), atomic_output(path):
+            os._exit(0)
+
+    assert in_a_child(die) == 0
+    assert len(names(tmp_path)) == 2
+    with sole_writer_of_file(other):
+        assert len(names(tmp_path)) == 3  # it is told apart from its like
+    with sole_writer_of_file(path) as locked, atomic_output(path) as temporary:
+        assert locked
+        assert len(names(tmp_path)) == 2  # what the dead run left is gone
+        assert temporary.suffix == (path.suffix if len(path.suffix) in range(1, 10) else ".l3tmp")
+        temporary.write_text("whole")
+    assert names(tmp_path) == [name]
+    os.fsencode(temporary.name).decode("utf-8")  # no letter is cut in two

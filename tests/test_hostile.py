@@ -4,6 +4,8 @@ import dataclasses
 import io
 import json
 import os
+import re
+import shutil
 import struct
 import subprocess
 import sys
@@ -414,6 +416,56 @@ def test_no_control_character_reaches_the_terminal(l3: Callable, tmp_path: Path)
     name = tmp_path / "\x1b[31mred.npy"
     _, _, err = l3("render", tmp_path / "table.h5", name, "-o", tmp_path / "a.png")
     assert "\x1b" not in err
+
+
+HURT = "r\x1b[31m\x07\x9b\u202e\nmean  0.00"
+
+
+def test_what_names_say_moves_no_cursor_and_makes_no_line(l3: Callable, pipeline: Path, tmp_path: Path) -> None:
+    """Names of channels, scenes and lights in artifacts, and whatever stands in the JSON of others."""
+    from l3cli.artifacts.base import load
+    from l3cli.artifacts.table import TransformTable
+
+    table = load(TransformTable, pipeline / "table.h5")
+    names = (HURT, *table.channels[1:])
+    camera = dataclasses.replace(table.camera, channels=names)
+    save(dataclasses.replace(table, channels=names, camera=camera), tmp_path / "table.h5")
+    shutil.copy(pipeline / "unseen.h5", tmp_path / "unseen.h5")
+    with h5py.File(tmp_path / "unseen.h5", "r+") as root:
+        values = {f"frames/00000/{name}": np.bytes_(HURT.encode()) for name in ("scene", "illuminant")}
+        values["camera/channels"] = np.char.encode([HURT, *table.channels[1:]], "utf-8")
+        for name, value in values.items():
+            attributes = dict(root[name].attrs)
+            del root[name]
+            root[name] = value
+            root[name].attrs.update(attributes)
+    seal(tmp_path / "unseen.h5")
+    (tmp_path / "e.json").write_text(
+        json.dumps({"camera": HURT, "frames": [{"luminance": light, "ours": {"scielab": 2.0}} for light in (1.0, 10.0)]})
+    )
+    quiet = ("--backend", "reference", "--quiet")
+    for call in (
+        ("evaluate", tmp_path / "table.h5", tmp_path / "unseen.h5", *quiet),
+        ("evaluate", tmp_path / "table.h5", tmp_path / "unseen.h5", *quiet, "--json"),
+        ("compare", tmp_path / "e.json", tmp_path / "e.json"),
+        ("compare", tmp_path / "e.json", "--json"),
+        ("info", tmp_path / "table.h5"),
+        ("info", tmp_path / "table.h5", "--json"),
+        ("info", "--verify", tmp_path / "table.h5"),
+    ):
+        code, out, err = l3(*call)
+        assert code == 0, err
+        assert all(letter.isprintable() or letter == "\n" for letter in out + err), call
+        assert not any(line.startswith("mean  0.00") for line in out.splitlines()), call
+
+
+def test_one_place_prints() -> None:
+    package = Path(__file__).parents[1] / "l3cli"
+    for path in package.rglob("*.py"):
+        if path.relative_to(package).as_posix() != "cli/terminal.py":
+            assert not re.search(r"click\.s?echo|\bprint\(|std(out|err)\.write|print_exc|click\.style", path.read_text()), (
+                path
+            )
 
 
 def test_a_picture_is_read_alike_by_both_ways(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

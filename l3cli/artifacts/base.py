@@ -154,7 +154,7 @@ def write_fields(group: h5py.Group, instance: Any, filters: Mapping[str, Any] = 
 
 def _write_dataset(group: h5py.Group, name: str, spec: Spec, value: Any, filters: Mapping[str, Any] = COMPRESSION) -> None:
     if spec.dtype == "str":
-        array = np.char.encode(np.asarray(value, dtype=str), "utf-8")
+        array = np.char.encode(np.asarray(value, dtype=str), "utf-8", "replace")  # names of files need not be text
         if array.dtype.itemsize == 0:
             array = array.astype("S1")
         array = array.astype(h5py.string_dtype("utf-8", array.dtype.itemsize))

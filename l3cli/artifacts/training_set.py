@@ -211,7 +211,7 @@ def write_part(path: Path, frame: TrainingPair, uncovered: float, run: str) -> N
     """One frame of `run` in a file of its own, whole or not at all: what a killed run leaves, its successor goes on from."""
     with container.new_file(path) as root:
         root.attrs["simulated"] = isinstance(frame, TrainingFrame)
-        root.attrs["scene"] = frame.scene
+        root.attrs["scene"] = frame.scene.encode("utf-8", "replace").decode()  # named after a file, which need not be text
         root.attrs["uncovered"] = uncovered
         root.attrs["run"] = run
         write_fields(root.create_group("frame"), frame, CHECKSUM)

@@ -9,6 +9,7 @@ import h5py
 
 from l3cli.artifacts import container
 from l3cli.artifacts.base import Stage, open_artifact, read_history, require_plain
+from l3cli.config import read_text
 from l3cli.errors import InputFileError
 
 SLAB = 1 << 26  # bytes of a dataset that are read at a time
@@ -111,5 +112,5 @@ def _is_recipe_of(path: Path, stage: Stage) -> bool:
     """Whether a file's text is the stage's recipe, or one of two that it was joined from."""
     if path.suffix != ".toml":
         return False
-    text = path.read_text(encoding="utf-8", errors="replace")
-    return text == stage.recipe or stage.recipe.startswith(f"{text}\n") or stage.recipe.endswith(f"\n{text}")
+    text, recipe = (each.replace("\r\n", "\n") for each in (read_text(path), stage.recipe))
+    return text == recipe or recipe.startswith(f"{text}\n") or recipe.endswith(f"\n{text}")

@@ -166,8 +166,9 @@ def _by_channel(camera: CameraModel, columns: dict[str, Any]) -> dict[str, dict[
     }
 
 
-def as_text(result: dict[str, Any], width: int | None = None) -> str:
-    """`figures`, with `compare` under "truth" if there, as plain text; tables wider than `width` characters are divided."""
+def as_text(result: dict[str, Any], width: int | None = None) -> list[str]:
+    """`figures`, with `compare` under "truth" if there, as lines of plain text; tables wider than `width` characters are
+    divided."""
     truth = result.get("truth")
     lines = []
     for name, entry in result["camera"].items():
@@ -186,7 +187,7 @@ def as_text(result: dict[str, Any], width: int | None = None) -> str:
     if defects:
         shown = " ".join(f"({row}, {col})" for row, col in defects[:SHOWN]) + (" …" if len(defects) > SHOWN else "")
         lines.append(f"hot and dead pixels left out, row and col: {len(defects)}: {shown}")
-    return "\n".join(lines)
+    return lines
 
 
 def _table(rows: dict[str, dict[str, float]], width: int | None) -> list[str]:

@@ -2,7 +2,6 @@
 
 import errno
 import importlib
-import os
 import signal
 import sys
 import threading
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from l3cli import __version__
+from l3cli.cli.terminal import drop, prepare, tell
 from l3cli.errors import L3Error, suggestion
 from l3cli.interrupts import ignore, must_wait
 
@@ -84,7 +84,8 @@ def l3(context: click.Context) -> None:
     render raw frames through it (render). Every stage leaves one HDF5 file for the next.
     """
     if context.invoked_subcommand is None:  # a wrong call, such as of a script whose variable is empty
-        click.echo(context.get_help(), err=True)
+        for line in context.get_help().splitlines():
+            tell(line)
         context.exit(2)
 
 
@@ -94,6 +95,7 @@ class Terminated(BaseException):
 
 def main() -> None:
     """Run the command line; every failure ends as one line on stderr and the exit code of README, "Exit codes"."""
+    prepare()
     sys.unraisablehook = _lost
     for each in (signal.SIGINT, signal.SIGTERM):
         if signal.getsignal(each) is not signal.SIG_IGN:  # as a job in the background ignores Ctrl-C
@@ -118,7 +120,7 @@ def run(arguments: list[str]) -> int:
     except L3Error as error:
         return _fail(str(error), error.exit_code)
     except BrokenPipeError:
-        _drop_stdout()  # whoever read it has gone: nothing is left to say
+        drop(sys.stdout)  # whoever read it has gone: nothing is left to say
         return 1
     except (KeyboardInterrupt, click.Abort):
         return _fail("interrupted", 130)
@@ -128,7 +130,7 @@ def run(arguments: list[str]) -> int:
         return _fail("out of memory; use fewer --jobs or smaller frames", 1)
     except OSError as error:
         if error.filename is None:
-            _drop_stdout()
+            drop(sys.stdout)
         cure = CURES.get(error.errno or 0, "")
         return _fail(f"{error.filename or 'input/output'}: {error.strerror or error}{cure}", 1)
 
@@ -159,14 +161,6 @@ def _come_again(number: int) -> None:
     threading.Timer(LATER, signal.pthread_kill, (main_thread, number)).start()
 
 
-def _drop_stdout() -> None:
-    """Send what is left for stdout nowhere, if it cannot be written: Python must not try to at exit."""
-    try:
-        sys.stdout.flush()
-    except OSError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
 def _usage(error: click.ClickException) -> str:
     """What is wrong with a call, and where the right ones are explained."""
     message = error.format_message().rstrip(".")
@@ -183,6 +177,5 @@ def _usage(error: click.ClickException) -> str:
 
 
 def _fail(message: str, code: int) -> int:
-    line = "".join(letter if letter.isprintable() else "?" for letter in " ".join(message.split()))
-    click.echo(f"l3: {line}", err=True)
+    tell(f"l3: {' '.join(message.split())}")
     return code

@@ -6,6 +6,7 @@ from typing import Any
 import click
 
 from l3cli.cli import options
+from l3cli.cli.terminal import show, show_json
 from l3cli.columns import columns
 
 
@@ -28,6 +29,7 @@ def bench(device: str | None, variant: str | None, list_only: bool, as_json: boo
     Example: l3 bench --device 0 --json
     """
     from l3cli.artifacts.camera_recipe import load_camera
+    from l3cli.cli.cautions import caution_kernels
     from l3cli.parallel import alone
     from l3cli.recipes import known_recipes
     from l3cli.render import benchmark as rendering
@@ -38,12 +40,13 @@ def bench(device: str | None, variant: str | None, list_only: bool, as_json: boo
     found = survey()
     if list_only:
         if as_json:
-            options.print_json({"devices": found}, quiet)
+            show_json({"devices": found}, quiet)
         else:
-            click.echo("\n".join(found))
+            show(*found)
         return
     jobs = rendering.jobs(device, variant)
     results: list[dict[str, Any]] = [job() for job in options.progress(jobs, len(jobs), "cases", quiet)]
+    caution_kernels(quiet)
     camera = load_camera(known_recipes("cameras")["fiveband"])
     simulated, trained = (
         [
@@ -53,10 +56,9 @@ def bench(device: str | None, variant: str | None, list_only: bool, as_json: boo
         for room, what in ((simulation, "simulations"), (training, "trainings"))
     )
     if as_json:
-        document = {"devices": found, "results": results, "simulate": simulated, "train": trained}
-        options.print_json(document, quiet)
+        show_json({"devices": found, "results": results, "simulate": simulated, "train": trained}, quiet)
         return
-    click.echo("\n".join(found))
+    show(*found)
     _rendering(results)
     _simulation(simulated)
     _training(trained)
@@ -101,4 +103,4 @@ def _training(results: list[dict[str, Any]]) -> None:
 
 
 def _table(title: str, headings: list[str], rows: list[list[str]]) -> None:
-    click.echo("\n".join(["", title, *columns(headings, rows, options.width())]))
+    show("", title, *columns(headings, rows, options.width()))

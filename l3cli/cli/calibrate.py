@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from l3cli.cli import options
+from l3cli.cli.terminal import show, show_json
 
 
 @click.command()
@@ -67,9 +68,9 @@ def calibrate(
     if export:
         export_curves(camera, export)
     if as_json:
-        options.print_json(result, quiet)
+        show_json(result, quiet)
     else:
-        click.echo(report.as_text(result, options.width()))
+        show(*report.as_text(result, options.width()))
     if shortfall:
         options.say(f"accepted although {shortfall.partition(';')[0]}", quiet)
     if result["saturation reached"] is False:

@@ -9,6 +9,7 @@ from l3cli.cli import options
 from l3cli.files import sha256
 from l3cli.frame import RawFrame
 from l3cli.render.coverage import CoverageMeter
+from l3cli.render.kernels import unkept
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -111,6 +112,12 @@ def caution_unlike(table: tuple[object, "TransformTable"], frames: tuple[object,
     )
     options.say(f"warning: {text}", quiet)
     return text
+
+
+def caution_kernels(quiet: bool) -> None:
+    """Say so if the next run has to compile the same kernels again."""
+    if told := unkept():
+        options.say(f"warning: {told}", quiet)
 
 
 def _uv(white: np.ndarray) -> np.ndarray:

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import click
 
 from l3cli.cli import options
-from l3cli.columns import columns
+from l3cli.cli.terminal import show, show_json
+from l3cli.columns import columns, printable
 
 if TYPE_CHECKING:
     from l3cli.evaluate.comparison import Curve
@@ -69,15 +70,15 @@ def compare(
         ]
         keys = ("figure", "one", "other", "luminances")
         found = [dict(zip(keys, (figure, *change), strict=True)) for figure, group in changes.items() for change in group]
-        options.print_json({"curves": rows, "crossings": found})
+        show_json({"curves": rows, "crossings": found})
         return
     for figure, found_curves in curves.items():
         lines = [
             [f"{luminance:g}", *(f"{curve.value[index]:.2f}" for curve in found_curves)]
             for index, luminance in enumerate(found_curves[0].luminance)
         ]
-        named = ["cd/m²", *(curve.name for curve in found_curves)]
-        click.echo("\n".join([figure, *columns(named, lines, options.width()), *told[figure]]))
+        named = ["cd/m²", *(printable(curve.name) for curve in found_curves)]
+        show(figure, *columns(named, lines, options.width()), *told[figure])
 
 
 def _read(path: Path) -> dict:

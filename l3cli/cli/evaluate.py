@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 from l3cli.cli import options
+from l3cli.cli.terminal import show_json
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -55,7 +56,7 @@ def evaluate(
     from l3cli.artifacts.base import load
     from l3cli.artifacts.table import TransformTable
     from l3cli.artifacts.training_set import open_training_set
-    from l3cli.cli.cautions import caution_trained, caution_unlike
+    from l3cli.cli.cautions import caution_kernels, caution_trained, caution_unlike
     from l3cli.evaluate.evaluation import Evaluation
     from l3cli.evaluate.pictures import frame_pictures
     from l3cli.files import finished_together, sha256
@@ -81,8 +82,9 @@ def evaluate(
             if pictures is not None:
                 for name, picture in frame_pictures(frame, planes).items():
                     write_picture(pictures / f"{options.frame_name(index, frame.scene)}_{name}.png", picture)
+    caution_kernels(quiet)
     if as_json:
-        options.print_json(evaluation.document(), quiet)
+        show_json(evaluation.document(), quiet)
         return
     from l3cli.cli.quality_tables import print_tables
 

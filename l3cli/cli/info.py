@@ -7,7 +7,8 @@ from typing import Any
 import click
 
 from l3cli.cli import options
-from l3cli.columns import figure
+from l3cli.cli.terminal import show, show_json
+from l3cli.columns import figure, printable
 
 
 @click.command()
@@ -39,16 +40,10 @@ def info(file: Path | None, inputs: tuple[Path, ...], verifies: bool, versions: 
         raise click.UsageError("one file at a time, unless --verify compares it with what it was made of")
     content = _versions() if file is None else _content(file)
     if as_json:
-        options.print_json(content)
+        show_json(content)
         return
     for line in _version_lines(content) if versions else _lines(content):
-        _echo(line)
-
-
-def _echo(line: str) -> None:
-    """Print what a file says, which may be anything, without what would move a terminal's cursor."""
-    line = "".join(letter if letter.isprintable() else "?" for letter in line)
-    click.echo(options.folded(line, len(line) - len(line.lstrip()) + 4))
+        show(*options.folded(printable(line), len(line) - len(line.lstrip()) + 4))
 
 
 # ------------------------------------------------------------------------------------------------------ artifacts
@@ -101,15 +96,15 @@ def _verify(file: Path, inputs: tuple[Path, ...], as_json: bool) -> None:
             "history": [dataclasses.asdict(link) for link in links],
             "different": [str(path) for path in strangers],
         }
-        options.print_json(document)
+        show_json(document)
     else:
         digest = "every byte is as written" if intact.digest else "without a digest of its bytes, which version 2 has"
-        click.echo(f"{file}: {intact.kind}, format version {intact.version}: {digest}; {intact.datasets} datasets are right")
+        show(f"{file}: {intact.kind}, format version {intact.version}: {digest}; {intact.datasets} datasets are right")
         for link in links:
             told = ", ".join(link.given[:4]) + (" …" if len(link.given) > 4 else "")
             rest = f"{link.named - len(link.given)} not given" if link.named > len(link.given) else ""
             right = f"{len(link.given)} verified ({told})" if link.given else ""
-            click.echo(f"  {link.stage} {link.role}: {', '.join(filter(None, (right, rest)))}")
+            show(f"  {link.stage} {link.role}: {', '.join(filter(None, (right, rest)))}")
     if strangers:
         named = ", ".join(str(path) for path in strangers)
         raise InputFileError(f"{named}: not what {file} was made of; another file, or changed since")

@@ -9,6 +9,7 @@ from pathlib import Path
 import click
 
 from l3cli.cli import options
+from l3cli.cli.terminal import show
 from l3cli.errors import suggestion
 from l3cli.recipes import known_recipes, recipe_folder
 
@@ -48,7 +49,7 @@ def init(recipe: str | None, folder: Path | None, force: bool, quiet: bool) -> N
     if recipe is None:
         wide = max(map(len, known))
         for name, path in known.items():
-            click.echo(options.folded(f"{name:{wide}}  {summary(path)}", wide + 2))
+            show(*options.folded(f"{name:{wide}}  {summary(path)}", wide + 2))
         options.say('next: one of them and a new folder, such as "l3 init bayer demo"', quiet)
         return
     if recipe not in known:

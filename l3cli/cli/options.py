@@ -2,7 +2,6 @@
 
 import functools
 import itertools
-import math
 import os
 import re
 import sys
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from l3cli.cli.terminal import tell
 from l3cli.errors import L3Error, RecipeError
 
 if TYPE_CHECKING:
@@ -214,7 +214,7 @@ def hold_folder(path: Path, *globs: str) -> None:
 def hold(claim: AbstractContextManager[bool], output: Path) -> None:
     """Keep a claim on an output until the command ends."""
     if not click.get_current_context().with_resource(claim):
-        click.echo(f"warning: {output} lies on storage without file locks: see that no other run writes it", err=True)
+        tell(f"warning: {output} lies on storage without file locks: see that no other run writes it")
 
 
 def refuse_unwritable(path: Path) -> None:
@@ -230,31 +230,7 @@ def refuse_unwritable(path: Path) -> None:
 def say(message: str, quiet: bool) -> None:
     """One line of talk on stderr."""
     if not quiet:
-        click.echo(message, err=True)
-
-
-def print_json(document: Any, quiet: bool = False) -> None:
-    """A result as JSON on stdout: the one door. JSON has no NaN, so a figure that cannot be computed is null, and named."""
-    import json
-
-    missing: list[str] = []
-    text = json.dumps(_finite(document, "", missing), indent=2, ensure_ascii=False, allow_nan=False)
-    click.echo(text)
-    if missing:
-        named = ", ".join(missing[:4]) + (f" and {len(missing) - 4} more" if len(missing) > 4 else "")
-        say(f"warning: {named}: cannot be computed; null in the JSON", quiet)
-
-
-def _finite(value: Any, name: str, missing: list[str]) -> Any:
-    """`value` with null for numbers that are none; their names are added to `missing`."""
-    if isinstance(value, dict):
-        return {key: _finite(each, f"{name}.{key}".lstrip("."), missing) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(each, f"{name}.{index}".lstrip("."), missing) for index, each in enumerate(value)]
-    if isinstance(value, float) and not math.isfinite(value):
-        missing.append(name)
-        return None
-    return value
+        tell(message)
 
 
 def width() -> int | None:
@@ -267,12 +243,12 @@ def width() -> int | None:
     return max(shutil.get_terminal_size().columns, 40)
 
 
-def folded(line: str, deeper: int) -> str:
-    """A line of stdout that goes on below, `deeper` characters further in, where it is longer than the terminal is wide."""
+def folded(line: str, deeper: int) -> list[str]:
+    """A line of stdout as several, `deeper` characters further in from the second on, where the terminal is not as wide."""
     import textwrap
 
     wide = width()
-    return textwrap.fill(line, wide, subsequent_indent=" " * deeper, break_on_hyphens=False) if wide else line
+    return textwrap.wrap(line, wide, subsequent_indent=" " * deeper, break_on_hyphens=False) if wide else [line]
 
 
 # ------------------------------------------------------------------------------------------------------ progress
@@ -310,7 +286,7 @@ def _with_lines(items: Iterable[T], total: int | None, what: str) -> Iterator[T]
         reached = 10 * done // total if total else 0
         if done != total and ((reached > tenth and now - last >= OFTEN) or now - last >= SELDOM):
             of = f" of {total}" if total else ""
-            click.echo(f"{what}: {done}{of}, {_pace(done, total, now - start)}", err=True)
+            tell(f"{what}: {done}{of}, {_pace(done, total, now - start)}")
             last, tenth = now, reached
 
 

@@ -3,9 +3,8 @@
 from collections.abc import Sequence
 from typing import Any
 
-import click
-
 from l3cli.cli import options
+from l3cli.cli.terminal import show
 from l3cli.columns import columns
 from l3cli.columns import figure as number
 
@@ -49,7 +48,7 @@ def print_tables(document: dict[str, Any]) -> None:
     _print_classes(document, figures[0])
     for rival, counts in document["better"].items():
         shares = ", ".join(f"{HEADINGS[figure]} {counts[figure]}" for figure in main)
-        click.echo(f"better than {rival} in so many of {len(document['frames'])} frames: {shares}")
+        show(f"better than {rival} in so many of {len(document['frames'])} frames: {shares}")
 
 
 def _print_classes(document: dict[str, Any], figure: str) -> None:
@@ -84,4 +83,4 @@ def _number(figure: str, value: float) -> str:
 
 
 def _print(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    click.echo("\n".join([*(["", title] if title else []), *columns(headings, rows, options.width())]))
+    show(*(["", title] if title else []), *columns(headings, rows, options.width()))

@@ -167,7 +167,7 @@ def render(
         start()  # it takes a third of a second, like what follows
     from l3cli.artifacts.base import load
     from l3cli.artifacts.table import TransformTable
-    from l3cli.cli.cautions import caution_white
+    from l3cli.cli.cautions import caution_kernels, caution_white
     from l3cli.cli.elsewhere import Way
     from l3cli.cli.mark import Origins
     from l3cli.cli.sequence import USUAL_RATE, Look, claim, is_steady, make_target, marked, refuse_missing, render_frames
@@ -213,6 +213,7 @@ def render(
     origins = functools.partial(Origins, inputs[0], steady)
     with marked(target, key, resume, force, footage, origins) as mark, _room(way, transforms, scheduler) as room:
         failures = render_frames(footage, target, room, transforms, look, choice, mark, origins(), skip_bad, quiet)
+    caution_kernels(quiet)
     return 1 if failures else 0
 
 

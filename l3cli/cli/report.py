@@ -23,6 +23,7 @@ def report(artifacts: tuple[Path, ...], output: Path, backend: str, force: bool,
     Example: l3 report camera.h5 training.h5 table.h5 unseen.h5 -o report.html
     """
     from l3cli.cli import report_sections
+    from l3cli.cli.cautions import caution_kernels
     from l3cli.errors import RecipeError
     from l3cli.files import write_whole
     from l3cli.report.page import LIMIT, render_page
@@ -35,5 +36,6 @@ def report(artifacts: tuple[Path, ...], output: Path, backend: str, force: bool,
     title, lead, sections = report_sections.compose(given, backend, quiet)
     page = render_page(title, lead, sections).encode()
     write_whole(output, page)
+    caution_kernels(quiet)
     much = "; fewer files would make a lighter page" if len(page) > LIMIT else ""
     options.say(f"{output}: {len(page) / 1e6:.2f} MB, {len(sections)} sections{much}", quiet)

@@ -16,12 +16,12 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import click
 import numpy as np
 
 from l3cli.cli import options
 from l3cli.cli.cautions import Cautions
 from l3cli.cli.mark import Mark, Origins
+from l3cli.cli.terminal import tell
 from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.files import atomic_output, refuse_existing, refuse_spared, sha256, sole_writer_of_folder
 from l3cli.frame import RawFrame, upright
@@ -229,7 +229,7 @@ class _Tally:
         if not skip_bad:
             raise error
         self.failures += 1
-        click.echo(f"l3: {error}", err=True)
+        tell(f"l3: {error}")
 
 
 def render_frames(
@@ -260,7 +260,7 @@ def render_frames(
         rate = done / max(time.monotonic() - start, 1e-9)
         options.say(f"{target.path}: {done} frames, {rate:.3g} a second", quiet)
     if failures:
-        click.echo(f"l3: {failures} of {done + failures} frames left out", err=True)
+        tell(f"l3: {failures} of {done + failures} frames left out")
     return failures
 
 

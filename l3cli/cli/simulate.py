@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from l3cli.cli import options
+from l3cli.cli.terminal import tell
 
 if TYPE_CHECKING:
     from l3cli.artifacts.camera import CameraModel
@@ -172,7 +173,7 @@ def _fitting(run: "Run", files: list[list[Path]], path: Path, skip_bad: bool) ->
     if not (any(kept) or drawn or run.recipe.pair):
         raise InputFileError(f"{path}: no scene is left of {len(bad)}: {listed(map(str, bad))}")
     for error in bad:
-        click.echo(f"l3: {error}", err=True)
+        tell(f"l3: {error}")
     return kept, len(bad)
 
 

@@ -12,6 +12,7 @@ from l3cli.frame import with_one_black
 from l3cli.io.apart import apart
 from l3cli.io.cfa_codes import codes_of
 from l3cli.io.dng import CameraRaw, described
+from l3cli.io.names import named_in_utf8
 from l3cli.limits import require_picture
 
 FRAME_RATE = 51044  # the tag of CinemaDNG
@@ -26,7 +27,7 @@ def read_camera_raw(path: Path) -> CameraRaw:
     import rawpy
 
     try:
-        with rawpy.imread(str(path)) as raw:
+        with named_in_utf8(path) as name, rawpy.imread(name) as raw:
             require_picture(str(path), raw.sizes.raw_height, raw.sizes.raw_width)
             if raw.raw_type != rawpy.RawType.Flat or raw.raw_image_visible.ndim != 2:
                 raise InputFileError(f"{path} is already demosaicked (linear); give the raw file the camera wrote")

@@ -13,6 +13,7 @@ from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.files import write_whole
 from l3cli.interrupts import uninterrupted
 from l3cli.io.apart import apart
+from l3cli.io.names import named_in_utf8
 from l3cli.limits import VALUE_BYTES, require_picture
 
 PICTURES = {".png": (8, 16), ".tif": (8, 16), ".tiff": (8, 16), ".jpg": (8,), ".jpeg": (8,)}  # bits each may hold
@@ -103,7 +104,7 @@ def encoded(name: str, spec: Any, pixels: NDArray) -> bytes:
 
     spec.attribute("DateTime", "")  # else the clock is written into the file: the same input must give the same bytes
     with open(os.memfd_create("picture"), "rb", buffering=0) as memory:
-        sink = oiio.ImageOutput.create(name)
+        sink = oiio.ImageOutput.create(f"picture{Path(name).suffix}")  # names need not be text
         if sink is None:
             raise L3Error(f"{name} cannot be encoded: {oiio.geterror().strip()}")
         written = sink.open(f"/proc/self/fd/{memory.fileno()}", spec) and sink.write_image(np.ascontiguousarray(pixels))
@@ -150,28 +151,29 @@ def opened(path: Path) -> Iterator[tuple[Any, Any]]:
     """OpenImageIO's input and the description of its first picture, whose size has been found to be bearable."""
     import OpenImageIO as oiio
 
-    source = oiio.ImageInput.open(str(path))
-    if source is None:
-        raise InputFileError(f"{path} is not an image that can be read ({_told(oiio.geterror(), path)})")
-    try:
-        spec = source.spec()
-        require_picture(str(path), spec.height, spec.width, spec.nchannels * max(spec.format.size() // VALUE_BYTES, 1))
-        if spec.deep or spec.depth != 1:
-            raise InputFileError(f"{path} holds a volume or samples in depth; give a flat picture")
-        yield source, spec
-    finally:
-        source.close()
+    with named_in_utf8(path) as name:
+        source = oiio.ImageInput.open(name)
+        if source is None:
+            raise InputFileError(f"{path} is not an image that can be read ({_told(oiio.geterror(), name)})")
+        try:
+            spec = source.spec()
+            require_picture(str(path), spec.height, spec.width, spec.nchannels * max(spec.format.size() // VALUE_BYTES, 1))
+            if spec.deep or spec.depth != 1:
+                raise InputFileError(f"{path} holds a volume or samples in depth; give a flat picture")
+            yield source, spec
+        finally:
+            source.close()
 
 
 def pixels_of(path: Path, source: Any, spec: Any) -> NDArray:
     """Pixels (row, col, channel) of an opened picture."""
     pixels = source.read_image(spec.format)
     if pixels is None:
-        raise InputFileError(f"{path} is truncated or damaged ({_told(source.geterror(), path)}); give a whole image")
+        raise InputFileError(f"{path} is truncated or damaged ({_told(source.geterror(), str(path))}); give a whole image")
     return pixels.reshape(spec.height, spec.width, spec.nchannels)
 
 
-def _told(message: str, path: Path) -> str:
+def _told(message: str, name: str) -> str:
     """What OpenImageIO says, in one line and without the name that stands before it already."""
     line = message.strip().splitlines()[0] if message.strip() else "unknown format"
-    return line.removeprefix(f"{path}: ")
+    return line.removeprefix(f"{name}: ")

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import DeviceError, RecipeError
 from l3cli.frame import RawFrame, mirrored_indices
-from l3cli.render import layout
+from l3cli.render import kernels, layout
 from l3cli.render.display import Display, require_xyz
 from l3cli.render.opencl_devices import choose_device, pyopencl
 
@@ -44,6 +44,7 @@ class OpenCLRenderer:
     ) -> None:
         self.table = table
         self.device = choose_device(os.environ.get("L3_DEVICE", "") if device is None else device)
+        self._kept = True  # whether kernels.keep() has seen all that was compiled
         cl = pyopencl()
         self.variant = variant or ("graphics" if self.device.type & cl.device_type.GPU else "processor")
         if self.variant not in layout.VARIANTS:
@@ -145,6 +146,9 @@ class OpenCLRenderer:
         with self._refusals():
             for event in work.events["download"]:
                 event.wait()
+            if not self._kept:  # only now that they have run all of them are compiled
+                kernels.keep()
+                self._kept = True
             return work.milliseconds()
 
     def _classify(self, values: NDArray, phase: tuple[int, int], track: "_Track", band: "_Band", work: "_Work") -> None:
@@ -185,8 +189,11 @@ class OpenCLRenderer:
         return self._compile(layout.program_source(self.variant), options)
 
     def _compile(self, source: str, options: list[str]) -> Any:
-        with warnings.catch_warnings():
+        device = self.device
+        identity = (device.platform.name, device.platform.version, device.name, device.version, device.driver_version)
+        with kernels.building("\0".join([*identity, *options, source])), warnings.catch_warnings():
             warnings.simplefilter("ignore")  # pyopencl warns of every word a compiler says
+            self._kept = False
             return pyopencl().Program(self._context, source).build(options)
 
     def _register_lanes(self) -> int:
@@ -199,6 +206,7 @@ class OpenCLRenderer:
         """The bands of frames of a shape (row, col), kept until a frame of another shape comes."""
         if self._frame_bands is None or self._frame_bands[0] != shape:
             self._frame_bands = shape, tuple(self._cut_into_bands(*shape))
+            self._kept = False  # the driver may compile a kernel once more for grids of another size
         return self._frame_bands[1]
 
     def _cut_into_bands(self, rows: int, columns: int) -> Iterator["_Band"]:

@@ -1,20 +1,16 @@
 """Finding OpenCL devices, and saying why there are none."""
 
-import atexit
-import os
-import shutil
-import tempfile
-from pathlib import Path
 from typing import Any
 
 from l3cli.errors import DeviceError
+from l3cli.render import kernels
 
 INSTALL = 'install one, on any processor with: pip install "pyopencl[pocl]"'
 
 
 def pyopencl() -> Any:
     """pyopencl, imported when first needed; DeviceError if there is no OpenCL at all."""
-    _ensure_pocl_cache()
+    kernels.prepare()
     try:
         import pyopencl
     except ImportError as error:
@@ -57,16 +53,8 @@ def _platforms() -> list[tuple[str, list[Any], str]]:
             shown, why = platform.get_devices(), "it has none"
         except cl.Error as error:
             shown, why = [], " ".join(str(error).split())[:200]
-        found.append((platform.name.strip(), shown, _unwritable_cache(platform.name) or why))
+        found.append((platform.name.strip(), shown, why))
     return found
-
-
-def _unwritable_cache(platform: str) -> str:
-    """What is wrong with PoCL's cache folder; empty if nothing is."""
-    folder = os.environ.get("POCL_CACHE_DIR", "")
-    if "Portable Computing Language" not in platform or os.access(folder, os.W_OK):
-        return ""
-    return f"its cache folder {folder} cannot be written to; set POCL_CACHE_DIR to one that can, or unset it"
 
 
 def choose_device(wanted: str) -> Any:
@@ -87,18 +75,3 @@ def choose_device(wanted: str) -> Any:
         names = ", ".join(f"{index}: {device.name.strip()}" for index, device in enumerate(found))
         raise DeviceError(f'no OpenCL device is called "{wanted}"; --device or L3_DEVICE must be one of {names}')
     return named[0]
-
-
-def _ensure_pocl_cache() -> None:
-    """Give PoCL a folder that it can write to: without one it finds no device, and says nothing."""
-    if "POCL_CACHE_DIR" in os.environ:
-        return
-    try:
-        caches = os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()
-        folder = Path(caches, "l3cli", "pocl")
-        folder.mkdir(parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=folder).close()
-    except (OSError, RuntimeError):  # RuntimeError: there is no home at all
-        folder = Path(tempfile.mkdtemp(prefix="l3-pocl-"))
-        atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    os.environ["POCL_CACHE_DIR"] = str(folder)
