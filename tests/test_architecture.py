@@ -5,8 +5,8 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "l3cli"
 FLOORS = [
-    {"errors", "limits", "interrupts", "config", "files", "columns", "spectra"},
-    {"artifacts", "scene", "frame", "measurement"},
+    {"errors", "limits", "interrupts", "config", "files", "columns", "spectra", "units"},
+    {"artifacts", "curve_table", "scene", "frame", "measurement"},
     {"classify"},
     {"calibrate", "simulate", "train", "render", "evaluate", "report", "io", "parallel"},
     {"cli"},

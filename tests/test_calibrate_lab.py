@@ -10,11 +10,12 @@ import pytest
 
 from l3cli.artifacts.base import load
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.camera_recipe import load_camera, read_curves
+from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.calibrate import defects, gain, noise
 from l3cli.calibrate.curves import Curves
 from l3cli.calibrate.model import efficiency
 from l3cli.cli import run
+from l3cli.curve_table import read_curves
 from l3cli.io.curves import write_curves
 from l3cli.measurement import Body
 from l3cli.simulate.flaws import FlawRecipe, flaws_of

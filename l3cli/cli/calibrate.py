@@ -43,12 +43,13 @@ def calibrate(
     from l3cli.calibrate import model, report
     from l3cli.errors import L3Error
     from l3cli.io.curves import export_curves, export_paths
-    from l3cli.io.measurements import history, load_measurements
+    from l3cli.io.measurements import inputs_of, load_measurements
     from l3cli.parallel import ordered_map
 
     for path in (output, *(export_paths(export) if export else ())):
         options.claim_file(path, force, measurements, *filter(None, [truth]))
     true = load_camera(truth) if truth else None
+    inputs = inputs_of(measurements)
     measured = load_measurements(measurements)
 
     def each(function: Callable[[Any], Any], captures: Iterable[Any]) -> Iterator[Any]:
@@ -58,7 +59,7 @@ def calibrate(
     camera = model.calibrate(measured, each)
     if (shortfall := report.shortfall(camera)) and not accept:
         raise L3Error(f"{measurements}: {shortfall}")
-    camera = replace(camera, history=(history(measurements, {"accept": True} if accept else {}),))
+    camera = replace(camera, history=(inputs.history({"accept": True} if accept else {}),))
     result: dict[str, Any] = report.figures(camera)
     if true is not None:
         result["truth"] = report.compare(camera, true)
