@@ -217,7 +217,7 @@ def read_table(path: Path) -> CurveTable:
     table = np.array(rows)
     at, scale = (0, None) if heading is None else _wavelength_column(heading, path)
     wavelength = table[:, at] * (scale or 1.0)
-    if scale is None:
+    if scale in (None, 1.0):
         check_nanometres(wavelength, str(path), 'name that column "wavelength_{}"')
     if not (np.abs(table) <= LARGEST).all() or not _monotonic(wavelength):
         raise InputFileError(f"{path}: wavelengths must increase and every value be a number within ±{LARGEST:g}")

@@ -76,13 +76,15 @@ def calibrate(measurements: Measurements, each: Each = map) -> CameraModel:
         sweep, left_out = measure_sweep(measurements.mono, body, sensor, each)
         charts = measure_charts(measurements.charts, sweep.nodes, body, sensor, each)
         curves, sweep_fit = fit_curves(sweep, charts, sensor.dark.black, measurements, left_out)
-        check_charts(measurements, charts, sweep, sweep_fit, sensor.dark.black)
+        if not sweep_fit.odd:
+            check_charts(measurements, charts, sweep, sweep_fit.chosen_smoothing, sensor.dark.black)
     else:
         curves = finished.without_fit(measurements.curve, body, drift, measurements.wavelength_uncertainty)
         if measurements.charts:
             curves = curves.to_own_peaks()
             charts = measure_charts(measurements.charts, curves.wavelength, body, sensor, each)
-    chart_fit = fit_charts(charts, curves.relative, sensor.dark.black, drift, body) if measurements.charts else None
+    odd = sweep_fit.odd if sweep_fit else ()
+    chart_fit = fit_charts(charts, curves.relative, sensor.dark.black, drift, body, odd) if measurements.charts else None
     fit = Fit(noise=figures, sweep=sweep_fit, chart=chart_fit)
     return assemble(body, summarise(sensor, figures, body), curves, fit)
 
@@ -196,17 +198,22 @@ def _validation_error(sweep: responsivity.Sweep, charts: Charts, delta: float, b
     return float(np.mean([gain.cross_validate(photons[..., c], charts.values[..., c], black[c]) for c in channels]))
 
 
-def check_charts(measurements: Measurements, charts: Charts, sweep: responsivity.Sweep, fit: SweepFit, black: Array) -> None:
+def check_charts(
+    measurements: Measurements, charts: Charts, sweep: responsivity.Sweep, smoothing: float, black: Array
+) -> None:
     """InputFileError if a chart contradicts the others, or all of them the monochromator."""
-    curves = responsivity.solve_channels(sweep, fit.chosen_smoothing)
+    curves = responsivity.solve_channels(sweep, smoothing)
     measured = (charts.values - black).sum(axis=1)
     predicted = (charts.photons @ curves.T).sum(axis=1)
     absolute = all(capture.absolute for capture in measurements.mono)
-    agreement.check_charts(measurements.charts, measured, predicted, absolute and not fit.odd)
+    agreement.check_charts(measurements.charts, measured, predicted, absolute)
 
 
-def fit_charts(charts: Charts, relative: Array, black: Array, drift: float, body: Body) -> ChartFit:
-    """Eq. 2 for every channel and its validation; InputFileError if the charts contradict the curves."""
+def fit_charts(
+    charts: Charts, relative: Array, black: Array, drift: float, body: Body, odd: tuple[str, ...] = ()
+) -> ChartFit:
+    """Eq. 2 for every channel and its validation; InputFileError if the charts contradict the curves, which is blamed on the
+    `odd` captures of these if there are any."""
     photons = charts.photons @ relative.T
     fits = []
     for channel, level in enumerate(black):
@@ -218,9 +225,9 @@ def fit_charts(charts: Charts, relative: Array, black: Array, drift: float, body
     r_squared = gain.r_squared(charts.values, predicted)
     worst = int(r_squared.argmin())
     if r_squared[worst] < LEAST_R_SQUARED:
+        cure = f"check {odd[0]}" if odd else "check the order of corners and radiances, exposures and cfa.pattern"
         raise InputFileError(
-            f"channel {body.channels[worst]}: the charts do not fit the responsivity (R² {r_squared[worst]:.2f}); "
-            "check the order of corners and radiances, exposures and cfa.pattern"
+            f"channel {body.channels[worst]}: the charts do not fit the responsivity (R² {r_squared[worst]:.2f}); {cure}"
         )
     return ChartFit(
         alpha=alphas,
