@@ -217,8 +217,8 @@ def read_table(path: Path) -> CurveTable:
     table = np.array(rows)
     at, scale = (0, None) if heading is None else _wavelength_column(heading, path)
     wavelength = table[:, at] * (scale or 1.0)
-    if scale in (None, 1.0):
-        check_nanometres(wavelength, str(path), 'name that column "wavelength_{}"')
+    if scale in (None, 1.0) and (other := other_unit(float(wavelength.min()), float(wavelength.max()))):
+        raise InputFileError(f'{path}: {other[0]}; name that column "wavelength_{other[1]}"')
     if not (np.abs(table) <= LARGEST).all() or not _monotonic(wavelength):
         raise InputFileError(f"{path}: wavelengths must increase and every value be a number within ±{LARGEST:g}")
     if not (wavelength.min() > 0 and METRES < wavelength.max() <= LONGEST):
@@ -238,16 +238,13 @@ def _monotonic(wavelength: Array) -> bool:
     return bool((steps > 0).all() or (steps < 0).all())
 
 
-def check_nanometres(wavelength: Array, what: str, cure: str) -> None:
-    """InputFileError if the wavelengths of `what` are in another unit by their size; `cure` takes that unit in {}."""
-    first, last = float(wavelength.min()), float(wavelength.max())
+def other_unit(first: float, last: float) -> tuple[str, str] | None:
+    """What is wrong with a grid of wavelengths from `first` to `last` that ought to be in nm, and the unit they seem to be
+    in; None if they may be in nm."""
     if first <= 0 or (last >= MICROMETRES and first <= ANGSTROMS):
-        return
+        return None
     unit, nm = ("m", 1e9) if last < METRES else ("um", 1e3) if last < MICROMETRES else ("A", 0.1)
-    raise InputFileError(
-        f"{what}: wavelengths {first:g}…{last:g} are no nm, but perhaps {first * nm:g}…{last * nm:g} nm in {unit}; "
-        f"{cure.format(unit)}"
-    )
+    return f"wavelengths {first:g}…{last:g} are no nm, but perhaps {first * nm:g}…{last * nm:g} nm in {unit}", unit
 
 
 def _rows(path: Path) -> tuple[list[str] | None, list[list[float]]]:

@@ -13,7 +13,7 @@ BASES = {
     **{prefix + "m": (scale, {"m": 1}) for prefix, scale in PREFIXES.items()},
     **{name: (1.0, {"J": 1, "s": -1}) for name in ("watt", "watts")},
     **{name: (1.0, {"photon": 1}) for name in ("photon", "photons", "ph", "quanta", "quantum")},
-    **{name: (1.0, {"electron": 1}) for name in ("electron", "electrons", "e-", "e")},
+    **{name: (1.0, {"electron": 1}) for name in ("electron", "electrons", "e-")},
     **{name: (1.0, {"s": 1}) for name in ("sec", "second", "seconds")},
     **{name: (1e-10, {"m": 1}) for name in ("angstrom", "angstroms")},
     **{name: (1e-6, {"m": 1}) for name in ("micron", "microns", "micrometer", "micrometers", "micrometre", "micrometres")},

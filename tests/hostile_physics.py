@@ -10,7 +10,7 @@ import re
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,7 @@ from l3cli.artifacts.base import load
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.cli import run
+from tests.fuzz import Seeded
 from tests.hostile import CAMERA, Choices, one_of
 
 LAB = """
@@ -264,19 +265,23 @@ class Lab:
         return None
 
 
-def main() -> int:
-    from tests.fuzz import Seeded
-
-    first, count = map(int, sys.argv[1:3])
-    failed = 0
+def judge_seeds(seeds: Iterable[int]) -> Iterator[tuple[int, str]]:
+    """The seeds whose mistakes did not end as they must, and what came of them."""
     with tempfile.TemporaryDirectory(prefix="l3-physics-") as name:
         lab = Lab(Path(name) / "lab")
-        for seed in range(first, first + count):
+        for seed in seeds:
             choices = Seeded(seed)
             mistake = one_of(choices, MISTAKES)
             if (verdict := lab.judge(mistake, choices)) is not None:
-                failed += 1
-                print(f"{seed} {mistake.__name__}: {verdict.strip()}", flush=True)
+                yield seed, f"{mistake.__name__}: {verdict}"
+
+
+def main() -> int:
+    first, count = map(int, sys.argv[1:3])
+    failed = 0
+    for seed, verdict in judge_seeds(range(first, first + count)):
+        failed += 1
+        print(f"{seed} {verdict.strip()}", flush=True)
     print(f"{count} inputs, {failed} failures")
     return int(failed > 0)
 

@@ -296,13 +296,12 @@ def efficiency(curves: Curves, fit: Fit, gain: float, body: Body) -> tuple[Array
     return curves.relative * scale, band * scale
 
 
-def check_efficiency(responsivity: Array) -> None:
-    """InputFileError if a quantum efficiency (channel, wavelength) is above 1."""
+def check_efficiency(responsivity: Array, odd: tuple[str, ...] = ()) -> None:
+    """InputFileError if a quantum efficiency (channel, wavelength) is above 1, which is blamed on `odd` captures if any."""
     peak = float(responsivity.max())
     if peak > 1.0:
-        raise InputFileError(
-            f"the peak quantum efficiency would be {100 * peak:.4g} %, above an electron a photon; {likely_mistake(peak)}"
-        )
+        cure = f"check {odd[0]}" if odd else likely_mistake(peak)
+        raise InputFileError(f"the peak quantum efficiency would be {100 * peak:.4g} %, above an electron a photon; {cure}")
 
 
 def likely_mistake(peak: float) -> str:
@@ -317,7 +316,7 @@ def assemble(body: Body, sensor: SensorFigures, curves: Curves, fit: Fit) -> Cam
     curve, band = curves.relative, curves.band
     if fit.chart is not None:
         curve, band = efficiency(curves, fit, sensor.gain, body)
-        check_efficiency(curve)
+        check_efficiency(curve, fit.sweep.odd if fit.sweep else ())
     try:
         return CameraModel(
             name=body.name,

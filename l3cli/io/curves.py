@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from l3cli import spectra
 from l3cli.artifacts.camera import CameraModel
 from l3cli.config import LARGEST
-from l3cli.curve_table import CurveTable, check_nanometres, read_table
+from l3cli.curve_table import CurveTable, other_unit, read_table
 from l3cli.errors import InputFileError
 from l3cli.files import write_whole
 from l3cli.limits import read_bounded
@@ -77,7 +77,8 @@ def _read_json(path: Path) -> CurveTable:
     table = table[np.argsort(table[:, 0])]
     if not (np.abs(table) <= LARGEST).all() or (np.diff(table[:, 0]) <= 0).any():
         raise InputFileError(f"{path}: wavelengths must differ and every value be a number within ±{LARGEST:g}")
-    check_nanometres(table[:, 0], str(path), "give them in nm")
+    if other := other_unit(float(table[0, 0]), float(table[-1, 0])):
+        raise InputFileError(f"{path}: {other[0]}; give them in nm")
     values = table[:, 1:].T
     named = isinstance(names, list) and len(names) == len(values) and all(isinstance(name, str) for name in names)
     return CurveTable(path, table[:, 0], values, tuple(names) if named else None, (None,) * len(values))
