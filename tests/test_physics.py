@@ -329,3 +329,18 @@ def test_bands_of_a_cube_in_micrometres_are_refused(bayer_recipe: Path, tmp_path
     )
     line = refused(2, "simulate", scenes, "--camera", bayer_recipe, "-o", tmp_path / "t.h5")
     assert "perhaps 400…700 nm in um" in line
+
+
+def test_reflectances_in_percent_are_refused(bayer_recipe: Path, tmp_path: Path, l3: L3) -> None:
+    scenes = tmp_path / "scenes.toml"
+    np.save(tmp_path / "cube.npy", np.full((20, 20, 31), 50.0))
+    text = (
+        'illuminants = ["D65"]\nexposure_share = [0.9]\n[[scene]]\nsource = "cube"\nfile = "cube.npy"\n'
+        "wavelength_range_nm = [400, 700, 10]\n"
+    )
+    scenes.write_text(text)
+    command = ("simulate", scenes, "--camera", bayer_recipe, "-o", tmp_path / "t.h5")
+    assert l3(*command)[0] == 3
+    assert "100 for percent" in l3(*command)[2]
+    scenes.write_text(text + "white = 100\n")
+    assert l3(*command)[0] == 0
