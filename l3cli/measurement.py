@@ -13,6 +13,12 @@ from l3cli.artifacts.camera import Noise, Optics
 
 CHART_ROWS, CHART_COLS = 4, 6
 PATCHES = CHART_ROWS * CHART_COLS
+PATCH_NAMES = (
+    "dark skin", "light skin", "blue sky", "foliage", "blue flower", "bluish green",
+    "orange", "purplish blue", "moderate red", "purple", "yellow green", "orange yellow",
+    "blue", "green", "red", "yellow", "magenta", "cyan",
+    "white 9.5", "neutral 8", "neutral 6.5", "neutral 5", "neutral 3.5", "black 2",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -63,6 +69,7 @@ class MonoCapture(Capture):
 
     wavelength: NDArray[np.float64]  # (wavelength) nm
     radiance: NDArray[np.float64]  # (wavelength) photons/s/sr/m²/nm
+    absolute: bool = field(default=True, kw_only=True)  # whether the scale of the radiance is known, too
 
 
 @dataclass(frozen=True)

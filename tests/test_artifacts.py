@@ -28,7 +28,7 @@ def a_fit(channels: int) -> Fit:
 
 def a_part(part: type, channels: int) -> Any:
     lengths = {"channel": channels, "patch": 24, "trial": 4, "white_exposure": 3, "chart": 2, "defect": 0, "coordinate": 2}
-    lengths |= {"left_out": 1, "light": 2, "capture": 3}
+    lengths |= {"left_out": 1, "odd": 1, "light": 2, "capture": 3}
     values: dict = {}
     for field in dataclasses.fields(part):
         spec = field.metadata["spec"]

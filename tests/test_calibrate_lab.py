@@ -10,11 +10,12 @@ import pytest
 
 from l3cli.artifacts.base import load
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.camera_recipe import load_camera, read_curves
+from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.calibrate import defects, gain, noise
 from l3cli.calibrate.curves import Curves
 from l3cli.calibrate.model import efficiency
 from l3cli.cli import run
+from l3cli.curve_table import read_table
 from l3cli.io.curves import write_curves
 from l3cli.measurement import Body
 from l3cli.simulate.flaws import FlawRecipe, flaws_of
@@ -86,9 +87,10 @@ def test_the_monitor_and_stray_light_count(mean_lab: Path, fine_bayer_recipe: Pa
     (mean_lab / "UNMONITORED.toml").write_text(unmonitored)
     result = compared(mean_lab, "UNMONITORED.toml", fine_bayer_recipe, tmp_path / "camera.h5", l3)
     assert worst(result, RMS) > 1.0
-    wavelength, lights = read_curves(mean_lab / "spectra/mono.csv")
-    floor = lights.min(axis=1, keepdims=True)
-    write_curves(mean_lab / "spectra/clean.csv", wavelength, lights - floor, [str(n) for n in range(len(lights))])
+    table = read_table(mean_lab / "spectra/mono.csv")
+    assert table.names is not None
+    clean = table.values - table.values.min(axis=1, keepdims=True)
+    write_curves(mean_lab / "spectra/clean.csv", table.wavelength, clean, table.names)
     (mean_lab / "CLEAN.toml").write_text(text.replace("spectra/mono.csv", "spectra/clean.csv"))
     result = compared(mean_lab, "CLEAN.toml", fine_bayer_recipe, tmp_path / "camera.h5", l3)
     assert worst(result, RMS) > 0.6

@@ -50,7 +50,7 @@ def edit(folder: Path, old: str, new: str, count: int = 1) -> None:
         ("[[dark]]", "[[darkness]]", "`darkness`"),
         ("bits = 12", "bits = 99", "1 to 16 bits"),
         ("rows = 192", "rows = 12", "too few"),
-        ("column = 1\n", "column = 999\n", "column 999 of spectra/mono.csv"),
+        ('column = "410nm"', "column = 999", "column 999 of spectra/mono.csv"),
         ('"g b"', '"g x"', '"x" is no channel'),
         ("[sensor]", "[sensor", "not valid TOML"),
         ("f_number = 2.8", "f_number = 0", "above 0"),

@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l3cli.artifacts.camera_recipe import CameraRecipe, load_camera, read_curves
+from l3cli.artifacts.camera_recipe import CameraRecipe, load_camera
 from l3cli.config import load_recipe
+from l3cli.curve_table import read_curves
 from l3cli.errors import InputFileError, RecipeError
 from tests.conftest import CONFIGS, bayer_camera
 

@@ -30,6 +30,7 @@ from l3cli.io import apart
 from l3cli.io.images import read_image, write_mosaic
 from l3cli.limits import MEGAPIXELS, MOST_TEXT, TRUST
 from l3cli.train.insight import kind_name
+from tests import hostile_physics
 from tests.decoders import abort, crash, echo, hoard, sleep, stumble, work, write_much
 from tests.fuzz import Seeded
 from tests.hostile import SUBJECTS, Subject, Workshop, confined, watched
@@ -37,6 +38,7 @@ from tests.hostile_identities import Identities
 
 IDENTITIES = 40
 INPUTS = int(os.environ.get("L3_HOSTILE_INPUTS", "500"))  # of all subjects together
+PHYSICS = 3  # inputs of each physical mistake
 EACH = settings(
     max_examples=-(-INPUTS // len(SUBJECTS)),
     deadline=None,
@@ -83,6 +85,19 @@ def test_an_output_that_is_an_input_is_refused_whatever_it_is_called(shop: Works
     identities = Identities(shop)
     for seed in range(IDENTITIES):
         assert identities.judge(Seeded(seed)) is None
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> hostile_physics.Lab:
+    return hostile_physics.Lab(tmp_path_factory.mktemp("physics") / "lab")
+
+
+@pytest.mark.parametrize("seed", range(PHYSICS))
+@pytest.mark.parametrize("mistake", hostile_physics.MISTAKES, ids=lambda mistake: mistake.__name__)
+def test_a_physical_mistake_is_named_or_undone(
+    lab: hostile_physics.Lab, mistake: Callable[..., hostile_physics.Expected], seed: int
+) -> None:
+    assert lab.judge(mistake, Seeded(seed)) is None
 
 
 # What the long runs have found, each mended at its cause: a subject, a command, what is replaced in the whole file.

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.camera_recipe import read_curves
 from l3cli.cli import run
 from l3cli.config import load_recipe
+from l3cli.curve_table import read_curves
 from l3cli.io.frames import read_frame
 from l3cli.simulate.flaws import FlawRecipe, flaws_of
 from l3cli.simulate.lab import LabRecipe, MonoRecipe, plan, take

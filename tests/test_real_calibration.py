@@ -9,7 +9,7 @@ import pytest
 
 from l3cli.artifacts.base import load
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.camera_recipe import read_curves
+from l3cli.curve_table import read_curves
 from l3cli.io.curves import write_curves
 
 L3 = Callable[..., tuple[int, str, str]]

@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 
 from l3cli import spectra
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.camera_recipe import load_camera, read_curves
+from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.calibrate import responsivity, series
+from l3cli.curve_table import read_curves
 from l3cli.errors import InputFileError
 from l3cli.io.scene_files import read_iset_scene
 from l3cli.measurement import BandCapture

@@ -16,6 +16,7 @@ from l3cli.limits import most_pixels
 MAX_CHANNELS = 16  # a saturation code is 16 bits wide
 MAX_CFA = 8
 MAX_BITS = 16
+ROUNDING = 1e-6  # of a quantum efficiency of 1
 MOST_WAVELENGTHS, LONGEST = 10_000, 20_000  # samples of a spectrum; nm
 
 
@@ -127,6 +128,8 @@ class CameraModel(Artifact):
         check_wavelengths(self.wavelength)
         if not (self.pixel_pitch > 0 and self.gain > 0 and self.responsivity.max() > 0 and self.fixed_pattern_seed >= 0):
             raise ValueError("pixel_pitch, gain and the peak of the responsivity must be above zero, the seed not below")
+        if self.absolute and not self.responsivity.max() <= 1.0 + ROUNDING:
+            raise ValueError(f"its peak quantum efficiency is {self.responsivity.max():.4g}, and 1 at most can be")
 
     @property
     def full_scale(self) -> float:

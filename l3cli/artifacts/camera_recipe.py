@@ -1,4 +1,4 @@
-"""Cameras described instead of measured: recipes (configs/cameras), and the CSV files of spectra that they name."""
+"""Cameras described instead of measured: recipes (configs/cameras)."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from l3cli import spectra
 from l3cli.artifacts.base import load
 from l3cli.artifacts.camera import LONGEST, MAX_CFA, MAX_CHANNELS, MOST_WAVELENGTHS, CameraModel, Noise, Optics
-from l3cli.config import LARGEST, Recipe, load_recipe, read_text
-from l3cli.errors import InputFileError, RecipeError, suggestion
-from l3cli.limits import read_bounded
+from l3cli.config import Recipe, load_recipe, read_text
+from l3cli.curve_table import read_table
+from l3cli.errors import RecipeError, suggestion
 
-MOST_CURVE_ROWS = 100_000
+PITCHES_UM, LEAST_F_NUMBER, LEAST_FOCAL_MM = (0.1, 1000.0), 0.5, 0.05  # beyond, a length was given in another unit
+MOST_PRNU = 0.2  # of any sensor that can be corrected
 
 
 class SensorRecipe(Recipe):
@@ -46,7 +47,7 @@ class ResponsivityRecipe(Recipe):
     wavelength_nm: tuple[float, float, float]  # first, last, step
     peak_efficiency: float  # quantum efficiency e-/photon at the peak of the whole set, lens and filters included
     gaussians: dict[str, list[Gaussian]] | None = None  # channel → sum of Gaussians
-    file: str | None = None  # CSV: wavelength in nm, then one column a channel in the order of cfa.channels
+    file: str | None = None  # CSV: wavelength in nm, one column a channel, by name or in the order of cfa.channels
     per_energy: bool = False  # the curves are per watt, not per photon
 
 
@@ -157,6 +158,31 @@ def _check_figures(recipe: CameraRecipe, path: Path) -> None:
     for key, value in (*spreads, ("sensor.fixed_pattern_seed", sensor.fixed_pattern_seed)):
         if not 0 <= value < float("inf"):
             raise RecipeError(f"{path}: {key} is {value:g}, and must not be negative")
+    check_share(recipe.responsivity.peak_efficiency, "responsivity.peak_efficiency", 1.0, path)
+    check_share(noise.prnu, "noise.prnu", MOST_PRNU, path)
+    check_lengths(sensor.pixel_pitch_um, optics, path)
+
+
+def check_share(value: float, key: str, most: float, path: Path) -> None:
+    """RecipeError if a share that cannot be more than `most` is."""
+    if value > most:
+        percent = f"; {value:g} % is {value / 100:g}" if value <= 100 * most else ""
+        raise RecipeError(f"{path}: {key} is {value:g}, and a share of {most:g} at most{percent}")
+
+
+def check_lengths(pitch_um: float, optics: OpticsRecipe, path: Path) -> None:
+    """RecipeError if pixel pitch, focal length or f-number are none by their size: given in another unit."""
+    least, most = PITCHES_UM
+    if not least <= pitch_um <= most:
+        meant = next(
+            (f"; {pitch_um * each:g} is meant?" for each in (1e3, 1e6, 1e-3) if least <= pitch_um * each <= most), ""
+        )
+        raise RecipeError(f"{path}: sensor.pixel_pitch_um is {pitch_um:g}, and must lie in {least:g}…{most:g} µm{meant}")
+    if optics.focal_length_mm < LEAST_FOCAL_MM:
+        meant = f"{optics.focal_length_mm * 1000:g}"
+        raise RecipeError(f"{path}: optics.focal_length_mm is {optics.focal_length_mm:g} mm; is {meant} meant?")
+    if optics.f_number < LEAST_F_NUMBER:
+        raise RecipeError(f"{path}: optics.f_number is {optics.f_number:g}; no lens in air is below {LEAST_F_NUMBER}")
 
 
 def parse_cfa(cfa: CfaRecipe, name: str) -> NDArray[np.uint8]:
@@ -201,8 +227,8 @@ def _responsivity(recipe: CameraRecipe, path: Path) -> tuple[NDArray[np.float64]
         curves = np.array([_sum_of_gaussians(wavelength, declared.gaussians[c]) for c in recipe.cfa.channels])
     else:
         assert declared.file is not None
-        grid, table = read_curves(path.parent / declared.file, len(recipe.cfa.channels))
-        curves = spectra.average(table, grid, wavelength)
+        table = read_table(path.parent / declared.file).ordered(recipe.cfa.channels)
+        curves = spectra.average(table.responses(declared.per_energy, "per_energy"), table.wavelength, wavelength)
     if declared.per_energy:
         curves = curves / wavelength
     return wavelength, declared.peak_efficiency * curves / curves.max()
@@ -215,37 +241,6 @@ def _sum_of_gaussians(wavelength: NDArray[np.float64], terms: list[Gaussian]) ->
         sigma = np.where(wavelength < term.centre_nm, term.sigma_nm, above)
         total += term.peak * np.exp(-0.5 * ((wavelength - term.centre_nm) / sigma) ** 2)
     return total
-
-
-def read_curves(path: Path, columns: int | None = None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Spectra from a CSV file: (wavelength) in nm, increasing, and (column, wavelength). Lines that begin with # and one
-    header line are skipped, a file that falls is turned round; InputFileError if the rest is not numbers, neither rises nor
-    falls all through, or is not `columns` columns."""
-    try:
-        lines = [line for line in read_bounded(path).decode("utf-8-sig").splitlines() if line.strip()]
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not a text file"
-        raise InputFileError(f"{path}: {reason}; give a CSV file of spectra") from error
-    lines = [line for line in lines if not line.startswith("#")]
-    rows = []
-    for number, line in enumerate(lines):
-        try:
-            rows.append([float(cell) for cell in line.replace(";", ",").split(",")])
-        except ValueError:
-            if number:  # the first line may be a header
-                raise InputFileError(f'{path}: "{line[:40]}" is not a row of numbers') from None
-    if not rows or len({len(row) for row in rows}) != 1 or len(rows[0]) < 2:
-        raise InputFileError(f"{path}: rows must be a wavelength in nm and equally many values each")
-    table = np.array(rows)
-    if (np.diff(table[:, 0]) < 0).all():
-        table = table[::-1].copy()
-    if not (np.abs(table) <= LARGEST).all() or (np.diff(table[:, 0]) <= 0).any():
-        raise InputFileError(f"{path}: wavelengths must increase and every value be a number within ±{LARGEST:g}")
-    if len(table) > MOST_CURVE_ROWS or not (table[0, 0] > 0 and table[-1, 0] <= LONGEST):
-        raise InputFileError(f"{path}: give {MOST_CURVE_ROWS} wavelengths at most, within 0…{LONGEST} nm")
-    if columns is not None and table.shape[1] != columns + 1:
-        raise InputFileError(f"{path}: holds {table.shape[1] - 1} curves, {columns} are wanted")
-    return table[:, 0], table[:, 1:].T
 
 
 def recipe_text(path: Path) -> str:

@@ -48,6 +48,7 @@ class SweepFit:
         "float64", "trial", doc="cross-validated relative RMSE of chart values for each delta"
     )
     chosen_smoothing: float = data("float64", doc="delta used")
+    odd: tuple[str, ...] = data("str", "odd", doc="captures that disagree with their neighbours, by how much", default=())
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel, Noise
 from l3cli.artifacts.fit import ChartFit, Fit, NoiseFit, SweepFit
+from l3cli.calibrate import agreement, defects, gain, noise, responsivity
 from l3cli.calibrate import curves as finished
-from l3cli.calibrate import defects, gain, noise, responsivity
 from l3cli.calibrate.curves import Curves
 from l3cli.calibrate.noise import Each
 from l3cli.calibrate.series import fit_series
@@ -21,6 +21,17 @@ DELTAS = np.geomspace(1e-7, 1e1, 33)  # smoothings tried in Eq. 1
 LEAST_R_SQUARED = 0.5  # charts that fit worse were not measured as the measurement file says
 OVEREXPOSED = 1e-3  # share of saturated pixels that makes a monochromatic capture useless
 CUT_OFF = 0.05  # share of a light's peak that may be left where its measured spectrum ends
+USUAL = (0.03, 1.0)  # peak quantum efficiencies of cameras, lens and filters included
+PHOTONS_PER_JOULE = 2.5e18  # at 500 nm
+MISTAKES = {  # and by what each multiplies a quantum efficiency
+    "exposures were in ms (exposure_ms)": 1e-3,
+    "exposures were in µs (exposure_us)": 1e-6,
+    'radiances were in watts (unit = "W/(sr m² nm)")': PHOTONS_PER_JOULE,
+    'radiances were in milliwatts (unit = "mW/(sr m² nm)")': 1e-3 * PHOTONS_PER_JOULE,
+    "radiances were per cm²": 1e4,
+    "radiances were per µm": 1e-3,
+    "exposures were in s where ms are told": 1e3,
+}
 Array = NDArray[np.float64]
 
 
@@ -65,12 +76,15 @@ def calibrate(measurements: Measurements, each: Each = map) -> CameraModel:
         sweep, left_out = measure_sweep(measurements.mono, body, sensor, each)
         charts = measure_charts(measurements.charts, sweep.nodes, body, sensor, each)
         curves, sweep_fit = fit_curves(sweep, charts, sensor.dark.black, measurements, left_out)
+        if not sweep_fit.odd:
+            check_charts(measurements, charts, sweep, sweep_fit.chosen_smoothing, sensor.dark.black)
     else:
         curves = finished.without_fit(measurements.curve, body, drift, measurements.wavelength_uncertainty)
         if measurements.charts:
             curves = curves.to_own_peaks()
             charts = measure_charts(measurements.charts, curves.wavelength, body, sensor, each)
-    chart_fit = fit_charts(charts, curves.relative, sensor.dark.black, drift, body) if measurements.charts else None
+    odd = sweep_fit.odd if sweep_fit else ()
+    chart_fit = fit_charts(charts, curves.relative, sensor.dark.black, drift, body, odd) if measurements.charts else None
     fit = Fit(noise=figures, sweep=sweep_fit, chart=chart_fit)
     return assemble(body, summarise(sensor, figures, body), curves, fit)
 
@@ -93,6 +107,8 @@ def measure_sensor(measurements: Measurements, each: Each = map) -> Sensor:
     dark = noise.dark_noise(measurements.darks, body, each)
     whites = sorted(measurements.whites, key=lambda capture: capture.exposure)
     levels = list(each(functools.partial(noise.measure_level, body=body, defects=dark.hot), whites))
+    signal = np.array([noise.mean_value(level.counts) - dark.black - dark.slope * level.exposure for level in levels])
+    agreement.check_whites(whites, np.array([level.lit for level in levels]), signal)
     transfer = noise.photon_transfer(levels, body, dark)
     prnu, dead = noise.prnu(whites, levels, transfer.used, body, dark.hot, each)
     exposure = np.array([level.exposure for level in levels])
@@ -170,7 +186,8 @@ def fit_curves(
     curves = responsivity.solve_channels(sweep, delta)
     drift, shift = measurements.lamp_drift, measurements.wavelength_uncertainty
     band = responsivity.confidence_bands(sweep, curves, delta, drift, shift)
-    fit = SweepFit(responsivity.residuals(sweep, curves), left_out, DELTAS, errors, delta)
+    odd = agreement.odd_steps(measurements.mono, sweep)
+    fit = SweepFit(responsivity.residuals(sweep, curves), left_out, DELTAS, errors, delta, odd)
     return Curves(sweep.nodes, curves, band).to_own_peaks(), fit
 
 
@@ -181,8 +198,22 @@ def _validation_error(sweep: responsivity.Sweep, charts: Charts, delta: float, b
     return float(np.mean([gain.cross_validate(photons[..., c], charts.values[..., c], black[c]) for c in channels]))
 
 
-def fit_charts(charts: Charts, relative: Array, black: Array, drift: float, body: Body) -> ChartFit:
-    """Eq. 2 for every channel and its validation; InputFileError if the charts contradict the curves."""
+def check_charts(
+    measurements: Measurements, charts: Charts, sweep: responsivity.Sweep, smoothing: float, black: Array
+) -> None:
+    """InputFileError if a chart contradicts the others, or all of them the monochromator."""
+    curves = responsivity.solve_channels(sweep, smoothing)
+    measured = (charts.values - black).sum(axis=1)
+    predicted = (charts.photons @ curves.T).sum(axis=1)
+    absolute = all(capture.absolute for capture in measurements.mono)
+    agreement.check_charts(measurements.charts, measured, predicted, absolute)
+
+
+def fit_charts(
+    charts: Charts, relative: Array, black: Array, drift: float, body: Body, odd: tuple[str, ...] = ()
+) -> ChartFit:
+    """Eq. 2 for every channel and its validation; InputFileError if the charts contradict the curves, which is blamed on the
+    `odd` captures of these if there are any."""
     photons = charts.photons @ relative.T
     fits = []
     for channel, level in enumerate(black):
@@ -194,9 +225,9 @@ def fit_charts(charts: Charts, relative: Array, black: Array, drift: float, body
     r_squared = gain.r_squared(charts.values, predicted)
     worst = int(r_squared.argmin())
     if r_squared[worst] < LEAST_R_SQUARED:
+        cure = f"check {odd[0]}" if odd else "check the order of corners and radiances, exposures and cfa.pattern"
         raise InputFileError(
-            f"channel {body.channels[worst]}: the charts do not fit the responsivity (R² {r_squared[worst]:.2f}); "
-            "check the order of corners and radiances, exposures and cfa.pattern"
+            f"channel {body.channels[worst]}: the charts do not fit the responsivity (R² {r_squared[worst]:.2f}); {cure}"
         )
     return ChartFit(
         alpha=alphas,
@@ -265,11 +296,27 @@ def efficiency(curves: Curves, fit: Fit, gain: float, body: Body) -> tuple[Array
     return curves.relative * scale, band * scale
 
 
+def check_efficiency(responsivity: Array, odd: tuple[str, ...] = ()) -> None:
+    """InputFileError if a quantum efficiency (channel, wavelength) is above 1, which is blamed on `odd` captures if any."""
+    peak = float(responsivity.max())
+    if peak > 1.0:
+        cure = f"check {odd[0]}" if odd else likely_mistake(peak)
+        raise InputFileError(f"the peak quantum efficiency would be {100 * peak:.4g} %, above an electron a photon; {cure}")
+
+
+def likely_mistake(peak: float) -> str:
+    """What a peak quantum efficiency that no camera has is a sign of: the mistakes that would make a usual one of it."""
+    likely = [what for what, factor in MISTAKES.items() if USUAL[0] <= peak / factor <= USUAL[1]]
+    general = "the units of radiances (photons/s/sr/m²/nm), exposures, pixel_pitch_um and f_number"
+    return f"check {general}" + (f", as if {' or '.join(likely)}" if likely else "")
+
+
 def assemble(body: Body, sensor: SensorFigures, curves: Curves, fit: Fit) -> CameraModel:
     """The camera model, absolute where charts gave the scale; InputFileError if black and white contradict each other."""
     curve, band = curves.relative, curves.band
     if fit.chart is not None:
         curve, band = efficiency(curves, fit, sensor.gain, body)
+        check_efficiency(curve, fit.sweep.odd if fit.sweep else ())
     try:
         return CameraModel(
             name=body.name,

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.calibrate import agreement
 from l3cli.calibrate import defects as defective
 from l3cli.calibrate.defects import Defects
 from l3cli.errors import InputFileError
@@ -188,6 +189,7 @@ def dark_noise(captures: Sequence[Capture], body: Body, each: Each = map) -> Dar
     offsets = defective.patched(offsets, body.cfa, hot)
     levels = list(each(functools.partial(measure_level, body=body, defects=hot), captures))
     mean = np.array([mean_value(level.counts) for level in levels])
+    agreement.check_darks(captures, mean.mean(axis=1))
     variance = np.array([level.variance for level in levels])
     own = (intercept**2 / [level.trials for level in levels]) @ variance
     spatial = pooled([_pixel_variance(site) for _, site in by_site(offsets, body.cfa)], body.cfa)

@@ -8,9 +8,11 @@ from l3cli import spectra
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.fit import ChartFit, NoiseFit, SeriesFit
 from l3cli.calibrate import gain
+from l3cli.calibrate.model import likely_mistake
 from l3cli.columns import columns, figure
 from l3cli.errors import InputFileError
 
+LEAST_EFFICIENCY = 0.01  # at the peak: below, a unit is more likely than such a camera
 LEAST_R_SQUARED, MOST_RMSE = 0.98, 0.02  # of every channel, or the calibration has failed
 SHOWN = 8  # defects listed in the text; JSON and the artifact hold all
 
@@ -112,7 +114,15 @@ def _bands(camera: CameraModel, series: SeriesFit) -> dict[str, dict[str, float]
 
 
 def shortfall(camera: CameraModel) -> str | None:
-    """Why the camera should not be trusted: the sentence that names the channel that its own validation fails; or None."""
+    """Why the camera should not be trusted: the sentence that names captures that disagree, an efficiency that is hardly a
+    camera's, or the channel that its own validation fails; or None."""
+    if camera.fit and camera.fit.sweep and camera.fit.sweep.odd:
+        odd = camera.fit.sweep.odd
+        more = f" and {len(odd) - 1} more" if len(odd) > 1 else ""
+        return f"{odd[0]}{more}; check exposure, monitor and spectrum, or add --accept"
+    peak = float(camera.responsivity.max())
+    if camera.absolute and peak < LEAST_EFFICIENCY:
+        return f"the peak quantum efficiency is {100 * peak:.3g} % only; {likely_mistake(peak)}, or add --accept"
     validation = camera.fit.validation if camera.fit else None
     if validation is None:
         return None

@@ -34,6 +34,12 @@ def node_grid(lights: list[tuple[Array, Array]]) -> Array:
     return np.arange(first, last + NODE_STEP / 2, NODE_STEP)
 
 
+def light_centre(wavelength: Array, radiance: Array) -> float:
+    """Centre of gravity in nm of a light (wavelength) at half its peak or more."""
+    inside = np.where(radiance >= radiance.max() / 2, radiance * spectra.bin_widths(wavelength), 0.0)
+    return float(inside @ wavelength / inside.sum())
+
+
 def node_photons(wavelength: Array, radiance: Array, nodes: Array) -> Array:
     """(…, node): integral of radiance (…, wavelength) × each node's hat, photons/s/sr/m²."""
     return np.asarray(spectra.resample(radiance, wavelength, nodes) * spectra.bin_widths(nodes), dtype=np.float64)

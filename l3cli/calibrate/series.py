@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from l3cli import spectra
 from l3cli.artifacts.fit import SeriesFit
-from l3cli.calibrate import defects, gain, noise
+from l3cli.calibrate import agreement, defects, gain, noise
 from l3cli.calibrate.curves import Curves
-from l3cli.calibrate.responsivity import COVERAGE
+from l3cli.calibrate.responsivity import COVERAGE, light_centre
 from l3cli.errors import InputFileError
 from l3cli.measurement import PATCHES, BandCapture, Body, Capture
 
@@ -37,6 +37,7 @@ def fit_series(
     """
     limit = black + noise.SATURATED * (white - black)
     series = measure_series(captures, darks, body, black, limit)
+    agreement.check_series(captures, series.light, series.values, series.valid)
     rates, predicted, used = follow_exposure(series)
     for band, name in enumerate(series.lights):
         if not used[series.light == band].any(axis=(0, 1)).all():
@@ -105,9 +106,7 @@ def follow_exposure(series: Series) -> tuple[Array, Array, NDArray[np.bool_]]:
 
 def band_centre(capture: BandCapture) -> float:
     """Centre of gravity in nm of what a filter lets through at half its peak or more."""
-    light = capture.radiance.sum(axis=0)
-    inside = np.where(light >= light.max() / 2, light * spectra.bin_widths(capture.wavelength), 0.0)
-    return float(inside @ capture.wavelength / inside.sum())
+    return light_centre(capture.wavelength, capture.radiance.sum(axis=0))
 
 
 def band_photons(captures: Sequence[BandCapture], series: Series) -> tuple[Array, Array]:

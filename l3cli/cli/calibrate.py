@@ -1,5 +1,6 @@
 """l3 calibrate: lab measurements → camera model."""
 
+import itertools
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -43,13 +44,14 @@ def calibrate(
     from l3cli.calibrate import model, report
     from l3cli.errors import L3Error
     from l3cli.io.curves import export_curves, export_paths
-    from l3cli.io.measurements import history, load_measurements, measurement_files
+    from l3cli.io.measurements import inputs_of, load_measurements
     from l3cli.parallel import ordered_map
 
     options.spare(measurements, *filter(None, [truth]))
     for path in (output, *(export_paths(export) if export else ())):
         options.claim_file(path, force)
-    options.spare(*measurement_files(measurements), *(camera_files(truth) if truth else ()))
+    inputs = inputs_of(measurements)
+    options.spare(*itertools.chain(*inputs.files.values()), *(camera_files(truth) if truth else ()))
     true = load_camera(truth) if truth else None
     measured = load_measurements(measurements)
 
@@ -60,7 +62,7 @@ def calibrate(
     camera = model.calibrate(measured, each)
     if (shortfall := report.shortfall(camera)) and not accept:
         raise L3Error(f"{measurements}: {shortfall}")
-    camera = replace(camera, history=(history(measurements, {"accept": True} if accept else {}),))
+    camera = replace(camera, history=(inputs.history({"accept": True} if accept else {}),))
     result: dict[str, Any] = report.figures(camera)
     if true is not None:
         result["truth"] = report.compare(camera, true)

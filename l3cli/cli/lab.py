@@ -97,6 +97,7 @@ def _described(
     from l3cli.io import measurements as files
     from l3cli.io.curves import write_curves
     from l3cli.simulate.lab import chart_corners
+    from l3cli.units import PHOTON_RADIANCE
 
     mono: list[files.MonoRecipe] = []
     charts: list[files.ChartRecipe] = []
@@ -108,17 +109,17 @@ def _described(
             "monitor": capture.monitor,
         }
         if capture.kind == "mono":
-            mono.append(files.MonoRecipe(**common, spectrum=MONO, column=len(mono) + 1))
+            mono.append(files.MonoRecipe(**common, spectrum=MONO, column=capture.light))
         elif capture.kind == "chart":
             name = _chart_name(capture)
             patches = [f"patch_{patch}" for patch in range(1, len(capture.radiance) + 1)]
-            write_curves(folder / name, capture.wavelength, capture.radiance, patches)
+            write_curves(folder / name, capture.wavelength, capture.radiance, patches, PHOTON_RADIANCE)
             corners = chart_corners(model)
             charts.append(files.ChartRecipe(**common, illuminant=capture.light, corners=corners, radiance=name))
         else:
             others[capture.kind].append(files.CaptureRecipe(**common))
     steps = [capture for capture in captures if capture.kind == "mono"]
     radiances, lights = np.concatenate([step.radiance for step in steps]), [step.light for step in steps]
-    write_curves(folder / MONO, steps[0].wavelength, radiances, lights)
+    write_curves(folder / MONO, steps[0].wavelength, radiances, lights, PHOTON_RADIANCE)
     uncertainty = files.UncertaintyRecipe(lamp_drift=chosen.monitor_error, wavelength_nm=chosen.wavelength_error_nm)
     return files.describe(model, uncertainty, mono=mono, chart=charts, **others)

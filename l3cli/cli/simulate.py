@@ -144,7 +144,7 @@ def _prepare(recipe: "SceneRecipe", path: Path, camera: "CameraModel", seed: int
     except RecipeError as error:
         raise RecipeError(f"{path}: {error}") from error
     outputs = recipe.target.outputs
-    names = _column_names(path.parent / outputs, len(curves[outputs][1])) if outputs in curves else ()
+    names = _column_names(path.parent / outputs) if outputs in curves else ()
     target = make_target(outputs, curves.get(outputs), names, lights[other] if other else None, fitted)
     patterns = zip(recipe.scene, asked.patterns(recipe), strict=True)
     files = [find(text, path.parent, isinstance(source, BandFolder)) if text else [] for source, text in patterns]
@@ -195,23 +195,28 @@ def _inputs(run: "Run", files: list[list[Path]]) -> dict[str, list[Path]]:
 
 
 def _curve(path: Path, role: str) -> "Curve":
-    from l3cli.artifacts.camera_recipe import read_curves
+    from l3cli.curve_table import read_table
     from l3cli.simulate.light import check_measured
 
-    curve = read_curves(path, 1 if role == "transmittance" else None)
-    if role == "light":
-        check_measured(curve, str(path))
+    table = read_table(path)
+    if role == "transmittance":
+        return table.wavelength, table.counted(1).shares()
+    if role == "functions":
+        return table.wavelength, table.values
+    curve = table.wavelength, table.powers()
+    check_measured(curve, str(path))
     return curve
 
 
-def _column_names(path: Path, count: int) -> tuple[str, ...]:
-    """The header of a CSV file of matching functions, or numbers where it has none."""
-    from l3cli.limits import read_bounded
+def _column_names(path: Path) -> tuple[str, ...]:
+    """The heading of a CSV file of matching functions, or numbers where it has none."""
+    from l3cli.curve_table import read_table
 
-    lines = read_bounded(path).decode("utf-8-sig").splitlines()
-    cells = [cell.strip() for cell in next(line for line in lines if line.strip() and line[0] != "#").split(",")[1:]]
-    named = len(set(cells)) == count and not any(re.fullmatch(r"[-+.\deE]*", cell) for cell in cells)
-    return tuple(cells) if named else tuple(f"output {number}" for number in range(1, count + 1))
+    table = read_table(path)
+    unnamed = tuple(f"output {number}" for number in range(1, len(table.values) + 1))
+    names = table.names or ()
+    named = len(set(names)) == len(names) and not any(re.fullmatch(r"[-+.\deE]*", name) for name in names)
+    return names if names and named else unnamed
 
 
 def _head(

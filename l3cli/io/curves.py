@@ -10,30 +10,38 @@ from numpy.typing import NDArray
 
 from l3cli import spectra
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.camera_recipe import read_curves
 from l3cli.config import LARGEST
+from l3cli.curve_table import CurveTable, other_unit, read_table
 from l3cli.errors import InputFileError
 from l3cli.files import write_whole
 from l3cli.limits import read_bounded
 from l3cli.measurement import FinishedCurves, SweepTable
 
 RAWTOACES = np.arange(380.0, 781.0, 5.0)  # nm, the grid of its database
+DIODE = {  # other names of a sweep's columns
+    **dict.fromkeys(("diode", "photodiode", "photodiode light"), "diode light"),
+    **dict.fromkeys(("dark", "photodiode dark"), "diode dark"),
+}
 Array = NDArray[np.float64]
 
 
-def write_curves(path: Path, wavelength: NDArray, columns: NDArray, names: Sequence[str]) -> None:
-    """Write columns (column, wavelength) as CSV below a header line."""
-    lines = [",".join(["wavelength_nm", *names])]
+def write_curves(path: Path, wavelength: NDArray, columns: NDArray, names: Sequence[str], unit: str = "") -> None:
+    """Write columns (column, wavelength) as CSV below a heading that tells the `unit` of all columns, if there is one."""
+    lines = [",".join(["wavelength_nm", *(f"{name} ({unit})" if unit else name for name in names)])]
     lines += [",".join(f"{value:.8g}" for value in row) for row in np.vstack([wavelength, columns]).T]
     write_whole(path, "\n".join(lines) + "\n")
 
 
 def read_sweep(path: Path, photodiode: Path, channels: Sequence[str]) -> SweepTable:
     """The table of a sweep: wavelength, light mean of each channel, dark mean of each channel, light and dark reading of the
-    photodiode; and the response of that photodiode, per energy. InputFileError if it does not cover the sweep."""
+    photodiode, in this order or by name; and the response of that photodiode, per energy. InputFileError if it does not
+    cover the sweep."""
     count = len(channels)
-    wavelength, table = read_curves(path, 2 * count + 2)
-    grid, response = read_curves(photodiode, 1)
+    wanted = [f"{kind} {channel}" for kind in ("light", "dark") for channel in channels] + ["diode light", "diode dark"]
+    sweep = read_table(path).ordered(wanted, lambda name: DIODE.get(name.casefold(), name))
+    wavelength, table = sweep.wavelength, sweep.values
+    diode_table = read_table(photodiode).counted(1)
+    grid, response = diode_table.wavelength, diode_table.per_energy()
     if grid[0] > wavelength[0] or grid[-1] < wavelength[-1]:
         raise InputFileError(
             f"{photodiode}: its {grid[0]:g}…{grid[-1]:g} nm do not cover the sweep's "
@@ -47,27 +55,33 @@ def read_sweep(path: Path, photodiode: Path, channels: Sequence[str]) -> SweepTa
 
 def read_finished(path: Path, channels: Sequence[str], per_energy: bool) -> FinishedCurves:
     """Finished responsivities from CSV (wavelength in nm, one column a channel) or from rawtoaces' JSON."""
-    grid, table = _read_json(path, len(channels)) if path.suffix == ".json" else read_curves(path, len(channels))
-    if grid.size < 3 or grid[0] <= 0 or table.min() < 0 or (table.max(axis=1) <= 0).any():
+    table = _read_json(path) if path.suffix == ".json" else read_table(path)
+    grid, curves = table.wavelength, table.ordered(channels).responses(per_energy, "per_energy")
+    if grid.size < 3 or grid[0] <= 0 or curves.min() < 0 or (curves.max(axis=1) <= 0).any():
         raise InputFileError(f"{path}: curves need three wavelengths or more, no negative value, and light in every channel")
-    return FinishedCurves(grid, table / grid if per_energy else table)
+    return FinishedCurves(grid, curves / grid if per_energy else curves)
 
 
-def _read_json(path: Path, channels: int) -> tuple[Array, Array]:
-    """(wavelength) nm and (channel, wavelength) of a rawtoaces file."""
+def _read_json(path: Path) -> CurveTable:
+    """The curves of a rawtoaces file, by the names of its index."""
     try:
-        rows = json.loads(read_bounded(path))["spectral_data"]["data"]["main"]
+        content = json.loads(read_bounded(path))["spectral_data"]
+        rows, names = content["data"]["main"], content.get("index", {}).get("main")
         table = np.array([[float(key), *map(float, values)] for key, values in rows.items()])
     except OSError as error:
         raise InputFileError(f"{path}: {error.strerror}; give curves as CSV or rawtoaces JSON") from error
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise InputFileError(f"{path} is no rawtoaces JSON: spectral_data.data.main is missing or not numbers") from error
-    if table.ndim != 2 or table.shape[1] != channels + 1:
-        raise InputFileError(f"{path}: holds {table.shape[-1] - 1} curves, {channels} are wanted")
+    if table.ndim != 2 or table.shape[1] < 2:
+        raise InputFileError(f"{path} is no rawtoaces JSON: it holds no curves")
     table = table[np.argsort(table[:, 0])]
     if not (np.abs(table) <= LARGEST).all() or (np.diff(table[:, 0]) <= 0).any():
         raise InputFileError(f"{path}: wavelengths must differ and every value be a number within ±{LARGEST:g}")
-    return table[:, 0], table[:, 1:].T
+    if other := other_unit(float(table[0, 0]), float(table[-1, 0])):
+        raise InputFileError(f"{path}: {other[0]}; give them in nm")
+    values = table[:, 1:].T
+    named = isinstance(names, list) and len(names) == len(values) and all(isinstance(name, str) for name in names)
+    return CurveTable(path, table[:, 0], values, tuple(names) if named else None, (None,) * len(values))
 
 
 def export_paths(folder: Path) -> tuple[Path, Path]:

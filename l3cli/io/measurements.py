@@ -6,13 +6,16 @@
       scale             [[chart]] ColorCheckers under known lights; without them the camera's responsivity is relative
       sensor            [[dark]] and [[white]] frames; without [[white]] a [datasheet] of declared figures
     frames              single-channel 16-bit pictures (TIFF, PNG, PGM) of the whole sensor, raw DN, CFA phase (0, 0)
-    spectra             CSV: wavelength in nm, then radiances in photons/s/sr/m²/nm, one column a light or a patch
+    spectra             CSV: wavelength in nm, then radiances in photons/s/sr/m²/nm, one column a light or a patch; other
+                        units as a heading or the key `unit` tells
 
 Names of files are relative to the folder of the measurement file.
 """
 
 import json
 import math
+import re
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -21,14 +24,24 @@ import numpy as np
 
 from l3cli.artifacts.base import Stage
 from l3cli.artifacts.camera import CameraModel, Noise, Optics
-from l3cli.artifacts.camera_recipe import CfaRecipe, NoiseRecipe, OpticsRecipe, parse_cfa, read_curves
+from l3cli.artifacts.camera_recipe import (
+    MOST_PRNU,
+    CfaRecipe,
+    NoiseRecipe,
+    OpticsRecipe,
+    check_lengths,
+    check_share,
+    parse_cfa,
+)
 from l3cli.config import Recipe, load_recipe, read_text
+from l3cli.curve_table import RELATIVE, CurveTable, read_table
 from l3cli.errors import InputFileError, RecipeError
-from l3cli.files import sha256, write_whole
+from l3cli.files import sha256, stamp, write_whole
 from l3cli.io.curves import read_finished, read_sweep
 from l3cli.io.frames import FrameFiles
 from l3cli.limits import MEGAPIXELS, most_pixels
 from l3cli.measurement import (
+    PATCH_NAMES,
     PATCHES,
     BandCapture,
     Body,
@@ -41,6 +54,7 @@ from l3cli.measurement import (
     SweepTable,
 )
 
+MOST_MONITOR = 10.0  # and its inverse: a lamp that changes more is another lamp
 SITE_PIXELS = 8  # rows and columns of super-pixels from which a local mean can be taken
 
 
@@ -55,15 +69,25 @@ class CaptureRecipe(Recipe, kw_only=True):
     """Lens-cap or white frames of one exposure."""
 
     frames: list[str]
-    exposure_s: float
+    exposure_s: float | None = None  # one of these three
+    exposure_ms: float | None = None
+    exposure_us: float | None = None
     monitor: float = 1.0  # a reading of the lamp during the capture, over the reading when its spectrum was measured
+
+    @property
+    def seconds(self) -> float | None:
+        """The exposure, or None unless one key tells it."""
+        told = [(self.exposure_s, 1.0), (self.exposure_ms, 1e3), (self.exposure_us, 1e6)]
+        given = [value / parts for value, parts in told if value is not None]
+        return given[0] if len(given) == 1 else None
 
 
 class MonoRecipe(CaptureRecipe, kw_only=True):
     """An even field lit by one monochromator step."""
 
     spectrum: str  # CSV of measured radiances, bandwidth and stray light included
-    column: int = 1  # which of its columns, counted from 1 after the wavelength
+    column: int | str = 1  # which of its columns: its name, or its number from 1, the wavelength not counted
+    unit: str | None = None  # of these radiances, where the heading does not tell; default: photons/s/sr/m²/nm
 
 
 class ChartRecipe(CaptureRecipe, kw_only=True):
@@ -71,14 +95,15 @@ class ChartRecipe(CaptureRecipe, kw_only=True):
 
     illuminant: str
     corners: list[tuple[float, float]]  # col, row in pixels: outer corners of patches 1, 6, 24, 19 (clockwise)
-    radiance: str  # CSV of measured radiances, 24 columns, row by row from dark skin to black
+    radiance: str  # CSV of measured radiances, 24 columns, by patch or row by row from dark skin to black
+    unit: str | None = None  # as of [[mono]]
 
 
 class SweepRecipe(Recipe):
     """A monochromator sweep as a table of means."""
 
-    table: str  # CSV: nm, light mean of each channel, dark mean of each channel, photodiode light, photodiode dark
-    photodiode: str  # CSV: nm, response of the photodiode per energy
+    table: str  # CSV: nm, light r, light g, …, dark r, dark g, … (means of each channel in DN), diode light, diode dark
+    photodiode: str  # CSV: nm, response of the photodiode per energy, such as A/W
 
 
 class CurvesRecipe(Recipe):
@@ -179,40 +204,67 @@ def _check_sources(recipe: MeasurementRecipe, path: Path) -> None:
 
 def _common(capture: CaptureRecipe, table: str, body: Body, path: Path) -> dict[str, Any]:
     """What every capture has, as keywords."""
-    if not capture.frames or not 0 < capture.exposure_s < math.inf or not 0 < capture.monitor < math.inf:
+    if capture.seconds is None:
+        raise RecipeError(f"{path}: a [[{table}]] capture needs one of exposure_s, exposure_ms and exposure_us")
+    if not capture.frames or not 0 < capture.seconds < math.inf or not 0 < capture.monitor < math.inf:
         raise RecipeError(f"{path}: a [[{table}]] capture needs frames, and exposure_s and monitor above 0")
+    if not 1 / MOST_MONITOR <= capture.monitor <= MOST_MONITOR:
+        raise RecipeError(
+            f"{path}: monitor of {capture.frames[0]} is {capture.monitor:g}; give the lamp's reading over the one when its "
+            f"spectrum was measured, 1 where it is the same"
+        )
     files = FrameFiles(tuple(path.parent / name for name in capture.frames), (body.rows, body.cols), body.bits)
-    return {"name": capture.frames[0], "exposure": capture.exposure_s, "frames": files, "monitor": capture.monitor}
+    return {"name": capture.frames[0], "exposure": capture.seconds, "frames": files, "monitor": capture.monitor}
 
 
 def _mono(recipe: MeasurementRecipe, body: Body, path: Path) -> tuple[MonoCapture, ...]:
-    curves = {name: read_curves(path.parent / name) for name in {step.spectrum for step in recipe.mono}}
+    tables = {name: read_table(path.parent / name) for name in {step.spectrum for step in recipe.mono}}
     mono = []
     for step in recipe.mono:
-        wavelength, columns = curves[step.spectrum]
-        if not 1 <= step.column <= len(columns):
-            raise RecipeError(f"{path}: column {step.column} of {step.spectrum} is none of its 1…{len(columns)}")
-        if columns[step.column - 1].max() <= 0:
+        light = _light(tables[step.spectrum], step, path)
+        radiance = light.photons(step.unit)
+        if radiance.max() <= 0:
             raise InputFileError(f"{path.parent / step.spectrum}: column {step.column} is dark; measure the light again")
         common = _common(step, "mono", body, path)
-        mono.append(MonoCapture(**common, wavelength=wavelength, radiance=columns[step.column - 1]))
+        absolute = not {step.unit, *light.units} & set(RELATIVE)
+        mono.append(MonoCapture(**common, wavelength=light.wavelength, radiance=radiance[0], absolute=absolute))
     return tuple(mono)
+
+
+def _light(table: CurveTable, step: MonoRecipe, path: Path) -> CurveTable:
+    """The column that a step names."""
+    if isinstance(step.column, int) and not 1 <= step.column <= len(table.values):
+        raise RecipeError(f"{path}: column {step.column} of {step.spectrum} is none of its 1…{len(table.values)}")
+    return table.column(step.column)
 
 
 def _chart(chart: ChartRecipe, table: str, body: Body, path: Path) -> dict[str, Any]:
     """A chart capture as keywords."""
     if len(chart.corners) != 4 or not np.isfinite(chart.corners).all():
         raise RecipeError(f"{path}: a [[{table}]] has {len(chart.corners)} corners; give col, row of patches 1, 6, 24, 19")
-    wavelength, radiance = read_curves(path.parent / chart.radiance, PATCHES)
+    measured = read_table(path.parent / chart.radiance).ordered(PATCH_NAMES, patch_name)
+    if table == "chart" and {chart.unit, *measured.units} & set(RELATIVE):
+        raise InputFileError(
+            f"{path.parent / chart.radiance}: radiances of a [[chart]] give the scale and cannot be relative; measure them"
+        )
+    radiance = measured.photons(chart.unit, absolute=table == "chart")
     if radiance.max(axis=1).min() <= 0:
         raise InputFileError(f"{path.parent / chart.radiance}: a patch without light; measure the chart again")
     return {
         **_common(chart, table, body, path),
         "illuminant": chart.illuminant,
         "corners": np.array(chart.corners, dtype=np.float64),
-        "wavelength": wavelength,
+        "wavelength": measured.wavelength,
         "radiance": radiance,
     }
+
+
+def patch_name(heading: str) -> str:
+    """The patch that a heading means: "patch 13", "13", "blue", "white 9.5 (.05 D)"; other headings as they are."""
+    number = re.fullmatch(r"(?:patch|p|no|#)?[ ._-]*0*(\d{1,2})", heading.strip(), re.IGNORECASE)
+    if number and 1 <= int(number[1]) <= PATCHES:
+        return PATCH_NAMES[int(number[1]) - 1]
+    return re.sub(r"\s*\(.*\)$", "", heading).strip().lower()
 
 
 def _curve(recipe: MeasurementRecipe, path: Path) -> SweepTable | FinishedCurves | None:
@@ -233,6 +285,7 @@ def _datasheet(declared: DatasheetRecipe | None, body: Body, path: Path) -> Sens
         raise RecipeError(
             f"{path}: datasheet needs 0 ≤ black_dn < white_dn ≤ {2**body.bits - 1}, a well, and no negative figure"
         )
+    check_share(declared.prnu, "datasheet.prnu", MOST_PRNU, path)
     gain = (white - black) / well if declared.gain_dn_per_e is None else declared.gain_dn_per_e
     if not 0 < gain < math.inf:
         raise RecipeError(f"{path}: datasheet.gain_dn_per_e must be above 0")
@@ -247,6 +300,7 @@ def _body(recipe: MeasurementRecipe, path: Path) -> Body:
         raise RecipeError(f"{path}: {sensor.rows}×{sensor.cols} pixels are more than inputs may have; raise {MEGAPIXELS}")
     if not (optics.focal_length_mm > 0 and optics.f_number > 0):
         raise RecipeError(f"{path}: optics needs focal_length_mm and f_number above 0")
+    check_lengths(sensor.pixel_pitch_um, optics, path)
     if 0 < optics.object_distance_m <= optics.focal_length_mm * 1e-3:
         raise RecipeError(f"{path}: optics.object_distance_m is nearer than the focal length; give 0 for infinity")
     cfa = parse_cfa(recipe.cfa, str(path))
@@ -278,21 +332,37 @@ def spectrum_names(recipe: MeasurementRecipe) -> list[str]:
     return list(dict.fromkeys(names))
 
 
-def measurement_files(path: Path) -> list[Path]:
-    """Every file that calibration reads."""
-    recipe = load_recipe(path, MeasurementRecipe)
-    return [path, *(path.parent / name for name in frame_names(recipe) + spectrum_names(recipe))]
+@dataclass(frozen=True)
+class Inputs:
+    """The files of a calibration, as they were before any was read."""
+
+    recipe: str  # text of the measurement file
+    files: dict[str, list[Path]]  # role → its files
+    stamps: dict[Path, tuple[int, ...]]
+
+    def history(self, options: dict[str, Any]) -> Stage:
+        """What calibration leaves in the history: options, the measurement file and the SHA-256 of all that it names.
+
+        InputFileError if one is not the file that it was before, so that what was read and what is named are the same.
+        """
+        digests = {role: [sha256(file) for file in files] for role, files in self.files.items()}
+        for file, before in self.stamps.items():
+            if stamp(file) != before:
+                raise InputFileError(f"{file} has changed while it was read; run again when nothing writes to it")
+        return Stage("calibrate", options, self.recipe, digests)
 
 
-def history(path: Path, options: dict[str, Any]) -> Stage:
-    """What calibration leaves in the history: options, the measurement file and the SHA-256 of all that it names."""
+def inputs_of(path: Path) -> Inputs:
+    """The measurement file and all files that it names, to be called before they are read."""
+    first = stamp(path)
     recipe = load_recipe(path, MeasurementRecipe)
-    inputs = {
-        "measurements": [sha256(path)],
-        "frames": [sha256(path.parent / name) for name in frame_names(recipe)],
-        "spectra": [sha256(path.parent / name) for name in spectrum_names(recipe)],
+    files = {
+        "measurements": [path],
+        "frames": [path.parent / name for name in frame_names(recipe)],
+        "spectra": [path.parent / name for name in spectrum_names(recipe)],
     }
-    return Stage("calibrate", options, read_text(path), inputs)
+    stamps = {file: stamp(file) for named in files.values() for file in named} | {path: first}
+    return Inputs(read_text(path), files, stamps)
 
 
 # ------------------------------------------------------------------------------------------------------- writing

@@ -9,6 +9,8 @@ from l3cli.simulate.sources import Spectral
 
 AXES = ("row", "col", "band")
 BRIGHT = 0.999  # share of the pixels that are at most a perfect white, where radiance came without its light
+BRIGHTEST_USUAL = 2.0  # median reflectance of a scene: more is percent, counts or radiance
+SPARSE = 8  # samples apart that tell the median
 STRIP = 128  # rows converted at once
 
 
@@ -42,6 +44,11 @@ def scene_of(cube: SpectralCube, source: Spectral, name: str, light: Light | Non
     np.maximum(reflectance, 0.0, out=reflectance)
     if source.holds != "reflectance" and source.white is None:
         _normalise(reflectance)
+    usual = float(np.median(reflectance[::SPARSE, ::SPARSE]))
+    if source.holds == "reflectance" and usual > BRIGHTEST_USUAL:
+        raise ValueError(
+            f"its reflectances are {usual:.3g} in the median, and 1 is white; give white, 100 for percent, or holds"
+        )
     return Scene(name, wavelength, reflectance, illuminant)
 
 

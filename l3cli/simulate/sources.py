@@ -7,6 +7,7 @@ from typing import Literal
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.config import Count, Recipe
+from l3cli.curve_table import other_unit
 from l3cli.errors import L3Error, RecipeError
 
 SMALLEST = 16  # pixels of a scene's shorter side
@@ -183,6 +184,14 @@ def _check_spectral(source: Spectral, name: str) -> None:
     steps = [later - earlier for earlier, later in itertools.pairwise(listed)]
     if not (all(step > 0 for step in steps) or all(step < 0 for step in steps)):
         raise RecipeError(f"{name}: wavelengths_nm must increase or decrease; name them in the order of the bands")
+    ends = [
+        (min(each[0], each[end]), max(each[0], each[end]))
+        for each, end in ((listed, -1), (source.wavelength_range_nm or (), 1))
+        if each
+    ]
+    for first, last in ends:
+        if other := other_unit(first, last):
+            raise RecipeError(f"{name}: {other[0]}; give them in nm")
     if source.wavelength_range_nm is not None:
         first, last, step = source.wavelength_range_nm
         if not (0 < first < last and step > 0):
