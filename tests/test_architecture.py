@@ -5,7 +5,7 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "l3cli"
 FLOORS = [
-    {"errors", "limits", "interrupts", "config", "files", "columns", "spectra"},
+    {"errors", "limits", "interrupts", "config", "files", "columns", "quantities", "spectra"},
     {"artifacts", "scene", "frame", "measurement"},
     {"classify"},
     {"calibrate", "simulate", "train", "render", "evaluate", "report", "io", "parallel"},

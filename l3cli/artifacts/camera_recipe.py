@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from l3cli import spectra
 from l3cli.artifacts.base import load
 from l3cli.artifacts.camera import LONGEST, MAX_CFA, MAX_CHANNELS, MOST_WAVELENGTHS, CameraModel, Noise, Optics
-from l3cli.config import LARGEST, Recipe, load_recipe, read_text
+from l3cli.config import LARGEST, Recipe, Seed, load_recipe, read_text
 from l3cli.errors import InputFileError, RecipeError, suggestion
 from l3cli.limits import read_bounded
 
@@ -25,7 +25,7 @@ class SensorRecipe(Recipe):
     gain_dn_per_e: float
     black_dn: float
     white_dn: float | None = None  # default: the lower of well and converter
-    fixed_pattern_seed: int = 0
+    fixed_pattern_seed: Seed = 0
 
 
 class CfaRecipe(Recipe):
@@ -148,7 +148,7 @@ def _check_figures(recipe: CameraRecipe, path: Path) -> None:
     for key, value in positive:
         if not 0 < value < float("inf"):
             raise RecipeError(f"{path}: {key} is {value:g}, and must be above zero")
-    for key, value in (*spreads, ("sensor.fixed_pattern_seed", sensor.fixed_pattern_seed)):
+    for key, value in spreads:
         if not 0 <= value < float("inf"):
             raise RecipeError(f"{path}: {key} is {value:g}, and must not be negative")
 
@@ -215,7 +215,7 @@ def read_curves(path: Path, columns: int | None = None) -> tuple[NDArray[np.floa
     """Spectra from a CSV file: (wavelength) in nm and (column, wavelength). Lines that begin with # and one header line
     are skipped; InputFileError if the rest is not numbers, not increasing, or not `columns` columns."""
     try:
-        lines = [line for line in read_bounded(path).decode("utf-8-sig").splitlines() if line.strip()]
+        lines = [line for line in read_bounded(path, "give a CSV file of spectra").decode("utf-8-sig").splitlines() if line.strip()]
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not a text file"
         raise InputFileError(f"{path}: {reason}; give a CSV file of spectra") from error

@@ -111,5 +111,5 @@ def _is_recipe_of(path: Path, stage: Stage) -> bool:
     """Whether a file's text is the stage's recipe, or one of two that it was joined from."""
     if path.suffix != ".toml":
         return False
-    text = path.read_text(encoding="utf-8", errors="replace")
+    text = read_bounded(path).decode("utf-8", "replace")
     return text == stage.recipe or stage.recipe.startswith(f"{text}\n") or stage.recipe.endswith(f"\n{text}")

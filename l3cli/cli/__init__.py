@@ -14,6 +14,7 @@ import click
 from l3cli import __version__
 from l3cli.errors import L3Error, suggestion
 from l3cli.interrupts import ignore, must_wait
+from l3cli.limits import require_address_space
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
@@ -38,6 +39,7 @@ CURES = {
     errno.EROFS: "; name an output elsewhere",
     errno.ENOTDIR: "; a part of the path is a file, not a folder",
 }
+NO_THREAD = "can't start new thread"  # what Python says
 LATER = 0.05  # seconds until a signal comes again that came where it must wait
 
 
@@ -77,6 +79,7 @@ def l3() -> None:
     Measure the camera (calibrate), simulate it on scenes (simulate), learn a table of local linear transforms (train),
     render raw frames through it (render). Every stage leaves one HDF5 file for the next.
     """
+    require_address_space()
 
 
 class Terminated(BaseException):
@@ -117,6 +120,12 @@ def run(arguments: list[str]) -> int:
         return _fail("terminated", 143)
     except MemoryError:
         return _fail("out of memory; use fewer --jobs or smaller frames", 1)
+    except ImportError as error:
+        return _fail(f"a library cannot be loaded: {error}; free some memory, or install l3cli again", 1)
+    except RuntimeError as error:
+        if str(error) != NO_THREAD:
+            raise
+        return _fail("out of memory or threads; use fewer --jobs, or raise the limits (ulimit -v, ulimit -u)", 1)
     except OSError as error:
         if error.filename is None:
             _drop_stdout()

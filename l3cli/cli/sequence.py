@@ -25,7 +25,7 @@ from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.files import refuse_existing, sha256, sole_writer_of_folder, write_whole
 from l3cli.frame import RawFrame, upright
 from l3cli.io import images
-from l3cli.io.sequences import PATTERN, Footage, Pending, numbered_files, numbered_name
+from l3cli.io.sequences import PATTERN, Footage, Pending, last_number, numbered_files, numbered_name
 from l3cli.io.video import VideoChoice, check_video, is_video, new_video, new_y4m
 from l3cli.parallel.threads import Behind, ahead
 from l3cli.render.display import Display, automatic_exposure, make_display
@@ -115,12 +115,12 @@ def refuse_outputs(target: Target, footage: Footage, force: bool) -> None:
             f"{target.path} holds one picture, the inputs are {count}; name a folder, a pattern "
             f"({target.path.stem}_%04d{target.path.suffix}) or a video"
         )
-    if footage.count is not None and target.one_by_one:
+    if not footage.is_stream and target.one_by_one:
         _spare_inputs(target, footage)
     if target.kind not in ("pattern", "folder"):
         return
-    if footage.count is None:
-        files = _pictures(target)
+    if footage.is_stream:
+        files = _in_the_way(target, footage)
     else:
         files = [target.file(pending.number, pending.stem) for pending in footage.frames]
     if len(set(files)) < len(files):
@@ -139,10 +139,19 @@ def _spare_inputs(target: Target, footage: Footage) -> None:
 
 def refuse_missing(footage: Footage) -> None:
     """InputFileError if it is known already that a frame is missing."""
-    if footage.count is not None:
-        for pending in footage.frames:
-            if pending.missing:
-                raise pending.missing
+    if footage.missing:
+        raise footage.absent(footage.missing[0])
+
+
+def _in_the_way(target: Target, footage: Footage) -> list[Path]:
+    """Pictures that are there and that frames of a stream, which may be endless, would replace."""
+    if footage.wanted is None:
+        return _pictures(target)
+    if target.kind == "pattern":
+        return [file for number, file in numbered_files(target.path).items() if number in footage.wanted]
+    numbers = {last_number(file) for file in _pictures(target)}
+    frames = [footage.frames.pending(number) for number in numbers if number in footage.wanted]
+    return [target.file(pending.number, pending.stem) for pending in frames]
 
 
 def _pictures(target: Target) -> list[Path]:
@@ -208,6 +217,7 @@ class _Read:
     brightness: float = 0.0
     error: L3Error | None = None
     kept: bool = False  # its picture is there already
+    lost: int = 1  # frames that there are not, if there is an error
 
 
 Exposed = tuple[Pending, Any, float]  # with the frame and the scale of its exposure, 0: its own
@@ -220,11 +230,11 @@ class _Tally:
     done: int = 0
     failures: int = 0
 
-    def leave_out(self, error: L3Error, skip_bad: bool) -> None:
-        """Say that a frame is left out; raise why, unless `skip_bad`."""
+    def leave_out(self, error: L3Error, skip_bad: bool, count: int = 1) -> None:
+        """Say that a frame, or several, are left out; raise why, unless `skip_bad`."""
         if not skip_bad:
             raise error
-        self.failures += 1
+        self.failures += count
         click.echo(f"l3: {error}", err=True)
 
 
@@ -237,9 +247,11 @@ def render_frames(
     start = time.monotonic()
     steady = SteadyExposure(choice.rate) if _is_steady(footage, target, look) else None
     tally, cautions = _Tally(), Cautions(table)
+    for numbers in footage.missing:
+        tally.leave_out(footage.absent(numbers), skip_bad, len(numbers))
     with _open_sink(target, choice, table.outputs) as (write, threads), Behind(write, DEPTH, threads) as writing:
         reading = ahead(_read(footage, target, LightMeter(table) if steady else None, goes_on, room.by_path), DEPTH)
-        reading = options.progress(reading, footage.count, "frames", quiet)
+        reading = options.progress(reading, footage.count and footage.count - footage.lost, "frames", quiet)
         exposed = cautions.watched(_exposed(reading, look, steady, skip_bad, tally), footage.stills)
         for pending, made in room.develop(exposed):
             if isinstance(made, L3Error):
@@ -274,11 +286,13 @@ def _read(footage: Footage, target: Target, meter: LightMeter | None, goes_on: b
             yield _Read(pending, None, kept=True)
             continue
         try:
-            if by_path and pending.source and not pending.missing and target.one_by_one and meter is None:
+            if by_path and pending.source and target.one_by_one and meter is None:
                 yield _Read(pending, Unread(pending.source.absolute(), sha256(pending.source)), kept=kept)
                 continue
             frame = pending.read()
             if frame is None:
+                if rest := footage.rest(pending.number):
+                    yield _Read(pending, None, error=footage.absent(rest), lost=len(rest))
                 return
             if not target.one_by_one:
                 size = size or _upright_shape(frame)
@@ -308,7 +322,7 @@ def _exposed(
     """The frames to render, each with its scale (0: its own exposure); what is broken is raised, or said and counted."""
     for each in reading:
         if each.error is not None:
-            tally.leave_out(each.error, skip_bad)
+            tally.leave_out(each.error, skip_bad, each.lost)
             continue
         tally.done += 1
         if each.frame is not None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from l3cli import spectra
 from l3cli.artifacts.camera import LONGEST, MOST_WAVELENGTHS, CameraModel
-from l3cli.config import Count, Recipe
+from l3cli.config import Count, CountOrNone, Recipe
 from l3cli.errors import RecipeError
 from l3cli.measurement import CHART_COLS, CHART_ROWS, PATCHES
 from l3cli.simulate.flaws import FlawRecipe, check_flaws, flaws_of
@@ -37,7 +37,7 @@ class MonoRecipe(Recipe):
     bandwidth_nm: float = 10.0  # full width at half maximum
     stray_light: float = 0.0005  # share of the peak at every wavelength
     trials: Count = 1  # frames a step
-    overexposed: Count = 4  # steps between the first and the last, as far as there are, that are taken again far too long
+    overexposed: CountOrNone = 4  # steps between the first and the last, as far as there are, that are taken again far too long
     level: float = 0.5  # share of full scale that the brightest channel reaches
     radiance: float = 1e18  # photons/s/sr/m² of every step
     longest_exposure_s: float = 2.0  # a step that no channel sees well stays darker
