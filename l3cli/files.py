@@ -238,7 +238,7 @@ def require_regular(path: Path, cure: str = "give a file") -> None:
 
 def _require_regular(path: Path, mode: int, cure: str) -> None:
     if not stat.S_ISREG(mode):
-        raise InputFileError(f"{path} is a {NAMES.get(stat.S_IFMT(mode), 'device')}, not a file; {cure}")
+        raise InputFileError(f"{path} is a {NAMES.get(stat.S_IFMT(mode), 'device')}; {cure}")
 
 
 def open_regular(path: Path, cure: str = "give a file") -> BinaryIO:

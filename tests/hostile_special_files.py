@@ -48,6 +48,13 @@ def _unreadable(path: Path) -> None:
     path.chmod(0)
 
 
+def _remove(path: Path) -> None:
+    if os.path.isdir(path) and not os.path.islink(path):  # which know broken links
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
+
+
 PLACES = {
     "pipe": os.mkfifo,
     "socket": _socket,
@@ -119,8 +126,8 @@ class SpecialFiles:
 
     def _clear(self, shop: Workshop, path: Path, known: set[Path], trial: Trial) -> None:
         for new in sorted(shop.files() - known, reverse=True):  # what was written through a link, or beside it
-            shutil.rmtree(new) if new.is_dir() and not new.is_symlink() else new.unlink(missing_ok=True)
-        shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink(missing_ok=True)
+            _remove(new)
+        _remove(path)
         if trial.name in shop.whole:
             path.write_bytes(shop.whole[trial.name])
         (shop.inputs / "recipe.toml").write_bytes(shop.recipe)

@@ -19,7 +19,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.cli import COMMANDS, l3 as every_command
 from l3cli.cli.options import Number
 from l3cli.config import parse_recipe
-from l3cli.errors import RecipeError
+from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.io.images import write_mosaic
 from l3cli.quantities import NoSuchNumber, Quantity
 from l3cli.train.recipe import TrainingRecipe
@@ -104,7 +104,7 @@ REFUSED = f"""
     render a b -o c.png --exposure 5e-324
         the nearest is 1e-09
     render a b -o c.png --exposure bright
-        "bright" is no number; give one within 1e-09…1e+09 times Y
+        "bright" is no number; give one within 1e-09…1e+09 times Y, or auto
     render a b -o c.mp4 --fps 1e999999999
         1e999999999 is not within 0.001…1000 frames/s; the nearest is 1000
     render a b -o c.mp4 --fps 1/3000000000
@@ -342,9 +342,17 @@ def test_a_decoder_that_cannot_start_is_no_damaged_file(refused, tmp_path, table
     with monkeypatch.context() as patched:
         patched.setattr(sys, "executable", "/bin/false")
         assert "the process that decodes files cannot be started" in refused(1, *call)
-    monkeypatch.setattr(apart, "ROOM", 100 << 20)
-    monkeypatch.setattr(apart, "COPIES", 0)
-    assert "a library that decodes" in refused(1, *call)
+
+
+def test_a_library_that_cannot_be_loaded_is_no_damaged_file() -> None:
+    from l3cli.io.apart import _decoded
+
+    def decode(path: Path) -> None:
+        raise ImportError("libfoo.so: failed to map segment from shared object")
+
+    with pytest.raises(L3Error, match=r"cannot be loaded \(libfoo.so: failed to map") as caught:
+        _decoded(decode, Path("a.tif"))
+    assert not isinstance(caught.value, InputFileError)
 
 
 def test_a_library_without_memory_is_not_missing(refused, tmp_path, table, stack, monkeypatch) -> None:

@@ -39,17 +39,25 @@ def _pair(separator: str, number: options.Number) -> Callable[[Any, Any, str | N
     """Reads "a<separator>b" as two whole numbers."""
 
     def read(context: Any, parameter: Any, text: str | None) -> tuple[int, int] | None:
-        parts = text.split(separator) if text is not None else []
-        if text is not None and len(parts) != 2:
+        if text is None:
+            return None
+        first, found, second = text.partition(separator)
+        if not found:
             raise click.BadParameter(f'"{shortened(text)}" is not {parameter.metavar}')
-        return (int(number.read(parts[0])), int(number.read(parts[1]))) if text is not None else None
+        try:
+            return int(number.read(first)), int(number.read(second))
+        except click.BadParameter as error:
+            raise click.BadParameter(f"{parameter.metavar}: {error.message}") from None
 
     return read
 
 
 def _exposure(context: Any, parameter: Any, text: str) -> float | None:
     """Reads a number, or "auto" as None."""
-    return None if text == "auto" else EXPOSURE.read(text)
+    try:
+        return None if text == "auto" else EXPOSURE.read(text)
+    except click.BadParameter as error:
+        raise click.BadParameter(f"{error.message}, or auto") from None
 
 
 def _frames(context: Any, parameter: Any, text: str | None) -> range | None:
