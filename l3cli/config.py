@@ -17,6 +17,8 @@ MOST = 1_000_000  # of anything that can be counted
 Count = Annotated[int, msgspec.Meta(ge=1, le=MOST)]
 CountOrNone = Annotated[int, msgspec.Meta(ge=0, le=MOST)]
 Seed = Annotated[int, msgspec.Meta(ge=0, le=LARGEST_WHOLE)]
+Positive = Annotated[float, msgspec.Meta(gt=0)]
+Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
 BOUNDS = {">=": "the least is", "<=": "the most is", ">": "give more than", "<": "give less than"}
 
 

@@ -11,12 +11,12 @@ import errno
 import fcntl
 import functools
 import hashlib
+import io
 import os
 import re
 import stat
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO
 
 from l3cli.errors import InputFileError, L3Error
 from l3cli.interrupts import uninterrupted
@@ -241,7 +241,7 @@ def _require_regular(path: Path, mode: int, cure: str) -> None:
         raise InputFileError(f"{path} is a {NAMES.get(stat.S_IFMT(mode), 'device')}; {cure}")
 
 
-def open_regular(path: Path, cure: str = "give a file") -> BinaryIO:
+def open_regular(path: Path, cure: str = "give a file") -> io.BufferedReader:
     """A regular file open for reading; InputFileError, as by `require_regular`, if it is none, also if it has become none
     since it was looked at."""
     require_regular(path, cure)

@@ -68,7 +68,7 @@ def require_address_space() -> None:
     allowed = resource.getrlimit(resource.RLIMIT_AS)[0]
     if allowed != resource.RLIM_INFINITY and allowed < needed:
         raise L3Error(
-            f"{allowed >> 20} MB of address space are allowed (ulimit -v), the libraries need {needed >> 20} MB; raise the limit"
+            f"{allowed >> 20} MB of address space are allowed (ulimit -v), libraries need {needed >> 20} MB; raise the limit"
         )
 
 

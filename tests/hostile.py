@@ -425,7 +425,6 @@ def make_inputs(folder: Path) -> None:
     _make_frames(folder)
     _make_scenes(folder)
     import colour_demosaicing  # noqa: F401  asks git for its version
-    import dask.array
     import distributed  # noqa: F401  both unpickle what is their own
 
     with contextlib.chdir(folder):
@@ -592,9 +591,7 @@ class Workshop:
         return f"left {sorted(map(str, new))}" if new else None
 
 
-def verdict(
-    arguments: list[str], patience: float = PATIENCE * SECONDS, codes: tuple[int, ...] = (0, 1, 2, 3)
-) -> str | None:
+def verdict(arguments: list[str], patience: float = PATIENCE * SECONDS, codes: tuple[int, ...] = (0, 1, 2, 3)) -> str | None:
     """What did not hold of `l3 ARGUMENTS`, or None: one of `codes`, with a line that says why, within `patience` by the
     clock."""
     stdout, stderr = io.StringIO(), io.StringIO()

@@ -90,6 +90,10 @@ def with_mask(path: Path) -> None:
         file.pages[1].tags["NewSubfileType"].overwrite(4)
 
 
+def with_colours(path: Path) -> None:
+    write_pages(path, [frames()[0], np.zeros((20, 28, 3), np.uint16)], photometric=None)
+
+
 def with_full_subfile(path: Path) -> None:
     with tifffile.TiffWriter(path) as file:
         file.write(frames()[0], subifds=1, **PLAIN)
@@ -118,7 +122,7 @@ ODD: dict[str, tuple[Callable[[Path], object], str]] = {
     "mask": (with_mask, "page 2 "),
     "another size": (lambda path: write_pages(path, [*frames()[:2], frames()[2][:-2]]), "page 3 "),
     "another depth": (lambda path: write_pages(path, [frames()[0], (frames()[1] >> 4).astype(np.uint8)]), "page 2 "),
-    "colours": (lambda path: write_pages(path, [frames()[0], np.zeros((20, 28, 3), np.uint16)], photometric=None), "page 2 "),
+    "colours": (with_colours, "page 2 "),
     "a subfile": (with_full_subfile, "beside its pages"),
     "ImageJ without pages": (
         lambda path: tifffile.imwrite(path, frames(), imagej=True, truncate=True), "5 frames but has 1 page"

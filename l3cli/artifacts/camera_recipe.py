@@ -215,7 +215,11 @@ def read_curves(path: Path, columns: int | None = None) -> tuple[NDArray[np.floa
     """Spectra from a CSV file: (wavelength) in nm and (column, wavelength). Lines that begin with # and one header line
     are skipped; InputFileError if the rest is not numbers, not increasing, or not `columns` columns."""
     try:
-        lines = [line for line in read_bounded(path, "give a CSV file of spectra").decode("utf-8-sig").splitlines() if line.strip()]
+        lines = [
+            line
+            for line in read_bounded(path, "give a CSV file of spectra").decode("utf-8-sig").splitlines()
+            if line.strip()
+        ]
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not a text file"
         raise InputFileError(f"{path}: {reason}; give a CSV file of spectra") from error

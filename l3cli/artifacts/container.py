@@ -10,7 +10,7 @@ import io
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import h5py
 
@@ -115,7 +115,7 @@ def open_file(path: Path) -> h5py.File:
     return h5py.File(path, "r", locking=False)
 
 
-def _block(raw: BinaryIO | io.FileIO) -> bytes:
+def _block(raw: io.BufferedReader | io.FileIO) -> bytes:
     """The first 512 bytes that belong to what follows them."""
     raw.seek(BLOCK)
     digest = hashlib.file_digest(raw, "sha256").hexdigest().encode()

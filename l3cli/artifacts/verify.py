@@ -10,6 +10,7 @@ import h5py
 from l3cli.artifacts import container
 from l3cli.artifacts.base import Stage, open_artifact, read_history, require_plain
 from l3cli.errors import InputFileError
+from l3cli.limits import read_bounded
 
 SLAB = 1 << 26  # bytes of a dataset that are read at a time
 

@@ -77,8 +77,12 @@ backend = click.option(
     help="What renders: an OpenCL device, or numpy in float64.",
 )
 jobs = click.option(
-    "--jobs", type=Number(1, MOST_JOBS, whole=True), default=1, show_default=True, metavar="N",
-    help="Number of processes to use."
+    "--jobs",
+    type=Number(1, MOST_JOBS, whole=True),
+    default=1,
+    show_default=True,
+    metavar="N",
+    help="Number of processes to use.",
 )
 _ADDRESS = click.option(
     "--scheduler", metavar="ADDRESS", help="Work on the machines of this dask scheduler, tcp://HOST:PORT."

@@ -135,12 +135,19 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
 @click.option("--black", type=LEVEL, metavar="DN", help="Black level of the inputs [default: the file's or the table's].")
 @click.option("--white-level", type=LEVEL, metavar="DN", help="White level of the inputs [default: the file's or table's].")
 @click.option("--phase", callback=_pair(",", PHASE), metavar="ROW,COL", help="CFA site of the inputs' first pixel, from 0.")
-@click.option("--size", callback=_pair("x", SIZE), metavar="ROWSxCOLS", help="Pixels of headerless inputs [default: the table's].")
+@click.option(
+    "--size", callback=_pair("x", SIZE), metavar="ROWSxCOLS", help="Pixels of headerless inputs [default: the table's]."
+)
 @click.option(
     "--packing", type=click.Choice(["u16", "raw10", "raw12"]),
     help="Values of headerless inputs: 16 bits, or MIPI packed [default: .raw10 and .raw12 packed, else u16].",
 )  # fmt: skip
-@click.option("--stride", type=options.Number(1, 100_000_000, "bytes", whole=True), metavar="BYTES", help="Bytes from row to row [default: no padding].")
+@click.option(
+    "--stride",
+    type=options.Number(1, 100_000_000, "bytes", whole=True),
+    metavar="BYTES",
+    help="Bytes from row to row [default: no padding].",
+)
 @click.option("--skip-bad", is_flag=True, help="Leave out missing and broken frames; exit code 1 if there were any.")
 @click.option("--resume", is_flag=True, help="Go on with a sequence of pictures where a run was stopped.")
 @options.scheduler

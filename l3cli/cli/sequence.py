@@ -150,7 +150,7 @@ def _in_the_way(target: Target, footage: Footage) -> list[Path]:
     if target.kind == "pattern":
         return [file for number, file in numbered_files(target.path).items() if number in footage.wanted]
     numbers = {last_number(file) for file in _pictures(target)}
-    frames = [footage.frames.pending(number) for number in numbers if number in footage.wanted]
+    frames = [footage.frames.pending(number) for number in numbers if number is not None and number in footage.wanted]
     return [target.file(pending.number, pending.stem) for pending in frames]
 
 

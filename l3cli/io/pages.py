@@ -82,7 +82,7 @@ class _Form(NamedTuple):
 
     order: str  # of bytes
     offset: str  # codes of struct
-    count: str
+    length: str
     entry: int  # bytes
 
     def read(self, stream: BinaryIO, code: str) -> int:
@@ -123,7 +123,7 @@ def _form(stream: BinaryIO) -> tuple[_Form, int]:
 def _directory(stream: BinaryIO, form: _Form, at: int) -> tuple[dict[int, bytes], int]:
     """The entries of a directory by tag, and where the next one lies."""
     stream.seek(at)
-    count = form.read(stream, form.count)
+    count = form.read(stream, form.length)
     content = stream.read(count * form.entry) if count < 2**16 else b""
     entries = [content[start : start + form.entry] for start in range(0, count * form.entry, form.entry)]
     return {struct.unpack(form.order + "H", entry[:2])[0]: entry for entry in entries}, form.read(stream, form.offset)

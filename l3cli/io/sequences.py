@@ -260,7 +260,9 @@ def numbered_files(pattern: Path) -> dict[int, Path]:
     where = PATTERN.search(pattern.name)
     if where is None or not pattern.parent.is_dir():
         return {}
-    spelled = re.compile(f"{re.escape(pattern.name[: where.start()])}([0-9]{{1,{MOST_DIGITS}}}){re.escape(pattern.name[where.end() :])}")
+    spelled = re.compile(
+        f"{re.escape(pattern.name[: where.start()])}([0-9]{{1,{MOST_DIGITS}}}){re.escape(pattern.name[where.end() :])}"
+    )
     found = {}
     for path in pattern.parent.iterdir():
         match = spelled.fullmatch(path.name)
