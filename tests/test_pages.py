@@ -154,6 +154,13 @@ def test_a_smaller_copy_below_a_frame_is_no_frame(l3, tmp_path: Path, table: Pat
     assert len(pictures(tmp_path / "out")) == COUNT
 
 
+def test_a_description_of_another_picture_is_not_believed(tmp_path: Path) -> None:
+    for text in ('{"shape": [40, 56]}', '{"shape": [20, 28]}', '{"shape": []}', '{"shape": [,,]}', '{"shape": [0]}'):
+        path = write_pages(tmp_path / "a.tif", frames()[:1], description=text)
+        assert count_pages(path) == 1
+        assert read_image(path)[0].shape == (20, 28, 1)
+
+
 def test_elsewhere_a_file_has_one_picture(refused, tmp_path: Path, table: Path) -> None:
     (tmp_path / "in").mkdir()
     stack = write_pages(tmp_path / "in/a_1.tif", frames())

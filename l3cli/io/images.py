@@ -177,7 +177,10 @@ def require_pages_told(path: Path, spec: Any, pages: int) -> None:
     text = spec.get_string_attribute("ImageDescription")
     count = re.search(r"^images=([0-9]{1,9})$", text, re.MULTILINE) if text.startswith("ImageJ=") else None
     shape = re.match(r"""\{.*"shape": \[([0-9, ]{1,99})\]""", text)
-    frames = int(count[1]) if count else prod(map(int, shape[1].split(","))) // (spec.height * spec.width) if shape else 0
+    frames = int(count[1]) if count else 0
+    if shape:
+        lengths = [int(length) for length in shape[1].split(",") if length.strip()]
+        frames = prod(lengths[:-2]) if lengths[-2:] == [spec.height, spec.width] else 0
     if frames > pages * spec.nchannels:
         have = f"{pages} page{'s' if pages > 1 else ''}"
         raise InputFileError(f"{path} tells of {frames} frames but has {have}; save it with a page for each frame")
