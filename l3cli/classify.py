@@ -29,7 +29,7 @@ from l3cli.artifacts.table import (
     MAX_PATCH,
     ClassRule,
 )
-from l3cli.config import Count, Recipe
+from l3cli.config import Count, CountOrNone, Recipe
 from l3cli.errors import RecipeError
 from l3cli.frame import pad_mosaic, shifted_cfa
 
@@ -48,8 +48,8 @@ class ClassRecipe(Recipe):
     level_edges: tuple[float, ...] | None = None  # shares of full scale, in place of the four keys above
     contrasts: tuple[float, ...] = (1.4,)  # edges of √(signal variance / noise variance)
     saturation: float = 0.985  # share of full scale from which a pixel is saturated
-    saturation_radius: Count = 2  # pixels
-    chromas: Count = 8  # colours told apart where nothing is saturated; 1: none (METHOD 3.5)
+    saturation_radius: CountOrNone = 2  # pixels
+    chromas: CountOrNone = 8  # colours told apart where nothing is saturated; 0 or 1: none (METHOD 3.5)
     max_cases: Count = 12  # saturation patterns that get classes of their own, the unsaturated one included
 
 

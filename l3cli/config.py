@@ -8,12 +8,18 @@ from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_args, get_ori
 
 import msgspec
 
-from l3cli.errors import InputFileError, RecipeError, suggestion
+from l3cli.errors import InputFileError, RecipeError, shortened, suggestion
 from l3cli.limits import read_bounded
+from l3cli.quantities import LARGEST_WHOLE
 
 LARGEST = 1e24  # of any number in a recipe: beyond lies what no lamp gives and floats run over at
 MOST = 1_000_000  # of anything that can be counted
-Count = Annotated[int, msgspec.Meta(le=MOST)]
+Count = Annotated[int, msgspec.Meta(ge=1, le=MOST)]
+CountOrNone = Annotated[int, msgspec.Meta(ge=0, le=MOST)]
+Seed = Annotated[int, msgspec.Meta(ge=0, le=LARGEST_WHOLE)]
+Positive = Annotated[float, msgspec.Meta(gt=0)]
+Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
+BOUNDS = {">=": "the least is", "<=": "the most is", ">": "give more than", "<": "give less than"}
 
 
 class Recipe(msgspec.Struct, forbid_unknown_fields=True):
@@ -41,16 +47,9 @@ def read_text(path: Path, title: str = Recipe.title) -> str:
     """The text of a recipe file, without what some editors add: a mark at the beginning, a character more at the end of each
     line. InputFileError, which asks for `title`, if it cannot be read as UTF-8."""
     try:
-        return read_bounded(path).decode("utf-8-sig").replace("\r\n", "\n")
+        return read_bounded(path, f"give {title} (TOML)").decode("utf-8-sig").replace("\r\n", "\n")
     except OSError as error:
-        what = (
-            "is a folder"
-            if path.is_dir()
-            else "does not exist"
-            if not path.exists()
-            else f"cannot be read: {error.strerror}"
-        )
-        raise InputFileError(f"{path} {what}; give {title} (TOML)") from error
+        raise InputFileError(f"{path} cannot be read: {error.strerror}; give {title} (TOML)") from error
     except UnicodeDecodeError as error:
         raise InputFileError(f"{path} is not a text file; give {title} (TOML, UTF-8)") from error
 
@@ -75,7 +74,7 @@ def parse_recipe(text: str, recipe: type[R], name: str) -> R:
     try:
         return msgspec.convert(content, recipe)
     except msgspec.ValidationError as error:
-        raise RecipeError(f"{name}: {_plain(str(error), recipe)}") from error
+        raise RecipeError(f"{name}: {_plain(str(error), recipe, content)}") from error
 
 
 def _require_sane(value: Any, name: str, key: str = "") -> None:
@@ -86,17 +85,20 @@ def _require_sane(value: Any, name: str, key: str = "") -> None:
     elif isinstance(value, list):
         for item in value:
             _require_sane(item, name, key)
-    elif isinstance(value, int | float) and not abs(value) <= LARGEST:
-        raise RecipeError(f"{name}: {key} is {str(value)[:40]}; give a number within ±{LARGEST:g}")
+    elif isinstance(value, int) and not -LARGEST_WHOLE <= value <= LARGEST_WHOLE:
+        raise RecipeError(f"{name}: {key} is {shortened(str(value))}; a whole number has at most 64 bits")
+    elif isinstance(value, float) and not abs(value) <= LARGEST:
+        raise RecipeError(f"{name}: {key} is {value:g}; give a number within ±{LARGEST:g}")
     elif isinstance(value, str) and "\0" in value:
         raise RecipeError(f"{name}: {key} holds a null character; leave it out")
 
 
-def _plain(message: str, recipe: type[Recipe]) -> str:
+def _plain(message: str, recipe: type[Recipe], content: Any) -> str:
     """msgspec's message in the words of a recipe: keys and tables instead of fields and objects, and what was meant."""
     what, _, where = message.partition(" - at ")
-    table = re.sub(r"^`\$\.?|`$", "", where)
-    table = re.sub(r"\[(\d+)\]", lambda number: f"[{int(number[1]) + 1}]", table)  # entries count from 1
+    if bound := re.fullmatch(r"Expected `(?:int|float)` (<=|>=|<|>) (\S+)", what):
+        return f"{_place(where)} is {_found(content, where)}; {BOUNDS[bound[1]]} {bound[2]}"
+    table = _place(where)
     what = what.replace("Object missing required field", "missing key").replace(
         "Object contains unknown field", "unknown key"
     )
@@ -105,6 +107,19 @@ def _plain(message: str, recipe: type[Recipe]) -> str:
     wrong = re.fullmatch(r"unknown key `(.*)`|Invalid(?: enum)? value '(.*)'", what)
     known = (_keys(recipe, table) if wrong[2] is None else _values(recipe, table)) if wrong else ()
     return f"{line}; {suggestion(wrong[1] or wrong[2] or '', known)}" if wrong and known else line
+
+
+def _place(where: str) -> str:
+    """Where msgspec says that something is, entries counted from 1."""
+    inner = re.sub(r"^`\$\.?|`$", "", where)
+    return re.sub(r"\[(\d+)\]", lambda number: f"[{int(number[1]) + 1}]", inner)
+
+
+def _found(content: Any, where: str) -> Any:
+    """What stands where msgspec says."""
+    for key, number in re.findall(r"\.([^.[\]`]+)|\[(\d+)\]", where):
+        content = content[int(number)] if number else content[key]
+    return content
 
 
 def _keys(recipe: type[Recipe], table: str) -> tuple[str, ...]:

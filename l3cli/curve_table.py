@@ -250,7 +250,11 @@ def other_unit(first: float, last: float) -> tuple[str, str] | None:
 def _rows(path: Path) -> tuple[list[str] | None, list[list[float]]]:
     """The heading, if there is one, and the rows of numbers, all of one length."""
     try:
-        lines = [line.strip(" \r") for line in read_bounded(path).decode("utf-8-sig").splitlines() if line.strip()]
+        lines = [
+            line.strip(" \r")
+            for line in read_bounded(path, "give a CSV file of spectra").decode("utf-8-sig").splitlines()
+            if line.strip()
+        ]
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not a text file"
         raise InputFileError(f"{path}: {reason}; give a CSV file of spectra") from error

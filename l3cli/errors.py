@@ -28,6 +28,12 @@ class DeviceError(L3Error):
 
 
 MOST = 240  # characters of a list of names
+MOST_SHOWN = 40  # characters of what somebody wrote
+
+
+def shortened(text: str) -> str:
+    """What somebody wrote, for a message: its beginning, where it is long."""
+    return text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]}…"
 
 
 def listed(lines: Iterable[str]) -> str:

@@ -11,6 +11,7 @@ import errno
 import fcntl
 import functools
 import hashlib
+import io
 import os
 import re
 import stat
@@ -26,6 +27,7 @@ UNFINISHED = ".l3-unfinished"  # names, in a folder of pictures, the run that ha
 STDIN = Path("-")
 LONGEST = 255  # bytes of a file's name
 LONGEST_SUFFIX = 16  # bytes of one by which writers choose their format
+NAMES = {stat.S_IFDIR: "folder", stat.S_IFIFO: "pipe", stat.S_IFSOCK: "socket"}  # of what is no file
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -346,12 +348,43 @@ def identity(file: Path | int) -> Identity | None:
     return (found.st_dev, found.st_ino) if stat.S_ISREG(found.st_mode) else None
 
 
+def require_regular(path: Path, cure: str = "give a file") -> None:
+    """InputFileError, with this cure, unless there is a regular file: a folder has no bytes, and whoever opens a pipe or
+    device may wait for ever. Looked up by name; nothing is opened."""
+    try:
+        _require_regular(path, path.stat().st_mode, cure)
+    except OSError as error:
+        missing = isinstance(error, FileNotFoundError | NotADirectoryError)
+        what = "does not exist" if missing else f"cannot be read: {error.strerror}"
+        raise InputFileError(f"{path} {what}; {cure}") from error
+
+
+def _require_regular(path: Path, mode: int, cure: str) -> None:
+    if not stat.S_ISREG(mode):
+        raise InputFileError(f"{path} is a {NAMES.get(stat.S_IFMT(mode), 'device')}; {cure}")
+
+
+def open_regular(path: Path, cure: str = "give a file") -> io.BufferedReader:
+    """A regular file open for reading; InputFileError, as by `require_regular`, if it is none, also if it has become none
+    since it was looked at."""
+    require_regular(path, cure)
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY)
+    except OSError as error:
+        raise InputFileError(f"{path} cannot be read: {error.strerror}; {cure}") from error
+    try:
+        _require_regular(path, os.fstat(descriptor).st_mode, cure)
+        os.set_blocking(descriptor, True)
+        return open(descriptor, "rb")
+    except BaseException:
+        os.close(descriptor)
+        raise
+
+
 def sha256(path: Path) -> str:
     """SHA-256 of a file's bytes, in hexadecimal."""
-    if path.exists() and not path.is_file():
-        raise InputFileError(f"{path} is no regular file; give one")
     try:
-        with open(path, "rb") as stream:
+        with open_regular(path) as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
         raise InputFileError(f"{path}: {error.strerror}") from error
@@ -360,22 +393,22 @@ def sha256(path: Path) -> str:
 def stamp(path: Path) -> tuple[int, ...]:
     """What tells a file from another that takes its name: number on the disk, size, time. Empty if it is not there."""
     try:
-        stat = path.stat()
+        state = path.stat()
     except OSError:
         return ()
-    return stat.st_dev, stat.st_ino, stat.st_size, stat.st_mtime_ns
+    return state.st_dev, state.st_ino, state.st_size, state.st_mtime_ns
 
 
 def require_same(path: Path, digest: str) -> None:
     """InputFileError unless the file has this SHA-256: on another machine, another file may have its name. It is read once
     as long as its size and time stay."""
     try:
-        stat = path.stat()
+        state = path.stat()
     except OSError as error:
         raise InputFileError(
             f"{path} cannot be read by a worker ({error.strerror}); put it on storage that all share"
         ) from error
-    if _known_sha256(path, stat.st_size, stat.st_mtime_ns) != digest:
+    if _known_sha256(path, state.st_size, state.st_mtime_ns) != digest:
         raise InputFileError(f"{path} is another file for a worker than here; put it on storage that all share")
 
 

@@ -2,29 +2,39 @@
 
 import contextlib
 import os
+import resource
 from collections.abc import Iterable, Iterator
 from math import prod
 from pathlib import Path
 
-from l3cli.errors import InputFileError, RecipeError
+from l3cli.errors import InputFileError, L3Error, RecipeError
+from l3cli.files import open_regular
+from l3cli.quantities import NoSuchNumber, Quantity
 
 ONE_BLAS_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")  # environment
 MEGAPIXELS = "L3_MEGAPIXELS"  # environment variable: the most pixels of a picture or frame, in millions
-USUAL_MEGAPIXELS = 400
+USUAL_MEGAPIXELS = 400.0
+PICTURE = Quantity(0.0001, 1e6, "megapixels")
 VALUES_A_PIXEL = 3  # what a file holds in all may be so many values of 32 bits for each pixel that a picture may have
 VALUE_BYTES = 4
 TRUST = "L3_TRUST"  # environment variable: decode foreign files in this process, without limits of time and memory
 YES, NO = ("1", "true", "yes", "on", "y", "t"), ("", "0", "false", "no", "off", "n", "f")
+LIBRARIES, A_CORE = 1 << 30, 16 << 20  # bytes of address space, and for the threads of each core
 MOST_TEXT = 64 << 20  # bytes of a recipe, a measurement file, a CSV table, a header
 
 
 def most_pixels() -> int:
     """Pixels (rows × columns) that one picture or frame may have."""
-    text = os.environ.get(MEGAPIXELS, "")
+    return int(setting(MEGAPIXELS, PICTURE, USUAL_MEGAPIXELS) * 1e6)
+
+
+def setting(name: str, range_: Quantity, usual: float) -> float:
+    """The number that an environment variable tells, `usual` where it tells none; RecipeError if it is none in its range."""
+    text = os.environ.get(name, "")
     try:
-        return int(float(text or USUAL_MEGAPIXELS) * 1e6)
-    except (ValueError, OverflowError):
-        raise RecipeError(f'{MEGAPIXELS}="{text}" is no number of megapixels; unset it or give one such as 400') from None
+        return range_.read(text) if text else usual
+    except NoSuchNumber as error:
+        raise RecipeError(f"{name}: {error}; unset it for the usual {usual:g}") from None
 
 
 def most_bytes() -> int:
@@ -52,12 +62,21 @@ def require_values(name: str, shape: Iterable[int], value_bytes: int = VALUE_BYT
         )
 
 
-def read_bounded(path: Path) -> bytes:
-    """All bytes of a text file. OSError if it cannot be read; InputFileError if it is a pipe or a device, which have no
-    end that could be waited for, or larger than texts are."""
-    if path.exists() and not path.is_file() and not path.is_dir():
-        raise InputFileError(f"{path} is no regular file; give one")
-    with open(path, "rb") as stream:
+def require_address_space() -> None:
+    """L3Error if the process may have too little (ulimit -v) for the libraries: where one gets none it ends the program,
+    hangs, or sends it signals."""
+    needed = LIBRARIES + A_CORE * (os.cpu_count() or 1)
+    allowed = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if allowed != resource.RLIM_INFINITY and allowed < needed:
+        raise L3Error(
+            f"{allowed >> 20} MB of address space are allowed (ulimit -v), libraries need {needed >> 20} MB; raise the limit"
+        )
+
+
+def read_bounded(path: Path, cure: str = "give a text file") -> bytes:
+    """All bytes of a text file. InputFileError, with this cure, if there is no file, or one larger than texts are; OSError
+    if its storage fails."""
+    with open_regular(path, cure) as stream:
         content = stream.read(MOST_TEXT + 1)
     if len(content) > MOST_TEXT:
         raise InputFileError(f"{path} is larger than {MOST_TEXT >> 20} MB; give a text file")

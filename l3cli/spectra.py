@@ -11,11 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.errors import RecipeError, suggestion
+from l3cli.errors import RecipeError, shortened, suggestion
+from l3cli.quantities import NoSuchNumber, Quantity
 
 PLANCK = 6.62607015e-34  # J s
 LIGHT_SPEED = 299792458.0  # m/s
 LUMINOUS_EFFICACY = 683.0  # lm/W
+BLACK_BODY = Quantity(500, 100_000, "K")  # below, nothing is seen by it
+DAYLIGHT = Quantity(4000, 25_000, "K")  # as far as CIE daylight goes
 SPRAGUE_STEP = 20.0  # nm between bands up to which a reflectance is taken as smooth
 Array = NDArray[np.floating]
 # Written out, though colour-science has both: rendering a frame needs nothing else of it, and importing it takes longer.
@@ -180,12 +183,18 @@ def illuminant_names() -> tuple[str, ...]:
 def illuminant(name: str, wavelength: Array) -> Array:
     """Relative photon radiance (wavelength), mean 1, of a named CIE illuminant, a black body such as "3200K" or daylight
     of a correlated colour temperature such as "D6000K"; RecipeError if the name is unknown."""
-    temperature = re.fullmatch(r"(D?)(\d+(?:\.\d+)?) ?K", name)
+    temperature = re.fullmatch(r"(D?)(\d+(?:\.\d+)?) ?K", name, re.ASCII)
+    if temperature:
+        kind, what = (DAYLIGHT, "CIE daylight") if temperature[1] else (BLACK_BODY, "a black body")
+        try:
+            kelvin = kind.read(temperature[2])
+        except NoSuchNumber as error:
+            raise RecipeError(f'illuminant "{shortened(name)}" is no light of {what}: {error}') from None
     if temperature and temperature[1]:
-        photons = photons_from_energy(wavelength, _daylight(float(temperature[2]), wavelength))
+        photons = photons_from_energy(wavelength, _daylight(kelvin, wavelength))
     elif temperature:
         metres = wavelength * 1e-9
-        exponent = PLANCK * LIGHT_SPEED / (metres * 1.380649e-23 * float(temperature[2]))
+        exponent = PLANCK * LIGHT_SPEED / (metres * 1.380649e-23 * kelvin)
         photons = 1.0 / (metres**4 * np.expm1(exponent))
     else:
         photons = photons_from_energy(wavelength, _tabulated(name, wavelength))
@@ -203,12 +212,7 @@ def _tabulated(name: str, wavelength: Array) -> Array:
 
 
 def _daylight(temperature: float, wavelength: Array) -> Array:
-    """Energy (wavelength) of CIE daylight of a correlated colour temperature in K (CIE 15).
-
-    RecipeError outside 4000–25000 K.
-    """
-    if not 4000 <= temperature <= 25000:
-        raise RecipeError(f'daylight "D{temperature:g}K" does not exist; CIE daylight goes from D4000K to D25000K')
+    """Energy (wavelength) of CIE daylight of a correlated colour temperature in K, one of DAYLIGHT (CIE 15)."""
     colour = _colour()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

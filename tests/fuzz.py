@@ -47,22 +47,30 @@ class Court:
     """Judges inputs, and keeps those that fail."""
 
     def __init__(self, shop: Any, seen: list[str], kept: Path, only: str | None) -> None:
+        from tests import hostile_numbers
         from tests.hostile import SUBJECTS
         from tests.hostile_identities import Identities
+        from tests.hostile_special_files import SpecialFiles
 
         self._identities = Identities(shop)
-        chosen = [subject for subject in SUBJECTS if only is None or subject.name == only]
+        every = (*SUBJECTS, *hostile_numbers.subjects(shop), SpecialFiles())
+        chosen = [subject for subject in every if only is None or subject.name == only]
         self.subjects = [subject for turn in range(3) for subject in chosen if only or subject.often > turn]
         self._shop, self._seen, self._kept = shop, seen, kept
 
     def judge(self, number: int, subject: Any, choices: Any) -> str | None:
-        """Spoil the subject's file and have it read; what did not hold, or None."""
-        content = subject.spoil(self._shop.whole[subject.name], choices)
-        command = choices.integer(0, len(subject.commands) - 1)
+        """Spoil the subject's file and have it read, or make the call it draws; what did not hold, or None."""
+        if hasattr(subject, "draw"):
+            call, command = subject.draw(choices), 0
+            content, held = str(call).encode(), lambda: subject.judge(self._shop, call)
+        else:
+            content = subject.spoil(self._shop.whole[subject.name], choices)
+            command = choices.integer(0, len(subject.commands) - 1)
+            held = lambda: self._shop.judge_content(subject, content, command)  # noqa: E731
         mark = self._kept / f"{number}_{command}_{subject.name.replace('/', '_')}"
         mark.write_bytes(content)  # before it is read, which may be the end of this process
         start = time.process_time()
-        verdict = self._shop.judge_content(subject, content, command) or (self._seen.pop() if self._seen else None)
+        verdict = held() or (self._seen.pop() if self._seen else None)
         if (took := time.process_time() - start) > SLOW:
             print(f"{mark.name}: slow, {took:.1f} s", flush=True)
         if verdict is None:

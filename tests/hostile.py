@@ -24,6 +24,7 @@ from l3cli.artifacts import container
 from l3cli.cli import run
 from l3cli.limits import MEGAPIXELS
 
+CACHE = str(Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser(), "l3cli"))  # l3's own, of kernels
 SECONDS = 10  # of processor time: an input that takes longer hangs …
 PATIENCE = 12  # … as does one that takes so many times longer by the clock
 MEMORY = 1 << 30  # bytes that an input may take beside what the process had, which is far more than MOST_MEGAPIXELS asks for
@@ -424,6 +425,7 @@ def make_inputs(folder: Path) -> None:
     _make_frames(folder)
     _make_scenes(folder)
     import colour_demosaicing  # noqa: F401  asks git for its version
+    import distributed  # noqa: F401  both unpickle what is their own
 
     with contextlib.chdir(folder):
         for command in (
@@ -554,11 +556,12 @@ class Workshop:
     def __init__(self, folder: Path) -> None:
         self.folder, self.inputs = folder, folder / "inputs"
         make_inputs(self.inputs)
-        self.names = self._files()
+        self.names = self.files()
         self.whole = {subject.name: (self.inputs / subject.name).read_bytes() for subject in SUBJECTS}
         self.recipe = (self.inputs / "recipe.toml").read_bytes()
 
-    def _files(self) -> set[Path]:
+    def files(self) -> set[Path]:
+        """Everything there is."""
         return set(self.folder.rglob("*"))
 
     def judge(self, subject: Subject, choices: Choices) -> str | None:
@@ -576,20 +579,23 @@ class Workshop:
         arguments = [word.format(file=path, out=out) if "{" in word else word for word in subject.commands[command].split()]
         try:
             with contextlib.chdir(self.inputs):
-                return _verdict(arguments) or self._strays(out)
+                return verdict(arguments) or self.strays(out)
         finally:
             path.write_bytes(self.whole[subject.name])
             (self.inputs / "recipe.toml").write_bytes(self.recipe)
             shutil.rmtree(out, ignore_errors=True)
 
-    def _strays(self, out: Path) -> str | None:
-        new = {path for path in self._files() - self.names if path != out and out not in path.parents}
+    def strays(self, out: Path, known: set[Path] | None = None) -> str | None:
+        """What is there that was not (`known`, or at the beginning), but for `out`."""
+        new = {path for path in self.files() - (known or self.names) if path != out and out not in path.parents}
         return f"left {sorted(map(str, new))}" if new else None
 
 
-def _verdict(arguments: list[str]) -> str | None:
+def verdict(arguments: list[str], patience: float = PATIENCE * SECONDS, codes: tuple[int, ...] = (0, 1, 2, 3)) -> str | None:
+    """What did not hold of `l3 ARGUMENTS`, or None: one of `codes`, with a line that says why, within `patience` by the
+    clock."""
     stdout, stderr = io.StringIO(), io.StringIO()
-    timers = ((signal.ITIMER_PROF, signal.SIGPROF, SECONDS), (signal.ITIMER_REAL, signal.SIGALRM, PATIENCE * SECONDS))
+    timers = ((signal.ITIMER_PROF, signal.SIGPROF, SECONDS), (signal.ITIMER_REAL, signal.SIGALRM, patience))
     old = [signal.signal(number, _ring) for _, number, _ in timers]
     for timer, _, seconds in timers:
         signal.setitimer(timer, seconds)
@@ -608,11 +614,25 @@ def _verdict(arguments: list[str]) -> str | None:
     told = [line for line in said.splitlines() if line.startswith("l3: ")]
     if "Traceback" in said or "out of memory" in said:
         return f"exit code {code}: {said}"
-    if code not in (0, 1, 2, 3) or (code and not told):
+    if code not in codes or (code and not told):
         return f"exit code {code} without a word: {said}"
+    if len(told) > 1 and "--skip-bad" not in arguments:
+        return f"exit code {code} in {len(told)} lines: {said}"
     if any(not (letter.isprintable() or letter == "\n") for letter in said):
         return f"exit code {code} with control characters: {said!r}"
     return None
+
+
+@contextlib.contextmanager
+def timed(seconds: float) -> Iterator[None]:
+    """Raise Hang if the block takes longer by the clock."""
+    old = signal.signal(signal.SIGALRM, _ring)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, old)
 
 
 def _ring(number: int, frame: object) -> None:
@@ -627,7 +647,7 @@ def watched(*folders: Path) -> Iterator[list[str]]:
     """What Python opens for writing outside `folders`, runs in a shell, evaluates or unpickles by name meanwhile."""
     if not _allowed:
         sys.addaudithook(_audit)
-    _allowed[:] = ["on", *(str(folder) for folder in folders), "/dev/null"]
+    _allowed[:] = ["on", *(str(folder) for folder in folders), CACHE, "/dev/null"]
     _seen.clear()
     try:
         yield _seen

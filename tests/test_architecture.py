@@ -5,7 +5,7 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "l3cli"
 FLOORS = [
-    {"errors", "limits", "interrupts", "config", "recipes", "files", "columns", "spectra", "units"},
+    {"errors", "limits", "interrupts", "config", "recipes", "files", "columns", "quantities", "spectra", "units"},
     {"artifacts", "curve_table", "scene", "frame", "dark", "measurement"},
     {"classify"},
     {"calibrate", "simulate", "train", "render", "evaluate", "report", "io", "parallel"},

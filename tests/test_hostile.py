@@ -30,11 +30,13 @@ from l3cli.io import apart
 from l3cli.io.images import read_image, write_mosaic
 from l3cli.limits import MEGAPIXELS, MOST_TEXT, TRUST
 from l3cli.train.insight import kind_name
-from tests import hostile_physics
+from tests import hostile_numbers, hostile_physics
 from tests.decoders import abort, crash, echo, hoard, sleep, stumble, work, write_much
 from tests.fuzz import Seeded
 from tests.hostile import SUBJECTS, Subject, Workshop, confined, watched
 from tests.hostile_identities import Identities
+from tests.hostile_numbers import OPTIONS, RECIPES, Call
+from tests.hostile_special_files import SpecialFiles
 
 IDENTITIES = 40
 INPUTS = int(os.environ.get("L3_HOSTILE_INPUTS", "500"))  # of all subjects together
@@ -100,6 +102,33 @@ def test_a_physical_mistake_is_named_or_undone(
     assert lab.judge(mistake, Seeded(seed)) is None
 
 
+@pytest.mark.parametrize(("name", "trials"), [("options", 60), ("environment", 6), *((name, 6) for name in RECIPES)])
+def test_a_number_that_nobody_meant_is_refused_or_taken(shop: Workshop, name: str, trials: int) -> None:
+    subject = next(subject for subject in hostile_numbers.subjects(shop) if subject.name == name)
+    for seed in range(trials):
+        call = subject.draw(Seeded(seed))
+        assert subject.judge(shop, call) is None, call
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_a_place_that_is_no_file_is_refused_at_once(shop: Workshop, seed: int) -> None:
+    trial = SpecialFiles().draw(Seeded(seed))
+    assert SpecialFiles().judge(shop, trial) is None, trial
+
+
+KEPT_NUMBERS = [
+    Call(OPTIONS[0].replace("{n}", "29.97002997")),
+    Call("train training.h5 --classes classes.toml -o {out}/t.h5 --shard 1/1" + 23 * "0"),
+    Call("render table.h5 stack.npy -o {out}/p --backend reference --frames 0-9999999999 --skip-bad"),
+    Call("render table.h5 - -o {out}/%d.png --backend reference --size 2000000x24000000"),  # memory of the size
+]
+
+
+@pytest.mark.parametrize("call", KEPT_NUMBERS, ids=str)
+def test_numbers_that_were_found_stay_mended(shop: Workshop, call: Call) -> None:
+    assert hostile_numbers.judge(shop, call) is None
+
+
 # What the long runs have found, each mended at its cause: a subject, a command, what is replaced in the whole file.
 KEPT: list[tuple[str, int, bytes, bytes]] = [
     ("frame.npy", 0, b"(20, 24)", b"(20, 24\n"),  # Python's tokenizer fails on the header
@@ -117,6 +146,9 @@ KEPT: list[tuple[str, int, bytes, bytes]] = [
     ("evaluation.json", 0, b": 10", b": -10"),
     ("training.h5", 1, b"SNOD", b"SNOX"),  # HDF5's own list of a group's members is broken
     ("table.h5", 0, b"SNOD", b"SNOX"),
+    ("scenes.toml", 0, b"analog_gain = 1.5", b"analog_gain = 1e-300"),  # a gain at which black and white fall together
+    ("lab.toml", 0, b"[white]", b"[white]\nluminance = -1"),
+    ("classes.toml", 0, b"chromas = 2", b"chromas = 0"),
     ("channels.exr", 0, b"lineOrder\0lineOrder", b"lineOrder\0lineOr\x01er"),  # a control character in the decoder's message
 ]
 
@@ -167,7 +199,10 @@ def test_a_camera_of_many_channels_does_not_compare_all_patterns_in_pairs() -> N
 
 # ----------------------------------------------------------------------------------------------------- decoding apart
 @pytest.fixture
-def limited(monkeypatch: pytest.MonkeyPatch) -> None:
+def limited(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    for name in ("f", "bad.dng"):
+        (tmp_path / name).touch()
+    monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(sys.path))
     monkeypatch.setenv("L3_DECODE_SECONDS", "1")
     monkeypatch.setenv(MEGAPIXELS, "4")
@@ -330,9 +365,9 @@ def test_endless_and_nested_texts_are_refused(
     with open(tmp_path / "endless.toml", "wb") as file:
         file.truncate(MOST_TEXT + 1)
     assert "MB" in refused(3, "simulate", tmp_path / "endless.toml", *call)
-    assert "no regular file" in refused(3, "simulate", "/dev/zero", *call)
+    assert "is a device; give a scene recipe" in refused(3, "simulate", "/dev/zero", *call)
     os.mkfifo(tmp_path / "pipe.toml")
-    assert "no regular file" in refused(3, "simulate", tmp_path / "pipe.toml", *call)
+    assert "is a pipe; give a scene recipe" in refused(3, "simulate", tmp_path / "pipe.toml", *call)
     for text in ("a = " + "[" * 5000 + "]" * 5000, "a = " + "9" * 5000, 'name = "\\u0000"', "exposure_s = [inf]"):
         (tmp_path / "odd.toml").write_text(text)
         assert "odd.toml" in refused(2, "simulate", tmp_path / "odd.toml", *call)
@@ -341,7 +376,7 @@ def test_endless_and_nested_texts_are_refused(
     recipe = 'illuminants = ["{}"]\nexposure_share = [0.9]\n[[scene]]\nsource = "grey ramp"\nsize = [16, 16]\n'
     os.mkfifo(tmp_path / "pipe.csv")
     (tmp_path / "fifo.toml").write_text(recipe.format("pipe.csv"))
-    assert "pipe.csv is no regular file" in refused(3, "simulate", tmp_path / "fifo.toml", *call)
+    assert "pipe.csv is a pipe; give a CSV file" in refused(3, "simulate", tmp_path / "fifo.toml", *call)
 
 
 def test_hdf5_reaches_nowhere_else(refused: Callable[..., str], tmp_path: Path) -> None:

@@ -155,11 +155,11 @@ def test_an_existing_lab_is_kept_without_force(
         ("[mono]\nbandwidth_nm = 0.5", "bandwidth_nm"),
         ("[mono]\nfirst_nm = 690", "three steps"),
         ("[dark]\nexposures_s = []", "levels and exposures"),
-        ("[mono]\noverexposed = -1", "not be negative"),
+        ("[mono]\noverexposed = -1", "the least is 0"),
         ("[mono]\nstray_light = 0.5", "stray_light"),
         ("falloff = 1.0", "falloff"),
         ("monitor_error = -0.1", "not be negative"),
-        ("[flaws]\ndust_depth = -1", "not be negative"),
+        ("[flaws]\ndust_depth = -1", "the least is 0"),
     ],
 )
 def test_a_recipe_that_cannot_be_is_refused(

@@ -66,7 +66,7 @@ MISTAKES = """
     3 calibrate lab/MEASUREMENTS.toml -o new.h5 --truth table.h5
         table.h5 holds a transform table; give the file written by
     2 calibrate lab/MEASUREMENTS.toml -o new.h5 --jobs 0
-        0 is not in the range x>=1
+        0 is not within 1…4096; the nearest is 1
 
     2 simulate camera.toml --camera scenes.toml -o new.h5
         scenes.toml is a scene recipe; give a camera recipe
@@ -87,7 +87,7 @@ MISTAKES = """
     2 simulate empty.toml --camera camera.h5 -o new.h5
         empty.toml: scene or pair must have an entry
     2 simulate scenes.toml --camera camera.h5 -o new.h5 --seed -1
-        -1 is not in the range x>=0
+        -1 is not within 0…9223372036854775807; the nearest is 0
     2 simulate scenes.toml --camera camera.h5 -o camera.h5 --force
         camera.h5 is an input; name another output
     1 simulate scenes.toml --camera camera.h5 -o new.h5 --pictures raw.tif
@@ -142,7 +142,7 @@ MISTAKES = """
     2 train training.h5 -o new.h5 --shares 1,2
         2 shares for 1 training sets
     2 train training.h5 -o new.h5 --shares=-1
-        shares must not be negative
+        -1 is not within 0…1e+06; the nearest is 0
     2 train training.h5 -o new.h5 --shard 3/2
         shards count from 1/2 to 2/2
     3 train --merge table.h5 -o new.h5
@@ -177,8 +177,10 @@ MISTAKES = """
     1 render table.h5 raw.tif -o raw.tif/new.png
         raw.tif is a file, not a folder
     2 render table.h5 raw.tif -o new.png --exposure -1
-        -1 is not positive
-    3 render table.h5 raw.tif -o new.png --white-level -5
+        -1 is not within 1e-09…1e+09 times Y
+    2 render table.h5 raw.tif -o new.png --white-level -5
+        -5 is not within 0…65535 DN; the nearest is 0
+    3 render table.h5 raw.tif -o new.png --white-level 5
         give --black and --white-level
     2 render table.h5 raw.tif -o new.png --white D651
         illuminant "D651" is unknown; did you mean "D65"
@@ -196,7 +198,7 @@ MISTAKES = """
     1 evaluate table.h5 unseen.h5 --pictures raw.tif
         raw.tif is a file; name a folder
     2 evaluate table.h5 unseen.h5 --viewing -3
-        is not in the range 2<=x<=1000
+        -3 is not within 2…1000 samples/degree; the nearest is 2
 
     3 report table.h5 raw.tif -o new.html
         raw.tif is not an HDF5 file; give the file written by

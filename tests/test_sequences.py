@@ -192,9 +192,9 @@ def test_wrong_calls_are_refused_in_one_line(refused, tmp_path, table, folder):
     for code, word, arguments in (
         (2, "lower number first", (folder, *out, "--frames", "9-7")),
         (2, "FROM-TO", (folder, *out, "--frames", "9-")),
-        (2, "step", (folder, *out, "--frames", "1-2x0")),
-        (2, "25", (folder, *out, "--fps", "fast")),
-        (2, "between", (folder, *out, "--fps", 0)),
+        (2, "within 1", (folder, *out, "--frames", "1-2x0")),
+        (2, "no number", (folder, *out, "--fps", "fast")),
+        (2, "within 0.001…1000", (folder, *out, "--fps", 0)),
         (2, "--size", ("-", *out)),
         (2, "give it alone", (folder, tmp_path / "mixed.npy", *out)),
         (2, "holds one picture", (folder / "*.tif", "-o", tmp_path / "a.png")),

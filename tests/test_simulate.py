@@ -463,7 +463,7 @@ LEAVES = '[[scene]]\nsource = "dead leaves"\nsize = [32, 32]\n'
         (HEAD + '[[scene]]\nsource = "iset"\nfile = "no/such/*.mat"\n', 3, "does not exist"),
         (HEAD.replace("D65", "daylight") + LEAVES, 2, "daylight"),
         (HEAD.replace("D65", "scene") + LEAVES, 2, "light of its own"),
-        (HEAD.replace("D65", "3K") + LEAVES, 2, "no light"),
+        (HEAD.replace("D65", "3K") + LEAVES, 2, "3 is not within 500…100000 K; the nearest is 500"),
         (HEAD + "exposure_s = [0.1]\n" + LEAVES, 2, "give exactly one of exposure_share"),
         (HEAD.replace("0.9", "-1") + LEAVES, 2, "above zero"),
         ("exposure_s = [0.0]\n" + LEAVES, 2, "above zero"),

@@ -23,6 +23,7 @@ from l3cli import __version__
 from l3cli.artifacts import container
 from l3cli.artifacts.stored import KNOWN_FILTERS, datasets, filters_of, require_readable
 from l3cli.errors import InputFileError
+from l3cli.files import require_regular
 
 MOST = 1e27  # of any number: its square, summed up, is still one
 COMPRESSION = {"compression": "gzip", "compression_opts": 4, "shuffle": True, "fletcher32": True}
@@ -203,10 +204,9 @@ def open_artifact(path: Path, expected: type[Artifact] | None = None, unchanged:
     """The file's root, after checking that not a byte has changed since it was written, that it is an artifact, of kind
     `expected`, and of a version this l3 reads. `unchanged`: this run has compared the bytes before."""
     made_by = expected.made_by if expected else "an l3 command"
-    if not path.exists():
+    if not path.exists() and not path.is_symlink():
         raise InputFileError(f"{path} does not exist; make it with {made_by}")
-    if path.is_dir():
-        raise InputFileError(f"{path} is a folder; give the file written by {made_by}")
+    require_regular(path, f"give the file written by {made_by}")
     sealed = unchanged or container.check(path, made_by)
     try:
         root = container.open_file(path)

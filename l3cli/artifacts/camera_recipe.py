@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from l3cli import spectra
 from l3cli.artifacts.base import load
 from l3cli.artifacts.camera import LONGEST, MAX_CFA, MAX_CHANNELS, MOST_WAVELENGTHS, CameraModel, Noise, Optics
-from l3cli.config import Recipe, load_recipe, read_text
+from l3cli.config import Recipe, Seed, load_recipe, read_text
 from l3cli.curve_table import read_table
 from l3cli.errors import RecipeError, suggestion
 
@@ -26,7 +26,7 @@ class SensorRecipe(Recipe):
     gain_dn_per_e: float
     black_dn: float
     white_dn: float | None = None  # default: the lower of well and converter
-    fixed_pattern_seed: int = 0
+    fixed_pattern_seed: Seed = 0
 
 
 class CfaRecipe(Recipe):
@@ -155,7 +155,7 @@ def _check_figures(recipe: CameraRecipe, path: Path) -> None:
     for key, value in positive:
         if not 0 < value < float("inf"):
             raise RecipeError(f"{path}: {key} is {value:g}, and must be above zero")
-    for key, value in (*spreads, ("sensor.fixed_pattern_seed", sensor.fixed_pattern_seed)):
+    for key, value in spreads:
         if not 0 <= value < float("inf"):
             raise RecipeError(f"{path}: {key} is {value:g}, and must not be negative")
     check_share(recipe.responsivity.peak_efficiency, "responsivity.peak_efficiency", 1.0, path)

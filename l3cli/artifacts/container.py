@@ -15,7 +15,7 @@ from typing import Any
 import h5py
 
 from l3cli.errors import InputFileError
-from l3cli.files import atomic_output
+from l3cli.files import atomic_output, open_regular
 from l3cli.interrupts import uninterrupted
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"  # of HDF5
@@ -94,7 +94,7 @@ def check(path: Path, made_by: str) -> bool:
     """Compare a file with the digest it carries. False if it is an HDF5 file without one, as format version 1 wrote them, or
     of someone else; InputFileError if it is another kind of file, or not what was written."""
     try:
-        with open(path, "rb", buffering=0) as raw:
+        with open_regular(path, f"give the file written by {made_by}") as raw:
             head = raw.read(BLOCK + len(SIGNATURE))
             if head.startswith(SIGNATURE):
                 return False
@@ -115,7 +115,7 @@ def open_file(path: Path) -> h5py.File:
     return h5py.File(path, "r", locking=False)
 
 
-def _block(raw: io.FileIO) -> bytes:
+def _block(raw: io.BufferedReader | io.FileIO) -> bytes:
     """The first 512 bytes that belong to what follows them."""
     raw.seek(BLOCK)
     digest = hashlib.file_digest(raw, "sha256").hexdigest().encode()

@@ -9,8 +9,8 @@ import h5py
 
 from l3cli.artifacts import container
 from l3cli.artifacts.base import Stage, open_artifact, read_history, require_plain
-from l3cli.config import read_text
 from l3cli.errors import InputFileError
+from l3cli.limits import read_bounded
 
 SLAB = 1 << 26  # bytes of a dataset that are read at a time
 
@@ -112,5 +112,6 @@ def _is_recipe_of(path: Path, stage: Stage) -> bool:
     """Whether a file's text is the stage's recipe, or one of two that it was joined from."""
     if path.suffix != ".toml":
         return False
-    text, recipe = (each.replace("\r\n", "\n") for each in (read_text(path), stage.recipe))
+    content = read_bounded(path).decode("utf-8-sig", "replace")
+    text, recipe = (each.replace("\r\n", "\n") for each in (content, stage.recipe))
     return text == recipe or recipe.startswith(f"{text}\n") or recipe.endswith(f"\n{text}")

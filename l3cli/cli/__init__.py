@@ -14,6 +14,7 @@ from l3cli import __version__
 from l3cli.cli.terminal import drop, prepare, tell
 from l3cli.errors import L3Error, suggestion
 from l3cli.interrupts import ignore, must_wait
+from l3cli.limits import require_address_space
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
@@ -38,6 +39,7 @@ CURES = {
     errno.EROFS: "; name an output elsewhere",
     errno.ENOTDIR: "; a part of the path is a file, not a folder",
 }
+NO_THREAD = "can't start new thread"  # what Python says
 LATER = 0.05  # seconds until a signal comes again that came where it must wait
 
 
@@ -83,6 +85,7 @@ def l3(context: click.Context) -> None:
     Measure the camera (calibrate), simulate it on scenes (simulate), learn a table of local linear transforms (train),
     render raw frames through it (render). Every stage leaves one HDF5 file for the next.
     """
+    require_address_space()
     if context.invoked_subcommand is None:  # a wrong call, such as of a script whose variable is empty
         for line in context.get_help().splitlines():
             tell(line)
@@ -128,6 +131,12 @@ def run(arguments: list[str]) -> int:
         return _fail("terminated", 143)
     except MemoryError:
         return _fail("out of memory; use fewer --jobs or smaller frames", 1)
+    except ImportError as error:
+        return _fail(f"a library cannot be loaded: {error}; free some memory, or install l3cli again", 1)
+    except RuntimeError as error:
+        if str(error) != NO_THREAD:
+            raise
+        return _fail("out of memory or threads; use fewer --jobs, or raise the limits (ulimit -v, ulimit -u)", 1)
     except OSError as error:
         if error.filename is None:
             drop(sys.stdout)

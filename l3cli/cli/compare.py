@@ -87,11 +87,8 @@ def _read(path: Path) -> dict:
     from l3cli.errors import InputFileError
     from l3cli.limits import read_bounded
 
-    if not path.is_file():
-        what = "is a folder" if path.is_dir() else "does not exist"
-        raise InputFileError(f'{path} {what}; give what "l3 evaluate --json" prints')
     try:
-        document = json.loads(read_bounded(path))
+        document = json.loads(read_bounded(path, 'give what "l3 evaluate --json" prints'))
     except (OSError, ValueError, RecursionError) as error:
         raise InputFileError(f'{path}: not readable as JSON; give what "l3 evaluate --json" prints') from error
     if not isinstance(document, dict):

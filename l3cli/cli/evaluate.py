@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 @options.backend
 @click.option(
     "--viewing",
-    type=click.FloatRange(2, 1000),
+    type=options.Number(2, 1000, "samples/degree"),
     default=50.0,
     show_default=True,
     metavar="2…1000",

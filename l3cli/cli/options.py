@@ -15,6 +15,7 @@ import click
 
 from l3cli.cli.terminal import tell
 from l3cli.errors import L3Error, RecipeError
+from l3cli.quantities import LARGEST_WHOLE, NoSuchNumber, Quantity
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
@@ -54,6 +55,26 @@ class RecipeFile(click.Path):
 
 
 CAMERA = RecipeFile("cameras")
+MOST_JOBS = 4096
+
+
+class Number(click.ParamType):
+    """A number within a declared range, of a declared unit."""
+
+    name = "number"
+
+    def __init__(self, least: float, most: float, unit: str = "", whole: bool = False) -> None:
+        self._quantity = Quantity(least, most, unit, whole)
+
+    def convert(self, value: Any, parameter: click.Parameter | None, context: click.Context | None) -> float:
+        return self.read(value, parameter, context) if isinstance(value, str) else value
+
+    def read(self, text: str, parameter: click.Parameter | None = None, context: click.Context | None = None) -> float:
+        """The number that `text` means, an int where whole ones are wanted."""
+        try:
+            return self._quantity.read(text)
+        except NoSuchNumber as error:
+            self.fail(str(error), parameter, context)
 
 
 def output(what: str, required: bool = True) -> Callable[[F], F]:
@@ -66,7 +87,7 @@ quiet = click.option("--quiet", is_flag=True, help="Say nothing on stderr but er
 as_json = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on stdout.")
 seed = click.option(
     "--seed",
-    type=click.IntRange(0),
+    type=Number(0, LARGEST_WHOLE, whole=True),
     default=0,
     show_default=True,
     metavar="N",
@@ -88,7 +109,12 @@ backend = click.option(
     help="What renders: an OpenCL device, or numpy in float64.",
 )
 jobs = click.option(
-    "--jobs", type=click.IntRange(1), default=1, show_default=True, metavar="N", help="Number of processes to use."
+    "--jobs",
+    type=Number(1, MOST_JOBS, whole=True),
+    default=1,
+    show_default=True,
+    metavar="N",
+    help="Number of processes to use.",
 )
 _ADDRESS = click.option(
     "--scheduler", metavar="ADDRESS", help="Work on the machines of this dask scheduler, tcp://HOST:PORT."
@@ -233,12 +259,16 @@ def say(message: str, quiet: bool) -> None:
         tell(message)
 
 
+SIZES = ("COLUMNS", "LINES")  # environment variables that tell a terminal's size
+DIGITS = re.compile(r"[0-9]{1,6}")  # of a size
+
+
 def width() -> int | None:
     """Characters in a line of stdout, as its terminal or the environment variable COLUMNS tells; None: any number."""
     import shutil
 
     columns = os.environ.get("COLUMNS", "")
-    if not sys.stdout.isatty() and not columns.isdecimal():
+    if not sys.stdout.isatty() and not DIGITS.fullmatch(columns):
         return None
     return max(shutil.get_terminal_size().columns, 40)
 
@@ -270,7 +300,8 @@ def _with_bar(items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
 
     told = TextColumn("{task.fields[told]}")
     columns = (TextColumn(what), BarColumn(bar_width=16), MofNCompleteColumn(), told, TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    tells = {name: os.environ[name] for name in os.environ if name not in SIZES or DIGITS.fullmatch(os.environ[name])}
+    with Progress(*columns, console=Console(stderr=True, _environ=tells), transient=True) as bar:
         task, start = bar.add_task(what, total=total, told=""), time.monotonic()
         for done, item in enumerate(items, 1):
             yield item

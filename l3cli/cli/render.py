@@ -14,7 +14,7 @@ import click
 
 from l3cli import __version__
 from l3cli.cli import options
-from l3cli.errors import RecipeError
+from l3cli.errors import RecipeError, shortened
 
 if TYPE_CHECKING:
     from l3cli.artifacts.table import TransformTable
@@ -27,27 +27,40 @@ PRESETS = ("ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "sl
 PLAIN = (".npy", ".pgm", ".raw", ".bin", ".raw10", ".raw12", "")  # inputs that need no decoder, or none that is known yet
 
 
-def _pair(separator: str) -> Callable[[Any, Any, str | None], tuple[int, int] | None]:
+PHASE = options.Number(0, 65535, "rows or columns", whole=True)
+SIZE = options.Number(1, 1_000_000, "pixels", whole=True)
+EXPOSURE = options.Number(1e-9, 1e9, "times Y")
+FRAME = options.Number(0, 10**18 - 1, whole=True)  # names may hold the time to a microsecond
+STEP = options.Number(1, 10**18 - 1, "frames", whole=True)
+RATE = options.Number(0.001, 1000, "frames/s")
+RATE_PART = options.Number(1, 10**12, whole=True)  # of a rate written as a fraction
+LEVEL = options.Number(0, 65535, "DN")
+TIME = options.Number(0, 1e5, "s")
+
+
+def _pair(separator: str, number: options.Number) -> Callable[[Any, Any, str | None], tuple[int, int] | None]:
     """Reads "a<separator>b" as two whole numbers."""
 
     def read(context: Any, parameter: Any, text: str | None) -> tuple[int, int] | None:
-        parts = text.split(separator) if text is not None else []
-        if text is not None and not (len(parts) == 2 and all(part.isascii() and part.isdecimal() for part in parts)):
-            raise click.BadParameter(f'"{text}" is not {parameter.metavar}')
-        return (int(parts[0]), int(parts[1])) if text is not None else None
+        if text is None:
+            return None
+        first, found, second = text.partition(separator)
+        if not found:
+            raise click.BadParameter(f'"{shortened(text)}" is not {parameter.metavar}')
+        try:
+            return int(number.read(first)), int(number.read(second))
+        except click.BadParameter as error:
+            raise click.BadParameter(f"{parameter.metavar}: {error.message}") from None
 
     return read
 
 
 def _exposure(context: Any, parameter: Any, text: str) -> float | None:
-    """Reads a positive number, or "auto" as None."""
+    """Reads a number, or "auto" as None."""
     try:
-        value = None if text == "auto" else float(text)
-    except ValueError:
-        raise click.BadParameter(f'"{text}" is neither auto nor a number') from None
-    if value is not None and not 0 < value < float("inf"):
-        raise click.BadParameter(f"{text} is not positive")
-    return value
+        return None if text == "auto" else EXPOSURE.read(text)
+    except click.BadParameter as error:
+        raise click.BadParameter(f"{error.message}, or auto") from None
 
 
 def _frames(context: Any, parameter: Any, text: str | None) -> range | None:
@@ -56,22 +69,26 @@ def _frames(context: Any, parameter: Any, text: str | None) -> range | None:
         return None
     found = re.fullmatch(r"(\d+)(?:-(\d+))?(?:x(\d+))?", text, re.ASCII)
     if not found:
-        raise click.BadParameter(f'"{text}" is not {parameter.metavar}, such as 1-500 or 1-500x2')
-    first, last, step = int(found[1]), int(found[2] or found[1]), int(found[3] or 1)
-    if last < first or step < 1:
-        raise click.BadParameter(f"{text} holds no frame; give the lower number first and a step of 1 or more")
+        raise click.BadParameter(f'"{shortened(text)}" is not {parameter.metavar}, such as 1-500 or 1-500x2')
+    first, last = int(FRAME.read(found[1])), int(FRAME.read(found[2] or found[1]))
+    step = int(STEP.read(found[3] or "1"))
+    if last < first:
+        raise click.BadParameter(f"{text} holds no frame; give the lower number first")
     return range(first, last + 1, step)
 
 
 def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
-    """Reads a positive number or fraction."""
-    try:
-        rate = None if text is None else Fraction(text)
-    except (ValueError, ZeroDivisionError):
-        raise click.BadParameter(f'"{text}" is no number such as 25, 23.976 or 30000/1001') from None
-    if rate is not None and not 0 < rate <= 1000:
-        raise click.BadParameter(f"{text} is not between 0 and 1000")
-    return rate
+    """Reads a number or fraction as a rate that videos hold."""
+    if text is None:
+        return None
+    from l3cli.io.video import storable_rate
+
+    above, slash, below = text.partition("/")
+    if not slash:
+        return storable_rate(Fraction(RATE.read(text)))
+    rate = Fraction(int(RATE_PART.read(above)), int(RATE_PART.read(below)))
+    RATE.read(repr(float(rate)))
+    return storable_rate(rate)
 
 
 @click.command()
@@ -95,7 +112,7 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
 )
 @click.option(
     "--crf",
-    type=click.FloatRange(0, 51),
+    type=options.Number(0, 51),
     metavar="0…51",
     help="Rate factor of h264, h265; lower is better [default: theirs].",
 )
@@ -118,23 +135,30 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
     "--white", metavar="NAME|x,y", help="Scene white shown neutral: illuminant or chromaticity [default: table's]."
 )
 @click.option("--bits", type=click.Choice(["8", "16"]), default="8", show_default=True, help="Bits a value of a picture.")
-@click.option("--black", type=float, metavar="DN", help="Black level of the inputs [default: the file's or the table's].")
-@click.option("--white-level", type=float, metavar="DN", help="White level of the inputs [default: the file's or table's].")
+@click.option("--black", type=LEVEL, metavar="DN", help="Black level of the inputs [default: the file's or the table's].")
+@click.option("--white-level", type=LEVEL, metavar="DN", help="White level of the inputs [default: the file's or table's].")
 @click.option(
-    "--exposure-time", type=click.FloatRange(0, 1e5), metavar="SECONDS",
+    "--exposure-time", type=TIME, metavar="SECONDS",
     help="Of the inputs, by which dark current is taken off [default: the file's or the table's training's].",
 )  # fmt: skip
 @click.option(
     "--dark", type=options.FILE, multiple=True, metavar="FRAME",
     help="Frames of the same exposure time without light, files or a sequence; their mean is taken off. May be repeated.",
 )  # fmt: skip
-@click.option("--phase", callback=_pair(","), metavar="ROW,COL", help="CFA site of the inputs' first pixel, from 0.")
-@click.option("--size", callback=_pair("x"), metavar="ROWSxCOLS", help="Pixels of headerless inputs [default: the table's].")
+@click.option("--phase", callback=_pair(",", PHASE), metavar="ROW,COL", help="CFA site of the inputs' first pixel, from 0.")
+@click.option(
+    "--size", callback=_pair("x", SIZE), metavar="ROWSxCOLS", help="Pixels of headerless inputs [default: the table's]."
+)
 @click.option(
     "--packing", type=click.Choice(["u16", "raw10", "raw12"]),
     help="Values of headerless inputs: 16 bits, or MIPI packed [default: .raw10 and .raw12 packed, else u16].",
 )  # fmt: skip
-@click.option("--stride", type=click.IntRange(1), metavar="BYTES", help="Bytes from row to row [default: no padding].")
+@click.option(
+    "--stride",
+    type=options.Number(1, 100_000_000, "bytes", whole=True),
+    metavar="BYTES",
+    help="Bytes from row to row [default: no padding].",
+)
 @click.option("--skip-bad", is_flag=True, help="Leave out missing and broken frames; exit code 1 if there were any.")
 @click.option("--resume", is_flag=True, help="Go on with a sequence of pictures where a run was stopped.")
 @options.scheduler
@@ -200,7 +224,7 @@ def render(
         if white is not None:
             caution_white(white, look.white, transforms, quiet)
     footage = find_frames(inputs, transforms, known, frames, dataset)
-    if footage.count is not None:
+    if not footage.is_stream:
         options.spare(*(pending.source for pending in footage.frames if pending.source))
     if not skip_bad:
         refuse_missing(footage)

@@ -26,7 +26,7 @@ from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.files import atomic_output, refuse_existing, refuse_spared, sha256, sole_writer_of_folder
 from l3cli.frame import RawFrame, upright
 from l3cli.io import images
-from l3cli.io.sequences import PATTERN, Footage, Pending, numbered_files, numbered_name
+from l3cli.io.sequences import PATTERN, Footage, Pending, last_number, numbered_files, numbered_name
 from l3cli.io.video import VideoChoice, check_video, is_video, new_video, new_y4m
 from l3cli.parallel.threads import Behind, ahead
 from l3cli.render.display import Display, automatic_exposure, make_display
@@ -121,8 +121,8 @@ def refuse_outputs(target: Target, footage: Footage, force: bool, mark: Mark | N
         )
     if target.kind not in ("pattern", "folder"):
         return
-    if footage.count is None:
-        files = _pictures(target)
+    if footage.is_stream:
+        files = _in_the_way(target, footage)
     else:
         files = [target.file(pending.number, pending.stem) for pending in footage.frames]
     if len(set(files)) < len(files):
@@ -134,10 +134,19 @@ def refuse_outputs(target: Target, footage: Footage, force: bool, mark: Mark | N
 
 def refuse_missing(footage: Footage) -> None:
     """InputFileError if it is known already that a frame is missing."""
-    if footage.count is not None:
-        for pending in footage.frames:
-            if pending.missing:
-                raise pending.missing
+    if footage.missing:
+        raise footage.absent(footage.missing[0])
+
+
+def _in_the_way(target: Target, footage: Footage) -> list[Path]:
+    """Pictures that are there and that frames of a stream, which may be endless, would replace."""
+    if footage.wanted is None:
+        return _pictures(target)
+    if target.kind == "pattern":
+        return [file for number, file in numbered_files(target.path).items() if number in footage.wanted]
+    numbers = {last_number(file) for file in _pictures(target)}
+    frames = [footage.frames.pending(number) for number in numbers if number is not None and number in footage.wanted]
+    return [target.file(pending.number, pending.stem) for pending in frames]
 
 
 def _pictures(target: Target) -> list[Path]:
@@ -212,6 +221,7 @@ class _Read:
     brightness: float = 0.0
     error: L3Error | None = None
     kept: bool = False  # its picture is there already
+    lost: int = 1  # frames that there are not, if there is an error
 
 
 Exposed = tuple[Pending, Any, float]  # with the frame and the scale of its exposure, 0: its own
@@ -224,11 +234,11 @@ class _Tally:
     done: int = 0
     failures: int = 0
 
-    def leave_out(self, error: L3Error, skip_bad: bool) -> None:
-        """Say that a frame is left out; raise why, unless `skip_bad`."""
+    def leave_out(self, error: L3Error, skip_bad: bool, count: int = 1) -> None:
+        """Say that a frame, or several, are left out; raise why, unless `skip_bad`."""
         if not skip_bad:
             raise error
-        self.failures += 1
+        self.failures += count
         tell(f"l3: {error}")
 
 
@@ -241,10 +251,12 @@ def render_frames(
     start = time.monotonic()
     steady = SteadyExposure(choice.rate) if is_steady(footage, target, look) else None
     tally, cautions = _Tally(), Cautions(table)
+    for numbers in footage.missing:
+        tally.leave_out(footage.absent(numbers), skip_bad, len(numbers))
     with _open_sink(target, choice, table.outputs, mark) as (write, threads), Behind(write, DEPTH, threads) as writing:
         meter = LightMeter(table) if steady else None
         reading = ahead(_read(footage, target, meter, mark, origins, room.by_path), DEPTH)
-        reading = options.progress(reading, footage.count, "frames", quiet)
+        reading = options.progress(reading, footage.count and footage.count - footage.lost, "frames", quiet)
         exposed = cautions.watched(_exposed(reading, look, steady, skip_bad, tally), footage.stills)
         for pending, made in room.develop(exposed):
             if isinstance(made, L3Error):
@@ -280,15 +292,17 @@ def _read(
         if mark:
             pending = origins.of(pending)
             kept = pending.origin is not None and mark.keeps(file, pending.origin)
-        if kept and meter is None and footage.count is not None:
+        if kept and meter is None and not footage.is_stream:
             yield _Read(pending, None, kept=True)
             continue
         try:
-            if by_path and pending.source and not pending.missing and target.one_by_one and meter is None:
+            if by_path and pending.source and target.one_by_one and meter is None:
                 yield _Read(pending, Unread(pending.source.absolute(), sha256(pending.source)), kept=kept)
                 continue
             frame = pending.read()
             if frame is None:
+                if rest := footage.rest(pending.number):
+                    yield _Read(pending, None, error=footage.absent(rest), lost=len(rest))
                 break
             if not target.one_by_one:
                 size = size or _upright_shape(frame)
@@ -323,7 +337,7 @@ def _exposed(
     """The frames to render, each with its scale (0: its own exposure); what is broken is raised, or said and counted."""
     for each in reading:
         if each.error is not None:
-            tally.leave_out(each.error, skip_bad)
+            tally.leave_out(each.error, skip_bad, each.lost)
             continue
         tally.done += 1
         if each.frame is not None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from l3cli.cli import options
+from l3cli.errors import shortened
 
 if TYPE_CHECKING:
     from l3cli.artifacts.table import TransformTable
@@ -15,29 +16,30 @@ if TYPE_CHECKING:
     from l3cli.parallel.cluster import Scheduler
 
 
+SHARD = options.Number(0, 1_000_000, "shards", whole=True)
+SHARE = options.Number(0, 1e6)
+
+
 def _shard(context: Any, parameter: Any, text: str | None) -> tuple[int, int] | None:
     """Reads "I/N" with 1 ≤ I ≤ N."""
-    parts = text.split("/") if text is not None else []
     if text is None:
         return None
-    if len(parts) != 2 or not all(part.isascii() and part.isdecimal() for part in parts):
-        raise click.BadParameter(f'"{text}" is not I/N, such as 1/4')
-    index, count = int(parts[0]), int(parts[1])
+    parts = text.split("/")
+    if len(parts) != 2:
+        raise click.BadParameter(f'"{shortened(text)}" is not I/N, such as 1/4')
+    index, count = (int(SHARD.read(part)) for part in parts)
     if not 1 <= index <= count:
         raise click.BadParameter(f"{text}: shards count from 1/{max(count, 1)} to {max(count, 1)}/{max(count, 1)}")
     return index, count
 
 
 def _shares(context: Any, parameter: Any, text: str | None) -> tuple[Fraction, ...] | None:
-    """Reads "1,0.7,0.4": numbers that are not negative and not all zero."""
+    """Reads "1,0.7,0.4": numbers that are not all zero."""
     if text is None:
         return None
-    try:
-        shares = tuple(Fraction(float(part)).limit_denominator(10**12) for part in text.split(","))
-    except (ValueError, OverflowError):
-        raise click.BadParameter(f'"{text}" is no list of numbers, such as 1,0.7,0.4') from None
-    if min(shares) < 0 or not any(shares):
-        raise click.BadParameter(f"{text}: shares must not be negative, and one must be above zero")
+    shares = tuple(Fraction(SHARE.read(part)).limit_denominator(10**12) for part in text.split(","))
+    if not any(shares):
+        raise click.BadParameter(f"{shortened(text)}: one share must be above zero")
     return shares
 
 

@@ -28,7 +28,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from l3cli.errors import InputFileError, L3Error, RecipeError
-from l3cli.limits import MEGAPIXELS, ONE_BLAS_THREAD, TRUST, most_bytes, trusted
+from l3cli.files import require_regular
+from l3cli.limits import MEGAPIXELS, ONE_BLAS_THREAD, TRUST, most_bytes, setting, trusted
+from l3cli.quantities import Quantity
 
 SECONDS = "L3_DECODE_SECONDS"  # environment variable: processor time for one file
 USUAL_SECONDS = 60.0
@@ -37,6 +39,8 @@ ROOM = 1 << 30  # bytes of address space for the interpreter, the libraries and 
 COPIES = 2  # … and so many copies of what a file may hold
 MOST_TALK = 64 << 20  # bytes of an answer beside its arrays
 ALIGNMENT = 64
+READY = b"ready"  # what a child says when it has begun
+MORE_MEMORY = "free some memory, or raise its limit (ulimit -v)"
 LENGTH = struct.Struct("<I")
 KINDS = {kind.__name__: kind for kind in (L3Error, RecipeError, InputFileError)}
 ONE_THREAD = ONE_BLAS_THREAD | {"OPENIMAGEIO_THREADS": "1"}
@@ -54,6 +58,7 @@ def apart(function: F) -> F:
 
     @functools.wraps(function)
     def decode(path: Path, *plain: Any) -> Any:
+        require_regular(path)
         if trusted():
             return _decoded(function, path, *plain)
         with _lock:
@@ -77,6 +82,8 @@ def _decoded(function: Callable[..., Any], path: Path, *plain: Any) -> Any:
         raise
     except MemoryError as error:
         raise InputFileError(_too_much(path)) from error
+    except ImportError as error:
+        raise L3Error(f"a library that decodes {path} cannot be loaded ({error}); {MORE_MEMORY}") from error
     except OSError as error:
         raise InputFileError(f"{path}: {error.strerror or error}") from error
     except Exception as error:  # decoders raise whatever they stumble over
@@ -115,7 +122,7 @@ class _Child:
                 env=os.environ | ONE_THREAD | {"MALLOC_ARENA_MAX": "2", TRUST: "1"},
                 process_group=0,  # Ctrl-C is for this process, which then ends its child
             )
-        self._open = True
+        self._open, self._ready = True, False
 
     @property
     def usable(self) -> bool:
@@ -135,6 +142,7 @@ class _Child:
     def ask(self, path: Path, module: str, name: str, plain: tuple[Any, ...]) -> Any:
         """What the function `name` of `module` makes of the file."""
         try:
+            self._await_beginning()
             _send(self._socket, json.dumps([os.getcwd(), module, name, str(path), *plain]).encode())
             answer = json.loads(_receive(self._socket, time.monotonic() + PATIENCE * self.limits[0]))
             result = _arrays_back(answer, self._arrays)
@@ -153,6 +161,16 @@ class _Child:
             if isinstance(error, ValueError | TypeError | KeyError | RecursionError):
                 raise InputFileError(f"{path} makes its decoder talk nonsense; it is damaged") from error
             raise
+
+    def _await_beginning(self) -> None:
+        """L3Error if the process ends before it has asked for work: no file is to blame."""
+        if self._ready:
+            return
+        try:
+            self._ready = _receive(self._socket, time.monotonic() + PATIENCE * self.limits[0]) == READY
+        except (EOFError, ConnectionError) as error:
+            self.end()
+            raise L3Error(f"the process that decodes files cannot be started; {MORE_MEMORY}, or add --trust") from error
 
     def _too_long(self, path: Path) -> str:
         return (
@@ -190,14 +208,7 @@ def _end_child() -> None:
 
 
 def _seconds() -> float:
-    text = os.environ.get(SECONDS, "")
-    try:
-        seconds = float(text or USUAL_SECONDS)
-        if not 0 < seconds < 1e6:
-            raise ValueError(text)
-    except ValueError:
-        raise RecipeError(f'{SECONDS}="{text}" is no number of seconds; unset it or give one such as 60') from None
-    return seconds
+    return setting(SECONDS, Quantity(0.1, 1e6, "s"), USUAL_SECONDS)
 
 
 def _arrays_back(answer: Any, file: int) -> Any:
@@ -240,6 +251,7 @@ def serve(talk: int, arrays: int, seconds: float, room: int) -> None:
     for what, most in ((resource.RLIMIT_CORE, 0), (resource.RLIMIT_AS, room), (resource.RLIMIT_FSIZE, room)):
         _limit(what, most)
     with socket.socket(fileno=talk) as connection:
+        _send(connection, READY)
         while True:
             try:
                 folder, module, name, path, *plain = json.loads(_receive(connection))

@@ -7,10 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
+from l3cli.files import require_regular
 
 
 def map_array(path: Path) -> NDArray[Any]:
     """The array of a .npy file. InputFileError if the file is none, is cut, or holds objects, which would be unpickled."""
+    require_regular(path, "give a .npy file")
     try:
         with np.errstate(over="ignore"):  # of a shape beyond all bounds, which is refused
             values = np.load(path, mmap_mode="r", allow_pickle=False)

@@ -13,6 +13,7 @@ from l3cli.io.apart import apart
 from l3cli.io.cfa_codes import codes_of
 from l3cli.io.dng import CameraRaw, described
 from l3cli.io.names import named_in_utf8
+from l3cli.io.video import storable_rate
 from l3cli.limits import require_picture
 
 FRAME_RATE = 51044  # the tag of CinemaDNG
@@ -76,7 +77,7 @@ def _levels(raw: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 def film_rate(path: Path) -> Fraction | None:
     """Frames a second that a CinemaDNG file tells."""
     told = _film_rate(path)
-    return Fraction(*told) if told else None
+    return storable_rate(Fraction(*told)) if told else None
 
 
 @apart

@@ -190,10 +190,9 @@ def _wavelengths(content: Content) -> NDArray[np.float64] | None:
 def read_channels(path: Path) -> SpectralCube:
     """All channels of an EXR or TIFF as bands in increasing wavelength, which their names may tell ("450nm", "S0.450,5nm");
     of a TIFF with several pages each page is a band."""
+    if path.suffix.lower() in (".tif", ".tiff") and (pages := _read_pages(path)) is not None:
+        return SpectralCube(pages, None)
     pixels, names = read_image(path)
-    if len(names) == 1 and path.suffix.lower() in (".tif", ".tiff"):
-        pixels = _read_pages(path)
-        return SpectralCube(pixels, None)
     told = [re.search(r"(\d+(?:[.,]\d+)?)\s*nm", name) for name in names]
     keep = [index for index, match in enumerate(told) if match]
     if not keep:
@@ -204,11 +203,14 @@ def read_channels(path: Path) -> SpectralCube:
 
 
 @apart
-def _read_pages(path: Path) -> NDArray:
+def _read_pages(path: Path) -> NDArray | None:
+    """(row, col, page) of a TIFF of one channel; None of one of several."""
     import tifffile
 
     try:
         with tifffile.TiffFile(path) as file:
+            if file.pages[0].samplesperpixel > 1:
+                return None
             first = file.series[0]
             require_values(str(path), first.shape, first.dtype.itemsize if first.dtype else 1)
             pages = first.asarray()

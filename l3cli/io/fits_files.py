@@ -60,7 +60,7 @@ def read_fits(path: Path, number: int | None = None) -> tuple[NDArray[np.uint16]
 def _first_image(path: Path) -> Iterator[Any]:
     try:
         from astropy.io import fits
-    except ImportError as error:
+    except ModuleNotFoundError as error:
         raise L3Error(INSTALL) from error
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of sloppy headers; what cannot be read raises

@@ -2,7 +2,9 @@
 
 import contextlib
 import os
+import re
 from collections.abc import Iterator
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -134,12 +136,17 @@ def picture_size(path: Path) -> tuple[int, int]:
 def read_mono(path: Path) -> tuple[NDArray[np.uint16], float | None]:
     """Single-channel 8- or 16-bit picture (row, col), values as stored, and the exposure time (s) of its Exif tags."""
     with opened(path) as (source, spec):
-        stored = str(spec.format)
-        if spec.nchannels != 1 or stored not in ("uint8", "uint16"):
-            raise InputFileError(
-                f"{path} has {spec.nchannels} channels of {stored}; a raw image has one channel of 8 or 16 bits"
-            )
-        values = pixels_of(path, source, spec)[..., 0]
+        return mono_of(path, source, spec)
+
+
+def mono_of(path: Path, source: Any, spec: Any) -> tuple[NDArray[np.uint16], float | None]:
+    """Values as stored (row, col) of the single-channel picture that an input is at, and its exposure time (s)."""
+    stored = str(spec.format)
+    if spec.nchannels != 1 or stored not in ("uint8", "uint16"):
+        raise InputFileError(
+            f"{path} has {spec.nchannels} channels of {stored}; a raw image has one channel of 8 or 16 bits"
+        )
+    values = pixels_of(path, source, spec)[..., 0]
     # OpenImageIO stretches depths such as 12 bits over the whole of 16: the upper bits are what is stored.
     depth = 8 * values.dtype.itemsize
     unused = np.uint16(depth - spec.get_int_attribute("oiio:BitsPerSample", depth))
@@ -148,21 +155,49 @@ def read_mono(path: Path) -> tuple[NDArray[np.uint16], float | None]:
 
 @contextlib.contextmanager
 def opened(path: Path) -> Iterator[tuple[Any, Any]]:
-    """OpenImageIO's input and the description of its first picture, whose size has been found to be bearable."""
+    """OpenImageIO's input and the description of its only picture, whose size has been found to be bearable."""
+    with named_in_utf8(path) as name, contextlib.closing(open_image(path, name)) as source:
+        spec = source.spec()
+        require_bearable(path, spec)
+        require_pages_told(path, spec, 1)
+        if source.seek_subimage(1, 0):
+            what = "page" if source.format_name() == "tiff" else "part"
+            raise InputFileError(f"{path} holds more than one {what}; give a file of one picture, or render it alone")
+        source.geterror()  # that there is no second one
+        source.seek_subimage(0, 0)
+        yield source, spec
+
+
+def open_image(path: Path, name: str) -> Any:
+    """OpenImageIO's input, of a file that is called `name` in UTF-8."""
     import OpenImageIO as oiio
 
-    with named_in_utf8(path) as name:
-        source = oiio.ImageInput.open(name)
-        if source is None:
-            raise InputFileError(f"{path} is not an image that can be read ({_told(oiio.geterror(), name)})")
-        try:
-            spec = source.spec()
-            require_picture(str(path), spec.height, spec.width, spec.nchannels * max(spec.format.size() // VALUE_BYTES, 1))
-            if spec.deep or spec.depth != 1:
-                raise InputFileError(f"{path} holds a volume or samples in depth; give a flat picture")
-            yield source, spec
-        finally:
-            source.close()
+    source = oiio.ImageInput.open(name)
+    if source is None:
+        raise InputFileError(f"{path} is not an image that can be read ({_told(oiio.geterror(), name)})")
+    return source
+
+
+def require_bearable(path: Path, spec: Any) -> None:
+    """InputFileError unless a picture is flat and no larger than inputs may be."""
+    require_picture(str(path), spec.height, spec.width, spec.nchannels * max(spec.format.size() // VALUE_BYTES, 1))
+    if spec.deep or spec.depth != 1:
+        raise InputFileError(f"{path} holds a volume or samples in depth; give a flat picture")
+
+
+def require_pages_told(path: Path, spec: Any, pages: int) -> None:
+    """InputFileError if a picture's description tells of more frames than there are pages: ImageJ and tifffile may store a
+    stack as a single page, the other frames somewhere behind it."""
+    text = spec.get_string_attribute("ImageDescription")
+    count = re.search(r"^images=([0-9]{1,9})$", text, re.MULTILINE) if text.startswith("ImageJ=") else None
+    shape = re.match(r"""\{.*"shape": \[([0-9, ]{1,99})\]""", text)
+    frames = int(count[1]) if count else 0
+    if shape:
+        lengths = [int(length) for length in shape[1].split(",") if length.strip()]
+        frames = prod(lengths[:-2]) if lengths[-2:] == [spec.height, spec.width] else 0
+    if frames > pages * spec.nchannels:
+        have = f"{pages} page{'s' if pages > 1 else ''}"
+        raise InputFileError(f"{path} tells of {frames} frames but has {have}; save it with a page for each frame")
 
 
 def pixels_of(path: Path, source: Any, spec: Any) -> NDArray:

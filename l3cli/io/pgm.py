@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
+from l3cli.files import open_regular
 from l3cli.limits import require_picture
 
 GAP = rb"(?:\s|#[^\n\r]*[\n\r])+"
@@ -19,7 +20,7 @@ LONGEST_HEADER = 65536  # bytes, comments included
 
 def read_pgm(path: Path) -> NDArray:
     """Pixels (row, col) in DN, uint8 or uint16 as in the file; InputFileError if it is no single, whole P5 graymap."""
-    with open(path, "rb") as stream:
+    with open_regular(path) as stream:
         start = stream.read(LONGEST_HEADER)
     header = HEADER.match(start)
     if header is None:

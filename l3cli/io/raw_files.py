@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from l3cli.dark import DarkFrame, without_dark
 from l3cli.errors import InputFileError
+from l3cli.files import require_regular
 from l3cli.frame import RawFrame
 from l3cli.io.arrays import map_array
 from l3cli.io.camera_raws import read_camera_raw
@@ -20,11 +21,13 @@ from l3cli.io.fits_files import read_fits
 from l3cli.io.images import read_mono
 from l3cli.io.packed import PACKED, WORDS, Layout, make_layout
 from l3cli.io.pgm import read_pgm
-from l3cli.limits import require_picture
+from l3cli.limits import require_picture, require_values
 
 HEADERLESS = (".raw", ".bin", *("." + packing for packing in PACKED))
-IMAGES = (".tif", ".tiff", ".png")
+TIFF = (".tif", ".tiff")
+IMAGES = (*TIFF, ".png")
 FITS = (".fits", ".fit", ".fts")
+RAW_FILE = "give a raw file, or - for headerless frames on stdin"
 TOP = 65535  # DN, the most that 16 bits hold
 LONGEST = 1e5  # s, the longest exposure that is believed
 
@@ -46,8 +49,7 @@ class KnownBetter:
 def read_raw(path: Path, table: Sensor, known: KnownBetter | None = None) -> RawFrame:
     """The frame in `path`, read as its suffix tells; InputFileError names file and cure."""
     known = known or KnownBetter()
-    if path.is_dir() or not path.exists():
-        raise InputFileError(f"{path} {'is a folder' if path.is_dir() else 'does not exist'}; give a raw file")
+    require_regular(path, RAW_FILE)
     suffix, exposure = path.suffix.lower(), None
     try:
         if suffix in HEADERLESS:
@@ -89,7 +91,10 @@ def layout_of(path: Path, table: Sensor, known: KnownBetter) -> Layout:
     """How the values of a headerless file lie: as the caller knows, else by its suffix and the table's size."""
     suffix = path.suffix.lower().removeprefix(".")
     packing = known.packing or (suffix if suffix in PACKED else WORDS)
-    return make_layout(known.size or (table.rows, table.cols), packing, known.stride)
+    layout = make_layout(known.size or (table.rows, table.cols), packing, known.stride)
+    require_picture(str(path), layout.rows, layout.cols)
+    require_values(str(path), (layout.rows, layout.stride), value_bytes=1)
+    return layout
 
 
 def _corrected(frame: RawFrame, table: Sensor, known: KnownBetter) -> RawFrame:
@@ -121,7 +126,6 @@ def _corrected(frame: RawFrame, table: Sensor, known: KnownBetter) -> RawFrame:
 
 def _read_headerless(path: Path, layout: Layout) -> NDArray[np.uint16]:
     """One frame's values and nothing else."""
-    require_picture(str(path), layout.rows, layout.cols)
     found, wanted = path.stat().st_size, layout.frame_bytes
     if found != wanted:
         raise InputFileError(

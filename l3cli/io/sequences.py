@@ -3,9 +3,10 @@
 What is found here is not read yet, so that memory does not grow with the number of frames and reading can run ahead.
 """
 
+import functools
 import itertools
 import re
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -21,6 +22,7 @@ from l3cli.frame import RawFrame
 from l3cli.io import raw_files
 from l3cli.io.camera_raws import film_rate
 from l3cli.io.fits_files import fits_shape
+from l3cli.io.pages import count_pages, read_page
 from l3cli.io.raw_files import KnownBetter
 from l3cli.io.stacks import find_stack, stack_frame
 
@@ -34,7 +36,9 @@ CAMERA_RAWS = tuple(
 ONE_FRAME = (
     raw_files.HEADERLESS + raw_files.IMAGES + raw_files.FITS + CAMERA_RAWS + (".npy", ".pgm")
 )  # what is taken from a folder
-PATTERN = re.compile(r"%(0\d+)?d|#+")
+MOST_DIGITS = 18  # of a number: enough for the time to a microsecond, within 64 bits
+PATTERN = re.compile(r"%(0[0-9]{1,2})?d|#{1,99}")  # no wider than names are
+DIGITS = re.compile(r"[0-9]+")  # of a number: not those of every script, some of which are no digits to Python
 
 
 @dataclass(frozen=True)
@@ -44,19 +48,37 @@ class Pending:
     number: int
     stem: str  # of the file that is made of it
     read: Callable[[], RawFrame | None]  # None: there is no such frame, the stream ended before; InputFileError: broken
-    missing: InputFileError | None = None  # known before reading; `read` raises it too
     source: Path | None = None  # the file that holds it alone
     origin: str | None = None  # what tells it from another frame of its number, once somebody has asked
 
 
 @dataclass(frozen=True)
 class Footage:
-    """Frames in their order. Those of a stream of unknown length go on until one of them reads as None."""
+    """Frames in their order. Those of a stream go on until one of them reads as None."""
 
-    frames: Iterable[Pending]
-    count: int | None
+    what: str  # its name in messages
+    frames: "Frames"  # that there are; of a stream, that there may be
+    count: int | None  # that there ought to be; None: as many as a stream has
     stills: bool  # files named one by one: no sequence in time
     rate: Fraction | None = None  # frames a second, where the file tells
+    missing: Sequence[range] = ()  # numbers of those that ought to be and are not, known before reading
+    is_stream: bool = False
+    wanted: range | None = None  # numbers chosen of a stream
+
+    @property
+    def lost(self) -> int:
+        """How many are missing."""
+        return sum(len(numbers) for numbers in self.missing)
+
+    def absent(self, numbers: range) -> InputFileError:
+        """Says that frames are not there."""
+        step = f"x{numbers.step}" if numbers.step > 1 else ""
+        named = f"frame {numbers[0]} is" if len(numbers) == 1 else f"frames {numbers[0]}-{numbers[-1]}{step} are"
+        return InputFileError(f"{named} not in {self.what}; choose with --frames, or add --skip-bad")
+
+    def rest(self, number: int) -> range:
+        """The numbers wanted of a stream from one on, at which it has ended."""
+        return self.wanted[self.wanted.index(number) :] if self.wanted else range(0)
 
 
 @dataclass(frozen=True)
@@ -69,7 +91,7 @@ class _Series:
     stem: Callable[[int], str]
     rate: Fraction | None = None
     files: Mapping[int, Path] | None = None  # of those frames that have one each
-    expected: Collection[int] | None = None  # numbers that there ought to be; None: those that there are
+    expected: range | None = None  # numbers that there ought to be; None: those that there are
 
 
 def find_frames(
@@ -90,11 +112,28 @@ def find_frames(
         raise RecipeError(f"{other} is a sequence; give it alone, or several files of one frame each")
     stills = len(inputs) > 1
     series = _of_files("the inputs", inputs, table, known) if stills else _series(inputs[0], table, known, dataset)
-    if selection is None and series.numbers is None:
-        return Footage(_Frames(series, itertools.count(), demanded=False), None, stills=False, rate=series.rate)
-    wanted = selection or series.expected or series.numbers or ()
-    count = len(wanted)
-    return Footage(_Frames(series, wanted, selection is not None), count, stills or count == 1, series.rate)
+    if series.numbers is None:
+        count = None if selection is None else len(selection)
+        frames = Frames(series, itertools.count() if selection is None else selection)
+        return Footage(series.what, frames, count, count == 1, series.rate, is_stream=True, wanted=selection)
+    chosen = selection if selection is not None else series.expected
+    there, missing = (series.numbers, []) if chosen is None else _divided(chosen, series.numbers)
+    count = len(series.numbers if chosen is None else chosen)
+    return Footage(series.what, Frames(series, there), count, stills or count == 1, series.rate, missing)
+
+
+def _divided(wanted: range, numbers: Collection[int]) -> tuple[Sequence[int], list[range]]:
+    """Those of the numbers wanted that there are, in order, and the others: either may be too many to be looked at."""
+    if isinstance(numbers, range):  # of a stack: from 0 on
+        there: Sequence[int] = range(wanted.start, min(wanted.stop, len(numbers)), wanted.step)
+        return there, [wanted[len(there) :]] if len(there) < len(wanted) else []
+    there, missing, following = sorted(number for number in numbers if number in wanted), [], 0
+    for number in there:
+        at = wanted.index(number)
+        if at > following:
+            missing.append(wanted[following:at])
+        following = at + 1
+    return there, [*missing, wanted[following:]] if following < len(wanted) else missing
 
 
 def read_dark(footage: Footage) -> DarkFrame:
@@ -105,31 +144,20 @@ def read_dark(footage: Footage) -> DarkFrame:
 
 
 @dataclass(frozen=True)
-class _Frames:
+class Frames:
     """The frames of a series, made one by one each time they are gone through: there may be many."""
 
     series: _Series
     wanted: Iterable[int]
-    demanded: bool  # the caller asked for these very numbers, so that a stream's end before one is a fault
 
     def __iter__(self) -> Iterator[Pending]:
-        return map(self._pending, self.wanted)
+        return map(self.pending, self.wanted)
 
-    def _pending(self, number: int) -> Pending:
+    def pending(self, number: int) -> Pending:
+        """The frame of a number."""
         series = self.series
-        missing = series.numbers is not None and number not in series.numbers
-
-        def read() -> RawFrame | None:
-            frame = None if missing else series.read(number)
-            if frame is None and (missing or self.demanded):
-                raise self._missing(number)
-            return frame
-
         source = series.files.get(number) if series.files else None
-        return Pending(number, series.stem(number), read, self._missing(number) if missing else None, source)
-
-    def _missing(self, number: int) -> InputFileError:
-        return InputFileError(f"frame {number} is not in {self.series.what}; choose with --frames, or add --skip-bad")
+        return Pending(number, series.stem(number), functools.partial(series.read, number), source)
 
 
 def _is_one_file(path: Path) -> bool:
@@ -163,6 +191,8 @@ def _series(path: Path, table: TransformTable, known: KnownBetter, dataset: str 
         return _npy_stack(path, table, known)
     if path.exists() and suffix in raw_files.FITS and len(fits_shape(path)) == 3:
         return _fits_stack(path, table, known)
+    if path.exists() and suffix in raw_files.TIFF and (count := count_pages(path)) > 1:
+        return _page_stack(path, count, table, known)
     if path.exists() and suffix in raw_files.HEADERLESS:
         return _headerless_stack(path, table, known)
     return _of_files(str(path), (path,), table, known)
@@ -193,13 +223,19 @@ def _globbed(path: Path) -> list[Path]:
 
 def _natural(path: Path) -> tuple[Any, ...]:
     """Sorts 9 before 10."""
-    return tuple((int(part), part) if part.isdigit() else (0, part) for part in re.split(r"(\d+)", str(path)))
+    return tuple((int(part), part) if DIGITS.fullmatch(part) else (0, part) for part in re.split(r"([0-9]+)", str(path)))
+
+
+def last_number(path: Path) -> int | None:
+    """The last number in a file's name."""
+    found = DIGITS.findall(path.stem)
+    return int(found[-1]) if found and len(found[-1]) <= MOST_DIGITS else None
 
 
 def _of_files(what: str, paths: Iterable[Path], table: TransformTable, known: KnownBetter) -> _Series:
     """One frame a file. Numbered by the files' names; from 0 if a name has no number or two have the same."""
     paths = list(paths)
-    named = [int(digits[-1]) for path in paths if (digits := re.findall(r"\d+", path.stem))]
+    named = [number for path in paths if (number := last_number(path)) is not None]
     numbers = named if len(set(named)) == len(paths) else range(len(paths))
     of_number = dict(zip(numbers, paths, strict=True))
 
@@ -233,7 +269,9 @@ def numbered_files(pattern: Path) -> dict[int, Path]:
     where = PATTERN.search(pattern.name)
     if where is None or not pattern.parent.is_dir():
         return {}
-    spelled = re.compile(f"{re.escape(pattern.name[: where.start()])}(\\d+){re.escape(pattern.name[where.end() :])}")
+    spelled = re.compile(
+        f"{re.escape(pattern.name[: where.start()])}([0-9]{{1,{MOST_DIGITS}}}){re.escape(pattern.name[where.end() :])}"
+    )
     found = {}
     for path in pattern.parent.iterdir():
         match = spelled.fullmatch(path.name)
@@ -265,6 +303,14 @@ def _stack(path: Path, count: int, pixels: Callable[[int], NDArray], table: Tran
 
     stem = path.stem
     return _Series(str(path), range(count), read, lambda number: stem if count == 1 else f"{stem}_{number:06d}")
+
+
+def _page_stack(path: Path, count: int, table: TransformTable, known: KnownBetter) -> _Series:
+    def read(number: int) -> RawFrame:
+        values, exposure = read_page(path, number)
+        return raw_files.frame_of(f"{path} page {number + 1}", values, table, known, exposure)
+
+    return _Series(str(path), range(count), read, lambda number: f"{path.stem}_{number:06d}")
 
 
 def _headerless_stack(path: Path, table: TransformTable, known: KnownBetter) -> _Series:

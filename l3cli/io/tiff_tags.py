@@ -11,6 +11,7 @@ class TiffTag(IntEnum):
     MAKE = 271
     MODEL = 272
     ORIENTATION = 274
+    SUB_IFDS = 330
     SAMPLE_FORMAT = 339
     CFA_REPEAT_PATTERN_DIM = 33421
     CFA_PATTERN = 33422
@@ -43,7 +44,7 @@ class TiffTag(IntEnum):
 BYTE, ASCII, SHORT, LONG, RATIONAL, SRATIONAL, DOUBLE = 1, 2, 3, 4, 5, 10, 12  # types of values
 FRACTIONS = (RATIONAL, SRATIONAL)
 COLOUR_FILTER_ARRAY, LINEAR_RAW = 32803, 34892  # values of PHOTOMETRIC_INTERPRETATION
-REDUCED = 1  # bit of NEW_SUBFILE_TYPE: a smaller copy of another image
+REDUCED, ONE_OF_MANY = 1, 2  # bits of NEW_SUBFILE_TYPE: a smaller copy of another image, a page of several
 RECTANGULAR = 1  # value of CFA_LAYOUT
 UNSIGNED = 1  # value of SAMPLE_FORMAT
 UPRIGHT = 1  # value of ORIENTATION

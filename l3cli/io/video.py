@@ -24,11 +24,20 @@ from l3cli.limits import require_picture
 INSTALL = 'videos need PyAV; install it with: pip install "l3cli[video]"'
 
 
+SLOWEST, FASTEST = Fraction(1, 1000), Fraction(1000)  # frames a second
+FINEST = 1_000_000  # denominator of a rate: numerators stay within the 32 bits that containers have
+
+
+def storable_rate(rate: Fraction) -> Fraction | None:
+    """The nearest rate that every container holds: of 29.97002997 a second 30000/1001. None where that is no film's."""
+    return rate.limit_denominator(FINEST) if SLOWEST <= rate <= FASTEST else None
+
+
 def _av() -> Any:
     """PyAV, imported when first needed."""
     try:
         import av
-    except ImportError as error:
+    except ModuleNotFoundError as error:
         raise L3Error(INSTALL) from error
     av.logging.set_level(av.logging.ERROR)  # for RawVideo; what goes wrong is told in one line, not in FFmpeg's own
     log = logging.getLogger("libav")
@@ -51,7 +60,7 @@ def raw_video_rate(path: Path) -> Fraction | None:
     """Frames a second of a raw video, where it tells; InputFileError if it is no video, or not of one grey channel of 8 to
     16 bits, such as FFV1 in MKV."""
     told = _raw_video_rate(path)
-    return Fraction(*told) if told else None
+    return storable_rate(Fraction(*told)) if told else None
 
 
 @apart

@@ -72,7 +72,7 @@ def workers_of(scheduler: Scheduler) -> Iterator[Crew]:
     try:
         import dask
         import distributed
-    except ImportError as error:
+    except ModuleNotFoundError as error:
         raise L3Error(INSTALL) from error
     for name in ("distributed", "tornado", "asyncio"):
         logging.getLogger(name).setLevel(logging.CRITICAL)  # what goes wrong is told in one line

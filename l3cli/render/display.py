@@ -6,8 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli import spectra
-from l3cli.errors import RecipeError, suggestion
+from l3cli.errors import RecipeError, shortened, suggestion
+from l3cli.quantities import Quantity
 
+CHROMATICITY = Quantity(0.001, 0.999)  # x or y of a white
 WHITE_PERCENTILE = 99  # of Y, that automatic exposure maps to display white, as the authors did
 CODES = {8: np.uint8, 16: np.uint16, "half": np.float16, "float": np.float32}  # what a value is written as
 SPACES = ("srgb", "linear", "xyz")
@@ -66,12 +68,16 @@ def scene_white(text: str) -> NDArray[np.float64]:
     """XYZ (3), Y = 1, of a white given as "x,y" chromaticity or by the name of an illuminant; RecipeError if neither."""
     if "," not in text:
         return np.asarray(spectra.white_point(text), np.float64)
+    parts = text.split(",")
     try:
-        x, y = (float(part) for part in text.split(","))
-    except ValueError:
-        raise RecipeError(f'white "{text}" is not a chromaticity; give it as x,y such as 0.3127,0.3290') from None
-    if not (x > 0 and y > 0 and x + y < 1):
-        raise RecipeError(f"white {text} is no chromaticity: x and y must be positive and x + y below 1")
+        x, y = (CHROMATICITY.read(part) for part in parts)
+    except ValueError as error:
+        why = f": {error}" if len(parts) == 2 else ""
+        raise RecipeError(
+            f'white "{shortened(text)}" is not a chromaticity{why}; give it as x,y such as 0.3127,0.3290'
+        ) from None
+    if x + y > CHROMATICITY.most:
+        raise RecipeError(f"white {text} is no chromaticity: x + y is at most {CHROMATICITY.most}")
     return np.array([x, y, 1 - x - y]) / y
 
 

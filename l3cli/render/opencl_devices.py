@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from l3cli.errors import DeviceError
+from l3cli.errors import DeviceError, shortened
 from l3cli.render import kernels
 
 INSTALL = 'install one, on any processor with: pip install "pyopencl[pocl]"'
@@ -68,10 +68,10 @@ def choose_device(wanted: str) -> Any:
     if not wanted:
         gpu = pyopencl().device_type.GPU
         return next((device for device in found if device.type & gpu), found[0])
-    if wanted.isdecimal() and int(wanted) < len(found):
-        return found[int(wanted)]
+    if wanted in (numbers := list(map(str, range(len(found))))):
+        return found[numbers.index(wanted)]
     named = [device for device in found if wanted.lower() in device.name.lower()]
     if not named or wanted.isdecimal():
         names = ", ".join(f"{index}: {device.name.strip()}" for index, device in enumerate(found))
-        raise DeviceError(f'no OpenCL device is called "{wanted}"; --device or L3_DEVICE must be one of {names}')
+        raise DeviceError(f'no OpenCL device is called "{shortened(wanted)}"; --device or L3_DEVICE must be one of {names}')
     return named[0]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.config import Recipe
+from l3cli.config import Recipe, Share
 from l3cli.errors import RecipeError
 
 MOST_SPECKS, LARGEST_SPECK = 10_000, 1000  # per million pixels; pixels in radius
@@ -21,7 +21,7 @@ class FlawRecipe(Recipe):
     hot_current_e_per_s: float = 4000.0  # dark current of a hot pixel
     dead_pixels_per_million: float = 10.0
     dust_specks_per_million: float = 4.0  # soft shadows of a few pixels' radius
-    dust_depth: float = 0.03  # share of the light that a speck takes in its middle
+    dust_depth: Share = 0.03  # share of the light that a speck takes in its middle
     dust_radius_px: float = 12.0
     column_noise_e: float = 2.0  # standard deviation of the columns' offsets
 

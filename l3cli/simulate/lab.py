@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from l3cli import spectra
 from l3cli.artifacts.camera import LONGEST, MOST_WAVELENGTHS, CameraModel
-from l3cli.config import Count, Recipe
+from l3cli.config import Count, CountOrNone, Positive, Recipe
 from l3cli.errors import RecipeError
 from l3cli.measurement import CHART_COLS, CHART_ROWS, PATCHES
 from l3cli.simulate.flaws import FlawRecipe, check_flaws, flaws_of
@@ -37,10 +37,12 @@ class MonoRecipe(Recipe):
     bandwidth_nm: float = 10.0  # full width at half maximum
     stray_light: float = 0.0005  # share of the peak at every wavelength
     trials: Count = 1  # frames a step
-    overexposed: Count = 4  # steps between the first and the last, as far as there are, that are taken again far too long
+    overexposed: CountOrNone = (
+        4  # steps between the first and the last, as far as there are, that are taken again far too long
+    )
     level: float = 0.5  # share of full scale that the brightest channel reaches
-    radiance: float = 1e18  # photons/s/sr/m² of every step
-    longest_exposure_s: float = 2.0  # a step that no channel sees well stays darker
+    radiance: Positive = 1e18  # photons/s/sr/m² of every step
+    longest_exposure_s: Positive = 2.0  # a step that no channel sees well stays darker
 
 
 class ChartRecipe(Recipe):
@@ -48,7 +50,7 @@ class ChartRecipe(Recipe):
 
     illuminants: tuple[str, ...] = ("D65", "A", "3200K", "FL2")
     trials: Count = 1
-    luminance: float = 500.0  # cd/m² of a perfect white
+    luminance: Positive = 500.0  # cd/m² of a perfect white
     level: float = 0.5  # share of full scale that the brightest channel reaches in the brightest patch
 
 
@@ -56,7 +58,7 @@ class WhiteRecipe(Recipe):
     """Even light at several exposures."""
 
     illuminant: str = "D65"
-    luminance: float = 500.0  # cd/m²
+    luminance: Positive = 500.0  # cd/m²
     levels: tuple[float, ...] = (0.05, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.6)  # of full scale, in the brightest channel
     trials: Count = 4
 
@@ -197,12 +199,12 @@ def _check(recipe: LabRecipe, camera: CameraModel) -> None:
     shares = (mono.level, recipe.chart.level, *recipe.white.levels, *recipe.dark.exposures_s)
     if min(shares) <= 0 or not recipe.white.levels or not recipe.dark.exposures_s:
         raise RecipeError("levels and exposures must be given and above 0")
-    if min(recipe.white.trials, recipe.dark.trials) < 2 or min(mono.trials, recipe.chart.trials) < 1:
-        raise RecipeError("white and dark need two trials or more, for noise is measured on pairs of frames, the others one")
+    if min(recipe.white.trials, recipe.dark.trials) < 2:
+        raise RecipeError("white and dark need two trials or more, for noise is measured on pairs of frames")
     if not (0 <= mono.stray_light < MOST_STRAY and 0 <= recipe.falloff < 1 and 0 <= recipe.lamp_drift < MOST_DRIFT):
         raise RecipeError(f"stray_light must lie in 0…{MOST_STRAY}, falloff in 0…1, lamp_drift in 0…{MOST_DRIFT}")
-    if min(mono.overexposed, recipe.monitor_error, recipe.wavelength_error_nm, *msgspec.structs.astuple(recipe.flaws)) < 0:
-        raise RecipeError("overexposed, monitor_error, wavelength_error_nm and the figures of flaws must not be negative")
+    if min(recipe.monitor_error, recipe.wavelength_error_nm, *msgspec.structs.astuple(recipe.flaws)) < 0:
+        raise RecipeError("monitor_error, wavelength_error_nm and the figures of flaws must not be negative")
     check_flaws(recipe.flaws)
     if camera.rows < 64 or camera.cols < 96:
         raise RecipeError(f"a sensor of {camera.rows}×{camera.cols} is too small for a chart; the lab needs 64×96 pixels")

@@ -4,7 +4,7 @@ import itertools
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import msgspec
 import numpy as np
@@ -43,7 +43,7 @@ class Lens(Recipe):
 
 class SensorSetting(Recipe):
     noise: Literal["all", "shot", "none"] = "all"  # shot: of light and dark current only; none: only rounding
-    analog_gain: float = 1.0  # on top of the camera's gain
+    analog_gain: Annotated[float, msgspec.Meta(ge=1e-3, le=1e3)] = 1.0  # on top of the camera's gain
 
 
 class TargetRecipe(Recipe):
@@ -126,8 +126,8 @@ def set_up(camera: CameraModel, recipe: SceneRecipe, curves: Mapping[str, Curve]
         passed = np.full(camera.wavelength.size, 1.0 if lens.transmittance is None else lens.transmittance)
     if not (passed.min() >= 0 and 0 < passed.max() <= 1):
         raise RecipeError("lens.transmittance must lie in 0…1 and let some light through")
-    if not (lens.defocus_um >= 0 and 0 < recipe.sensor.analog_gain < float("inf")):
-        raise RecipeError("lens.defocus_um must not be negative and sensor.analog_gain must be above zero")
+    if lens.defocus_um < 0:
+        raise RecipeError("lens.defocus_um must not be negative")
     fitted = replace(camera, responsivity=camera.responsivity * passed, optics=Optics(focal, f_number, distance))
     return with_analog_gain(fitted, recipe.sensor.analog_gain)
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.config import Count, Recipe
+from l3cli.config import Count, Recipe, Seed
 from l3cli.curve_table import other_unit
 from l3cli.errors import L3Error, RecipeError
 
@@ -31,7 +31,7 @@ class Drawn(Framing, kw_only=True):
 
 class Random(Drawn, kw_only=True):
     count: Count = 1  # pictures
-    seed: int = 0  # beside --seed: recipes with different seeds share no picture
+    seed: Seed = 0  # beside --seed: recipes with different seeds share no picture
 
 
 class DeadLeaves(Random, tag_field="source", tag="dead leaves", kw_only=True):
@@ -165,12 +165,6 @@ def check_source(source: Source, camera: CameraModel, name: str) -> None:
         raise RecipeError(f"{name}: crop is first row, first column, rows, columns, none of them negative")
     if isinstance(source, Drawn):
         check_size(source.size, camera if whole and not source.crop else None, RecipeError, name)
-    if isinstance(source, Random) and (source.count < 1 or source.seed < 0):
-        raise RecipeError(f"{name}: count is at least 1 and seed at least 0")
-    if isinstance(source, RgbPictures) and source.shrink < 1:
-        raise RecipeError(f"{name}: shrink is at least 1")
-    if isinstance(source, Skin | Foliage | Surfaces) and min(source.patches) < 1:
-        raise RecipeError(f"{name}: patches are at least 1×1")
     if isinstance(source, Cube) and sorted(source.axes.split()) != ["band", "col", "row"]:
         raise RecipeError(f'{name}: axes names row, col and band once each, such as "row col band"')
     if isinstance(source, Spectral):

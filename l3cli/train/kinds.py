@@ -37,8 +37,9 @@ def channel_shares(signal: NDArray[np.float32], near: Neighbourhoods, site: int)
 
 
 def choose_chromas(shares: NDArray[np.float64], count: int, seed: int) -> NDArray[np.float64] | None:
-    """`count` centres (chroma, channel) of the channel shares (patch, channel) by k-means; None if one is asked for."""
-    if count == 1:
+    """`count` centres (chroma, channel) of the channel shares (patch, channel) by k-means; None if none or one is asked
+    for."""
+    if count <= 1:
         return None
     from scipy.cluster.vq import kmeans2
 

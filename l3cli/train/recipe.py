@@ -1,11 +1,11 @@
 """What a class recipe (configs/classes) may say."""
 
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import msgspec
 
 from l3cli.classify import ClassRecipe
-from l3cli.config import Count, Recipe
+from l3cli.config import CountOrNone, Recipe
 from l3cli.errors import RecipeError
 
 MOST_PATCHES = 1_000_000_000
@@ -15,9 +15,10 @@ MOST_DRAWS = 1000  # levels of one patch: more tell nothing new
 class LearningRecipe(Recipe):
     """How the transforms of the classes are learned (METHOD 4). Levels are shares of full scale."""
 
-    patches: int = 60000  # patches a canonical CFA position, over all frames
-    draws: Count = 8  # levels drawn a patch (METHOD 4.1)
-    first_draws: Count = 3  # levels drawn a patch in the pass whose errors weigh the rows of the second; 0: one pass only
+    patches: Annotated[int, msgspec.Meta(ge=1, le=MOST_PATCHES)] = 60000  # patches a canonical CFA position, over all frames
+    draws: Annotated[int, msgspec.Meta(ge=1, le=MOST_DRAWS)] = 8  # levels drawn a patch (METHOD 4.1)
+    # levels drawn a patch in the pass whose errors weigh the rows of the second; 0: one pass only
+    first_draws: Annotated[int, msgspec.Meta(ge=0, le=MOST_DRAWS)] = 3
     darkest: float = 0.003  # levels are drawn log-uniformly from here …
     brightest: float = 2.5  # … to here, clipped at white
     highlight_share: float = 0.25  # this share of the draws …
@@ -30,7 +31,7 @@ class LearningRecipe(Recipe):
     luminance_noise: float = 1.5  # weight of the noise covariance for Y (METHOD 4.3)
     chroma_noise: float = 2.0  # the same for the two chroma rows
     level_pool: tuple[float, ...] = (0.5, 0.25)  # weight of classes one, two… levels away (METHOD 4.5)
-    parent_patches: int = (
+    parent_patches: CountOrNone = (
         200  # pseudo-patches of the parent, all chromas of its level, contrast and case, added to every class
     )
     symmetry: bool = True  # CFA sites that are rotations or mirror images of one another share their training (METHOD 3.6)
@@ -48,12 +49,6 @@ class TrainingRecipe(Recipe):
 
 def check_learning(recipe: LearningRecipe) -> None:
     """RecipeError if a number of the learning recipe cannot be."""
-    if max(recipe.draws, recipe.first_draws) > MOST_DRAWS:
-        raise RecipeError(f"learning.draws and first_draws are at most {MOST_DRAWS}")
-    if recipe.patches > MOST_PATCHES:
-        raise RecipeError(f"learning.patches are at most {MOST_PATCHES}")
-    if recipe.patches < 1 or recipe.draws < 1 or min(recipe.parent_patches, recipe.first_draws) < 0:
-        raise RecipeError("learning.patches and draws must be at least 1, first_draws and parent_patches at least 0")
     if not 0 < recipe.darkest < recipe.highlight_from < recipe.brightest:
         raise RecipeError("learning needs 0 < darkest < highlight_from < brightest")
     if not 0 <= recipe.highlight_share <= 1:
