@@ -9,6 +9,7 @@ FLOORS = [
     {"artifacts", "curve_table", "scene", "frame", "dark", "measurement"},
     {"classify"},
     {"calibrate", "simulate", "train", "render", "evaluate", "report", "io", "parallel"},
+    {"stages"},
     {"cli"},
     {"__main__"},
 ]

@@ -114,9 +114,9 @@ def test_camera_raws_and_scenes_are_named_by_any_bytes(tmp_path: Path, l3: Calla
 
 
 def test_json_tells_names_of_any_bytes(desk: Path, tmp_path: Path, capfdbinary: Any) -> None:
-    from l3cli.cli.terminal import show_json
+    from l3cli.cli.terminal import Terminal, show_json
 
-    show_json({"name": "f\udcff\x1b\x9b\u202e"})
+    show_json({"name": "f\udcff\x1b\x9b\u202e"}, Terminal())
     out = capfdbinary.readouterr().out
     assert out.isascii()
     assert not {0x1B, 0x9B} & set(out)
@@ -150,7 +150,7 @@ def test_other_line_ends_give_the_same_artifact(tmp_path: Path, l3: Callable) ->
 # ------------------------------------------------------------------------------------------------------ variables
 @pytest.mark.parametrize("size", ["²", "0", "-3", "1e9", ""])
 def test_a_terminal_of_no_size_gets_a_bar(size: str) -> None:
-    bar = "from l3cli.cli import options, terminal; terminal.prepare(); list(options.progress(range(3), 3, 'frames', False))"
+    bar = "from l3cli.cli import terminal; terminal.prepare(); list(terminal.Terminal().progress(range(3), 3, 'frames'))"
     assert "3/3" in in_terminal([sys.executable, "-c", bar], {"COLUMNS": size, "LINES": size})
 
 

@@ -16,7 +16,7 @@ import pytest
 from l3cli import __version__
 from l3cli.artifacts.base import load
 from l3cli.artifacts.table import TransformTable
-from l3cli.cli import COMMANDS, l3, options
+from l3cli.cli import COMMANDS, l3, terminal
 from l3cli.columns import columns
 from l3cli.errors import suggestion
 from l3cli.frame import RawFrame
@@ -64,7 +64,7 @@ def test_results_can_be_had_as_json_and_talk_be_silenced() -> None:
     told = {name: {option.name for option in command(name).params} for name in COMMANDS}
     for name in ("calibrate", "evaluate", "compare", "info", "bench"):
         assert "as_json" in told[name]
-    assert [name for name in COMMANDS if "quiet" not in told[name]] == ["compare", "info"]  # they do not talk
+    assert [name for name in COMMANDS if "console" not in told[name]] == ["compare", "info"]  # they do not talk
     assert [name for name in COMMANDS if "seed" in told[name]] == ["simulate", "train", "lab"]
 
 
@@ -166,7 +166,7 @@ class Clock:
 def logged(total: int | None, count: int, step: float, monkeypatch, capsys) -> list[str]:
     monkeypatch.setattr(time, "monotonic", Clock(step))
     capsys.readouterr()
-    assert list(options.progress(range(count), total, "frames", quiet=False)) == list(range(count))
+    assert list(terminal.Terminal().progress(range(count), total, "frames")) == list(range(count))
     return capsys.readouterr().err.splitlines()
 
 
@@ -185,14 +185,14 @@ def test_a_log_hears_of_progress_now_and_then(monkeypatch, capsys) -> None:
 
 def test_quiet_is_quiet(monkeypatch, capsys) -> None:
     monkeypatch.setattr(time, "monotonic", Clock(100.0))
-    assert list(options.progress(range(100), 100, "frames", quiet=True)) == list(range(100))
+    assert list(terminal.ErrorsOnly().progress(range(100), 100, "frames")) == list(range(100))
     assert capsys.readouterr().err == ""
 
 
 BAR = """
 import time
-from l3cli.cli import options
-for _ in options.progress(range(3), 3, "simulations", False):
+from l3cli.cli.terminal import Terminal
+for _ in Terminal().progress(range(3), 3, "simulations"):
     time.sleep(0.15)
 """
 
@@ -308,7 +308,7 @@ def test_levels_without_training_are_counted(pipeline: Path, capsys) -> None:
     for frame in (*frames_of(part, 0.7, 3), *frames_of(part, 0.01, 2)):
         found.look(frame)
     capsys.readouterr()
-    found.tell(quiet=False)
+    found.tell(terminal.Terminal())
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("warning: 3 of 5 frames, most in frame 0: 100% of the pixels are brighter than anything")
     assert line.endswith("simulate longer exposures, and train again")

@@ -179,7 +179,7 @@ def test_a_device_is_not_chosen_by_digits_that_are_no_number(refused: Callable) 
 def test_a_terminal_of_odd_width_gets_its_bar() -> None:
     from tests.conftest import in_terminal
 
-    program = "from l3cli.cli import options; list(options.progress(range(3), 3, 'frames', False))"
+    program = "from l3cli.cli.terminal import Terminal; list(Terminal().progress(range(3), 3, 'frames'))"
     assert "Traceback" not in in_terminal([sys.executable, "-c", program], {"COLUMNS": "²", "LINES": "³"})
 
 

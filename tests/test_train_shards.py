@@ -23,6 +23,7 @@ from l3cli.classify import ClassRecipe, make_rule
 from l3cli.cli.passes import Work, first_lesson, open_course
 from l3cli.errors import InputFileError
 from l3cli.parallel import workers
+from l3cli.stages.console import Silent
 from l3cli.train.benchmark import made_up_frame, stage_shares, train
 from l3cli.train.division import BATCH, SUM_BYTES, frame_blocks, portions
 from l3cli.train.lesson import LAST, Lesson, spread_patches
@@ -173,7 +174,7 @@ def test_a_training_set_that_is_replaced_meanwhile_is_noticed(bayer: CameraModel
     training, other = a_set(tmp_path / "training.h5", bayer, 2), a_set(tmp_path / "other.h5", bayer, 3)
     course = open_course((training,), None, None, seed=0)
     with workers(1) as crew:
-        work = Work(crew, elsewhere=False, quiet=True)
+        work = Work(crew, elsewhere=False, console=Silent())
         first_lesson(course, work)
         other.rename(training)
         with pytest.raises(InputFileError, match="replaced while it was trained on"):

@@ -1,13 +1,16 @@
 """l3 bench: which devices there are, and how fast frames are rendered, simulated and learned from."""
 
 import functools
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from l3cli.cli import options
+from l3cli.cli import options, terminal
 from l3cli.cli.terminal import show, show_json
 from l3cli.columns import columns
+
+if TYPE_CHECKING:
+    from l3cli.stages.console import Console
 
 
 @click.command()
@@ -16,7 +19,7 @@ from l3cli.columns import columns
 @click.option("--list", "list_only", is_flag=True, help="List the OpenCL devices, or why there are none, and end.")
 @options.as_json
 @options.quiet
-def bench(device: str | None, variant: str | None, list_only: bool, as_json: bool, quiet: bool) -> None:
+def bench(device: str | None, variant: str | None, list_only: bool, as_json: bool, console: "Console") -> None:
     """Time the rendering of made-up frames on an OpenCL device, uint16 in host memory to sRGB in host memory, and on
     one core of the processor their simulation and training.
 
@@ -40,23 +43,23 @@ def bench(device: str | None, variant: str | None, list_only: bool, as_json: boo
     found = survey()
     if list_only:
         if as_json:
-            show_json({"devices": found}, quiet)
+            show_json({"devices": found}, console)
         else:
             show(*found)
         return
     jobs = rendering.jobs(device, variant)
-    results: list[dict[str, Any]] = [job() for job in options.progress(jobs, len(jobs), "cases", quiet)]
-    caution_kernels(quiet)
+    results: list[dict[str, Any]] = [job() for job in console.progress(jobs, len(jobs), "cases")]
+    caution_kernels(console)
     camera = load_camera(known_recipes("cameras")["fiveband"])
     simulated, trained = (
         [
             alone(functools.partial(room.measure, camera), case)
-            for case in options.progress(room.CASES, len(room.CASES), what, quiet)
+            for case in console.progress(room.CASES, len(room.CASES), what)
         ]
         for room, what in ((simulation, "simulations"), (training, "trainings"))
     )
     if as_json:
-        show_json({"devices": found, "results": results, "simulate": simulated, "train": trained}, quiet)
+        show_json({"devices": found, "results": results, "simulate": simulated, "train": trained}, console)
         return
     show(*found)
     _rendering(results)
@@ -103,4 +106,4 @@ def _training(results: list[dict[str, Any]]) -> None:
 
 
 def _table(title: str, headings: list[str], rows: list[list[str]]) -> None:
-    show("", title, *columns(headings, rows, options.width()))
+    show("", title, *columns(headings, rows, terminal.width()))

@@ -4,12 +4,15 @@ import itertools
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from l3cli.cli import options
+from l3cli.cli import options, terminal
 from l3cli.cli.terminal import show, show_json
+
+if TYPE_CHECKING:
+    from l3cli.stages.console import Console
 
 
 @click.command()
@@ -31,7 +34,7 @@ def calibrate(
     accept: bool,
     jobs: int,
     force: bool,
-    quiet: bool,
+    console: "Console",
     as_json: bool,
 ) -> None:
     """Find responsivities, gain and noise of a camera from its lab measurements.
@@ -47,17 +50,18 @@ def calibrate(
     from l3cli.io.measurements import inputs_of, load_measurements
     from l3cli.parallel import ordered_map
 
-    options.spare(measurements, *filter(None, [truth]))
+    claims = options.claims(console)
+    claims.spare(measurements, *filter(None, [truth]))
     for path in (output, *(export_paths(export) if export else ())):
-        options.claim_file(path, force)
+        claims.claim_file(path, force)
     inputs = inputs_of(measurements)
-    options.spare(*itertools.chain(*inputs.files.values()), *(camera_files(truth) if truth else ()))
+    claims.spare(*itertools.chain(*inputs.files.values()), *(camera_files(truth) if truth else ()))
     true = load_camera(truth) if truth else None
     measured = load_measurements(measurements)
 
     def each(function: Callable[[Any], Any], captures: Iterable[Any]) -> Iterator[Any]:
         captures = list(captures)
-        return options.progress(ordered_map(function, captures, jobs), len(captures), "captures", quiet)
+        return console.progress(ordered_map(function, captures, jobs), len(captures), "captures")
 
     camera = model.calibrate(measured, each)
     if (shortfall := report.shortfall(camera)) and not accept:
@@ -70,11 +74,11 @@ def calibrate(
     if export:
         export_curves(camera, export)
     if as_json:
-        show_json(result, quiet)
+        show_json(result, console)
     else:
-        show(*report.as_text(result, options.width()))
+        show(*report.as_text(result, terminal.width()))
     if shortfall:
-        options.say(f"accepted although {shortfall.partition(';')[0]}", quiet)
+        console.say(f"accepted although {shortfall.partition(';')[0]}")
     if result["saturation reached"] is False:
-        options.say("no white frame saturates: the converter's last value is taken for it; add one exposed longer", quiet)
-    options.say(f"{output}: written", quiet)
+        console.say("no white frame saturates: the converter's last value is taken for it; add one exposed longer")
+    console.say(f"{output}: written")

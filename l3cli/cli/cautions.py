@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from l3cli.cli import options
 from l3cli.files import sha256
 from l3cli.frame import RawFrame
 from l3cli.render.coverage import CoverageMeter
@@ -18,6 +17,7 @@ if TYPE_CHECKING:
     from l3cli.artifacts.camera import CameraModel
     from l3cli.artifacts.table import TransformTable
     from l3cli.io.sequences import Pending
+    from l3cli.stages.console import Console
 
 NOTABLE = {"darker": 0.05, "brighter": 0.05, "untrained": 0.2, "saturated": 0.1}  # shares of a frame that are worth a word
 NEAR_WHITE = 0.02  # distance of chromaticities u′v′ from which on two whites are different lights
@@ -56,7 +56,7 @@ class Cautions:
                 self.look(frame)
             yield pending, frame, scale
 
-    def tell(self, quiet: bool) -> None:
+    def tell(self, console: "Console") -> None:
         """One line for each thing found."""
         darkest, brightest = self._meter.learned_range()
         texts = {
@@ -69,36 +69,34 @@ class Cautions:
         }
         if self._untimed:
             exposure, dark = self.table.exposure, self.table.dark_signal(None)
-            options.say(
+            console.say(
                 f"{self._untimed[0]}: exposure time unknown; dark current of the training's {exposure:.3g} s is taken off "
-                f"({dark:.2g} DN); give --exposure-time or --dark",
-                quiet,
+                f"({dark:.2g} DN); give --exposure-time or --dark"
             )
         for what, (share, name, count) in self._worst.items():
             where = name if self._seen == 1 else f"{count} of {self._seen} frames, most in {name}"
-            options.say(f"warning: {where}: {share:.0%} of the pixels {texts[what]}", quiet)
+            console.warn(f"{where}: {share:.0%} of the pixels {texts[what]}")
 
 
-def caution_white(asked: str, white: np.ndarray, table: "TransformTable", quiet: bool) -> None:
+def caution_white(asked: str, white: np.ndarray, table: "TransformTable", console: "Console") -> None:
     """Say so if colours are asked for under a light that the table was probably not trained under."""
     if np.linalg.norm(_uv(white) - _uv(table.white_point)) > NEAR_WHITE:
         x, y = table.white_point[:2] / table.white_point.sum()
-        options.say(
-            f"warning: --white {asked} is far from the mean light of the training, x,y = {x:.4f},{y:.4f}: "
-            "colours are adapted, not learned for it; train with it among the illuminants of SCENES.toml",
-            quiet,
+        console.warn(
+            f"--white {asked} is far from the mean light of the training, x,y = {x:.4f},{y:.4f}: "
+            "colours are adapted, not learned for it; train with it among the illuminants of SCENES.toml"
         )
 
 
-def caution_trained(table: "TransformTable", path: "Path", frames: "Path", quiet: bool) -> None:
+def caution_trained(table: "TransformTable", path: "Path", frames: "Path", console: "Console") -> None:
     """Say so if a table is judged on frames that its history names as its training."""
     inputs = {digest for stage in table.history for found in stage.inputs.values() for digest in found}
-    if not quiet and sha256(frames) in inputs:
+    if sha256(frames) in inputs:
         text = "figures flatter it; simulate other scenes, or the same ones with another --seed"
-        options.say(f"warning: {path} was trained on {frames}: {text}", quiet)
+        console.warn(f"{path} was trained on {frames}: {text}")
 
 
-def caution_unlike(table: tuple[object, "TransformTable"], frames: tuple[object, "CameraModel"], quiet: bool) -> str:
+def caution_unlike(table: tuple[object, "TransformTable"], frames: tuple[object, "CameraModel"], console: "Console") -> str:
     """Say so if a table is judged on frames of another camera than it was trained for; both with the name of their file.
     What is said, or ""."""
     from l3cli.evaluate.likeness import unlike
@@ -110,14 +108,14 @@ def caution_unlike(table: tuple[object, "TransformTable"], frames: tuple[object,
         f"{name} was trained for another camera ({transforms.camera_name}) than took the frames of {other} ({camera.name}): "
         f"they differ in {differences}; judge it on frames of its own camera"
     )
-    options.say(f"warning: {text}", quiet)
+    console.warn(text)
     return text
 
 
-def caution_kernels(quiet: bool) -> None:
+def caution_kernels(console: "Console") -> None:
     """Say so if the next run has to compile the same kernels again."""
     if told := unkept():
-        options.say(f"warning: {told}", quiet)
+        console.warn(told)
 
 
 def _uv(white: np.ndarray) -> np.ndarray:

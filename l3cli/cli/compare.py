@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from l3cli.cli import options
+from l3cli.cli import options, terminal
 from l3cli.cli.terminal import show, show_json
 from l3cli.columns import columns, printable
 
@@ -42,8 +42,9 @@ def compare(
     if output is not None:
         if output.suffix != ".html":
             raise RecipeError(f"{output}: curves are drawn on a page; name a file that ends in .html")
-        options.spare(*evaluations)
-        options.claim_file(output, force)
+        claims = options.claims(terminal.Terminal())
+        claims.spare(*evaluations)
+        claims.claim_file(output, force)
     documents = [_read(path) for path in evaluations]
     curves = {figure: [curve_of(document, figure) for document in documents] for figure in figures}
     require_comparable(next(iter(curves.values())))
@@ -70,7 +71,7 @@ def compare(
         ]
         keys = ("figure", "one", "other", "luminances")
         found = [dict(zip(keys, (figure, *change), strict=True)) for figure, group in changes.items() for change in group]
-        show_json({"curves": rows, "crossings": found})
+        show_json({"curves": rows, "crossings": found}, terminal.Terminal())
         return
     for figure, found_curves in curves.items():
         lines = [
@@ -78,7 +79,7 @@ def compare(
             for index, luminance in enumerate(found_curves[0].luminance)
         ]
         named = ["cd/m²", *(printable(curve.name) for curve in found_curves)]
-        show(figure, *columns(named, lines, options.width()), *told[figure])
+        show(figure, *columns(named, lines, terminal.width()), *told[figure])
 
 
 def _read(path: Path) -> dict:

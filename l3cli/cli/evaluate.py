@@ -7,6 +7,7 @@ import click
 
 from l3cli.cli import options
 from l3cli.cli.terminal import show_json
+from l3cli.stages.frame_names import frame_name
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from l3cli.artifacts.training_set import TrainingPair, TrainingSetReader
     from l3cli.evaluate.evaluation import Evaluation
     from l3cli.render.renderer import Renderer
+    from l3cli.stages.console import Console
 
 
 @click.command()
@@ -38,7 +40,14 @@ if TYPE_CHECKING:
 @options.as_json
 @options.quiet
 def evaluate(
-    table: Path, frames: Path, backend: str, viewing: float, pictures: Path | None, force: bool, as_json: bool, quiet: bool
+    table: Path,
+    frames: Path,
+    backend: str,
+    viewing: float,
+    pictures: Path | None,
+    force: bool,
+    as_json: bool,
+    console: "Console",
 ) -> None:
     """Render the raw frames of a training set that TABLE was not trained on and compare them with their targets.
 
@@ -67,24 +76,25 @@ def evaluate(
     transforms = load(TransformTable, table)
     if pictures is not None:
         require_xyz(transforms.outputs)
-        options.spare(table, frames)
-        options.hold_folder(pictures, "*.png")
+        claims = options.claims(console)
+        claims.spare(table, frames)
+        claims.hold_folder(pictures, "*.png")
     with open_training_set(frames) as reader, contextlib.ExitStack() as unfinished:
         if pictures is not None:
             key = json.dumps([__version__, sha256(table), sha256(frames), backend, viewing])
             unfinished.enter_context(finished_together(pictures, key, force))
         evaluation = Evaluation(transforms, reader.head, viewing)
-        caution_trained(transforms, table, frames, quiet)
-        caution_unlike((table, transforms), (frames, reader.head.camera), quiet)
+        caution_trained(transforms, table, frames, console)
+        caution_unlike((table, transforms), (frames, reader.head.camera), console)
         renderer = make_renderer(backend, transforms)
-        for index in options.progress(range(len(reader)), len(reader), "frames", quiet):
+        for index in console.progress(range(len(reader)), len(reader), "frames"):
             frame, planes = judge(evaluation, renderer, reader, index)
             if pictures is not None:
                 for name, picture in frame_pictures(frame, planes).items():
-                    write_picture(pictures / f"{options.frame_name(index, frame.scene)}_{name}.png", picture)
-    caution_kernels(quiet)
+                    write_picture(pictures / f"{frame_name(index, frame.scene)}_{name}.png", picture)
+    caution_kernels(console)
     if as_json:
-        show_json(evaluation.document(), quiet)
+        show_json(evaluation.document(), console)
         return
     from l3cli.cli.quality_tables import print_tables
 

@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from l3cli.cli import options
-from l3cli.cli.terminal import show, show_json
+from l3cli.cli.terminal import Terminal, folded, show, show_json
 from l3cli.columns import figure, printable
 
 
@@ -40,10 +40,10 @@ def info(file: Path | None, inputs: tuple[Path, ...], verifies: bool, versions: 
         raise click.UsageError("one file at a time, unless --verify compares it with what it was made of")
     content = _versions() if file is None else _content(file)
     if as_json:
-        show_json(content)
+        show_json(content, Terminal())
         return
     for line in _version_lines(content) if versions else _lines(content):
-        show(*options.folded(printable(line), len(line) - len(line.lstrip()) + 4))
+        show(*folded(printable(line), len(line) - len(line.lstrip()) + 4))
 
 
 # ------------------------------------------------------------------------------------------------------ artifacts
@@ -96,7 +96,7 @@ def _verify(file: Path, inputs: tuple[Path, ...], as_json: bool) -> None:
             "history": [dataclasses.asdict(link) for link in links],
             "different": [str(path) for path in strangers],
         }
-        show_json(document)
+        show_json(document, Terminal())
     else:
         digest = "every byte is as written" if intact.digest else "without a digest of its bytes, which version 2 has"
         show(f"{file}: {intact.kind}, format version {intact.version}: {digest}; {intact.datasets} datasets are right")

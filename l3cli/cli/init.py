@@ -5,13 +5,17 @@ import re
 import textwrap
 import tomllib
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from l3cli.cli import options
+from l3cli.cli import options, terminal
 from l3cli.cli.terminal import show
 from l3cli.errors import suggestion
 from l3cli.recipes import known_recipes, recipe_folder
+
+if TYPE_CHECKING:
+    from l3cli.stages.console import Console
 
 # What a folder of recipes holds beside its camera.toml: name there ← name in configs/.
 COMMON = {
@@ -36,7 +40,7 @@ def _completed(context: click.Context, parameter: click.Parameter, incomplete: s
 @click.argument("folder", type=options.FILE, required=False, metavar="[DIR]")
 @options.force
 @options.quiet
-def init(recipe: str | None, folder: Path | None, force: bool, quiet: bool) -> None:
+def init(recipe: str | None, folder: Path | None, force: bool, console: "Console") -> None:
     """Make DIR with the recipes of one kind of camera and a Makefile that leads from them to a picture and a report. Beside
     it lie the same pipeline for Snakemake and for job arrays of Slurm.
 
@@ -49,18 +53,19 @@ def init(recipe: str | None, folder: Path | None, force: bool, quiet: bool) -> N
     if recipe is None:
         wide = max(map(len, known))
         for name, path in known.items():
-            show(*options.folded(f"{name:{wide}}  {summary(path)}", wide + 2))
-        options.say('next: one of them and a new folder, such as "l3 init bayer demo"', quiet)
+            show(*terminal.folded(f"{name:{wide}}  {summary(path)}", wide + 2))
+        console.say('next: one of them and a new folder, such as "l3 init bayer demo"')
         return
     if recipe not in known:
         raise click.UsageError(f'no recipe "{recipe}"; {suggestion(recipe, known)}')
     if folder is None:
         raise click.UsageError(f'name the folder to make, such as "l3 init {recipe} {recipe}"')
     origins = folder_files(known[recipe])
-    options.spare(*origins.values())
-    options.claim_folder(folder, force, *origins)
+    claims = options.claims(console)
+    claims.spare(*origins.values())
+    claims.claim_folder(folder, force, *origins)
     write_folder(origins, folder)
-    options.say(f"{folder}: {summary(known[recipe])}; next: make -C {folder}", quiet)
+    console.say(f"{folder}: {summary(known[recipe])}; next: make -C {folder}")
 
 
 def summary(path: Path) -> str:

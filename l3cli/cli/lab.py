@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from l3cli.io.measurements import MeasurementRecipe
     from l3cli.simulate.flaws import FlawRecipe
     from l3cli.simulate.lab import LabCapture, LabRecipe
+    from l3cli.stages.console import Console
 
 MONO = "spectra/mono.csv"  # spectra of the monochromator's steps
 
@@ -27,7 +28,7 @@ MONO = "spectra/mono.csv"  # spectra of the monochromator's steps
 @options.jobs
 @options.force
 @options.quiet
-def lab(camera: Path, output: Path, recipe: Path | None, seed: int, jobs: int, force: bool, quiet: bool) -> None:
+def lab(camera: Path, output: Path, recipe: Path | None, seed: int, jobs: int, force: bool, console: "Console") -> None:
     """Measure CAMERA in a virtual lab, as input for "l3 calibrate": a recipe, the name of one ("l3 init" lists them) or a
     camera.h5.
 
@@ -40,15 +41,17 @@ def lab(camera: Path, output: Path, recipe: Path | None, seed: int, jobs: int, f
     from l3cli.io.measurements import write_measurements
     from l3cli.parallel import workers
     from l3cli.simulate.lab import FOLDERS, LabRecipe, plan
+    from l3cli.stages.claims import refuse_unwritable
 
     file = output / "MEASUREMENTS.toml"
-    options.spare(camera, *filter(None, [recipe]))
+    claims = options.claims(console)
+    claims.spare(camera, *filter(None, [recipe]))
     refuse_spared(file)
-    options.refuse_unwritable(file)
+    refuse_unwritable(file)
     refuse_existing(file, force)
-    options.hold(sole_writer_of_folder(output, inside=FOLDERS), output)
+    claims.hold(sole_writer_of_folder(output, inside=FOLDERS), output)
     refuse_existing(file, force)  # now that no other run writes it
-    options.spare(*camera_files(camera))
+    claims.spare(*camera_files(camera))
     model = load_camera(camera)
     chosen = load_recipe(recipe, LabRecipe) if recipe else LabRecipe()
     captures = plan(model, chosen, seed)
@@ -58,10 +61,10 @@ def lab(camera: Path, output: Path, recipe: Path | None, seed: int, jobs: int, f
     work = [(capture, trial) for capture in captures for trial in range(capture.trials)]
     take = functools.partial(_take, model, chosen.flaws, output, seed)
     with workers(jobs) as crew:
-        for _ in options.progress(crew(take, work), len(work), "frames", quiet):
+        for _ in console.progress(crew(take, work), len(work), "frames"):
             pass
     write_measurements(_described(model, chosen, captures, output), file)
-    options.say(f"{file}: {len(captures)} captures, {len(work)} frames; next: l3 calibrate {file} -o camera.h5", quiet)
+    console.say(f"{file}: {len(captures)} captures, {len(work)} frames; next: l3 calibrate {file} -o camera.h5")
 
 
 def _take(model: "CameraModel", flaws: "FlawRecipe", folder: Path, seed: int, job: "tuple[LabCapture, int]") -> None:

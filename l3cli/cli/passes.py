@@ -5,13 +5,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from l3cli.artifacts.base import Stage, equal
 from l3cli.artifacts.partial_sums import ClassSums
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingPair, TrainingSet, open_training_set
-from l3cli.cli import options
 from l3cli.config import load_recipe, read_text
 from l3cli.errors import InputFileError
 from l3cli.files import require_same, sha256, stamp
@@ -25,6 +24,9 @@ from l3cli.train.sums import add
 from l3cli.train.table import Pilot, canonical_sites, learn_site, look_at, pilot_patches, survey
 from l3cli.train.weighing import Judge, judge_of
 
+if TYPE_CHECKING:
+    from l3cli.stages.console import Console
+
 MOST_GLANCED = 256  # frames that a worker looks at in one go before the passes
 
 
@@ -34,7 +36,7 @@ class Work:
 
     crew: Crew
     elsewhere: bool  # on other machines, which have to see the same files
-    quiet: bool
+    console: "Console"
 
 
 @dataclass(frozen=True)
@@ -92,12 +94,10 @@ def first_lesson(course: Course, work: Work) -> Lesson:
     runs = (range(first, min(first + size, len(patches))) for first in range(0, len(patches), size))
     about = (course.training, work.elsewhere, course.head, course.recipe, course.seed)
     glances = [Glance(*about, run, patches[run.start : run.stop]) for run in runs]
-    pilots = options.progress(work.crew(_glance, glances), len(glances), "pilot", work.quiet)
+    pilots = work.console.progress(work.crew(_glance, glances), len(glances), "pilot")
     rule, white, exposure = survey(pilots, course.patches, course.head, course.recipe, course.seed)
     kinds = f"({rule.chromas} chromas + {rule.cases - 1} saturation cases)"
-    options.say(
-        f"{len(course.patches)} frames, {rule.levels} levels × {rule.contrasts} contrasts × {kinds} a site", work.quiet
-    )
+    work.console.say(f"{len(course.patches)} frames, {rule.levels} levels × {rule.contrasts} contrasts × {kinds} a site")
     number = FIRST if has_two_passes(course.head, learning) else LAST
     return Lesson(course.head, course.patches, rule, learning, white, course.seed, number, exposure)
 
@@ -145,7 +145,7 @@ def summed(
         parts.append(Part(course.training, work.elsewhere, lesson, portion, judges))
     left = collections.Counter(site for part in parts for site in part.judges)
     waiting: dict[int, ClassSums] = {}
-    for found in options.progress(work.crew(function, parts), len(parts), "sums", work.quiet):
+    for found in work.console.progress(work.crew(function, parts), len(parts), "sums"):
         for site, result in found.items():
             left[site] -= 1
             if site in waiting:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
-from l3cli.cli import options
+from l3cli.cli import terminal
 from l3cli.cli.terminal import show
 from l3cli.columns import columns
 from l3cli.columns import figure as number
@@ -26,7 +26,7 @@ HEADINGS = {
 
 def print_tables(document: dict[str, Any]) -> None:
     """Frames, means, light levels, illuminants, classes and the worst of them; beside ours the main figure of each rival."""
-    width = options.width()
+    width = terminal.width()
     wide = width is None or width >= WIDE
     figures = [figure for figure in document["frames"][0]["ours"] if wide or figure not in LESS_NEEDED]
     rivals = document["pipelines"][1:]
@@ -83,4 +83,4 @@ def _number(figure: str, value: float) -> str:
 
 
 def _print(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    show(*(["", title] if title else []), *columns(headings, rows, options.width()))
+    show(*(["", title] if title else []), *columns(headings, rows, terminal.width()))

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from l3cli.cli.elsewhere import Elsewhere, Way
     from l3cli.cli.sequence import Here
     from l3cli.parallel.cluster import Scheduler
+    from l3cli.stages.console import Console
 
 PRESETS = ("ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow")
 
@@ -171,7 +172,7 @@ def render(
     variant: str | None, exposure: float | None, white: str | None, bits: str, black: float | None,
     white_level: float | None, exposure_time: float | None, dark: tuple[Path, ...],
     phase: tuple[int, int] | None, size: tuple[int, int] | None, packing: str | None,
-    stride: int | None, skip_bad: bool, resume: bool, scheduler: "Scheduler | None", force: bool, quiet: bool,
+    stride: int | None, skip_bad: bool, resume: bool, scheduler: "Scheduler | None", force: bool, console: "Console",
 ) -> int:  # fmt: skip
     """Render INPUT through TABLE.h5: files (DNG, camera raw, one-channel TIFF, PNG or PGM, FITS, .npy, headerless .raw,
     .bin, .raw10 or .raw12), or a sequence: a folder, a pattern (a_%04d.tif, a_####.tif), a quoted glob, a stack (.npy, HDF5,
@@ -203,8 +204,9 @@ def render(
 
     choice = VideoChoice(fps or USUAL_RATE, int(bits), codec, crf, preset)
     target = make_target(output, suffix, choice)
-    options.spare(table, *inputs, *dark)
-    claim(target, force)
+    claims = options.claims(console)
+    claims.spare(table, *inputs, *dark)
+    claim(target, force, claims)
     if target.linear and (exposure is not None or white is not None):
         raise RecipeError(".exr files hold the outputs as they are; --exposure and --white are for pictures")
     engine = {name: value for name, value in {"device": device, "variant": variant}.items() if value is not None}
@@ -214,7 +216,7 @@ def render(
     transforms = load(TransformTable, table)
     if dark:
         darks = find_frames(dark, transforms, known)
-        options.spare(*(pending.source for pending in darks.frames if pending.source))
+        claims.spare(*(pending.source for pending in darks.frames if pending.source))
         known = replace(known, dark=read_dark(darks))
     if target.linear:
         look = Look(None, None, choice.bits)
@@ -222,10 +224,10 @@ def render(
         require_xyz(transforms.outputs)
         look = Look(transforms.white_point if white is None else scene_white(white), exposure, choice.bits)
         if white is not None:
-            caution_white(white, look.white, transforms, quiet)
+            caution_white(white, look.white, transforms, console)
     footage = find_frames(inputs, transforms, known, frames, dataset)
     if not footage.is_stream:
-        options.spare(*(pending.source for pending in footage.frames if pending.source))
+        claims.spare(*(pending.source for pending in footage.frames if pending.source))
     if not skip_bad:
         refuse_missing(footage)
     choice = replace(choice, rate=fps or footage.rate or USUAL_RATE)
@@ -236,8 +238,8 @@ def render(
     key = [way.digest, __version__, frames, dataset, suffix, backend, chosen, exposure, white, choice, *levels, steady]
     origins = functools.partial(Origins, inputs[0], steady)
     with marked(target, key, resume, force, footage, origins) as mark, _room(way, transforms, scheduler) as room:
-        failures = render_frames(footage, target, room, transforms, look, choice, mark, origins(), skip_bad, quiet)
-    caution_kernels(quiet)
+        failures = render_frames(footage, target, room, transforms, look, choice, mark, origins(), skip_bad, console)
+    caution_kernels(console)
     return 1 if failures else 0
 
 

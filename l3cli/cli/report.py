@@ -1,10 +1,14 @@
 """l3 report: any set of artifacts as one page."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from l3cli.cli import options
+
+if TYPE_CHECKING:
+    from l3cli.stages.console import Console
 
 
 @click.command()
@@ -13,7 +17,7 @@ from l3cli.cli import options
 @options.backend
 @options.force
 @options.quiet
-def report(artifacts: tuple[Path, ...], output: Path, backend: str, force: bool, quiet: bool) -> None:
+def report(artifacts: tuple[Path, ...], output: Path, backend: str, force: bool, console: "Console") -> None:
     """Show camera models, training sets and transform tables on one page that needs no network.
 
     Every table is evaluated on every training set that it was not trained on. A camera is shown once; where no camera
@@ -30,12 +34,13 @@ def report(artifacts: tuple[Path, ...], output: Path, backend: str, force: bool,
 
     if output.suffix != ".html":
         raise RecipeError(f"{output}: a report is a page; name a file that ends in .html")
-    options.spare(*artifacts)
-    options.claim_file(output, force)
+    claims = options.claims(console)
+    claims.spare(*artifacts)
+    claims.claim_file(output, force)
     given = report_sections.sort(artifacts)
-    title, lead, sections = report_sections.compose(given, backend, quiet)
+    title, lead, sections = report_sections.compose(given, backend, console)
     page = render_page(title, lead, sections).encode()
     write_whole(output, page)
-    caution_kernels(quiet)
+    caution_kernels(console)
     much = "; fewer files would make a lighter page" if len(page) > LIMIT else ""
-    options.say(f"{output}: {len(page) / 1e6:.2f} MB, {len(sections)} sections{much}", quiet)
+    console.say(f"{output}: {len(page) / 1e6:.2f} MB, {len(sections)} sections{much}")

@@ -3,7 +3,7 @@
 import functools
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,6 @@ from l3cli.artifacts.base import Artifact, equal, load, open_artifact
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet, open_training_set
-from l3cli.cli import options
 from l3cli.cli.cautions import caution_unlike
 from l3cli.cli.evaluate import judge
 from l3cli.errors import InputFileError
@@ -25,6 +24,9 @@ from l3cli.report.page import history_section
 from l3cli.report.parts import Section, counted
 from l3cli.report.training import training_section
 from l3cli.report.transforms import transform_section
+
+if TYPE_CHECKING:
+    from l3cli.stages.console import Console
 
 KINDS: dict[str, type[Artifact]] = {kind.kind: kind for kind in (CameraModel, TrainingSet, TransformTable)}
 PICTURE_BYTES, THUMBNAIL_BYTES = 6_500_000, 2_000_000  # of all evaluated frames, of all training sets: see page.LIMIT
@@ -104,11 +106,11 @@ def _require_one_array(entries: list[Entry]) -> None:
             )
 
 
-def compose(given: Given, backend: str, quiet: bool) -> tuple[str, str, list[Section]]:
+def compose(given: Given, backend: str, console: "Console") -> tuple[str, str, list[Section]]:
     """Title, lead and sections of the page."""
-    _caution_cameras(given, quiet)
+    _caution_cameras(given, console)
     share = PICTURE_BYTES // max(len(given.pairs), 1)
-    judged = [_evaluation(*pair, str(number), share, backend, quiet) for number, pair in enumerate(given.pairs)]
+    judged = [_evaluation(*pair, str(number), share, backend, console) for number, pair in enumerate(given.pairs)]
     cameras = [(entry.name, camera) for entry, camera in given.cameras] or _cameras_within(given)
     sections = [camera_section(camera, _camera_figures(camera), name) for name, camera in cameras]
     for entry, _ in given.training:
@@ -125,7 +127,7 @@ def compose(given: Given, backend: str, quiet: bool) -> tuple[str, str, list[Sec
     return f"{', '.join(dict.fromkeys(names))}: report", _lead(given, [told for told, _ in judged]), sections
 
 
-def _caution_cameras(given: Given, quiet: bool) -> None:
+def _caution_cameras(given: Given, console: "Console") -> None:
     """Say so of every camera model that is unlike the first table's camera or, without one, unlike the first artifact's."""
     from l3cli.evaluate.likeness import unlike
 
@@ -134,7 +136,7 @@ def _caution_cameras(given: Given, quiet: bool) -> None:
     for entry, camera in given.cameras if given.tables else [*given.cameras, *held]:
         if entry is not known[0][0] and (differences := unlike(known[0][1], camera)):
             text = f"they differ in {differences}; report on each camera alone"
-            options.say(f"warning: {entry.name} is of another camera than {known[0][0].name}: {text}", quiet)
+            console.warn(f"{entry.name} is of another camera than {known[0][0].name}: {text}")
 
 
 def _lead(given: Given, told: list[str]) -> str:
@@ -190,7 +192,7 @@ def _evaluation(
     anchor: str,
     limit: int,
     backend: str,
-    quiet: bool,
+    console: "Console",
 ) -> tuple[str, Section]:
     """A table on frames it has not seen: in a sentence, and as a section with pictures of a few frames."""
     from l3cli.evaluate.evaluation import Evaluation
@@ -199,11 +201,11 @@ def _evaluation(
     from l3cli.render.renderer import make_renderer
 
     (given, transforms), (seen, head) = table, frames
-    caution = caution_unlike((given.name, transforms), (seen.name, head.camera), quiet)
+    caution = caution_unlike((given.name, transforms), (seen.name, head.camera), console)
     renderer = make_renderer(backend, transforms)
     with open_training_set(seen.path, unchanged=True) as reader:
         evaluation = Evaluation(transforms, reader.head)
-        for index in options.progress(range(len(reader)), len(reader), "frames", quiet):
+        for index in console.progress(range(len(reader)), len(reader), "frames"):
             judge(evaluation, renderer, reader, index)
         document = evaluation.document()
         pictures = {}

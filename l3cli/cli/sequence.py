@@ -18,10 +18,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from l3cli.cli import options
 from l3cli.cli.cautions import Cautions
 from l3cli.cli.mark import Mark, Origins
-from l3cli.cli.terminal import tell
 from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.files import atomic_output, refuse_existing, refuse_spared, sha256, sole_writer_of_folder
 from l3cli.frame import RawFrame, upright
@@ -31,11 +29,14 @@ from l3cli.io.video import VideoChoice, check_video, is_video, new_video, new_y4
 from l3cli.parallel.threads import Behind, ahead
 from l3cli.render.display import Display, automatic_exposure, make_display
 from l3cli.render.exposure import LightMeter, SteadyExposure
+from l3cli.stages.claims import refuse_unwritable
 
 if TYPE_CHECKING:
     from l3cli.artifacts.table import TransformTable
     from l3cli.cli.elsewhere import Elsewhere
     from l3cli.render.renderer import Renderer
+    from l3cli.stages.claims import Claims
+    from l3cli.stages.console import Console
 
 DEPTH = 3  # frames that wait at most between reading and rendering, and between rendering and writing
 PICTURE_WRITERS = 2  # threads that compress picture files
@@ -97,17 +98,17 @@ def make_target(output: Path, suffix: str, choice: VideoChoice) -> Target:
     return target
 
 
-def claim(target: Target, force: bool) -> None:
+def claim(target: Target, force: bool, claims: "Claims") -> None:
     """L3Error, before anything is read, if nothing can be written there, another run does so, or a video or single picture
     is there already; RecipeError if that is read."""
     if target.kind in ("video", "file"):
-        options.claim_file(target.path, force)
+        claims.claim_file(target.path, force)
     elif target.kind == "stream":
         refuse_spared(1)
     else:
-        options.refuse_unwritable(target.file(0, "frame"))
+        refuse_unwritable(target.file(0, "frame"))
         folder, name = (target.path, "") if target.kind == "folder" else (target.path.parent, target.path.name)
-        options.hold(sole_writer_of_folder(folder, name), target.path)
+        claims.hold(sole_writer_of_folder(folder, name), target.path)
 
 
 def refuse_outputs(target: Target, footage: Footage, force: bool, mark: Mark | None = None) -> None:
@@ -234,17 +235,17 @@ class _Tally:
     done: int = 0
     failures: int = 0
 
-    def leave_out(self, error: L3Error, skip_bad: bool, count: int = 1) -> None:
+    def leave_out(self, error: L3Error, skip_bad: bool, console: "Console", count: int = 1) -> None:
         """Say that a frame, or several, are left out; raise why, unless `skip_bad`."""
         if not skip_bad:
             raise error
         self.failures += count
-        tell(f"l3: {error}")
+        console.alert(f"l3: {error}")
 
 
 def render_frames(
     footage: Footage, target: Target, room: "Here | Elsewhere", table: "TransformTable", look: Look, choice: VideoChoice,
-    mark: Mark | None, origins: Origins, skip_bad: bool, quiet: bool,
+    mark: Mark | None, origins: Origins, skip_bad: bool, console: "Console",
 ) -> int:  # fmt: skip
     """Render every frame into the target; how many were left out. What is broken is raised, unless `skip_bad`: then it is
     said."""
@@ -252,27 +253,27 @@ def render_frames(
     steady = SteadyExposure(choice.rate) if is_steady(footage, target, look) else None
     tally, cautions = _Tally(), Cautions(table)
     for numbers in footage.missing:
-        tally.leave_out(footage.absent(numbers), skip_bad, len(numbers))
+        tally.leave_out(footage.absent(numbers), skip_bad, console, len(numbers))
     with _open_sink(target, choice, table.outputs, mark) as (write, threads), Behind(write, DEPTH, threads) as writing:
         meter = LightMeter(table) if steady else None
         reading = ahead(_read(footage, target, meter, mark, origins, room.by_path), DEPTH)
-        reading = options.progress(reading, footage.count and footage.count - footage.lost, "frames", quiet)
-        exposed = cautions.watched(_exposed(reading, look, steady, skip_bad, tally), footage.stills)
+        reading = console.progress(reading, footage.count and footage.count - footage.lost, "frames")
+        exposed = cautions.watched(_exposed(reading, look, steady, skip_bad, tally, console), footage.stills)
         for pending, made in room.develop(exposed):
             if isinstance(made, L3Error):
                 tally.done -= 1
-                tally.leave_out(made, skip_bad)
+                tally.leave_out(made, skip_bad, console)
             else:
                 writing.put((pending, made))
         if not tally.done:
             raise InputFileError("none of the frames could be read; nothing is written")
-    cautions.tell(quiet)
+    cautions.tell(console)
     done, failures = tally.done, tally.failures
     if not footage.stills:
         rate = done / max(time.monotonic() - start, 1e-9)
-        options.say(f"{target.path}: {done} frames, {rate:.3g} a second", quiet)
+        console.say(f"{target.path}: {done} frames, {rate:.3g} a second")
     if failures:
-        tell(f"l3: {failures} of {done + failures} frames left out")
+        console.alert(f"l3: {failures} of {done + failures} frames left out")
     return failures
 
 
@@ -332,12 +333,17 @@ def _require_size(frame: RawFrame, size: tuple[int, ...]) -> None:
 
 
 def _exposed(
-    reading: Iterable[_Read], look: Look, steady: SteadyExposure | None, skip_bad: bool, tally: _Tally
+    reading: Iterable[_Read],
+    look: Look,
+    steady: SteadyExposure | None,
+    skip_bad: bool,
+    tally: _Tally,
+    console: "Console",
 ) -> Iterator[Exposed]:
     """The frames to render, each with its scale (0: its own exposure); what is broken is raised, or said and counted."""
     for each in reading:
         if each.error is not None:
-            tally.leave_out(each.error, skip_bad, each.lost)
+            tally.leave_out(each.error, skip_bad, console, each.lost)
             continue
         tally.done += 1
         if each.frame is not None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from l3cli.cli import options
-from l3cli.cli.terminal import tell
+from l3cli.stages.frame_names import frame_name
 
 if TYPE_CHECKING:
     from l3cli.artifacts.camera import CameraModel
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from l3cli.parallel.cluster import Scheduler
     from l3cli.simulate.light import Curve
     from l3cli.simulate.recipe import SceneRecipe
+    from l3cli.stages.console import Console
 
 WRITTEN = ("*_raw.tif", "*_ideal.png", "*_ideal.exr", "*.dng")  # into the folders of pictures
 NEGLIGIBLE = 1e-3  # share of a channel's light that may go unseen without a word
@@ -48,7 +49,7 @@ NEGLIGIBLE = 1e-3  # share of a channel's light that may go unseen without a wor
 @options.quiet
 def simulate(
     scenes: Path, camera: Path, output: Path, pictures: Path | None, dng: Path | None, resume: bool, skip_bad: bool,
-    seed: int, jobs: int, scheduler: "Scheduler | None", force: bool, quiet: bool,
+    seed: int, jobs: int, scheduler: "Scheduler | None", force: bool, console: "Console",
 ) -> int:  # fmt: skip
     """Simulate what a camera sees of many scenes, and the pictures it should make of them.
 
@@ -64,20 +65,21 @@ def simulate(
     from l3cli.files import finished_together, refuse_existing
     from l3cli.simulate.recipe import SceneRecipe
 
-    options.spare(scenes, *camera_files(camera))
-    options.hold_file(output)
+    claims = options.claims(console)
+    claims.spare(scenes, *camera_files(camera))
+    claims.hold_file(output)
     remove_finished(output)
     refuse_existing(output, force or resume)
     folders = list(dict.fromkeys(filter(None, (pictures, dng))))
     for folder in folders:
-        options.hold_folder(folder, *WRITTEN)
+        claims.hold_folder(folder, *WRITTEN)
     if scheduler:
         scenes = scenes.absolute()  # its files are looked for by workers elsewhere
     model, recipe = load_camera(camera), load_recipe(scenes, SceneRecipe)
     run, files = _prepare(recipe, scenes, model, seed)
-    files, bad = _fitting(run, files, scenes, skip_bad)
+    files, bad = _fitting(run, files, scenes, skip_bad, console)
     inputs = {"camera": camera_files(camera), **_inputs(run, files)}
-    options.spare(*itertools.chain(*inputs.values()))
+    claims.spare(*itertools.chain(*inputs.values()))
     head = _head(run, model, (scenes, camera), inputs, seed)
     run = dataclasses.replace(run, key=key_of(head.history[-1]))
     stands = resume and not force and is_of_run(output, run.key)
@@ -93,16 +95,16 @@ def simulate(
         else:
             run = dataclasses.replace(run, folder=open_folder(output, run.key, resume, force))
             with close_folder(run.folder):
-                total = _simulate_frames(run, files, head, jobs, scheduler, quiet)
+                total = _simulate_frames(run, files, head, jobs, scheduler, console)
                 _write_beside(run, StoredFrames(run, total), pictures, dng)
-                _assemble(run, head, output, total, quiet)  # last: whoever finds the set finds its pictures, too
+                _assemble(run, head, output, total, console)  # last: whoever finds the set finds its pictures, too
     left_out = f"; {bad} scene{'s' if bad > 1 else ''} left out" if bad else ""
-    options.say(f"{output}: {total} frame{'s' if total > 1 else ''}{left_out}", quiet)
+    console.say(f"{output}: {total} frame{'s' if total > 1 else ''}{left_out}")
     return 1 if bad else 0
 
 
 def _simulate_frames(
-    run: "Run", files: list[list[Path]], head: "TrainingSet", jobs: int, scheduler: "Scheduler | None", quiet: bool
+    run: "Run", files: list[list[Path]], head: "TrainingSet", jobs: int, scheduler: "Scheduler | None", console: "Console"
 ) -> int:
     """Simulate and store those frames of a run that are not stored yet; how many it has."""
     from l3cli.cli.frames import jobs_of, stored, work_off
@@ -117,7 +119,7 @@ def _simulate_frames(
         work = jobs_of(run, wanted, crew.size)
         counts = stored(crew, work, digests) if scheduler else crew(work_off, work)
         finished = (index for count in counts for index in range(count))
-        for _ in options.progress(finished, total, "frames", quiet):
+        for _ in console.progress(finished, total, "frames"):
             pass
     return total
 
@@ -151,7 +153,9 @@ def _prepare(recipe: "SceneRecipe", path: Path, camera: "CameraModel", seed: int
     return Run(recipe, fitted, target, lights, recorded, seed, path.parent, "", Path()), files
 
 
-def _fitting(run: "Run", files: list[list[Path]], path: Path, skip_bad: bool) -> tuple[list[list[Path]], int]:
+def _fitting(
+    run: "Run", files: list[list[Path]], path: Path, skip_bad: bool, console: "Console"
+) -> tuple[list[list[Path]], int]:
     """The files of each source that can be read and fit on the sensor, and how many do not: with `skip_bad` each is said
     and left out, else InputFileError names them all."""
     from l3cli.cli.frames import refusals
@@ -173,7 +177,7 @@ def _fitting(run: "Run", files: list[list[Path]], path: Path, skip_bad: bool) ->
     if not (any(kept) or drawn or run.recipe.pair):
         raise InputFileError(f"{path}: no scene is left of {len(bad)}: {listed(map(str, bad))}")
     for error in bad:
-        tell(f"l3: {error}")
+        console.alert(f"l3: {error}")
     return kept, len(bad)
 
 
@@ -242,7 +246,7 @@ def _head(
     )
 
 
-def _assemble(run: "Run", head: "TrainingSet", output: Path, total: int, quiet: bool) -> None:
+def _assemble(run: "Run", head: "TrainingSet", output: Path, total: int, console: "Console") -> None:
     """The training set from its stored frames; what the scene that covers least of the light lacks is said."""
     from l3cli.artifacts.training_set import write_training_set
 
@@ -252,7 +256,7 @@ def _assemble(run: "Run", head: "TrainingSet", output: Path, total: int, quiet: 
         )
     if worst.uncovered > NEGLIGIBLE:
         share = f"{worst.uncovered:.1%} of the light that a channel collects from white"
-        options.say(f"warning: {worst.scene} holds no data for {share}; give scenes of more wavelengths", quiet)
+        console.warn(f"{worst.scene} holds no data for {share}; give scenes of more wavelengths")
 
 
 def _write_beside(run: "Run", frames: "Iterable[TrainingPair]", pictures: Path | None, dng: Path | None) -> None:
@@ -271,7 +275,7 @@ def _write_pictures(run: "Run", frames: "Iterable[TrainingPair]", folder: Path) 
     from l3cli.render.display import encode, make_display
 
     for index, frame in enumerate(frames):
-        name = options.frame_name(index, frame.scene)
+        name = frame_name(index, frame.scene)
         write_mosaic(folder / f"{name}_raw.tif", frame.raw, frame.dark_time)
         if run.target.outputs != ("X", "Y", "Z"):
             planes = np.moveaxis(frame.target / np.float32(frame.white.max()), 0, -1)
@@ -293,5 +297,5 @@ def _write_dng(run: "Run", frames: "Iterable[TrainingPair]", folder: Path) -> No
     for index, frame in enumerate(frames):
         light = run.lights.get(frame.illuminant)
         grey = None if light is None else neutral(camera, light)
-        path = folder / f"{options.frame_name(index, frame.scene)}.dng"
+        path = folder / f"{frame_name(index, frame.scene)}.dng"
         write_dng(path, frame.raw, camera, colour, grey, frame.exposure)

@@ -5,12 +5,21 @@ import contextlib
 import json
 import math
 import os
+import re
 import sys
-from typing import IO, Any
+import time
+from collections.abc import Iterable, Iterator
+from typing import IO, TYPE_CHECKING, Any, TypeVar
 
 import click
 
 from l3cli.columns import printable
+from l3cli.stages.console import Silent
+
+if TYPE_CHECKING:
+    from l3cli.stages.console import Console
+
+T = TypeVar("T")
 
 
 def show(*lines: str) -> None:
@@ -18,14 +27,14 @@ def show(*lines: str) -> None:
     click.echo("\n".join(map(printable, lines)))
 
 
-def show_json(document: Any, quiet: bool = False) -> None:
+def show_json(document: Any, console: "Console") -> None:
     """A result as JSON on stdout: in ASCII, so that every encoding and every file name has its place there. JSON has no NaN:
-    a figure that cannot be computed is null, and named on stderr unless `quiet`."""
+    a figure that cannot be computed is null, and named on the console."""
     missing: list[str] = []
     click.echo(json.dumps(_finite(document, "", missing), indent=2, allow_nan=False))
-    if missing and not quiet:
+    if missing:
         named = ", ".join(missing[:4]) + (f" and {len(missing) - 4} more" if len(missing) > 4 else "")
-        tell(f"warning: {named}: cannot be computed; null in the JSON")
+        console.warn(f"{named}: cannot be computed; null in the JSON")
 
 
 def _finite(value: Any, name: str, missing: list[str]) -> Any:
@@ -66,3 +75,97 @@ def drop(stream: IO[str]) -> None:
     except OSError:
         with contextlib.closing(open(os.devnull, "wb")) as nowhere:
             os.dup2(nowhere.fileno(), stream.fileno())
+
+
+SIZES = ("COLUMNS", "LINES")  # environment variables that tell a terminal's size
+DIGITS = re.compile(r"[0-9]{1,6}")  # of a size
+SELDOM, OFTEN = 600.0, 10.0  # seconds after which a log hears of the progress at the latest, and before which it does not
+
+
+def width() -> int | None:
+    """Characters in a line of stdout, as its terminal or the environment variable COLUMNS tells; None: any number."""
+    import shutil
+
+    columns = os.environ.get("COLUMNS", "")
+    if not sys.stdout.isatty() and not DIGITS.fullmatch(columns):
+        return None
+    return max(shutil.get_terminal_size().columns, 40)
+
+
+def folded(line: str, deeper: int) -> list[str]:
+    """A line of stdout as several, `deeper` characters further in from the second on, where the terminal is not as wide."""
+    import textwrap
+
+    wide = width()
+    return textwrap.wrap(line, wide, subsequent_indent=" " * deeper, break_on_hyphens=False) if wide else [line]
+
+
+# ------------------------------------------------------------------------------------------------------ consoles
+
+
+class Terminal:
+    """The console of a command: everything on stderr."""
+
+    def progress(self, items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
+        """As a bar on a terminal, elsewhere as plain lines, one every tenth; both tell rate and time left."""
+        drawn = sys.stderr.isatty() and os.environ.get("TERM", "dumb") != "dumb"
+        return (_with_bar if drawn else _with_lines)(items, total, what)
+
+    def say(self, message: str) -> None:
+        tell(message)
+
+    def warn(self, message: str) -> None:
+        tell(f"warning: {message}")
+
+    def alert(self, message: str) -> None:
+        tell(message)
+
+
+class ErrorsOnly(Silent):
+    """The console of a command with --quiet: on stderr what is left out, and nothing else."""
+
+    def alert(self, message: str) -> None:
+        tell(message)
+
+
+def _with_bar(items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
+    from rich import console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    told = TextColumn("{task.fields[told]}")
+    columns = (TextColumn(what), BarColumn(bar_width=16), MofNCompleteColumn(), told, TimeElapsedColumn())
+    tells = {name: os.environ[name] for name in os.environ if name not in SIZES or DIGITS.fullmatch(os.environ[name])}
+    with Progress(*columns, console=console.Console(stderr=True, _environ=tells), transient=True) as bar:
+        task, start = bar.add_task(what, total=total, told=""), time.monotonic()
+        for done, item in enumerate(items, 1):
+            yield item
+            bar.update(task, advance=1, told=_pace(done, total, time.monotonic() - start))
+
+
+def _with_lines(items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
+    start = last = time.monotonic()
+    tenth = 0
+    for done, item in enumerate(items, 1):
+        yield item
+        now = time.monotonic()
+        reached = 10 * done // total if total else 0
+        if done != total and ((reached > tenth and now - last >= OFTEN) or now - last >= SELDOM):
+            of = f" of {total}" if total else ""
+            tell(f"{what}: {done}{of}, {_pace(done, total, now - start)}")
+            last, tenth = now, reached
+
+
+def _pace(done: int, total: int | None, seconds: float) -> str:
+    """How fast it goes, and how long it will go on."""
+    each = max(seconds, 1e-9) / done
+    rate = f"{1 / each:.3g} a second" if each < 2 else f"{_span(each)} each"
+    return rate if total is None else f"{rate}, {_span(max(total - done, 0) * each)} left"
+
+
+def _span(seconds: float) -> str:
+    """A length of time in its two largest units."""
+    seconds = round(seconds)
+    for unit, name, part, smaller in ((86400, "d", 3600, "h"), (3600, "h", 60, "min"), (60, "min", 1, "s")):
+        if seconds >= unit:
+            return f"{seconds // unit} {name} {seconds % unit // part} {smaller}"
+    return f"{seconds} s"

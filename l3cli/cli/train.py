@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from l3cli.artifacts.table import TransformTable
     from l3cli.cli.passes import Course, Work
     from l3cli.parallel.cluster import Scheduler
+    from l3cli.stages.console import Console
 
 
 SHARD = options.Number(0, 1_000_000, "shards", whole=True)
@@ -64,7 +65,7 @@ def _shares(context: Any, parameter: Any, text: str | None) -> tuple[Fraction, .
 def train(
     files: tuple[Path, ...], classes: Path | None, shares: tuple[Fraction, ...] | None, output: Path,
     shard: tuple[int, int] | None, first: Path | None, merge: bool, seed: int, jobs: int,
-    scheduler: "Scheduler | None", force: bool, quiet: bool,
+    scheduler: "Scheduler | None", force: bool, console: "Console",
 ) -> None:  # fmt: skip
     """Learn a table of local linear transforms from one or more training sets.
 
@@ -98,17 +99,18 @@ def train(
         raise click.UsageError(f"--shares gives {len(shares)} shares for {len(files)} training sets")
     if first and not shard:
         raise click.UsageError("--first goes with --shard")
-    options.spare(*files, *filter(None, [classes, first]))
-    options.claim_file(output, force)
+    claims = options.claims(console)
+    claims.spare(*files, *filter(None, [classes, first]))
+    claims.claim_file(output, force)
     if merge:
-        merge_shards(files, output, quiet)
+        merge_shards(files, output, console)
         return
     if scheduler:
         files = tuple(path.absolute() for path in files)  # for workers elsewhere
     course = open_course(files, classes, shares, seed)
     try:
         with workers(jobs, scheduler) as crew:  # they start while the first reads
-            work = Work(crew, elsewhere=scheduler is not None, quiet=quiet)
+            work = Work(crew, elsewhere=scheduler is not None, console=console)
             if shard:
                 train_shard(course, shard, first, output, work)
             else:
@@ -134,7 +136,7 @@ def train_whole(course: "Course", output: Path, work: "Work") -> None:
         table = assemble(lesson, solutions, course.history(number))
     assert table is not None  # there is at least one pass
     save(table, output)
-    _say_table(table, output, work.quiet)
+    _say_table(table, output, work.console)
 
 
 def train_shard(course: "Course", shard: tuple[int, int], first: Path | None, output: Path, work: "Work") -> None:
@@ -181,10 +183,10 @@ def train_shard(course: "Course", shard: tuple[int, int], first: Path | None, ou
         exposure=lesson.exposure,
     )
     write_partial_sums(output, head, (add_up(lesson, [own]) for _, own in sums))
-    options.say(f"{output}: shard {index} of {count}, {'first' if lesson.number == FIRST else 'last'} pass", work.quiet)
+    work.console.say(f"{output}: shard {index} of {count}, {'first' if lesson.number == FIRST else 'last'} pass")
 
 
-def merge_shards(shards: tuple[Path, ...], output: Path, quiet: bool) -> None:
+def merge_shards(shards: tuple[Path, ...], output: Path, console: "Console") -> None:
     """The table of all shards of a pass; InputFileError if some are missing, doubled or of another run."""
     import contextlib
 
@@ -223,9 +225,9 @@ def merge_shards(shards: tuple[Path, ...], output: Path, quiet: bool) -> None:
         }
     table = assemble(lesson, solutions, head.history)
     save(table, output)
-    _say_table(table, output, quiet)
+    _say_table(table, output, console)
     if lesson.number == FIRST:
-        options.say(f"this is the first pass: go on with --shard I/N --first {output}", quiet)
+        console.say(f"this is the first pass: go on with --shard I/N --first {output}")
 
 
 def _require_all_shards(paths: tuple[Path, ...], heads: list) -> None:
@@ -246,6 +248,6 @@ def _require_all_shards(paths: tuple[Path, ...], heads: list) -> None:
         raise InputFileError(f"shards are missing: {named}; make them with l3 train --shard")
 
 
-def _say_table(table: "TransformTable", output: Path, quiet: bool) -> None:
+def _say_table(table: "TransformTable", output: Path, console: "Console") -> None:
     filled = int((table.samples == 0).sum())
-    options.say(f"{output}: {len(table.weights)} classes, {filled} of them without patches of their own", quiet)
+    console.say(f"{output}: {len(table.weights)} classes, {filled} of them without patches of their own")

@@ -1,0 +1,88 @@
+"""The claims of a stage on files: what it reads is not replaced, what it writes is refused before any work if it cannot be
+written, and kept from other runs until the stage ends."""
+
+import contextlib
+import itertools
+import os
+from contextlib import AbstractContextManager
+from pathlib import Path
+
+from l3cli.errors import L3Error, RecipeError
+from l3cli.files import (
+    refuse_existing,
+    refuse_filled_folder,
+    refuse_spared,
+    sole_writer_of_file,
+    sole_writer_of_folder,
+    sparing,
+)
+from l3cli.stages.console import Console
+
+
+class Claims(contextlib.ExitStack):
+    """Inputs that are spared and outputs that are held until the block ends."""
+
+    def __init__(self, console: Console) -> None:
+        super().__init__()
+        self._console = console
+        self._claimed: list[tuple[Path, tuple[str, ...]]] = []  # outputs, and folders with globs of what is written there
+
+    def spare(self, *inputs: Path) -> None:
+        """Name the files that are read, as soon as they are known: until the end nothing takes the place of one of them,
+        by whatever name, even if outputs may be replaced. RecipeError if an output that is claimed already would."""
+        self.enter_context(sparing(inputs))
+        for path, globs in self._claimed:
+            _refuse_spared(path, globs)
+
+    def claim_file(self, path: Path, force: bool) -> None:
+        """`hold_file`, and refuse an output that is there already."""
+        self.hold_file(path)  # first: the run that holds it may be about to end
+        refuse_existing(path, force)
+
+    def hold_file(self, path: Path) -> None:
+        """Refuse before any work an output that is read, is no file, would pass for a recipe or cannot be written; keep
+        other runs off it until the end."""
+        if path.suffix == ".toml":
+            raise RecipeError(f"{path}: .toml is for recipes; name an output that ends otherwise")
+        self._claim(path)
+        refuse_existing(path, force=True)  # a folder or device
+        refuse_unwritable(path)
+        self.hold(sole_writer_of_file(path), path)
+
+    def claim_folder(self, path: Path, force: bool, *globs: str) -> None:
+        """`hold_folder`, and refuse a folder that holds something."""
+        self.hold_folder(path, *globs)
+        refuse_filled_folder(path, force)
+
+    def hold_folder(self, path: Path, *globs: str) -> None:
+        """Refuse, before any work, a folder that is a file or cannot be written into, or where what is read is among the
+        files that will be written, which the globs match; keep other runs off it until the end."""
+        refuse_filled_folder(path, force=True)  # a file
+        refuse_unwritable(path)
+        self._claim(path, *globs)
+        self.hold(sole_writer_of_folder(path), path)
+
+    def hold(self, lock: AbstractContextManager[bool], output: Path) -> None:
+        """Keep a lock on an output until the end."""
+        if not self.enter_context(lock):
+            self._console.alert(f"warning: {output} lies on storage without file locks: see that no other run writes it")
+
+    def _claim(self, path: Path, *globs: str) -> None:
+        """Refuse outputs in place of what is read, as far as that is known, and remember them for what will be."""
+        _refuse_spared(path, globs)
+        self._claimed.append((path, globs))
+
+
+def _refuse_spared(path: Path, globs: tuple[str, ...]) -> None:
+    for file in itertools.chain([path], *(path.glob(each) for each in globs)):
+        refuse_spared(file)
+
+
+def refuse_unwritable(path: Path) -> None:
+    """L3Error if `path` lies where nothing can be written."""
+    whole = path.absolute()
+    folder = whole if whole.is_dir() else next(parent for parent in whole.parents if parent.exists())
+    if not folder.is_dir():
+        raise L3Error(f"{folder} is a file, not a folder; name another output than {path}")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise L3Error(f"{folder} cannot be written to; name an output in a folder of your own")
