@@ -173,9 +173,9 @@ def pictures(tmp_path: Path) -> Path:
 def test_all_pictures_that_do_not_fit_are_named_before_any_work(
     pictures: Path, bayer_recipe: Path, refused: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from l3cli.cli import frames
+    from l3cli.stages.simulation import simulate as stage
 
-    monkeypatch.setattr(frames, "work_off", lambda job: pytest.fail("work has begun"))
+    monkeypatch.setattr(stage, "simulate_unit", lambda unit: pytest.fail("work has begun"))
     line = refused(3, "simulate", pictures, "--camera", bayer_recipe, "-o", pictures.parent / "out.h5")
     for told in ("4 of 6 scenes", "b.png is 300×400", "d.png is 193×60", "192×256", "e.png is 10×90", "16×16", "f.png"):
         assert told in line

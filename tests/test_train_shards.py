@@ -20,10 +20,11 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet, write_training_set
 from l3cli.classify import ClassRecipe, make_rule
-from l3cli.cli.passes import Work, first_lesson, open_course
 from l3cli.errors import InputFileError
 from l3cli.parallel import workers
 from l3cli.stages.console import Silent
+from l3cli.stages.training.passes import Execution, first_pass
+from l3cli.stages.training.run import open_run
 from l3cli.train.benchmark import made_up_frame, stage_shares, train
 from l3cli.train.division import BATCH, SUM_BYTES, frame_blocks, portions
 from l3cli.train.lesson import LAST, Lesson, spread_patches
@@ -163,7 +164,7 @@ def test_same_bytes_for_jobs_and_shards(bayer: CameraModel, tmp_path: Path, l3: 
         ("0/3", "shards count from"),
         ("4/3", "shards count from"),
         ("3", "is not I/N"),
-        ("a/b", "is not I/N"),
+        ("a/b", "is no number"),
     ):
         assert why in refused(2, "train", *run, "--shard", wrong, "-o", out)
     assert "--merge takes shards alone" in refused(2, "train", "--merge", *a, "--shard", "1/3", "-o", out)
@@ -172,13 +173,13 @@ def test_same_bytes_for_jobs_and_shards(bayer: CameraModel, tmp_path: Path, l3: 
 
 def test_a_training_set_that_is_replaced_meanwhile_is_noticed(bayer: CameraModel, tmp_path: Path) -> None:
     training, other = a_set(tmp_path / "training.h5", bayer, 2), a_set(tmp_path / "other.h5", bayer, 3)
-    course = open_course((training,), None, None, seed=0)
+    run = open_run((training,), None, None, seed=0)
     with workers(1) as crew:
-        work = Work(crew, elsewhere=False, console=Silent())
-        first_lesson(course, work)
+        execution = Execution(crew, remote=False, console=Silent())
+        first_pass(run, execution)
         other.rename(training)
         with pytest.raises(InputFileError, match="replaced while it was trained on"):
-            first_lesson(course, work)
+            first_pass(run, execution)
 
 
 def test_shares_weigh_training_sets(bayer: CameraModel, tmp_path: Path, l3: Callable) -> None:

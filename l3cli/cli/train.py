@@ -1,6 +1,5 @@
 """l3 train: training sets → transform table, whole or in shards."""
 
-from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,8 +10,6 @@ from l3cli.cli import options
 from l3cli.errors import shortened
 
 if TYPE_CHECKING:
-    from l3cli.artifacts.table import TransformTable
-    from l3cli.cli.passes import Course, Work
     from l3cli.parallel.cluster import Scheduler
     from l3cli.stages.console import Console
 
@@ -87,11 +84,11 @@ def train(
 
     With first_draws = 0 in the recipe, or other outputs than XYZ, there is one pass: two steps, without --first.
     """
-    from l3cli.errors import RecipeError
-    from l3cli.parallel import one_blas_thread, workers
+    from l3cli.parallel import one_blas_thread
 
     one_blas_thread()
-    from l3cli.cli.passes import Work, open_course
+    from l3cli.stages.training.shards import merge_shards, train_shard
+    from l3cli.stages.training.whole import train as train_whole
 
     if merge and (classes or shares or shard or first or seed or scheduler):
         raise click.UsageError("--merge takes shards alone: classes, shares and seed are told by them")
@@ -99,155 +96,10 @@ def train(
         raise click.UsageError(f"--shares gives {len(shares)} shares for {len(files)} training sets")
     if first and not shard:
         raise click.UsageError("--first goes with --shard")
-    claims = options.claims(console)
-    claims.spare(*files, *filter(None, [classes, first]))
-    claims.claim_file(output, force)
+    asked: dict[str, Any] = {"classes": classes, "shares": shares, "seed": seed, "jobs": jobs, "scheduler": scheduler}
     if merge:
-        merge_shards(files, output, console)
-        return
-    if scheduler:
-        files = tuple(path.absolute() for path in files)  # for workers elsewhere
-    course = open_course(files, classes, shares, seed)
-    try:
-        with workers(jobs, scheduler) as crew:  # they start while the first reads
-            work = Work(crew, elsewhere=scheduler is not None, console=console)
-            if shard:
-                train_shard(course, shard, first, output, work)
-            else:
-                train_whole(course, output, work)
-    except RecipeError as error:
-        raise RecipeError(f"{classes or 'the built-in class recipe'}: {error}") from error
-
-
-def train_whole(course: "Course", output: Path, work: "Work") -> None:
-    """Both passes and the table."""
-    from l3cli.artifacts.base import save
-    from l3cli.artifacts.partial_sums import ClassSums
-    from l3cli.cli.passes import first_lesson, learn_part, summed
-    from l3cli.train.division import frame_blocks
-    from l3cli.train.lesson import LAST
-    from l3cli.train.table import assemble, learn_site
-
-    lesson, table = first_lesson(course, work), None
-    for number in range(lesson.number, LAST + 1):
-        lesson = replace(lesson, number=number)
-        found = summed(learn_part, course, lesson, table, frame_blocks(lesson), work)
-        solutions = {site: learn_site(lesson, [one], site) if isinstance(one, ClassSums) else one for site, one in found}
-        table = assemble(lesson, solutions, course.history(number))
-    assert table is not None  # there is at least one pass
-    save(table, output)
-    _say_table(table, output, work.console)
-
-
-def train_shard(course: "Course", shard: tuple[int, int], first: Path | None, output: Path, work: "Work") -> None:
-    """One shard's sums of the first pass or, with `first`, of the last."""
-    import numpy as np
-
-    from l3cli.artifacts.base import load
-    from l3cli.artifacts.partial_sums import PartialSums, write_partial_sums
-    from l3cli.artifacts.table import TransformTable
-    from l3cli.cli.passes import first_lesson, sum_part, summed
-    from l3cli.errors import InputFileError
-    from l3cli.train.division import frame_blocks
-    from l3cli.train.lesson import FIRST, LAST, Lesson
-    from l3cli.train.sums import empty_sums
-    from l3cli.train.table import add_up, canonical_sites
-
-    table = load(TransformTable, first) if first else None
-    if table is None:
-        lesson = first_lesson(course, work)
-    elif table.history == course.history(FIRST):
-        about = (course.head, course.patches, table.rule, course.recipe.learning, table.white_point, course.seed)
-        lesson = Lesson(*about, LAST, table.exposure)
+        merge_shards(files, output, console, force=force)
+    elif shard:
+        train_shard(files, shard, output, console, first=first, force=force, **asked)
     else:
-        raise InputFileError(
-            f"{first} is not the first pass of this run: other training sets, shares, recipe or seed; "
-            'make it with "l3 train --merge" of the first pass\'s shards'
-        )
-    index, count = shard
-    blocks = frame_blocks(lesson)[index - 1 :: count]
-    sites = canonical_sites(course.head, lesson.rule, lesson.recipe)
-    sums = summed(sum_part, course, lesson, table, blocks, work)
-    if not blocks:  # more shards than blocks
-        sums = ((site, empty_sums(lesson.rule, len(course.head.outputs))) for site in sites)
-    head = PartialSums(
-        history=course.history(lesson.number),
-        shard=index,
-        shards=count,
-        pass_number=lesson.number,
-        patches=np.array(course.patches),
-        training=course.head,
-        rule=lesson.rule,
-        white_point=lesson.white_point,
-        sites=np.array(sites),
-        exposure=lesson.exposure,
-    )
-    write_partial_sums(output, head, (add_up(lesson, [own]) for _, own in sums))
-    work.console.say(f"{output}: shard {index} of {count}, {'first' if lesson.number == FIRST else 'last'} pass")
-
-
-def merge_shards(shards: tuple[Path, ...], output: Path, console: "Console") -> None:
-    """The table of all shards of a pass; InputFileError if some are missing, doubled or of another run."""
-    import contextlib
-
-    from l3cli.artifacts.base import Stage, save
-    from l3cli.artifacts.partial_sums import open_partial_sums
-    from l3cli.config import parse_recipe
-    from l3cli.errors import InputFileError
-    from l3cli.train.lesson import FIRST, Lesson
-    from l3cli.train.recipe import TrainingRecipe
-    from l3cli.train.table import assemble, canonical_sites, learn_site
-
-    with contextlib.ExitStack() as stack:
-        readers = [stack.enter_context(open_partial_sums(path)) for path in shards]
-        _require_all_shards(shards, [reader.head for reader in readers])
-        head = readers[0].head
-        stage = head.history[-1] if head.history else Stage("", {})
-        if type(stage.options.get("seed")) is not int:
-            raise InputFileError(f"{shards[0]} does not tell the run it is a shard of; make it again")
-        recipe = parse_recipe(stage.recipe, TrainingRecipe, str(shards[0])).learning
-        about = (
-            head.training,
-            tuple(head.patches.tolist()),
-            head.rule,
-            recipe,
-            head.white_point,
-            stage.options["seed"],
-            head.pass_number,
-            head.exposure,
-        )
-        lesson = Lesson(*about)
-        if head.sites.tolist() != canonical_sites(head.training, head.rule, recipe):
-            raise InputFileError(f"{shards[0]} holds sums of other sites than its camera has; make it again")
-        solutions = {
-            int(site): learn_site(lesson, (reader.site(index) for reader in readers), int(site))
-            for index, site in enumerate(head.sites)
-        }
-    table = assemble(lesson, solutions, head.history)
-    save(table, output)
-    _say_table(table, output, console)
-    if lesson.number == FIRST:
-        console.say(f"this is the first pass: go on with --shard I/N --first {output}")
-
-
-def _require_all_shards(paths: tuple[Path, ...], heads: list) -> None:
-    from l3cli.artifacts.base import equal
-    from l3cli.errors import InputFileError
-
-    seen: dict[int, Path] = {}
-    for path, head in zip(paths, heads, strict=True):
-        same = replace(head, shard=heads[0].shard)
-        if head.history != heads[0].history or not equal(same, heads[0]):
-            raise InputFileError(f"{path} and {paths[0]} are of different runs or passes; merge the shards of one")
-        if head.shard in seen:
-            raise InputFileError(f"{path} and {seen[head.shard]} are the same shard, {head.shard} of {head.shards}")
-        seen[head.shard] = path
-    missing = [f"{index}/{heads[0].shards}" for index in range(1, heads[0].shards + 1) if index not in seen]
-    if missing:
-        named = ", ".join(missing[:8]) + (" …" if len(missing) > 8 else "")
-        raise InputFileError(f"shards are missing: {named}; make them with l3 train --shard")
-
-
-def _say_table(table: "TransformTable", output: Path, console: "Console") -> None:
-    filled = int((table.samples == 0).sum())
-    console.say(f"{output}: {len(table.weights)} classes, {filled} of them without patches of their own")
+        train_whole(files, output, console, force=force, **asked)

@@ -1,0 +1,1 @@
+"""The simulation stage: camera × scenes × lights → training set (`simulate`)."""

@@ -1,0 +1,52 @@
+"""The pictures and DNGs that a simulation lays beside its training set."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from l3cli.artifacts.training_set import TrainingPair
+from l3cli.stages.frame_names import frame_name
+from l3cli.stages.simulation.run import SimulationRun
+
+WRITTEN = ("*_raw.tif", "*_ideal.png", "*_ideal.exr", "*.dng")  # into the folders of pictures
+
+
+def write_beside(run: SimulationRun, frames: Iterable[TrainingPair], pictures: Path | None, dng: Path | None) -> None:
+    """The pictures and DNGs of all `frames`, as far as they are asked for."""
+    if pictures:
+        _write_pictures(run, frames, pictures)
+    if dng:
+        _write_dng(run, frames, dng)
+
+
+def _write_pictures(run: SimulationRun, frames: Iterable[TrainingPair], folder: Path) -> None:
+    """Each frame as raw mosaic and as the picture it should become, white at display white."""
+    import numpy as np
+
+    from l3cli.io.images import write_linear, write_mosaic, write_picture
+    from l3cli.render.display import encode, make_display
+
+    for index, frame in enumerate(frames):
+        name = frame_name(index, frame.scene)
+        write_mosaic(folder / f"{name}_raw.tif", frame.raw, frame.dark_time)
+        if run.target.outputs != ("X", "Y", "Z"):
+            planes = np.moveaxis(frame.target / np.float32(frame.white.max()), 0, -1)
+            write_linear(folder / f"{name}_ideal.exr", planes, run.target.outputs)
+            continue
+        display = make_display(frame.white, 1.0 / frame.white[1], bits=8)
+        write_picture(folder / f"{name}_ideal.png", encode(frame.target, display))
+
+
+def _write_dng(run: SimulationRun, frames: Iterable[TrainingPair], folder: Path) -> None:
+    """Each raw frame as DNG, with the white balance of its light where that is known."""
+    from l3cli.io.dng_writer import LIGHT_CODES, RawColour, write_dng
+    from l3cli.simulate.light import make_light
+    from l3cli.simulate.raw_colour import colour_matrix, neutral
+
+    camera = run.camera
+    lights = {name: make_light(name, {}, camera.wavelength) for name in LIGHT_CODES}
+    colour = RawColour({name: colour_matrix(camera, light) for name, light in lights.items()})
+    for index, frame in enumerate(frames):
+        light = run.lights.get(frame.illuminant)
+        grey = None if light is None else neutral(camera, light)
+        path = folder / f"{frame_name(index, frame.scene)}.dng"
+        write_dng(path, frame.raw, camera, colour, grey, frame.exposure)

@@ -1,0 +1,119 @@
+"""What is checked and looked up before any frame is simulated."""
+
+import dataclasses
+import re
+from pathlib import Path
+
+from l3cli.artifacts.base import Stage
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera_recipe import recipe_text
+from l3cli.artifacts.training_set import TrainingSet
+from l3cli.config import read_text
+from l3cli.curve_table import read_table
+from l3cli.errors import InputFileError, RecipeError, listed
+from l3cli.files import sha256
+from l3cli.io.scene_files import find
+from l3cli.simulate import recipe as asked
+from l3cli.simulate.light import OWN, Curve, check_measured, make_light, recorded_under
+from l3cli.simulate.recipe import SceneRecipe
+from l3cli.simulate.sources import BandFolder, FileSource
+from l3cli.simulate.targets import make_target
+from l3cli.stages.console import Console
+from l3cli.stages.simulation.run import SimulationRun
+from l3cli.stages.simulation.scenes import files_of, refusals
+
+
+def prepare(recipe: SceneRecipe, path: Path, camera: CameraModel, seed: int) -> tuple[SimulationRun, list[list[Path]]]:
+    """Everything checked and looked up before any work: the run, and the files of each source."""
+    try:
+        asked.check(recipe, camera)
+        named = asked.curve_files(recipe)
+        curves = {name: _curve(path.parent / name, role) for name, role in named.items()}
+        fitted = asked.set_up(camera, recipe, curves)
+        other = recipe.target.illuminant
+        wanted = {*recipe.illuminants, *filter(None, [other])} - {OWN}
+        lights = {name: make_light(name, curves, fitted.wavelength) for name in sorted(wanted)}
+        recorded = {name: recorded_under(name, curves, fitted.wavelength) for name in asked.scene_lights(recipe)}
+    except RecipeError as error:
+        raise RecipeError(f"{path}: {error}") from error
+    outputs = recipe.target.outputs
+    names = _column_names(path.parent / outputs) if outputs in curves else ()
+    target = make_target(outputs, curves.get(outputs), names, lights[other] if other else None, fitted)
+    patterns = zip(recipe.scene, asked.patterns(recipe), strict=True)
+    files = [find(text, path.parent, isinstance(source, BandFolder)) if text else [] for source, text in patterns]
+    return SimulationRun(recipe, fitted, target, lights, recorded, seed, path.parent, "", Path()), files
+
+
+def fitting(
+    run: SimulationRun, files: list[list[Path]], path: Path, skip_bad: bool, console: Console
+) -> tuple[list[list[Path]], int]:
+    """The files of each source that can be read and fit on the sensor, and how many do not: with `skip_bad` each is said
+    and left out, else InputFileError names them all."""
+    refused = refusals(run, files)
+    bad = [error for errors in refused for error in errors.values()]
+    if not bad:
+        return files, 0
+    if not skip_bad:
+        count = sum(map(len, files))
+        total = f"{len(bad)} of {count} scenes cannot be taken: " if len(bad) > 1 else ""
+        why = [str(error).partition("; ")[0] for error in bad]
+        cure = "give scale, crop or (rgb) shrink, mend the files, or leave them out with --skip-bad"
+        raise InputFileError(f"{total}{listed(why)}; {cure}")
+    kept = [[path for path in paths if path not in errors] for paths, errors in zip(files, refused, strict=True)]
+    drawn = any(not isinstance(source, FileSource) for source in run.recipe.scene)
+    if not (any(kept) or drawn or run.recipe.pair):
+        raise InputFileError(f"{path}: no scene is left of {len(bad)}: {listed(map(str, bad))}")
+    for error in bad:
+        console.alert(f"l3: {error}")
+    return kept, len(bad)
+
+
+def input_files(run: SimulationRun, files: list[list[Path]]) -> dict[str, list[Path]]:
+    """All files of a run by their role; `files` are those of each source."""
+    return {
+        "scene": [
+            file
+            for source, paths in zip(run.recipe.scene, files, strict=True)
+            for path in paths
+            for file in files_of(source, path)
+        ],
+        "spectrum": [run.base / name for name in asked.curve_files(run.recipe)],
+        "pair": [run.base / name for pair in run.recipe.pair for name in (pair.raw, pair.picture)],
+    }
+
+
+def head_of(
+    run: SimulationRun, camera: CameraModel, recipes: tuple[Path, Path], inputs: dict[str, list[Path]], seed: int
+) -> TrainingSet:
+    """The training set's head, with this stage as the last of the camera's history."""
+    texts = [read_text(recipes[0]), recipe_text(recipes[1])]
+    sums = {role: [sha256(path) for path in paths] for role, paths in inputs.items() if paths}
+    recipe = "\n".join(text for text in texts if text)
+    stage = Stage("simulate", {"seed": seed}, recipe, sums)
+    return TrainingSet(
+        camera=dataclasses.replace(run.camera, history=()),
+        outputs=run.target.outputs,
+        target_description=run.target.description,
+        target_light=run.target.light.spectrum if run.target.light else None,
+        history=(*camera.history, stage),
+    )
+
+
+def _curve(path: Path, role: str) -> Curve:
+    table = read_table(path)
+    if role == "transmittance":
+        return table.wavelength, table.counted(1).shares()
+    if role == "functions":
+        return table.wavelength, table.values
+    curve = table.wavelength, table.powers()
+    check_measured(curve, str(path))
+    return curve
+
+
+def _column_names(path: Path) -> tuple[str, ...]:
+    """The heading of a CSV file of matching functions, or numbers where it has none."""
+    table = read_table(path)
+    unnamed = tuple(f"output {number}" for number in range(1, len(table.values) + 1))
+    names = table.names or ()
+    named = len(set(names)) == len(names) and not any(re.fullmatch(r"[-+.\deE]*", name) for name in names)
+    return names if names and named else unnamed

@@ -1,0 +1,29 @@
+"""What all frames of a simulation share."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.simulate.light import Light
+from l3cli.simulate.recipe import SceneRecipe
+from l3cli.simulate.targets import Target
+
+
+@dataclass(frozen=True)
+class SimulationRun:
+    """A camera, scenes and lights, checked and looked up."""
+
+    recipe: SceneRecipe
+    camera: CameraModel
+    target: Target
+    lights: Mapping[str, Light]  # of 1 cd/m²
+    recorded: Mapping[str, Light]  # the lights that scenes were recorded under
+    seed: int
+    base: Path  # folder of the recipe
+    key: str  # what parts.key_of gives, once it is known
+    folder: Path  # of the stored frames
+
+    def part(self, index: int) -> Path:
+        """The file of a stored frame."""
+        return self.folder / f"{index:06d}.h5"

@@ -1,0 +1,118 @@
+"""The simulation stage: camera × scenes × lights → training set."""
+
+import contextlib
+import dataclasses
+import itertools
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from l3cli.artifacts.camera_recipe import camera_files, load_camera
+from l3cli.artifacts.training_set import TrainingSet, open_training_set, write_training_set
+from l3cli.config import load_recipe
+from l3cli.files import finished_together, refuse_existing
+from l3cli.parallel import workers
+from l3cli.simulate.recipe import SceneRecipe, shots
+from l3cli.stages.claims import Claims
+from l3cli.stages.console import Console
+from l3cli.stages.simulation.parts import (
+    StoredFrames,
+    close_folder,
+    is_of_run,
+    key_of,
+    open_folder,
+    remove_finished,
+)
+from l3cli.stages.simulation.pictures import WRITTEN, write_beside
+from l3cli.stages.simulation.preparation import fitting, head_of, input_files, prepare
+from l3cli.stages.simulation.run import SimulationRun
+from l3cli.stages.simulation.units import received, simulate_unit, units_of
+
+if TYPE_CHECKING:
+    from l3cli.parallel.cluster import Scheduler
+
+NEGLIGIBLE = 1e-3  # share of a channel's light that may go unseen without a word
+
+
+def simulate(
+    scenes: Path, camera: Path, output: Path, console: Console, *, pictures: Path | None = None, dng: Path | None = None,
+    resume: bool = False, skip_bad: bool = False, seed: int = 0, jobs: int = 1, scheduler: "Scheduler | None" = None,
+    force: bool = False,
+) -> int:  # fmt: skip
+    """Write the training set of a scene recipe and a camera (model or recipe); how many scenes were left out.
+
+    `pictures`, `dng`: folders for each raw frame beside its ideal picture, and as DNG. `resume`: go on with the frames that
+    a stopped run has stored, or make the pictures of a whole set. `skip_bad`: leave out scenes that cannot be read or do not
+    fit the sensor. RecipeError or InputFileError if recipe, camera or files cannot be used, L3Error if an output cannot be
+    written.
+    """
+    folders = list(dict.fromkeys(filter(None, (pictures, dng))))
+    with Claims(console) as claims:
+        claims.spare(scenes, *camera_files(camera))
+        claims.hold_file(output)
+        remove_finished(output)
+        refuse_existing(output, force or resume)
+        for folder in folders:
+            claims.hold_folder(folder, *WRITTEN)
+        if scheduler:
+            scenes = scenes.absolute()  # its files are looked for by workers elsewhere
+        model, recipe = load_camera(camera), load_recipe(scenes, SceneRecipe)
+        run, files = prepare(recipe, scenes, model, seed)
+        files, bad = fitting(run, files, scenes, skip_bad, console)
+        inputs = {"camera": camera_files(camera), **input_files(run, files)}
+        claims.spare(*itertools.chain(*inputs.values()))
+        head = head_of(run, model, (scenes, camera), inputs, seed)
+        run = dataclasses.replace(run, key=key_of(head.history[-1]))
+        stands = resume and not force and is_of_run(output, run.key)
+        if not stands:
+            refuse_existing(output, force)
+        with contextlib.ExitStack() as unfinished:
+            for folder in folders:
+                unfinished.enter_context(finished_together(folder, run.key, force))
+            if stands:
+                with open_training_set(output, unchanged=True) as frames:
+                    total = len(frames)
+                    write_beside(run, frames, pictures, dng)
+            else:
+                run = dataclasses.replace(run, folder=open_folder(output, run.key, resume, force))
+                with close_folder(run.folder):
+                    total = _simulate_frames(run, files, head, jobs, scheduler, console)
+                    write_beside(run, StoredFrames(run, total), pictures, dng)
+                    _assemble(run, head, output, total, console)  # last: whoever has the set has its pictures, too
+        left_out = f"; {bad} scene{'s' if bad > 1 else ''} left out" if bad else ""
+        console.say(f"{output}: {total} frame{'s' if total > 1 else ''}{left_out}")
+        return bad
+
+
+def _simulate_frames(
+    run: SimulationRun,
+    files: list[list[Path]],
+    head: TrainingSet,
+    jobs: int,
+    scheduler: "Scheduler | None",
+    console: Console,
+) -> int:
+    """Simulate and store those frames of a run that are not stored yet; how many it has."""
+    inputs, sums = input_files(run, files), head.history[-1].inputs
+    digests = {
+        path: digest for role, paths in inputs.items() for path, digest in zip(paths, sums.get(role, ()), strict=True)
+    }
+    wanted = list(shots(run.recipe, files)) if run.recipe.scene else []
+    total = sum(len(each) for _, each in wanted) + len(run.recipe.pair)
+    with workers(jobs, scheduler) as crew:
+        work = units_of(run, wanted, crew.size)
+        counts = received(crew, work, digests) if scheduler else crew(simulate_unit, work)
+        finished = (index for count in counts for index in range(count))
+        for _ in console.progress(finished, total, "frames"):
+            pass
+    return total
+
+
+def _assemble(run: SimulationRun, head: TrainingSet, output: Path, total: int, console: Console) -> None:
+    """The training set from its stored frames; what the scene that covers least of the light lacks is said."""
+    with write_training_set(output, head) as writer:
+        worst = max(
+            (writer.append_part(run.part(index), run.key) for index in range(total)), key=lambda part: part.uncovered
+        )
+    if worst.uncovered > NEGLIGIBLE:
+        share = f"{worst.uncovered:.1%} of the light that a channel collects from white"
+        console.warn(f"{worst.scene} holds no data for {share}; give scenes of more wavelengths")

@@ -1,0 +1,148 @@
+"""What the processes of a simulation do: read or draw a scene, simulate its frames, store each in a file of its own."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from l3cli.artifacts.training_set import whole_part, write_part
+from l3cli.errors import InputFileError
+from l3cli.files import require_same, write_whole
+from l3cli.parallel import Crew
+from l3cli.parallel.cluster import scratch_folder
+from l3cli.simulate import sources
+from l3cli.simulate.light import OWN
+from l3cli.simulate.recipe import Pair, Shot
+from l3cli.stages.simulation.run import SimulationRun
+from l3cli.stages.simulation.scenes import files_of, read_scene
+
+if TYPE_CHECKING:
+    from l3cli.scene import Scene
+
+SENT = 64 << 20  # bytes of frames that a worker of another machine sends at a time, if it is more than one frame
+
+
+@dataclass(frozen=True)
+class WorkUnit:
+    """What one process does in a go: some frames of one scene, or one real pair."""
+
+    run: SimulationRun
+    what: sources.WantedScene | Pair
+    shots: list[Shot]
+    digests: Mapping[Path, str] = field(default_factory=dict)  # SHA-256 of its files, to be checked where they are read
+
+    @property
+    def files(self) -> list[Path]:
+        """What it reads."""
+        if isinstance(self.what, Pair):
+            return [self.run.base / self.what.raw, self.run.base / self.what.picture]
+        return files_of(self.what.source, self.what.path) if self.what.path else []
+
+
+def units_of(run: SimulationRun, work: list[tuple[sources.WantedScene, list[Shot]]], workers: int) -> list[WorkUnit]:
+    """One unit a scene, so that each is read once; a scene is shared out where there are fewer scenes than workers need."""
+    pieces = -(-2 * workers // max(1, len(work))) if workers > 1 else 1
+    units = []
+    for wanted, shots in work:
+        size = -(-len(shots) // pieces)
+        units += [WorkUnit(run, wanted, shots[start : start + size]) for start in range(0, len(shots), size)]
+    first = sum(len(shots) for _, shots in work)
+    return units + [WorkUnit(run, pair, [Shot(first + i, "", 0.0, 0.0)]) for i, pair in enumerate(run.recipe.pair)]
+
+
+def simulate_unit(unit: WorkUnit) -> int:
+    """Simulate and store those frames of a unit that are not stored yet; how many frames it has."""
+    run = unit.run
+    shots = [shot for shot in unit.shots if not whole_part(run.part(shot.index), run.key)]
+    if not shots:
+        return len(unit.shots)
+    if isinstance(unit.what, Pair):
+        write_part(run.part(shots[0].index), _pair(unit.what, run), 0.0, run.key)
+        return 1
+    from l3cli.simulate.light import uncovered_share
+
+    scene = read_scene(unit.what, run)
+    missing = uncovered_share(run.camera, scene.wavelength)
+    for shot in shots:
+        write_part(run.part(shot.index), _frame(scene, shot, run), missing, run.key)
+    return len(unit.shots)
+
+
+def received(crew: Crew, work: list[WorkUnit], digests: Mapping[Path, str]) -> Iterator[int]:
+    """Have all units simulated by workers of other machines, which see the same inputs, and store what they send: how many
+    frames are done, again and again."""
+    needed = []
+    for unit in work:
+        missing = [shot for shot in unit.shots if not whole_part(unit.run.part(shot.index), unit.run.key)]
+        yield len(unit.shots) - len(missing)
+        most = max(1, SENT // frame_bytes(unit.run))
+        hashes = {path: digests[path] for path in unit.files}
+        needed += [replace(unit, shots=missing[at : at + most], digests=hashes) for at in range(0, len(missing), most)]
+    for parts in crew(_sent, needed):
+        for index, content in parts:
+            write_whole(needed[0].run.part(index), content)
+        yield len(parts)
+
+
+def _sent(unit: WorkUnit) -> list[tuple[int, bytes]]:
+    """On another machine: the unit's frames, each with the content of its file."""
+    for path, digest in unit.digests.items():
+        require_same(path, digest)
+    with scratch_folder() as folder:
+        here = replace(unit, run=replace(unit.run, folder=folder))
+        simulate_unit(here)
+        return [(shot.index, here.run.part(shot.index).read_bytes()) for shot in unit.shots]
+
+
+def frame_bytes(run: SimulationRun) -> int:
+    """Of the largest frame: electrons of every channel, raw mosaic, target."""
+    return run.camera.rows * run.camera.cols * (4 * len(run.camera.channels) + 2 + 4 * len(run.target.outputs))
+
+
+def _frame(scene: "Scene", shot: Shot, run: SimulationRun) -> Any:
+    from l3cli.simulate import light
+    from l3cli.simulate.frame import Averaging, Saturating, simulate
+
+    if shot.illuminant == OWN:
+        falling = light.own_light(scene, shot.luminance)
+    else:
+        falling = run.lights[shot.illuminant].at(shot.luminance)
+    control, _ = run.recipe.exposures()
+    exposure: float | Saturating | Averaging = shot.exposure
+    if control == "share":
+        exposure = light.automatic_exposure(run.camera, falling, shot.exposure)
+    elif control == "saturated":
+        exposure = Saturating(shot.exposure)
+    elif control == "mean":
+        exposure = Averaging(shot.exposure)
+    noise, seed = run.recipe.sensor.noise, (run.seed, shot.index)
+    try:
+        return simulate(run.camera, scene, falling, exposure, run.recipe.lens, seed, run.target, noise)
+    except ValueError as error:
+        raise InputFileError(f"scene {scene.name}: {error}") from error
+
+
+def _pair(pair: Pair, run: SimulationRun) -> Any:
+    from l3cli.io.images import read_image
+    from l3cli.io.raw_files import KnownBetter, read_raw
+    from l3cli.io.scene_files import read_rgb_picture
+    from l3cli.simulate.pairs import make_pair
+    from l3cli.spectra import srgb_from_xyz_matrix
+
+    raw_path, path = run.base / pair.raw, run.base / pair.picture
+    raw = read_raw(raw_path, run.camera, KnownBetter(phase=pair.phase))
+    outputs = run.target.outputs
+    pixels, names = read_image(path)
+    if set(outputs) <= set(names):
+        picture = np.ascontiguousarray(pixels[..., [names.index(output) for output in outputs]], np.float32)
+    elif set(outputs) <= {"X", "Y", "Z"}:
+        to_xyz = np.linalg.inv(srgb_from_xyz_matrix())[["XYZ".index(output) for output in outputs]]
+        picture = read_rgb_picture(path) @ to_xyz.T.astype(np.float32)
+    else:
+        raise InputFileError(f"{path} has no channels called {', '.join(outputs)}; give an EXR with them")
+    try:
+        return make_pair(raw, picture, outputs, run.camera, pair, path.stem)
+    except ValueError as error:
+        raise InputFileError(f"{path}: {error}") from error

@@ -1,0 +1,119 @@
+"""What the processes of a training run do: look at all frames for a pilot, sum up the patches of a pass, learn from whole
+sums."""
+
+import collections
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from l3cli.artifacts.partial_sums import ClassSums
+from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.training_set import TrainingSet
+from l3cli.parallel import Crew
+from l3cli.stages.console import Console
+from l3cli.stages.training.run import TrainingRun, TrainingSource, frames_of
+from l3cli.train.accumulate import sum_sites
+from l3cli.train.division import Portion, portions
+from l3cli.train.lesson import FIRST, LAST, Lesson, has_two_passes
+from l3cli.train.recipe import TrainingRecipe, check_learning
+from l3cli.train.solve import Solution
+from l3cli.train.sums import add
+from l3cli.train.table import Pilot, canonical_sites, learn_site, look_at, pilot_patches, survey
+from l3cli.train.weighing import Judge, judge_of
+
+MOST_PILOTED = 256  # frames that a worker looks at in one go before the passes
+
+
+@dataclass(frozen=True)
+class Execution:
+    """Who does the work, and where it is reported."""
+
+    crew: Crew
+    remote: bool  # on other machines, which have to see the same files
+    console: Console
+
+
+def first_pass(run: TrainingRun, execution: Execution) -> Lesson:
+    """The first pass, or the only one, with the class rule that a pilot over all frames finds."""
+    learning = run.recipe.learning
+    check_learning(learning)
+    patches = pilot_patches(run.patches)
+    size = max(1, min(MOST_PILOTED, len(patches) // (4 * execution.crew.size)))
+    chunks = (range(first, min(first + size, len(patches))) for first in range(0, len(patches), size))
+    about = (run.training, execution.remote, run.head, run.recipe, run.seed)
+    units = [PilotUnit(*about, frames, patches[frames.start : frames.stop]) for frames in chunks]
+    pilots = execution.console.progress(execution.crew(_pilot, units), len(units), "pilot")
+    rule, white, exposure = survey(pilots, run.patches, run.head, run.recipe, run.seed)
+    kinds = f"({rule.chromas} chromas + {rule.cases - 1} saturation cases)"
+    execution.console.say(f"{len(run.patches)} frames, {rule.levels} levels × {rule.contrasts} contrasts × {kinds} a site")
+    number = FIRST if has_two_passes(run.head, learning) else LAST
+    return Lesson(run.head, run.patches, rule, learning, white, run.seed, number, exposure)
+
+
+@dataclass(frozen=True)
+class PilotUnit:
+    """A work unit of the pilot: some frames to look at."""
+
+    training: tuple[TrainingSource, ...]
+    remote: bool  # as of WorkUnit
+    head: TrainingSet
+    recipe: TrainingRecipe
+    seed: int
+    frames: range
+    patches: list[int]  # (frame)
+
+
+def _pilot(unit: PilotUnit) -> Pilot:
+    frames = frames_of(unit.training, unit.frames, unit.remote)
+    return look_at(frames, unit.frames.start, unit.patches, unit.head, unit.recipe, unit.seed)
+
+
+@dataclass(frozen=True)
+class WorkUnit:
+    """A work unit of a pass: some sites of some blocks of frames to sum up."""
+
+    training: tuple[TrainingSource, ...]
+    remote: bool  # on another machine: its files are to be compared with ours
+    lesson: Lesson
+    portion: Portion
+    judges: dict[int, Judge | None]
+
+
+def summed(
+    function: Callable[[WorkUnit], dict[int, Any]], run: TrainingRun, lesson: Lesson, first: TransformTable | None,
+    blocks: list[range], execution: Execution,
+) -> Iterator[tuple[int, Any]]:  # fmt: skip
+    """What `function` makes of the work units, for each canonical site in order: its sums over `blocks`, added up where
+    several processes share a site, or what has been learned from them already."""
+    units = []
+    for portion in portions(lesson, canonical_sites(lesson.head, lesson.rule, lesson.recipe), blocks, execution.crew.size):
+        judges = {
+            site: judge_of(first, site, lesson.recipe.error_power) if first is not None else None for site in portion.sites
+        }
+        units.append(WorkUnit(run.training, execution.remote, lesson, portion, judges))
+    left = collections.Counter(site for unit in units for site in unit.judges)
+    waiting: dict[int, ClassSums] = {}
+    for results in execution.console.progress(execution.crew(function, units), len(units), "sums"):
+        for site, result in results.items():
+            left[site] -= 1
+            if site in waiting:
+                add(waiting[site], result)
+            else:
+                waiting[site] = result
+            if not left[site]:
+                yield site, waiting.pop(site)
+
+
+def sum_unit(unit: WorkUnit) -> dict[int, ClassSums]:
+    """Sums of every site."""
+    training = unit.training
+    blocks = ((block[0], sites, frames_of(training, block, unit.remote)) for block, sites in unit.portion.blocks)
+    return sum_sites(unit.lesson, blocks, unit.judges)
+
+
+def learn_unit(unit: WorkUnit) -> dict[int, ClassSums | Solution]:
+    """Solutions of the sites whose sums are whole, which then need not travel; sums of the others."""
+    results: dict[int, Any] = dict(sum_unit(unit))
+    for site in unit.portion.whole:
+        results[site] = learn_site(unit.lesson, [results[site]], site)
+    return results

@@ -1,0 +1,94 @@
+"""A training run: what all of its passes and shards have in common, and the frames of its training sets."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+from l3cli.artifacts.base import Stage, equal
+from l3cli.artifacts.training_set import TrainingPair, TrainingSet, open_training_set
+from l3cli.config import load_recipe, read_text
+from l3cli.errors import InputFileError
+from l3cli.files import require_same, sha256, stamp
+from l3cli.train.lesson import FIRST, spread_patches
+from l3cli.train.recipe import TrainingRecipe
+
+
+@dataclass(frozen=True)
+class TrainingSource:
+    """A training set of the run."""
+
+    path: Path
+    frames: int
+    digest: str  # SHA-256
+    stamp: tuple[int, ...]  # of the file that has it
+
+
+@dataclass(frozen=True)
+class TrainingRun:
+    """A training run as it is asked for: what every shard of it has in common."""
+
+    training: tuple[TrainingSource, ...]
+    head: TrainingSet
+    patches: tuple[int, ...]  # (frame)
+    recipe: TrainingRecipe
+    seed: int
+    stage: Stage
+
+    def history(self, number: int) -> tuple[Stage, ...]:
+        """History of what comes from pass `number`."""
+        stage = replace(self.stage, options={**self.stage.options, "pass": "first"}) if number == FIRST else self.stage
+        return (*self.head.history, stage)
+
+
+def open_run(
+    training: tuple[Path, ...], classes: Path | None, shares: tuple[Fraction, ...] | None, seed: int
+) -> TrainingRun:
+    """The run of these training sets; InputFileError or RecipeError if they or the recipe cannot be used. A set whose share
+    is zero is as if it were not given."""
+    recipe = load_recipe(classes, TrainingRecipe) if classes else TrainingRecipe()
+    stamps = {path: stamp(path) for path in training}
+    head, frames = _common_head(training)
+    chosen: dict[str, Any] = {"seed": seed}
+    if shares is not None:
+        training, frames, shares = zip(
+            *(each for each in zip(training, frames, shares, strict=True) if each[2]), strict=True
+        )
+        chosen["shares"] = ",".join(f"{float(share):.12g}" for share in shares)
+    patches = spread_patches(recipe.learning.patches, frames, shares)
+    inputs = {"training set": [sha256(path) for path in training]}
+    stage = Stage("train", chosen, read_text(classes) if classes else "", inputs)
+    sources = tuple(map(TrainingSource, training, frames, inputs["training set"], map(stamps.__getitem__, training)))
+    return TrainingRun(sources, head, patches, recipe, seed, stage)
+
+
+def frames_of(training: tuple[TrainingSource, ...], wanted: range, remote: bool) -> Iterator[TrainingPair]:
+    """The frames whose index among those of all training sets is `wanted`, in order. InputFileError if a set is not the one
+    that the run began with; `remote`: its bytes are compared with those of the machine that asks."""
+    before = 0
+    for source in training:
+        here = range(max(0, wanted.start - before), min(source.frames, wanted.stop - before))
+        before += source.frames
+        if not here:
+            continue
+        if remote:
+            require_same(source.path, source.digest)
+        with open_training_set(source.path, unchanged=True) as reader:  # since _common_head looked at it
+            if not remote and stamp(source.path) != source.stamp:
+                raise InputFileError(f"{source.path} has been replaced while it was trained on; train again")
+            yield from map(reader.frame, here)
+
+
+def _common_head(training: tuple[Path, ...]) -> tuple[TrainingSet, tuple[int, ...]]:
+    """The head that all sets share and the frames of each; InputFileError if they are of different cameras."""
+    frames, head = [], None
+    for path in training:
+        with open_training_set(path) as reader:
+            frames.append(len(reader))
+            if head is None:
+                head = reader.head
+            elif not equal(head, reader.head):
+                raise InputFileError(f"{path} and {training[0]} have different cameras or targets; train them apart")
+    assert head is not None  # there is at least one file
+    return head, tuple(frames)

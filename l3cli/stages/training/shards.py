@@ -1,0 +1,135 @@
+"""Training in shards, as over several machines: partial sums of each, merged into the table."""
+
+import contextlib
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from l3cli.artifacts.base import Stage, equal, load, save
+from l3cli.artifacts.partial_sums import PartialSums, open_partial_sums, write_partial_sums
+from l3cli.artifacts.table import TransformTable
+from l3cli.config import parse_recipe
+from l3cli.errors import InputFileError
+from l3cli.stages.claims import Claims
+from l3cli.stages.console import Console
+from l3cli.stages.training.passes import Execution, first_pass, sum_unit, summed
+from l3cli.stages.training.run import TrainingRun
+from l3cli.stages.training.whole import executed, say_table
+from l3cli.train.division import frame_blocks
+from l3cli.train.lesson import FIRST, LAST, Lesson
+from l3cli.train.recipe import TrainingRecipe
+from l3cli.train.sums import empty_sums
+from l3cli.train.table import add_up, assemble, canonical_sites, learn_site
+
+if TYPE_CHECKING:
+    from l3cli.parallel.cluster import Scheduler
+
+
+def train_shard(
+    training: tuple[Path, ...], shard: tuple[int, int], output: Path, console: Console, *, first: Path | None = None,
+    classes: Path | None = None, shares: tuple[Fraction, ...] | None = None, seed: int = 0, jobs: int = 1,
+    scheduler: "Scheduler | None" = None, force: bool = False,
+) -> None:  # fmt: skip
+    """Write the partial sums of one shard, (number from 1, of how many): of the first pass or, with the table `first` that
+    the shards of that one make, of the last. The other parameters and errors are those of `train`; InputFileError if
+    `first` is of another run."""
+    with Claims(console) as claims:
+        claims.spare(*training, *filter(None, [classes, first]))
+        claims.claim_file(output, force)
+        with executed(training, console, classes, shares, seed, jobs, scheduler) as (run, execution):
+            _write_shard(run, shard, first, output, execution)
+
+
+def _write_shard(run: TrainingRun, shard: tuple[int, int], first: Path | None, output: Path, execution: Execution) -> None:
+    table = load(TransformTable, first) if first else None
+    lesson = first_pass(run, execution) if table is None else _last_pass(run, table, first)
+    index, count = shard
+    blocks = frame_blocks(lesson)[index - 1 :: count]
+    sites = canonical_sites(run.head, lesson.rule, lesson.recipe)
+    sums = summed(sum_unit, run, lesson, table, blocks, execution)
+    if not blocks:  # more shards than blocks
+        sums = ((site, empty_sums(lesson.rule, len(run.head.outputs))) for site in sites)
+    head = PartialSums(
+        history=run.history(lesson.number),
+        shard=index,
+        shards=count,
+        pass_number=lesson.number,
+        patches=np.array(run.patches),
+        training=run.head,
+        rule=lesson.rule,
+        white_point=lesson.white_point,
+        sites=np.array(sites),
+        exposure=lesson.exposure,
+    )
+    write_partial_sums(output, head, (add_up(lesson, [site_sums]) for _, site_sums in sums))
+    name = "first" if lesson.number == FIRST else "last"
+    execution.console.say(f"{output}: shard {index} of {count}, {name} pass")
+
+
+def _last_pass(run: TrainingRun, table: TransformTable, path: Path | None) -> Lesson:
+    """The pass after the one that made the table; InputFileError if that is of another run."""
+    if table.history != run.history(FIRST):
+        raise InputFileError(
+            f"{path} is not the first pass of this run: other training sets, shares, recipe or seed; "
+            'make it with "l3 train --merge" of the first pass\'s shards'
+        )
+    about = (run.head, run.patches, table.rule, run.recipe.learning, table.white_point, run.seed)
+    return Lesson(*about, LAST, table.exposure)
+
+
+def merge_shards(shards: tuple[Path, ...], output: Path, console: Console, *, force: bool = False) -> TransformTable:
+    """Make the table of all shards of a pass and write it; InputFileError if some are missing, doubled or of another run."""
+    with Claims(console) as claims:
+        claims.spare(*shards)
+        claims.claim_file(output, force)
+        table, number = _merged(shards)
+        save(table, output)
+        say_table(table, output, console)
+        if number == FIRST:
+            console.say(f"this is the first pass: go on with --shard I/N --first {output}")
+        return table
+
+
+def _merged(shards: tuple[Path, ...]) -> tuple[TransformTable, int]:
+    """The table, and the number of its pass."""
+    with contextlib.ExitStack() as stack:
+        readers = [stack.enter_context(open_partial_sums(path)) for path in shards]
+        _require_all_shards(shards, [reader.head for reader in readers])
+        head = readers[0].head
+        lesson = _lesson_of(head, shards[0])
+        if head.sites.tolist() != canonical_sites(head.training, head.rule, lesson.recipe):
+            raise InputFileError(f"{shards[0]} holds sums of other sites than its camera has; make it again")
+        solutions = {
+            int(site): learn_site(lesson, (reader.site(index) for reader in readers), int(site))
+            for index, site in enumerate(head.sites)
+        }
+    return assemble(lesson, solutions, head.history), lesson.number
+
+
+def _lesson_of(head: PartialSums, path: Path) -> Lesson:
+    """The pass that partial sums are of."""
+    stage = head.history[-1] if head.history else Stage("", {})
+    seed = stage.options.get("seed")
+    if type(seed) is not int:
+        raise InputFileError(f"{path} does not tell the run it is a shard of; make it again")
+    recipe = parse_recipe(stage.recipe, TrainingRecipe, str(path)).learning
+    about = (head.training, tuple(head.patches.tolist()), head.rule, recipe, head.white_point)
+    return Lesson(*about, seed, head.pass_number, head.exposure)
+
+
+def _require_all_shards(paths: tuple[Path, ...], heads: list[PartialSums]) -> None:
+    seen: dict[int, Path] = {}
+    for path, head in zip(paths, heads, strict=True):
+        same = replace(head, shard=heads[0].shard)
+        if head.history != heads[0].history or not equal(same, heads[0]):
+            raise InputFileError(f"{path} and {paths[0]} are of different runs or passes; merge the shards of one")
+        if head.shard in seen:
+            raise InputFileError(f"{path} and {seen[head.shard]} are the same shard, {head.shard} of {head.shards}")
+        seen[head.shard] = path
+    missing = [f"{index}/{heads[0].shards}" for index in range(1, heads[0].shards + 1) if index not in seen]
+    if missing:
+        named = ", ".join(missing[:8]) + (" …" if len(missing) > 8 else "")
+        raise InputFileError(f"shards are missing: {named}; make them with l3 train --shard")

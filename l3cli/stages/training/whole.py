@@ -1,0 +1,79 @@
+"""Training in one go: both passes and the table."""
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from l3cli.artifacts.base import save
+from l3cli.artifacts.partial_sums import ClassSums
+from l3cli.artifacts.table import TransformTable
+from l3cli.errors import RecipeError
+from l3cli.parallel import workers
+from l3cli.stages.claims import Claims
+from l3cli.stages.console import Console
+from l3cli.stages.training.passes import Execution, first_pass, learn_unit, summed
+from l3cli.stages.training.run import TrainingRun, open_run
+from l3cli.train.division import frame_blocks
+from l3cli.train.lesson import LAST
+from l3cli.train.table import assemble, learn_site
+
+if TYPE_CHECKING:
+    from l3cli.parallel.cluster import Scheduler
+
+
+def train(
+    training: tuple[Path, ...], output: Path, console: Console, *, classes: Path | None = None,
+    shares: tuple[Fraction, ...] | None = None, seed: int = 0, jobs: int = 1, scheduler: "Scheduler | None" = None,
+    force: bool = False,
+) -> TransformTable:  # fmt: skip
+    """Learn a transform table from training sets and write it.
+
+    `classes`: class recipe, None: the built-in default. `shares`: patches of each set in this proportion, None: by frames.
+    `force`: replace the output if it exists. InputFileError or RecipeError if sets or recipe cannot be used, L3Error if the
+    output cannot be written.
+    """
+    with Claims(console) as claims:
+        claims.spare(*training, *filter(None, [classes]))
+        claims.claim_file(output, force)
+        with executed(training, console, classes, shares, seed, jobs, scheduler) as (run, execution):
+            table = _learn(run, execution)
+            save(table, output)
+        say_table(table, output, console)
+        return table
+
+
+@contextlib.contextmanager
+def executed(
+    training: tuple[Path, ...], console: Console, classes: Path | None, shares: tuple[Fraction, ...] | None, seed: int,
+    jobs: int, scheduler: "Scheduler | None",
+) -> Iterator[tuple[TrainingRun, Execution]]:  # fmt: skip
+    """The run of these training sets, and who does its work; errors in the recipe name its file."""
+    if scheduler:
+        training = tuple(path.absolute() for path in training)  # for workers elsewhere
+    run = open_run(training, classes, shares, seed)
+    try:
+        with workers(jobs, scheduler) as crew:  # they start while the first reads
+            yield run, Execution(crew, scheduler is not None, console)
+    except RecipeError as error:
+        raise RecipeError(f"{classes or 'the built-in class recipe'}: {error}") from error
+
+
+def _learn(run: TrainingRun, execution: Execution) -> TransformTable:
+    """All passes."""
+    lesson, table = first_pass(run, execution), None
+    for number in range(lesson.number, LAST + 1):
+        lesson = replace(lesson, number=number)
+        sums = summed(learn_unit, run, lesson, table, frame_blocks(lesson), execution)
+        solutions = {site: learn_site(lesson, [one], site) if isinstance(one, ClassSums) else one for site, one in sums}
+        table = assemble(lesson, solutions, run.history(number))
+    assert table is not None  # there is at least one pass
+    return table
+
+
+def say_table(table: TransformTable, output: Path, console: Console) -> None:
+    """What has been learned, in a line."""
+    filled = int((table.samples == 0).sum())
+    console.say(f"{output}: {len(table.weights)} classes, {filled} of them without patches of their own")
