@@ -16,7 +16,7 @@ from typing import Any
 
 IMPORTS = (
     "numpy colour h5py OpenImageIO rawpy scipy.optimize scipy.ndimage scipy.interpolate tifffile jinja2 l3cli.cli.render "
-    "l3cli.cli.sequence l3cli.cli.report_sections l3cli.cli.train l3cli.cli.lab l3cli.cli.calibrate "
+    "l3cli.stages.rendering.render l3cli.stages.reporting.report l3cli.cli.train l3cli.cli.lab l3cli.cli.calibrate "
     "l3cli.stages.training.shards l3cli.stages.simulation.simulate "
     "l3cli.cli.evaluate l3cli.cli.report l3cli.cli.compare l3cli.cli.info l3cli.cli.simulate l3cli.cli.init "
     "l3cli.calibrate.model l3cli.train.table l3cli.simulate.frame l3cli.simulate.drawn l3cli.render.reference "

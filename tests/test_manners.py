@@ -291,7 +291,7 @@ def frames_of(table: TransformTable, level: float, count: int) -> Iterator[RawFr
 def test_levels_without_training_are_counted(pipeline: Path, capsys) -> None:
     from dataclasses import replace
 
-    from l3cli.cli.cautions import Cautions
+    from l3cli.stages.input_warnings import FrameWarnings
 
     table = load(TransformTable, pipeline / "table.h5")
     samples = table.samples.reshape(table.cfa.size, table.rule.levels, -1).copy()
@@ -304,11 +304,11 @@ def test_levels_without_training_are_counted(pipeline: Path, capsys) -> None:
     assert (bright.darker, bright.brighter, bright.saturated) == (0.0, 1.0, 0.0)
     low, high = meter.learned_range()
     assert 0.001 < low < 0.01 < high < 0.2
-    found = Cautions(part)
+    warnings = FrameWarnings(part)
     for frame in (*frames_of(part, 0.7, 3), *frames_of(part, 0.01, 2)):
-        found.look(frame)
+        warnings.measure(frame)
     capsys.readouterr()
-    found.tell(terminal.Terminal())
+    warnings.report(terminal.Terminal())
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("warning: 3 of 5 frames, most in frame 0: 100% of the pixels are brighter than anything")
     assert line.endswith("simulate longer exposures, and train again")

@@ -264,7 +264,7 @@ def test_resuming_gives_the_same_bytes(l3, tmp_path, table, folder, exposure):
 
 def stopped(l3: Callable, monkeypatch: pytest.MonkeyPatch, after: int, *call: object) -> None:
     """Run a call that ends, as if killed, when a picture more than `after` is about to get its name."""
-    from l3cli.cli import sequence
+    from l3cli.stages.rendering import destination
 
     class Killed(BaseException):
         pass
@@ -277,7 +277,7 @@ def stopped(l3: Callable, monkeypatch: pytest.MonkeyPatch, after: int, *call: ob
         rename(source, path)
 
     with monkeypatch.context() as patch:
-        patch.setattr(sequence, "PICTURE_WRITERS", 1)
+        patch.setattr(destination, "PICTURE_WRITERS", 1)
         patch.setattr(os, "replace", renamed)
         with pytest.raises(Killed):
             l3(*call)

@@ -15,9 +15,9 @@ import pytest
 from test_sequences import COUNT, FAST, RGGB, RUN, frames, pictures
 
 from l3cli.artifacts.base import save
-from l3cli.cli import sequence
 from l3cli.io.images import read_image
 from l3cli.io.video import VideoChoice, new_video
+from l3cli.stages.rendering import executors
 
 OUTPUTS = {  # arguments: encoder, pixel format, transfer (13: sRGB, 1: BT.709), matrix, range (1: limited)
     ("a.mp4",): ("h264", "yuv420p", 13, 1, 1),
@@ -250,7 +250,7 @@ def test_nothing_is_left_where_no_frame_could_be_read(refused, tmp_path, table):
 
 @pytest.mark.parametrize("name", ["a.mp4", "a.mkv", "a.y4m"])
 def test_an_interrupted_video_leaves_nothing(l3, tmp_path, table, stack, monkeypatch, name):
-    rendered = sequence.upright
+    rendered = executors.upright
     calls: list[int] = []
 
     def interrupted(*arguments: object) -> np.ndarray:
@@ -259,7 +259,7 @@ def test_an_interrupted_video_leaves_nothing(l3, tmp_path, table, stack, monkeyp
             raise KeyboardInterrupt
         return rendered(*arguments)
 
-    monkeypatch.setattr(sequence, "upright", interrupted)
+    monkeypatch.setattr(executors, "upright", interrupted)
     before = sorted(tmp_path.iterdir())
     assert l3("render", table, stack, "-o", tmp_path / name, *FAST) == (130, "", "\nl3: interrupted\n")
     assert sorted(tmp_path.iterdir()) == before

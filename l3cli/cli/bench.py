@@ -32,12 +32,12 @@ def bench(device: str | None, variant: str | None, list_only: bool, as_json: boo
     Example: l3 bench --device 0 --json
     """
     from l3cli.artifacts.camera_recipe import load_camera
-    from l3cli.cli.cautions import caution_kernels
     from l3cli.parallel import alone
     from l3cli.recipes import known_recipes
     from l3cli.render import benchmark as rendering
     from l3cli.render.opencl_devices import survey
     from l3cli.simulate import benchmark as simulation
+    from l3cli.stages.input_warnings import warn_of_kernels
     from l3cli.train import benchmark as training
 
     found = survey()
@@ -49,7 +49,7 @@ def bench(device: str | None, variant: str | None, list_only: bool, as_json: boo
         return
     jobs = rendering.jobs(device, variant)
     results: list[dict[str, Any]] = [job() for job in console.progress(jobs, len(jobs), "cases")]
-    caution_kernels(console)
+    warn_of_kernels(console)
     camera = load_camera(known_recipes("cameras")["fiveband"])
     simulated, trained = (
         [

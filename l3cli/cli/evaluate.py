@@ -7,14 +7,8 @@ import click
 
 from l3cli.cli import options
 from l3cli.cli.terminal import show_json
-from l3cli.stages.frame_names import frame_name
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from l3cli.artifacts.training_set import TrainingPair, TrainingSetReader
-    from l3cli.evaluate.evaluation import Evaluation
-    from l3cli.render.renderer import Renderer
     from l3cli.stages.console import Console
 
 
@@ -58,55 +52,12 @@ def evaluate(
     \b
     Example: l3 evaluate table.h5 unseen.h5 --json
     """
-    import contextlib
-    import json
+    from l3cli.stages.evaluation import evaluate as stage
 
-    from l3cli import __version__
-    from l3cli.artifacts.base import load
-    from l3cli.artifacts.table import TransformTable
-    from l3cli.artifacts.training_set import open_training_set
-    from l3cli.cli.cautions import caution_kernels, caution_trained, caution_unlike
-    from l3cli.evaluate.evaluation import Evaluation
-    from l3cli.evaluate.pictures import frame_pictures
-    from l3cli.files import finished_together, sha256
-    from l3cli.io.images import write_picture
-    from l3cli.render.display import require_xyz
-    from l3cli.render.renderer import make_renderer
-
-    transforms = load(TransformTable, table)
-    if pictures is not None:
-        require_xyz(transforms.outputs)
-        claims = options.claims(console)
-        claims.spare(table, frames)
-        claims.hold_folder(pictures, "*.png")
-    with open_training_set(frames) as reader, contextlib.ExitStack() as unfinished:
-        if pictures is not None:
-            key = json.dumps([__version__, sha256(table), sha256(frames), backend, viewing])
-            unfinished.enter_context(finished_together(pictures, key, force))
-        evaluation = Evaluation(transforms, reader.head, viewing)
-        caution_trained(transforms, table, frames, console)
-        caution_unlike((table, transforms), (frames, reader.head.camera), console)
-        renderer = make_renderer(backend, transforms)
-        for index in console.progress(range(len(reader)), len(reader), "frames"):
-            frame, planes = judge(evaluation, renderer, reader, index)
-            if pictures is not None:
-                for name, picture in frame_pictures(frame, planes).items():
-                    write_picture(pictures / f"{frame_name(index, frame.scene)}_{name}.png", picture)
-    caution_kernels(console)
+    document = stage(table, frames, console, backend=backend, viewing=viewing, pictures=pictures, force=force)
     if as_json:
-        show_json(evaluation.document(), console)
+        show_json(document, console)
         return
     from l3cli.cli.quality_tables import print_tables
 
-    print_tables(evaluation.document())
-
-
-def judge(
-    evaluation: "Evaluation", renderer: "Renderer", reader: "TrainingSetReader", index: int
-) -> tuple["TrainingPair", dict[str, "NDArray"]]:
-    """Count a frame of a training set; the frame and the planes of every pipeline, as `Evaluation.add` gives them."""
-    from l3cli.frame import RawFrame
-
-    frame, camera = reader.frame(index), reader.head.camera
-    raw = RawFrame(frame.scene, frame.raw, camera.black, camera.white, dark=camera.dark_signal(frame.dark_time))
-    return frame, evaluation.add(frame, renderer.outputs(raw), renderer.labels(raw))
+    print_tables(document)

@@ -1,25 +1,17 @@
 """l3 render: raw frames through a table."""
 
-import contextlib
-import functools
-import os
 import re
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from l3cli import __version__
 from l3cli.cli import options
-from l3cli.errors import RecipeError, shortened
+from l3cli.errors import shortened
 
 if TYPE_CHECKING:
-    from l3cli.artifacts.table import TransformTable
-    from l3cli.cli.elsewhere import Elsewhere, Way
-    from l3cli.cli.sequence import Here
     from l3cli.parallel.cluster import Scheduler
     from l3cli.stages.console import Console
 
@@ -190,69 +182,13 @@ def render(
 
     if any(path.suffix.lower() not in PLAIN for path in inputs):
         start()  # it takes a third of a second, like what follows
-    from l3cli.artifacts.base import load
-    from l3cli.artifacts.table import TransformTable
-    from l3cli.cli.cautions import caution_kernels, caution_white
-    from l3cli.cli.elsewhere import Way
-    from l3cli.cli.mark import Origins
-    from l3cli.cli.sequence import USUAL_RATE, Look, claim, is_steady, make_target, marked, refuse_missing, render_frames
-    from l3cli.files import sha256
     from l3cli.io.raw_files import KnownBetter
-    from l3cli.io.sequences import find_frames, read_dark
-    from l3cli.io.video import VideoChoice
-    from l3cli.render.display import require_xyz, scene_white
+    from l3cli.stages.rendering.render import render as stage
 
-    choice = VideoChoice(fps or USUAL_RATE, int(bits), codec, crf, preset)
-    target = make_target(output, suffix, choice)
-    claims = options.claims(console)
-    claims.spare(table, *inputs, *dark)
-    claim(target, force, claims)
-    if target.linear and (exposure is not None or white is not None):
-        raise RecipeError(".exr files hold the outputs as they are; --exposure and --white are for pictures")
-    engine = {name: value for name, value in {"device": device, "variant": variant}.items() if value is not None}
-    if engine and backend != "opencl":
-        raise RecipeError(f"--{next(iter(engine))} is for the opencl backend; leave it or --backend {backend} out")
-    known = KnownBetter(black, white_level, phase, size, packing, stride, exposure_time)
-    transforms = load(TransformTable, table)
-    if dark:
-        darks = find_frames(dark, transforms, known)
-        claims.spare(*(pending.source for pending in darks.frames if pending.source))
-        known = replace(known, dark=read_dark(darks))
-    if target.linear:
-        look = Look(None, None, choice.bits)
-    else:
-        require_xyz(transforms.outputs)
-        look = Look(transforms.white_point if white is None else scene_white(white), exposure, choice.bits)
-        if white is not None:
-            caution_white(white, look.white, transforms, console)
-    footage = find_frames(inputs, transforms, known, frames, dataset)
-    if not footage.is_stream:
-        claims.spare(*(pending.source for pending in footage.frames if pending.source))
-    if not skip_bad:
-        refuse_missing(footage)
-    choice = replace(choice, rate=fps or footage.rate or USUAL_RATE)
-    way = Way(table.absolute(), sha256(table), backend, engine, known, look, target.file_suffix)
-    steady = is_steady(footage, target, look)
-    chosen = {"device": os.environ.get("L3_DEVICE"), **engine}
-    levels = (replace(known, dark=None), known.dark and known.dark.digest)
-    key = [way.digest, __version__, frames, dataset, suffix, backend, chosen, exposure, white, choice, *levels, steady]
-    origins = functools.partial(Origins, inputs[0], steady)
-    with marked(target, key, resume, force, footage, origins) as mark, _room(way, transforms, scheduler) as room:
-        failures = render_frames(footage, target, room, transforms, look, choice, mark, origins(), skip_bad, console)
-    caution_kernels(console)
-    return 1 if failures else 0
-
-
-@contextlib.contextmanager
-def _room(way: "Way", table: "TransformTable", scheduler: "Scheduler | None") -> "Iterator[Here | Elsewhere]":
-    """Where frames are rendered: here, or by the workers of a scheduler."""
-    from l3cli.cli.elsewhere import Elsewhere
-    from l3cli.cli.sequence import Here
-    from l3cli.parallel import workers
-    from l3cli.render.renderer import make_renderer
-
-    if scheduler is None:
-        yield Here(make_renderer(way.backend, table, **way.engine), way.look)
-    else:
-        with workers(1, scheduler) as crew:
-            yield Elsewhere(crew, replace(way, known=replace(way.known, dark=None)), by_path=way.known.dark is None)
+    left_out = stage(
+        table, inputs, output, console, rate=fps, bits=int(bits), codec=codec, crf=crf, preset=preset, suffix=suffix,
+        frames=frames, dataset=dataset, known=KnownBetter(black, white_level, phase, size, packing, stride, exposure_time),
+        dark=dark, exposure=exposure, white=white, backend=backend, device=device, variant=variant, skip_bad=skip_bad,
+        resume=resume, scheduler=scheduler, force=force,
+    )  # fmt: skip
+    return 1 if left_out else 0

@@ -26,21 +26,6 @@ def report(artifacts: tuple[Path, ...], output: Path, backend: str, force: bool,
     \b
     Example: l3 report camera.h5 training.h5 table.h5 unseen.h5 -o report.html
     """
-    from l3cli.cli import report_sections
-    from l3cli.cli.cautions import caution_kernels
-    from l3cli.errors import RecipeError
-    from l3cli.files import write_whole
-    from l3cli.report.page import LIMIT, render_page
+    from l3cli.stages.reporting.report import report as stage
 
-    if output.suffix != ".html":
-        raise RecipeError(f"{output}: a report is a page; name a file that ends in .html")
-    claims = options.claims(console)
-    claims.spare(*artifacts)
-    claims.claim_file(output, force)
-    given = report_sections.sort(artifacts)
-    title, lead, sections = report_sections.compose(given, backend, console)
-    page = render_page(title, lead, sections).encode()
-    write_whole(output, page)
-    caution_kernels(console)
-    much = "; fewer files would make a lighter page" if len(page) > LIMIT else ""
-    console.say(f"{output}: {len(page) / 1e6:.2f} MB, {len(sections)} sections{much}")
+    stage(artifacts, output, console, backend=backend, force=force)

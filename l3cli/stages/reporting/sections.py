@@ -1,21 +1,16 @@
-"""What `l3 report` shows of which artifact: rooms are asked here, since they do not know one another."""
+"""What a report shows of which artifact: rooms are asked here, since they do not know one another."""
 
 import functools
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.base import Artifact, equal, load, open_artifact
+from l3cli.artifacts.base import equal
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet, open_training_set
-from l3cli.cli.cautions import caution_unlike
-from l3cli.cli.evaluate import judge
-from l3cli.errors import InputFileError
-from l3cli.files import sha256
 from l3cli.io.embedded import jpeg
 from l3cli.report.camera import camera_section
 from l3cli.report.colours import channel_light
@@ -24,91 +19,17 @@ from l3cli.report.page import history_section
 from l3cli.report.parts import Section, counted
 from l3cli.report.training import training_section
 from l3cli.report.transforms import transform_section
+from l3cli.stages.console import Console
+from l3cli.stages.evaluation import evaluate_frame
+from l3cli.stages.input_warnings import warn_if_unlike
+from l3cli.stages.reporting.artifacts import Entry, Given, trained_on
 
-if TYPE_CHECKING:
-    from l3cli.stages.console import Console
-
-KINDS: dict[str, type[Artifact]] = {kind.kind: kind for kind in (CameraModel, TrainingSet, TransformTable)}
 PICTURE_BYTES, THUMBNAIL_BYTES = 6_500_000, 2_000_000  # of all evaluated frames, of all training sets: see page.LIMIT
 
 
-@dataclass(frozen=True)
-class Entry:
-    """A file of a report: how the page calls it, and what it holds; of a training set its head."""
-
-    name: str
-    path: Path
-    sha256: str
-    artifact: Artifact
-
-
-@dataclass(frozen=True)
-class Given:
-    """The artifacts of a report by kind."""
-
-    cameras: list[tuple[Entry, CameraModel]]
-    training: list[tuple[Entry, TrainingSet]]
-    tables: list[tuple[Entry, TransformTable]]
-    entries: list[Entry]
-
-    @property
-    def pairs(self) -> list[tuple[tuple[Entry, TransformTable], tuple[Entry, TrainingSet]]]:
-        """What is evaluated: each table with each training set that it was not trained on."""
-        return [(table, frames) for table in self.tables for frames in self.training if not trained_on(table[1], frames[0])]
-
-
-def trained_on(table: TransformTable, frames: Entry) -> bool:
-    """Whether the table's history names the training set's file."""
-    return any(frames.sha256 in found for stage in table.history for found in stage.inputs.values())
-
-
-def sort(paths: tuple[Path, ...]) -> Given:
-    """Artifacts by kind, each once; InputFileError if one is none, is damaged, or does not fit the others."""
-    found: dict[str, Entry] = {}
-    names = [path.name for path in paths]
-    for path in paths:
-        artifact, digest = _artifact(path), sha256(path)
-        name = path.name if names.count(path.name) == 1 else f"{path.parent.name}/{path.name}"
-        found.setdefault(digest, Entry(name, path, digest, artifact))
-    entries = list(found.values())
-    _require_one_array(entries)
-    given = Given(
-        [(entry, entry.artifact) for entry in entries if isinstance(entry.artifact, CameraModel)],
-        [(entry, entry.artifact) for entry in entries if isinstance(entry.artifact, TrainingSet)],
-        [(entry, entry.artifact) for entry in entries if isinstance(entry.artifact, TransformTable)],
-        entries,
-    )
-    for (table, transforms), (frames, head) in given.pairs:
-        if transforms.outputs != head.outputs:
-            raise InputFileError(f"{table.path} and {frames.path} have different outputs; report on a matching pair")
-    return given
-
-
-def _artifact(path: Path) -> Artifact:
-    with open_artifact(path) as root:
-        kind = str(root.attrs["kind"])
-    if kind not in KINDS:
-        raise InputFileError(f"{path} holds {kind}; give camera models, training sets or transform tables")
-    if KINDS[kind] is not TrainingSet:
-        return load(KINDS[kind], path)
-    with open_training_set(path, unchanged=True) as reader:
-        return reader.head
-
-
-def _require_one_array(entries: list[Entry]) -> None:
-    arrays: list[Any] = [
-        entry.artifact.camera if isinstance(entry.artifact, TrainingSet) else entry.artifact for entry in entries
-    ]
-    for entry, array in zip(entries, arrays, strict=True):
-        if array.channels != arrays[0].channels or not np.array_equal(array.cfa, arrays[0].cfa):
-            raise InputFileError(
-                f"{entry.path} is of a camera with another CFA than {entries[0].path}; report on each camera alone"
-            )
-
-
-def compose(given: Given, backend: str, console: "Console") -> tuple[str, str, list[Section]]:
+def compose(given: Given, backend: str, console: Console) -> tuple[str, str, list[Section]]:
     """Title, lead and sections of the page."""
-    _caution_cameras(given, console)
+    _warn_of_cameras(given, console)
     share = PICTURE_BYTES // max(len(given.pairs), 1)
     judged = [_evaluation(*pair, str(number), share, backend, console) for number, pair in enumerate(given.pairs)]
     cameras = [(entry.name, camera) for entry, camera in given.cameras] or _cameras_within(given)
@@ -127,7 +48,7 @@ def compose(given: Given, backend: str, console: "Console") -> tuple[str, str, l
     return f"{', '.join(dict.fromkeys(names))}: report", _lead(given, [told for told, _ in judged]), sections
 
 
-def _caution_cameras(given: Given, console: "Console") -> None:
+def _warn_of_cameras(given: Given, console: Console) -> None:
     """Say so of every camera model that is unlike the first table's camera or, without one, unlike the first artifact's."""
     from l3cli.evaluate.likeness import unlike
 
@@ -192,7 +113,7 @@ def _evaluation(
     anchor: str,
     limit: int,
     backend: str,
-    console: "Console",
+    console: Console,
 ) -> tuple[str, Section]:
     """A table on frames it has not seen: in a sentence, and as a section with pictures of a few frames."""
     from l3cli.evaluate.evaluation import Evaluation
@@ -201,18 +122,18 @@ def _evaluation(
     from l3cli.render.renderer import make_renderer
 
     (given, transforms), (seen, head) = table, frames
-    caution = caution_unlike((given.name, transforms), (seen.name, head.camera), console)
+    warning = warn_if_unlike((given.name, transforms), (seen.name, head.camera), console)
     renderer = make_renderer(backend, transforms)
     with open_training_set(seen.path, unchanged=True) as reader:
         evaluation = Evaluation(transforms, reader.head)
         for index in console.progress(range(len(reader)), len(reader), "frames"):
-            judge(evaluation, renderer, reader, index)
+            evaluate_frame(evaluation, renderer, reader, index)
         document = evaluation.document()
         pictures = {}
         if transforms.outputs == XYZ:
             again = Evaluation(transforms, reader.head)
             for index in shown_frames(document):
-                pictures[index] = frame_pictures(*judge(again, renderer, reader, index))
+                pictures[index] = frame_pictures(*evaluate_frame(again, renderer, reader, index))
     section = evaluation_section(document, pictures, (given.name, seen.name), anchor, limit, jpeg)
-    told = f"{section.lead} But {caution}." if caution else section.lead
+    told = f"{section.lead} But {warning}." if warning else section.lead
     return told, replace(section, lead=told)

@@ -1,4 +1,4 @@
-"""What `l3 render` says of frames that its table was not made for, and what to do about it."""
+"""Warnings of inputs that a table was not made for, and what to do about them."""
 
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -9,6 +9,7 @@ from l3cli.files import sha256
 from l3cli.frame import RawFrame
 from l3cli.render.coverage import CoverageMeter
 from l3cli.render.kernels import unkept
+from l3cli.stages.console import Console
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -17,14 +18,13 @@ if TYPE_CHECKING:
     from l3cli.artifacts.camera import CameraModel
     from l3cli.artifacts.table import TransformTable
     from l3cli.io.sequences import Pending
-    from l3cli.stages.console import Console
 
 NOTABLE = {"darker": 0.05, "brighter": 0.05, "untrained": 0.2, "saturated": 0.1}  # shares of a frame that are worth a word
 NEAR_WHITE = 0.02  # distance of chromaticities u′v′ from which on two whites are different lights
 
 
 @dataclass
-class Cautions:
+class FrameWarnings:
     """Looks at some frames of a run and, in the end, says each thing once: of one frame, or of the worst of several."""
 
     table: "TransformTable"
@@ -35,14 +35,14 @@ class Cautions:
     def __post_init__(self) -> None:
         self._meter = CoverageMeter(self.table)
 
-    def look(self, frame: "RawFrame") -> None:
+    def measure(self, frame: "RawFrame") -> None:
         """Measure a frame."""
         self._seen += 1
         if self.table.dark_signal(1.0) and frame.exposure is None and not frame.dark_measured:
             self._untimed.append(frame.name)
-        found = self._meter.coverage(frame)
+        coverage = self._meter.coverage(frame)
         for what, limit in NOTABLE.items():
-            share = getattr(found, what)
+            share = getattr(coverage, what)
             if share >= limit:
                 worst, name, count = self._worst.get(what, (0.0, "", 0))
                 self._worst[what] = (share, frame.name, count + 1) if share > worst else (worst, name, count + 1)
@@ -53,10 +53,10 @@ class Cautions:
         """Pass frames on, after a look at every still, or at the first frame of a sequence, unless others are to read it."""
         for pending, frame, scale in frames:
             if isinstance(frame, RawFrame) and (stills or not self._seen):
-                self.look(frame)
+                self.measure(frame)
             yield pending, frame, scale
 
-    def tell(self, console: "Console") -> None:
+    def report(self, console: Console) -> None:
         """One line for each thing found."""
         darkest, brightest = self._meter.learned_range()
         texts = {
@@ -78,7 +78,7 @@ class Cautions:
             console.warn(f"{where}: {share:.0%} of the pixels {texts[what]}")
 
 
-def caution_white(asked: str, white: np.ndarray, table: "TransformTable", console: "Console") -> None:
+def warn_of_white(asked: str, white: np.ndarray, table: "TransformTable", console: Console) -> None:
     """Say so if colours are asked for under a light that the table was probably not trained under."""
     if np.linalg.norm(_uv(white) - _uv(table.white_point)) > NEAR_WHITE:
         x, y = table.white_point[:2] / table.white_point.sum()
@@ -88,15 +88,15 @@ def caution_white(asked: str, white: np.ndarray, table: "TransformTable", consol
         )
 
 
-def caution_trained(table: "TransformTable", path: "Path", frames: "Path", console: "Console") -> None:
+def warn_if_trained_on(table: "TransformTable", path: "Path", frames: "Path", console: Console) -> None:
     """Say so if a table is judged on frames that its history names as its training."""
-    inputs = {digest for stage in table.history for found in stage.inputs.values() for digest in found}
+    inputs = {digest for stage in table.history for digests in stage.inputs.values() for digest in digests}
     if sha256(frames) in inputs:
         text = "figures flatter it; simulate other scenes, or the same ones with another --seed"
         console.warn(f"{path} was trained on {frames}: {text}")
 
 
-def caution_unlike(table: tuple[object, "TransformTable"], frames: tuple[object, "CameraModel"], console: "Console") -> str:
+def warn_if_unlike(table: tuple[object, "TransformTable"], frames: tuple[object, "CameraModel"], console: Console) -> str:
     """Say so if a table is judged on frames of another camera than it was trained for; both with the name of their file.
     What is said, or ""."""
     from l3cli.evaluate.likeness import unlike
@@ -112,10 +112,10 @@ def caution_unlike(table: tuple[object, "TransformTable"], frames: tuple[object,
     return text
 
 
-def caution_kernels(console: "Console") -> None:
+def warn_of_kernels(console: Console) -> None:
     """Say so if the next run has to compile the same kernels again."""
-    if told := unkept():
-        console.warn(told)
+    if reason := unkept():
+        console.warn(reason)
 
 
 def _uv(white: np.ndarray) -> np.ndarray:

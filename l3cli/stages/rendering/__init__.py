@@ -1,0 +1,1 @@
+"""The render stage: raw frames through a table → pictures (`render`)."""

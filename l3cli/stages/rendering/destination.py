@@ -1,0 +1,198 @@
+"""Where pictures go, what stands in their way there, and the mark that lets a sequence of them go on."""
+
+import contextlib
+import hashlib
+import json
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from l3cli.errors import RecipeError
+from l3cli.files import atomic_output, refuse_existing, refuse_spared, sole_writer_of_folder
+from l3cli.io import images
+from l3cli.io.sequences import PATTERN, Footage, Pending, last_number, numbered_files, numbered_name
+from l3cli.io.video import VideoChoice, check_video, is_video, new_video, new_y4m
+from l3cli.stages.claims import Claims, refuse_unwritable
+from l3cli.stages.rendering.mark import Mark, Origins
+from l3cli.stages.rendering.rendition import file_of
+
+PICTURE_WRITERS = 2  # threads that compress picture files
+STDOUT = Path("-")
+
+
+@dataclass(frozen=True)
+class Destination:
+    """Where pictures go: "stream" (y4m to stdout), "video", "pattern" (numbered files), "folder" or a single "file"."""
+
+    path: Path
+    kind: str
+    suffix: str  # of the files in a folder
+
+    @property
+    def one_by_one(self) -> bool:
+        """Whether every frame becomes a file of its own."""
+        return self.kind in ("pattern", "folder", "file")
+
+    @property
+    def linear(self) -> bool:
+        """Whether linear outputs are written rather than pictures."""
+        return self.one_by_one and images.is_linear(self.file(0, "frame"))
+
+    def file(self, number: int, stem: str) -> Path:
+        """The file of a frame."""
+        if self.kind == "pattern":
+            return numbered_name(self.path, number)
+        return self.path / f"{stem}.{self.suffix}" if self.kind == "folder" else self.path
+
+    @property
+    def file_suffix(self) -> str | None:
+        """Of every file, where every frame becomes one."""
+        return self.file(0, "frame").suffix if self.one_by_one else None
+
+    @property
+    def mark(self) -> Path:
+        """Lies beside the pictures while a run is under way, and tells `--resume` which run it was."""
+        return self.path / ".l3-render" if self.kind == "folder" else self.path.with_name(f".{self.path.name}.l3-render")
+
+
+def destination_of(output: Path, suffix: str, choice: VideoChoice) -> Destination:
+    """The destination that a name asks for; RecipeError if nothing of that name can be written."""
+    if output == STDOUT:
+        destination = Destination(output, "stream", suffix)
+        check_video(Path("stdout.y4m"), choice)
+        if sys.stdout.isatty():
+            raise RecipeError("a y4m stream is not for a terminal; pipe it on, or name a file with -o")
+    elif is_video(output):
+        destination = Destination(output, "video", suffix)
+        check_video(output, choice)
+    else:
+        kind = "file" if output.suffix and not output.is_dir() else "folder"
+        destination = Destination(output, "pattern" if PATTERN.search(output.name) else kind, suffix)
+        images.check_format(destination.file(0, "frame"), choice.bits)
+        if choice.codec or choice.crf is not None:
+            raise RecipeError(f"{output}: --codec and --crf are for videos; name a .mp4, .mov or .mkv")
+    return destination
+
+
+def claim(destination: Destination, force: bool, claims: Claims) -> None:
+    """L3Error, before anything is read, if nothing can be written there, another run does so, or a video or single picture
+    is there already; RecipeError if that is read."""
+    if destination.kind in ("video", "file"):
+        claims.claim_file(destination.path, force)
+    elif destination.kind == "stream":
+        refuse_spared(1)
+    else:
+        refuse_unwritable(destination.file(0, "frame"))
+        folder, name = (
+            (destination.path, "") if destination.kind == "folder" else (destination.path.parent, destination.path.name)
+        )
+        claims.hold(sole_writer_of_folder(folder, name), destination.path)
+
+
+def refuse_outputs(destination: Destination, footage: Footage, force: bool, mark: Mark | None = None) -> None:
+    """RecipeError if the frames do not fit into the destination or would replace what is read, L3Error if they would replace
+    what is there and not of the mark's run."""
+    if destination.kind == "file" and footage.count != 1:
+        count = "a sequence" if footage.count is None else f"{footage.count} frames"
+        raise RecipeError(
+            f"{destination.path} holds one picture, the inputs are {count}; name a folder, a pattern "
+            f"({destination.path.stem}_%04d{destination.path.suffix}) or a video"
+        )
+    if destination.kind not in ("pattern", "folder"):
+        return
+    if footage.is_stream:
+        files = _in_the_way(destination, footage)
+    else:
+        files = [destination.file(pending.number, pending.stem) for pending in footage.frames]
+    if len(set(files)) < len(files):
+        raise RecipeError("two inputs have the same name and would write the same file; render them one by one")
+    for file in files:
+        refuse_spared(file)
+        refuse_existing(file, force or (mark is not None and mark.is_ours(file)))
+
+
+def refuse_missing(footage: Footage) -> None:
+    """InputFileError if it is known already that a frame is missing."""
+    if footage.missing:
+        raise footage.absent(footage.missing[0])
+
+
+def _in_the_way(destination: Destination, footage: Footage) -> list[Path]:
+    """Pictures that are there and that frames of a stream, which may be endless, would replace."""
+    if footage.wanted is None:
+        return _pictures(destination)
+    if destination.kind == "pattern":
+        return [file for number, file in numbered_files(destination.path).items() if number in footage.wanted]
+    numbers = {last_number(file) for file in _pictures(destination)}
+    frames = [footage.frames.pending(number) for number in numbers if number is not None and number in footage.wanted]
+    return [destination.file(pending.number, pending.stem) for pending in frames]
+
+
+def _pictures(destination: Destination) -> list[Path]:
+    """The files that are there in a folder or of a pattern."""
+    if destination.kind == "pattern":
+        return list(numbered_files(destination.path).values())
+    return sorted(destination.path.glob(f"*.{destination.suffix}"))
+
+
+@contextlib.contextmanager
+def marked(
+    destination: Destination, key: list[Any], resume: bool, force: bool, footage: Footage, origins: Callable[[], Origins]
+) -> Iterator[Mark | None]:
+    """Refuse what cannot be written, then keep the run's mark, for a sequence of pictures, until all is done.
+
+    `key` tells all that the pictures' bytes depend on beside the inputs, which `origins` tell.
+    """
+    if destination.kind not in ("pattern", "folder"):
+        if resume:
+            raise RecipeError(f"--resume goes on with a sequence of pictures; {destination.path} is written in one go")
+        refuse_outputs(destination, footage, force)
+        yield None
+        return
+    mark = Mark(destination.mark, hashlib.sha256(json.dumps(key, sort_keys=True, default=str).encode()).hexdigest(), force)
+    if resume and destination.mark.is_file():
+        mark.take_over(str(destination.path))
+        if footage.count is not None:
+            _refuse_changed(destination, footage, mark, origins())
+    refuse_outputs(destination, footage, mark.force, mark)
+    mark.begin()
+    try:
+        yield mark
+    except BaseException:
+        mark.end(complete=False)
+        raise
+    mark.end(complete=True)
+
+
+def _refuse_changed(destination: Destination, footage: Footage, mark: Mark, origins: Origins) -> None:
+    """RecipeError, before anything is read, if pictures are there that are known to be of other frames."""
+    for pending in footage.frames:
+        mark.keeps(destination.file(pending.number, pending.stem), origins.of(pending).origin)
+    mark.refuse_others()
+
+
+@contextlib.contextmanager
+def open_sink(
+    destination: Destination, choice: VideoChoice, outputs: tuple[str, ...], mark: Mark | None
+) -> Iterator[tuple[Callable[[tuple[Pending, Any]], None], int]]:
+    """What writes a frame, and the number of threads that may do so at a time."""
+    if destination.one_by_one:
+
+        def write(item: tuple[Pending, Any]) -> None:
+            pending, made = item
+            file = destination.file(pending.number, pending.stem)
+            content = made if isinstance(made, bytes) else file_of(file, made, outputs)
+            with atomic_output(file) as temporary:
+                temporary.write_bytes(content)
+                if mark:
+                    mark.add(file, temporary, pending.origin)
+
+        yield write, PICTURE_WRITERS
+    elif destination.kind == "stream" or destination.path.suffix.lower() == ".y4m":
+        with new_y4m(None if destination.kind == "stream" else destination.path, choice) as stream:
+            yield lambda item: stream.write(item[1]), 1
+    else:
+        with new_video(destination.path, choice) as video:
+            yield lambda item: video.write(item[1]), 1

@@ -1,0 +1,139 @@
+"""Who renders frames: this process, or the workers of other machines, which read a raw frame or take the one that they are
+sent, render it, and send the picture, as the content of its file where it becomes one."""
+
+import collections
+import contextlib
+import functools
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from l3cli.errors import InputFileError, L3Error
+from l3cli.files import require_same
+from l3cli.frame import RawFrame, upright
+from l3cli.io.raw_files import KnownBetter, read_raw
+from l3cli.io.sequences import Pending
+from l3cli.parallel import Crew
+from l3cli.render.display import Display
+from l3cli.stages.rendering.rendition import Exposed, Rendition, Unread, display_of, file_of, linear_of, pixels_of
+
+if TYPE_CHECKING:
+    from l3cli.artifacts.table import TransformTable
+    from l3cli.parallel.cluster import Scheduler
+    from l3cli.render.renderer import Renderer
+
+
+class Local:
+    """Renders frames in this process."""
+
+    by_path = False  # whether it reads files itself
+
+    def __init__(self, renderer: "Renderer", rendition: Rendition) -> None:
+        self._renderer, self._rendition = renderer, rendition
+
+    def render(self, exposed: Iterator[Exposed]) -> Iterator[tuple[Pending, Any]]:
+        """Picture, or linear outputs where there is no white, (row, col, value), of each frame, in order.
+
+        Pictures whose exposure is known beforehand overlap on the device: while one is written the next is at work.
+        """
+        at_work: collections.deque[tuple[Pending, RawFrame]] = collections.deque()
+
+        def displayed() -> Iterator[tuple[RawFrame, Display]]:
+            for pending, frame, scale in exposed:
+                at_work.append((pending, frame))
+                yield frame, display_of(self._renderer, frame, self._rendition, scale)
+
+        if self._rendition.white is None:
+            for pending, frame, _ in exposed:
+                yield pending, linear_of(self._renderer, frame)
+            return
+        for picture in self._renderer.pictures(displayed()):
+            pending, frame = at_work.popleft()
+            yield pending, upright(picture, frame.orientation)
+
+
+@dataclass(frozen=True)
+class RenderSetup:
+    """What all frames share."""
+
+    table: Path  # absolute: workers open it
+    digest: str  # SHA-256 of the table
+    backend: str
+    engine: Mapping[str, str | None]  # the backend's options
+    known: KnownBetter
+    rendition: Rendition
+    suffix: str | None  # of the picture files; None: pixels are wanted
+
+
+@dataclass(frozen=True)
+class RenderJob:
+    """A frame to be rendered."""
+
+    setup: RenderSetup
+    frame: RawFrame | Unread
+    scale: float  # of exposure; 0: the frame's own
+
+
+class Remote:
+    """Renders frames by the workers of other machines."""
+
+    def __init__(self, crew: Crew, setup: RenderSetup, by_path: bool) -> None:
+        """`by_path`: workers read the files themselves."""
+        self._crew, self._setup, self.by_path = crew, setup, by_path
+
+    def render(self, exposed: Iterator[Exposed]) -> Iterator[tuple[Pending, Any]]:
+        """Pixels of each frame, content of its picture's file, or what is wrong with it, in order."""
+        away: collections.deque[Pending] = collections.deque()
+
+        def jobs() -> Iterator[RenderJob]:
+            for pending, frame, scale in exposed:
+                away.append(pending)
+                yield RenderJob(self._setup, frame, scale)
+
+        for made in self._crew(_rendered, jobs()):
+            yield away.popleft(), made
+
+
+def _rendered(job: RenderJob) -> Any:
+    """In a worker: the picture of a frame, or what is wrong with its file."""
+    setup = job.setup
+    table, renderer = _renderer(setup.table, setup.digest, setup.backend, tuple(setup.engine.items()))
+    frame = job.frame
+    if isinstance(frame, Unread):
+        try:
+            require_same(frame.path, frame.digest)
+            frame = read_raw(frame.path, table, setup.known)
+        except (L3Error, OSError) as error:
+            return error if isinstance(error, L3Error) else InputFileError(str(error))
+    pixels = pixels_of(renderer, frame, setup.rendition, job.scale)
+    if setup.suffix is None:
+        return pixels
+    return file_of(Path(f"frame{setup.suffix}"), pixels, table.outputs)
+
+
+@functools.lru_cache(1)
+def _renderer(
+    path: Path, digest: str, backend: str, engine: tuple[tuple[str, str | None], ...]
+) -> "tuple[TransformTable, Renderer]":
+    """The table and what renders through it, made once a worker."""
+    from l3cli.artifacts.base import load
+    from l3cli.artifacts.table import TransformTable
+    from l3cli.render.renderer import make_renderer
+
+    require_same(path, digest)
+    table = load(TransformTable, path)
+    return table, make_renderer(backend, table, **dict(engine))
+
+
+@contextlib.contextmanager
+def executor_of(setup: RenderSetup, table: "TransformTable", scheduler: "Scheduler | None") -> "Iterator[Local | Remote]":
+    """Who renders: this process, or the workers of a scheduler."""
+    from l3cli.parallel import workers
+    from l3cli.render.renderer import make_renderer
+
+    if scheduler is None:
+        yield Local(make_renderer(setup.backend, table, **setup.engine), setup.rendition)
+    else:
+        with workers(1, scheduler) as crew:
+            yield Remote(crew, replace(setup, known=replace(setup.known, dark=None)), by_path=setup.known.dark is None)

@@ -1,0 +1,107 @@
+"""The render stage: raw frames through a table → pictures, one by one, as a sequence or as a video."""
+
+import functools
+import os
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from l3cli import __version__
+from l3cli.artifacts.base import load
+from l3cli.artifacts.table import TransformTable
+from l3cli.errors import RecipeError
+from l3cli.files import sha256
+from l3cli.io.raw_files import KnownBetter
+from l3cli.io.sequences import Footage, find_frames, read_dark
+from l3cli.io.video import VideoChoice
+from l3cli.render.display import require_xyz, scene_white
+from l3cli.stages.claims import Claims
+from l3cli.stages.console import Console
+from l3cli.stages.input_warnings import warn_of_kernels, warn_of_white
+from l3cli.stages.rendering.destination import Destination, claim, destination_of, marked, refuse_missing
+from l3cli.stages.rendering.executors import RenderSetup, executor_of
+from l3cli.stages.rendering.mark import Origins
+from l3cli.stages.rendering.rendition import Rendition
+from l3cli.stages.rendering.sequence import is_steady, render_frames
+
+if TYPE_CHECKING:
+    from l3cli.parallel.cluster import Scheduler
+
+USUAL_RATE = Fraction(30)  # frames a second, where neither the caller nor the input gives it
+NOTHING_KNOWN = KnownBetter()
+
+
+def render(
+    table: Path, inputs: tuple[Path, ...], output: Path, console: Console, *, rate: Fraction | None = None, bits: int = 8,
+    codec: str | None = None, crf: float | None = None, preset: str = "veryfast", suffix: str = "png",
+    frames: range | None = None, dataset: str | None = None, known: KnownBetter = NOTHING_KNOWN, dark: tuple[Path, ...] = (),
+    exposure: float | None = None, white: str | None = None, backend: str = "opencl", device: str | None = None,
+    variant: str | None = None, skip_bad: bool = False, resume: bool = False, scheduler: "Scheduler | None" = None,
+    force: bool = False,
+) -> int:  # fmt: skip
+    """Render raw frames through a table into a picture, numbered files, a folder (of files that end in `suffix`) or a video;
+    how many frames were left out.
+
+    `rate`: frames/s of a video, None: the input's or 30; `bits`, `codec`, `crf`, `preset`: of pictures and videos. `frames`:
+    numbers of those to take. `dataset`: of an HDF5 input. `known`: what is known better of the inputs than they say; `dark`:
+    frames without light, whose mean is taken off. `exposure`: factor of Y, None: automatic. `white`: name or chromaticity of
+    the scene's white, None: the table's. `skip_bad`: leave out broken frames. `resume`: go on where a run was stopped.
+    RecipeError, InputFileError, DeviceError or L3Error before anything is written where that can be told.
+    """
+    choice = VideoChoice(rate or USUAL_RATE, bits, codec, crf, preset)
+    destination = destination_of(output, suffix, choice)
+    engine = {name: value for name, value in {"device": device, "variant": variant}.items() if value is not None}
+    with Claims(console) as claims:
+        claims.spare(table, *inputs, *dark)
+        claim(destination, force, claims)
+        if destination.linear and (exposure is not None or white is not None):
+            raise RecipeError(".exr files hold the outputs as they are; --exposure and --white are for pictures")
+        if engine and backend != "opencl":
+            raise RecipeError(f"--{next(iter(engine))} is for the opencl backend; leave it or --backend {backend} out")
+        transforms = load(TransformTable, table)
+        if dark:
+            known = replace(known, dark=read_dark(_spared(find_frames(dark, transforms, known), claims)))
+        rendition = _rendition(destination, white, exposure, bits, transforms, console)
+        footage = find_frames(inputs, transforms, known, frames, dataset)
+        if not footage.is_stream:
+            _spared(footage, claims)
+        if not skip_bad:
+            refuse_missing(footage)
+        choice = replace(choice, rate=rate or footage.rate or USUAL_RATE)
+        setup = RenderSetup(table.absolute(), sha256(table), backend, engine, known, rendition, destination.file_suffix)
+        steady = is_steady(footage, destination, rendition)
+        chosen = {"device": os.environ.get("L3_DEVICE"), **engine}
+        levels = (replace(known, dark=None), known.dark and known.dark.digest)
+        key: list[Any] = [setup.digest, __version__, frames, dataset, suffix, backend, chosen, exposure, white, choice]
+        key += [*levels, steady]
+        origins = functools.partial(Origins, inputs[0], steady)
+        with (
+            marked(destination, key, resume, force, footage, origins) as mark,
+            executor_of(setup, transforms, scheduler) as executor,
+        ):
+            failures = render_frames(
+                footage, destination, executor, transforms, rendition, choice, mark, origins(), skip_bad, console
+            )
+        warn_of_kernels(console)
+        return failures
+
+
+def _spared(footage: Footage, claims: Claims) -> Footage:
+    """Frames whose files no output may replace."""
+    claims.spare(*(pending.source for pending in footage.frames if pending.source))
+    return footage
+
+
+def _rendition(
+    destination: Destination, white: str | None, exposure: float | None, bits: int, table: TransformTable, console: Console
+) -> Rendition:
+    """How outputs become pictures; RecipeError if they cannot."""
+    if destination.linear:
+        return Rendition(None, None, bits)
+    require_xyz(table.outputs)
+    if white is None:
+        return Rendition(table.white_point, exposure, bits)
+    rendition = Rendition(scene_white(white), exposure, bits)
+    warn_of_white(white, rendition.white, table, console)
+    return rendition

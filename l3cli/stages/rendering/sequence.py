@@ -1,0 +1,165 @@
+"""Frames, be it one or thousands: read ahead, render, write behind.
+
+Reading, rendering and writing overlap in threads with short queues between them, so that memory is bounded whatever the
+length; the libraries let go of Python's lock in their long calls.
+"""
+
+import time
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from l3cli.errors import InputFileError, L3Error
+from l3cli.files import sha256
+from l3cli.frame import RawFrame, upright
+from l3cli.io.sequences import Footage, Pending
+from l3cli.io.video import VideoChoice
+from l3cli.parallel.threads import Behind, ahead
+from l3cli.render.exposure import LightMeter, SteadyExposure
+from l3cli.stages.console import Console
+from l3cli.stages.input_warnings import FrameWarnings
+from l3cli.stages.rendering.destination import Destination, open_sink
+from l3cli.stages.rendering.executors import Local, Remote
+from l3cli.stages.rendering.mark import Mark, Origins
+from l3cli.stages.rendering.rendition import Exposed, Rendition, Unread
+
+if TYPE_CHECKING:
+    from l3cli.artifacts.table import TransformTable
+
+DEPTH = 3  # frames that wait at most between reading and rendering, and between rendering and writing
+
+
+@dataclass(frozen=True)
+class _Read:
+    """A frame that was read or is to be, or why not."""
+
+    pending: Pending
+    frame: RawFrame | Unread | None
+    brightness: float = 0.0
+    error: L3Error | None = None
+    kept: bool = False  # its picture is there already
+    lost: int = 1  # frames that there are not, if there is an error
+
+
+@dataclass
+class _Tally:
+    """How many frames there are pictures of, and how many were left out."""
+
+    done: int = 0
+    failures: int = 0
+
+    def leave_out(self, error: L3Error, skip_bad: bool, console: Console, count: int = 1) -> None:
+        """Say that a frame, or several, are left out; raise why, unless `skip_bad`."""
+        if not skip_bad:
+            raise error
+        self.failures += count
+        console.alert(f"l3: {error}")
+
+
+def render_frames(
+    footage: Footage, destination: Destination, executor: Local | Remote, table: "TransformTable",
+    rendition: Rendition, choice: VideoChoice, mark: Mark | None, origins: Origins, skip_bad: bool, console: Console,
+) -> int:  # fmt: skip
+    """Render every frame into the destination; how many were left out. What is broken is raised, or, with `skip_bad`, said
+    and left out."""
+    start = time.monotonic()
+    steady = SteadyExposure(choice.rate) if is_steady(footage, destination, rendition) else None
+    tally, warnings = _Tally(), FrameWarnings(table)
+    for numbers in footage.missing:
+        tally.leave_out(footage.absent(numbers), skip_bad, console, len(numbers))
+    with open_sink(destination, choice, table.outputs, mark) as (write, threads), Behind(write, DEPTH, threads) as writing:
+        meter = LightMeter(table) if steady else None
+        reading = ahead(_read(footage, destination, meter, mark, origins, executor.by_path), DEPTH)
+        reading = console.progress(reading, footage.count and footage.count - footage.lost, "frames")
+        exposed = warnings.watched(_exposed(reading, rendition, steady, skip_bad, tally, console), footage.stills)
+        for pending, made in executor.render(exposed):
+            if isinstance(made, L3Error):
+                tally.done -= 1
+                tally.leave_out(made, skip_bad, console)
+            else:
+                writing.put((pending, made))
+        if not tally.done:
+            raise InputFileError("none of the frames could be read; nothing is written")
+    warnings.report(console)
+    done, failures = tally.done, tally.failures
+    if not footage.stills:
+        rate = done / max(time.monotonic() - start, 1e-9)
+        console.say(f"{destination.path}: {done} frames, {rate:.3g} a second")
+    if failures:
+        console.alert(f"l3: {failures} of {done + failures} frames left out")
+    return failures
+
+
+def is_steady(footage: Footage, destination: Destination, rendition: Rendition) -> bool:
+    """Automatic exposure is steady in time, except for stills that become files: each of those has its own."""
+    return rendition.white is not None and rendition.exposure is None and not (footage.stills and destination.one_by_one)
+
+
+def _read(
+    footage: Footage, destination: Destination, meter: LightMeter | None, mark: Mark | None, origins: Origins, by_path: bool
+) -> Iterator[_Read]:
+    """Read, and measure, frame after frame; of frames that are kept only what the exposure of later ones needs. `by_path`
+    a file that becomes a file, and is not measured, is left to who renders it."""
+    size: tuple[int, ...] | None = None
+    for pending in footage.frames:
+        file, kept = destination.file(pending.number, pending.stem), False
+        if mark:
+            pending = origins.of(pending)
+            kept = pending.origin is not None and mark.keeps(file, pending.origin)
+        if kept and meter is None and not footage.is_stream:
+            yield _Read(pending, None, kept=True)
+            continue
+        try:
+            if by_path and pending.source and destination.one_by_one and meter is None:
+                yield _Read(pending, Unread(pending.source.absolute(), sha256(pending.source)), kept=kept)
+                continue
+            frame = pending.read()
+            if frame is None:
+                if rest := footage.rest(pending.number):
+                    yield _Read(pending, None, error=footage.absent(rest), lost=len(rest))
+                break
+            if not destination.one_by_one:
+                size = size or _upright_shape(frame)
+                _require_size(frame, size)
+            brightness = meter.brightness(frame) if meter else 0.0
+        except (L3Error, OSError) as error:
+            yield _Read(pending, None, error=error if isinstance(error, L3Error) else InputFileError(str(error)))
+            continue
+        if mark and pending.origin is None:
+            pending = origins.of_read(pending, frame)
+            kept = mark.keeps(file, pending.origin)
+        yield _Read(pending, frame, brightness, kept=kept)
+    if mark:
+        mark.refuse_others()
+
+
+def _upright_shape(frame: RawFrame) -> tuple[int, ...]:
+    return upright(frame.values, frame.orientation).shape
+
+
+def _require_size(frame: RawFrame, size: tuple[int, ...]) -> None:
+    found = _upright_shape(frame)
+    if found != size:
+        raise InputFileError(
+            f"{frame.name} has {found[0]}×{found[1]} pixels, the video {size[0]}×{size[1]}; give frames of one size"
+        )
+
+
+def _exposed(
+    reading: Iterable[_Read],
+    rendition: Rendition,
+    steady: SteadyExposure | None,
+    skip_bad: bool,
+    tally: _Tally,
+    console: Console,
+) -> Iterator[Exposed]:
+    """The frames to render, each with its scale (0: its own exposure); what is broken is raised, or said and counted."""
+    for each in reading:
+        if each.error is not None:
+            tally.leave_out(each.error, skip_bad, console, each.lost)
+            continue
+        tally.done += 1
+        if each.frame is not None:
+            scale = rendition.exposure or (steady.scale(each.brightness) if steady else 0.0)
+            if not each.kept:
+                yield each.pending, each.frame, scale

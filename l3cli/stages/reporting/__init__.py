@@ -1,0 +1,1 @@
+"""The report stage: any set of artifacts → one page (`report`)."""

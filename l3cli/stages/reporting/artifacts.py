@@ -1,0 +1,90 @@
+"""The artifacts of a report by kind."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from l3cli.artifacts.base import Artifact, load, open_artifact
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.training_set import TrainingSet, open_training_set
+from l3cli.errors import InputFileError
+from l3cli.files import sha256
+
+KINDS: dict[str, type[Artifact]] = {kind.kind: kind for kind in (CameraModel, TrainingSet, TransformTable)}
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A file of a report: how the page calls it, and what it holds; of a training set its head."""
+
+    name: str
+    path: Path
+    sha256: str
+    artifact: Artifact
+
+
+@dataclass(frozen=True)
+class Given:
+    """The artifacts of a report by kind."""
+
+    cameras: list[tuple[Entry, CameraModel]]
+    training: list[tuple[Entry, TrainingSet]]
+    tables: list[tuple[Entry, TransformTable]]
+    entries: list[Entry]
+
+    @property
+    def pairs(self) -> list[tuple[tuple[Entry, TransformTable], tuple[Entry, TrainingSet]]]:
+        """What is evaluated: each table with each training set that it was not trained on."""
+        return [(table, frames) for table in self.tables for frames in self.training if not trained_on(table[1], frames[0])]
+
+
+def trained_on(table: TransformTable, frames: Entry) -> bool:
+    """Whether the table's history names the training set's file."""
+    return any(frames.sha256 in digests for stage in table.history for digests in stage.inputs.values())
+
+
+def by_kind(paths: tuple[Path, ...]) -> Given:
+    """Artifacts by kind, each once; InputFileError if one is none, is damaged, or does not fit the others."""
+    entries_by_digest: dict[str, Entry] = {}
+    names = [path.name for path in paths]
+    for path in paths:
+        artifact, digest = _artifact(path), sha256(path)
+        name = path.name if names.count(path.name) == 1 else f"{path.parent.name}/{path.name}"
+        entries_by_digest.setdefault(digest, Entry(name, path, digest, artifact))
+    entries = list(entries_by_digest.values())
+    _require_one_array(entries)
+    given = Given(
+        [(entry, entry.artifact) for entry in entries if isinstance(entry.artifact, CameraModel)],
+        [(entry, entry.artifact) for entry in entries if isinstance(entry.artifact, TrainingSet)],
+        [(entry, entry.artifact) for entry in entries if isinstance(entry.artifact, TransformTable)],
+        entries,
+    )
+    for (table, transforms), (frames, head) in given.pairs:
+        if transforms.outputs != head.outputs:
+            raise InputFileError(f"{table.path} and {frames.path} have different outputs; report on a matching pair")
+    return given
+
+
+def _artifact(path: Path) -> Artifact:
+    with open_artifact(path) as root:
+        kind = str(root.attrs["kind"])
+    if kind not in KINDS:
+        raise InputFileError(f"{path} holds {kind}; give camera models, training sets or transform tables")
+    if KINDS[kind] is not TrainingSet:
+        return load(KINDS[kind], path)
+    with open_training_set(path, unchanged=True) as reader:
+        return reader.head
+
+
+def _require_one_array(entries: list[Entry]) -> None:
+    arrays: list[Any] = [
+        entry.artifact.camera if isinstance(entry.artifact, TrainingSet) else entry.artifact for entry in entries
+    ]
+    for entry, array in zip(entries, arrays, strict=True):
+        if array.channels != arrays[0].channels or not np.array_equal(array.cfa, arrays[0].cfa):
+            raise InputFileError(
+                f"{entry.path} is of a camera with another CFA than {entries[0].path}; report on each camera alone"
+            )
