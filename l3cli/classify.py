@@ -1,4 +1,4 @@
-"""Classes of pixels: the plain truth of METHOD 3, in integers, shared by training and every renderer.
+"""Classes of pixels: the plain truth of docs/method.md#classes, in integers, shared by training and every renderer.
 
 With v = DN >> shift over the p × p neighbourhood of a pixel, and n, S, Q the count, sum and sum of squares of one channel:
 
@@ -10,7 +10,7 @@ With v = DN >> shift over the p × p neighbourhood of a pixel, and n, S, Q the c
     chroma      the first k of least Σ max((S · round(65536 / n) >> 12) − chroma_black, 0) · weight[k] over the channels
 
 With f the channel means above black over their sum and q a chroma centre, |f − q|² is least where |q|² Σ f − 2 Σ f q is:
-hence the weights |q|² − 2 q, and no division (METHOD 3.5).
+hence the weights |q|² − 2 q, and no division (docs/method.md#chroma).
 """
 
 from dataclasses import dataclass
@@ -49,7 +49,7 @@ class ClassRecipe(Recipe):
     contrasts: tuple[float, ...] = (1.4,)  # edges of √(signal variance / noise variance)
     saturation: float = 0.985  # share of full scale from which a pixel is saturated
     saturation_radius: CountOrNone = 2  # pixels
-    chromas: CountOrNone = 8  # colours told apart where nothing is saturated; 0 or 1: none (METHOD 3.5)
+    chromas: CountOrNone = 8  # colours told apart where nothing is saturated; 0 or 1: none (docs/method.md#chroma)
     max_cases: Count = 12  # saturation patterns that get classes of their own, the unsaturated one included
 
 
@@ -88,7 +88,7 @@ def make_rule(
     chroma_centres: NDArray[np.float64] | None = None,
     dark: float = 0.0,
 ) -> ClassRule:
-    """The integer rule for a camera: edges in DN, contrast edges from its noise model (METHOD 3.1–3.4) for frames of which
+    """The integer rule for a camera: edges in DN, contrasts from its noise (docs/method.md#classes), for frames of which
     `dark` DN of dark current have been taken off.
 
     `chroma_centres` (chroma, channel) are shares of the channel means in their sum; without them there is one chroma.

@@ -1,4 +1,4 @@
-"""The integer class rule: exact in 32 bits, equal on mosaics and on patches, and meaning what METHOD 3 says."""
+"""The integer class rule: exact in 32 bits, equal on mosaics and on patches, as in docs/method.md#classes."""
 
 import dataclasses
 

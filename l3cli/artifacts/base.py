@@ -2,7 +2,7 @@
 
 A field declared with `data(dtype, axes, unit, doc)` is one dataset; a field declared with `group()`,
 whose type is another such dataclass, is a group. Saving, loading, checking and `l3 info` all read these declarations.
-DESIGN 3 tells what the files promise.
+README.md#artifacts tells what the files promise.
 """
 
 import contextlib

@@ -1,4 +1,4 @@
-"""Partial sums: what one shard of a training run has added up, per canonical site and class (METHOD 4.6)."""
+"""Partial sums: what one shard of a training run has added up, per canonical site and class (docs/method.md#exact-sums)."""
 
 import contextlib
 from collections.abc import Iterator

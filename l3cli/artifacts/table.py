@@ -1,4 +1,4 @@
-"""The transform table: class rule and weights, all that rendering needs (METHOD 3, 4)."""
+"""The transform table: class rule and weights (docs/method.md#classes, docs/method.md#solution)."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -20,7 +20,7 @@ CHROMA_FRACTION = 4  # fractional bits of a channel mean above black in the chro
 
 @dataclass(frozen=True)
 class ClassRule:
-    """The integer class rule of METHOD 3, written out in classify.py.
+    """The integer class rule of docs/method.md#classes, written out in classify.py.
 
     class = ((site · levels + level) · contrasts + contrast) · kinds + kind, with site = row · cfa columns + column.
     The kind is the chroma of an unsaturated pixel, and chromas − 1 + case of one near saturation.

@@ -1,4 +1,4 @@
-"""Where a table errs: mean error by class of its rule, to see which classes are worst (METHOD 3)."""
+"""Where a table errs: mean error by class of its rule, to see which classes are worst (docs/method.md#classes)."""
 
 from typing import Any
 

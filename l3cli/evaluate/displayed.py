@@ -1,4 +1,4 @@
-"""A picture as a viewer sees it: white adapted to D65, one exposure scale, clipped to the sRGB gamut (METHOD 5)."""
+"""A picture as a viewer sees it: adapted to D65, one exposure scale, clipped to sRGB (docs/method.md#quality-figures)."""
 
 import functools
 

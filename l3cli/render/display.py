@@ -1,4 +1,4 @@
-"""From XYZ to what a screen shows: adaptation to D65, exposure scale, sRGB primaries, clip, sRGB curve (METHOD 5)."""
+"""From XYZ to what a screen shows: adaptation, exposure scale, sRGB primaries, clip, curve (docs/method.md#display)."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Exposure of a sequence: measured on a few pixels of each frame, followed in time so that nothing flickers (METHOD 5)."""
+"""Exposure of a sequence: measured on a few pixels a frame, followed without flicker (docs/method.md#display)."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""The plain truth of rendering in float64: what every other backend is held against (METHOD 5)."""
+"""The plain truth of rendering in float64: what every other backend is held against (docs/method.md#rendering)."""
 
 from collections.abc import Iterable, Iterator
 

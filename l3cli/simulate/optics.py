@@ -1,4 +1,4 @@
-"""What the lens does beyond the camera equation: fall-off towards the corners and diffraction (METHOD 1.3)."""
+"""What the lens does beyond the camera equation: fall-off towards the corners and diffraction (docs/method.md#optics)."""
 
 import functools
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Patches → sums of their classes (METHOD 4.1–4.4). What each step costs decides its order:
+"""Patches → sums of their classes (docs/method.md#training). What each step costs decides its order:
 
 patches are turned tap by tap, rescaled, exposed and labelled in pieces that stay in the caches, of which only label, level
 and scale are kept; then all are sorted by class, made again without noise in pieces that end where classes end, weighed, and
@@ -23,7 +23,7 @@ from l3cli.train.weighing import Judge
 EXPOSED = 4096  # patches exposed at once, so that their arrays stay in the caches
 PIECE, LARGEST_PIECE = 1024, 4096  # rows weighed and multiplied at once, and where one class has so many
 DARKEST_LEVEL = 1e-4  # share of full scale: rows of darker patches get no more weight
-TARGET_FLOOR = 0.05  # of the level: rows of darker targets get no more weight (METHOD 4.2)
+TARGET_FLOOR = 0.05  # of the level: rows of darker targets get no more weight (docs/method.md#row-weights)
 
 
 def sum_sites(

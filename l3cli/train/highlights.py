@@ -1,4 +1,4 @@
-"""What clipped areas are taken for: grey, the more channels clip the surer (METHOD 3.3).
+"""What clipped areas are taken for: grey, the more channels clip the surer (docs/method.md#clipped-areas).
 
 Where channels clip, the colour of a surface is lost with them, and the mean colour of all training surfaces that clip alike
 is no good guess: it gives highlights a cast. Highlights are mostly neutral, and a neutral error is the one that nobody sees.

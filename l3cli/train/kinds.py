@@ -1,4 +1,4 @@
-"""Which saturation patterns and which colours get classes of their own (METHOD 3.3, 3.5)."""
+"""Which saturation patterns and colours get classes (docs/method.md#saturation-cases, docs/method.md#chroma)."""
 
 import warnings
 

@@ -1,4 +1,4 @@
-"""Patches of a training frame, and the levels they are rescaled to (METHOD 4.1, 4.8)."""
+"""Patches of a training frame, and their levels (docs/method.md#patches, docs/method.md#level-rescaling)."""
 
 import functools
 import math

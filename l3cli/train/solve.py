@@ -1,4 +1,4 @@
-"""From sums to transforms: a Wiener solution for every class, thin classes shrunk, empty ones filled (METHOD 4)."""
+"""From sums to transforms: a Wiener solution a class, thin ones shrunk, empty ones filled (docs/method.md#solution)."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -32,7 +32,7 @@ class Solution:
     """Wiener solutions of the classes of one canonical site, in the opponent basis, and what it costs to bend them.
 
     Rows run over the taps and the intercept. `response` says what a flat patch of one channel (last: the intercept) adds to
-    each output; `compliance` is how rows give way when that is changed by one (METHOD 4.7).
+    each output; `compliance` is how rows give way when that is changed by one (docs/method.md#equal-response).
     """
 
     rows: Array  # (class, tap + 1, output)
@@ -101,7 +101,7 @@ def equal_responses(
     solutions: list[Solution], copies: list[int], rule: ClassRule, recipe: LearningRecipe, goal: Goal
 ) -> list[Transforms]:
     """Transforms of the canonical sites, each of which stands for `copies` sites, bent so that every class answers a flat
-    patch alike at all sites; otherwise the CFA shows as a pattern on plain areas (METHOD 4.7). Of all common responses the
+    patch alike at all sites; else the CFA shows on plain areas (docs/method.md#equal-response). Of all common responses the
     one of least total squared error is taken. Classes that some site has no solution for are filled from the nearest, at all
     sites from the same one. L3Error if there is no class that all sites have a solution for.
     """
@@ -134,7 +134,7 @@ def equal_responses(
 
 
 def _shrunk(sums: ClassSums, parents: ClassSums, index: int, rule: ClassRule, recipe: LearningRecipe) -> tuple[Array, Array]:
-    """Moments (pair) and noise (tap) of a class with what helps it (METHOD 4.5): unsaturated, weighted sums of the levels
+    """Moments (pair) and noise (tap) of a class with help (docs/method.md#thin-classes): unsaturated, sums of the levels
     beside it, which add since sums are relative to the level; and pseudo-patches of its parent."""
     stride = rule.contrasts * rule.kinds
     level, kind, parent = index // stride, index % rule.kinds, _parent_of(index, rule)
@@ -156,7 +156,7 @@ def _shrunk(sums: ClassSums, parents: ClassSums, index: int, rule: ClassRule, re
 
 def _parents(sums: ClassSums, rule: ClassRule) -> ClassSums:
     """Mean sums of a patch of each parent: the classes of its level, contrast and saturation case, whatever their chroma,
-    or where none of them has patches those of any contrast; and a share of those of its case anywhere (METHOD 4.5). A
+    or where none of them has patches those of any contrast; and a share of its case's (docs/method.md#thin-classes). A
     parent's count is that of its level and case."""
     shape = (rule.levels, rule.contrasts, rule.kinds)
     first = np.unique(_parent_of(np.arange(rule.kinds), rule), return_index=True)[1]  # kind of each case
@@ -206,7 +206,7 @@ def _solve_positive(system: Array, right: Array) -> tuple[Array, float]:
 
 
 def _noise_factors(recipe: LearningRecipe, goal: Goal) -> list[float]:
-    """How much each row of the opponent basis weighs noise against bias (METHOD 4.3)."""
+    """How much each row of the opponent basis weighs noise against bias (docs/method.md#noise-weights)."""
     if goal.outputs == ("X", "Y", "Z"):
         return [recipe.chroma_noise, recipe.luminance_noise, recipe.chroma_noise]
     return [recipe.luminance_noise] * len(goal.outputs)

@@ -1,4 +1,4 @@
-"""Additive sums of one canonical site: all that a class's transform depends on (METHOD 4, 4.6).
+"""Additive sums of one canonical site: all that a class's transform depends on (docs/method.md#exact-sums).
 
 Sums are float64 on a grid: every contribution is rounded to a multiple of 2⁻²⁴ of its columns' scale before it is added.
 As long as no sum reaches 2⁵³ grid steps, float64 adds such numbers without any rounding, so that a sum is the same to the

@@ -1,4 +1,4 @@
-"""Row weights of the second pass: large perceived errors of the first one count less than their square (METHOD 4.4)."""
+"""Row weights of the second pass: large perceived errors count less than their square (docs/method.md#second-pass)."""
 
 from dataclasses import dataclass
 
