@@ -25,11 +25,11 @@ from test_render import BAYER, random_table
 
 from l3cli.artifacts.base import save
 from l3cli.artifacts.container import seal
+from l3cli.classes.names import kind_name
 from l3cli.errors import InputFileError
 from l3cli.io import apart
 from l3cli.io.images import read_image, write_mosaic
 from l3cli.limits import MEGAPIXELS, MOST_TEXT, TRUST
-from l3cli.train.insight import kind_name
 from tests import hostile_numbers, hostile_physics
 from tests.decoders import abort, crash, echo, hoard, sleep, stumble, work, write_much
 from tests.fuzz import Seeded
