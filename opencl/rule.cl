@@ -1,4 +1,4 @@
-// From the sums of a patch to its class, for as many pixels as `uints` holds: the formulas of l3cli/classify.py in uint,
+// From the sums of a patch to its class, for as many pixels as `uints` holds: the formulas of l3cli/classes in uint,
 // exact or wrapping to exact, for both variants.
 
 // CFA phase of padded row or column p, whose frame begins at phase `start`: that of p - RADIUS.

@@ -7,7 +7,7 @@ PACKAGE = Path(__file__).parents[1] / "l3cli"
 FLOORS = [
     {"errors", "limits", "interrupts", "config", "recipes", "files", "columns", "quantities", "spectra", "units"},
     {"artifacts", "curve_table", "scene", "frame", "dark", "measurement"},
-    {"classify"},
+    {"classes"},
     {"calibrate", "simulate", "train", "render", "evaluate", "report", "io", "parallel"},
     {"cli"},
     {"__main__"},

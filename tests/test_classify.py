@@ -7,10 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from l3cli import classify
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.table import LEVEL_FRACTION
-from l3cli.classify import ClassRecipe, make_rule
+from l3cli.classes.decide import label_mosaic, label_patches
+from l3cli.classes.level import LEVEL_FRACTION
+from l3cli.classes.recipe import ClassRecipe
+from l3cli.classes.rule import make_rule
+from l3cli.classes.windows import neighbourhoods, sites
 from l3cli.errors import RecipeError
 from l3cli.frame import mirrored_indices, pad_mosaic
 from tests.conftest import random_case_of_code
@@ -31,14 +33,14 @@ def test_mosaic_and_patches_are_labelled_alike(
     rule = make_rule(ClassRecipe(contrasts=(1.4, 4.0)), fiveband, random_case_of_code(5, rng), centres)
     values = rng.choice([0, 109, 120, 700, 4000, 4095], (rows, cols)).astype(np.uint16)
     values[: rows // 2] = rng.integers(100, 140, (rows // 2, cols))
-    labels = classify.label_mosaic(values, rule, fiveband.cfa, 5, (row_phase, col_phase))
-    near = classify.neighbourhoods(fiveband.cfa, rule.patch, 5)
-    site = classify.sites(rows, cols, fiveband.cfa.shape, (row_phase, col_phase))
+    labels = label_mosaic(values, rule, fiveband.cfa, 5, (row_phase, col_phase))
+    near = neighbourhoods(fiveband.cfa, rule.patch, 5)
+    site = sites(rows, cols, fiveband.cfa.shape, (row_phase, col_phase))
     if min(rows, cols) < 4:
         return  # padding of such a mosaic repeats samples of other channels; only the mosaic's own rule counts
     patches = windows(values, rule.patch, fiveband.cfa.shape)
     for number in np.unique(site):
-        own = classify.label_patches(patches[site == number], rule, near, number) + number * rule.classes_per_site
+        own = label_patches(patches[site == number], rule, near, number) + number * rule.classes_per_site
         assert (own == labels[site == number]).all()
 
 
@@ -55,10 +57,10 @@ def test_the_sums_fit_32_bits(fiveband: CameraModel, patch: int) -> None:
     """The formulas evaluated in wrapping 32-bit arithmetic, as a kernel does, for the extremes of 16-bit values."""
     camera = dataclasses.replace(fiveband, bits=16, white=65535.0)
     rule = make_rule(ClassRecipe(patch=patch, contrasts=(1.4, 4.0)), camera, np.zeros(32, np.uint16), np.eye(5))
-    near = classify.neighbourhoods(camera.cfa, patch, 5)
+    near = neighbourhoods(camera.cfa, patch, 5)
     patches = extreme_patches(patch**2)
     for site in range(16):
-        expected = classify.label_patches(patches, rule, near, site)
+        expected = label_patches(patches, rule, near, site)
         member = near.channel[site][:, None] == np.arange(5)
         values = (patches >> rule.shift).astype(np.uint32)
         level_sum = np.zeros(len(patches), np.uint32)
@@ -89,7 +91,7 @@ def test_level_contrast_and_case_mean_what_they_say(fiveband: CameraModel) -> No
     span = fiveband.white - fiveband.black
 
     def label(values: np.ndarray) -> tuple[int, int, int]:
-        labels = classify.label_mosaic(values.astype(np.uint16), rule, fiveband.cfa, 5)
+        labels = label_mosaic(values.astype(np.uint16), rule, fiveband.cfa, 5)
         level, contrast, case = np.unravel_index(
             labels[20:40, 20:40] % rule.classes_per_site, (rule.levels, rule.contrasts, rule.kinds)
         )

@@ -19,7 +19,8 @@ from l3cli.artifacts.base import load
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet, write_training_set
-from l3cli.classify import ClassRecipe, make_rule
+from l3cli.classes.recipe import ClassRecipe
+from l3cli.classes.rule import make_rule
 from l3cli.cli.passes import Work, first_lesson, open_course
 from l3cli.errors import InputFileError
 from l3cli.parallel import workers

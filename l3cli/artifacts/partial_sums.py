@@ -23,7 +23,7 @@ from l3cli.artifacts.base import (
     read_history,
     write_fields,
 )
-from l3cli.artifacts.table import ClassRule, check_rule
+from l3cli.artifacts.class_rule import ClassRule, check_rule
 from l3cli.artifacts.training_set import TrainingSet
 from l3cli.errors import InputFileError
 

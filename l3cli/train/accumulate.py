@@ -11,9 +11,12 @@ from collections.abc import Iterable, Iterator, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.partial_sums import ClassSums
 from l3cli.artifacts.training_set import TrainingPair
-from l3cli.classify import Neighbourhoods, TapOrder, label_statistics, neighbourhoods, patch_statistics, tap_order
+from l3cli.classes.decide import label_statistics
+from l3cli.classes.statistics import patch_statistics, truncation
+from l3cli.classes.windows import Neighbourhoods, TapOrder, neighbourhoods, tap_order
 from l3cli.train.division import BATCH
 from l3cli.train.lesson import Lesson
 from l3cli.train.patches import Floats, Patches, draw_levels, expose_patches, noise_share, patches_of
@@ -119,8 +122,7 @@ class _Batch:
         """Level (patch) as a share of full scale: mean over the channels of the means of their `sums` (channel, patch)."""
         camera, shift = self.lesson.head.camera, self.lesson.rule.shift
         mean = (1 / (self.near.count[self.site] * len(sums))) @ sums
-        truncated = (2**shift - 1) / 2  # a shift loses this much on average
-        return (mean * 2**shift + (truncated - camera.black)) / (camera.white - camera.black)
+        return (mean * 2**shift + (truncation(shift) - camera.black)) / (camera.white - camera.black)
 
     def _add_piece(
         self,
@@ -153,7 +155,7 @@ class _Batch:
         np.multiply(clean, weight[:, None], out=rows[:, :taps])
         rows[:, taps] = weight
         np.multiply(target, weight[:, None], out=rows[:, taps + 1 :])
-        _add_runs(sums, steps, rows, variance, weight**2, runs)
+        _add_runs(sums, self.lesson.rule, steps, rows, variance, weight**2, runs)
 
 
 def _pieces(label: NDArray[np.unsignedinteger]) -> Iterator[slice]:
@@ -167,16 +169,21 @@ def _pieces(label: NDArray[np.unsignedinteger]) -> Iterator[slice]:
 
 
 def _add_runs(
-    sums: ClassSums, steps: NDArray[np.float64], rows: Floats, variance: Floats, weight: Floats, runs: list
+    sums: ClassSums,
+    rule: ClassRule,
+    steps: NDArray[np.float64],
+    rows: Floats,
+    variance: Floats,
+    weight: Floats,
+    runs: list,
 ) -> None:
     """Add the products of the rows, and the noise variance by `weight`, of each class, first and last row of `runs`,
-    rounded to the grid."""
+    rounded to the grid of `steps` (level, pair)."""
     width = rows.shape[1]
     row, col = pairs(width)
     place = row * width + col
-    per_level = len(sums.count) // len(steps)
     for index, first, last in runs:
         block = rows[first:last]
-        add_rounded(sums.moments[index], (block.T @ block).reshape(-1).take(place), steps[index // per_level])
+        add_rounded(sums.moments[index], (block.T @ block).reshape(-1).take(place), steps[rule.split(index).level])
         add_rounded(sums.noise[index], weight[first:last] @ variance[first:last], steps[0, 0])
         sums.count[index] += last - first

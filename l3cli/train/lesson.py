@@ -8,7 +8,7 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.table import ClassRule
+from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.training_set import TrainingSet
 from l3cli.train.recipe import LearningRecipe
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import TrainingFrame, TrainingPair, TrainingSet
-from l3cli.classify import Neighbourhoods
+from l3cli.classes.windows import Neighbourhoods
 from l3cli.errors import InputFileError
 from l3cli.train.recipe import LearningRecipe
 from l3cli.train.symmetry import orientations, site_maps

@@ -4,7 +4,7 @@ from typing import Annotated, ClassVar, Literal
 
 import msgspec
 
-from l3cli.classify import ClassRecipe
+from l3cli.classes.recipe import ClassRecipe
 from l3cli.config import CountOrNone, Recipe
 from l3cli.errors import RecipeError
 

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.partial_sums import ClassSums
-from l3cli.artifacts.table import LEVEL_FRACTION, ClassRule
+from l3cli.classes import level
 from l3cli.errors import L3Error
 
 STEP = 2.0**-24  # of a product of columns of scale one
@@ -53,8 +54,7 @@ def grid_steps(rule: ClassRule, camera: CameraModel, outputs: int) -> Array:
 
     Rows are relative to their level, so taps and outputs are of the order of one, and the intercept of one over the level.
     """
-    edges = rule.level_edges * 2.0**rule.shift / (2**LEVEL_FRACTION * len(camera.channels))
-    lower = np.maximum((edges - camera.black) / (camera.white - camera.black), 1e-4)
+    lower = np.maximum(level.inner_bounds(rule, camera.black, camera.white), 1e-4)
     scale = np.ones((rule.levels, rule.patch**2 + 1 + outputs))
     scale[:, rule.patch**2] = 2.0 ** np.rint(-np.log2(np.append(lower[0] / 2, lower)))
     row, col = pairs(scale.shape[1])
