@@ -13,14 +13,22 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from l3cli import spectra
 from l3cli.artifacts.camera import CameraModel, Noise, Optics
 from l3cli.artifacts.table import TransformTable
 from l3cli.classify import ClassRecipe, make_rule, neighbourhoods
 from l3cli.errors import DeviceError, RecipeError
 from l3cli.frame import RawFrame, upright
+from l3cli.physics import spectra
+from l3cli.physics.display import (
+    automatic_exposure,
+    scene_white,
+    srgb_codes,
+    srgb_decoded,
+    srgb_from_xyz_matrix,
+    xyz_from_srgb_matrix,
+)
 from l3cli.render import opencl, opencl_devices
-from l3cli.render.display import Display, automatic_exposure, encode, make_display, require_xyz, scene_white
+from l3cli.render.display import Display, encode, make_display, require_xyz
 from l3cli.render.opencl import OpenCLRenderer
 from l3cli.render.opencl_devices import choose_device, devices
 from l3cli.render.reference import ReferenceRenderer
@@ -378,6 +386,12 @@ def test_srgb_curve_at_known_values():
     linear = np.array([0.0, 0.002, 0.0031308, 0.18, 0.5, 1.0, 1.5, -1.0])
     picture = encode(np.stack([linear[None]] * 3), Display(np.eye(3), 8))
     assert picture[0, :, 0].tolist() == [0, 7, 10, 118, 188, 255, 255, 0]
+
+
+def test_srgb_both_ways():
+    codes = np.arange(256)
+    assert srgb_codes(srgb_decoded(codes / 255)).tolist() == codes.tolist()
+    np.testing.assert_allclose(xyz_from_srgb_matrix() @ srgb_from_xyz_matrix(), np.eye(3), atol=1e-12)
 
 
 def test_known_colour_in_srgb():

@@ -29,7 +29,7 @@ from l3cli.io.raw_files import KnownBetter
 from l3cli.io.sequences import find_frames, numbered_files, numbered_name
 from l3cli.parallel import threads
 from l3cli.parallel.threads import Behind, ahead
-from l3cli.render.display import automatic_exposure
+from l3cli.physics.display import automatic_exposure
 from l3cli.render.exposure import TIME_CONSTANT, LightMeter, SteadyExposure
 from l3cli.render.reference import ReferenceRenderer
 

@@ -4,13 +4,13 @@ from typing import Any
 
 import numpy as np
 
-from l3cli import spectra
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.fit import ChartFit, NoiseFit, SeriesFit
 from l3cli.calibrate import gain
 from l3cli.calibrate.model import likely_mistake
 from l3cli.columns import columns, figure
 from l3cli.errors import InputFileError
+from l3cli.physics import spectra
 
 LEAST_EFFICIENCY = 0.01  # at the peak: below, a unit is more likely than such a camera
 LEAST_R_SQUARED, MOST_RMSE = 0.98, 0.02  # of every channel, or the calibration has failed

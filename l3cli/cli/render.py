@@ -199,7 +199,8 @@ def render(
     from l3cli.io.raw_files import KnownBetter
     from l3cli.io.sequences import find_frames, read_dark
     from l3cli.io.video import VideoChoice
-    from l3cli.render.display import require_xyz, scene_white
+    from l3cli.physics.display import scene_white
+    from l3cli.render.display import require_xyz
 
     choice = VideoChoice(fps or USUAL_RATE, int(bits), codec, crf, preset)
     target = make_target(output, suffix, choice)

@@ -19,10 +19,10 @@ from typing import Any
 
 import numpy as np
 
-from l3cli import spectra
 from l3cli.artifacts.table import ClassRule, TransformTable
 from l3cli.classify import chroma_weights
 from l3cli.frame import RawFrame
+from l3cli.physics import spectra
 from l3cli.render.display import make_display
 from l3cli.render.layout import VARIANTS
 from l3cli.render.opencl import OpenCLRenderer

@@ -5,12 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli import spectra
-from l3cli.errors import RecipeError, shortened, suggestion
-from l3cli.quantities import Quantity
+from l3cli.errors import RecipeError, suggestion
+from l3cli.physics.display import adaptation_matrix, srgb_curve, srgb_from_xyz_matrix
 
-CHROMATICITY = Quantity(0.001, 0.999)  # x or y of a white
-WHITE_PERCENTILE = 99  # of Y, that automatic exposure maps to display white, as the authors did
 CODES = {8: np.uint8, 16: np.uint16, "half": np.float16, "float": np.float32}  # what a value is written as
 SPACES = ("srgb", "linear", "xyz")
 
@@ -51,34 +48,11 @@ def make_display(white: NDArray[np.floating], scale: float, bits: int | str, spa
         raise RecipeError("scene white and exposure must be positive")
     if space not in SPACES:
         raise RecipeError(f'colour space "{space}" is unknown; {suggestion(space, SPACES)}')
-    primaries = spectra.srgb_from_xyz_matrix()
+    primaries = srgb_from_xyz_matrix()
     display_white = np.linalg.solve(primaries, np.ones(3))
-    adapted = scale * spectra.adaptation_matrix(white, display_white)
+    adapted = scale * adaptation_matrix(white, display_white)
     matrix = adapted if space == "xyz" else primaries @ adapted
     return Display(np.asarray(matrix, np.float64), bits, space == "srgb")
-
-
-def automatic_exposure(luminance: NDArray) -> float:
-    """Scale that brings the 99th percentile of Y (row, col) to display white; 1 where all is dark."""
-    bright = float(np.percentile(luminance, WHITE_PERCENTILE))
-    return 1.0 / bright if bright > 0 else 1.0
-
-
-def scene_white(text: str) -> NDArray[np.float64]:
-    """XYZ (3), Y = 1, of a white given as "x,y" chromaticity or by the name of an illuminant; RecipeError if neither."""
-    if "," not in text:
-        return np.asarray(spectra.white_point(text), np.float64)
-    parts = text.split(",")
-    try:
-        x, y = (CHROMATICITY.read(part) for part in parts)
-    except ValueError as error:
-        why = f": {error}" if len(parts) == 2 else ""
-        raise RecipeError(
-            f'white "{shortened(text)}" is not a chromaticity{why}; give it as x,y such as 0.3127,0.3290'
-        ) from None
-    if x + y > CHROMATICITY.most:
-        raise RecipeError(f"white {text} is no chromaticity: x + y is at most {CHROMATICITY.most}")
-    return np.array([x, y, 1 - x - y]) / y
 
 
 def require_xyz(outputs: tuple[str, ...]) -> None:
@@ -91,7 +65,7 @@ def encode(planes: NDArray, display: Display) -> NDArray:
     """XYZ planes (output, row, col) as the display's values (row, col, 3), in float64."""
     values = np.einsum("po,orc->rcp", display.matrix, planes.astype(np.float64))
     if display.curved:
-        values = spectra.srgb_curve(values)
+        values = srgb_curve(values)
     if display.top:
         values = np.floor(np.clip(values, 0.0, 1.0) * display.top + 0.5)
     return values.astype(display.dtype)

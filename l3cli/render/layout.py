@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli import classify, spectra
+from l3cli import classify
 from l3cli.artifacts.table import CHROMA_FRACTION, LEVEL_FRACTION, TransformTable
+from l3cli.physics.display import srgb_curve
 from l3cli.render.display import Display
 
 Macros = dict[str, int | str]
@@ -85,7 +86,7 @@ def curve_macros(steps: int, degree: int) -> Macros:
     """The power part of the sRGB curve as a polynomial in the fourth root (encoding.cl), fitted at Chebyshev's nodes."""
     lowest = 0.0031308**0.25
     root = lowest + (1 - lowest) * (np.cos(np.linspace(0, np.pi, 1001)) + 1) / 2
-    terms = np.polynomial.polynomial.polyfit(root, spectra.srgb_curve(root**4), degree)
+    terms = np.polynomial.polynomial.polyfit(root, srgb_curve(root**4), degree)
     return {"CURVE_STEPS": steps, "CURVE_DEGREE": degree, "CURVE_TERMS": ",".join(f"{term:.9g}f" for term in terms)}
 
 
