@@ -11,9 +11,9 @@ import tifffile
 from conftest import CONFIGS, bayer_camera
 from test_render import BAYER, random_table
 
-from l3cli.artifacts.base import save
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
+from l3cli.artifacts.store import save
 from l3cli.artifacts.training_set import open_training_set
 from l3cli.cli import run
 from l3cli.io.dng_writer import LIGHT_CODES, RawColour, write_dng

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l3cli.artifacts.base import load, save
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import LightSpectrum, TrainingFrame, TrainingSet, open_training_set, write_training_set
 from l3cli.classify import label_mosaic

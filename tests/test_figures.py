@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from l3cli.artifacts.base import load, save
+from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.cli import terminal
 from l3cli.cli.quality_tables import print_tables

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l3cli.artifacts.base import load
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.partial_sums import ClassSums
+from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.classify import ClassRecipe, make_rule, neighbourhoods
 from l3cli.cli import run

@@ -13,7 +13,7 @@ import pytest
 from test_render import BAYER, XYZ, random_table
 
 from l3cli import cli
-from l3cli.artifacts.base import save
+from l3cli.artifacts.store import save
 from l3cli.errors import RecipeError
 from l3cli.files import sha256
 from l3cli.frame import RawFrame
@@ -327,7 +327,7 @@ def test_no_device_is_exit_code_4(refused, tmp_path, table, raw, monkeypatch):
 
 
 def test_a_frame_is_rendered_without_colour_science_by_its_very_numbers(tmp_path, table, raw):
-    colour = spectra._colour()
+    colour = spectra.colour_science()
     np.testing.assert_array_equal(srgb_from_xyz_matrix(), colour.RGB_COLOURSPACES["sRGB"].matrix_XYZ_to_RGB)
     a, d65 = spectra.white_point("A"), spectra.white_point("D65")
     theirs = colour.adaptation.matrix_chromatic_adaptation_VonKries(a, d65, transform="Bradford")

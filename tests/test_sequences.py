@@ -21,7 +21,7 @@ import tifffile
 from test_render import BAYER, FIVE_BAND, random_table
 
 from l3cli import cli
-from l3cli.artifacts.base import save
+from l3cli.artifacts.store import save
 from l3cli.errors import InputFileError
 from l3cli.frame import RawFrame
 from l3cli.io.images import read_image, write_mosaic

@@ -521,7 +521,7 @@ def test_an_unknown_channel_in_the_colour_filter_array_is_one_line(refused: Call
 
 
 def test_fixed_exposure_needs_an_absolute_camera(refused: Callable[..., str], bayer: CameraModel, tmp_path: Path) -> None:
-    from l3cli.artifacts.base import save
+    from l3cli.artifacts.store import save
 
     save(dataclasses.replace(bayer, absolute=False), tmp_path / "relative.h5")
     (tmp_path / "scenes.toml").write_text("exposure_s = [0.01]\n" + LEAVES)

@@ -7,8 +7,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.base import MOST, Artifact, data, group
 from l3cli.artifacts.fit import Fit
+from l3cli.artifacts.schema import MOST, Artifact, data, group
 from l3cli.errors import InputFileError
 from l3cli.limits import most_pixels
 from l3cli.physics import lens, spectra

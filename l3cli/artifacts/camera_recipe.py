@@ -7,8 +7,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.base import load
 from l3cli.artifacts.camera import LONGEST, MAX_CFA, MAX_CHANNELS, MOST_WAVELENGTHS, CameraModel, Noise, Optics
+from l3cli.artifacts.store import load
 from l3cli.config import Recipe, Seed, load_recipe, read_text
 from l3cli.curve_table import read_table
 from l3cli.errors import RecipeError, suggestion

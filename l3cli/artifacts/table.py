@@ -6,8 +6,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.base import Artifact, check, data, group
 from l3cli.artifacts.camera import CameraModel, check_cfa, check_sensor
+from l3cli.artifacts.schema import Artifact, check, data, group
 
 CLASS_BITS = 12  # class decisions are taken on the upper 12 bits of a value, so that 32-bit sums are exact
 LEVEL_FRACTION = 8  # fractional bits of a channel mean in the level sum

@@ -39,8 +39,8 @@ def calibrate(
     \b
     Example: l3 calibrate lab/MEASUREMENTS.toml -o camera.h5
     """
-    from l3cli.artifacts.base import save
     from l3cli.artifacts.camera_recipe import camera_files, load_camera
+    from l3cli.artifacts.store import save
     from l3cli.calibrate import model, report
     from l3cli.errors import L3Error
     from l3cli.io.curves import export_curves, export_paths

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from l3cli.artifacts.base import Stage, open_artifact, read_history
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.schema import Stage
+from l3cli.artifacts.store import open_artifact, read_history
 from l3cli.artifacts.training_set import TrainingPair, read_part, whole_part, write_part
 from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.files import is_ours, refuse_spared, require_same, sweep, write_whole

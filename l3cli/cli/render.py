@@ -189,7 +189,7 @@ def render(
 
     if any(path.suffix.lower() not in PLAIN for path in inputs):
         start()  # it takes a third of a second, like what follows
-    from l3cli.artifacts.base import load
+    from l3cli.artifacts.store import load
     from l3cli.artifacts.table import TransformTable
     from l3cli.cli.cautions import caution_kernels, caution_white
     from l3cli.cli.elsewhere import Way

@@ -12,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.base import equal
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.schema import equal
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import LightSpectrum
 from l3cli.evaluate.basic import electrons_of, fit_colour, lit_library, named_light

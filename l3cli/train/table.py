@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.base import Stage
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.partial_sums import ClassSums
+from l3cli.artifacts.schema import Stage
 from l3cli.artifacts.table import ClassRule, TransformTable
 from l3cli.artifacts.training_set import TrainingPair, TrainingSet
 from l3cli.classify import make_rule, neighbourhoods, saturation_codes
