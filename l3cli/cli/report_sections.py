@@ -161,7 +161,8 @@ def _cameras_within(given: Given) -> list[tuple[str, CameraModel]]:
 
 
 def _camera_figures(camera: CameraModel) -> dict[str, Any]:
-    from l3cli.calibrate.report import camera_figures, figures, shortfall
+    from l3cli.calibrate.acceptance import shortfall
+    from l3cli.calibrate.figures import camera_figures, figures
 
     if camera.fit is not None:
         return figures(camera) | {"shortfall": (shortfall(camera) or "").partition(";")[0]}
