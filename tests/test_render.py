@@ -290,37 +290,28 @@ def test_a_value_on_an_edge_falls_on_the_same_side():
     assert centre == 1 * rule.contrasts + 0  # on the level edge: the level above; on the contrast edge: the contrast below
 
 
-# Bits, space, tolerance, and the share that may use more than half of it. Integers: by one, where float32 falls on the other
-# side of a rounding, and 8 bits after a shorter polynomial. Halves: one step of 2^-11 at a tie. Floats: a few roundings.
-ENCODINGS = [
-    (8, "srgb", 1, 0.01),
-    ("half", "linear", 2.0**-10, 0.05),
-    (16, "srgb", 1, 0.05),
-    (16, "linear", 1, 0.05),
-    ("float", "srgb", 4e-6, 1.0),
-    ("float", "xyz", 5e-7, 1.0),
-]
+# Bits, and the share of codes that may differ by one, where float32 falls on the other side of a rounding; 8 bits come by a
+# shorter polynomial.
+ENCODINGS = [(8, 0.01), (16, 0.05)]
 
 
 @pytest.mark.parametrize("kind", ["processor", "16 lanes", "graphics"])
 def test_encodings_on_the_device(kind):
-    """The whole range, below black and beyond white, in all spaces and depths."""
+    """The whole range, below black and beyond white, in both depths."""
     table = random_table([[0]], bits=16, patch=3)
     centre = np.zeros_like(table.weights)
     centre[:, :, 4] = 1.0
     table = dataclasses.replace(table, weights=centre, intercept=np.full_like(table.intercept, -0.01))
     frame = RawFrame("ramp", np.arange(65536, dtype=np.uint16).reshape(256, 256), table.black, table.white)
     device, reference = OpenCLRenderer(table, **KINDS[kind]), ReferenceRenderer(table)
-    for bits, space, tolerance, share in ENCODINGS if kind == "processor" else ENCODINGS[:3]:
-        matrix = np.diag([1.0, 1.7, 0.01]) if space != "xyz" else np.diag([1.0, 40.0, 1e-6])
-        display = Display(matrix, bits, space == "srgb")
+    for bits, share in ENCODINGS:
+        display = Display(np.diag([1.0, 1.7, 0.01]), bits)
         shown, truth = device.picture(frame, display), reference.picture(frame, display)
         assert shown.dtype == truth.dtype == display.dtype
-        error = np.abs(shown.astype(float) - truth)
-        assert (error <= tolerance * np.maximum(1, np.abs(truth.astype(float))) + 1e-8).all()
-        assert (error > tolerance / 2).mean() <= share
-        if bits in (8, 16):
-            assert (shown[..., 1].ravel()[-1], shown[0, 0].tolist()) == (display.top, [0, 0, 0])
+        error = np.abs(shown.astype(int) - truth)
+        assert error.max() <= 1
+        assert error.mean() <= share
+        assert (shown[..., 1].ravel()[-1], shown[0, 0].tolist()) == (display.top, [0, 0, 0])
 
 
 def test_centre_tap_of_the_reference_gives_the_signal_back():

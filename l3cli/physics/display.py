@@ -4,6 +4,7 @@ XYZ are CIE 1931. A picture is linear sRGB (row, col, 3), 1 being display white,
 """
 
 import functools
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ WHITE_PERCENTILE = 99  # of Y, shown white, as the authors of the method show th
 LUMA = np.array([0.2126, 0.7152, 0.0722])  # of sRGB's primaries (Rec. 709)
 # Written out, though colour-science has both: rendering a frame needs nothing else of it, and importing it takes longer.
 SRGB_FROM_XYZ = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])  # IEC 61966-2-1
+CODES = {8: np.uint8, 16: np.uint16}  # bits of a picture's codes → their type
 BRADFORD = np.array(
     [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]]
 )  # cone response of XYZ
@@ -90,9 +92,9 @@ def srgb_decoded(encoded: Array) -> Array:
     return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
 
 
-def srgb_codes(linear: Array) -> NDArray[np.uint8]:
-    """Linear sRGB as the 8-bit codes of a picture file."""
-    return np.floor(srgb_curve(linear) * 255.0 + 0.5).astype(np.uint8)
+def srgb_codes(linear: Array, bits: int = 8) -> NDArray[Any]:
+    """Linear sRGB as the codes of a picture file, of a depth in CODES: round((2^bits − 1) · non-linear sRGB)."""
+    return np.floor(srgb_curve(linear) * (2**bits - 1) + 0.5).astype(CODES[bits])
 
 
 # ------------------------------------------------------------------------------------------------ as it is seen

@@ -70,14 +70,13 @@ def table_macros(table: TransformTable) -> Macros:
     }
 
 
-OUTPUTS_AS_THEY_ARE: Macros = {"PLANES": 1, "CODE": "float", "TOP": 0, "CURVE": 0}
-NOT_ENCODED: Macros = {"NOT_ENCODED": 1, "CODE": "float", "TOP": 0, "CURVE": 0}  # for timing: one number a pixel is written
+OUTPUTS_AS_THEY_ARE: Macros = {"PLANES": 1, "CODE": "float"}
+NOT_ENCODED: Macros = {"NOT_ENCODED": 1, "CODE": "float"}  # for timing: one number a pixel is written
 
 
 def display_macros(display: Display) -> Macros:
     """What the last stage writes."""
-    code = {1: "uchar", 2: "ushort", 4: "uint"}[display.dtype.itemsize]  # integers, or the bits of floats
-    macros: Macros = {"CODE": code, "TOP": display.top, "CURVE": int(display.curved)}
+    macros: Macros = {"CODE": {8: "uchar", 16: "ushort"}[display.bits], "TOP": display.top}
     # Within 8e-5, which moves one value of 8 bits in 200 by one; within 1.2e-6, which is what float32 gives.
     return macros | (curve_macros(2, 5) if display.bits == 8 else curve_macros(3, 8))
 
