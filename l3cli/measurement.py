@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import Noise, Optics
+from l3cli.physics.lens import relative_illumination
 
 CHART_ROWS, CHART_COLS = 4, 6
 PATCHES = CHART_ROWS * CHART_COLS
@@ -42,10 +43,7 @@ class Body:
     @property
     def relative_illumination(self) -> NDArray[np.float64]:
         """(row, col) light of an even scene over that on the axis (docs/method.md#optics)."""
-        focal, distance = self.optics.focal_length, self.optics.object_distance
-        image = focal * distance / (distance - focal) if distance > 0 else focal
-        row, col = (self.pixel_pitch * (np.arange(size) - (size - 1) / 2) for size in (self.rows, self.cols))
-        return (image**2 / (image**2 + row[:, None] ** 2 + col**2)) ** 2
+        return relative_illumination(self.optics.image_distance, self.pixel_pitch, (self.rows, self.cols))
 
 
 @dataclass(frozen=True)

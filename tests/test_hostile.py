@@ -23,8 +23,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from test_render import BAYER, random_table
 
-from l3cli.artifacts.base import save
 from l3cli.artifacts.container import seal
+from l3cli.artifacts.store import save
 from l3cli.classes.names import kind_name
 from l3cli.errors import InputFileError
 from l3cli.io import apart
@@ -474,7 +474,7 @@ HURT = "r\x1b[31m\x07\x9b\u202e\nmean  0.00"
 
 def test_what_names_say_moves_no_cursor_and_makes_no_line(l3: Callable, pipeline: Path, tmp_path: Path) -> None:
     """Names of channels, scenes and lights in artifacts, and whatever stands in the JSON of others."""
-    from l3cli.artifacts.base import load
+    from l3cli.artifacts.store import load
     from l3cli.artifacts.table import TransformTable
 
     table = load(TransformTable, pipeline / "table.h5")

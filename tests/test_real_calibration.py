@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l3cli.artifacts.base import load
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.store import load
 from l3cli.curve_table import read_curves
 from l3cli.io.curves import write_curves
 

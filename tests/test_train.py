@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from l3cli.artifacts.base import load
 from l3cli.artifacts.camera import CameraModel, Noise
 from l3cli.artifacts.partial_sums import ClassSums
+from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingFrame, TrainingSet, write_training_set
 from l3cli.classes.chroma import choose_chromas
@@ -335,7 +335,7 @@ def test_wrong_calls_are_one_line(bayer: CameraModel, fiveband: CameraModel, tmp
 
 def _camera_of(training: Path, tmp_path: Path) -> Path:
     """A file of another kind: the training set's camera alone."""
-    from l3cli.artifacts.base import save
+    from l3cli.artifacts.store import save
     from l3cli.artifacts.training_set import open_training_set
 
     with open_training_set(training) as reader:

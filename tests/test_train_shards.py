@@ -15,8 +15,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from l3cli.artifacts.base import load
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet, write_training_set
 from l3cli.classes.recipe import ClassRecipe

@@ -7,11 +7,11 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli import spectra
-from l3cli.artifacts.base import MOST, Artifact, data, group
 from l3cli.artifacts.fit import Fit
+from l3cli.artifacts.schema import MOST, Artifact, data, group
 from l3cli.errors import InputFileError
 from l3cli.limits import most_pixels
+from l3cli.physics import lens, spectra
 
 MAX_CHANNELS = 16  # a saturation code is 16 bits wide
 MAX_CFA = 8
@@ -53,10 +53,14 @@ class Optics:
             raise ValueError("focal length and f-number must be above zero, the object farther than the focal length")
 
     @property
+    def image_distance(self) -> float:
+        """Distance in m from lens to sensor when the object is in focus."""
+        return lens.image_distance(self.focal_length, self.object_distance)
+
+    @property
     def irradiance_per_radiance(self) -> float:
         """Camera equation, sr: sensor irradiance / scene radiance on the axis (docs/method.md#optics)."""
-        magnification = self.focal_length / (self.object_distance - self.focal_length) if self.object_distance > 0 else 0.0
-        return float(np.pi / (1.0 + 4.0 * self.f_number**2 * (1.0 + magnification) ** 2))
+        return lens.irradiance_per_radiance(self.f_number, lens.magnification(self.focal_length, self.object_distance))
 
 
 def check_sensor(rows: int, cols: int, bits: int, black: float, white: float) -> None:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.base import check, data
+from l3cli.artifacts.schema import check, data
 
 CLASS_BITS = 12  # class decisions are taken on the upper 12 bits of a value, so that 32-bit sums are exact
 CHROMA_SCALE = 1 << 10  # of the chroma weights: sums over 16 channels stay within 32 bits

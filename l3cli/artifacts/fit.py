@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.base import data, group
+from l3cli.artifacts.schema import data, group
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.base import Artifact, data, group
 from l3cli.artifacts.camera import CameraModel, check_cfa, check_sensor
 from l3cli.artifacts.class_rule import ClassRule, check_rule
+from l3cli.artifacts.schema import Artifact, data, group
 
 
 @dataclass(frozen=True)

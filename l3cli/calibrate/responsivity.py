@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli import spectra
+from l3cli.physics import spectra
 
 NODE_STEP = 5.0  # nm between hats: 10 nm doubles the error (docs/method.md#responsivity)
 EDGE = 0.01  # share of a light's peak below which it does not reach a node

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli import spectra
 from l3cli.artifacts.fit import SeriesFit
 from l3cli.calibrate import agreement, defects, gain, noise
 from l3cli.calibrate.curves import Curves
 from l3cli.calibrate.responsivity import COVERAGE, light_centre
 from l3cli.errors import InputFileError
 from l3cli.measurement import PATCHES, BandCapture, Body, Capture
+from l3cli.physics import spectra
 
 Array = NDArray[np.float64]
 

@@ -53,7 +53,7 @@ def evaluate(
     import json
 
     from l3cli import __version__
-    from l3cli.artifacts.base import load
+    from l3cli.artifacts.store import load
     from l3cli.artifacts.table import TransformTable
     from l3cli.artifacts.training_set import open_training_set
     from l3cli.cli.cautions import caution_kernels, caution_trained, caution_unlike

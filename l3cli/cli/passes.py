@@ -7,8 +7,8 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from l3cli.artifacts.base import Stage, equal
 from l3cli.artifacts.partial_sums import ClassSums
+from l3cli.artifacts.schema import Stage, equal
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingPair, TrainingSet, open_training_set
 from l3cli.cli import options

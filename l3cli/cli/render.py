@@ -189,7 +189,7 @@ def render(
 
     if any(path.suffix.lower() not in PLAIN for path in inputs):
         start()  # it takes a third of a second, like what follows
-    from l3cli.artifacts.base import load
+    from l3cli.artifacts.store import load
     from l3cli.artifacts.table import TransformTable
     from l3cli.cli.cautions import caution_kernels, caution_white
     from l3cli.cli.elsewhere import Way
@@ -199,7 +199,8 @@ def render(
     from l3cli.io.raw_files import KnownBetter
     from l3cli.io.sequences import find_frames, read_dark
     from l3cli.io.video import VideoChoice
-    from l3cli.render.display import require_xyz, scene_white
+    from l3cli.physics.display import scene_white
+    from l3cli.render.display import require_xyz
 
     choice = VideoChoice(fps or USUAL_RATE, int(bits), codec, crf, preset)
     target = make_target(output, suffix, choice)

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.base import Artifact, equal, load, open_artifact
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.schema import Artifact, equal
+from l3cli.artifacts.store import load, open_artifact
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet, open_training_set
 from l3cli.cli import options
@@ -160,7 +161,8 @@ def _cameras_within(given: Given) -> list[tuple[str, CameraModel]]:
 
 
 def _camera_figures(camera: CameraModel) -> dict[str, Any]:
-    from l3cli.calibrate.report import camera_figures, figures, shortfall
+    from l3cli.calibrate.acceptance import shortfall
+    from l3cli.calibrate.figures import camera_figures, figures
 
     if camera.fit is not None:
         return figures(camera) | {"shortfall": (shortfall(camera) or "").partition(";")[0]}

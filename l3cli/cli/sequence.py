@@ -29,7 +29,8 @@ from l3cli.io import images
 from l3cli.io.sequences import PATTERN, Footage, Pending, last_number, numbered_files, numbered_name
 from l3cli.io.video import VideoChoice, check_video, is_video, new_video, new_y4m
 from l3cli.parallel.threads import Behind, ahead
-from l3cli.render.display import Display, automatic_exposure, make_display
+from l3cli.physics.display import automatic_exposure
+from l3cli.render.display import Display, make_display
 from l3cli.render.exposure import LightMeter, SteadyExposure
 
 if TYPE_CHECKING:

@@ -223,8 +223,8 @@ def _head(
     run: "Run", camera: "CameraModel", recipes: tuple[Path, Path], inputs: dict[str, list[Path]], seed: int
 ) -> "TrainingSet":
     """The training set's head, with this stage as the last of the camera's history."""
-    from l3cli.artifacts.base import Stage
     from l3cli.artifacts.camera_recipe import recipe_text
+    from l3cli.artifacts.schema import Stage
     from l3cli.artifacts.training_set import TrainingSet
     from l3cli.config import read_text
     from l3cli.files import sha256

@@ -125,8 +125,8 @@ def train(
 
 def train_whole(course: "Course", output: Path, work: "Work") -> None:
     """Both passes and the table."""
-    from l3cli.artifacts.base import save
     from l3cli.artifacts.partial_sums import ClassSums
+    from l3cli.artifacts.store import save
     from l3cli.cli.passes import first_lesson, learn_part, summed
     from l3cli.train.division import frame_blocks
     from l3cli.train.lesson import LAST
@@ -147,8 +147,8 @@ def train_shard(course: "Course", shard: tuple[int, int], first: Path | None, ou
     """One shard's sums of the first pass or, with `first`, of the last."""
     import numpy as np
 
-    from l3cli.artifacts.base import load
     from l3cli.artifacts.partial_sums import PartialSums, write_partial_sums
+    from l3cli.artifacts.store import load
     from l3cli.artifacts.table import TransformTable
     from l3cli.cli.passes import first_lesson, sum_part, summed
     from l3cli.errors import InputFileError
@@ -194,8 +194,9 @@ def merge_shards(shards: tuple[Path, ...], output: Path, quiet: bool) -> None:
     """The table of all shards of a pass; InputFileError if some are missing, doubled or of another run."""
     import contextlib
 
-    from l3cli.artifacts.base import Stage, save
     from l3cli.artifacts.partial_sums import open_partial_sums
+    from l3cli.artifacts.schema import Stage
+    from l3cli.artifacts.store import save
     from l3cli.config import parse_recipe
     from l3cli.errors import InputFileError
     from l3cli.train.lesson import FIRST, Lesson
@@ -235,7 +236,7 @@ def merge_shards(shards: tuple[Path, ...], output: Path, quiet: bool) -> None:
 
 
 def _require_all_shards(paths: tuple[Path, ...], heads: list) -> None:
-    from l3cli.artifacts.base import equal
+    from l3cli.artifacts.schema import equal
     from l3cli.errors import InputFileError
 
     seen: dict[int, Path] = {}

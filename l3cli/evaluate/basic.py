@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli import spectra
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import LightSpectrum, TrainingPair
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.evaluate.demosaic import Demosaic, tiled
+from l3cli.physics import spectra
 
 Array = NDArray[np.floating]
 RIDGE = (

@@ -6,10 +6,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli import spectra
 from l3cli.errors import InputFileError
 from l3cli.io.images import read_image
 from l3cli.io.matlab import Content, array_shapes, read_matlab
+from l3cli.physics import spectra
+from l3cli.physics.display import srgb_decoded
 from l3cli.scene import Scene
 
 Curve = tuple[NDArray[np.floating], NDArray[np.floating]]
@@ -143,5 +144,5 @@ def read_rgb_picture(path: Path) -> NDArray[np.float32]:
     if pixels.dtype.kind == "f":
         return np.maximum(np.nan_to_num(pixels[..., :3]), 0.0).astype(np.float32)
     levels = np.arange(np.iinfo(pixels.dtype).max + 1) / np.iinfo(pixels.dtype).max
-    linear = np.where(levels <= 0.04045, levels / 12.92, ((levels + 0.055) / 1.055) ** 2.4).astype(np.float32)
+    linear = srgb_decoded(levels).astype(np.float32)
     return linear[pixels[..., :3]]

@@ -19,11 +19,11 @@ from typing import Any
 
 import numpy as np
 
-from l3cli import spectra
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.chroma import chroma_weights
 from l3cli.frame import RawFrame
+from l3cli.physics import spectra
 from l3cli.render.display import make_display
 from l3cli.render.layout import VARIANTS
 from l3cli.render.opencl import OpenCLRenderer

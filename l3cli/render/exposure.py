@@ -10,7 +10,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.classes.decide import label_patches
 from l3cli.classes.windows import neighbourhoods
 from l3cli.frame import RawFrame, mirrored_indices
-from l3cli.render.display import WHITE_PERCENTILE
+from l3cli.physics.display import WHITE_PERCENTILE
 
 GRID = (32, 48)  # rows and columns of pixels that are looked at, at most
 TIME_CONSTANT = 1.0  # s, in which log exposure goes 63 % of the way to that of a light that has changed

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli import spectra
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.rule import kernel_arrays, kernel_macros
 from l3cli.classes.windows import Integers, neighbourhoods
+from l3cli.physics.display import srgb_curve
 from l3cli.render.display import Display
 
 Macros = dict[str, int | str]
@@ -63,14 +63,13 @@ def table_macros(table: TransformTable) -> Macros:
     }
 
 
-OUTPUTS_AS_THEY_ARE: Macros = {"PLANES": 1, "CODE": "float", "TOP": 0, "CURVE": 0}
-NOT_ENCODED: Macros = {"NOT_ENCODED": 1, "CODE": "float", "TOP": 0, "CURVE": 0}  # for timing: one number a pixel is written
+OUTPUTS_AS_THEY_ARE: Macros = {"PLANES": 1, "CODE": "float"}
+NOT_ENCODED: Macros = {"NOT_ENCODED": 1, "CODE": "float"}  # for timing: one number a pixel is written
 
 
 def display_macros(display: Display) -> Macros:
     """What the last stage writes."""
-    code = {1: "uchar", 2: "ushort", 4: "uint"}[display.dtype.itemsize]  # integers, or the bits of floats
-    macros: Macros = {"CODE": code, "TOP": display.top, "CURVE": int(display.curved)}
+    macros: Macros = {"CODE": {8: "uchar", 16: "ushort"}[display.bits], "TOP": display.top}
     # Within 8e-5, which moves one value of 8 bits in 200 by one; within 1.2e-6, which is what float32 gives.
     return macros | (curve_macros(2, 5) if display.bits == 8 else curve_macros(3, 8))
 
@@ -79,7 +78,7 @@ def curve_macros(steps: int, degree: int) -> Macros:
     """The power part of the sRGB curve as a polynomial in the fourth root (encoding.cl), fitted at Chebyshev's nodes."""
     lowest = 0.0031308**0.25
     root = lowest + (1 - lowest) * (np.cos(np.linspace(0, np.pi, 1001)) + 1) / 2
-    terms = np.polynomial.polynomial.polyfit(root, spectra.srgb_curve(root**4), degree)
+    terms = np.polynomial.polynomial.polyfit(root, srgb_curve(root**4), degree)
     return {"CURVE_STEPS": steps, "CURVE_DEGREE": degree, "CURVE_TERMS": ",".join(f"{term:.9g}f" for term in terms)}
 
 

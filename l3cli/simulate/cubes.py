@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from l3cli import spectra
+from l3cli.physics import spectra
 from l3cli.scene import Scene, SpectralCube
 from l3cli.simulate.light import Light
 from l3cli.simulate.sources import Spectral

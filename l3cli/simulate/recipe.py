@@ -9,10 +9,10 @@ from typing import Annotated, ClassVar, Literal
 import msgspec
 import numpy as np
 
-from l3cli import spectra
 from l3cli.artifacts.camera import CameraModel, Optics
 from l3cli.config import Recipe
 from l3cli.errors import RecipeError, suggestion
+from l3cli.physics import spectra
 from l3cli.simulate.light import MEASURED, OWN, Curve, parts
 from l3cli.simulate.sensor import with_analog_gain
 from l3cli.simulate.sources import (

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli import spectra
 from l3cli.artifacts.camera import CameraModel
+from l3cli.physics import spectra
 from l3cli.simulate.light import Curve, Light, electron_weights, matching_weights
 
 Array = NDArray[np.floating]
