@@ -17,7 +17,7 @@ from l3cli.errors import RecipeError
 class Feature(Protocol):
     """What the module of a feature has, beside its formula."""
 
-    SNIPPET: str  # file of opencl/ with its formula
+    SNIPPET: str  # file of opencl/ with its formula; rule.cl joins them
 
     def macros(self, rule: ClassRule) -> dict[str, int]:
         """What the snippet is compiled with."""

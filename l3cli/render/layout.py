@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from l3cli import spectra
 from l3cli.artifacts.table import TransformTable
-from l3cli.classes.rule import kernel_arrays, kernel_macros
+from l3cli.classes.rule import FEATURES, kernel_arrays, kernel_macros
 from l3cli.classes.windows import Integers, neighbourhoods
 from l3cli.render.display import Display
 
@@ -158,7 +158,7 @@ class Variant:
     pack: Callable[[TransformTable, int], NDArray[np.float32]]  # weights as its kernels read them, for Cut.lanes
 
 
-SHARED = ("vectors.cl", "rule.cl", "encoding.cl")
+SHARED = ("vectors.cl", *(feature.SNIPPET for feature in FEATURES), "rule.cl", "encoding.cl")
 VARIANTS = {
     # Few and long work-items, each vectorised within: over pixels for the classes, over taps for the transforms.
     "processor": Variant(
