@@ -28,6 +28,9 @@ class Feature(Protocol):
     def entry(self, table: TransformTable, index: int) -> dict[str, Any]:
         """Its value number `index` in documents."""
 
+    def heading(self, entry: dict[str, Any]) -> str:
+        """Such an entry as a row of a table begins."""
+
     def name(self, table: TransformTable, index: int) -> str:
         """Its value number `index` in text."""
 
