@@ -11,10 +11,11 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.classes.decide import label_mosaic, label_patches
 from l3cli.classes.level import LEVEL_FRACTION
 from l3cli.classes.recipe import ClassRecipe
-from l3cli.classes.rule import make_rule
+from l3cli.classes.rule import FEATURES, make_rule
 from l3cli.classes.windows import neighbourhoods, sites
 from l3cli.errors import RecipeError
 from l3cli.frame import mirrored_indices, pad_mosaic
+from l3cli.render.layout import source_folder
 from tests.conftest import random_case_of_code
 
 
@@ -164,3 +165,37 @@ def test_padding_keeps_the_cfa_phase(length: int, margin: int, period: int) -> N
 def test_padding_mirrors_where_the_phase_allows() -> None:
     assert mirrored_indices(6, 3, 2).tolist() == [3, 2, 1, 0, 1, 2, 3, 4, 5, 4, 3, 2]
     assert mirrored_indices(8, 2, 4)[:2].tolist() == [2, 3]
+
+
+def test_indices_are_joined_as_they_are_split(fiveband: CameraModel) -> None:
+    rng = np.random.default_rng(3)
+    rule = make_rule(ClassRecipe(contrasts=(1.4, 4.0)), fiveband, random_case_of_code(5, rng), rng.dirichlet(np.ones(5), 6))
+    index = np.arange(16 * rule.classes_per_site)
+    site, level, contrast, kind = rule.split(index)
+    np.testing.assert_array_equal((site, level, contrast, kind), np.unravel_index(index, (16, *rule.shape)))
+    np.testing.assert_array_equal(rule.join(level, contrast, kind, site), index)
+    np.testing.assert_array_equal(rule.on_site(rule.join(level, contrast, kind), site), index)
+    np.testing.assert_array_equal(rule.within_site(index), rule.join(level, contrast, kind))
+    assert rule.split(1234) == tuple(part[1234] for part in (site, level, contrast, kind))
+    assert rule.by_axis(index)[7, 3, 2, 4] == rule.join(3, 2, 4, 7)
+    assert index[rule.of_site(2)].tolist() == index[site == 2].tolist()
+
+
+def test_a_kind_is_a_chroma_or_a_saturation_case(fiveband: CameraModel) -> None:
+    rng = np.random.default_rng(4)
+    rule = make_rule(ClassRecipe(), fiveband, random_case_of_code(5, rng), rng.dirichlet(np.ones(5), 6))
+    assert rule.kind(np.arange(6), 0).tolist() == [0, 1, 2, 3, 4, 5]
+    assert rule.kind(5, np.arange(1, 4)).tolist() == [6, 7, 8]
+    kinds = np.arange(rule.kinds)
+    assert rule.case(kinds).tolist() == [0, 0, 0, 0, 0, 0, 1, 2, 3]
+    for case in range(rule.cases):
+        assert np.atleast_1d(kinds[rule.kinds_of(case)]).tolist() == kinds[rule.case(kinds) == case].tolist()
+
+
+def test_every_feature_has_its_snippet_and_no_macro_twice(fiveband: CameraModel) -> None:
+    rule = make_rule(ClassRecipe(), fiveband, np.zeros(32, np.uint16))
+    macros = [key for feature in FEATURES for key in feature.macros(rule)]
+    assert len(set(macros)) == len(macros)
+    for feature in FEATURES:
+        snippet = (source_folder() / feature.SNIPPET).read_text(encoding="utf-8")
+        assert f"l3cli/classes/{feature.SNIPPET.removesuffix('.cl')}.py" in snippet

@@ -78,6 +78,11 @@ def entry(table: TransformTable, chroma: int) -> dict[str, Any]:
     return {"chroma": chroma, "shares": dict(zip(table.channels, shares, strict=True))}
 
 
+def heading(entry: dict[str, Any]) -> str:
+    """An entry as a row of a table begins, such as "1: r 0.30 g 0.45 b 0.25"."""
+    return f"{entry['chroma']}: " + " ".join(f"{name} {share:.2f}" for name, share in entry["shares"].items())
+
+
 def name(table: TransformTable, chroma: int) -> str:
     """Such as "chroma 5"."""
     return f"chroma {chroma}"

@@ -57,6 +57,11 @@ def entry(table: TransformTable, contrast: int) -> dict[str, Any]:
     return {"contrast": contrast}
 
 
+def heading(entry: dict[str, Any]) -> str:
+    """An entry as a row of a table begins: its number."""
+    return str(entry["contrast"])
+
+
 def name(table: TransformTable, contrast: int) -> str:
     """Such as "contrast 0"."""
     return f"contrast {contrast}"

@@ -74,6 +74,11 @@ def entry(table: TransformTable, level: int) -> dict[str, Any]:
     return {"level": level, "from": lower, "to": upper}
 
 
+def heading(entry: dict[str, Any]) -> str:
+    """An entry as a row of a table begins, such as "3: 0.0020–0.0031"."""
+    return f"{entry['level']}: {entry['from']:.4f}–{entry['to']:.4f}"
+
+
 def name(table: TransformTable, level: int) -> str:
     """Such as "level 3 (0.002–0.003 of full scale)"."""
     inner = inner_bounds(table.rule, table.black, table.white)

@@ -1,7 +1,16 @@
 """What classes are called."""
 
+from typing import Any
+
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes import chroma, contrast, level, saturation
+
+AXES = {"level": level, "contrast": contrast, "chroma": chroma, "saturation": saturation}  # as documents call the features
+
+
+def heading(axis: str, entry: dict[str, Any]) -> str:
+    """What a row of a table begins with, of an entry that the feature `axis` has made."""
+    return AXES[axis].heading(entry)
 
 
 def class_name(table: TransformTable, index: int) -> str:

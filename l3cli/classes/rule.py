@@ -17,7 +17,7 @@ from l3cli.errors import RecipeError
 class Feature(Protocol):
     """What the module of a feature has, beside its formula."""
 
-    SNIPPET: str  # file of opencl/ with its formula
+    SNIPPET: str  # file of opencl/ with its formula; rule.cl joins them
 
     def macros(self, rule: ClassRule) -> dict[str, int]:
         """What the snippet is compiled with."""
@@ -27,6 +27,9 @@ class Feature(Protocol):
 
     def entry(self, table: TransformTable, index: int) -> dict[str, Any]:
         """Its value number `index` in documents."""
+
+    def heading(self, entry: dict[str, Any]) -> str:
+        """Such an entry as a row of a table begins."""
 
     def name(self, table: TransformTable, index: int) -> str:
         """Its value number `index` in text."""

@@ -57,9 +57,9 @@ def codes(values: NDArray[np.unsignedinteger], rule: ClassRule, order: TapOrder)
     return code
 
 
-def code_of(saturated: NDArray[np.bool_]) -> int:
-    """The code of a pattern of saturated channels (channel)."""
-    return int((saturated << np.arange(saturated.size)).sum())
+def code_of(saturated: NDArray[np.bool_]) -> Integers:
+    """Codes (…) of patterns of saturated channels (…, channel)."""
+    return (saturated.astype(np.int64) << np.arange(saturated.shape[-1])).sum(axis=-1)
 
 
 def cases(rule: ClassRule, code: Integers) -> Integers:
@@ -72,6 +72,11 @@ def entry(table: TransformTable, case: int) -> dict[str, Any]:
     codes = np.flatnonzero(table.rule.case_of_code == case)
     common = int(np.bitwise_and.reduce(codes)) if codes.size else 0
     return {"case": case, "saturated": _channels(table, common)}
+
+
+def heading(entry: dict[str, Any]) -> str:
+    """An entry as a row of a table begins, such as "2: r g"."""
+    return f"{entry['case']}: " + (" ".join(entry["saturated"]) or ("mixed" if entry["case"] else "none"))
 
 
 def name(table: TransformTable, case: int) -> str:

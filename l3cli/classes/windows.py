@@ -24,14 +24,20 @@ class Neighbourhoods:
 
 def neighbourhoods(cfa: NDArray[np.uint8], patch: int, channels: int) -> Neighbourhoods:
     """Windows of side `patch` about every site; RecipeError if one does not reach every channel."""
+    channel = window_channels(cfa, patch)
+    count = np.array([np.bincount(window, minlength=channels) for window in channel])
+    if (count == 0).any():
+        rows, cols = cfa.shape
+        raise RecipeError(f"a {patch}×{patch} patch does not reach every channel of the {rows}×{cols} CFA; enlarge patch")
+    return Neighbourhoods(channel, count, _divided(65536, count), _divided(2**VARIANCE_FRACTION, count))
+
+
+def window_channels(cfa: NDArray[np.uint8], patch: int) -> Integers:
+    """Channel of each tap (site, tap), row by row, of the windows of side `patch` about every site."""
     rows, cols = cfa.shape
     reach = np.arange(patch) - patch // 2
     windows = [cfa[np.ix_((r + reach) % rows, (c + reach) % cols)].ravel() for r in range(rows) for c in range(cols)]
-    channel = np.array(windows, dtype=np.int64)
-    count = np.array([np.bincount(window, minlength=channels) for window in channel])
-    if (count == 0).any():
-        raise RecipeError(f"a {patch}×{patch} patch does not reach every channel of the {rows}×{cols} CFA; enlarge patch")
-    return Neighbourhoods(channel, count, _divided(65536, count), _divided(2**VARIANCE_FRACTION, count))
+    return np.array(windows, dtype=np.int64)
 
 
 def _divided(numerator: int, count: Integers) -> Integers:

@@ -23,11 +23,11 @@ class ClassErrors:
 
     def add(self, labels: NDArray[np.integer], errors: dict[str, Array]) -> None:
         """Count a frame: class (row, col) of every pixel and the error (row, col) of every pipeline there."""
-        within = self._rule.within_site(labels.ravel())
-        size, shape = self._rule.classes_per_site, self._pixels.shape
-        self._pixels += np.bincount(within, minlength=size).reshape(shape)
+        rule = self._rule
+        within, classes = rule.within_site(labels.ravel()), rule.classes_per_site
+        self._pixels += rule.by_axis(np.bincount(within, minlength=classes))[0]
         for name, error in errors.items():
-            self._sums[name] += np.bincount(within, weights=error.ravel(), minlength=size).reshape(shape)
+            self._sums[name] += rule.by_axis(np.bincount(within, weights=error.ravel(), minlength=classes))[0]
 
     def by_axis(self, figure: str) -> dict[str, list[dict[str, Any]]]:
         """Mean error, called `figure`, of the classes met along each axis: level, contrast, chroma, saturation."""

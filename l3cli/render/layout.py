@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
-from l3cli.classes.rule import kernel_arrays, kernel_macros
+from l3cli.classes.rule import FEATURES, kernel_arrays, kernel_macros
 from l3cli.classes.windows import Integers, neighbourhoods
 from l3cli.physics.display import srgb_curve
 from l3cli.render.display import Display
@@ -157,7 +157,7 @@ class Variant:
     pack: Callable[[TransformTable, int], NDArray[np.float32]]  # weights as its kernels read them, for Cut.lanes
 
 
-SHARED = ("vectors.cl", "rule.cl", "encoding.cl")
+SHARED = ("vectors.cl", *(feature.SNIPPET for feature in FEATURES), "rule.cl", "encoding.cl")
 VARIANTS = {
     # Few and long work-items, each vectorised within: over pixels for the classes, over taps for the transforms.
     "processor": Variant(

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes import level
+from l3cli.classes.windows import Integers, window_channels
 from l3cli.report import colours
 from l3cli.report.drawing import WIDTH, Plot, box, escape, heat, sheet, spanning
 from l3cli.report.parts import Block, Figure, Figures, Key, Part, Section, Table, Text, tidy
@@ -118,7 +119,7 @@ def chosen_classes(table: TransformTable) -> list[int]:
     """Classes worth a look: of the commonest channel's first site dark and bright, flat and textured; then a textured class
     of middling level for each other channel. Of each the unsaturated kind of most patches."""
     rule = table.rule
-    samples = table.rule.by_axis(table.samples)[..., : rule.chromas]
+    samples = table.rule.by_axis(table.samples)[..., rule.kinds_of(0)]
     sites = table.cfa.ravel()
     common = int(np.bincount(sites).argmax())
     middles = level_middles(table)
@@ -178,12 +179,9 @@ def _weight_map(weights: Array, left: float, top: float, cell: float) -> list[st
     return items
 
 
-def taps(table: TransformTable, index: int) -> NDArray[np.uint8]:
+def taps(table: TransformTable, index: int) -> Integers:
     """Channel of each tap of a class's patch."""
-    rows, cols = table.cfa.shape
-    row, col = divmod(table.rule.split(index).site, cols)
-    reach = np.arange(table.rule.patch) - table.rule.radius
-    return table.cfa[np.ix_((row + reach) % rows, (col + reach) % cols)].ravel()
+    return window_channels(table.cfa, table.rule.patch)[table.rule.split(index).site]
 
 
 # ----------------------------------------------------------------------------------------------------------- noise
@@ -191,8 +189,8 @@ def taps(table: TransformTable, index: int) -> NDArray[np.uint8]:
 
 def _noise_figures(table: TransformTable) -> Figures:
     """Noise gain over level: median over trained unsaturated classes."""
-    gain = table.rule.by_axis(np.sqrt((table.weights.astype(np.float64) ** 2).sum(axis=2)))[..., : table.rule.chromas, :]
-    trained = table.rule.by_axis(table.samples)[..., : table.rule.chromas] > 0
+    gain = table.rule.by_axis(np.sqrt((table.weights.astype(np.float64) ** 2).sum(axis=2)))[..., table.rule.kinds_of(0), :]
+    trained = table.rule.by_axis(table.samples)[..., table.rule.kinds_of(0)] > 0
     middles, curves = level_middles(table), []
     for output in range(min(MAPS, len(table.outputs))):
         for contrast in sorted({0, table.rule.contrasts - 1}):

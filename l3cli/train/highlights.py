@@ -43,20 +43,20 @@ def grey_patches(
         row = np.concatenate([clipped[window], [1.0], grey * white]) / np.sqrt(clipped.mean() * grey)
         for nearly in NEARLY:
             saturated = clipped >= nearly * threshold
-            case = int(rule.case_of_code[saturation.code_of(saturated)])
+            case = int(saturation.cases(rule, saturation.code_of(saturated)))
             if not case:
                 continue
             share = saturated.mean()
             weight = np.sqrt(min(ODDS * share / max(1.0 - share, 1e-9), SUREST))
             for near in {max(at - 1, 0), at, min(at + 1, rule.levels - 1)}:
-                for index in rule.join(near, np.arange(rule.contrasts), rule.kind(0, case)).tolist():
+                for index in rule.join(near, np.arange(rule.contrasts), rule.kinds_of(case)).tolist():
                     rows.setdefault(index, []).append(weight * row)
     return {index: np.array(own).T @ np.array(own) / len(own) for index, own in rows.items()}
 
 
 def _flat_moments(sums: ClassSums, rule: ClassRule, width: int) -> Array:
     """Summed moments (column, column) of all unsaturated patches of the lowest contrast."""
-    return moment_matrix(rule.by_axis(sums.moments)[0, :, 0, : rule.chromas].sum(axis=(0, 1)), width)
+    return moment_matrix(rule.by_axis(sums.moments)[0, :, 0, rule.kinds_of(0)].sum(axis=(0, 1)), width)
 
 
 def _channels_of(moments: Array, window: NDArray[np.int64], white: Array) -> Array | None:

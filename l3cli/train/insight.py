@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.names import class_name, kind_name
+from l3cli.classes.windows import window_channels
 
 WORST = 8  # classes named
 
@@ -65,16 +66,12 @@ def _spread(values: NDArray[np.float64], names: tuple[str, ...]) -> dict[str, di
 
 def _dc_gain(table: TransformTable, chosen: NDArray[np.bool_]) -> dict[str, dict[str, float]]:
     """Median over the chosen classes of the sum of the weights of each channel: {output: {channel: gain}}."""
-    radius = table.rule.radius
-    reach = np.arange(table.rule.patch) - radius
+    windows = window_channels(table.cfa, table.rule.patch)
     site = table.rule.split(np.arange(len(chosen))).site
-    row, col = np.divmod(site, table.cfa.shape[1])
     gain = np.full((len(chosen), len(table.outputs), len(table.channels)), np.nan)
     for index in np.unique(site):
         here = chosen & (site == index)
-        first = int(np.argmax(site == index))
-        rows, cols = (row[first] + reach) % table.cfa.shape[0], (col[first] + reach) % table.cfa.shape[1]
-        member = table.cfa[np.ix_(rows, cols)].ravel()[:, None] == np.arange(len(table.channels))
+        member = windows[index][:, None] == np.arange(len(table.channels))
         gain[here] = table.weights[here] @ member.astype(np.float64)
     median = np.median(gain[chosen], axis=0) if chosen.any() else np.zeros(gain.shape[1:])
     return {

@@ -61,12 +61,12 @@ def grid_steps(rule: ClassRule, camera: CameraModel, outputs: int) -> Array:
     return STEP * scale[:, row] * scale[:, col]
 
 
-def require_exact(sums: ClassSums, steps: Array) -> None:
+def require_exact(sums: ClassSums, rule: ClassRule, steps: Array) -> None:
     """L3Error if sums have grown so large that additions may have been rounded. No product of two columns sums to more
     than the larger of their squares, so the squares tell for all."""
     width = (int(np.sqrt(8 * sums.moments.shape[1] + 1)) - 1) // 2
     row, col = pairs(width)
-    squares = sums.moments[:, row == col].reshape(len(steps), -1, width) / steps[:, None, row == col]
+    squares = rule.by_axis(sums.moments[:, row == col])[0] / steps[:, None, None, row == col]
     if max(squares.max(), sums.noise.max() / STEP) >= EXACT:
         raise L3Error("a class has more patches than can be added exactly; lower learning.patches or learning.draws")
 

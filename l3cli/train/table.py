@@ -99,7 +99,7 @@ def add_up(lesson: Lesson, parts: Iterable[ClassSums]) -> ClassSums:
     sums = empty_sums(lesson.rule, outputs)
     for part in parts:
         add(sums, part)
-    require_exact(sums, grid_steps(lesson.rule, lesson.head.camera, outputs))
+    require_exact(sums, lesson.rule, grid_steps(lesson.rule, lesson.head.camera, outputs))
     return sums
 
 
