@@ -15,11 +15,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli import spectra, units
+from l3cli import units
 from l3cli.artifacts.camera import LONGEST
 from l3cli.config import LARGEST
 from l3cli.errors import InputFileError, suggestion
 from l3cli.limits import read_bounded
+from l3cli.physics import spectra
 
 MOST_ROWS = 100_000
 WAVELENGTH = ("wavelength", "wavelengths", "lambda", "λ", "wl", "wave", "wvl")

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import Noise, Optics
+from l3cli.physics.lens import relative_illumination
 
 CHART_ROWS, CHART_COLS = 4, 6
 PATCHES = CHART_ROWS * CHART_COLS
@@ -36,16 +37,13 @@ class Body:
 
     @property
     def photons_per_radiance(self) -> float:
-        """m² sr: photons/s on a pixel's area for a scene radiance of 1 photon/s/sr/m² (METHOD 1.3)."""
+        """m² sr: photons/s on a pixel's area for a radiance of 1 photon/s/sr/m² (docs/method.md#optics)."""
         return self.optics.irradiance_per_radiance * self.pixel_pitch**2
 
     @property
     def relative_illumination(self) -> NDArray[np.float64]:
-        """(row, col) light of an even scene over that on the axis: (D² / (D² + r²))², D the image distance (METHOD 1.3)."""
-        focal, distance = self.optics.focal_length, self.optics.object_distance
-        image = focal * distance / (distance - focal) if distance > 0 else focal
-        row, col = (self.pixel_pitch * (np.arange(size) - (size - 1) / 2) for size in (self.rows, self.cols))
-        return (image**2 / (image**2 + row[:, None] ** 2 + col**2)) ** 2
+        """(row, col) light of an even scene over that on the axis (docs/method.md#optics)."""
+        return relative_illumination(self.optics.image_distance, self.pixel_pitch, (self.rows, self.cols))
 
 
 @dataclass(frozen=True)

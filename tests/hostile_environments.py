@@ -19,7 +19,7 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 
-from l3cli.artifacts.base import save
+from l3cli.artifacts.store import save
 from l3cli.cli import run
 from l3cli.io.images import write_mosaic
 

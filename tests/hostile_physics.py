@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from l3cli.artifacts.base import load
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
+from l3cli.artifacts.store import load
 from l3cli.cli import run
 from tests.fuzz import Seeded
 from tests.hostile import CAMERA, Choices, one_of

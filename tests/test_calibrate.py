@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l3cli.artifacts.base import load
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
+from l3cli.artifacts.store import load
 from l3cli.calibrate import defects, gain, model, noise, responsivity
 from l3cli.errors import InputFileError
 from l3cli.files import sha256

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l3cli.artifacts.base import load
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
+from l3cli.artifacts.store import load
 from l3cli.calibrate import defects, gain, noise
 from l3cli.calibrate.curves import Curves
 from l3cli.calibrate.model import efficiency

@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_render import BAYER, FIVE_BAND, X_TRANS, random_camera, random_table
 
-from l3cli.artifacts.base import load, save
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.cli import run
 from l3cli.dark import average_dark, without_dark

@@ -11,14 +11,15 @@ import tifffile
 from conftest import CONFIGS, bayer_camera
 from test_render import BAYER, random_table
 
-from l3cli import spectra
-from l3cli.artifacts.base import save
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
+from l3cli.artifacts.store import save
 from l3cli.artifacts.training_set import open_training_set
 from l3cli.cli import run
 from l3cli.io.dng_writer import LIGHT_CODES, RawColour, write_dng
 from l3cli.io.raw_files import read_raw
+from l3cli.physics import spectra
+from l3cli.physics.display import delta_e_2000, lab, srgb_from_xyz_matrix
 from l3cli.simulate.light import make_light
 from l3cli.simulate.raw_colour import colour_matrix, neutral
 
@@ -84,9 +85,9 @@ def test_other_developers_make_a_true_picture(made: Path) -> None:
         with rawpy.imread(str(path)) as raw:
             picture = raw.postprocess(use_camera_wb=True, no_auto_bright=True, output_bps=16, gamma=(1, 1)) / 65535
         reached = picture[:96, :144].reshape(4, 24, 6, 24, 3)[:, 8:16, :, 8:16].mean(axis=(1, 3)).reshape(24, 3)
-        xyz = reached @ np.linalg.inv(spectra.srgb_from_xyz_matrix()).T
+        xyz = reached @ np.linalg.inv(srgb_from_xyz_matrix()).T
         xyz *= wanted[18, 1] / xyz[18, 1]
-        difference = spectra.delta_e_2000(spectra.lab(xyz, white), spectra.lab(wanted, white))
+        difference = delta_e_2000(lab(xyz, white), lab(wanted, white))
         assert difference.mean() < error, difference.round(1)
         greys = reached[18:]
         assert (np.ptp(greys, axis=1) < 0.03 * greys.mean(axis=1) + 0.004).all()  # noise

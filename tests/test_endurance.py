@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from test_sequences import RGGB
 
-from l3cli.artifacts.base import save
+from l3cli.artifacts.store import save
 from l3cli.io.images import write_mosaic
 from l3cli.io.stacks import chunks_of_a_frame
 from l3cli.io.video import _av

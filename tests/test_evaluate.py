@@ -9,16 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l3cli import spectra
-from l3cli.artifacts.base import load, save
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import LightSpectrum, TrainingFrame, TrainingSet, open_training_set, write_training_set
-from l3cli.classify import label_mosaic
+from l3cli.classes.chroma import chroma_centres
+from l3cli.classes.decide import label_mosaic
 from l3cli.cli import run
 from l3cli.errors import InputFileError
 from l3cli.evaluate.basic import develop, fit_colour, light_of, white_preserving_ridge
-from l3cli.evaluate.classes import ClassErrors, chroma_centres
+from l3cli.evaluate.classes import ClassErrors
 from l3cli.evaluate.demosaic import bayer_roles, interpolate, rivals, tiled
 from l3cli.evaluate.evaluation import Evaluation, higher_is_better
 from l3cli.evaluate.pictures import error_map
@@ -26,6 +26,8 @@ from l3cli.evaluate.quality import band_quality, quality
 from l3cli.evaluate.scielab import OPPONENT_FROM_XYZ, scielab
 from l3cli.evaluate.similarity import psnr, spectral_angle, ssim
 from l3cli.io.images import read_image
+from l3cli.physics import spectra
+from l3cli.physics.display import delta_e_2000, lab
 
 D65 = spectra.white_point("D65")
 QUALITY = {"mean_delta_e", "median_delta_e", "p95_delta_e", "scielab", "psnr", "output_psnr", "ssim"}
@@ -69,9 +71,9 @@ def test_the_border_is_left_out() -> None:
 
 def test_delta_e_is_that_of_isetcam(l3_data: Path) -> None:
     reference = np.load(l3_data.parent / "reference/isetcam/metrics.npz")
-    lab_a, lab_b = (spectra.lab(reference[name], reference["white"]) for name in ("xyz_a", "xyz_b"))
+    lab_a, lab_b = (lab(reference[name], reference["white"]) for name in ("xyz_a", "xyz_b"))
     assert np.abs(lab_a - reference["lab_a"]).max() < 0.01
-    difference = spectra.delta_e_2000(lab_a, lab_b)
+    difference = delta_e_2000(lab_a, lab_b)
     assert difference.mean() == pytest.approx(5.88029, abs=1e-4)
     assert np.abs(difference - reference["dE2000"]).max() < 0.01
 
@@ -90,10 +92,10 @@ def test_scielab_is_that_of_isetcam(l3_data: Path) -> None:
 
 def test_scielab_is_plain_delta_e_on_plain_areas_and_forgives_fine_grain() -> None:
     one, other = np.broadcast_to([0.4, 0.42, 0.4], (60, 70, 3)), np.broadcast_to([0.4, 0.40, 0.46], (60, 70, 3))
-    plain = spectra.delta_e_2000(spectra.lab(one, D65), spectra.lab(other, D65))
+    plain = delta_e_2000(lab(one, D65), lab(other, D65))
     assert scielab(one, other, D65, 50.0) == pytest.approx(plain, abs=1e-9)
     checks = 0.1 * D65 * ((np.indices((60, 70)).sum(0) % 2) * 2 - 1)[..., None]
-    grain = [spectra.delta_e_2000(spectra.lab(one + checks, D65), spectra.lab(one, D65)).mean()]
+    grain = [delta_e_2000(lab(one + checks, D65), lab(one, D65)).mean()]
     grain += [scielab(one + checks, one, D65, viewing).mean() for viewing in (10.0, 50.0, 100.0)]
     assert grain == sorted(grain, reverse=True)  # the further away, the less is seen
     assert grain[-1] < 0.05 * grain[0]
@@ -221,8 +223,8 @@ def test_the_basic_colours_are_those_of_a_laboratory(fiveband: CameraModel) -> N
     for reflectance in spectra.colorchecker(wavelength)[1]:
         frame = a_frame(fiveband, reflectance)
         planes = develop(frame, fiveband, fit_colour(fiveband, light_of(frame, fiveband)), interpolate)
-        labs = [spectra.lab(of.mean(axis=(1, 2)), frame.white) for of in (planes, np.asarray(frame.target))]
-        errors.append(float(spectra.delta_e_2000(*labs)))
+        labs = [lab(of.mean(axis=(1, 2)), frame.white) for of in (planes, np.asarray(frame.target))]
+        errors.append(float(delta_e_2000(*labs)))
     assert 0.5 < np.mean(errors) < 2.2  # a five-channel matrix over wide reflectances, regularised against noise
 
 

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from l3cli import spectra
-from l3cli.artifacts.base import load, save
+from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.cli import terminal
 from l3cli.cli.quality_tables import print_tables
 from l3cli.columns import figure
+from l3cli.physics import spectra
 from tests.conftest import bayer_camera
 from tests.test_rivals import CLASSES
 

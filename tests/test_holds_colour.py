@@ -6,11 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l3cli import spectra
-from l3cli.artifacts.base import load
+from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import open_training_set
 from l3cli.frame import RawFrame
+from l3cli.physics import spectra
+from l3cli.physics.display import delta_e_2000, lab
 from l3cli.render.renderer import make_renderer
 from l3cli.simulate import reflectances
 from l3cli.simulate.charts import colorchecker_patches
@@ -58,8 +59,8 @@ def chart_errors(table: Path, chart: Path) -> np.ndarray:
         for frame in frames:
             outputs = renderer.outputs(RawFrame("chart", frame.raw, camera.black, camera.white))
             planes = outputs * transforms.output_unit / frame.exposure
-            labs = [spectra.lab(np.moveaxis(np.asarray(xyz), 0, -1), frame.white) for xyz in (planes, frame.target)]
-            error = spectra.delta_e_2000(*labs)
+            labs = [lab(np.moveaxis(np.asarray(xyz), 0, -1), frame.white) for xyz in (planes, frame.target)]
+            error = delta_e_2000(*labs)
             inner = [
                 (slice(rows.start + MARGIN, rows.stop - MARGIN), slice(cols.start + MARGIN, cols.stop - MARGIN))
                 for rows, cols in colorchecker_patches(error.shape)

@@ -7,15 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l3cli import spectra
-from l3cli.artifacts.base import load
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.partial_sums import ClassSums
+from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
-from l3cli.classify import ClassRecipe, make_rule, neighbourhoods
+from l3cli.classes.recipe import ClassRecipe
+from l3cli.classes.rule import make_rule
+from l3cli.classes.windows import neighbourhoods
 from l3cli.cli import run
 from l3cli.frame import RawFrame
+from l3cli.physics import spectra
+from l3cli.physics.display import lab
 from l3cli.render.renderer import make_renderer
 from l3cli.simulate import sensor
 from l3cli.simulate.light import make_light, white_rates
@@ -126,8 +129,8 @@ def test_highlights_have_no_cast(learned: Learned) -> None:
     assert np.isfinite(ramp).all()
     assert ramp.min() > 0
     shown = ramp / learned.unit  # Y = 1: the white that just fills its brightest channel
-    lab = spectra.lab(np.minimum(shown, 4.0), learned.white)
-    chroma = np.hypot(lab[:, 1], lab[:, 2])
+    shown_lab = lab(np.minimum(shown, 4.0), learned.white)
+    chroma = np.hypot(shown_lab[:, 1], shown_lab[:, 2])
     assert chroma.max() < 7.0, f"{chroma.max():.1f} at {exposures[chroma.argmax()]:.2f}"
     assert (np.diff(shown[:, 1]) > -0.01 * shown[:-1, 1]).all()  # steps between levels and kinds, hidden by any noise
     clipped = exposures * learned.rates.min() > 1.02 * learned.rates.max()
@@ -154,8 +157,8 @@ def test_clipped_areas_of_a_picture_are_neither_black_nor_magenta(tmp_path: Path
         for left in range(0, 96, 24):
             inside[top + 6 : top + 18, left + 6 : left + 18] = True
     bright = planes[:, inside & (share > 1)].mean(axis=1)
-    lab = spectra.lab(bright, learned.white)
-    assert np.hypot(lab[1], lab[2]) < 5.0
+    bright_lab = lab(bright, learned.white)
+    assert np.hypot(bright_lab[1], bright_lab[2]) < 5.0
 
 
 def test_greys_are_taught_only_where_they_clip(bayer: CameraModel) -> None:

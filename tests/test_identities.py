@@ -12,7 +12,7 @@ import pytest
 from test_sequences import FAST, RGGB, RUN, frames
 
 from l3cli import recipes
-from l3cli.artifacts.base import save
+from l3cli.artifacts.store import save
 from l3cli.cli import init
 from l3cli.files import atomic_output, refuse_spared, sparing
 from l3cli.io.images import write_picture

@@ -13,9 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from l3cli.artifacts import container
-from l3cli.artifacts.base import Artifact, Stage, equal, load, save, write_fields
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.partial_sums import ClassSums, PartialSums, open_partial_sums, write_partial_sums
+from l3cli.artifacts.schema import Artifact, Stage, equal
+from l3cli.artifacts.store import load, save, write_fields
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet, open_training_set, write_training_set
 from l3cli.cli import run

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from l3cli import __version__
-from l3cli.artifacts.base import load
+from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.cli import COMMANDS, l3, terminal
 from l3cli.columns import columns

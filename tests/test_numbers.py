@@ -14,7 +14,7 @@ import pytest
 from test_sequences import COUNT, FAST, RGGB, RUN, frames, pictures
 from test_video import write_raw_video
 
-from l3cli.artifacts.base import load, save
+from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.cli import COMMANDS
 from l3cli.cli import l3 as every_command
@@ -294,7 +294,7 @@ def test_no_chromas_are_none(l3, tmp_path, pipeline) -> None:
     ("key", "words"),
     [
         ("[classes]\nchromas = -1", "classes.chromas is -1; the least is 0"),
-        ("[classes]\nchromas = 10000000", "classes.chromas is 10000000; the most is 1000000"),
+        ("[classes]\nchromas = 10000000", "classes.chromas is 10000000; the most is 64"),
         ("[classes]\nmax_cases = 0", "classes.max_cases is 0; the least is 1"),
         ("[classes]\nsaturation_radius = -2", "classes.saturation_radius is -2; the least is 0"),
         (f"[classes]\nlevels = {FAR}", "classes.levels is 100000000000000000000000; a whole number has at most 64 bits"),
@@ -338,7 +338,7 @@ def test_what_cannot_be_loaded_or_started_is_one_line(refused, tmp_path, table, 
     def unmapped(*_: object) -> None:
         raise ImportError("libfoo.so: failed to map segment from shared object")
 
-    monkeypatch.setattr("l3cli.artifacts.base.load", unmapped)
+    monkeypatch.setattr("l3cli.artifacts.store.load", unmapped)
     assert "libfoo.so: failed to map segment" in refused(1, "render", table, stack, "-o", tmp_path / "out", *FAST)
 
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l3cli.artifacts.base import load, save
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
+from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.cli import run
 from l3cli.evaluate.likeness import MOST_COLOUR, colour_difference, noise_ratio, unlike

@@ -9,7 +9,7 @@ import pytest
 import tifffile
 from test_sequences import COUNT, FAST, RGGB, frames, pictures
 
-from l3cli.artifacts.base import save
+from l3cli.artifacts.store import save
 from l3cli.errors import InputFileError
 from l3cli.io.frames import read_frame
 from l3cli.io.images import read_image, write_mosaic, write_picture

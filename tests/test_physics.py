@@ -9,14 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l3cli import spectra, units
-from l3cli.artifacts.base import load
+from l3cli import units
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
+from l3cli.artifacts.store import load
 from l3cli.curve_table import read_table
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.io.measurements import patch_name
 from l3cli.measurement import PATCH_NAMES
+from l3cli.physics import spectra
 
 L3 = Callable[..., tuple[int, str, str]]
 Refused = Callable[..., str]

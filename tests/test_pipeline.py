@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l3cli.artifacts.base import load
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.cli import COMMANDS
 from l3cli.io.images import read_image
@@ -91,6 +91,6 @@ def test_an_interrupt_is_one_line_and_130(monkeypatch: pytest.MonkeyPatch, l3: C
     def interrupted(path: Path) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("l3cli.artifacts.base.describe", interrupted)
+    monkeypatch.setattr("l3cli.artifacts.store.describe", interrupted)
     code, out, err = l3("info", tmp_path / "x.h5")
     assert (code, out, err.strip()) == (130, "", "l3: interrupted")

@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l3cli.artifacts.base import load
+from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.cli import run
 from l3cli.files import sole_writer_of_file, sole_writer_of_folder

@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_render import BAYER, FIVE_BAND, random_table
 
-from l3cli.artifacts.base import save
+from l3cli.artifacts.store import save
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.frame import with_one_black
 from l3cli.io.cfa_codes import channel_codes, find_phase

@@ -12,10 +12,10 @@ import click
 import pytest
 
 from l3cli import recipes
-from l3cli.artifacts.base import load
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import CameraRecipe, load_camera
 from l3cli.artifacts.partial_sums import PartialSums
+from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import GROUPS, TrainingSet
 from l3cli.cli import COMMANDS, l3

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l3cli import spectra
 from l3cli.cli import run
 from l3cli.io.images import read_image
+from l3cli.physics import spectra
+from l3cli.physics.display import adaptation_matrix, delta_e_2000, lab
 
 # The camera: published curves of the Canon 600D, whose sensor is that of the 550D that took colorchart.dng. The noise
 # figures are plausible for that generation; black, white and depth are those of the file.
@@ -93,9 +94,9 @@ def test_the_chart_has_its_published_colours(chart: np.ndarray) -> None:
     white = spectra.white_point("D65")
     # One fit of exposure and white: the white patch, with its published luminance, is made neutral.
     scene_white = measured[18] / published[18, 1]
-    adapted = measured @ spectra.adaptation_matrix(scene_white, white).T / scene_white[1]
-    ours, truth = spectra.lab(adapted, white), spectra.lab(published, white)
-    difference = spectra.delta_e_2000(ours, truth)
+    adapted = measured @ adaptation_matrix(scene_white, white).T / scene_white[1]
+    ours, truth = lab(adapted, white), lab(published, white)
+    difference = delta_e_2000(ours, truth)
     report = ", ".join(f"{name} {error:.1f}" for name, error in zip(names, difference, strict=True))
     print(f"mean ΔE00 {difference.mean():.2f}: {report}")
     assert difference.mean() < 6, report

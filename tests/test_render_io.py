@@ -12,16 +12,18 @@ import OpenImageIO as oiio
 import pytest
 from test_render import BAYER, XYZ, random_table
 
-from l3cli import cli, spectra
-from l3cli.artifacts.base import save
+from l3cli import cli
+from l3cli.artifacts.store import save
 from l3cli.errors import RecipeError
 from l3cli.files import sha256
 from l3cli.frame import RawFrame
 from l3cli.io import raw_files
 from l3cli.io.images import check_format, read_image, write_linear, write_picture
 from l3cli.io.raw_files import KnownBetter, read_raw
+from l3cli.physics import spectra
+from l3cli.physics.display import adaptation_matrix, scene_white, srgb_from_xyz_matrix
 from l3cli.render import opencl_devices
-from l3cli.render.display import make_display, scene_white
+from l3cli.render.display import make_display
 from l3cli.render.reference import ReferenceRenderer
 
 ENDING = (signal.SIGALRM, signal.SIGINT, signal.SIGTERM)
@@ -325,11 +327,11 @@ def test_no_device_is_exit_code_4(refused, tmp_path, table, raw, monkeypatch):
 
 
 def test_a_frame_is_rendered_without_colour_science_by_its_very_numbers(tmp_path, table, raw):
-    colour = spectra._colour()
-    np.testing.assert_array_equal(spectra.srgb_from_xyz_matrix(), colour.RGB_COLOURSPACES["sRGB"].matrix_XYZ_to_RGB)
+    colour = spectra.colour_science()
+    np.testing.assert_array_equal(srgb_from_xyz_matrix(), colour.RGB_COLOURSPACES["sRGB"].matrix_XYZ_to_RGB)
     a, d65 = spectra.white_point("A"), spectra.white_point("D65")
     theirs = colour.adaptation.matrix_chromatic_adaptation_VonKries(a, d65, transform="Bradford")
-    np.testing.assert_allclose(spectra.adaptation_matrix(3 * a, d65), theirs, atol=1e-12)
+    np.testing.assert_allclose(adaptation_matrix(3 * a, d65), theirs, atol=1e-12)
     call = f"run(['render', {str(table)!r}, {str(raw)!r}, '-o', {str(tmp_path / 'a.png')!r}])"
     slow = "{'colour', 'scipy', 'matplotlib', 'av', 'tifffile'}"
     program = f"import sys; from l3cli.cli import run; code = {call}; sys.exit(code or bool({slow} & set(sys.modules)))"

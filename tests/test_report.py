@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l3cli.artifacts.base import Stage, load, save
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
+from l3cli.artifacts.schema import Stage
+from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import open_training_set, write_training_set
 from l3cli.cli import run

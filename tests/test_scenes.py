@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l3cli import spectra
 from l3cli.errors import InputFileError
 from l3cli.io.scene_files import find, read_iset_scene, read_rgb_picture
+from l3cli.physics import spectra
+from l3cli.physics.display import srgb_curve, srgb_from_xyz_matrix
 from l3cli.scene import Scene
 from l3cli.simulate import charts, leaves, light, procedural, reflectances, rgb
 from tests.conftest import CONFIGS
@@ -145,7 +146,7 @@ def test_raised_spectra_have_the_colours_of_the_picture_and_stay_reflectances() 
     d65 = light.make_light("D65", {}, WAVELENGTH)
     functions = spectra.colour_matching_functions(d65.wavelength)
     xyz = scene.reflectance @ light.matching_weights(functions, d65, WAVELENGTH).T
-    assert np.allclose(xyz @ spectra.srgb_from_xyz_matrix().T, picture, atol=1e-3)
+    assert np.allclose(xyz @ srgb_from_xyz_matrix().T, picture, atol=1e-3)
     grey = rgb.raise_to_spectra(np.full((1, 1, 3), 0.4, np.float32), WAVELENGTH, "grey")
     assert np.allclose(grey.reflectance, 0.4, atol=1e-6)
 
@@ -162,8 +163,8 @@ def test_a_picture_becomes_frames(l3: Callable[..., tuple[int, str, str]], bayer
     with open_training_set(tmp_path / "t.h5") as reader:
         frame = reader.frame(0)
     assert frame.raw.shape == (32, 48)
-    linear = spectra.srgb_from_xyz_matrix() @ frame.target.mean(axis=(1, 2)) / frame.white[1]
-    assert np.allclose(spectra.srgb_curve(linear) * 255, [200, 40, 30], atol=0.5)
+    linear = srgb_from_xyz_matrix() @ frame.target.mean(axis=(1, 2)) / frame.white[1]
+    assert np.allclose(srgb_curve(linear) * 255, [200, 40, 30], atol=0.5)
 
 
 def test_decoded_pictures_are_linear(tmp_path: Path) -> None:
@@ -171,7 +172,7 @@ def test_decoded_pictures_are_linear(tmp_path: Path) -> None:
 
     write_picture(tmp_path / "ramp.png", np.repeat(np.arange(256, dtype=np.uint8)[None, :, None], 3, axis=2))
     linear = read_rgb_picture(tmp_path / "ramp.png")
-    assert np.allclose(spectra.srgb_curve(linear[0, :, 0].astype(float)) * 255, np.arange(256), atol=0.01)
+    assert np.allclose(srgb_curve(linear[0, :, 0].astype(float)) * 255, np.arange(256), atol=0.01)
     (tmp_path / "broken.png").write_bytes((tmp_path / "ramp.png").read_bytes()[:40])
     with pytest.raises(InputFileError):
         read_rgb_picture(tmp_path / "broken.png")

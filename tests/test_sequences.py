@@ -21,7 +21,7 @@ import tifffile
 from test_render import BAYER, FIVE_BAND, random_table
 
 from l3cli import cli
-from l3cli.artifacts.base import save
+from l3cli.artifacts.store import save
 from l3cli.errors import InputFileError
 from l3cli.frame import RawFrame
 from l3cli.io.images import read_image, write_mosaic
@@ -29,7 +29,7 @@ from l3cli.io.raw_files import KnownBetter
 from l3cli.io.sequences import find_frames, numbered_files, numbered_name
 from l3cli.parallel import threads
 from l3cli.parallel.threads import Behind, ahead
-from l3cli.render.display import automatic_exposure
+from l3cli.physics.display import automatic_exposure
 from l3cli.render.exposure import TIME_CONSTANT, LightMeter, SteadyExposure
 from l3cli.render.reference import ReferenceRenderer
 

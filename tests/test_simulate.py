@@ -13,9 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l3cli import spectra
 from l3cli.artifacts.camera import CameraModel, Noise, Optics
 from l3cli.artifacts.training_set import open_training_set
+from l3cli.physics import spectra
+from l3cli.physics.lens import diffraction_transfer, relative_illumination
 from l3cli.scene import Scene
 from l3cli.simulate import charts, light, optics, procedural, sensor
 from l3cli.simulate.drawn import draw
@@ -38,7 +39,7 @@ def grey_scene(camera: CameraModel, shape: tuple[int, int] = (32, 32), reflectan
 
 @pytest.fixture
 def isetcam(l3_data: Path) -> Path:
-    """ISETCam's numbers (METHOD 1.3)."""
+    """ISETCam's numbers (docs/method.md#optics)."""
     folder = l3_data.parent / "reference/isetcam"
     if not folder.is_dir():
         pytest.skip("the ISETCam reference is not at hand")
@@ -91,7 +92,7 @@ def test_electrons_and_noise_meet_isetcam(isetcam: Path, off_axis: str) -> None:
     chart = Scene("patches", table["wave"], patches.reshape(6, 4, -1).transpose(1, 0, 2).copy(), illuminant)
     frame = simulate(camera, chart, light.own_light(chart, white), given["exp_time"], PLAIN, (0, 0))
     patch_pixels = given["patch_px"] * given["oi_sample_spacing_m"][0] / camera.pixel_pitch
-    fall = optics.relative_illumination(camera.optics, camera.pixel_pitch, (camera.rows, camera.cols))
+    fall = relative_illumination(camera.optics.image_distance, camera.pixel_pitch, (camera.rows, camera.cols))
     dark = camera.noise.dark_current * given["exp_time"]  # only the noisy frames hold it
     samples = {"r": 61**2 / 4, "g": 61**2 / 2, "b": 61**2 / 4}  # pixels of a patch and channel
     variances, darks, known, deviations = [], [], [], []
@@ -288,9 +289,9 @@ def test_low_rank_diffraction_stays_within_its_error(pitch: float, f_number: flo
     transfer = optics.low_rank_transfer(np.sqrt(0.5) / pitch, tuple(wavelength), f_number)
     frequency = np.random.default_rng(0).uniform(0, np.sqrt(0.5) / pitch, 5000)
     radial = np.array([np.interp(frequency, transfer.frequency, term) for term in transfer.radial])
-    exact = optics.diffraction_transfer(frequency, wavelength, f_number)
+    exact = diffraction_transfer(frequency, wavelength, f_number)
     assert abs(radial.T @ transfer.spectral - exact).max() < 1e-4
-    assert optics.diffraction_transfer(np.array([0.0]), wavelength, f_number) == pytest.approx(1.0)
+    assert diffraction_transfer(np.array([0.0]), wavelength, f_number) == pytest.approx(1.0)
 
 
 def test_diffraction_blurs_each_band_by_its_own_transfer(bayer: CameraModel) -> None:
@@ -304,7 +305,7 @@ def test_diffraction_blurs_each_band_by_its_own_transfer(bayer: CameraModel) -> 
     assert lens is not None
     planes = optics.project(cube, (weights[:, None] * lens.spectral).reshape(-1, wavelength.size))
     got = optics.blurred_channels(planes.reshape(3, -1, 64, 64), lens, pitch)
-    transfer = optics.diffraction_transfer(np.array([cycles / pitch]), wavelength, f_number)[0]
+    transfer = diffraction_transfer(np.array([cycles / pitch]), wavelength, f_number)[0]
     expected = 0.5 * weights.sum(axis=1)[:, None] + 0.4 * (weights @ transfer)[:, None] * wave
     assert np.allclose(got[:, :, 32], expected, atol=1e-4 * weights.sum(axis=1).max())
     assert transfer.max() - transfer.min() > 0.1
@@ -330,7 +331,7 @@ def test_the_transfer_function_of_a_simulated_edge_is_that_of_the_method(f_numbe
     measured = abs(np.fft.rfft(soft * window)) / abs(np.fft.rfft(sharp * window))
     frequency = np.fft.rfftfreq(sharp.size, 0.25)
     used = (frequency > 0.02) & (frequency < 0.45)
-    expected = optics.diffraction_transfer(frequency / pitch, band, f_number)[:, 0]
+    expected = diffraction_transfer(frequency / pitch, band, f_number)[:, 0]
     assert abs(measured - expected)[used].max() < 1e-3
 
 
@@ -348,8 +349,8 @@ def test_defocus_is_a_gaussian_of_its_width() -> None:
 
 
 def test_off_axis_light_falls_as_the_fourth_power_of_the_cosine(fiveband: CameraModel) -> None:
-    fall = optics.relative_illumination(fiveband.optics, fiveband.pixel_pitch, (1164, 2048))
-    distance = optics.image_distance(fiveband.optics)
+    fall = relative_illumination(fiveband.optics.image_distance, fiveband.pixel_pitch, (1164, 2048))
+    distance = fiveband.optics.image_distance
     corner = np.hypot(581.5, 1023.5) * fiveband.pixel_pitch
     assert fall[0, 0] == pytest.approx(np.cos(np.arctan(corner / distance)) ** 4, rel=1e-5)
     assert fall[582, 1024] == pytest.approx(1.0, abs=1e-6)
@@ -520,7 +521,7 @@ def test_an_unknown_channel_in_the_colour_filter_array_is_one_line(refused: Call
 
 
 def test_fixed_exposure_needs_an_absolute_camera(refused: Callable[..., str], bayer: CameraModel, tmp_path: Path) -> None:
-    from l3cli.artifacts.base import save
+    from l3cli.artifacts.store import save
 
     save(dataclasses.replace(bayer, absolute=False), tmp_path / "relative.h5")
     (tmp_path / "scenes.toml").write_text("exposure_s = [0.01]\n" + LEAVES)

@@ -6,12 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l3cli import spectra
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import open_training_set
 from l3cli.errors import InputFileError
 from l3cli.io import cubes
 from l3cli.io.scene_files import read_iset_scene
+from l3cli.physics import spectra
+from l3cli.physics.display import lab
 from l3cli.scene import Scene
 from l3cli.simulate import charts, sources
 from l3cli.simulate.drawn import draw
@@ -258,7 +259,7 @@ def test_munsell_colours_are_evenly_spread_and_real(bayer: CameraModel) -> None:
     cube = charts.munsell((16 * 8, 20 * 8), WAVELENGTH)
     d65 = spectra.illuminant("D65", WAVELENGTH)
     xyz = cube[4::8, 4::8] @ (spectra.xyz_weights(WAVELENGTH) * d65).T / (spectra.xyz_weights(WAVELENGTH)[1] @ d65)
-    lightness = spectra.lab(xyz, spectra.white_point("D65"))[..., 0]
+    lightness = lab(xyz, spectra.white_point("D65"))[..., 0]
     assert np.allclose(lightness, np.repeat((30, 50, 70, 85), 4)[:, None], atol=0.6)
 
 

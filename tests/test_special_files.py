@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from test_sequences import FAST, RGGB, frames
 
-from l3cli.artifacts.base import save
+from l3cli.artifacts.store import save
 from l3cli.errors import InputFileError
 from l3cli.files import open_regular, require_regular, sha256
 from l3cli.io.images import write_mosaic

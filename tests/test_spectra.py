@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from l3cli import spectra
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.calibrate import responsivity, series
@@ -16,6 +15,7 @@ from l3cli.curve_table import read_curves
 from l3cli.errors import InputFileError
 from l3cli.io.scene_files import read_iset_scene
 from l3cli.measurement import BandCapture
+from l3cli.physics import spectra
 from l3cli.scene import Scene, SpectralCube
 from l3cli.simulate import light, recipe
 from l3cli.simulate.cubes import scene_of

@@ -15,11 +15,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from l3cli.artifacts.base import load
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet, write_training_set
-from l3cli.classify import ClassRecipe, make_rule
+from l3cli.classes.recipe import ClassRecipe
+from l3cli.classes.rule import make_rule
 from l3cli.errors import InputFileError
 from l3cli.parallel import workers
 from l3cli.stages.console import Silent
@@ -164,7 +165,7 @@ def test_same_bytes_for_jobs_and_shards(bayer: CameraModel, tmp_path: Path, l3: 
         ("0/3", "shards count from"),
         ("4/3", "shards count from"),
         ("3", "is not I/N"),
-        ("a/b", "is no number"),
+        ("a/b", "is not I/N"),
     ):
         assert why in refused(2, "train", *run, "--shard", wrong, "-o", out)
     assert "--merge takes shards alone" in refused(2, "train", "--merge", *a, "--shard", "1/3", "-o", out)
@@ -228,12 +229,12 @@ def test_shares_give_the_same_bytes_in_shards(bayer: CameraModel, tmp_path: Path
     [
         ("1", "--shares gives 1 shares for 2 training sets"),
         ("1,2,3", "--shares gives 3 shares for 2 training sets"),
-        ("1,-2", "shares must not be negative"),
-        ("0,0", "one must be above zero"),
-        ("1,x", "is no list of numbers"),
-        ("1,nan", "is no list of numbers"),
-        ("1,1e999", "is no list of numbers"),
-        ("", "is no list of numbers"),
+        ("1,-2", "-2 is not within 0…1e+06; the nearest is 0"),
+        ("0,0", "one share must be above zero"),
+        ("1,x", "is no number"),
+        ("1,nan", "is no number"),
+        ("1,1e999", "the nearest is 1e+06"),
+        ("", "in a list such as 1,0.7,0.4"),
     ],
 )
 def test_wrong_shares_are_one_line(shares: str, why: str, bayer: CameraModel, tmp_path: Path, refused: Callable) -> None:

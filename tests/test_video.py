@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from test_sequences import COUNT, FAST, RGGB, RUN, frames, pictures
 
-from l3cli.artifacts.base import save
+from l3cli.artifacts.store import save
 from l3cli.io.images import read_image
 from l3cli.io.video import VideoChoice, new_video
 from l3cli.stages.rendering import executors

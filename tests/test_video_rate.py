@@ -16,8 +16,8 @@ import av
 import numpy as np
 import pytest
 
-from l3cli.artifacts.base import load
 from l3cli.artifacts.camera_recipe import load_camera
+from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.io.images import read_image
 from l3cli.io.raw_files import read_raw

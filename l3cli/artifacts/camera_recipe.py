@@ -7,12 +7,12 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli import spectra
-from l3cli.artifacts.base import load
 from l3cli.artifacts.camera import LONGEST, MAX_CFA, MAX_CHANNELS, MOST_WAVELENGTHS, CameraModel, Noise, Optics
+from l3cli.artifacts.store import load
 from l3cli.config import Recipe, Seed, load_recipe, read_text
 from l3cli.curve_table import read_table
 from l3cli.errors import RecipeError, suggestion
+from l3cli.physics import spectra
 
 PITCHES_UM, LEAST_F_NUMBER, LEAST_FOCAL_MM = (0.1, 1000.0), 0.5, 0.05  # beyond, a length was given in another unit
 MOST_PRNU = 0.2  # of any sensor that can be corrected

@@ -1,11 +1,11 @@
-"""What calibration measured of a camera and how well its model explains it (METHOD 1.4): group `fit` of a camera model."""
+"""What calibration measured of a camera, how well its model explains it (docs/method.md#calibration): group `fit`."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.base import data, group
+from l3cli.artifacts.schema import data, group
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts import container
-from l3cli.artifacts.base import (
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.schema import Artifact, check, data, group
+from l3cli.artifacts.store import (
     CHECKSUM,
-    Artifact,
-    check,
-    data,
-    group,
     hard_group,
     members,
     new_artifact,
@@ -25,7 +23,6 @@ from l3cli.artifacts.base import (
     read_history,
     write_fields,
 )
-from l3cli.artifacts.camera import CameraModel
 from l3cli.errors import InputFileError, L3Error
 
 LARGEST = 1e12  # electrons, cd/m², seconds: 32-bit floats hold its square
@@ -85,7 +82,7 @@ class TrainingFrame(TrainingPair):
     """A pair that was simulated: the noise-free electrons are known too.
 
     They are full-resolution: every channel at every pixel, so that training may place the mosaic at any offset and in any of
-    its eight orientations (METHOD 4.8). `raw` is the mosaic the camera would have given.
+    its eight orientations (docs/method.md#patches). `raw` is the mosaic the camera would have given.
     """
 
     electrons: NDArray[np.float32] = data(

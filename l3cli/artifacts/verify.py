@@ -8,7 +8,8 @@ from typing import Any
 import h5py
 
 from l3cli.artifacts import container
-from l3cli.artifacts.base import Stage, open_artifact, read_history, require_plain
+from l3cli.artifacts.schema import Stage
+from l3cli.artifacts.store import open_artifact, read_history, require_plain
 from l3cli.errors import InputFileError
 from l3cli.limits import read_bounded
 

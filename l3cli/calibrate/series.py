@@ -1,4 +1,4 @@
-"""A chart behind narrow filters at several exposures: linearity and relative responses (METHOD 1.5, "Real bands")."""
+"""A chart behind narrow filters: linearity and relative responses (docs/method.md#sweeps-and-band-series)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,13 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli import spectra
 from l3cli.artifacts.fit import SeriesFit
 from l3cli.calibrate import agreement, defects, gain, noise
 from l3cli.calibrate.curves import Curves
 from l3cli.calibrate.responsivity import COVERAGE, light_centre
 from l3cli.errors import InputFileError
 from l3cli.measurement import PATCHES, BandCapture, Body, Capture
+from l3cli.physics import spectra
 
 Array = NDArray[np.float64]
 

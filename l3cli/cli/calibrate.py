@@ -42,9 +42,9 @@ def calibrate(
     \b
     Example: l3 calibrate lab/MEASUREMENTS.toml -o camera.h5
     """
-    from l3cli.artifacts.base import save
     from l3cli.artifacts.camera_recipe import camera_files, load_camera
-    from l3cli.calibrate import model, report
+    from l3cli.artifacts.store import save
+    from l3cli.calibrate import acceptance, figures, model, text
     from l3cli.errors import L3Error
     from l3cli.io.curves import export_curves, export_paths
     from l3cli.io.measurements import inputs_of, load_measurements
@@ -64,19 +64,19 @@ def calibrate(
         return console.progress(ordered_map(function, captures, jobs), len(captures), "captures")
 
     camera = model.calibrate(measured, each)
-    if (shortfall := report.shortfall(camera)) and not accept:
-        raise L3Error(f"{measurements}: {shortfall}")
+    if (shortfall := acceptance.shortfall(camera)) and not accept:
+        raise L3Error(f"{measurements}: {shortfall}, or add --accept")
     camera = replace(camera, history=(inputs.history({"accept": True} if accept else {}),))
-    result: dict[str, Any] = report.figures(camera)
+    result: dict[str, Any] = figures.figures(camera)
     if true is not None:
-        result["truth"] = report.compare(camera, true)
+        result["truth"] = figures.compare(camera, true)
     save(camera, output)
     if export:
         export_curves(camera, export)
     if as_json:
         show_json(result, console)
     else:
-        show(*report.as_text(result, terminal.width()))
+        show(*text.as_text(result, terminal.width()))
     if shortfall:
         console.say(f"accepted although {shortfall.partition(';')[0]}")
     if result["saturation reached"] is False:

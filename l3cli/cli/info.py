@@ -51,7 +51,7 @@ def info(file: Path | None, inputs: tuple[Path, ...], verifies: bool, versions: 
 
 def _content(file: Path) -> dict[str, Any]:
     """What is in a file, ready for JSON."""
-    from l3cli.artifacts.base import describe, load
+    from l3cli.artifacts.store import describe, load
     from l3cli.artifacts.table import TransformTable
 
     content = describe(file)

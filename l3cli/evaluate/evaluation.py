@@ -13,10 +13,10 @@ from l3cli.errors import InputFileError
 from l3cli.evaluate.basic import Colour, develop, fit_colour, light_of
 from l3cli.evaluate.classes import ClassErrors
 from l3cli.evaluate.demosaic import rivals
-from l3cli.evaluate.displayed import delta_e, display_scale, displayed
 from l3cli.evaluate.quality import XYZ, band_quality, cropped, quality
 from l3cli.evaluate.scielab import VIEWING
 from l3cli.evaluate.similarity import spectral_angle
+from l3cli.physics.display import displayed, displayed_delta_e, white_luminance
 
 Array = NDArray[np.floating]
 FORMAT = 1  # of the document; a change of its keys raises it
@@ -122,8 +122,8 @@ class Evaluation:
         """ΔE00 as displayed, or spectral angle in degrees, of every pixel (row, col)."""
         if not self._pictures:
             return spectral_angle(planes, frame.target)
-        scale = display_scale(frame.target)
-        return delta_e(*(displayed(of, frame.white, scale) for of in (planes, frame.target)))
+        scale = white_luminance(frame.target[1])
+        return displayed_delta_e(*(displayed(of, frame.white, scale) for of in (planes, frame.target)))
 
     def _mean(self, frames: Iterable[dict[str, Any]]) -> dict[str, dict[str, float]]:
         frames = list(frames)

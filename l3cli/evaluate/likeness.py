@@ -12,12 +12,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli import spectra
-from l3cli.artifacts.base import equal
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.schema import equal
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import LightSpectrum
 from l3cli.evaluate.basic import electrons_of, fit_colour, lit_library, named_light
+from l3cli.physics import spectra
+from l3cli.physics.display import delta_e_2000, lab
 
 Array = NDArray[np.floating]
 LIGHTS = ("D65", "A")
@@ -63,8 +64,8 @@ def _colour_difference(one: CameraModel, other: CameraModel, light: LightSpectru
         balanced = electrons * colour.balance
         size = balanced[0].mean()
         seen = (balanced / size if size > 0 else balanced) @ colour.matrix.T
-        labs.append(spectra.lab(np.maximum(seen, 0.0) * white, white))
-    return float(spectra.delta_e_2000(*labs).mean())
+        labs.append(lab(np.maximum(seen, 0.0) * white, white))
+    return float(delta_e_2000(*labs).mean())
 
 
 def noise_ratio(one: CameraModel, other: CameraModel) -> float:

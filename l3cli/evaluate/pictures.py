@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.training_set import TrainingPair
-from l3cli.evaluate.displayed import delta_e, display_scale, displayed, encoded
+from l3cli.physics.display import displayed, displayed_delta_e, srgb_codes, white_luminance
 
 Array = NDArray[np.floating]
 Picture = NDArray[np.uint8]
@@ -15,12 +15,12 @@ RAMP = np.array([[0, 0, 0], [70, 10, 110], [190, 40, 90], [245, 140, 30], [255, 
 def frame_pictures(frame: TrainingPair, planes: dict[str, Array]) -> dict[str, Picture]:
     """sRGB pictures (row, col, 3) by name: "ideal", each pipeline of `planes` (XYZ (3, row, col) in the target's unit), and
     "error", the ΔE00 of the first of them, ours, by `error_map`. All are shown on the target's scale."""
-    scale = display_scale(frame.target)
+    scale = white_luminance(frame.target[1])
     ideal = displayed(frame.target, frame.white, scale)
     shown = {name: displayed(of, frame.white, scale) for name, of in planes.items()}
     ours = next(iter(shown.values()))
-    pictures = {name: encoded(linear) for name, linear in shown.items()}
-    return {**pictures, "ideal": encoded(ideal), "error": error_map(delta_e(ours, ideal))}
+    pictures = {name: srgb_codes(linear) for name, linear in shown.items()}
+    return {**pictures, "ideal": srgb_codes(ideal), "error": error_map(displayed_delta_e(ours, ideal))}
 
 
 def error_map(difference: Array) -> Picture:

@@ -6,10 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli import spectra
-from l3cli.evaluate.displayed import DISPLAY_PERCENTILE, delta_e, display_scale, display_white, displayed, displayed_xyz
 from l3cli.evaluate.scielab import VIEWING, scielab
-from l3cli.evaluate.similarity import LUMA, psnr, spectral_angle, ssim
+from l3cli.evaluate.similarity import psnr, spectral_angle, ssim
+from l3cli.physics.display import LUMA, daylight, displayed, displayed_delta_e, displayed_xyz, srgb_curve, white_luminance
 
 Array = NDArray[np.floating]
 XYZ = ("X", "Y", "Z")
@@ -43,12 +42,12 @@ def quality(rendered: Array, target: Array, white: Array, border: int = 0, viewi
 
     `viewing` is the samples a degree of S-CIELAB.
     """
-    scale = display_scale(target)
+    scale = white_luminance(target[1])
     rendered, target = cropped(rendered, border), cropped(target, border)
     ours, ideal = (displayed(planes, white, scale) for planes in (rendered, target))
-    difference = delta_e(ours, ideal)
-    seen = scielab(displayed_xyz(ours), displayed_xyz(ideal), display_white(), viewing)
-    our_curve, ideal_curve = spectra.srgb_curve(ours), spectra.srgb_curve(ideal)
+    difference = displayed_delta_e(ours, ideal)
+    seen = scielab(displayed_xyz(ours), displayed_xyz(ideal), daylight(), viewing)
+    our_curve, ideal_curve = srgb_curve(ours), srgb_curve(ideal)
     peaks = scale * np.where(white > 0, white, white[1])[:, None, None] / white[1]  # deep red has no Z at all
     return Quality(
         mean_delta_e=float(difference.mean()),
@@ -63,11 +62,11 @@ def quality(rendered: Array, target: Array, white: Array, border: int = 0, viewi
 
 def band_quality(rendered: Array, target: Array, white: Array, border: int = 0) -> BandQuality:
     """Compare planes of any outputs (output, row, col) in one unit; `white` (output) and `border` as in `quality`."""
-    bright = float(np.percentile(target.mean(axis=0), DISPLAY_PERCENTILE))
+    bright = white_luminance(target.mean(axis=0))
     rendered, target = cropped(rendered, border), cropped(target, border)
     angle = spectral_angle(rendered, target)
     shares = np.where(white > 0, white, white.max()) / white.mean()
-    peaks = (bright if bright > 0 else 1.0) * shares[:, None, None]
+    peaks = bright * shares[:, None, None]
     return BandQuality(
         mean_angle=float(angle.mean()),
         median_angle=float(np.median(angle)),

@@ -9,7 +9,7 @@ returns maps displaced by a pixel; here pictures are mirrored at their edges and
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli import spectra
+from l3cli.physics.display import delta_e_2000, lab
 
 Array = NDArray[np.floating]
 VIEWING = 50.0  # samples a degree: a monitor of 110 dots an inch at 66 cm
@@ -25,8 +25,8 @@ FILTERS = (  # (half width at half maximum in degrees, weight) of the Gaussians 
 
 def scielab(one: Array, other: Array, white: Array, viewing: float = VIEWING) -> Array:
     """CIEDE2000 (row, col) of two pictures of XYZ (row, col, 3) seen at `viewing` samples a degree under `white` (3)."""
-    labs = [spectra.lab(np.maximum(blurred(picture, viewing), 0.0), white) for picture in (one, other)]
-    return spectra.delta_e_2000(*labs)
+    labs = [lab(np.maximum(blurred(picture, viewing), 0.0), white) for picture in (one, other)]
+    return delta_e_2000(*labs)
 
 
 def blurred(xyz: Array, viewing: float) -> Array:

@@ -7,7 +7,6 @@ Array = NDArray[np.floating]
 LEAST_ERROR = 1e-12  # mean square, of equal pictures: 120 dB
 WINDOW_SIGMA, WINDOW_REACH = 1.5, 5  # pixels, of the 11 × 11 Gaussian window of SSIM
 STABILISERS = (0.01**2, 0.03**2)  # C1 and C2 of SSIM for values in 0…1
-LUMA = np.array([0.2126, 0.7152, 0.0722])  # Rec. 709, of encoded sRGB
 
 
 def psnr(one: Array, other: Array) -> float:

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli import spectra
 from l3cli.artifacts.camera import CameraModel
 from l3cli.config import LARGEST
 from l3cli.curve_table import CurveTable, other_unit, read_table
@@ -16,6 +15,7 @@ from l3cli.errors import InputFileError
 from l3cli.files import write_whole
 from l3cli.limits import read_bounded
 from l3cli.measurement import FinishedCurves, SweepTable
+from l3cli.physics import spectra
 
 RAWTOACES = np.arange(380.0, 781.0, 5.0)  # nm, the grid of its database
 DIODE = {  # other names of a sweep's columns

@@ -1,4 +1,4 @@
-"""The measurement file and what lies around it: MEASUREMENTS.toml, frames, CSV spectra (METHOD 1.4).
+"""The measurement file and what lies around it: MEASUREMENTS.toml, frames, CSV spectra (docs/method.md#calibration).
 
     MEASUREMENTS.toml   sensor, cfa, optics, and what was measured:
       responsivity      one of: [[mono]] frames of a monochromator; [sweep] a table of means beside a photodiode; [curves]
@@ -22,7 +22,6 @@ from typing import Any, ClassVar
 import msgspec
 import numpy as np
 
-from l3cli.artifacts.base import Stage
 from l3cli.artifacts.camera import CameraModel, Noise, Optics
 from l3cli.artifacts.camera_recipe import (
     MOST_PRNU,
@@ -33,6 +32,7 @@ from l3cli.artifacts.camera_recipe import (
     check_share,
     parse_cfa,
 )
+from l3cli.artifacts.schema import Stage
 from l3cli.config import Recipe, load_recipe, read_text
 from l3cli.curve_table import RELATIVE, CurveTable, read_table
 from l3cli.errors import InputFileError, RecipeError

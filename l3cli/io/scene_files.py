@@ -6,10 +6,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli import spectra
 from l3cli.errors import InputFileError
 from l3cli.io.images import read_image
 from l3cli.io.matlab import Content, array_shapes, read_matlab
+from l3cli.physics import spectra
+from l3cli.physics.display import srgb_decoded
 from l3cli.scene import Scene
 
 Curve = tuple[NDArray[np.floating], NDArray[np.floating]]
@@ -34,7 +35,7 @@ def find(pattern: str, folder: Path, folders: bool = False) -> list[Path]:
 def read_iset_scene(path: Path, light: Curve | None = None) -> Scene:
     """An ISET scene: photons (row, col, wave) in photons/s/sr/m²/nm with its illuminant, in any of ISET's storages:
     a scene struct with floats or integers between dmin and dmax; photons and wave; coefficients (mcCOEF) of a basis about a
-    mean (imgMean). Small negatives are noise and become zero, speculars stay (METHOD 2).
+    mean (imgMean). Small negatives are noise and become zero, speculars stay (docs/method.md#simulation).
 
     `light` (wavelength in nm, photons) stands for an illuminant that the file lacks. InputFileError if the file is no such
     scene.
@@ -143,5 +144,5 @@ def read_rgb_picture(path: Path) -> NDArray[np.float32]:
     if pixels.dtype.kind == "f":
         return np.maximum(np.nan_to_num(pixels[..., :3]), 0.0).astype(np.float32)
     levels = np.arange(np.iinfo(pixels.dtype).max + 1) / np.iinfo(pixels.dtype).max
-    linear = np.where(levels <= 0.04045, levels / 12.92, ((levels + 0.055) / 1.055) ** 2.4).astype(np.float32)
+    linear = srgb_decoded(levels).astype(np.float32)
     return linear[pixels[..., :3]]

@@ -1,84 +1,44 @@
-"""From XYZ to what a screen shows: adaptation to D65, exposure scale, sRGB primaries, clip, sRGB curve (METHOD 5)."""
+"""What a renderer makes of XYZ: a picture for a screen, matrix, clip, sRGB curve and rounding (docs/method.md#display)."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli import spectra
-from l3cli.errors import RecipeError, shortened, suggestion
-from l3cli.quantities import Quantity
-
-CHROMATICITY = Quantity(0.001, 0.999)  # x or y of a white
-WHITE_PERCENTILE = 99  # of Y, that automatic exposure maps to display white, as the authors did
-CODES = {8: np.uint8, 16: np.uint16, "half": np.float16, "float": np.float32}  # what a value is written as
-SPACES = ("srgb", "linear", "xyz")
+from l3cli.errors import RecipeError
+from l3cli.physics.display import CODES, adaptation_matrix, srgb_codes, srgb_from_xyz_matrix
 
 
 @dataclass(frozen=True)
 class Display:
-    """Everything between XYZ and what is written, the last stage of rendering.
+    """Everything between XYZ and the picture, the last stage of rendering: code = top · curve(clip(matrix @ XYZ, 0, 1)),
+    rounded."""
 
-    With the curve, or as integers: value = top · curve(clip(matrix @ XYZ, 0, 1)), integers rounded. Linear half and float
-    keep what lies outside 0…1.
-    """
-
-    matrix: NDArray[np.float64]  # (3, 3) values from XYZ, adaptation and exposure scale folded in
-    bits: int | str  # 8 or 16 of an integer; "half" or "float"
-    curved: bool = True  # by the sRGB curve
+    matrix: NDArray[np.float64]  # (3, 3) linear sRGB from XYZ, adaptation and exposure scale folded in
+    bits: int  # of a code, a key of CODES
 
     def __post_init__(self) -> None:
         if self.matrix.shape != (3, 3) or not np.isfinite(self.matrix).all() or self.bits not in CODES:
-            raise ValueError("a display has a finite 3×3 matrix and 8 or 16 bits, half or float")
+            raise ValueError("a display has a finite 3×3 matrix and 8 or 16 bits")
 
     @property
     def top(self) -> int:
-        """The integer that stands for 1; 0 where values are written as they are."""
-        return 2**self.bits - 1 if isinstance(self.bits, int) else 0
+        """The code of 1."""
+        return 2**self.bits - 1
 
     @property
     def dtype(self) -> np.dtype:
         return np.dtype(CODES[self.bits])
 
 
-def make_display(white: NDArray[np.floating], scale: float, bits: int | str, space: str = "srgb") -> Display:
+def make_display(white: NDArray[np.floating], scale: float, bits: int) -> Display:
     """A display that shows `scale` · XYZ of a scene whose white is `white` (3), adapted so that this white becomes that of
-    sRGB, D65; in one of SPACES: sRGB, its linear values, or XYZ.
-
-    RecipeError if white or scale is not positive, or the space is none of these.
-    """
+    sRGB, D65; RecipeError if white or scale is not positive."""
     if not (np.all(np.asarray(white) > 0) and np.isfinite(scale) and scale > 0):
         raise RecipeError("scene white and exposure must be positive")
-    if space not in SPACES:
-        raise RecipeError(f'colour space "{space}" is unknown; {suggestion(space, SPACES)}')
-    primaries = spectra.srgb_from_xyz_matrix()
+    primaries = srgb_from_xyz_matrix()
     display_white = np.linalg.solve(primaries, np.ones(3))
-    adapted = scale * spectra.adaptation_matrix(white, display_white)
-    matrix = adapted if space == "xyz" else primaries @ adapted
-    return Display(np.asarray(matrix, np.float64), bits, space == "srgb")
-
-
-def automatic_exposure(luminance: NDArray) -> float:
-    """Scale that brings the 99th percentile of Y (row, col) to display white; 1 where all is dark."""
-    bright = float(np.percentile(luminance, WHITE_PERCENTILE))
-    return 1.0 / bright if bright > 0 else 1.0
-
-
-def scene_white(text: str) -> NDArray[np.float64]:
-    """XYZ (3), Y = 1, of a white given as "x,y" chromaticity or by the name of an illuminant; RecipeError if neither."""
-    if "," not in text:
-        return np.asarray(spectra.white_point(text), np.float64)
-    parts = text.split(",")
-    try:
-        x, y = (CHROMATICITY.read(part) for part in parts)
-    except ValueError as error:
-        why = f": {error}" if len(parts) == 2 else ""
-        raise RecipeError(
-            f'white "{shortened(text)}" is not a chromaticity{why}; give it as x,y such as 0.3127,0.3290'
-        ) from None
-    if x + y > CHROMATICITY.most:
-        raise RecipeError(f"white {text} is no chromaticity: x + y is at most {CHROMATICITY.most}")
-    return np.array([x, y, 1 - x - y]) / y
+    return Display(np.asarray(primaries @ (scale * adaptation_matrix(white, display_white)), np.float64), bits)
 
 
 def require_xyz(outputs: tuple[str, ...]) -> None:
@@ -88,10 +48,6 @@ def require_xyz(outputs: tuple[str, ...]) -> None:
 
 
 def encode(planes: NDArray, display: Display) -> NDArray:
-    """XYZ planes (output, row, col) as the display's values (row, col, 3), in float64."""
-    values = np.einsum("po,orc->rcp", display.matrix, planes.astype(np.float64))
-    if display.curved:
-        values = spectra.srgb_curve(values)
-    if display.top:
-        values = np.floor(np.clip(values, 0.0, 1.0) * display.top + 0.5)
-    return values.astype(display.dtype)
+    """XYZ planes (output, row, col) as the display's codes (row, col, 3), computed in float64."""
+    linear = np.einsum("po,orc->rcp", display.matrix, planes.astype(np.float64))
+    return srgb_codes(linear, display.bits)

@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli import classify, spectra
-from l3cli.artifacts.table import CHROMA_FRACTION, LEVEL_FRACTION, TransformTable
+from l3cli.artifacts.table import TransformTable
+from l3cli.classes.rule import FEATURES, kernel_arrays, kernel_macros
+from l3cli.classes.windows import Integers, neighbourhoods
+from l3cli.physics.display import srgb_curve
 from l3cli.render.display import Display
 
 Macros = dict[str, int | str]
@@ -55,28 +57,19 @@ def table_macros(table: TransformTable) -> Macros:
         "CFA_ROWS": table.cfa.shape[0],
         "CFA_COLUMNS": table.cfa.shape[1],
         "PERIOD": table.cfa.shape[1] + PERIODS,
-        "LEVELS": rule.levels,
-        "CONTRASTS": rule.contrasts,
-        "CHROMAS": rule.chromas,
-        "KINDS": rule.kinds,
         "SHIFT": rule.shift,
-        "LEVEL_FRACTION": LEVEL_FRACTION,
-        "CHROMA_FRACTION": CHROMA_FRACTION,
-        "CHROMA_BLACK": rule.chroma_black,
-        "SATURATION": min(rule.saturation, 1 << 16),
-        "SATURATION_RADIUS": rule.saturation_radius,
         "WHITE_TOP": 2**table.bits - 1,
+        **kernel_macros(rule),
     }
 
 
-OUTPUTS_AS_THEY_ARE: Macros = {"PLANES": 1, "CODE": "float", "TOP": 0, "CURVE": 0}
-NOT_ENCODED: Macros = {"NOT_ENCODED": 1, "CODE": "float", "TOP": 0, "CURVE": 0}  # for timing: one number a pixel is written
+OUTPUTS_AS_THEY_ARE: Macros = {"PLANES": 1, "CODE": "float"}
+NOT_ENCODED: Macros = {"NOT_ENCODED": 1, "CODE": "float"}  # for timing: one number a pixel is written
 
 
 def display_macros(display: Display) -> Macros:
     """What the last stage writes."""
-    code = {1: "uchar", 2: "ushort", 4: "uint"}[display.dtype.itemsize]  # integers, or the bits of floats
-    macros: Macros = {"CODE": code, "TOP": display.top, "CURVE": int(display.curved)}
+    macros: Macros = {"CODE": {8: "uchar", 16: "ushort"}[display.bits], "TOP": display.top}
     # Within 8e-5, which moves one value of 8 bits in 200 by one; within 1.2e-6, which is what float32 gives.
     return macros | (curve_macros(2, 5) if display.bits == 8 else curve_macros(3, 8))
 
@@ -85,19 +78,19 @@ def curve_macros(steps: int, degree: int) -> Macros:
     """The power part of the sRGB curve as a polynomial in the fourth root (encoding.cl), fitted at Chebyshev's nodes."""
     lowest = 0.0031308**0.25
     root = lowest + (1 - lowest) * (np.cos(np.linspace(0, np.pi, 1001)) + 1) / 2
-    terms = np.polynomial.polynomial.polyfit(root, spectra.srgb_curve(root**4), degree)
+    terms = np.polynomial.polynomial.polyfit(root, srgb_curve(root**4), degree)
     return {"CURVE_STEPS": steps, "CURVE_DEGREE": degree, "CURVE_TERMS": ",".join(f"{term:.9g}f" for term in terms)}
 
 
 def class_arrays(table: TransformTable) -> tuple[NDArray, ...]:
     """The constants of the kernel `classes`, in the order of its arguments; what they are stands there."""
     rule, channels = table.rule, len(table.channels)
-    near = classify.neighbourhoods(table.cfa, rule.patch, channels)
+    near = neighbourhoods(table.cfa, rule.patch, channels)
     period = np.arange(table.cfa.shape[1] + PERIODS) % table.cfa.shape[1]
     cfa = table.cfa[:, period].astype(np.uint16)
     member = np.where(cfa == np.arange(channels, dtype=np.uint16)[:, None, None], np.uint16(0xFFFF), np.uint16(0))
 
-    def by_channel(site_values: classify.Integers) -> NDArray[np.uint32]:
+    def by_channel(site_values: Integers) -> NDArray[np.uint32]:
         return site_values.reshape(*table.cfa.shape, channels).transpose(2, 0, 1)[:, :, period].astype(np.uint32)
 
     return (
@@ -107,10 +100,7 @@ def class_arrays(table: TransformTable) -> tuple[NDArray, ...]:
         by_channel(near.mean_reciprocal),
         by_channel(near.variance_reciprocal),
         period.astype(np.uint32),
-        np.minimum(rule.level_edges.astype(np.int64) - 1, 2**31 - 1).astype(np.int32),  # no sum reaches a higher one
-        rule.contrast_edges,
-        rule.case_of_code,
-        rule.chroma_weights,
+        *kernel_arrays(rule),
     )
 
 
@@ -167,7 +157,7 @@ class Variant:
     pack: Callable[[TransformTable, int], NDArray[np.float32]]  # weights as its kernels read them, for Cut.lanes
 
 
-SHARED = ("vectors.cl", "rule.cl", "encoding.cl")
+SHARED = ("vectors.cl", *(feature.SNIPPET for feature in FEATURES), "rule.cl", "encoding.cl")
 VARIANTS = {
     # Few and long work-items, each vectorised within: over pixels for the classes, over taps for the transforms.
     "processor": Variant(

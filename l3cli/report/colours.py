@@ -3,11 +3,11 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli import spectra
+from l3cli.physics import spectra
+from l3cli.physics.display import LUMA, srgb_codes, srgb_from_xyz_matrix, xyz_from_srgb_matrix
 
 Array = NDArray[np.floating]
 LINE_LUMINANCE = 0.18  # contrast over 4 to white and to the dark page alike
-LUMA = np.array([0.2126, 0.7152, 0.0722])
 SERIES = ("var(--one)", "var(--two)", "var(--three)", "var(--four)")  # the page's own colours for what has no colour itself
 
 
@@ -17,7 +17,7 @@ def channel_light(responsivity: Array, wavelength: Array) -> NDArray[np.float64]
     Light of channels that see nothing visible is grey.
     """
     seen = responsivity * spectra.illuminant("D65", wavelength)
-    linear = np.maximum(seen @ spectra.xyz_weights(wavelength).T @ spectra.srgb_from_xyz_matrix().T, 0.0)
+    linear = np.maximum(seen @ spectra.xyz_weights(wavelength).T @ srgb_from_xyz_matrix().T, 0.0)
     top = linear.max(axis=1, keepdims=True)
     return np.where(top > 0, linear / np.where(top > 0, top, 1.0), 0.5)
 
@@ -37,7 +37,7 @@ def _at_luminance(linear: Array) -> Array:
 
 def hex_colour(linear: Array) -> str:
     """Linear sRGB (3) as #rrggbb."""
-    return "#" + "".join(f"{int(value):02x}" for value in np.rint(spectra.srgb_curve(linear) * 255))
+    return "#" + "".join(f"{code:02x}" for code in srgb_codes(linear))
 
 
 def ink_on(linear: Array) -> str:
@@ -54,5 +54,5 @@ def spectral_locus() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 def srgb_primaries() -> NDArray[np.float64]:
     """Chromaticities (3, 2) of the primaries of sRGB."""
-    xyz = np.linalg.inv(spectra.srgb_from_xyz_matrix()).T
+    xyz = xyz_from_srgb_matrix().T
     return xyz[:, :2] / xyz.sum(axis=1, keepdims=True)

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from l3cli.artifacts.base import Stage
+from l3cli.artifacts.schema import Stage
 from l3cli.report.parts import Details, Part, Section, Table
 
 LIMIT = 10_000_000  # bytes of a page

@@ -6,12 +6,11 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli import spectra
+from l3cli.physics.display import displayed, srgb_codes, white_luminance
 
 Array = NDArray[np.floating]
 Pixels = NDArray[np.uint8]
 Jpeg = Callable[[Pixels, int], bytes]  # (row, col, 3) encoded sRGB and quality 1…100 → a JPEG file
-WHITE_PERCENTILE = 99  # of Y, shown white, as evaluation and rendering do
 TRIED = ((1, 92), (1, 85), (1, 75), (2, 90), (2, 75), (4, 85), (8, 80), (16, 75))  # reduction and quality, best first
 THUMBNAIL = 160  # px, longest side
 
@@ -20,10 +19,7 @@ def thumbnail(target: Array, white: Array) -> Pixels:
     """sRGB (row, col, 3), at most THUMBNAIL long, of XYZ planes (3, row, col), `white` (3) adapted to D65."""
     step = max(1, -(-max(target.shape[1:]) // THUMBNAIL))
     small = reduced(np.moveaxis(target, 0, -1), step)
-    bright = float(np.percentile(target[1], WHITE_PERCENTILE))
-    matrix = spectra.srgb_from_xyz_matrix() @ spectra.adaptation_matrix(white, spectra.white_point("D65"))
-    linear = small @ matrix.T / (bright if bright > 0 else 1.0)
-    return np.rint(spectra.srgb_curve(linear) * 255).astype(np.uint8)
+    return srgb_codes(displayed(np.moveaxis(np.asarray(small, np.float64), -1, 0), white, white_luminance(target[1])))
 
 
 def reduced(pixels: Array | Pixels, step: int) -> Array | Pixels:

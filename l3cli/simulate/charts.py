@@ -3,7 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli import spectra
+from l3cli.physics import spectra
+from l3cli.physics.display import srgb_from_lab
 from l3cli.simulate import rgb
 from l3cli.simulate.reflectances import dyed, materials, surfaces
 
@@ -70,8 +71,8 @@ def munsell(size: tuple[int, int], wavelength: Array) -> Cube:
     reflectances; a colour outside sRGB is drawn towards grey until it is inside."""
     hue = np.arange(MUNSELL_HUES) * (2 * np.pi / MUNSELL_HUES)
     value, chroma, hue = (axis.ravel() for axis in np.meshgrid(MUNSELL_VALUES, MUNSELL_CHROMAS, hue, indexing="ij"))
-    linear = spectra.srgb_from_lab(np.stack([value, chroma * np.cos(hue), chroma * np.sin(hue)], axis=1))
-    grey = spectra.srgb_from_lab(np.stack([value, 0 * value, 0 * value], axis=1))
+    linear = srgb_from_lab(np.stack([value, chroma * np.cos(hue), chroma * np.sin(hue)], axis=1))
+    grey = srgb_from_lab(np.stack([value, 0 * value, 0 * value], axis=1))
     excess = np.maximum((linear - 1) / np.maximum(linear - grey, 1e-9), -linear / np.maximum(grey - linear, 1e-9))
     share = 1 - np.maximum(excess.max(axis=1, keepdims=True), 0)
     inside = np.clip(grey + share * (linear - grey), 0, 1).astype(np.float32)

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.physics.spectra import COLORCHECKER_WAVELENGTH
 from l3cli.scene import Scene
 from l3cli.simulate import charts, procedural, sources
-from l3cli.spectra import COLORCHECKER_WAVELENGTH
 
 Wavelength = NDArray[np.float64]
 Painter = Callable[[Any, np.random.Generator, Wavelength], NDArray[np.float32]]

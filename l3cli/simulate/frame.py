@@ -1,4 +1,4 @@
-"""One frame: a scene under a light, through lens and sensor, beside the picture it should become (METHOD 1.2, 1.3, 2)."""
+"""One frame: a scene under a light, through lens and sensor, beside its target (docs/method.md#simulation)."""
 
 from dataclasses import dataclass
 
@@ -6,6 +6,7 @@ import numpy as np
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import TrainingFrame
+from l3cli.physics.lens import relative_illumination
 from l3cli.scene import Scene
 from l3cli.simulate import optics, sensor
 from l3cli.simulate.light import Light, electron_weights
@@ -61,7 +62,8 @@ def simulate(
         np.maximum(rates, 0.0, out=rates)  # diffraction of a point may ring below zero
     rates *= np.float32(unit)
     if lens.off_axis:
-        rates *= optics.relative_illumination(camera.optics, pitch, rates.shape[1:])
+        distance, shape = camera.optics.image_distance, (rates.shape[1], rates.shape[2])
+        rates *= relative_illumination(distance, pitch, shape).astype(np.float32)
     if isinstance(exposure, Saturating):
         exposure = sensor.saturating_exposure(camera, sensor.mosaic(rates, camera.cfa), exposure.share)
     elif isinstance(exposure, Averaging):

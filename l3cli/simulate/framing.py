@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.scene import Scene
-from l3cli.simulate.optics import image_distance
 from l3cli.simulate.sources import Framing
 
 
@@ -51,7 +50,7 @@ def _scale(framing: Framing, camera: CameraModel, cols: int) -> float | None:
     """Pixels a sample of a scene that is `cols` wide."""
     if framing.field_of_view_deg is None:
         return framing.scale
-    width = 2.0 * image_distance(camera.optics) * np.tan(np.radians(framing.field_of_view_deg) / 2.0)
+    width = 2.0 * camera.optics.image_distance * np.tan(np.radians(framing.field_of_view_deg) / 2.0)
     return float(width / camera.pixel_pitch / cols)
 
 

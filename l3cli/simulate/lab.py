@@ -8,13 +8,13 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli import spectra
 from l3cli.artifacts.camera import LONGEST, MOST_WAVELENGTHS, CameraModel
 from l3cli.config import Count, CountOrNone, Positive, Recipe
 from l3cli.errors import RecipeError
 from l3cli.measurement import CHART_COLS, CHART_ROWS, PATCHES
+from l3cli.physics import spectra
+from l3cli.physics.lens import relative_illumination
 from l3cli.simulate.flaws import FlawRecipe, check_flaws, flaws_of
-from l3cli.simulate.optics import relative_illumination
 from l3cli.simulate.sensor import FixedPattern, fixed_pattern, read_out
 
 FOLDERS = ("mono", "chart", "white", "dark", "spectra")  # of captures by kind, and of what the spectrometer saw
@@ -279,7 +279,8 @@ def take(camera: CameraModel, capture: LabCapture, trial: int, seed: int, recipe
     region = chart_regions(camera) if capture.kind == "chart" else 0
     y, x = np.linspace(-1.0, 1.0, camera.rows), np.linspace(-1.0, 1.0, camera.cols)
     light = falloff(y[:, None], x, capture.falloff) * flaws.shade
-    light *= relative_illumination(camera.optics, camera.pixel_pitch, (camera.rows, camera.cols))
+    shape = (camera.rows, camera.cols)
+    light *= relative_illumination(camera.optics.image_distance, camera.pixel_pitch, shape).astype(np.float32)
     light[flaws.dead[:, 0], flaws.dead[:, 1]] = 0.0
     electrons = capture.electrons[region, channel] * light
     electrons[flaws.hot[:, 0], flaws.hot[:, 1]] += recipe.hot_current_e_per_s * capture.exposure

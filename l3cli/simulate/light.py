@@ -1,4 +1,4 @@
-"""The light on a scene, and what a camera makes of it for each band of the scene's reflectance (METHOD 1.2)."""
+"""The light on a scene, and what a camera makes of it in each band (docs/method.md#spectra-on-other-grids)."""
 
 import re
 from collections.abc import Mapping
@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli import spectra
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import LightSpectrum
 from l3cli.errors import InputFileError, RecipeError
+from l3cli.physics import spectra
 from l3cli.scene import Scene
 
 Array = NDArray[np.floating]

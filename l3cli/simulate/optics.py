@@ -1,4 +1,4 @@
-"""What the lens does beyond the camera equation: fall-off towards the corners and diffraction (METHOD 1.3)."""
+"""Blur by the lens in every wavelength of a scene, at the cost of a few transforms (docs/method.md#optics)."""
 
 import functools
 from dataclasses import dataclass
@@ -7,33 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import Optics
+from l3cli.physics.lens import diffraction_transfer, gaussian_transfer
 
 Array = NDArray[np.floating]
 
 LOW_RANK_ERROR = 5e-5  # largest error of the transfer function at any sampled frequency and wavelength
 RADIAL_SAMPLES = 2048
-
-
-def image_distance(optics: Optics) -> float:
-    """Distance in m from lens to sensor when the object is in focus; the focal length for an object at infinity."""
-    focal, distance = optics.focal_length, optics.object_distance
-    return focal * distance / (distance - focal) if distance > 0 else focal
-
-
-def relative_illumination(optics: Optics, pixel_pitch: float, shape: tuple[int, int]) -> NDArray[np.float32]:
-    """Fall-off (row, col) of a frame centred on the axis: (D² / (D² + r²))², the "cos⁴ law"."""
-    down, across = ((np.arange(length) - (length - 1) / 2) * pixel_pitch for length in shape)
-    squared = image_distance(optics) ** 2
-    return ((squared / (squared + down[:, None] ** 2 + across**2)) ** 2).astype(np.float32)
-
-
-def diffraction_transfer(frequency: Array, wavelength: Array, f_number: float) -> Array:
-    """MTF (frequency, wavelength) of an aberration-free lens: 2/π (acos u − u √(1 − u²)), u = f λ N.
-
-    `frequency` in cycles/m on the sensor, `wavelength` in nm.
-    """
-    u = np.minimum(frequency[:, None] * (wavelength * 1e-9) * f_number, 1.0)
-    return 2.0 / np.pi * (np.arccos(u) - u * np.sqrt(1.0 - u**2))
 
 
 @dataclass(frozen=True)
@@ -70,7 +49,7 @@ def lens_transfer(
         transfer = LowRankTransfer(frequency, np.ones((1, RADIAL_SAMPLES)), np.ones((1, wavelength.size)))
     else:
         return None
-    gaussian = np.exp(-2.0 * (np.pi * defocus * transfer.frequency) ** 2)
+    gaussian = gaussian_transfer(transfer.frequency, defocus)
     return LowRankTransfer(transfer.frequency, transfer.radial * gaussian, transfer.spectral)
 
 

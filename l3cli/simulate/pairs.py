@@ -3,10 +3,10 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli import spectra
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import TrainingPair
 from l3cli.frame import RawFrame, as_taken
+from l3cli.physics import spectra
 from l3cli.simulate.light import make_light, white_rates
 from l3cli.simulate.recipe import Pair
 

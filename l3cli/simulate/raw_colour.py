@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli import spectra
 from l3cli.artifacts.camera import CameraModel
+from l3cli.physics import spectra
 from l3cli.simulate.light import Light, electron_weights, white_rates
 
 Array = NDArray[np.floating]

@@ -9,10 +9,10 @@ from typing import Annotated, ClassVar, Literal
 import msgspec
 import numpy as np
 
-from l3cli import spectra
 from l3cli.artifacts.camera import CameraModel, Optics
 from l3cli.config import Recipe
 from l3cli.errors import RecipeError, suggestion
+from l3cli.physics import spectra
 from l3cli.simulate.light import MEASURED, OWN, Curve, parts
 from l3cli.simulate.sensor import with_analog_gain
 from l3cli.simulate.sources import (
@@ -30,7 +30,7 @@ from l3cli.simulate.targets import CAMERA, OUTPUTS
 
 
 class Lens(Recipe):
-    """Which imperfections of the lens are simulated, and another lens than the camera's (METHOD 1.3)."""
+    """Which imperfections of the lens are simulated, and another lens than the camera's (docs/method.md#optics)."""
 
     diffraction: bool = True
     off_axis: bool = False  # darker corners; a table does not know where in the frame it is applied

@@ -1,11 +1,12 @@
-"""RGB pictures raised to spectra: the smoothest reflectances that have their colours (METHOD 4.8)."""
+"""RGB pictures as spectra: the smoothest reflectances of their colours (docs/method.md#pictures-raised-to-spectra)."""
 
 import functools
 
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli import spectra
+from l3cli.physics import spectra
+from l3cli.physics.display import srgb_from_xyz_matrix
 from l3cli.scene import Scene
 from l3cli.simulate.light import make_light, matching_weights
 
@@ -40,7 +41,7 @@ def primaries(wavelength: tuple[float, ...]) -> Array:
     rough = np.diff(np.eye(count), axis=0)
     light = make_light("D65", {}, grid)
     observer = spectra.colour_matching_functions(light.wavelength)
-    to_rgb = spectra.srgb_from_xyz_matrix() @ matching_weights(observer, light, grid)
+    to_rgb = srgb_from_xyz_matrix() @ matching_weights(observer, light, grid)
     rows = [
         np.kron(np.eye(3), rough),
         EXACTNESS * np.kron(np.eye(3), to_rgb),

@@ -1,12 +1,12 @@
-"""What the picture should be: observers, other matching functions, or the camera's own bands (METHOD 2)."""
+"""What the picture should be: observers, other matching functions, or the camera's own bands (docs/method.md#simulation)."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli import spectra
 from l3cli.artifacts.camera import CameraModel
+from l3cli.physics import spectra
 from l3cli.simulate.light import Curve, Light, electron_weights, matching_weights
 
 Array = NDArray[np.floating]

@@ -8,7 +8,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from l3cli import __version__
-from l3cli.artifacts.base import load
+from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingPair, TrainingSetReader, open_training_set
 from l3cli.evaluate.evaluation import Evaluation

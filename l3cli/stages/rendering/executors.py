@@ -117,7 +117,7 @@ def _renderer(
     path: Path, digest: str, backend: str, engine: tuple[tuple[str, str | None], ...]
 ) -> "tuple[TransformTable, Renderer]":
     """The table and what renders through it, made once a worker."""
-    from l3cli.artifacts.base import load
+    from l3cli.artifacts.store import load
     from l3cli.artifacts.table import TransformTable
     from l3cli.render.renderer import make_renderer
 

@@ -8,14 +8,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from l3cli import __version__
-from l3cli.artifacts.base import load
+from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import RecipeError
 from l3cli.files import sha256
 from l3cli.io.raw_files import KnownBetter
 from l3cli.io.sequences import Footage, find_frames, read_dark
 from l3cli.io.video import VideoChoice
-from l3cli.render.display import require_xyz, scene_white
+from l3cli.physics.display import scene_white
+from l3cli.render.display import require_xyz
 from l3cli.stages.claims import Claims
 from l3cli.stages.console import Console
 from l3cli.stages.input_warnings import warn_of_kernels, warn_of_white

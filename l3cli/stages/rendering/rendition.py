@@ -9,7 +9,8 @@ import numpy as np
 from l3cli.frame import RawFrame, upright
 from l3cli.io import images
 from l3cli.io.sequences import Pending
-from l3cli.render.display import Display, automatic_exposure, make_display
+from l3cli.physics.display import automatic_exposure
+from l3cli.render.display import Display, make_display
 
 if TYPE_CHECKING:
     from l3cli.render.renderer import Renderer

@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from l3cli.artifacts.base import Artifact, load, open_artifact
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.schema import Artifact
+from l3cli.artifacts.store import load, open_artifact
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet, open_training_set
 from l3cli.errors import InputFileError

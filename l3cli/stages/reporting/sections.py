@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.base import equal
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.schema import equal
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet, open_training_set
 from l3cli.io.embedded import jpeg
@@ -83,7 +83,8 @@ def _cameras_within(given: Given) -> list[tuple[str, CameraModel]]:
 
 
 def _camera_figures(camera: CameraModel) -> dict[str, Any]:
-    from l3cli.calibrate.report import camera_figures, figures, shortfall
+    from l3cli.calibrate.acceptance import shortfall
+    from l3cli.calibrate.figures import camera_figures, figures
 
     if camera.fit is not None:
         return figures(camera) | {"shortfall": (shortfall(camera) or "").partition(";")[0]}
@@ -93,7 +94,8 @@ def _camera_figures(camera: CameraModel) -> dict[str, Any]:
 
 
 def _transforms(name: str, table: TransformTable, light: NDArray[np.float64] | None) -> Section:
-    from l3cli.train.insight import class_name, insight
+    from l3cli.classes.names import class_name
+    from l3cli.train.insight import insight
 
     return transform_section(table, light, insight(table), functools.partial(class_name, table), name)
 

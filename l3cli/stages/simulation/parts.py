@@ -8,7 +8,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from l3cli.artifacts.base import Stage, open_artifact, read_history
+from l3cli.artifacts.schema import Stage
+from l3cli.artifacts.store import open_artifact, read_history
 from l3cli.artifacts.training_set import TrainingPair, read_part
 from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.files import is_ours, refuse_spared, sweep, write_whole

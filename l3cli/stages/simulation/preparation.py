@@ -4,9 +4,9 @@ import dataclasses
 import re
 from pathlib import Path
 
-from l3cli.artifacts.base import Stage
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import recipe_text
+from l3cli.artifacts.schema import Stage
 from l3cli.artifacts.training_set import TrainingSet
 from l3cli.config import read_text
 from l3cli.curve_table import read_table

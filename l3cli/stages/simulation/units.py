@@ -128,8 +128,8 @@ def _pair(pair: Pair, run: SimulationRun) -> Any:
     from l3cli.io.images import read_image
     from l3cli.io.raw_files import KnownBetter, read_raw
     from l3cli.io.scene_files import read_rgb_picture
+    from l3cli.physics.display import xyz_from_srgb_matrix
     from l3cli.simulate.pairs import make_pair
-    from l3cli.spectra import srgb_from_xyz_matrix
 
     raw_path, path = run.base / pair.raw, run.base / pair.picture
     raw = read_raw(raw_path, run.camera, KnownBetter(phase=pair.phase))
@@ -138,7 +138,7 @@ def _pair(pair: Pair, run: SimulationRun) -> Any:
     if set(outputs) <= set(names):
         picture = np.ascontiguousarray(pixels[..., [names.index(output) for output in outputs]], np.float32)
     elif set(outputs) <= {"X", "Y", "Z"}:
-        to_xyz = np.linalg.inv(srgb_from_xyz_matrix())[["XYZ".index(output) for output in outputs]]
+        to_xyz = xyz_from_srgb_matrix()[["XYZ".index(output) for output in outputs]]
         picture = read_rgb_picture(path) @ to_xyz.T.astype(np.float32)
     else:
         raise InputFileError(f"{path} has no channels called {', '.join(outputs)}; give an EXR with them")

@@ -6,7 +6,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from l3cli.artifacts.base import Stage, equal
+from l3cli.artifacts.schema import Stage, equal
 from l3cli.artifacts.training_set import TrainingPair, TrainingSet, open_training_set
 from l3cli.config import load_recipe, read_text
 from l3cli.errors import InputFileError

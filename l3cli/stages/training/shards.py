@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from l3cli.artifacts.base import Stage, equal, load, save
 from l3cli.artifacts.partial_sums import PartialSums, open_partial_sums, write_partial_sums
+from l3cli.artifacts.schema import Stage, equal
+from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.config import parse_recipe
 from l3cli.errors import InputFileError

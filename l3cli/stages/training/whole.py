@@ -7,8 +7,8 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from l3cli.artifacts.base import save
 from l3cli.artifacts.partial_sums import ClassSums
+from l3cli.artifacts.store import save
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import RecipeError
 from l3cli.parallel import workers

@@ -21,14 +21,9 @@ BLACK_BODY = Quantity(500, 100_000, "K")  # below, nothing is seen by it
 DAYLIGHT = Quantity(4000, 25_000, "K")  # as far as CIE daylight goes
 SPRAGUE_STEP = 20.0  # nm between bands up to which a reflectance is taken as smooth
 Array = NDArray[np.floating]
-# Written out, though colour-science has both: rendering a frame needs nothing else of it, and importing it takes longer.
-SRGB_FROM_XYZ = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])  # IEC 61966-2-1
-BRADFORD = np.array(
-    [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]]
-)  # cone response of XYZ
 
 
-def _colour() -> Any:
+def colour_science() -> Any:
     """colour-science, imported when first needed (it takes two seconds) and without its import-time warnings."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -141,7 +136,7 @@ def _held_interpolation(bands: tuple[float, ...], wavelength: tuple[float, ...])
     even = source.size >= 6 and np.ptp(steps) < 1e-6 * steps[0] and steps[0] <= SPRAGUE_STEP
     if not even or np.array_equal(source, target):
         return _step_matrix(source, target, held=True)
-    sprague = _colour().SpragueInterpolator
+    sprague = colour_science().SpragueInterpolator
     fine = np.union1d(source, target)
     inside = np.clip(fine, source[0], source[-1])
     smooth = np.stack([sprague(source, unit)(inside) for unit in np.eye(source.size)], axis=1)
@@ -158,7 +153,7 @@ def colour_matching_functions(wavelength: Array, observer: str = "CIE 1931") -> 
     """x̄ ȳ z̄, (3, wavelength), of a key of OBSERVERS, linearly interpolated from the tabulated 1 nm observer."""
     if observer not in OBSERVERS:
         raise RecipeError(f'observer "{observer}" is unknown; {suggestion(observer, OBSERVERS)}')
-    cmfs = _colour().MSDS_CMFS[OBSERVERS[observer]]
+    cmfs = colour_science().MSDS_CMFS[OBSERVERS[observer]]
     return cmfs.values.T @ interpolation_matrix(cmfs.wavelengths, wavelength).T
 
 
@@ -177,7 +172,7 @@ def xyz_weights(wavelength: Array) -> Array:
 @functools.cache
 def illuminant_names() -> tuple[str, ...]:
     """The tabulated illuminants; beside them "F1"…"F12" are FL1…FL12, "3200K" is a black body, "D6000K" daylight."""
-    return tuple(sorted(_colour().SDS_ILLUMINANTS))
+    return tuple(sorted(colour_science().SDS_ILLUMINANTS))
 
 
 def illuminant(name: str, wavelength: Array) -> Array:
@@ -207,13 +202,13 @@ def _tabulated(name: str, wavelength: Array) -> Array:
     if key not in illuminant_names():
         others = 'black bodies such as "3200K", daylight such as "D6000K" and, in recipes, CSV files'
         raise RecipeError(f'illuminant "{name}" is unknown; {suggestion(name, illuminant_names())} (and {others})')
-    table = _colour().SDS_ILLUMINANTS[key]
+    table = colour_science().SDS_ILLUMINANTS[key]
     return table.values @ _step_matrix(table.wavelengths, wavelength, held=True).T
 
 
 def _daylight(temperature: float, wavelength: Array) -> Array:
     """Energy (wavelength) of CIE daylight of a correlated colour temperature in K, one of DAYLIGHT (CIE 15)."""
-    colour = _colour()
+    colour = colour_science()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         table = colour.sd_CIE_illuminant_D_series(colour.temperature.CCT_to_xy_CIE_D(temperature))
@@ -237,7 +232,7 @@ COLORCHECKER_WAVELENGTH = np.arange(380.0, 781.0, 5.0)  # nm: where the chart wa
 
 def colorchecker(wavelength: Array) -> tuple[tuple[str, ...], Array]:
     """Names and reflectances (24, wavelength) of the classic ColorChecker, row by row from dark skin to black."""
-    chart = _colour().SDS_COLOURCHECKERS["ISO 17321-1"]
+    chart = colour_science().SDS_COLOURCHECKERS["ISO 17321-1"]
     reflectance = [np.interp(wavelength, patch.wavelengths, patch.values) for patch in chart.values()]
     return tuple(chart), np.array(reflectance)
 
@@ -245,7 +240,7 @@ def colorchecker(wavelength: Array) -> tuple[tuple[str, ...], Array]:
 @functools.cache
 def _reflectance_tables() -> tuple[tuple[Array, Array], ...]:
     """Every measured reflectance set inside colour-science as (wavelength, (sample, wavelength)), but no ColorChecker."""
-    colour = _colour()
+    colour = colour_science()
     from colour.quality.cfi2017 import load_TCS_CIE2017
     from colour.quality.datasets.tcs import SDS_TCS
     from colour.quality.datasets.vs import SDS_VS
@@ -259,7 +254,7 @@ def _reflectance_tables() -> tuple[tuple[Array, Array], ...]:
 
 
 def reflectance_library(wavelength: Array) -> Array:
-    """Measured reflectances of natural and man-made surfaces, (sample, wavelength), within 0.003–0.999 (METHOD 2.1).
+    """Measured reflectances of surfaces, (sample, wavelength), within 0.003–0.999 (docs/method.md#procedural-scenes).
 
     They are smooth: taken at points, for that is where `held_interpolation` leads a curve through; means would be flatter.
     """
@@ -267,38 +262,3 @@ def reflectance_library(wavelength: Array) -> Array:
         [[np.interp(wavelength, grid, sample) for sample in samples] for grid, samples in _reflectance_tables()]
     )
     return np.clip(library[np.isfinite(library).all(axis=1)], 0.003, 0.999)
-
-
-def lab(xyz: Array, white: Array) -> Array:
-    """CIE L*a*b* of xyz (…, 3) relative to `white` (3), in the same scale."""
-    x, y = white[0] / white.sum(), white[1] / white.sum()
-    return _colour().XYZ_to_Lab(np.asarray(xyz) / white[1], np.array([x, y]))
-
-
-def srgb_from_lab(lab_values: Array) -> Array:
-    """Linear sRGB (…, 3), unclipped, of CIE L*a*b* relative to D65."""
-    colour = _colour()
-    white = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
-    return np.asarray(colour.Lab_to_XYZ(lab_values, white) @ srgb_from_xyz_matrix().T)
-
-
-def delta_e_2000(lab_a: Array, lab_b: Array) -> Array:
-    """CIEDE2000 colour difference of two L*a*b* arrays (…, 3)."""
-    return _colour().delta_E(lab_a, lab_b, method="CIE 2000")
-
-
-def adaptation_matrix(white: Array, to: Array) -> Array:
-    """Bradford chromatic adaptation (3, 3) of XYZ from `white` to `to`, each (3) with any Y."""
-    gain = (BRADFORD @ to / to[1]) / (BRADFORD @ white / white[1])
-    return np.linalg.solve(BRADFORD, gain[:, None] * BRADFORD)
-
-
-def srgb_from_xyz_matrix() -> Array:
-    """Linear sRGB = M (3, 3) @ XYZ with the D65 white at Y = 1."""
-    return SRGB_FROM_XYZ.copy()
-
-
-def srgb_curve(linear: Array) -> Array:
-    """Non-linear sRGB of linear values, both clipped to 0…1 (IEC 61966-2-1)."""
-    clipped = np.clip(linear, 0.0, 1.0)
-    return np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * np.maximum(clipped, 1e-9) ** (1 / 2.4) - 0.055)

@@ -1,20 +1,14 @@
-"""What calibration found, in EMVA 1288 names and units, and how close it comes to a known truth."""
+"""Figures of a calibrated camera, in EMVA 1288 names and units, and how close they come to a known truth."""
 
 from typing import Any
 
 import numpy as np
 
-from l3cli import spectra
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.fit import ChartFit, NoiseFit, SeriesFit
 from l3cli.calibrate import gain
-from l3cli.calibrate.model import likely_mistake
-from l3cli.columns import columns, figure
 from l3cli.errors import InputFileError
-
-LEAST_EFFICIENCY = 0.01  # at the peak: below, a unit is more likely than such a camera
-LEAST_R_SQUARED, MOST_RMSE = 0.98, 0.02  # of every channel, or the calibration has failed
-SHOWN = 8  # defects listed in the text; JSON and the artifact hold all
+from l3cli.physics import spectra
 
 
 def camera_figures(camera: CameraModel) -> dict[str, tuple[float, str]]:
@@ -113,29 +107,6 @@ def _bands(camera: CameraModel, series: SeriesFit) -> dict[str, dict[str, float]
     return rows
 
 
-def shortfall(camera: CameraModel) -> str | None:
-    """Why the camera should not be trusted: the sentence that names captures that disagree, an efficiency that is hardly a
-    camera's, or the channel that its own validation fails; or None."""
-    if camera.fit and camera.fit.sweep and camera.fit.sweep.odd:
-        odd = camera.fit.sweep.odd
-        more = f" and {len(odd) - 1} more" if len(odd) > 1 else ""
-        return f"{odd[0]}{more}; check exposure, monitor and spectrum, or add --accept"
-    peak = float(camera.responsivity.max())
-    if camera.absolute and peak < LEAST_EFFICIENCY:
-        return f"the peak quantum efficiency is {100 * peak:.3g} % only; {likely_mistake(peak)}, or add --accept"
-    validation = camera.fit.validation if camera.fit else None
-    if validation is None:
-        return None
-    for index, name in enumerate(camera.channels):
-        fit, rmse = float(validation.r_squared[index]), float(validation.relative_rmse[index])
-        if fit < LEAST_R_SQUARED or rmse > MOST_RMSE:
-            return (
-                f"channel {name} is predicted with R² {fit:.4f} and a relative RMSE of {100 * rmse:.2f} %, "
-                f"{LEAST_R_SQUARED} and {100 * MOST_RMSE:g} % are wanted; check lights and captures, or add --accept"
-            )
-    return None
-
-
 def compare(camera: CameraModel, truth: CameraModel) -> dict[str, Any]:
     """How close a calibrated camera comes to the one that was measured: figures, and curves of each channel.
 
@@ -174,34 +145,3 @@ def _by_channel(camera: CameraModel, columns: dict[str, Any]) -> dict[str, dict[
         name: {title: float(column[index]) for title, column in columns.items()}
         for index, name in enumerate(camera.channels)
     }
-
-
-def as_text(result: dict[str, Any], width: int | None = None) -> list[str]:
-    """`figures`, with `compare` under "truth" if there, as lines of plain text; tables wider than `width` characters are
-    divided."""
-    truth = result.get("truth")
-    lines = []
-    for name, entry in result["camera"].items():
-        line = f"{name:24}{figure(entry['value'], '.5g'):>12} {entry['unit']:6}"
-        if truth:
-            known = truth["camera"][name]
-            error = "" if known["error %"] is None else f"  error {figure(known['error %'], '+.2f')} %"
-            line += f"  true {figure(known['true'], '.5g'):>10}{error}"
-        lines.append(line.rstrip())
-    for table in (result["channels"], result["lights"], result["bands"], truth["channels"] if truth else {}):
-        lines += ["", *_table(table, width)] if table else []
-    lines += ["", f"responsivity: {result['responsivity']}"]
-    lines += [f"from the data sheet: {', '.join(result['declared'])}"] if result["declared"] else []
-    lines += [f"left out: {capture}" for capture in result["left out"]]
-    defects = result["defects"]
-    if defects:
-        shown = " ".join(f"({row}, {col})" for row, col in defects[:SHOWN]) + (" …" if len(defects) > SHOWN else "")
-        lines.append(f"hot and dead pixels left out, row and col: {len(defects)}: {shown}")
-    return lines
-
-
-def _table(rows: dict[str, dict[str, float]], width: int | None) -> list[str]:
-    """Rows of numbers below two lines of headings: names, and the units that stand in brackets after them."""
-    titles = list(next(iter(rows.values())))
-    headings = ["channel\n", *("\n".join(title.rstrip(")").partition(" (")[::2]) for title in titles)]
-    return columns(headings, [[name, *(figure(row[title], ".5g") for title in titles)] for name, row in rows.items()], width)

@@ -1,143 +1,31 @@
-"""Artifacts: frozen dataclasses whose field declarations are the HDF5 schema.
+"""Artifacts in files: HDF5 after the declarations of their dataclasses, whole or not at all, with their history.
 
-A field declared with `data(dtype, axes, unit, doc)` is one dataset; a field declared with `group()`,
-whose type is another such dataclass, is a group. Saving, loading, checking and `l3 info` all read these declarations.
-DESIGN 3 tells what the files promise.
+README.md#artifacts tells what the files promise.
 """
 
 import contextlib
 import dataclasses
 import json
-import types
-import typing
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, TypeVar
 
 import h5py
 import msgspec
 import numpy as np
 
-from l3cli import __version__
 from l3cli.artifacts import container
+from l3cli.artifacts.schema import Artifact, Spec, Stage, check, declared
 from l3cli.artifacts.stored import KNOWN_FILTERS, datasets, filters_of, require_readable
 from l3cli.errors import InputFileError
 from l3cli.files import require_regular
 
-MOST = 1e27  # of any number: its square, summed up, is still one
 COMPRESSION = {"compression": "gzip", "compression_opts": 4, "shuffle": True, "fletcher32": True}
 HDF5_ERRORS = (OSError, RuntimeError, KeyError, TypeError, ValueError, OverflowError)  # what h5py makes of damage
 CHECKSUM = {"fletcher32": True}  # for pictures: noise hardly shrinks, and shrinking it takes longer than simulating it
 SEALED = 2  # format version from which every file carries its digest
-
-
-@dataclass(frozen=True)
-class Spec:
-    """Type, named axes, unit and meaning of one dataset."""
-
-    dtype: str
-    axes: tuple[str, ...]
-    unit: str
-    doc: str
-
-
-def data(dtype: str, *axes: str, unit: str = "1", doc: str = "", default: Any = dataclasses.MISSING) -> Any:
-    """Declare one dataset: `dtype` ("float64", "uint16", "str"…), axis names (none: a scalar), unit and meaning; with a
-    default it may be absent, as it is from files of older versions."""
-    return field(metadata={"spec": Spec(dtype, axes, unit, doc)}, default=default)
-
-
-def group(default: Any = dataclasses.MISSING, kw_only: bool = False) -> Any:
-    """Declare a group: the field's type is a dataclass of declared fields; with default None it may be absent."""
-    return field(default=default, kw_only=kw_only)
-
-
-@dataclass(frozen=True)
-class Stage:
-    """One step of an artifact's history: what was run, on what, with which recipe. No clock, host or path."""
-
-    command: str
-    options: dict[str, Any]
-    recipe: str = ""
-    inputs: dict[str, list[str]] = field(default_factory=dict)  # role → SHA-256 of the files
-    version: str = __version__
-
-
-@dataclass(frozen=True)
-class Artifact:
-    """Base of what the stages hand on. Subclasses set `kind`, `version`, `made_by`."""
-
-    kind: ClassVar[str]
-    version: ClassVar[int]
-    made_by: ClassVar[str]
-    history: tuple[Stage, ...] = field(default=(), kw_only=True)
-
-    def __post_init__(self) -> None:
-        check(self)
-
-
 A = TypeVar("A", bound=Artifact)
-
-
-# ------------------------------------------------------------------------------------------------ declarations
-
-
-def _declared(cls: type) -> Iterator[tuple[str, Spec | type, bool]]:
-    """(name, Spec or dataclass of the group, optional) of each stored field of a dataclass."""
-    hints = typing.get_type_hints(cls)
-    for item in dataclasses.fields(cls):
-        spec = item.metadata.get("spec")
-        if spec is not None:
-            yield item.name, spec, item.default is not dataclasses.MISSING
-            continue
-        hint = hints[item.name]
-        members = typing.get_args(hint) if isinstance(hint, types.UnionType) else (hint,)
-        groups = [member for member in members if dataclasses.is_dataclass(member)]
-        if groups:
-            yield item.name, typing.cast(type, groups[0]), type(None) in members
-
-
-def check(instance: Any) -> None:
-    """Dtypes, number of axes, equal length of equally named axes, finite numbers; ValueError names the field."""
-    _check(instance, {}, "")
-
-
-def _check(instance: Any, lengths: dict[str, tuple[int, str]], prefix: str) -> None:
-    for name, spec, optional in _declared(type(instance)):
-        value = getattr(instance, name)
-        if not isinstance(spec, Spec):
-            if not (optional and value is None):
-                _check(value, lengths, f"{prefix}{name}/")
-            continue
-        array = np.asarray(value)
-        label = f"{prefix}{name} ({', '.join(spec.axes)})"
-        if array.ndim != len(spec.axes):
-            raise ValueError(f"{label} has {array.ndim} axes")
-        if spec.dtype != "str":
-            if not np.can_cast(array.dtype, spec.dtype, "same_kind"):
-                raise ValueError(f"{label} holds {array.dtype}, not {spec.dtype}")
-            if array.size and array.dtype.kind == "u" and int(array.max()) > np.iinfo(np.int64).max:
-                raise ValueError(f"{label} holds {array.max()}, more than 63 bits")
-            if array.dtype.kind == "f" and array.size and not (array.min() >= -MOST and array.max() <= MOST):
-                told = f"beyond ±{MOST:g}" if np.isfinite(array).all() else "that are not finite"
-                raise ValueError(f"{label} holds values {told}")
-        for axis, length in zip(spec.axes, array.shape, strict=True):
-            known, where = lengths.setdefault(axis, (length, prefix + name))
-            if known != length:
-                raise ValueError(f"{label} has {length} along {axis}, but {where} has {known}")
-
-
-def equal(one: Any, other: Any) -> bool:
-    """Whether every declared field of two instances of a dataclass holds the same values."""
-    for name, spec, _ in _declared(type(one)):
-        a, b = getattr(one, name), getattr(other, name)
-        if isinstance(spec, Spec):
-            if not np.array_equal(np.asarray(a), np.asarray(b)):
-                return False
-        elif (a is None) != (b is None) or (a is not None and not equal(a, b)):
-            return False
-    return True
 
 
 # ------------------------------------------------------------------------------------------------------ writing
@@ -145,7 +33,7 @@ def equal(one: Any, other: Any) -> bool:
 
 def write_fields(group: h5py.Group, instance: Any, filters: Mapping[str, Any] = COMPRESSION) -> None:
     """Write every declared field of `instance` below `group`, arrays through `filters`."""
-    for name, spec, optional in _declared(type(instance)):
+    for name, spec, optional in declared(type(instance)):
         value = getattr(instance, name)
         if isinstance(spec, Spec):
             _write_dataset(group, name, spec, value, filters)
@@ -247,7 +135,7 @@ def read_history(root: h5py.File, path: Path) -> tuple[Stage, ...]:
 def read_fields(group: h5py.Group, cls: type, path: Path, **extra: Any) -> Any:
     """An instance of dataclass `cls` from the datasets below `group`."""
     values = dict(extra)
-    for name, spec, optional in _declared(cls):
+    for name, spec, optional in declared(cls):
         if optional and name not in members(group, path):
             continue  # what files of older versions do not tell
         if isinstance(spec, Spec):

@@ -1,0 +1,38 @@
+"""Figures of a calibrated camera as lines and tables of plain text."""
+
+from typing import Any
+
+from l3cli.columns import columns, figure
+
+SHOWN = 8  # defects listed in the text; JSON and the artifact hold all
+
+
+def as_text(result: dict[str, Any], width: int | None = None) -> list[str]:
+    """`figures`, with `compare` under "truth" if there, as lines of plain text; tables wider than `width` characters are
+    divided."""
+    truth = result.get("truth")
+    lines = []
+    for name, entry in result["camera"].items():
+        line = f"{name:24}{figure(entry['value'], '.5g'):>12} {entry['unit']:6}"
+        if truth:
+            known = truth["camera"][name]
+            error = "" if known["error %"] is None else f"  error {figure(known['error %'], '+.2f')} %"
+            line += f"  true {figure(known['true'], '.5g'):>10}{error}"
+        lines.append(line.rstrip())
+    for table in (result["channels"], result["lights"], result["bands"], truth["channels"] if truth else {}):
+        lines += ["", *_table(table, width)] if table else []
+    lines += ["", f"responsivity: {result['responsivity']}"]
+    lines += [f"from the data sheet: {', '.join(result['declared'])}"] if result["declared"] else []
+    lines += [f"left out: {capture}" for capture in result["left out"]]
+    defects = result["defects"]
+    if defects:
+        shown = " ".join(f"({row}, {col})" for row, col in defects[:SHOWN]) + (" …" if len(defects) > SHOWN else "")
+        lines.append(f"hot and dead pixels left out, row and col: {len(defects)}: {shown}")
+    return lines
+
+
+def _table(rows: dict[str, dict[str, float]], width: int | None) -> list[str]:
+    """Rows of numbers below two lines of headings: names, and the units that stand in brackets after them."""
+    titles = list(next(iter(rows.values())))
+    headings = ["channel\n", *("\n".join(title.rstrip(")").partition(" (")[::2]) for title in titles)]
+    return columns(headings, [[name, *(figure(row[title], ".5g") for title in titles)] for name, row in rows.items()], width)

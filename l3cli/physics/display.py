@@ -1,0 +1,135 @@
+"""From XYZ to what a screen shows and an eye sees of it: adaptation, exposure, sRGB both ways, CIELAB differences.
+
+XYZ are CIE 1931. A picture is linear sRGB (row, col, 3), 1 being display white, unless a name says "codes".
+"""
+
+import functools
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.errors import RecipeError, shortened
+from l3cli.physics.spectra import colour_science, white_point
+from l3cli.quantities import Quantity
+
+Array = NDArray[np.floating]
+CHROMATICITY = Quantity(0.001, 0.999)  # x or y of a white
+WHITE_PERCENTILE = 99  # of Y, shown white, as the authors of the method show their pictures
+LUMA = np.array([0.2126, 0.7152, 0.0722])  # of sRGB's primaries (Rec. 709)
+# Written out, though colour-science has both: rendering a frame needs nothing else of it, and importing it takes longer.
+SRGB_FROM_XYZ = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])  # IEC 61966-2-1
+CODES = {8: np.uint8, 16: np.uint16}  # bits of a picture's codes → their type
+BRADFORD = np.array(
+    [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]]
+)  # cone response of XYZ
+
+
+# ------------------------------------------------------------------------------------------- white and exposure
+
+
+def adaptation_matrix(white: Array, to: Array) -> Array:
+    """Bradford chromatic adaptation (3, 3) of XYZ from `white` to `to`, each (3) with any Y."""
+    gain = (BRADFORD @ to / to[1]) / (BRADFORD @ white / white[1])
+    return np.linalg.solve(BRADFORD, gain[:, None] * BRADFORD)
+
+
+@functools.cache
+def daylight() -> Array:
+    """XYZ (3), Y = 1, of D65, under which displays are looked at."""
+    return white_point("D65")
+
+
+def white_luminance(luminance: Array) -> float:
+    """Luminance that is shown white: the 99th percentile of `luminance` (row, col), in its unit; 1 where all is dark."""
+    bright = float(np.percentile(luminance, WHITE_PERCENTILE))
+    return bright if bright > 0 else 1.0
+
+
+def automatic_exposure(luminance: Array) -> float:
+    """Scale that brings the 99th percentile of Y (row, col) to display white; 1 where all is dark."""
+    return 1.0 / white_luminance(luminance)
+
+
+def scene_white(text: str) -> NDArray[np.float64]:
+    """XYZ (3), Y = 1, of a white given as "x,y" chromaticity or by the name of an illuminant; RecipeError if neither."""
+    if "," not in text:
+        return np.asarray(white_point(text), np.float64)
+    parts = text.split(",")
+    try:
+        x, y = (CHROMATICITY.read(part) for part in parts)
+    except ValueError as error:
+        why = f": {error}" if len(parts) == 2 else ""
+        raise RecipeError(
+            f'white "{shortened(text)}" is not a chromaticity{why}; give it as x,y such as 0.3127,0.3290'
+        ) from None
+    if x + y > CHROMATICITY.most:
+        raise RecipeError(f"white {text} is no chromaticity: x + y is at most {CHROMATICITY.most}")
+    return np.array([x, y, 1 - x - y]) / y
+
+
+# --------------------------------------------------------------------------------------------------------- sRGB
+
+
+def srgb_from_xyz_matrix() -> Array:
+    """Linear sRGB = M (3, 3) @ XYZ with the D65 white at Y = 1."""
+    return SRGB_FROM_XYZ.copy()
+
+
+def xyz_from_srgb_matrix() -> Array:
+    """XYZ = M (3, 3) @ linear sRGB, white at Y = 1."""
+    return np.linalg.inv(SRGB_FROM_XYZ)
+
+
+def srgb_curve(linear: Array) -> Array:
+    """Non-linear sRGB of linear values, both clipped to 0…1 (IEC 61966-2-1)."""
+    clipped = np.clip(linear, 0.0, 1.0)
+    return np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * np.maximum(clipped, 1e-9) ** (1 / 2.4) - 0.055)
+
+
+def srgb_decoded(encoded: Array) -> Array:
+    """Linear values of non-linear sRGB in 0…1, the inverse of `srgb_curve` (IEC 61966-2-1)."""
+    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+
+
+def srgb_codes(linear: Array, bits: int = 8) -> NDArray[Any]:
+    """Linear sRGB as the codes of a picture file, of a depth in CODES: round((2^bits − 1) · non-linear sRGB)."""
+    return np.floor(srgb_curve(linear) * (2**bits - 1) + 0.5).astype(CODES[bits])
+
+
+# ------------------------------------------------------------------------------------------------ as it is seen
+
+
+def displayed(xyz: Array, white: Array, scale: float) -> Array:
+    """The picture in 0…1 of XYZ planes (3, row, col): `white` (3) adapted to D65, Y = `scale` shown as 1."""
+    matrix = srgb_from_xyz_matrix() @ adaptation_matrix(white, daylight()) / scale
+    return np.clip(np.einsum("oc,crk->rko", matrix, xyz), 0.0, 1.0)
+
+
+def displayed_xyz(linear: Array) -> Array:
+    """XYZ (row, col, 3) of a display that shows a picture, white at Y = 1."""
+    return linear @ xyz_from_srgb_matrix().T
+
+
+def lab(xyz: Array, white: Array) -> Array:
+    """CIE L*a*b* of xyz (…, 3) relative to `white` (3), in the same scale."""
+    x, y = white[0] / white.sum(), white[1] / white.sum()
+    return colour_science().XYZ_to_Lab(np.asarray(xyz) / white[1], np.array([x, y]))
+
+
+def srgb_from_lab(lab_values: Array) -> Array:
+    """Linear sRGB (…, 3), unclipped, of CIE L*a*b* relative to D65."""
+    colour = colour_science()
+    white = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
+    return np.asarray(colour.Lab_to_XYZ(lab_values, white) @ srgb_from_xyz_matrix().T)
+
+
+def delta_e_2000(lab_a: Array, lab_b: Array) -> Array:
+    """CIEDE2000 colour difference of two L*a*b* arrays (…, 3)."""
+    return colour_science().delta_E(lab_a, lab_b, method="CIE 2000")
+
+
+def displayed_delta_e(one: Array, other: Array) -> Array:
+    """CIEDE2000 (row, col) of two pictures as a display shows them."""
+    labs = [lab(displayed_xyz(picture), daylight()) for picture in (one, other)]
+    return delta_e_2000(*labs)
