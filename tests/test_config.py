@@ -7,7 +7,7 @@ import pytest
 
 from l3cli.artifacts.camera_recipe import CameraRecipe, camera_files, load_camera, recipe_text
 from l3cli.config import load_recipe
-from l3cli.curve_table import read_curves
+from l3cli.curve_table import read_table
 from l3cli.errors import InputFileError, RecipeError
 from tests.conftest import CONFIGS, bayer_camera
 
@@ -120,4 +120,4 @@ def test_wrong_curves_are_refused(tmp_path: Path, text: str, message: str) -> No
     path = tmp_path / "curve.csv"
     path.write_text(text)
     with pytest.raises(InputFileError, match=message):
-        read_curves(path, 1)
+        read_table(path).counted(1)
