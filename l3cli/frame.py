@@ -92,7 +92,7 @@ def upright(pixels: NDArray, orientation: int) -> NDArray:
 
 def mirrored_indices(length: int, margin: int, period: int) -> NDArray[np.int32]:
     """Source index of each of `length` + 2·`margin` padded samples: inside itself; outside the sample of equal CFA phase
-    nearest the mirror image, so that padding never breaks the mosaic (METHOD 5). Where a mosaic is shorter than the
+    nearest the mirror image, so that padding keeps the mosaic (docs/method.md#rendering). Where a mosaic is shorter than the
     period and no sample of that phase exists, the nearest sample is taken."""
     wanted = np.arange(-margin, length + margin)
     if length < period:

@@ -37,12 +37,12 @@ class Body:
 
     @property
     def photons_per_radiance(self) -> float:
-        """m² sr: photons/s on a pixel's area for a scene radiance of 1 photon/s/sr/m² (METHOD 1.3)."""
+        """m² sr: photons/s on a pixel's area for a radiance of 1 photon/s/sr/m² (docs/method.md#optics)."""
         return self.optics.irradiance_per_radiance * self.pixel_pitch**2
 
     @property
     def relative_illumination(self) -> NDArray[np.float64]:
-        """(row, col) light of an even scene over that on the axis (METHOD 1.3)."""
+        """(row, col) light of an even scene over that on the axis (docs/method.md#optics)."""
         return relative_illumination(self.optics.image_distance, self.pixel_pitch, (self.rows, self.cols))
 
 

@@ -13,7 +13,7 @@ BRIGHTEST_RADIANCE = 1e26  # photons/s/sr/m²/nm: a thousand times the surface o
 class Scene:
     """Spectral reflectance-like picture with the light it was seen under.
 
-    `reflectance` is radiance / radiance of a perfect white: 0 at least, above 1 in speculars (METHOD 2). A scene that came
+    `reflectance` is radiance / that of a white: ≥ 0, above 1 in speculars (docs/method.md#simulation). A scene that came
     as radiance without an illuminant has `illuminant` None and `reflectance` holds radiance; it cannot be relit.
     """
 

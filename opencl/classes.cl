@@ -2,28 +2,6 @@
 //
 // One work-item labels a tile of TILE columns and BAND rows, row after row.
 
-// Labels of LANES pixels from their statistics, where some channel is saturated: a look-up, pixel by pixel.
-INLINE uints saturated_kinds(uints chroma, shorts code, __global const ushort *case_of_code) {
-    uint kind[LANES];
-    ushort pattern[LANES];
-    NEAR(uints, kind) = chroma;
-    NEAR(shorts, pattern) = code;
-    #pragma clang loop vectorize(disable) unroll(disable)
-    for (int i = 0; i < LANES; i++) {
-        const uint saturation = case_of_code[pattern[i]];
-        if (saturation) kind[i] = CHROMAS - 1 + saturation;
-    }
-    return NEAR(uints, kind);
-}
-
-INLINE bool any(shorts code) {
-    ulong word[LANES / 4], all = 0;
-    *(shorts_unaligned *)word = code;
-    #pragma unroll
-    for (int i = 0; i < LANES / 4; i++) all |= word[i];
-    return all != 0;
-}
-
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
 void classes(__global const ushort *restrict raw,                // (row, col) DN
              __global const int *restrict row_source,            // (padded row)
@@ -78,11 +56,10 @@ void classes(__global const ushort *restrict raw,                // (row, col) D
                              FIXED(uints, variance_reciprocal + at), chroma_weights);
             }
             const shorts code = patch_saturated(&runs, x);
-            uints kind = chroma_of(&evidence);
-            if (any(code) || case_of_code[0]) kind = saturated_kinds(kind, code, case_of_code);
+            uints kind = chroma_of(evidence.score);
+            if (any_case(code, case_of_code)) kind = kind_of(kind, case_of(code, case_of_code));
             const uints site = FIXED(uints, site_column + phase) + site_row * CFA_COLUMNS;
-            const uints within = level_and_contrast(&evidence, level_tops, contrast_edges);
-            const uints label = (site * (LEVELS * CONTRASTS) + within) * KINDS + kind;
+            const uints label = class_of(&evidence, site, kind, level_tops, contrast_edges);
             if (x + LANES <= width) FAR(uints, label_row + x) = label;
             else for (int i = 0; x + i < width; i++) label_row[x + i] = label[i];
         }

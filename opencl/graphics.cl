@@ -84,10 +84,9 @@ void classes(__global const ushort *restrict raw,                // (row, col) D
     }
     uint code = 0;
     for (int p = column + RADIUS - SATURATION_RADIUS; p <= column + RADIUS + SATURATION_RADIUS; p++) code |= saturated[line][p];
-    const uint saturation = case_of_code[code], kind = saturation ? CHROMAS - 1 + saturation : chroma_of(&evidence);
-    const uint within = level_and_contrast(&evidence, level_tops, contrast_edges);
-    if (x < columns && y < rows)
-        labels[(size_t)y * columns + x] = ((site_row * CFA_COLUMNS + site) * (LEVELS * CONTRASTS) + within) * KINDS + kind;
+    const uint kind = kind_of(chroma_of(evidence.score), case_of(code, case_of_code));
+    const uint label = class_of(&evidence, site_row * CFA_COLUMNS + site, kind, level_tops, contrast_edges);
+    if (x < columns && y < rows) labels[(size_t)y * columns + x] = label;
 }
 
 #define FOURS ((OUTPUTS + 3) / 4)  // vectors of four that hold the outputs

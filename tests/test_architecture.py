@@ -8,7 +8,7 @@ FLOORS = [
     {"errors", "limits", "interrupts", "config", "recipes", "files", "columns", "quantities", "units"},
     {"physics"},
     {"artifacts", "curve_table", "scene", "frame", "dark", "measurement"},
-    {"classify"},
+    {"classes"},
     {"calibrate", "simulate", "train", "render", "evaluate", "report", "io", "parallel"},
     {"cli"},
     {"__main__"},
@@ -69,3 +69,16 @@ def test_libraries_enter_by_their_one_door() -> None:
         for name in imports(path):
             doors = DOORS.get(name.split(".")[0])
             assert doors is None or where.startswith(doors), f"{where} imports {name}"
+
+
+def test_class_indices_are_split_in_one_place() -> None:
+    """No module but that of ClassRule divides, or takes the rest, by the number of kinds, contrasts or classes."""
+    sizes = {"levels", "contrasts", "kinds", "classes_per_site"}
+    for path in PACKAGE.rglob("*.py"):
+        if path.name == "class_rule.py":
+            continue
+        for node in ast.walk(ast.parse(path.read_text())):
+            divides = isinstance(node, ast.BinOp) and isinstance(node.op, ast.FloorDiv | ast.Mod)
+            divides |= isinstance(node, ast.Call) and ast.unparse(node.func).endswith(("divmod", "unravel_index"))
+            used = {part.attr for part in ast.walk(node) if isinstance(part, ast.Attribute)} if divides else set()
+            assert not used & sizes, f"{path}: {ast.unparse(node)}"

@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.container import seal
 from l3cli.artifacts.fit import ChartFit, Fit, NoiseFit, SeriesFit, SweepFit
 from l3cli.artifacts.partial_sums import PartialSums
 from l3cli.artifacts.schema import Stage, equal
 from l3cli.artifacts.store import load, save
-from l3cli.artifacts.table import ClassRule, TransformTable
+from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingFrame, TrainingSet, open_training_set, write_training_set
 from l3cli.errors import InputFileError
 

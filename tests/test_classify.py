@@ -1,4 +1,4 @@
-"""The integer class rule: exact in 32 bits, equal on mosaics and on patches, and meaning what METHOD 3 says."""
+"""The integer class rule: exact in 32 bits, equal on mosaics and on patches, as in docs/method.md#classes."""
 
 import dataclasses
 
@@ -7,12 +7,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from l3cli import classify
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.table import LEVEL_FRACTION
-from l3cli.classify import ClassRecipe, make_rule
+from l3cli.classes.decide import label_mosaic, label_patches
+from l3cli.classes.level import LEVEL_FRACTION
+from l3cli.classes.recipe import ClassRecipe
+from l3cli.classes.rule import FEATURES, make_rule
+from l3cli.classes.windows import neighbourhoods, sites
 from l3cli.errors import RecipeError
 from l3cli.frame import mirrored_indices, pad_mosaic
+from l3cli.render.layout import source_folder
 from tests.conftest import random_case_of_code
 
 
@@ -31,14 +34,14 @@ def test_mosaic_and_patches_are_labelled_alike(
     rule = make_rule(ClassRecipe(contrasts=(1.4, 4.0)), fiveband, random_case_of_code(5, rng), centres)
     values = rng.choice([0, 109, 120, 700, 4000, 4095], (rows, cols)).astype(np.uint16)
     values[: rows // 2] = rng.integers(100, 140, (rows // 2, cols))
-    labels = classify.label_mosaic(values, rule, fiveband.cfa, 5, (row_phase, col_phase))
-    near = classify.neighbourhoods(fiveband.cfa, rule.patch, 5)
-    site = classify.sites(rows, cols, fiveband.cfa.shape, (row_phase, col_phase))
+    labels = label_mosaic(values, rule, fiveband.cfa, 5, (row_phase, col_phase))
+    near = neighbourhoods(fiveband.cfa, rule.patch, 5)
+    site = sites(rows, cols, fiveband.cfa.shape, (row_phase, col_phase))
     if min(rows, cols) < 4:
         return  # padding of such a mosaic repeats samples of other channels; only the mosaic's own rule counts
     patches = windows(values, rule.patch, fiveband.cfa.shape)
     for number in np.unique(site):
-        own = classify.label_patches(patches[site == number], rule, near, number) + number * rule.classes_per_site
+        own = label_patches(patches[site == number], rule, near, number) + number * rule.classes_per_site
         assert (own == labels[site == number]).all()
 
 
@@ -55,10 +58,10 @@ def test_the_sums_fit_32_bits(fiveband: CameraModel, patch: int) -> None:
     """The formulas evaluated in wrapping 32-bit arithmetic, as a kernel does, for the extremes of 16-bit values."""
     camera = dataclasses.replace(fiveband, bits=16, white=65535.0)
     rule = make_rule(ClassRecipe(patch=patch, contrasts=(1.4, 4.0)), camera, np.zeros(32, np.uint16), np.eye(5))
-    near = classify.neighbourhoods(camera.cfa, patch, 5)
+    near = neighbourhoods(camera.cfa, patch, 5)
     patches = extreme_patches(patch**2)
     for site in range(16):
-        expected = classify.label_patches(patches, rule, near, site)
+        expected = label_patches(patches, rule, near, site)
         member = near.channel[site][:, None] == np.arange(5)
         values = (patches >> rule.shift).astype(np.uint32)
         level_sum = np.zeros(len(patches), np.uint32)
@@ -89,7 +92,7 @@ def test_level_contrast_and_case_mean_what_they_say(fiveband: CameraModel) -> No
     span = fiveband.white - fiveband.black
 
     def label(values: np.ndarray) -> tuple[int, int, int]:
-        labels = classify.label_mosaic(values.astype(np.uint16), rule, fiveband.cfa, 5)
+        labels = label_mosaic(values.astype(np.uint16), rule, fiveband.cfa, 5)
         level, contrast, case = np.unravel_index(
             labels[20:40, 20:40] % rule.classes_per_site, (rule.levels, rule.contrasts, rule.kinds)
         )
@@ -162,3 +165,37 @@ def test_padding_keeps_the_cfa_phase(length: int, margin: int, period: int) -> N
 def test_padding_mirrors_where_the_phase_allows() -> None:
     assert mirrored_indices(6, 3, 2).tolist() == [3, 2, 1, 0, 1, 2, 3, 4, 5, 4, 3, 2]
     assert mirrored_indices(8, 2, 4)[:2].tolist() == [2, 3]
+
+
+def test_indices_are_joined_as_they_are_split(fiveband: CameraModel) -> None:
+    rng = np.random.default_rng(3)
+    rule = make_rule(ClassRecipe(contrasts=(1.4, 4.0)), fiveband, random_case_of_code(5, rng), rng.dirichlet(np.ones(5), 6))
+    index = np.arange(16 * rule.classes_per_site)
+    site, level, contrast, kind = rule.split(index)
+    np.testing.assert_array_equal((site, level, contrast, kind), np.unravel_index(index, (16, *rule.shape)))
+    np.testing.assert_array_equal(rule.join(level, contrast, kind, site), index)
+    np.testing.assert_array_equal(rule.on_site(rule.join(level, contrast, kind), site), index)
+    np.testing.assert_array_equal(rule.within_site(index), rule.join(level, contrast, kind))
+    assert rule.split(1234) == tuple(part[1234] for part in (site, level, contrast, kind))
+    assert rule.by_axis(index)[7, 3, 2, 4] == rule.join(3, 2, 4, 7)
+    assert index[rule.of_site(2)].tolist() == index[site == 2].tolist()
+
+
+def test_a_kind_is_a_chroma_or_a_saturation_case(fiveband: CameraModel) -> None:
+    rng = np.random.default_rng(4)
+    rule = make_rule(ClassRecipe(), fiveband, random_case_of_code(5, rng), rng.dirichlet(np.ones(5), 6))
+    assert rule.kind(np.arange(6), 0).tolist() == [0, 1, 2, 3, 4, 5]
+    assert rule.kind(5, np.arange(1, 4)).tolist() == [6, 7, 8]
+    kinds = np.arange(rule.kinds)
+    assert rule.case(kinds).tolist() == [0, 0, 0, 0, 0, 0, 1, 2, 3]
+    for case in range(rule.cases):
+        assert np.atleast_1d(kinds[rule.kinds_of(case)]).tolist() == kinds[rule.case(kinds) == case].tolist()
+
+
+def test_every_feature_has_its_snippet_and_no_macro_twice(fiveband: CameraModel) -> None:
+    rule = make_rule(ClassRecipe(), fiveband, np.zeros(32, np.uint16))
+    macros = [key for feature in FEATURES for key in feature.macros(rule)]
+    assert len(set(macros)) == len(macros)
+    for feature in FEATURES:
+        snippet = (source_folder() / feature.SNIPPET).read_text(encoding="utf-8")
+        assert f"l3cli/classes/{feature.SNIPPET.removesuffix('.cl')}.py" in snippet

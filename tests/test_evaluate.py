@@ -13,11 +13,12 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import LightSpectrum, TrainingFrame, TrainingSet, open_training_set, write_training_set
-from l3cli.classify import label_mosaic
+from l3cli.classes.chroma import chroma_centres
+from l3cli.classes.decide import label_mosaic
 from l3cli.cli import run
 from l3cli.errors import InputFileError
 from l3cli.evaluate.basic import develop, fit_colour, light_of, white_preserving_ridge
-from l3cli.evaluate.classes import ClassErrors, chroma_centres
+from l3cli.evaluate.classes import ClassErrors
 from l3cli.evaluate.demosaic import bayer_roles, interpolate, rivals, tiled
 from l3cli.evaluate.evaluation import Evaluation, higher_is_better
 from l3cli.evaluate.pictures import error_map

@@ -25,11 +25,11 @@ from test_render import BAYER, random_table
 
 from l3cli.artifacts.container import seal
 from l3cli.artifacts.store import save
+from l3cli.classes.names import kind_name
 from l3cli.errors import InputFileError
 from l3cli.io import apart
 from l3cli.io.images import read_image, write_mosaic
 from l3cli.limits import MEGAPIXELS, MOST_TEXT, TRUST
-from l3cli.train.insight import kind_name
 from tests import hostile_numbers, hostile_physics
 from tests.decoders import abort, crash, echo, hoard, sleep, stumble, work, write_much
 from tests.fuzz import Seeded
@@ -136,6 +136,7 @@ KEPT: list[tuple[str, int, bytes, bytes]] = [
     ("lab.toml", 0, b"hot_pixels_per_million = 400", b"hot_pixels_per_million = 1e20"),
     ("classes.toml", 0, b"draws = 2", b"draws = 100000"),  # years
     ("classes.toml", 0, b"patches = 300", b"patches = 4294967296"),
+    ("classes.toml", 0, b"chromas = 2", b"chromas = 1000"),  # k-means of minutes before the limit was looked at
     ("curves.toml", 0, b"fixed_pattern_seed = 3", b"fixed_pattern_seed = 9223372036854775808"),
     ("camera.toml", 0, b"bits = 12", b"bits = 2147483647"),
     ("camera.toml", 0, b"[400, 700, 10]", b"[400, 1e20, 1e-9]"),

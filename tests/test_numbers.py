@@ -294,7 +294,7 @@ def test_no_chromas_are_none(l3, tmp_path, pipeline) -> None:
     ("key", "words"),
     [
         ("[classes]\nchromas = -1", "classes.chromas is -1; the least is 0"),
-        ("[classes]\nchromas = 10000000", "classes.chromas is 10000000; the most is 1000000"),
+        ("[classes]\nchromas = 10000000", "classes.chromas is 10000000; the most is 64"),
         ("[classes]\nmax_cases = 0", "classes.max_cases is 0; the least is 1"),
         ("[classes]\nsaturation_radius = -2", "classes.saturation_radius is -2; the least is 0"),
         (f"[classes]\nlevels = {FAR}", "classes.levels is 100000000000000000000000; a whole number has at most 64 bits"),

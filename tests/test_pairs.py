@@ -8,7 +8,7 @@ import pytest
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import TrainingFrame, TrainingPair, open_training_set
-from l3cli.classify import neighbourhoods
+from l3cli.classes.windows import neighbourhoods
 from l3cli.frame import RawFrame, as_taken, upright
 from l3cli.simulate.pairs import make_pair
 from l3cli.simulate.recipe import Pair

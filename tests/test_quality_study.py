@@ -1,5 +1,5 @@
 """How good the pictures of the five-band camera are on real hyperspectral faces, and what each ingredient of the classes
-and of learning is worth (METHOD 3 and 4).
+and of learning is worth (docs/method.md#ablation).
 
 python -m pytest -m slow -s tests/test_quality_study.py      needs L3_DATA; twenty minutes on two cores
 
@@ -23,7 +23,7 @@ CONFIGS = Path(__file__).parents[1] / "configs"
 FACES = (1, 2, 4, 5, 6)
 LEVELS = (0.4, 0.2, 0.02)
 DRAWS = 3  # of the dead leaves
-NOISE_DIFFERENCE = 0.05  # ΔE00: smaller differences are chance (METHOD 3; patches are drawn, too)
+NOISE_DIFFERENCE = 0.05  # ΔE00: smaller differences are chance (docs/method.md#ablation)
 
 # Every ingredient, and how the default recipe is written without it.
 WITHOUT = {
@@ -160,7 +160,7 @@ def test_faces_from_procedural_scenes_alone(studio: Studio) -> None:
 
 
 def test_faces_left_out_one_by_one(studio: Studio) -> None:
-    """Trained on the other four faces, RGB pictures and dead leaves, 1 : 0.7 : 0.4 (METHOD 4.8)."""
+    """Trained on the other four faces, RGB pictures and dead leaves, 1 : 0.7 : 0.4 (docs/method.md#patches)."""
     for name in ("default", "best"):
         cells = []
         for face in FACES:

@@ -68,7 +68,7 @@ wavelength_nm = 0.5
 
 @pytest.mark.parametrize("name", SWEEPS)
 def test_a_real_sweep_gives_the_published_response(name: str, l3_data: Path, tmp_path: Path, l3: L3) -> None:
-    """Within 0.0015 of the peak everywhere; the reader's own estimate is 0.0010 or less for all seven (METHOD 1.5)."""
+    """Within 0.0015 of the peak everywhere, for all seven (docs/method.md#sweeps-and-band-series)."""
     source = l3_data / "calibration/monochromator" / name
     file = sweep_folder(source, tmp_path)
     code, out, err = l3("calibrate", file, "-o", tmp_path / "camera.h5", "--export", tmp_path / "out", "--json", "--quiet")

@@ -15,7 +15,9 @@ from hypothesis import strategies as st
 
 from l3cli.artifacts.camera import CameraModel, Noise, Optics
 from l3cli.artifacts.table import TransformTable
-from l3cli.classify import ClassRecipe, make_rule, neighbourhoods
+from l3cli.classes.recipe import ClassRecipe
+from l3cli.classes.rule import make_rule
+from l3cli.classes.windows import neighbourhoods
 from l3cli.errors import DeviceError, RecipeError
 from l3cli.frame import RawFrame, upright
 from l3cli.physics import spectra

@@ -1,5 +1,5 @@
 """What a table is compared with gets all that the table has: the camera's whole grid, the frame's own light, the light that
-is wanted (METHOD 7)."""
+is wanted (docs/method.md#basic-pipeline)."""
 
 import json
 from collections.abc import Callable

@@ -39,7 +39,7 @@ def grey_scene(camera: CameraModel, shape: tuple[int, int] = (32, 32), reflectan
 
 @pytest.fixture
 def isetcam(l3_data: Path) -> Path:
-    """ISETCam's numbers (METHOD 1.3)."""
+    """ISETCam's numbers (docs/method.md#optics)."""
     folder = l3_data.parent / "reference/isetcam"
     if not folder.is_dir():
         pytest.skip("the ISETCam reference is not at hand")

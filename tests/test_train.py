@@ -11,19 +11,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from l3cli import classify
 from l3cli.artifacts.camera import CameraModel, Noise
 from l3cli.artifacts.partial_sums import ClassSums
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingFrame, TrainingSet, write_training_set
-from l3cli.classify import ClassRecipe, make_rule
+from l3cli.classes.chroma import choose_chromas
+from l3cli.classes.decide import label_patches
+from l3cli.classes.names import kind_name
+from l3cli.classes.recipe import ClassRecipe
+from l3cli.classes.rule import make_rule
+from l3cli.classes.saturation import choose_cases
+from l3cli.classes.windows import neighbourhoods
 from l3cli.config import load_recipe
 from l3cli.errors import L3Error
 from l3cli.io.images import read_image
 from l3cli.train.accumulate import sum_sites
-from l3cli.train.insight import kind_name
-from l3cli.train.kinds import choose_cases, choose_chromas
 from l3cli.train.lesson import LAST, Lesson
 from l3cli.train.patches import draw_levels, expose_patches, sample_patches
 from l3cli.train.recipe import LearningRecipe, TrainingRecipe
@@ -79,7 +82,7 @@ def a_set(
 def test_symmetry_of_known_arrays(fiveband: CameraModel) -> None:
     for cfa, canonical in ((fiveband.cfa, 5), (np.array([[0, 1], [1, 2]]), 3), (np.zeros((1, 1), int), 1), (XTRANS, 8)):
         for patch in (5, 9):
-            near = classify.neighbourhoods(cfa, patch, int(cfa.max()) + 1)
+            near = neighbourhoods(cfa, patch, int(cfa.max()) + 1)
             maps = site_maps(near.channel, patch)
             if cfa is not XTRANS:
                 assert len({site_map.canonical for site_map in maps}) == canonical
@@ -98,7 +101,7 @@ def test_patches_are_windows_of_the_turned_mosaic(bayer: CameraModel) -> None:
     camera, rng = bayer, np.random.default_rng(4)
     frame = a_frame(camera, 1, smooth=False)
     head = TrainingSet(camera=camera, outputs=("X", "Y", "Z"), target_description="")
-    near = classify.neighbourhoods(camera.cfa, 5, 3)
+    near = neighbourhoods(camera.cfa, 5, 3)
     sample = sample_patches(frame, head, camera.white_dose, near.channel[1], 64, orientations(5), rng)
     # the centre tap is the site's own channel whatever the orientation, and the target belongs to the same pixel
     share = frame.electrons / camera.full_scale
@@ -180,7 +183,7 @@ def test_flat_fields_give_their_true_output(bayer: CameraModel, tmp_path: Path, 
     table = load(TransformTable, tmp_path / "table.h5")
     assert np.isfinite(table.weights).all()
     assert (np.abs(table.weights).sum(axis=(1, 2)) > 0).all()  # no class is left empty
-    near = classify.neighbourhoods(camera.cfa, 5, 3)
+    near = neighbourhoods(camera.cfa, 5, 3)
     rng = np.random.default_rng(9)
     for level in (0.01, 0.1, 0.5):
         share = rng.random(3) * 0.5 + 0.5
@@ -188,7 +191,7 @@ def test_flat_fields_give_their_true_output(bayer: CameraModel, tmp_path: Path, 
         truth = MIX @ share
         for site in range(4):
             patch = camera.black + share[near.channel[site]] * (camera.white - camera.black)
-            label = classify.label_patches(np.rint(patch).astype(np.uint16)[None], table.rule, near, site)[0]
+            label = label_patches(np.rint(patch).astype(np.uint16)[None], table.rule, near, site)[0]
             index = site * table.rule.classes_per_site + label
             result = table.weights[index] @ share[near.channel[site]] + table.intercept[index]
             assert result == pytest.approx(truth, rel=0.03, abs=0.002 * level)
@@ -197,7 +200,7 @@ def test_flat_fields_give_their_true_output(bayer: CameraModel, tmp_path: Path, 
 def test_sums_are_exact_in_any_order(bayer: CameraModel) -> None:
     """Sums of parts are equal to the last bit however they are grouped, and equal a plain float64 computation."""
     rule = make_rule(ClassRecipe(patch=3, levels=4), bayer, np.zeros(8, np.uint16))
-    near = classify.neighbourhoods(bayer.cfa, 3, 3)
+    near = neighbourhoods(bayer.cfa, 3, 3)
     head = TrainingSet(camera=bayer, outputs=("X", "Y", "Z"), target_description="")
     lesson = Lesson(head, (1000,) * 6, rule, LearningRecipe(patches=6000, draws=2), np.ones(3), 1, LAST)
     frames = [a_frame(bayer, seed, smooth=False) for seed in range(6)]
@@ -346,7 +349,7 @@ def test_plain_areas_show_no_cfa_pattern(bayer: CameraModel, tmp_path: Path, l3:
     (tmp_path / "classes.toml").write_text(SMALL)
     assert l3("train", training, "--classes", tmp_path / "classes.toml", "-o", tmp_path / "table.h5")[0] == 0
     table = load(TransformTable, tmp_path / "table.h5")
-    near = classify.neighbourhoods(bayer.cfa, 5, 3)
+    near = neighbourhoods(bayer.cfa, 5, 3)
     member = near.channel[:, :, None] == np.arange(3)
     weights = table.weights.reshape(4, -1, 3, 25).astype(np.float64)
     response = np.einsum("skot,stc->skoc", weights, member)

@@ -19,7 +19,8 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet, write_training_set
-from l3cli.classify import ClassRecipe, make_rule
+from l3cli.classes.recipe import ClassRecipe
+from l3cli.classes.rule import make_rule
 from l3cli.cli.passes import Work, first_lesson, open_course
 from l3cli.errors import InputFileError
 from l3cli.parallel import workers
@@ -226,12 +227,12 @@ def test_shares_give_the_same_bytes_in_shards(bayer: CameraModel, tmp_path: Path
     [
         ("1", "--shares gives 1 shares for 2 training sets"),
         ("1,2,3", "--shares gives 3 shares for 2 training sets"),
-        ("1,-2", "shares must not be negative"),
-        ("0,0", "one must be above zero"),
-        ("1,x", "is no list of numbers"),
-        ("1,nan", "is no list of numbers"),
-        ("1,1e999", "is no list of numbers"),
-        ("", "is no list of numbers"),
+        ("1,-2", "-2 is not within 0…1e+06; the nearest is 0"),
+        ("0,0", "one share must be above zero"),
+        ("1,x", "is no number"),
+        ("1,nan", "is no number"),
+        ("1,1e999", "the nearest is 1e+06"),
+        ("", "in a list such as 1,0.7,0.4"),
     ],
 )
 def test_wrong_shares_are_one_line(shares: str, why: str, bayer: CameraModel, tmp_path: Path, refused: Callable) -> None:

@@ -1,4 +1,4 @@
-"""The camera model: what calibration finds out and simulation needs (METHOD 1)."""
+"""The camera model: what calibration finds out and simulation needs (docs/method.md#camera-model)."""
 
 import functools
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ MOST_WAVELENGTHS, LONGEST = 10_000, 20_000  # samples of a spectrum; nm
 
 @dataclass(frozen=True)
 class Noise:
-    """Noise of METHOD 1.2, referred to the photodiode."""
+    """Noise of docs/method.md#sensor, referred to the photodiode."""
 
     read_noise: float = data("float64", unit="e-", doc="standard deviation of one reading in the dark")
     dark_current: float = data("float64", unit="e-/s", doc="mean dark current")
@@ -41,7 +41,7 @@ class Noise:
 
 @dataclass(frozen=True)
 class Optics:
-    """Lens between scene and sensor (METHOD 1.3). Its transmittance is part of the responsivity."""
+    """Lens between scene and sensor (docs/method.md#optics). Its transmittance is part of the responsivity."""
 
     focal_length: float = data("float64", unit="m", doc="focal length")
     f_number: float = data("float64", unit="1", doc="focal length / aperture diameter")
@@ -59,7 +59,7 @@ class Optics:
 
     @property
     def irradiance_per_radiance(self) -> float:
-        """Camera equation, sr: sensor irradiance / scene radiance on the axis (METHOD 1.3)."""
+        """Camera equation, sr: sensor irradiance / scene radiance on the axis (docs/method.md#optics)."""
         return lens.irradiance_per_radiance(self.f_number, lens.magnification(self.focal_length, self.object_distance))
 
 
@@ -142,7 +142,7 @@ class CameraModel(Artifact):
 
     @property
     def electron_weights(self) -> NDArray[np.float64]:
-        """W (channel, wavelength): mean photo-electrons a second = W @ scene radiance (photons/s/sr/m²/nm) (METHOD 1.2)."""
+        """W (channel, wavelength): mean photo-electrons/s = W @ radiance (photons/s/sr/m²/nm) (docs/method.md#sensor)."""
         photons = self.optics.irradiance_per_radiance * self.pixel_pitch**2 * spectra.bin_widths(self.wavelength)
         return self.responsivity * photons
 
@@ -162,11 +162,11 @@ class CameraModel(Artifact):
         return dose
 
     def dark_signal(self, exposure: float | None) -> float:
-        """DN above black that dark current makes, on average, in `exposure` s (METHOD 1.2); 0 if that is unknown."""
+        """DN above black that dark current makes, on average, in `exposure` s; None: 0 (docs/method.md#dark-current)."""
         return 0.0 if exposure is None else self.gain * self.noise.dark_current * exposure
 
     def noise_variance(self, signal: NDArray[np.floating], dark: float = 0.0) -> NDArray[np.floating]:
-        """Variance in DN² of a pixel whose mean lies `signal` DN above black (METHOD 1.3, with quantisation), of a frame
+        """Variance in DN² of a pixel of mean `signal` DN above black (docs/method.md#noise, with rounding), of a frame
         that is `RawFrame.at_levels` after `dark` DN of dark current."""
         constant, linear, quadratic = self.noise_terms(dark)
         signal = np.maximum(signal, 0.0)

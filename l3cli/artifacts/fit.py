@@ -1,4 +1,4 @@
-"""What calibration measured of a camera and how well its model explains it (METHOD 1.4): group `fit` of a camera model."""
+"""What calibration measured of a camera, how well its model explains it (docs/method.md#calibration): group `fit`."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Partial sums: what one shard of a training run has added up, per canonical site and class (METHOD 4.6)."""
+"""Partial sums: what one shard of a training run has added up, per canonical site and class (docs/method.md#exact-sums)."""
 
 import contextlib
 from collections.abc import Iterator
@@ -10,9 +10,9 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.class_rule import ClassRule, check_rule
 from l3cli.artifacts.schema import Artifact, check, data, group
 from l3cli.artifacts.store import hard_group, members, new_artifact, open_artifact, read_fields, read_history, write_fields
-from l3cli.artifacts.table import ClassRule, check_rule
 from l3cli.artifacts.training_set import TrainingSet
 from l3cli.errors import InputFileError
 

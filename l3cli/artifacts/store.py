@@ -1,6 +1,6 @@
 """Artifacts in files: HDF5 after the declarations of their dataclasses, whole or not at all, with their history.
 
-DESIGN 3 tells what the files promise.
+README.md#artifacts tells what the files promise.
 """
 
 import contextlib

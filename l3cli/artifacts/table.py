@@ -1,4 +1,4 @@
-"""The transform table: class rule and weights, all that rendering needs (METHOD 3, 4)."""
+"""The transform table: class rule and weights, all that rendering needs (docs/method.md#classes)."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -7,103 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel, check_cfa, check_sensor
-from l3cli.artifacts.schema import Artifact, check, data, group
-
-CLASS_BITS = 12  # class decisions are taken on the upper 12 bits of a value, so that 32-bit sums are exact
-LEVEL_FRACTION = 8  # fractional bits of a channel mean in the level sum
-CONTRAST_FRACTION = 9  # fractional bits of a channel variance in the contrast sum
-CHROMA_SCALE = 1 << 10  # of the chroma weights: sums over 16 channels stay within 32 bits
-MAX_CHROMAS = 64
-MAX_PATCH = 15
-CHROMA_FRACTION = 4  # fractional bits of a channel mean above black in the chroma scores
-
-
-@dataclass(frozen=True)
-class ClassRule:
-    """The integer class rule of METHOD 3, written out in classify.py.
-
-    class = ((site · levels + level) · contrasts + contrast) · kinds + kind, with site = row · cfa columns + column.
-    The kind is the chroma of an unsaturated pixel, and chromas − 1 + case of one near saturation.
-    """
-
-    patch: int = data("int64", unit="pixel", doc="side of the square neighbourhood, odd")
-    shift: int = data("int64", unit="bit", doc="values are shifted right by this before sums are formed")
-    level_edges: NDArray[np.uint32] = data(
-        "uint32",
-        "level_edge",
-        unit="DN >> shift, times 256 times channels",
-        doc="sum over channels of the channel means at which the next level begins",
-    )
-    contrast_edges: NDArray[np.uint32] = data(
-        "uint32",
-        "contrast_edge",
-        "level",
-        unit="(DN >> shift)^2, times 512",
-        doc="sum over channels of the channel variances above which the next contrast begins",
-    )
-    saturation: int = data("int64", unit="DN", doc="value from which a pixel counts as saturated")
-    saturation_radius: int = data("int64", unit="pixel", doc="pixels this near the centre decide the saturation case")
-    case_of_code: NDArray[np.uint16] = data(
-        "uint16", "code", doc="saturation case of each pattern of saturated channels (bit c: channel c)"
-    )
-
-    chroma_black: int = data(
-        "int64", unit="(DN >> shift) times 16", doc="black level, taken off channel means for the chroma"
-    )
-    chroma_weights: NDArray[np.int32] = data(
-        "int32", "chroma", "channel", doc="weights of the channel means; the chroma of the lowest score wins"
-    )
-
-    def __post_init__(self) -> None:
-        check(self)
-        if not 1 <= len(self.chroma_weights) <= MAX_CHROMAS or np.abs(self.chroma_weights).max() > 2 * CHROMA_SCALE:
-            raise ValueError(f"chroma_weights must be 1…{MAX_CHROMAS} rows within ±{2 * CHROMA_SCALE}")
-        if self.patch % 2 == 0 or not 1 <= self.patch <= MAX_PATCH:
-            raise ValueError(f"patch is {self.patch}, not an odd number up to {MAX_PATCH}")
-        if (np.diff(self.level_edges.astype(np.int64)) <= 0).any():
-            raise ValueError("level_edges do not increase: more levels than values")
-        if not 0 <= self.saturation_radius <= self.patch // 2 or self.saturation < 0:
-            raise ValueError("saturation must not be negative, its radius not larger than the patch's")
-        if self.contrast_edges.shape[1] != self.levels:
-            raise ValueError(f"contrast_edges has {self.contrast_edges.shape[1]} levels, level_edges make {self.levels}")
-
-    @property
-    def radius(self) -> int:
-        return self.patch // 2
-
-    @property
-    def levels(self) -> int:
-        return len(self.level_edges) + 1
-
-    @property
-    def contrasts(self) -> int:
-        return len(self.contrast_edges) + 1
-
-    @property
-    def cases(self) -> int:
-        return int(self.case_of_code.max()) + 1
-
-    @property
-    def chromas(self) -> int:
-        return len(self.chroma_weights)
-
-    @property
-    def kinds(self) -> int:
-        return self.chromas + self.cases - 1
-
-    @property
-    def classes_per_site(self) -> int:
-        return self.levels * self.contrasts * self.kinds
-
-
-def check_rule(rule: ClassRule, channels: int, bits: int) -> None:
-    """ValueError if a rule is not for a camera of so many channels and bits."""
-    if not 0 <= rule.shift <= bits <= rule.shift + CLASS_BITS:
-        raise ValueError(f"{bits} bits shifted by {rule.shift} leave more than {CLASS_BITS}")
-    if rule.chroma_weights.shape[1] != channels:
-        raise ValueError(f"chroma_weights is for {rule.chroma_weights.shape[1]} channels")
-    if len(rule.case_of_code) != 2**channels:
-        raise ValueError(f"case_of_code has {len(rule.case_of_code)} codes for {channels} channels")
+from l3cli.artifacts.class_rule import ClassRule, check_rule
+from l3cli.artifacts.schema import Artifact, data, group
 
 
 @dataclass(frozen=True)

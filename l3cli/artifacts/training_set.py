@@ -82,7 +82,7 @@ class TrainingFrame(TrainingPair):
     """A pair that was simulated: the noise-free electrons are known too.
 
     They are full-resolution: every channel at every pixel, so that training may place the mosaic at any offset and in any of
-    its eight orientations (METHOD 4.8). `raw` is the mosaic the camera would have given.
+    its eight orientations (docs/method.md#patches). `raw` is the mosaic the camera would have given.
     """
 
     electrons: NDArray[np.float32] = data(

@@ -1,4 +1,4 @@
-"""Responsivity curves, from whatever source, and those that need no fit: tables and finished curves (METHOD 1.5)."""
+"""Responsivity curves, and those that need no fit: tables, finished curves (docs/method.md#sweeps-and-band-series)."""
 
 from dataclasses import dataclass, replace
 

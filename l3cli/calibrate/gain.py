@@ -1,4 +1,4 @@
-"""Eq. 2: gain and offset of each channel from charts under known lights (METHOD 1.4 (2), 1.5)."""
+"""Eq. 2: gain and offset of each channel from charts under known lights (docs/method.md#gain-and-offset)."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,7 +8,7 @@ from l3cli.errors import InputFileError
 from l3cli.measurement import CHART_COLS, CHART_ROWS, PATCHES, Body, ChartCapture
 
 CORE = 0.25  # half the side of a patch's sampled core, in chart cells
-RELATIVE_ERROR, ABSOLUTE_ERROR = 0.005, 0.3  # of the signal, DN: how well a patch's value is known (METHOD 1.5)
+RELATIVE_ERROR, ABSOLUTE_ERROR = 0.005, 0.3  # of the signal, DN: how well a patch is known (docs/method.md#gain-and-offset)
 Array = NDArray[np.float64]
 
 
@@ -113,7 +113,7 @@ def _per_label(label: NDArray[np.int64], weights: NDArray, channels: int) -> Arr
 def fit_gain(photons: Array, values: Array, black: float) -> tuple[float, float]:
     """Eq. 2 of one channel: (alpha, beta) of values ≈ alpha · photons + beta, alpha ≥ 0.
 
-    photons and values (sample) are what the responsivity predicts and the mean DN; weights are those of METHOD 1.5.
+    photons and values (sample) are what the responsivity predicts and the mean DN; weights: docs/method.md#gain-and-offset.
     """
     from scipy.optimize import lsq_linear
 

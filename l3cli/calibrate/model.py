@@ -1,4 +1,4 @@
-"""Measurements → camera model: the steps of METHOD 1.4 in their order."""
+"""Measurements → camera model: the steps of docs/method.md#calibration in their order."""
 
 import functools
 from collections.abc import Sequence
@@ -62,7 +62,7 @@ class Charts:
 
 
 def calibrate(measurements: Measurements, each: Each = map) -> CameraModel:
-    """The camera that explains the measurements (METHOD 1.4); InputFileError names the capture that cannot be used.
+    """The camera that explains the measurements (docs/method.md#calibration); InputFileError names the unusable capture.
 
     `each` maps a function over captures: the built-in map, or one that keeps several processes busy.
     """
@@ -102,7 +102,7 @@ def from_data_sheet(measurements: Measurements, figures: SensorFigures) -> Camer
 
 
 def measure_sensor(measurements: Measurements, each: Each = map) -> Sensor:
-    """Noise, black, saturation and defects from dark and white frames (METHOD 1.4 (3))."""
+    """Noise, black, saturation and defects from dark and white frames (docs/method.md#dark-and-white-frames)."""
     body = measurements.body
     dark = noise.dark_noise(measurements.darks, body, each)
     whites = sorted(measurements.whites, key=lambda capture: capture.exposure)
@@ -286,7 +286,7 @@ def _shares(body: Body) -> Array:
 
 def efficiency(curves: Curves, fit: Fit, gain: float, body: Body) -> tuple[Array, Array]:
     """Absolute quantum efficiency alpha · r / K (channel, wavelength) and the half width of its 95 % band, in which the
-    errors of alpha and K are contained (METHOD 1.4 (4))."""
+    errors of alpha and K are contained (docs/method.md#quantum-efficiency)."""
     assert fit.chart is not None
     assert fit.noise is not None
     scale = fit.chart.alpha[:, None] / gain

@@ -1,4 +1,4 @@
-"""Noise of a sensor from stacks of frames: photon transfer, dark current, DSNU, PRNU (METHOD 1.4 (3), 1.5; EMVA 1288).
+"""Noise of a sensor from stacks of frames, as EMVA 1288 defines it (docs/method.md#dark-and-white-frames).
 
 Every temporal variance comes from differences of frames taken in pairs, in which the fixed pattern cancels; every spatial
 one has the variance of its own estimator subtracted. Hot and dead pixels stay out. Where a function goes through many
@@ -22,7 +22,7 @@ QUANTISATION = 1.0 / 12.0  # DN², variance of rounding
 SATURATED = 0.985  # share of the span from black to white that counts as saturated
 TOLERATED = 1e-4  # share of saturated pixels that leaves a variance unharmed
 LINEAR = (0.05, 0.95)  # share of saturation over which EMVA 1288 judges linearity
-WINDOW = 7  # samples of one CFA site that make a local mean: 5–9, wider ones see dust as pattern (METHOD 1.5)
+WINDOW = 7  # samples of one CFA site in a local mean: 5–9, wider ones see dust (docs/method.md#dark-and-white-frames)
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
 Each = Callable[[Callable, Iterable], Iterator]
@@ -214,7 +214,7 @@ def _pixel_variance(site: Array) -> float:
 
 
 def photon_transfer(levels: Sequence[Level], body: Body, dark: DarkNoise) -> PhotonTransfer:
-    """Conversion gain from the photon-transfer line of white levels sorted by exposure (METHOD 1.5).
+    """Conversion gain from the line of white levels sorted by exposure (docs/method.md#dark-and-white-frames).
 
     Saturation is where the variance falls, be it the well or the converter; levels from there on stay out.
     InputFileError if a channel has fewer than two levels below saturation.

@@ -1,4 +1,4 @@
-"""Eq. 1: the spectral responsivity of each channel from monochromatic lights (METHOD 1.4 (1), 1.5)."""
+"""Eq. 1: the spectral responsivity of each channel from monochromatic lights (docs/method.md#responsivity)."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from l3cli.physics import spectra
 
-NODE_STEP = 5.0  # nm between hats: 10 nm doubles the error (METHOD 1.5)
+NODE_STEP = 5.0  # nm between hats: 10 nm doubles the error (docs/method.md#responsivity)
 EDGE = 0.01  # share of a light's peak below which it does not reach a node
 PLATEAU = 1.05  # a smoothing whose error is within 5 % of the best is as good
 PILOT = 10.0  # the band's residuals are taken about a curve this much smoother
@@ -79,7 +79,7 @@ def residuals(sweep: Sweep, responsivity: Array) -> Array:
 
 
 def choose_smoothing(deltas: Array, errors: Array) -> float:
-    """The middle, in logarithm, of the plateau about the least error: a minimum alone picks at random (METHOD 1.5)."""
+    """The logarithmic middle of the plateau about the least error, which alone is chance (docs/method.md#responsivity)."""
     best = int(errors.argmin())
     good = errors <= PLATEAU * errors[best]
     first, last = best, best
@@ -91,7 +91,7 @@ def choose_smoothing(deltas: Array, errors: Array) -> float:
 
 
 def confidence_bands(sweep: Sweep, responsivity: Array, delta: float, drift: float, wavelength_error: float) -> Array:
-    """Half width (channel, wavelength) of a 95 % band about `responsivity` (METHOD 1.5).
+    """Half width (channel, wavelength) of a 95 % band about `responsivity` (docs/method.md#confidence-bands).
 
     Leverage-corrected residuals of random sign about a smoother pilot, whose spread is known in closed form because the
     estimate is linear where r > 0; in quadrature with the pilot's bias, lamp drift, wavelength error and a floor.

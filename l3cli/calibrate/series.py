@@ -1,4 +1,4 @@
-"""A chart behind narrow filters at several exposures: linearity and relative responses (METHOD 1.5, "Real bands")."""
+"""A chart behind narrow filters: linearity and relative responses (docs/method.md#sweeps-and-band-series)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
+from l3cli.classes.names import heading
 from l3cli.cli import options
 from l3cli.cli.terminal import show
 from l3cli.columns import columns
@@ -60,22 +61,12 @@ def _print_classes(document: dict[str, Any], figure: str) -> None:
 
     for axis, entries in document["by_class"].items():
         if len(entries) > 1:
-            _print(f"by class: {axis}", named, [row(_class_name(axis, entry), entry) for entry in entries])
+            _print(f"by class: {axis}", named, [row(heading(axis, entry), entry) for entry in entries])
     worst = []
     for entry in document["worst_classes"]:
         kind = f"case {entry['case']}" if entry["chroma"] is None else f"chroma {entry['chroma']}"
-        worst.append(row(f"{_class_name('level', entry)} · contrast {entry['contrast']} · {kind}", entry))
+        worst.append(row(f"{heading('level', entry)} · contrast {entry['contrast']} · {kind}", entry))
     _print("worst classes", named, worst)
-
-
-def _class_name(axis: str, entry: dict[str, Any]) -> str:
-    if axis == "level":
-        return f"{entry['level']}: {entry['from']:.4f}–{entry['to']:.4f}"
-    if axis == "chroma":
-        return f"{entry['chroma']}: " + " ".join(f"{name} {share:.2f}" for name, share in entry["shares"].items())
-    if axis == "saturation":
-        return f"{entry['case']}: " + (" ".join(entry["saturated"]) or ("mixed" if entry["case"] else "none"))
-    return str(entry["contrast"])
 
 
 def _number(figure: str, value: float) -> str:

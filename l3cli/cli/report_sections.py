@@ -172,7 +172,8 @@ def _camera_figures(camera: CameraModel) -> dict[str, Any]:
 
 
 def _transforms(name: str, table: TransformTable, light: NDArray[np.float64] | None) -> Section:
-    from l3cli.train.insight import class_name, insight
+    from l3cli.classes.names import class_name
+    from l3cli.train.insight import insight
 
     return transform_section(table, light, insight(table), functools.partial(class_name, table), name)
 

@@ -24,10 +24,13 @@ def _shard(context: Any, parameter: Any, text: str | None) -> tuple[int, int] | 
     """Reads "I/N" with 1 ≤ I ≤ N."""
     if text is None:
         return None
-    parts = text.split("/")
-    if len(parts) != 2:
+    first, found, second = text.partition("/")
+    if not found:
         raise click.BadParameter(f'"{shortened(text)}" is not I/N, such as 1/4')
-    index, count = (int(SHARD.read(part)) for part in parts)
+    try:
+        index, count = int(SHARD.read(first)), int(SHARD.read(second))
+    except click.BadParameter as error:
+        raise click.BadParameter(f'"{shortened(text)}" is not I/N, such as 1/4: {error.message}') from None
     if not 1 <= index <= count:
         raise click.BadParameter(f"{text}: shards count from 1/{max(count, 1)} to {max(count, 1)}/{max(count, 1)}")
     return index, count
@@ -37,7 +40,10 @@ def _shares(context: Any, parameter: Any, text: str | None) -> tuple[Fraction, .
     """Reads "1,0.7,0.4": numbers that are not all zero."""
     if text is None:
         return None
-    shares = tuple(Fraction(SHARE.read(part)).limit_denominator(10**12) for part in text.split(","))
+    try:
+        shares = tuple(Fraction(SHARE.read(part)).limit_denominator(10**12) for part in text.split(","))
+    except click.BadParameter as error:
+        raise click.BadParameter(f"{error.message}, in a list such as 1,0.7,0.4") from None
     if not any(shares):
         raise click.BadParameter(f"{shortened(text)}: one share must be above zero")
     return shares

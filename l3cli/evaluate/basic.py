@@ -1,4 +1,4 @@
-"""The pipeline a laboratory builds without training pictures: white balance, demosaic, one colour matrix (METHOD 7).
+"""The pipeline a laboratory builds without training: white balance, demosaic, colour matrix (docs/method.md#basic-pipeline).
 
 Clipped channels are left as they are: cutting all of them where the first clips keeps highlights neutral, but costs 0.6 ΔE00
 over faces at three light levels, and what a table is compared with should be the stronger of the two.

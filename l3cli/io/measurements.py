@@ -1,4 +1,4 @@
-"""The measurement file and what lies around it: MEASUREMENTS.toml, frames, CSV spectra (METHOD 1.4).
+"""The measurement file and what lies around it: MEASUREMENTS.toml, frames, CSV spectra (docs/method.md#calibration).
 
     MEASUREMENTS.toml   sensor, cfa, optics, and what was measured:
       responsivity      one of: [[mono]] frames of a monochromator; [sweep] a table of means beside a photodiode; [curves]

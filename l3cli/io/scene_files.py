@@ -35,7 +35,7 @@ def find(pattern: str, folder: Path, folders: bool = False) -> list[Path]:
 def read_iset_scene(path: Path, light: Curve | None = None) -> Scene:
     """An ISET scene: photons (row, col, wave) in photons/s/sr/m²/nm with its illuminant, in any of ISET's storages:
     a scene struct with floats or integers between dmin and dmax; photons and wave; coefficients (mcCOEF) of a basis about a
-    mean (imgMean). Small negatives are noise and become zero, speculars stay (METHOD 2).
+    mean (imgMean). Small negatives are noise and become zero, speculars stay (docs/method.md#simulation).
 
     `light` (wavelength in nm, photons) stands for an illuminant that the file lacks. InputFileError if the file is no such
     scene.

@@ -254,7 +254,7 @@ def _reflectance_tables() -> tuple[tuple[Array, Array], ...]:
 
 
 def reflectance_library(wavelength: Array) -> Array:
-    """Measured reflectances of natural and man-made surfaces, (sample, wavelength), within 0.003–0.999 (METHOD 2.1).
+    """Measured reflectances of surfaces, (sample, wavelength), within 0.003–0.999 (docs/method.md#procedural-scenes).
 
     They are smooth: taken at points, for that is where `held_interpolation` leads a curve through; means would be flatter.
     """

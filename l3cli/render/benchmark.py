@@ -19,8 +19,11 @@ from typing import Any
 
 import numpy as np
 
-from l3cli.artifacts.table import ClassRule, TransformTable
-from l3cli.classify import chroma_weights
+from l3cli.artifacts.class_rule import ClassRule
+from l3cli.artifacts.table import TransformTable
+from l3cli.classes.chroma import CHROMA_FRACTION, chroma_weights
+from l3cli.classes.level import LEVEL_FRACTION
+from l3cli.classes.windows import VARIANCE_FRACTION
 from l3cli.frame import RawFrame
 from l3cli.physics import spectra
 from l3cli.render.display import make_display
@@ -192,12 +195,14 @@ def made_up_table(case: Case, rng: np.random.Generator) -> TransformTable:
     rule = ClassRule(
         patch=case.patch,
         shift=0,
-        level_edges=np.rint(levels * 256 * channels).astype(np.uint32),
-        contrast_edges=np.rint(2 * 512 * channels * (30 + 0.4 * np.append(levels, WHITE)))[None].astype(np.uint32),
+        level_edges=np.rint(levels * 2**LEVEL_FRACTION * channels).astype(np.uint32),
+        contrast_edges=np.rint(2 * 2**VARIANCE_FRACTION * channels * (30 + 0.4 * np.append(levels, WHITE)))[None].astype(
+            np.uint32
+        ),
         saturation=4036,
         saturation_radius=2,
         case_of_code=case_of_code,
-        chroma_black=BLACK * 16,
+        chroma_black=BLACK * 2**CHROMA_FRACTION,
         chroma_weights=chroma_weights(centres),
     )
     classes = cfa.size * rule.classes_per_site

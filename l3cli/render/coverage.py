@@ -4,8 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from l3cli.artifacts.table import LEVEL_FRACTION, TransformTable
-from l3cli.classify import label_patches, neighbourhoods
+from l3cli.artifacts.table import TransformTable
+from l3cli.classes import level
+from l3cli.classes.decide import label_patches
+from l3cli.classes.windows import neighbourhoods
 from l3cli.frame import RawFrame
 from l3cli.render.exposure import spread_patches
 
@@ -26,27 +28,23 @@ class CoverageMeter:
     def __init__(self, table: TransformTable) -> None:
         self._table = table
         self._near = neighbourhoods(table.cfa, table.rule.patch, len(table.channels))
-        rule = table.rule
-        self._samples = table.samples.reshape(table.cfa.size, rule.levels, rule.contrasts * rule.kinds)
+        self._samples = table.rule.by_axis(table.samples)
 
     def coverage(self, frame: RawFrame) -> Coverage:
         """How a frame of any size and phase is covered."""
         rule = self._table.rule
         patches, site = spread_patches(frame, self._table)
-        label = label_patches(patches.values, rule, self._near, site)
-        level, within = np.divmod(label, rule.contrasts * rule.kinds)
-        learned = np.flatnonzero(self._samples[site].sum(axis=1) > 0)
+        place = rule.split(label_patches(patches.values, rule, self._near, site))
+        learned = np.flatnonzero(self._samples[site].sum(axis=(1, 2)) > 0)
         lowest, highest = (learned[0], learned[-1]) if learned.size else (0, rule.levels - 1)
-        darker, brighter = level < lowest, level > highest
-        untrained = (self._samples[site, level, within] == 0) & ~darker & ~brighter
-        saturated = within % rule.kinds >= rule.chromas
+        darker, brighter = place.level < lowest, place.level > highest
+        untrained = (self._samples[site, place.level, place.contrast, place.kind] == 0) & ~darker & ~brighter
+        saturated = rule.case(place.kind) > 0
         return Coverage(*(float(np.mean(found)) for found in (darker, brighter, untrained, saturated)))
 
     def learned_range(self) -> tuple[float, float]:
         """The darkest and brightest level that the table has patches of, as shares of full scale."""
-        table, rule = self._table, self._table.rule
-        learned = np.flatnonzero(self._samples.sum(axis=(0, 2)) > 0)
-        per_dn = 2.0**rule.shift / (2**LEVEL_FRACTION * len(table.channels))
-        edges = (rule.level_edges * per_dn - table.black) / (table.white - table.black)
-        edges = np.concatenate([[0.0], edges, [1.0]])
+        table = self._table
+        learned = np.flatnonzero(self._samples.sum(axis=(0, 2, 3)) > 0)
+        edges = np.concatenate([[0.0], level.inner_bounds(table.rule, table.black, table.white), [1.0]])
         return (float(edges[learned[0]]), float(edges[learned[-1] + 1])) if learned.size else (0.0, 1.0)

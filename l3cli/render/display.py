@@ -1,4 +1,4 @@
-"""What a renderer makes of XYZ: a picture for a screen, by one matrix, the clip, the sRGB curve and rounding (METHOD 5)."""
+"""What a renderer makes of XYZ: a picture for a screen, matrix, clip, sRGB curve and rounding (docs/method.md#display)."""
 
 from dataclasses import dataclass
 

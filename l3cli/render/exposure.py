@@ -1,4 +1,4 @@
-"""Exposure of a sequence: measured on a few pixels of each frame, followed in time so that nothing flickers (METHOD 5)."""
+"""Exposure of a sequence: measured on a few pixels a frame, followed without flicker (docs/method.md#display)."""
 
 import math
 from dataclasses import replace
@@ -7,7 +7,8 @@ from fractions import Fraction
 import numpy as np
 
 from l3cli.artifacts.table import TransformTable
-from l3cli.classify import label_patches, neighbourhoods
+from l3cli.classes.decide import label_patches
+from l3cli.classes.windows import neighbourhoods
 from l3cli.frame import RawFrame, mirrored_indices
 from l3cli.physics.display import WHITE_PERCENTILE
 
@@ -31,7 +32,7 @@ class LightMeter:
         """Y that ought to be shown white."""
         table = self.table
         patches, site = spread_patches(frame, table)
-        classes = site * table.rule.classes_per_site + label_patches(patches.values, table.rule, self._near, site)
+        classes = table.rule.on_site(label_patches(patches.values, table.rule, self._near, site), site)
         signal = (patches.values.astype(np.float32) - np.float32(patches.black)) / np.float32(table.white - table.black)
         luminance = np.einsum("nt,nt->n", self._weights[classes], signal) + self._intercept[classes]
         return frame.light_share * float(np.percentile(luminance, WHITE_PERCENTILE))

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli import classify
-from l3cli.artifacts.table import CHROMA_FRACTION, LEVEL_FRACTION, TransformTable
+from l3cli.artifacts.table import TransformTable
+from l3cli.classes.rule import FEATURES, kernel_arrays, kernel_macros
+from l3cli.classes.windows import Integers, neighbourhoods
 from l3cli.physics.display import srgb_curve
 from l3cli.render.display import Display
 
@@ -56,17 +57,9 @@ def table_macros(table: TransformTable) -> Macros:
         "CFA_ROWS": table.cfa.shape[0],
         "CFA_COLUMNS": table.cfa.shape[1],
         "PERIOD": table.cfa.shape[1] + PERIODS,
-        "LEVELS": rule.levels,
-        "CONTRASTS": rule.contrasts,
-        "CHROMAS": rule.chromas,
-        "KINDS": rule.kinds,
         "SHIFT": rule.shift,
-        "LEVEL_FRACTION": LEVEL_FRACTION,
-        "CHROMA_FRACTION": CHROMA_FRACTION,
-        "CHROMA_BLACK": rule.chroma_black,
-        "SATURATION": min(rule.saturation, 1 << 16),
-        "SATURATION_RADIUS": rule.saturation_radius,
         "WHITE_TOP": 2**table.bits - 1,
+        **kernel_macros(rule),
     }
 
 
@@ -92,12 +85,12 @@ def curve_macros(steps: int, degree: int) -> Macros:
 def class_arrays(table: TransformTable) -> tuple[NDArray, ...]:
     """The constants of the kernel `classes`, in the order of its arguments; what they are stands there."""
     rule, channels = table.rule, len(table.channels)
-    near = classify.neighbourhoods(table.cfa, rule.patch, channels)
+    near = neighbourhoods(table.cfa, rule.patch, channels)
     period = np.arange(table.cfa.shape[1] + PERIODS) % table.cfa.shape[1]
     cfa = table.cfa[:, period].astype(np.uint16)
     member = np.where(cfa == np.arange(channels, dtype=np.uint16)[:, None, None], np.uint16(0xFFFF), np.uint16(0))
 
-    def by_channel(site_values: classify.Integers) -> NDArray[np.uint32]:
+    def by_channel(site_values: Integers) -> NDArray[np.uint32]:
         return site_values.reshape(*table.cfa.shape, channels).transpose(2, 0, 1)[:, :, period].astype(np.uint32)
 
     return (
@@ -107,10 +100,7 @@ def class_arrays(table: TransformTable) -> tuple[NDArray, ...]:
         by_channel(near.mean_reciprocal),
         by_channel(near.variance_reciprocal),
         period.astype(np.uint32),
-        np.minimum(rule.level_edges.astype(np.int64) - 1, 2**31 - 1).astype(np.int32),  # no sum reaches a higher one
-        rule.contrast_edges,
-        rule.case_of_code,
-        rule.chroma_weights,
+        *kernel_arrays(rule),
     )
 
 
@@ -167,7 +157,7 @@ class Variant:
     pack: Callable[[TransformTable, int], NDArray[np.float32]]  # weights as its kernels read them, for Cut.lanes
 
 
-SHARED = ("vectors.cl", "rule.cl", "encoding.cl")
+SHARED = ("vectors.cl", *(feature.SNIPPET for feature in FEATURES), "rule.cl", "encoding.cl")
 VARIANTS = {
     # Few and long work-items, each vectorised within: over pixels for the classes, over taps for the transforms.
     "processor": Variant(

@@ -1,4 +1,4 @@
-"""Rendering on an OpenCL device: upload, two kernels (opencl/*.cl), download (DESIGN 4).
+"""Rendering on an OpenCL device: upload, two kernels (opencl/*.cl), download (docs/method.md#rendering).
 
 A frame is taken in horizontal bands, so that the device's memory is bounded whatever the frame's size; a usual frame is one
 band. Two tracks, each a queue with buffers of its own, take the bands in turn, of this frame and the next: while one

@@ -1,12 +1,13 @@
-"""The plain truth of rendering in float64: what every other backend is held against (METHOD 5)."""
+"""The plain truth of rendering in float64: what every other backend is held against (docs/method.md#rendering)."""
 
 from collections.abc import Iterable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli import classify
 from l3cli.artifacts.table import TransformTable
+from l3cli.classes.decide import label_mosaic
+from l3cli.classes.windows import Integers
 from l3cli.frame import RawFrame, pad_mosaic
 from l3cli.render.display import Display, encode, require_xyz
 
@@ -17,7 +18,7 @@ class ReferenceRenderer:
     def __init__(self, table: TransformTable) -> None:
         self.table = table
 
-    def labels(self, frame: RawFrame) -> classify.Integers:
+    def labels(self, frame: RawFrame) -> Integers:
         """Class (row, col) of every pixel."""
         return table_labels(at_table_levels(frame, self.table), self.table)
 
@@ -45,12 +46,12 @@ def at_table_levels(frame: RawFrame, table: TransformTable) -> RawFrame:
     return frame.at_levels(table.black, table.white, table.bits)
 
 
-def table_labels(frame: RawFrame, table: TransformTable) -> classify.Integers:
+def table_labels(frame: RawFrame, table: TransformTable) -> Integers:
     """Class (row, col) of every pixel of a frame at the table's levels."""
-    return classify.label_mosaic(frame.values, table.rule, table.cfa, len(table.channels), frame.phase)
+    return label_mosaic(frame.values, table.rule, table.cfa, len(table.channels), frame.phase)
 
 
-def output_planes(frame: RawFrame, labels: classify.Integers, table: TransformTable) -> NDArray[np.float64]:
+def output_planes(frame: RawFrame, labels: Integers, table: TransformTable) -> NDArray[np.float64]:
     """Each pixel's transform applied to its neighbourhood: (output, row, col) from a frame at the table's levels and its
     classes (row, col)."""
     rows, cols = frame.values.shape

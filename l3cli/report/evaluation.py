@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from l3cli.classes.names import heading
 from l3cli.columns import figure as number
 from l3cli.report.colours import SERIES
 from l3cli.report.drawing import Plot, spanning
@@ -194,7 +195,7 @@ def _class_blocks(document: dict[str, Any], figure: str) -> tuple[Block, ...]:
     tables = []
     for axis, entries in document["by_class"].items():
         if axis != "level" and len(entries) > 1:
-            tables.append(Table(f"By {axis}", (axis, *heads), tuple((_class_name(axis, e), *cells(e)) for e in entries)))
+            tables.append(Table(f"By {axis}", (axis, *heads), tuple((heading(axis, e), *cells(e)) for e in entries)))
     worst = tuple(
         (f"level {e['from']:.3g}–{e['to']:.3g}, contrast {e['contrast']}, {_kind(e)}", *cells(e))
         for e in document["worst_classes"]
@@ -204,14 +205,6 @@ def _class_blocks(document: dict[str, Any], figure: str) -> tuple[Block, ...]:
 
 def _kind(entry: dict[str, Any]) -> str:
     return f"saturation case {entry['case']}" if entry["chroma"] is None else f"chroma {entry['chroma']}"
-
-
-def _class_name(axis: str, entry: dict[str, Any]) -> str:
-    if axis == "chroma":
-        return f"{entry['chroma']}: " + " ".join(f"{name} {share:.2f}" for name, share in entry["shares"].items())
-    if axis == "saturation":
-        return f"{entry['case']}: " + (" ".join(entry["saturated"]) or ("mixed" if entry["case"] else "none"))
-    return str(entry[axis])
 
 
 def _number(figure: str, value: float) -> str:

@@ -6,7 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.table import LEVEL_FRACTION, TransformTable
+from l3cli.artifacts.table import TransformTable
+from l3cli.classes import level
+from l3cli.classes.windows import Integers, window_channels
 from l3cli.report import colours
 from l3cli.report.drawing import WIDTH, Plot, box, escape, heat, sheet, spanning
 from l3cli.report.parts import Block, Figure, Figures, Key, Part, Section, Table, Text, tidy
@@ -36,32 +38,19 @@ def transform_section(
     return Section(f"Table: {name}", lead, parts)
 
 
-def level_bounds(table: TransformTable) -> Array:
-    """Bounds (level + 1) of the levels as shares of full scale, from 0 to 1."""
-    per_dn = 2.0**table.rule.shift / (2**LEVEL_FRACTION * len(table.channels))
-    inner = (table.rule.level_edges * per_dn - table.black) / (table.white - table.black)
-    return np.concatenate([[0.0], np.clip(inner, 0, 1), [1.0]])
-
-
 def level_middles(table: TransformTable) -> Array:
     """A level of each class of the rule, share of full scale, fit for a logarithmic axis."""
-    bounds = level_bounds(table)
+    bounds = level.bounds(table)
     lower = np.maximum(bounds[:-1], bounds[1:] / 2)
     return np.sqrt(np.maximum(lower * bounds[1:], 1e-8))
-
-
-def _by_axis(table: TransformTable, values: NDArray[Any]) -> NDArray[Any]:
-    """values (class, …) as (site, level, contrast, kind, …)."""
-    rule = table.rule
-    return values.reshape(table.cfa.size, rule.levels, rule.contrasts, rule.kinds, *values.shape[1:])
 
 
 # ------------------------------------------------------------------------------------------------------ population
 
 
 def _population_blocks(table: TransformTable, found: dict[str, Any]) -> tuple[Block, ...]:
-    samples = _by_axis(table, table.samples)
-    levels = [tidy(value, 1) for value in level_bounds(table)[1:]]
+    samples = table.rule.by_axis(table.samples)
+    levels = [tidy(value, 1) for value in level.bounds(table)[1:]]
     kinds, sites = kind_names(found), [f"{r},{c} {table.channels[channel]}" for (r, c), channel in np.ndenumerate(table.cfa)]
     by_number = max(map(len, kinds)) > LONGEST
     kinds = [name.partition(":")[0] for name in kinds] if by_number else kinds
@@ -130,20 +119,20 @@ def chosen_classes(table: TransformTable) -> list[int]:
     """Classes worth a look: of the commonest channel's first site dark and bright, flat and textured; then a textured class
     of middling level for each other channel. Of each the unsaturated kind of most patches."""
     rule = table.rule
-    samples = _by_axis(table, table.samples)[..., : rule.chromas]
+    samples = table.rule.by_axis(table.samples)[..., rule.kinds_of(0)]
     sites = table.cfa.ravel()
     common = int(np.bincount(sites).argmax())
     middles = level_middles(table)
     dark, mid, bright = (int(np.argmin(np.abs(np.log(middles / share)))) for share in (0.02, 0.2, 0.4))
     first = int(np.argmax(sites == common))
-    wanted = [(first, level, contrast) for level in (dark, bright) for contrast in sorted({0, rule.contrasts - 1})]
+    wanted = [(first, at, contrast) for at in (dark, bright) for contrast in sorted({0, rule.contrasts - 1})]
     others = [channel for channel in np.unique(sites).tolist() if channel != common][:7]
     wanted += [(int(np.argmax(sites == channel)), mid, rule.contrasts - 1) for channel in others]
     found = []
-    for site, level, contrast in wanted:
-        kind = int(samples[site, level, contrast].argmax())
-        if samples[site, level, contrast, kind] > 0:
-            found.append(((site * rule.levels + level) * rule.contrasts + contrast) * rule.kinds + kind)
+    for site, at, contrast in wanted:
+        kind = int(samples[site, at, contrast].argmax())
+        if samples[site, at, contrast, kind] > 0:
+            found.append(rule.join(at, contrast, kind, site))
     return list(dict.fromkeys(found))
 
 
@@ -190,12 +179,9 @@ def _weight_map(weights: Array, left: float, top: float, cell: float) -> list[st
     return items
 
 
-def taps(table: TransformTable, index: int) -> NDArray[np.uint8]:
+def taps(table: TransformTable, index: int) -> Integers:
     """Channel of each tap of a class's patch."""
-    rows, cols = table.cfa.shape
-    row, col = divmod(index // table.rule.classes_per_site, cols)
-    reach = np.arange(table.rule.patch) - table.rule.radius
-    return table.cfa[np.ix_((row + reach) % rows, (col + reach) % cols)].ravel()
+    return window_channels(table.cfa, table.rule.patch)[table.rule.split(index).site]
 
 
 # ----------------------------------------------------------------------------------------------------------- noise
@@ -203,8 +189,8 @@ def taps(table: TransformTable, index: int) -> NDArray[np.uint8]:
 
 def _noise_figures(table: TransformTable) -> Figures:
     """Noise gain over level: median over trained unsaturated classes."""
-    gain = _by_axis(table, np.sqrt((table.weights.astype(np.float64) ** 2).sum(axis=2)))[..., : table.rule.chromas, :]
-    trained = _by_axis(table, table.samples)[..., : table.rule.chromas] > 0
+    gain = table.rule.by_axis(np.sqrt((table.weights.astype(np.float64) ** 2).sum(axis=2)))[..., table.rule.kinds_of(0), :]
+    trained = table.rule.by_axis(table.samples)[..., table.rule.kinds_of(0)] > 0
     middles, curves = level_middles(table), []
     for output in range(min(MAPS, len(table.outputs))):
         for contrast in sorted({0, table.rule.contrasts - 1}):

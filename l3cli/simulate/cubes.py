@@ -19,7 +19,7 @@ def scene_of(cube: SpectralCube, source: Spectral, name: str, light: Light | Non
 
     Reflectance is stored value / white. Radiance is divided by that of a perfect white under `light`, whose level, like the
     cube's own, only `white` can tell; without a light the brightest pixels are taken as a white under equal photons, and
-    the scene keeps only that. Small negatives become zero (METHOD 2). ValueError says what does not fit.
+    the scene keeps only that. Small negatives become zero (docs/method.md#simulation). ValueError says what does not fit.
     """
     wavelength, values = _bands(cube, source)
     white = source.white or cube.white or (np.iinfo(values.dtype).max if values.dtype.kind in "iu" else 1.0)

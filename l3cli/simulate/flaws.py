@@ -1,4 +1,4 @@
-"""What a real sensor adds to the model of METHOD 1.2: hot and dead pixels, dust, column noise."""
+"""What a real sensor adds to the model of docs/method.md#sensor: hot and dead pixels, dust, column noise."""
 
 import functools
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""One frame: a scene under a light, through lens and sensor, beside the picture it should become (METHOD 1.2, 1.3, 2)."""
+"""One frame: a scene under a light, through lens and sensor, beside its target (docs/method.md#simulation)."""
 
 from dataclasses import dataclass
 

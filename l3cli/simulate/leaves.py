@@ -1,4 +1,4 @@
-"""Geometry and texture of procedural scenes: leaves that cover each other, and random fields (METHOD 2.1).
+"""Geometry of procedural scenes: leaves that cover each other, random fields (docs/method.md#procedural-scenes).
 
 Natural pictures are scale invariant because objects of every size occlude each other: "dead leaves" of density r⁻³ have
 their edges, their power spectrum and their contrast statistics (Lee, Mumford and Huang, 2001).

@@ -1,4 +1,4 @@
-"""The light on a scene, and what a camera makes of it for each band of the scene's reflectance (METHOD 1.2)."""
+"""The light on a scene, and what a camera makes of it in each band (docs/method.md#spectra-on-other-grids)."""
 
 import re
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""Blur by the lens in every wavelength of a scene, at the cost of a few transforms (METHOD 1.3)."""
+"""Blur by the lens in every wavelength of a scene, at the cost of a few transforms (docs/method.md#optics)."""
 
 import functools
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Scenes from mathematics: dead leaves to train on, and a composition to look at (METHOD 2.1)."""
+"""Scenes from mathematics: dead leaves to train on, and a composition to look at (docs/method.md#procedural-scenes)."""
 
 from dataclasses import dataclass
 

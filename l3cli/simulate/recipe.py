@@ -30,7 +30,7 @@ from l3cli.simulate.targets import CAMERA, OUTPUTS
 
 
 class Lens(Recipe):
-    """Which imperfections of the lens are simulated, and another lens than the camera's (METHOD 1.3)."""
+    """Which imperfections of the lens are simulated, and another lens than the camera's (docs/method.md#optics)."""
 
     diffraction: bool = True
     off_axis: bool = False  # darker corners; a table does not know where in the frame it is applied

@@ -1,4 +1,4 @@
-"""Reflectance spectra for procedural scenes: wide, smooth, physically valid (METHOD 2.1).
+"""Reflectance spectra for procedural scenes: wide, smooth, physically valid (docs/method.md#procedural-scenes).
 
 A third is drawn from measured surfaces as they are or mixed, a third from a Gaussian fitted to them in logit space, the
 rest are the materials that pictures are full of: skin, leaves, hair. Saturation is low and varies from frame to frame.
@@ -17,7 +17,7 @@ Array = NDArray[np.floating]
 LARGEST, SMALLEST = 1.0, 0.002
 COMPONENTS = 8  # of the Gaussian in logit space
 
-# Share of each kind of material (METHOD 2.1).
+# Share of each kind of material (docs/method.md#procedural-scenes).
 KINDS = {"library": 0.25, "mixture": 0.2, "gaussian": 0.35, "skin": 0.12, "leaf": 0.04, "hair": 0.04}
 DYED = ("library", "mixture", "gaussian")  # kinds whose saturation a frame draws; the others have their own
 VIVID = (0.0, 1.2)  # saturation of the dyed materials of a chart, greys included
@@ -94,7 +94,7 @@ def _dye(rng: np.random.Generator, of: Surfaces, kind: str, saturation: float) -
 
 
 def with_saturation(reflectance: Array, saturation: float) -> Array:
-    """reflectance (band) drawn towards its geometric mean m: m (R/m)^saturation; 0 is grey, 1 leaves it (METHOD 2.1)."""
+    """reflectance (band) drawn towards its geometric mean: 0 is grey, 1 leaves it (docs/method.md#procedural-scenes)."""
     grey = np.exp(np.log(reflectance).mean())
     return grey * (reflectance / grey) ** saturation
 

@@ -1,4 +1,4 @@
-"""RGB pictures raised to spectra: the smoothest reflectances that have their colours (METHOD 4.8)."""
+"""RGB pictures as spectra: the smoothest reflectances of their colours (docs/method.md#pictures-raised-to-spectra)."""
 
 import functools
 

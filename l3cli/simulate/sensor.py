@@ -1,4 +1,4 @@
-"""The sensor of METHOD 1.2: mean photo-electrons → digital numbers."""
+"""The sensor (docs/method.md#sensor): mean photo-electrons → digital numbers."""
 
 import functools
 from dataclasses import dataclass, replace
@@ -76,7 +76,7 @@ def expose(
     rng: np.random.Generator,
     noises: str = "all",
 ) -> NDArray[np.uint16]:
-    """One raw frame (row, col) in DN of mean photo-electrons (row, col) after `exposure` seconds (METHOD 1.2), with those
+    """One raw frame (row, col) in DN of mean photo-electrons after `exposure` seconds (docs/method.md#sensor), with those
     `noises` (one of NOISES). Shot noise is drawn from the Poisson distribution itself.
 
     The frame is the upper left part of the sensor, whose fixed pattern it carries; ValueError if it is larger.
@@ -97,7 +97,7 @@ def read_out(
     rng: np.random.Generator,
     noises: str = "all",
 ) -> NDArray[np.uint16]:
-    """The raw frame (row, col) in DN of mean photo-electrons on pixels with a pattern of the same shape (METHOD 1.2)."""
+    """A raw frame (row, col) in DN of mean photo-electrons on pixels of such a pattern (docs/method.md#sensor)."""
     noise = camera.noise
     signal = np.clip(electrons, 0.0, MOST_ELECTRONS) + min(noise.dark_current * exposure, MOST_ELECTRONS)
     if noises != "none":

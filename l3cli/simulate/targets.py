@@ -1,4 +1,4 @@
-"""What the picture should be: observers, other matching functions, or the camera's own bands (METHOD 2)."""
+"""What the picture should be: observers, other matching functions, or the camera's own bands (docs/method.md#simulation)."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Patches → sums of their classes (METHOD 4.1–4.4). What each step costs decides its order:
+"""Patches → sums of their classes (docs/method.md#training). What each step costs decides its order:
 
 patches are turned tap by tap, rescaled, exposed and labelled in pieces that stay in the caches, of which only label, level
 and scale are kept; then all are sorted by class, made again without noise in pieces that end where classes end, weighed, and
@@ -11,9 +11,12 @@ from collections.abc import Iterable, Iterator, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.partial_sums import ClassSums
 from l3cli.artifacts.training_set import TrainingPair
-from l3cli.classify import Neighbourhoods, TapOrder, label_statistics, neighbourhoods, patch_statistics, tap_order
+from l3cli.classes.decide import label_statistics
+from l3cli.classes.statistics import patch_statistics, truncation
+from l3cli.classes.windows import Neighbourhoods, TapOrder, neighbourhoods, tap_order
 from l3cli.train.division import BATCH
 from l3cli.train.lesson import Lesson
 from l3cli.train.patches import Floats, Patches, draw_levels, expose_patches, noise_share, patches_of
@@ -23,7 +26,7 @@ from l3cli.train.weighing import Judge
 EXPOSED = 4096  # patches exposed at once, so that their arrays stay in the caches
 PIECE, LARGEST_PIECE = 1024, 4096  # rows weighed and multiplied at once, and where one class has so many
 DARKEST_LEVEL = 1e-4  # share of full scale: rows of darker patches get no more weight
-TARGET_FLOOR = 0.05  # of the level: rows of darker targets get no more weight (METHOD 4.2)
+TARGET_FLOOR = 0.05  # of the level: rows of darker targets get no more weight (docs/method.md#row-weights)
 
 
 def sum_sites(
@@ -119,8 +122,7 @@ class _Batch:
         """Level (patch) as a share of full scale: mean over the channels of the means of their `sums` (channel, patch)."""
         camera, shift = self.lesson.head.camera, self.lesson.rule.shift
         mean = (1 / (self.near.count[self.site] * len(sums))) @ sums
-        truncated = (2**shift - 1) / 2  # a shift loses this much on average
-        return (mean * 2**shift + (truncated - camera.black)) / (camera.white - camera.black)
+        return (mean * 2**shift + (truncation(shift) - camera.black)) / (camera.white - camera.black)
 
     def _add_piece(
         self,
@@ -153,7 +155,7 @@ class _Batch:
         np.multiply(clean, weight[:, None], out=rows[:, :taps])
         rows[:, taps] = weight
         np.multiply(target, weight[:, None], out=rows[:, taps + 1 :])
-        _add_runs(sums, steps, rows, variance, weight**2, runs)
+        _add_runs(sums, self.lesson.rule, steps, rows, variance, weight**2, runs)
 
 
 def _pieces(label: NDArray[np.unsignedinteger]) -> Iterator[slice]:
@@ -167,16 +169,21 @@ def _pieces(label: NDArray[np.unsignedinteger]) -> Iterator[slice]:
 
 
 def _add_runs(
-    sums: ClassSums, steps: NDArray[np.float64], rows: Floats, variance: Floats, weight: Floats, runs: list
+    sums: ClassSums,
+    rule: ClassRule,
+    steps: NDArray[np.float64],
+    rows: Floats,
+    variance: Floats,
+    weight: Floats,
+    runs: list,
 ) -> None:
     """Add the products of the rows, and the noise variance by `weight`, of each class, first and last row of `runs`,
-    rounded to the grid."""
+    rounded to the grid of `steps` (level, pair)."""
     width = rows.shape[1]
     row, col = pairs(width)
     place = row * width + col
-    per_level = len(sums.count) // len(steps)
     for index, first, last in runs:
         block = rows[first:last]
-        add_rounded(sums.moments[index], (block.T @ block).reshape(-1).take(place), steps[index // per_level])
+        add_rounded(sums.moments[index], (block.T @ block).reshape(-1).take(place), steps[rule.split(index).level])
         add_rounded(sums.noise[index], weight[first:last] @ variance[first:last], steps[0, 0])
         sums.count[index] += last - first

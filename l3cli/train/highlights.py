@@ -1,4 +1,4 @@
-"""What clipped areas are taken for: grey, the more channels clip the surer (METHOD 3.3).
+"""What clipped areas are taken for: grey, the more channels clip the surer (docs/method.md#clipped-areas).
 
 Where channels clip, the colour of a surface is lost with them, and the mean colour of all training surfaces that clip alike
 is no good guess: it gives highlights a cast. Highlights are mostly neutral, and a neutral error is the one that nobody sees.
@@ -8,8 +8,9 @@ So every class near saturation is taught, beside its patches, flat greys of the 
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.partial_sums import ClassSums
-from l3cli.artifacts.table import LEVEL_FRACTION, ClassRule
+from l3cli.classes import level, saturation
 from l3cli.train.sums import moment_matrix
 
 Array = NDArray[np.float64]
@@ -35,32 +36,27 @@ def grey_patches(
     if signal is None:
         return {}
     rows: dict[int, list[Array]] = {}
-    channels = signal.size
     threshold = (rule.saturation - black) / (top - black)
     for grey in np.exp(np.arange(np.log(DARKEST / signal.max()), np.log(BRIGHTEST / signal.min()), np.log(STEP))):
         clipped = np.minimum(grey * signal, 1.0)
-        level = np.searchsorted(
-            rule.level_edges, (clipped * (top - black) + black).sum() * 2**LEVEL_FRACTION / 2**rule.shift
-        )
+        at = level.level_of_mean(rule, float((clipped * (top - black) + black).sum()))
         row = np.concatenate([clipped[window], [1.0], grey * white]) / np.sqrt(clipped.mean() * grey)
         for nearly in NEARLY:
             saturated = clipped >= nearly * threshold
-            case = int(rule.case_of_code[int((saturated << np.arange(channels)).sum())])
+            case = int(saturation.cases(rule, saturation.code_of(saturated)))
             if not case:
                 continue
             share = saturated.mean()
             weight = np.sqrt(min(ODDS * share / max(1.0 - share, 1e-9), SUREST))
-            for near in {max(level - 1, 0), level, min(level + 1, rule.levels - 1)}:
-                for contrast in range(rule.contrasts):
-                    index = (int(near) * rule.contrasts + contrast) * rule.kinds + rule.chromas - 1 + case
+            for near in {max(at - 1, 0), at, min(at + 1, rule.levels - 1)}:
+                for index in rule.join(near, np.arange(rule.contrasts), rule.kinds_of(case)).tolist():
                     rows.setdefault(index, []).append(weight * row)
     return {index: np.array(own).T @ np.array(own) / len(own) for index, own in rows.items()}
 
 
 def _flat_moments(sums: ClassSums, rule: ClassRule, width: int) -> Array:
     """Summed moments (column, column) of all unsaturated patches of the lowest contrast."""
-    shape = (rule.levels, rule.contrasts, rule.kinds, -1)
-    return moment_matrix(sums.moments.reshape(shape)[:, 0, : rule.chromas].sum(axis=(0, 1)), width)
+    return moment_matrix(rule.by_axis(sums.moments)[0, :, 0, rule.kinds_of(0)].sum(axis=(0, 1)), width)
 
 
 def _channels_of(moments: Array, window: NDArray[np.int64], white: Array) -> Array | None:

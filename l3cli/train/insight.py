@@ -5,7 +5,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.table import LEVEL_FRACTION, TransformTable
+from l3cli.artifacts.table import TransformTable
+from l3cli.classes.names import class_name, kind_name
+from l3cli.classes.windows import window_channels
 
 WORST = 8  # classes named
 
@@ -21,7 +23,7 @@ def insight(table: TransformTable) -> dict[str, Any]:
     trained, rule = table.samples > 0, table.rule
     taps = rule.patch**2
     noise_gain = np.sqrt((table.weights.astype(np.float64) ** 2).sum(axis=2))
-    kind = np.arange(len(trained)) % rule.kinds
+    kind = rule.split(np.arange(len(trained))).kind
     judged = noise_gain[:, table.outputs.index("Y")] if "Y" in table.outputs else noise_gain.max(axis=1)
     order = np.argsort(np.where(trained, -judged, np.inf), kind="stable")[: int(trained.sum())]
     # sites that are mirror images share their training: the first of them stands for all
@@ -38,7 +40,7 @@ def insight(table: TransformTable) -> dict[str, Any]:
         },
         "kinds": [{"name": kind_name(table, index), "patches": count} for index, count in enumerate(per_kind.tolist())],
         "noise_gain": _spread(noise_gain[trained], table.outputs),
-        "dc_gain": _dc_gain(table, trained & (kind < rule.chromas)),
+        "dc_gain": _dc_gain(table, trained & (rule.case(kind) == 0)),
         "condition": _spread(table.condition[trained, None].astype(np.float64), ("all",))["all"],
         "worst": [
             {
@@ -50,45 +52,6 @@ def insight(table: TransformTable) -> dict[str, Any]:
             for index in worst.tolist()
         ],
     }
-
-
-def class_name(table: TransformTable, index: int) -> str:
-    """Where a class applies, such as "site (1, 2) g, level 3 (0.002–0.003 of full scale), contrast 0, chroma 5"."""
-    rule = table.rule
-    shape = (table.cfa.size, rule.levels, rule.contrasts, rule.kinds)
-    site, level, contrast, kind = (int(part) for part in np.unravel_index(index, shape))
-    row, col = divmod(site, table.cfa.shape[1])
-    per_dn = 2.0**rule.shift / (2**LEVEL_FRACTION * len(table.channels))
-    share = np.append((rule.level_edges * per_dn - table.black) / (table.white - table.black), np.inf)
-    lower = "0" if level == 0 else f"{share[level - 1]:.3g}"
-    upper = f"{share[level]:.3g}" if np.isfinite(share[level]) else "1"
-    channel = table.channels[table.cfa[row, col]]
-    where = f"site ({row}, {col}) {channel}, level {level} ({lower}–{upper} of full scale), contrast {contrast}"
-    return f"{where}, {kind_name(table, kind)}"
-
-
-def kind_name(table: TransformTable, kind: int) -> str:
-    """ "chroma K", or "saturated A+B": the pattern of channels nearest to all that share the saturation case."""
-    if kind < table.rule.chromas:
-        return f"chroma {kind}"
-    codes = np.flatnonzero(table.rule.case_of_code == kind - table.rule.chromas + 1)
-    if not codes.size:
-        return "no pattern"
-    code = int(codes[::-1][np.argmin(_apart(codes, len(table.channels))[::-1])])
-    return "saturated " + "+".join(name for bit, name in enumerate(table.channels) if code >> bit & 1)
-
-
-def _apart(codes: NDArray[np.int64], channels: int) -> NDArray[np.float64]:
-    """How far each pattern lies from all together, as choose_cases measures it: channels that differ, and half for each of
-    the others that is not within it. There may be 2¹⁶ patterns: too many to compare them in pairs."""
-    holds = codes[:, None] >> np.arange(channels) & 1
-    often = holds.sum(axis=0)
-    within = np.zeros(2**channels)
-    within[codes] = 1
-    for channel in range(channels):
-        halves = within.reshape(-1, 2, 2**channel)
-        halves[:, 1] += halves[:, 0]
-    return np.where(holds, len(codes) - often, often).sum(axis=1) + 0.5 * (len(codes) - within[codes])
 
 
 def _spread(values: NDArray[np.float64], names: tuple[str, ...]) -> dict[str, dict[str, float]]:
@@ -103,16 +66,12 @@ def _spread(values: NDArray[np.float64], names: tuple[str, ...]) -> dict[str, di
 
 def _dc_gain(table: TransformTable, chosen: NDArray[np.bool_]) -> dict[str, dict[str, float]]:
     """Median over the chosen classes of the sum of the weights of each channel: {output: {channel: gain}}."""
-    radius = table.rule.radius
-    reach = np.arange(table.rule.patch) - radius
-    site = np.arange(len(chosen)) // table.rule.classes_per_site
-    row, col = np.divmod(site, table.cfa.shape[1])
+    windows = window_channels(table.cfa, table.rule.patch)
+    site = table.rule.split(np.arange(len(chosen))).site
     gain = np.full((len(chosen), len(table.outputs), len(table.channels)), np.nan)
     for index in np.unique(site):
         here = chosen & (site == index)
-        first = int(np.argmax(site == index))
-        rows, cols = (row[first] + reach) % table.cfa.shape[0], (col[first] + reach) % table.cfa.shape[1]
-        member = table.cfa[np.ix_(rows, cols)].ravel()[:, None] == np.arange(len(table.channels))
+        member = windows[index][:, None] == np.arange(len(table.channels))
         gain[here] = table.weights[here] @ member.astype(np.float64)
     median = np.median(gain[chosen], axis=0) if chosen.any() else np.zeros(gain.shape[1:])
     return {

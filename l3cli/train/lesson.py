@@ -8,11 +8,11 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.table import ClassRule
+from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.training_set import TrainingSet
 from l3cli.train.recipe import LearningRecipe
 
-FIRST, LAST = 1, 2  # the passes: errors of the first weigh the rows of the last (METHOD 4.4)
+FIRST, LAST = 1, 2  # the passes: errors of the first weigh the rows of the last (docs/method.md#second-pass)
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Lesson:
 
 def spread_patches(patches: int, frames: Sequence[int], shares: Sequence[Fraction] | None) -> tuple[int, ...]:
     """Patches (frame) of training sets with so many `frames` (set): evenly over all frames or, with `shares` (set), in
-    their proportion over the sets and evenly over the frames of each (METHOD 4.8). Rounded up, so that no frame is idle."""
+    their proportion over the sets and evenly over the frames of each, rounded up (docs/method.md#patches)."""
     parts = shares if shares is not None else [Fraction(count) for count in frames]
     each = [math.ceil(patches * part / sum(parts) / count) for part, count in zip(parts, frames, strict=True)]
     return tuple(own for own, count in zip(each, frames, strict=True) for _ in range(count))

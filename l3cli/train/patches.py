@@ -1,4 +1,4 @@
-"""Patches of a training frame, and the levels they are rescaled to (METHOD 4.1, 4.8)."""
+"""Patches of a training frame, and their levels (docs/method.md#patches, docs/method.md#level-rescaling)."""
 
 import functools
 import math
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import TrainingFrame, TrainingPair, TrainingSet
-from l3cli.classify import Neighbourhoods
+from l3cli.classes.windows import Neighbourhoods
 from l3cli.errors import InputFileError
 from l3cli.train.recipe import LearningRecipe
 from l3cli.train.symmetry import orientations, site_maps

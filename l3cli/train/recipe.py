@@ -4,7 +4,7 @@ from typing import Annotated, ClassVar, Literal
 
 import msgspec
 
-from l3cli.classify import ClassRecipe
+from l3cli.classes.recipe import ClassRecipe
 from l3cli.config import CountOrNone, Recipe
 from l3cli.errors import RecipeError
 
@@ -13,10 +13,10 @@ MOST_DRAWS = 1000  # levels of one patch: more tell nothing new
 
 
 class LearningRecipe(Recipe):
-    """How the transforms of the classes are learned (METHOD 4). Levels are shares of full scale."""
+    """How the transforms of the classes are learned (docs/method.md#training). Levels are shares of full scale."""
 
     patches: Annotated[int, msgspec.Meta(ge=1, le=MOST_PATCHES)] = 60000  # patches a canonical CFA position, over all frames
-    draws: Annotated[int, msgspec.Meta(ge=1, le=MOST_DRAWS)] = 8  # levels drawn a patch (METHOD 4.1)
+    draws: Annotated[int, msgspec.Meta(ge=1, le=MOST_DRAWS)] = 8  # levels drawn a patch (docs/method.md#level-rescaling)
     # levels drawn a patch in the pass whose errors weigh the rows of the second; 0: one pass only
     first_draws: Annotated[int, msgspec.Meta(ge=0, le=MOST_DRAWS)] = 3
     darkest: float = 0.003  # levels are drawn log-uniformly from here …
@@ -25,17 +25,17 @@ class LearningRecipe(Recipe):
     highlight_from: float = 0.15  # … lies between here and the brightest
     rescale: bool = True  # False: patches stay at the level of their frame, however often they are drawn
     noise: Literal["analytic", "sampled"] = "analytic"  # noise-free patches and a covariance, or patches with noise drawn
-    brightness_power: float = 0.5  # rows weigh (Y / level)^-power, 0…1 (METHOD 4.2)
-    error_power: float = 0.25  # rows of the second pass weigh (e² + ¼)^-power, e the error of the first (METHOD 4.4)
+    brightness_power: float = 0.5  # rows weigh (Y / level)^-power, 0…1 (docs/method.md#row-weights)
+    error_power: float = 0.25  # second pass: (e² + ¼)^-power, e the error of the first (docs/method.md#second-pass)
     ridge: float = 1e-5  # relative to the mean power of a tap
-    luminance_noise: float = 1.5  # weight of the noise covariance for Y (METHOD 4.3)
+    luminance_noise: float = 1.5  # weight of the noise covariance for Y (docs/method.md#noise-weights)
     chroma_noise: float = 2.0  # the same for the two chroma rows
-    level_pool: tuple[float, ...] = (0.5, 0.25)  # weight of classes one, two… levels away (METHOD 4.5)
+    level_pool: tuple[float, ...] = (0.5, 0.25)  # weight of classes one, two… levels away (docs/method.md#thin-classes)
     parent_patches: CountOrNone = (
         200  # pseudo-patches of the parent, all chromas of its level, contrast and case, added to every class
     )
-    symmetry: bool = True  # CFA sites that are rotations or mirror images of one another share their training (METHOD 3.6)
-    equal_response: bool = True  # all CFA sites answer a flat patch alike (METHOD 4.7)
+    symmetry: bool = True  # rotated or mirrored CFA sites share their training (docs/method.md#symmetry)
+    equal_response: bool = True  # all CFA sites answer a flat patch alike (docs/method.md#equal-response)
 
 
 class TrainingRecipe(Recipe):

@@ -1,4 +1,4 @@
-"""From sums to transforms: a Wiener solution for every class, thin classes shrunk, empty ones filled (METHOD 4)."""
+"""From sums to transforms: a Wiener solution a class, thin ones shrunk, empty ones filled (docs/method.md#solution)."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.partial_sums import ClassSums
-from l3cli.artifacts.table import ClassRule
 from l3cli.errors import L3Error
 from l3cli.train.highlights import grey_patches
 from l3cli.train.recipe import LearningRecipe
@@ -32,7 +32,7 @@ class Solution:
     """Wiener solutions of the classes of one canonical site, in the opponent basis, and what it costs to bend them.
 
     Rows run over the taps and the intercept. `response` says what a flat patch of one channel (last: the intercept) adds to
-    each output; `compliance` is how rows give way when that is changed by one (METHOD 4.7).
+    each output; `compliance` is how rows give way when that is changed by one (docs/method.md#equal-response).
     """
 
     rows: Array  # (class, tap + 1, output)
@@ -86,7 +86,7 @@ def solve(
         noise = noise[np.array(stabilisers)].mean(axis=0)
         if index in greys:
             moments += (sums.count[index] + recipe.parent_patches) * greys[index]
-        used = groups.size if index % rule.kinds >= rule.chromas else groups.size - 1  # an intercept if saturated
+        used = groups.size if rule.case(rule.split(index).kind) else groups.size - 1  # an intercept if saturated
         for number, (factor, wanted) in enumerate(columns.items()):
             system = _system(moments[:used, :used], noise, factor, recipe.ridge)
             cross = moments[:used, groups.size :] @ basis[:, wanted]
@@ -101,7 +101,7 @@ def equal_responses(
     solutions: list[Solution], copies: list[int], rule: ClassRule, recipe: LearningRecipe, goal: Goal
 ) -> list[Transforms]:
     """Transforms of the canonical sites, each of which stands for `copies` sites, bent so that every class answers a flat
-    patch alike at all sites; otherwise the CFA shows as a pattern on plain areas (METHOD 4.7). Of all common responses the
+    patch alike at all sites; else the CFA shows on plain areas (docs/method.md#equal-response). Of all common responses the
     one of least total squared error is taken. Classes that some site has no solution for are filled from the nearest, at all
     sites from the same one. L3Error if there is no class that all sites have a solution for.
     """
@@ -110,7 +110,7 @@ def equal_responses(
     solved = np.all([solution.solved for solution in solutions], axis=0)
     if not solved.any():
         raise L3Error("no class has training patches at every CFA site; simulate more frames")
-    saturated = np.arange(solved.size) % rule.kinds >= rule.chromas
+    saturated = rule.case(rule.split(np.arange(solved.size)).kind) > 0
     for kind in (False, True):
         used = slice(None) if kind else slice(0, -1)  # without an intercept there is none to equalise
         here = np.flatnonzero(solved & (saturated == kind))
@@ -125,25 +125,23 @@ def equal_responses(
                 change = solutions[site].compliance[here, number][:, :, used] @ (stiff @ (common - own))
                 bent[site][here, :, output] += change[..., 0]
     back = np.linalg.inv(_opponent_basis(goal))
-    shape = (rule.levels, rule.contrasts, rule.kinds)
     transforms = []
     for solution, rows in zip(solutions, bent, strict=True):
-        filled = np.swapaxes(rows @ back, 1, 2)[_nearest(solved, shape)]
+        filled = np.swapaxes(rows @ back, 1, 2)[_nearest(solved, rule)]
         transforms.append(Transforms(filled[..., :-1], filled[..., -1], solution.samples, solution.condition))
     return transforms
 
 
 def _shrunk(sums: ClassSums, parents: ClassSums, index: int, rule: ClassRule, recipe: LearningRecipe) -> tuple[Array, Array]:
-    """Moments (pair) and noise (tap) of a class with what helps it (METHOD 4.5): unsaturated, weighted sums of the levels
+    """Moments (pair) and noise (tap) of a class with help (docs/method.md#thin-classes): unsaturated, sums of the levels
     beside it, which add since sums are relative to the level; and pseudo-patches of its parent."""
-    stride = rule.contrasts * rule.kinds
-    level, kind, parent = index // stride, index % rule.kinds, _parent_of(index, rule)
+    (_, level, contrast, kind), parent = rule.split(index), _parent_of(index, rule)
     moments, noise, count = sums.moments[index].copy(), sums.noise[index], sums.count[index]
-    pool = recipe.level_pool if count > 0 and kind < rule.chromas else ()
+    pool = recipe.level_pool if count > 0 and not rule.case(kind) else ()
     for distance, weight in enumerate(pool, start=1):
         for other in (level - distance, level + distance):
             if 0 <= other < rule.levels:
-                neighbour = index + (other - level) * stride
+                neighbour = rule.join(other, contrast, kind)
                 moments += weight * sums.moments[neighbour]
                 count += weight * sums.count[neighbour]
     if count > 0:
@@ -156,13 +154,12 @@ def _shrunk(sums: ClassSums, parents: ClassSums, index: int, rule: ClassRule, re
 
 def _parents(sums: ClassSums, rule: ClassRule) -> ClassSums:
     """Mean sums of a patch of each parent: the classes of its level, contrast and saturation case, whatever their chroma,
-    or where none of them has patches those of any contrast; and a share of those of its case anywhere (METHOD 4.5). A
+    or where none of them has patches those of any contrast; and a share of its case's (docs/method.md#thin-classes). A
     parent's count is that of its level and case."""
-    shape = (rule.levels, rule.contrasts, rule.kinds)
-    first = np.unique(_parent_of(np.arange(rule.kinds), rule), return_index=True)[1]  # kind of each case
+    first = np.unique(rule.case(np.arange(rule.kinds)), return_index=True)[1]  # kind of each case
 
     def by_case(values: Array) -> Array:
-        return np.add.reduceat(values.reshape(*shape, -1), first, axis=2)
+        return np.add.reduceat(values.reshape(*rule.shape, -1), first, axis=2)
 
     count = by_case(sums.count)
 
@@ -179,8 +176,9 @@ def _parents(sums: ClassSums, rule: ClassRule) -> ClassSums:
 
 
 def _parent_of(index: Any, rule: ClassRule) -> Any:
-    """The parent of classes `index`: (level · contrasts + contrast) · cases + case."""
-    return index // rule.kinds * rule.cases + np.maximum(index % rule.kinds - rule.chromas + 1, 0)
+    """The parent of classes `index`, which tells saturation cases but not chromas apart."""
+    _, level, contrast, kind = rule.split(index)
+    return rule.join_cases(level, contrast, rule.case(kind))
 
 
 def _system(power: Array, noise: Array, factor: float, ridge: float) -> Array:
@@ -206,7 +204,7 @@ def _solve_positive(system: Array, right: Array) -> tuple[Array, float]:
 
 
 def _noise_factors(recipe: LearningRecipe, goal: Goal) -> list[float]:
-    """How much each row of the opponent basis weighs noise against bias (METHOD 4.3)."""
+    """How much each row of the opponent basis weighs noise against bias (docs/method.md#noise-weights)."""
     if goal.outputs == ("X", "Y", "Z"):
         return [recipe.chroma_noise, recipe.luminance_noise, recipe.chroma_noise]
     return [recipe.luminance_noise] * len(goal.outputs)
@@ -220,14 +218,14 @@ def _opponent_basis(goal: Goal) -> Array:
     return basis
 
 
-def _nearest(filled: NDArray[np.bool_], shape: tuple[int, int, int]) -> NDArray[np.int64]:
+def _nearest(filled: NDArray[np.bool_], rule: ClassRule) -> NDArray[np.int64]:
     """For every class the filled class it takes its transform from: itself, else the same kind at the nearest level and
     contrast, else the nearest of any kind."""
-    level, contrast, kind = np.unravel_index(np.arange(filled.size), shape)
+    _, level, contrast, kind = rule.split(np.arange(filled.size))
     known = np.flatnonzero(filled)
     source = np.arange(filled.size)
     for index in np.flatnonzero(~filled):
-        far = np.abs(level[known] - level[index]) * shape[1] + np.abs(contrast[known] - contrast[index])
+        far = np.abs(level[known] - level[index]) * rule.contrasts + np.abs(contrast[known] - contrast[index])
         far = far + (kind[known] != kind[index]) * filled.size
         source[index] = known[np.argmin(far)]
     return source

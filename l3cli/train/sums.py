@@ -1,4 +1,4 @@
-"""Additive sums of one canonical site: all that a class's transform depends on (METHOD 4, 4.6).
+"""Additive sums of one canonical site: all that a class's transform depends on (docs/method.md#exact-sums).
 
 Sums are float64 on a grid: every contribution is rounded to a multiple of 2⁻²⁴ of its columns' scale before it is added.
 As long as no sum reaches 2⁵³ grid steps, float64 adds such numbers without any rounding, so that a sum is the same to the
@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.partial_sums import ClassSums
-from l3cli.artifacts.table import LEVEL_FRACTION, ClassRule
+from l3cli.classes import level
 from l3cli.errors import L3Error
 
 STEP = 2.0**-24  # of a product of columns of scale one
@@ -53,20 +54,19 @@ def grid_steps(rule: ClassRule, camera: CameraModel, outputs: int) -> Array:
 
     Rows are relative to their level, so taps and outputs are of the order of one, and the intercept of one over the level.
     """
-    edges = rule.level_edges * 2.0**rule.shift / (2**LEVEL_FRACTION * len(camera.channels))
-    lower = np.maximum((edges - camera.black) / (camera.white - camera.black), 1e-4)
+    lower = np.maximum(level.inner_bounds(rule, camera.black, camera.white), 1e-4)
     scale = np.ones((rule.levels, rule.patch**2 + 1 + outputs))
     scale[:, rule.patch**2] = 2.0 ** np.rint(-np.log2(np.append(lower[0] / 2, lower)))
     row, col = pairs(scale.shape[1])
     return STEP * scale[:, row] * scale[:, col]
 
 
-def require_exact(sums: ClassSums, steps: Array) -> None:
+def require_exact(sums: ClassSums, rule: ClassRule, steps: Array) -> None:
     """L3Error if sums have grown so large that additions may have been rounded. No product of two columns sums to more
     than the larger of their squares, so the squares tell for all."""
     width = (int(np.sqrt(8 * sums.moments.shape[1] + 1)) - 1) // 2
     row, col = pairs(width)
-    squares = sums.moments[:, row == col].reshape(len(steps), -1, width) / steps[:, None, row == col]
+    squares = rule.by_axis(sums.moments[:, row == col])[0] / steps[:, None, None, row == col]
     if max(squares.max(), sums.noise.max() / STEP) >= EXACT:
         raise L3Error("a class has more patches than can be added exactly; lower learning.patches or learning.draws")
 

@@ -7,13 +7,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.partial_sums import ClassSums
 from l3cli.artifacts.schema import Stage
-from l3cli.artifacts.table import ClassRule, TransformTable
+from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingPair, TrainingSet
-from l3cli.classify import make_rule, neighbourhoods, saturation_codes
+from l3cli.classes.chroma import channel_shares, choose_chromas
+from l3cli.classes.rule import make_rule
+from l3cli.classes.saturation import choose_cases, saturation_codes
+from l3cli.classes.windows import neighbourhoods
 from l3cli.errors import InputFileError
-from l3cli.train.kinds import channel_shares, choose_cases, choose_chromas
 from l3cli.train.lesson import Lesson, brightness_of
 from l3cli.train.patches import draw_levels, expose_patches, patches_of
 from l3cli.train.recipe import LearningRecipe, TrainingRecipe
@@ -96,7 +99,7 @@ def add_up(lesson: Lesson, parts: Iterable[ClassSums]) -> ClassSums:
     sums = empty_sums(lesson.rule, outputs)
     for part in parts:
         add(sums, part)
-    require_exact(sums, grid_steps(lesson.rule, lesson.head.camera, outputs))
+    require_exact(sums, lesson.rule, grid_steps(lesson.rule, lesson.head.camera, outputs))
     return sums
 
 

@@ -1,4 +1,4 @@
-"""Row weights of the second pass: large perceived errors of the first one count less than their square (METHOD 4.4)."""
+"""Row weights of the second pass: large perceived errors count less than their square (docs/method.md#second-pass)."""
 
 from dataclasses import dataclass
 
@@ -50,8 +50,7 @@ class Judge:
 
 def judge_of(table: TransformTable, site: int, power: float) -> Judge:
     """The judge of a canonical site from the first pass's table; its weights go with `power` of the squared error."""
-    classes = table.rule.classes_per_site
-    own = slice(site * classes, (site + 1) * classes)
+    own = table.rule.of_site(site)
     x, y, z = np.moveaxis(table.weights[own], 1, 0)
     products = np.stack([x * x, y * y, z * z, x * y, y * z], axis=-1)
     weights = np.ascontiguousarray(np.swapaxes(table.weights[own], 1, 2))

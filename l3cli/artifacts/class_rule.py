@@ -1,0 +1,166 @@
+"""The class rule as it is stored, and the only place that splits and joins class indices (docs/method.md#classes).
+
+What the numbers mean is written out in l3cli/classes, one module a feature.
+"""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.schema import check, data
+
+CLASS_BITS = 12  # class decisions are taken on the upper 12 bits of a value, so that 32-bit sums are exact
+CHROMA_SCALE = 1 << 10  # of the chroma weights: sums over 16 channels stay within 32 bits
+MAX_CHROMAS = 64
+MAX_PATCH = 15
+
+
+class ClassPlace(NamedTuple):
+    """Where classes lie along the axes of their rule: integers, or integer arrays of equal shape."""
+
+    site: Any  # CFA row · CFA columns + CFA column
+    level: Any
+    contrast: Any
+    kind: Any  # chroma of an unsaturated pixel, or chromas − 1 + case of one near saturation
+
+
+@dataclass(frozen=True)
+class ClassRule:
+    """The integer class rule of docs/method.md#classes: the ordered product of site, level, contrast and kind.
+
+    class = ((site · levels + level) · contrasts + contrast) · kinds + kind, with site = row · cfa columns + column.
+    The kind is the chroma of an unsaturated pixel, and chromas − 1 + case of one near saturation.
+    """
+
+    patch: int = data("int64", unit="pixel", doc="side of the square neighbourhood, odd")
+    shift: int = data("int64", unit="bit", doc="values are shifted right by this before sums are formed")
+    level_edges: NDArray[np.uint32] = data(
+        "uint32",
+        "level_edge",
+        unit="DN >> shift, times 256 times channels",
+        doc="sum over channels of the channel means at which the next level begins",
+    )
+    contrast_edges: NDArray[np.uint32] = data(
+        "uint32",
+        "contrast_edge",
+        "level",
+        unit="(DN >> shift)^2, times 512",
+        doc="sum over channels of the channel variances above which the next contrast begins",
+    )
+    saturation: int = data("int64", unit="DN", doc="value from which a pixel counts as saturated")
+    saturation_radius: int = data("int64", unit="pixel", doc="pixels this near the centre decide the saturation case")
+    case_of_code: NDArray[np.uint16] = data(
+        "uint16", "code", doc="saturation case of each pattern of saturated channels (bit c: channel c)"
+    )
+
+    chroma_black: int = data(
+        "int64", unit="(DN >> shift) times 16", doc="black level, taken off channel means for the chroma"
+    )
+    chroma_weights: NDArray[np.int32] = data(
+        "int32", "chroma", "channel", doc="weights of the channel means; the chroma of the lowest score wins"
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
+        if not 1 <= len(self.chroma_weights) <= MAX_CHROMAS or np.abs(self.chroma_weights).max() > 2 * CHROMA_SCALE:
+            raise ValueError(f"chroma_weights must be 1…{MAX_CHROMAS} rows within ±{2 * CHROMA_SCALE}")
+        if self.patch % 2 == 0 or not 1 <= self.patch <= MAX_PATCH:
+            raise ValueError(f"patch is {self.patch}, not an odd number up to {MAX_PATCH}")
+        if (np.diff(self.level_edges.astype(np.int64)) <= 0).any():
+            raise ValueError("level_edges do not increase: more levels than values")
+        if not 0 <= self.saturation_radius <= self.patch // 2 or self.saturation < 0:
+            raise ValueError("saturation must not be negative, its radius not larger than the patch's")
+        if self.contrast_edges.shape[1] != self.levels:
+            raise ValueError(f"contrast_edges has {self.contrast_edges.shape[1]} levels, level_edges make {self.levels}")
+
+    @property
+    def radius(self) -> int:
+        return self.patch // 2
+
+    @property
+    def channels(self) -> int:
+        return self.chroma_weights.shape[1]
+
+    @property
+    def levels(self) -> int:
+        return len(self.level_edges) + 1
+
+    @property
+    def contrasts(self) -> int:
+        return len(self.contrast_edges) + 1
+
+    @property
+    def cases(self) -> int:
+        return int(self.case_of_code.max()) + 1
+
+    @property
+    def chromas(self) -> int:
+        return len(self.chroma_weights)
+
+    @property
+    def kinds(self) -> int:
+        return self.chromas + self.cases - 1
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Levels, contrasts and kinds: the axes of the classes of a site."""
+        return self.levels, self.contrasts, self.kinds
+
+    @property
+    def classes_per_site(self) -> int:
+        return self.levels * self.contrasts * self.kinds
+
+    def join(self, level: Any, contrast: Any, kind: Any, site: Any = 0) -> Any:
+        """Indices of classes from their places, integers or arrays that broadcast; without `site` those within it."""
+        return ((site * self.levels + level) * self.contrasts + contrast) * self.kinds + kind
+
+    def split(self, index: Any) -> ClassPlace:
+        """Places of the classes `index`, an integer or an array."""
+        rest, kind = divmod(index, self.kinds)
+        rest, contrast = divmod(rest, self.contrasts)
+        site, level = divmod(rest, self.levels)
+        return ClassPlace(site, level, contrast, kind)
+
+    def on_site(self, index: Any, site: Any) -> Any:
+        """Indices among the classes of all sites of the classes `index` within `site`."""
+        return site * self.classes_per_site + index
+
+    def within_site(self, index: Any) -> Any:
+        """Indices among the classes of their site of the classes `index` of all sites."""
+        return index % self.classes_per_site
+
+    def of_site(self, site: int) -> slice:
+        """Where the classes of a site lie among those of all sites."""
+        return slice(site * self.classes_per_site, (site + 1) * self.classes_per_site)
+
+    def by_axis(self, values: NDArray[Any]) -> NDArray[Any]:
+        """`values` (class, …) of one site or all as (site, level, contrast, kind, …)."""
+        return values.reshape(len(values) // self.classes_per_site, *self.shape, *values.shape[1:])
+
+    def kind(self, chroma: Any, case: Any) -> Any:
+        """Kinds of pixels of a chroma, an integer or an array, and a saturation case, which decides where it is not 0."""
+        return np.where(np.greater(case, 0), self.chromas - 1 + case, chroma)
+
+    def case(self, kind: Any) -> Any:
+        """Saturation cases of kinds, an integer or an array: 0 where nothing is saturated and the kind is a chroma."""
+        return np.maximum(kind - self.chromas + 1, 0)
+
+    def kinds_of(self, case: int) -> slice | int:
+        """The kinds of a saturation case: all chromas if nothing is saturated, else one."""
+        return self.chromas - 1 + case if case else slice(0, self.chromas)
+
+    def join_cases(self, level: Any, contrast: Any, case: Any) -> Any:
+        """Indices within a site of the coarser classes that tell saturation cases but not chromas apart."""
+        return (level * self.contrasts + contrast) * self.cases + case
+
+
+def check_rule(rule: ClassRule, channels: int, bits: int) -> None:
+    """ValueError if a rule is not for a camera of so many channels and bits."""
+    if not 0 <= rule.shift <= bits <= rule.shift + CLASS_BITS:
+        raise ValueError(f"{bits} bits shifted by {rule.shift} leave more than {CLASS_BITS}")
+    if rule.channels != channels:
+        raise ValueError(f"chroma_weights is for {rule.channels} channels")
+    if len(rule.case_of_code) != 2**channels:
+        raise ValueError(f"case_of_code has {len(rule.case_of_code)} codes for {channels} channels")

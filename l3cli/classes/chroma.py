@@ -1,0 +1,98 @@
+"""Chroma: the colour of a neighbourhood in which nothing is saturated (docs/method.md#chroma).
+
+chroma = the first k of least Σ max((S · round(65536 / n) >> 12) − chroma_black, 0) · weight[k] over the channels
+
+With f the channel means above black over their sum and q a chroma centre, |f − q|² is least where |q|² Σ f − 2 Σ f q is:
+hence the weights |q|² − 2 q, and no division.
+"""
+
+import warnings
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.class_rule import CHROMA_SCALE, ClassRule
+from l3cli.artifacts.table import TransformTable
+from l3cli.classes.statistics import Statistics, truncation
+from l3cli.classes.windows import Integers, Neighbourhoods
+
+CHROMA_FRACTION = 4  # fractional bits of a channel mean above black in the chroma scores
+SNIPPET = "chroma.cl"
+
+
+def channel_shares(signal: NDArray[np.float32], near: Neighbourhoods, site: int) -> NDArray[np.float64]:
+    """Means of the channels over each patch (patch, tap), as shares of their sum: (patch, channel)."""
+    member = (near.channel[site][:, None] == np.arange(near.count.shape[1])) / near.count[site]
+    means = signal.astype(np.float64) @ member
+    return means / np.maximum(means.sum(axis=1, keepdims=True), 1e-9)
+
+
+def choose_chromas(shares: NDArray[np.float64], count: int, seed: int) -> NDArray[np.float64] | None:
+    """`count` centres (chroma, channel) of the channel shares (patch, channel) by k-means; None if none or one is asked
+    for."""
+    if count <= 1:
+        return None
+    from scipy.cluster.vq import kmeans2
+
+    distinct = np.unique(shares, axis=0)
+    if len(distinct) <= count:
+        return distinct
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # of empty clusters
+        centres, member = kmeans2(shares, count, iter=30, minit="++", rng=np.random.default_rng([seed, 2]))
+    return centres[np.unique(member)]  # a centre that nobody is nearest to is left out
+
+
+def chroma_weights(centres: NDArray[np.float64]) -> NDArray[np.int32]:
+    """Integer weights (chroma, channel) by which the lowest score is that of the nearest of `centres` (chroma, channel)."""
+    weights = (centres**2).sum(axis=1, keepdims=True) - 2 * centres
+    return np.rint(weights * CHROMA_SCALE).astype(np.int32)
+
+
+def chroma_centres(rule: ClassRule) -> NDArray[np.float64]:
+    """Chroma centres q (chroma, channel), rows of sum 1, of the integer weights |q|² − 2 q; equal shares if there is one."""
+    weights = rule.chroma_weights / CHROMA_SCALE
+    if rule.chromas == 1:
+        return np.full((1, rule.channels), 1.0 / rule.channels)
+    square = (weights.sum(axis=1, keepdims=True) + 2.0) / rule.channels
+    return np.clip((square - weights) / 2.0, 0.0, 1.0)
+
+
+def stored_black(camera: CameraModel, shift: int) -> int:
+    """The rule's black level."""
+    return int(np.rint((camera.black - truncation(shift)) / 2**shift * 2**CHROMA_FRACTION))
+
+
+def chromas(rule: ClassRule, statistics: Statistics) -> Integers:
+    """Chroma (…), whatever is saturated."""
+    above_black = np.maximum((statistics.scaled >> (16 - CHROMA_FRACTION)) - rule.chroma_black, 0)
+    # below 2⁵³: exact in float64, whose products BLAS does
+    return np.argmin(above_black.astype(np.float64) @ rule.chroma_weights.T.astype(np.float64), axis=-1)
+
+
+def entry(table: TransformTable, chroma: int) -> dict[str, Any]:
+    """Number of a chroma and its centre as the channels' shares, read back from the rule's weights |q|² − 2 q."""
+    shares = chroma_centres(table.rule)[chroma].tolist()
+    return {"chroma": chroma, "shares": dict(zip(table.channels, shares, strict=True))}
+
+
+def heading(entry: dict[str, Any]) -> str:
+    """An entry as a row of a table begins, such as "1: r 0.30 g 0.45 b 0.25"."""
+    return f"{entry['chroma']}: " + " ".join(f"{name} {share:.2f}" for name, share in entry["shares"].items())
+
+
+def name(table: TransformTable, chroma: int) -> str:
+    """Such as "chroma 5"."""
+    return f"chroma {chroma}"
+
+
+def macros(rule: ClassRule) -> dict[str, int]:
+    """What chroma.cl is compiled with."""
+    return {"CHROMAS": rule.chromas, "CHROMA_FRACTION": CHROMA_FRACTION, "CHROMA_BLACK": rule.chroma_black}
+
+
+def kernel_array(rule: ClassRule) -> NDArray[np.int32]:
+    """(chroma, channel)"""
+    return rule.chroma_weights

@@ -1,0 +1,77 @@
+"""Contrast: how much more a neighbourhood varies than noise of its level does (docs/method.md#contrast).
+
+With count n, sum S, sum of squares Q and mean M = S · round(65536 / n) >> 16 of a channel (M is exact in uint32, as v has
+12 bits):
+
+    variance    V = min((Q − M (2 S − n M)) · round(512 / n), cap)   cap = (2³² − 1) // channels
+    contrast    number of contrast edges (of the pixel's level) < Σ V over the channels
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.class_rule import ClassRule
+from l3cli.artifacts.table import TransformTable
+from l3cli.classes.recipe import ClassRecipe
+from l3cli.classes.statistics import Statistics
+from l3cli.classes.windows import VARIANCE_FRACTION, Integers
+from l3cli.errors import RecipeError
+
+MEAN_TRUNCATED = 1 / 3  # what M, rounded down, adds to V on average: matters where noise is below a DN
+SNIPPET = "contrast.cl"
+
+
+def check_edges(recipe: ClassRecipe) -> None:
+    """RecipeError if contrast edges cannot be."""
+    if tuple(sorted(set(recipe.contrasts))) != recipe.contrasts or any(edge <= 0 for edge in recipe.contrasts):
+        raise RecipeError("contrasts must be positive and increase")
+
+
+def stored_edges(
+    recipe: ClassRecipe, levels: NDArray[np.float64], camera: CameraModel, shift: int, dark: float
+) -> NDArray[np.uint32]:
+    """The rule's contrast edges (edge, level) from the camera's noise at `levels`, shares of full scale, of frames of which
+    `dark` DN of dark current have been taken off."""
+    span, channels = camera.white - camera.black, len(camera.channels)
+    variance = camera.noise_variance(levels * span, dark) / 4**shift + (1 / 12 if shift else 0.0) + MEAN_TRUNCATED
+    limit = 2.0**32 - 1 - channels
+    squared = np.array(recipe.contrasts, dtype=np.float64).reshape(-1, 1) ** 2
+    return np.minimum(np.rint(squared * variance * channels * 2**VARIANCE_FRACTION), limit).astype(np.uint32)
+
+
+def contrasts(rule: ClassRule, statistics: Statistics, level: Integers) -> Integers:
+    """Contrast (…) at `level` (…)."""
+    near, site, sums = statistics.near, statistics.site, statistics.sums
+    mean = statistics.scaled >> 16
+    deviation = statistics.squares - mean * (2 * sums - near.count[site] * mean)
+    cap = (2**32 - 1) // sums.shape[-1]
+    variance = np.minimum(deviation * near.variance_reciprocal[site], cap).sum(axis=-1)
+    return (variance[None] > rule.contrast_edges[:, level]).sum(axis=0)
+
+
+def entry(table: TransformTable, contrast: int) -> dict[str, Any]:
+    """Number of a contrast."""
+    return {"contrast": contrast}
+
+
+def heading(entry: dict[str, Any]) -> str:
+    """An entry as a row of a table begins: its number."""
+    return str(entry["contrast"])
+
+
+def name(table: TransformTable, contrast: int) -> str:
+    """Such as "contrast 0"."""
+    return f"contrast {contrast}"
+
+
+def macros(rule: ClassRule) -> dict[str, int]:
+    """What contrast.cl is compiled with."""
+    return {"CONTRASTS": rule.contrasts}
+
+
+def kernel_array(rule: ClassRule) -> NDArray[np.uint32]:
+    """(contrast edge, level)"""
+    return rule.contrast_edges

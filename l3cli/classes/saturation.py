@@ -1,0 +1,115 @@
+"""Saturation: which channels clip near the centre of a neighbourhood (docs/method.md#saturation-cases).
+
+case = case_of_code[bit c set if any pixel of channel c within the saturation radius is ≥ saturation (in DN)]
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.class_rule import ClassRule
+from l3cli.artifacts.table import TransformTable
+from l3cli.classes.recipe import ClassRecipe
+from l3cli.classes.windows import Integers, Neighbourhoods, TapOrder, tap_order
+
+SMALLEST_SHARE = 2e-4  # of the training patches: rarer patterns join the nearest kept one
+SNIPPET = "saturation.cl"
+
+
+def choose_cases(occurrences: NDArray[np.int64], most: int) -> NDArray[np.uint16]:
+    """Case of every saturation code (code) from how often each occurred (code).
+
+    Code 0 is case 0. The most frequent others are kept, `most` cases in all. Every other code goes to the kept one that
+    differs in the fewest channels, one that also clips its clipped channels before others; to case 0 only if none is kept.
+    """
+    codes = np.arange(len(occurrences))
+    frequent = np.argsort(-occurrences[1:], kind="stable")[: most - 1] + 1
+    kept = np.sort(frequent[occurrences[frequent] > SMALLEST_SHARE * occurrences.sum()])
+    case_of_code = np.zeros(len(occurrences), dtype=np.uint16)
+    if not kept.size:
+        return case_of_code
+    differing = np.bitwise_count(codes[:, None] ^ kept[None]).astype(np.float64)
+    misses = (codes[:, None] & ~kept[None]) != 0
+    case_of_code[:] = np.argmin(differing + 0.5 * misses, axis=1) + 1
+    case_of_code[0] = 0
+    return case_of_code
+
+
+def stored_threshold(recipe: ClassRecipe, camera: CameraModel) -> int:
+    """The rule's saturation, in DN."""
+    return int(np.ceil(camera.black + recipe.saturation * (camera.white - camera.black)))
+
+
+def saturation_codes(patches: NDArray[np.unsignedinteger], rule: ClassRule, near: Neighbourhoods, site: int) -> Integers:
+    """Pattern of saturated channels near the centre of each patch (patch, tap)."""
+    order = tap_order(rule, near, site)
+    return codes(patches.T[order.taps], rule, order)
+
+
+def codes(values: NDArray[np.unsignedinteger], rule: ClassRule, order: TapOrder) -> Integers:
+    """Saturation codes (patch) of DN (tap, patch) in `order`."""
+    code = np.zeros(values.shape[1], np.int64)
+    for bit, taps in enumerate(order.inner):
+        if taps.stop > taps.start:
+            code |= (np.maximum.reduce(values[taps], axis=0) >= rule.saturation).astype(np.int64) << bit
+    return code
+
+
+def code_of(saturated: NDArray[np.bool_]) -> Integers:
+    """Codes (…) of patterns of saturated channels (…, channel)."""
+    return (saturated.astype(np.int64) << np.arange(saturated.shape[-1])).sum(axis=-1)
+
+
+def cases(rule: ClassRule, code: Integers) -> Integers:
+    """Saturation case (…) of codes (…)."""
+    return rule.case_of_code[code].astype(np.int64)
+
+
+def entry(table: TransformTable, case: int) -> dict[str, Any]:
+    """Number of a saturation case and the channels that all patterns sorted into it have saturated."""
+    codes = np.flatnonzero(table.rule.case_of_code == case)
+    common = int(np.bitwise_and.reduce(codes)) if codes.size else 0
+    return {"case": case, "saturated": _channels(table, common)}
+
+
+def heading(entry: dict[str, Any]) -> str:
+    """An entry as a row of a table begins, such as "2: r g"."""
+    return f"{entry['case']}: " + (" ".join(entry["saturated"]) or ("mixed" if entry["case"] else "none"))
+
+
+def name(table: TransformTable, case: int) -> str:
+    """ "saturated A+B": the pattern of channels nearest to all that share the saturation case."""
+    codes = np.flatnonzero(table.rule.case_of_code == case)
+    if not codes.size:
+        return "no pattern"
+    code = int(codes[::-1][np.argmin(_apart(codes, len(table.channels))[::-1])])
+    return "saturated " + "+".join(_channels(table, code))
+
+
+def _channels(table: TransformTable, code: int) -> list[str]:
+    return [name for bit, name in enumerate(table.channels) if code >> bit & 1]
+
+
+def _apart(codes: NDArray[np.int64], channels: int) -> NDArray[np.float64]:
+    """How far each pattern lies from all together, as choose_cases measures it: channels that differ, and half for each of
+    the others that is not within it. There may be 2¹⁶ patterns: too many to compare them in pairs."""
+    holds = codes[:, None] >> np.arange(channels) & 1
+    often = holds.sum(axis=0)
+    within = np.zeros(2**channels)
+    within[codes] = 1
+    for channel in range(channels):
+        halves = within.reshape(-1, 2, 2**channel)
+        halves[:, 1] += halves[:, 0]
+    return np.where(holds, len(codes) - often, often).sum(axis=1) + 0.5 * (len(codes) - within[codes])
+
+
+def macros(rule: ClassRule) -> dict[str, int]:
+    """What saturation.cl and the statistics are compiled with."""
+    return {"SATURATION": min(rule.saturation, 1 << 16), "SATURATION_RADIUS": rule.saturation_radius}
+
+
+def kernel_array(rule: ClassRule) -> NDArray[np.uint16]:
+    """(code)"""
+    return rule.case_of_code

@@ -1,0 +1,87 @@
+"""What every feature decides by: channel sums and squares over patches, and their saturation codes."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.class_rule import ClassRule
+from l3cli.classes import saturation
+from l3cli.classes.windows import Integers, Neighbourhoods, TapOrder, sites
+from l3cli.frame import pad_mosaic, shifted_cfa
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """Of the neighbourhoods of pixels, in whatever shape (…)."""
+
+    near: Neighbourhoods
+    site: Integers  # (…), or one site for all, (1)
+    sums: Integers  # (…, channel) of v = DN >> shift
+    squares: Integers  # (…, channel) of v²
+    code: Integers  # (…) bit c: a pixel of channel c near the centre is saturated
+
+    @cached_property
+    def scaled(self) -> Integers:
+        """Channel means (…, channel) times 65536: S · round(65536 / n), below 2³²."""
+        return self.sums * self.near.mean_reciprocal[self.site]
+
+
+def truncation(shift: int) -> float:
+    """What values lose on average, in DN, when they are shifted right."""
+    return (2**shift - 1) / 2
+
+
+def patch_statistics(
+    values: NDArray[np.uint32], rule: ClassRule, order: TapOrder
+) -> tuple[NDArray[np.uint32], NDArray[np.uint32], Integers]:
+    """Channel sums and squares (channel, patch) and saturation codes (patch) of DN (tap, patch) in `order`, which are
+    overwritten."""
+    code = saturation.codes(values, rule, order)
+    if rule.shift:
+        values >>= rule.shift
+    sums = np.stack([np.add.reduce(values[taps], axis=0, dtype=np.uint32) for taps in order.channels])
+    values *= values
+    squares = np.stack([np.add.reduce(values[taps], axis=0, dtype=np.uint32) for taps in order.channels])
+    return sums, squares, code
+
+
+def mosaic_statistics(
+    values: NDArray[np.uint16], rule: ClassRule, near: Neighbourhoods, cfa: NDArray[np.uint8], phase: tuple[int, int]
+) -> Statistics:
+    """Statistics of every pixel of a mosaic (row, col) of DN whose first pixel has CFA site `phase`."""
+    rows, cols = values.shape
+    padded = pad_mosaic(values, rule.radius, cfa.shape).astype(np.int64)
+    channel = _padded_channels(shifted_cfa(cfa, phase), rule.radius, rows, cols)
+    shifted = padded >> rule.shift
+    saturated = padded >= rule.saturation
+    sums, squares, code = [], [], np.zeros((rows, cols), dtype=np.int64)
+    for index in range(near.count.shape[1]):
+        here = channel == index
+        sums.append(_box(shifted * here, rule.patch))
+        squares.append(_box(shifted**2 * here, rule.patch))
+        inner = _inner(saturated & here, rule)
+        code |= (_box(inner.astype(np.int64), 2 * rule.saturation_radius + 1) > 0).astype(np.int64) << index
+    site = sites(rows, cols, cfa.shape, phase)
+    return Statistics(near, site, np.stack(sums, -1), np.stack(squares, -1), code)
+
+
+def _padded_channels(frame_cfa: NDArray[np.uint8], radius: int, rows: int, cols: int) -> Integers:
+    row = np.arange(-radius, rows + radius) % frame_cfa.shape[0]
+    col = np.arange(-radius, cols + radius) % frame_cfa.shape[1]
+    return frame_cfa[np.ix_(row, col)].astype(np.int64)
+
+
+def _inner(padded: NDArray, rule: ClassRule) -> NDArray:
+    """The padded array cut down to the margin that the saturation radius needs."""
+    cut = rule.radius - rule.saturation_radius
+    return padded[cut : padded.shape[0] - cut, cut : padded.shape[1] - cut]
+
+
+def _box(padded: Integers, size: int) -> Integers:
+    """Sum over every size × size window."""
+    total = np.cumsum(np.pad(padded, ((1, 0), (0, 0))), axis=0)
+    total = total[size:] - total[:-size]
+    total = np.cumsum(np.pad(total, ((0, 0), (1, 0))), axis=1)
+    return total[:, size:] - total[:, :-size]

@@ -1,0 +1,76 @@
+"""The windows about the sites of a CFA: which channel each tap is of, and the reciprocals that go with their numbers."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.class_rule import ClassRule
+from l3cli.errors import RecipeError
+
+Integers = NDArray[np.int64]
+VARIANCE_FRACTION = 9  # fractional bits of a channel variance
+
+
+@dataclass(frozen=True)
+class Neighbourhoods:
+    """The p × p windows of every site of a CFA, and the reciprocals of the class formulas."""
+
+    channel: Integers  # (site, tap) channel of each tap
+    count: Integers  # (site, channel) taps of each channel
+    mean_reciprocal: Integers  # (site, channel) round(65536 / count)
+    variance_reciprocal: Integers  # (site, channel) round(512 / count)
+
+
+def neighbourhoods(cfa: NDArray[np.uint8], patch: int, channels: int) -> Neighbourhoods:
+    """Windows of side `patch` about every site; RecipeError if one does not reach every channel."""
+    channel = window_channels(cfa, patch)
+    count = np.array([np.bincount(window, minlength=channels) for window in channel])
+    if (count == 0).any():
+        rows, cols = cfa.shape
+        raise RecipeError(f"a {patch}×{patch} patch does not reach every channel of the {rows}×{cols} CFA; enlarge patch")
+    return Neighbourhoods(channel, count, _divided(65536, count), _divided(2**VARIANCE_FRACTION, count))
+
+
+def window_channels(cfa: NDArray[np.uint8], patch: int) -> Integers:
+    """Channel of each tap (site, tap), row by row, of the windows of side `patch` about every site."""
+    rows, cols = cfa.shape
+    reach = np.arange(patch) - patch // 2
+    windows = [cfa[np.ix_((r + reach) % rows, (c + reach) % cols)].ravel() for r in range(rows) for c in range(cols)]
+    return np.array(windows, dtype=np.int64)
+
+
+def _divided(numerator: int, count: Integers) -> Integers:
+    """round(numerator / count), halves up, in integers."""
+    return (2 * numerator + count) // (2 * count)
+
+
+@dataclass(frozen=True)
+class TapOrder:
+    """The taps of a site's window sorted by channel, those near the centre first in each: sums over the taps of a channel
+    are then sums over neighbouring rows of an array (tap, patch), the fastest that numpy does."""
+
+    taps: Integers  # (tap)
+    channels: tuple[slice, ...]  # (channel) where its taps lie
+    inner: tuple[slice, ...]  # (channel) where those lie that decide the saturation case
+
+
+def tap_order(rule: ClassRule, near: Neighbourhoods, site: int) -> TapOrder:
+    """The order for one site."""
+    channel, channels = near.channel[site], near.count.shape[1]
+    reach = np.abs(np.arange(rule.patch) - rule.radius)
+    outer = np.maximum(reach[:, None], reach[None]).ravel() > rule.saturation_radius
+    start = np.append(0, np.cumsum(near.count[site])).tolist()
+    inner = np.bincount(channel[~outer], minlength=channels).tolist()
+    return TapOrder(
+        np.lexsort((outer, channel)),
+        tuple(slice(start[index], start[index + 1]) for index in range(channels)),
+        tuple(slice(start[index], start[index] + inner[index]) for index in range(channels)),
+    )
+
+
+def sites(rows: int, cols: int, cfa_shape: tuple[int, ...], phase: tuple[int, int]) -> Integers:
+    """CFA site (row, col) of every pixel of a frame."""
+    row = (np.arange(rows) + phase[0]) % cfa_shape[0]
+    col = (np.arange(cols) + phase[1]) % cfa_shape[1]
+    return row[:, None] * cfa_shape[1] + col

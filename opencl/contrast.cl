@@ -1,0 +1,25 @@
+// Contrast: the formula of l3cli/classes/contrast.py.
+
+// What a channel adds to the variance sum: `count`, `sum` and `square` of its pixels in the patch, its mean, and the reciprocal
+// that goes with the count.
+INLINE uints variance_part(uints count, uints sum, uints square, uints mean, uints variance_reciprocal) {
+    const uints cap = 0xffffffffu / CHANNELS;
+    const uints deviation = square - mean * (sum + sum - mean * count), variance = deviation * variance_reciprocal;
+    return variance > cap ? cap : variance;
+}
+
+// The contrast edges of the darkest level …
+INLINE void first_contrast_edges(uints *edge, __global const uint *contrast_edges) {
+    for (int k = 0; k < CONTRASTS - 1; k++) edge[k] = contrast_edges[k * LEVELS];
+}
+
+// … and those of `level` where it is reached.
+INLINE void next_contrast_edges(uints *edge, ints reached, int level, __global const uint *contrast_edges) {
+    for (int k = 0; k < CONTRASTS - 1; k++) edge[k] = reached ? (uints)contrast_edges[k * LEVELS + level] : edge[k];
+}
+
+INLINE uints contrast_of(uints variance_sum, const uints *edge) {
+    uints contrast = 0;
+    for (int k = 0; k < CONTRASTS - 1; k++) contrast = variance_sum > edge[k] ? contrast + 1 : contrast;
+    return contrast;
+}

@@ -1,0 +1,24 @@
+// Saturation: the formula of l3cli/classes/saturation.py.
+
+#if LANES == 1
+INLINE uint case_of(uint code, __global const ushort *case_of_code) { return case_of_code[code]; }
+#else
+// Cases of LANES pixels: a look-up, pixel by pixel.
+INLINE uints case_of(shorts code, __global const ushort *case_of_code) {
+    uint saturation[LANES];
+    ushort pattern[LANES];
+    NEAR(shorts, pattern) = code;
+    #pragma clang loop vectorize(disable) unroll(disable)
+    for (int i = 0; i < LANES; i++) saturation[i] = case_of_code[pattern[i]];
+    return NEAR(uints, saturation);
+}
+
+// Whether any of LANES pixels may have a case other than 0: few have, and the look-up is slow.
+INLINE bool any_case(shorts code, __global const ushort *case_of_code) {
+    ulong word[LANES / 4], all = 0;
+    *(shorts_unaligned *)word = code;
+    #pragma unroll
+    for (int i = 0; i < LANES / 4; i++) all |= word[i];
+    return all != 0 || case_of_code[0];
+}
+#endif
