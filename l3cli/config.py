@@ -61,12 +61,7 @@ def load_recipe(path: Path, recipe: type[R]) -> R:
 
 def parse_recipe(text: str, recipe: type[R], name: str) -> R:
     """`text` as `recipe`; `name` stands in the error messages."""
-    try:
-        content = tomllib.loads(text)
-    except ValueError as error:  # of its own kind, or of a number too long to be one
-        raise RecipeError(f"{name} is not valid TOML: {error}") from error
-    except RecursionError as error:
-        raise RecipeError(f"{name} is not valid TOML: its lists or tables are too deep") from error
+    content = parse_toml(text, name)
     given = {kind for kind, keys in TELLING.items() if any(key in content for key in keys)}
     if given and recipe.title in TELLING and recipe.title not in given:
         raise RecipeError(f"{name} is {' and '.join(sorted(given))}; give {recipe.title}")
@@ -75,6 +70,16 @@ def parse_recipe(text: str, recipe: type[R], name: str) -> R:
         return msgspec.convert(content, recipe)
     except msgspec.ValidationError as error:
         raise RecipeError(f"{name}: {_plain(str(error), recipe, content)}") from error
+
+
+def parse_toml(text: str, name: str) -> dict[str, Any]:
+    """Keys and tables of `text`; RecipeError, which calls it `name`, if it is not TOML."""
+    try:
+        return tomllib.loads(text)
+    except ValueError as error:  # of its own kind, or of a number too long to be one
+        raise RecipeError(f"{name} is not valid TOML: {error}") from error
+    except RecursionError as error:
+        raise RecipeError(f"{name} is not valid TOML: its lists or tables are too deep") from error
 
 
 def _require_sane(value: Any, name: str, key: str = "") -> None:

@@ -202,14 +202,6 @@ def _difference(given: Sequence[str], asked: Sequence[str]) -> str:
 # ------------------------------------------------------------------------------------------------------- reading
 
 
-def read_curves(path: Path, columns: int | None = None) -> tuple[Array, Array]:
-    """(wavelength) in nm and (column, wavelength) of a CSV file; InputFileError if there are not `columns` columns."""
-    table = read_table(path)
-    if columns is not None:
-        table.counted(columns)
-    return table.wavelength, table.values
-
-
 def read_table(path: Path) -> CurveTable:
     """A CSV file of spectra; InputFileError if it is none, or if its wavelengths are not light's, in nm or as it says."""
     heading, rows = _rows(path)

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l3cli.artifacts.camera_recipe import CameraRecipe, load_camera
+from l3cli.artifacts.camera_recipe import CameraRecipe, camera_files, load_camera, recipe_text
 from l3cli.config import load_recipe
-from l3cli.curve_table import read_curves
+from l3cli.curve_table import read_table
 from l3cli.errors import InputFileError, RecipeError
 from tests.conftest import CONFIGS, bayer_camera
 
@@ -35,6 +35,42 @@ def test_a_wrong_recipe_is_refused(tmp_path: Path, old: str, new: str, message: 
         load_camera(path)
     assert message in str(caught.value)
     assert str(path) in str(caught.value)
+
+
+PHASE = 'name = "shifted"\nbase = "whole.toml"\nphase = [1, 0]\n'
+
+
+def test_a_camera_recipe_is_another_one_from_another_pixel_on(tmp_path: Path) -> None:
+    whole, path = tmp_path / "whole.toml", tmp_path / "camera.toml"
+    whole.write_text(bayer_camera())
+    path.write_text(PHASE)
+    camera, base = load_camera(path), load_camera(whole)
+    assert camera.name == "shifted"
+    np.testing.assert_array_equal(camera.cfa, np.roll(base.cfa, -1, axis=0))
+    np.testing.assert_array_equal(camera.responsivity, base.responsivity)
+    assert camera_files(path) == [path, whole]
+    assert recipe_text(path) == PHASE + "\n" + bayer_camera()
+    path.write_text(PHASE.replace("[1, 0]", "[1, 1]"))
+    np.testing.assert_array_equal(load_camera(path).cfa, np.roll(base.cfa, (-1, -1), axis=(0, 1)))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("[1, 0]", "[0, 2]", "phase is [0, 2], and the array of"),
+        ("[1, 0]", "[-1, 0]", "the least is 0"),
+        ("phase = [1, 0]", "", "missing key `phase` at the top level"),
+        ("phase", "bits = 3\nphase", "unknown key `bits` at the top level"),
+        ("whole.toml", "camera.toml", "unknown key `base` at the top level"),
+        ("whole.toml", "none.toml", "none.toml does not exist"),
+    ],
+)
+def test_a_wrong_base_is_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
+    (tmp_path / "whole.toml").write_text(bayer_camera())
+    (tmp_path / "camera.toml").write_text(PHASE.replace(old, new))
+    with pytest.raises((RecipeError, InputFileError)) as caught:
+        load_camera(tmp_path / "camera.toml")
+    assert message in str(caught.value)
 
 
 def test_a_recipe_that_is_no_text(tmp_path: Path) -> None:
@@ -84,4 +120,4 @@ def test_wrong_curves_are_refused(tmp_path: Path, text: str, message: str) -> No
     path = tmp_path / "curve.csv"
     path.write_text(text)
     with pytest.raises(InputFileError, match=message):
-        read_curves(path, 1)
+        read_table(path).counted(1)

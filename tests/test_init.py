@@ -1,7 +1,6 @@
 """l3 init: what it makes, and every camera recipe from its folder to a picture, small."""
 
 import json
-import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -34,8 +33,8 @@ BANDS = '\n[target]\noutputs = "camera"\n'
 
 def array(name: str) -> np.ndarray:
     """The colour filter array of a recipe, as names of channels."""
-    cfa = tomllib.loads(CAMERAS[name].read_text())["cfa"]
-    return np.array([row.split() for row in cfa["pattern"]])
+    camera = load_camera(CAMERAS[name])
+    return np.array(camera.channels)[camera.cfa]
 
 
 def shares(cfa: np.ndarray) -> dict[str, int]:
@@ -86,6 +85,14 @@ def test_a_folder_holds_the_recipes_as_they_are(tmp_path: Path, l3: Callable) ->
         assert (tmp_path / "demo" / name).read_bytes() == (CONFIGS / source).read_bytes()
     assert {path.name for path in (tmp_path / "demo").iterdir()} == {*COMMON, "camera.toml"}
     assert (tmp_path / "demo/slurm.sh").stat().st_mode & 0o777 == 0o755
+
+
+def test_a_phase_comes_with_its_base(tmp_path: Path, l3: Callable) -> None:
+    code, _, err = l3("init", "bayer_bggr", tmp_path / "demo")
+    assert code == 0
+    assert "2×2,  3 channels  A Bayer array, BGGR" in err
+    assert {path.name for path in (tmp_path / "demo").iterdir()} == {*COMMON, "camera.toml", "bayer.toml"}
+    assert load_camera(tmp_path / "demo/camera.toml").name == "Bayer BGGR"
 
 
 def test_every_recipe_that_is_shipped_can_be_read() -> None:

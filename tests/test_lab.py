@@ -11,7 +11,7 @@ import pytest
 from l3cli.artifacts.camera import CameraModel
 from l3cli.cli import run
 from l3cli.config import load_recipe
-from l3cli.curve_table import read_curves
+from l3cli.curve_table import read_table
 from l3cli.io.frames import read_frame
 from l3cli.simulate.flaws import FlawRecipe, flaws_of
 from l3cli.simulate.lab import LabRecipe, MonoRecipe, plan, take
@@ -84,7 +84,8 @@ def test_exposures_put_the_brightest_channel_at_half_scale(folder: Path, bayer: 
 def test_a_patch_has_the_value_that_its_measured_radiance_says(folder: Path, bayer: CameraModel) -> None:
     """The camera equation written out by hand for patch 22 (neutral 5) under A, in the channel g."""
     chart = tomllib.loads((folder / "MEASUREMENTS.toml").read_text())["chart"][0]
-    wavelength, radiance = read_curves(folder / chart["radiance"], 24)
+    spectra = read_table(folder / chart["radiance"]).counted(24)
+    wavelength, radiance = spectra.wavelength, spectra.values
     (left, top), _, (right, bottom), _ = chart["corners"]
     col, row = round(left + (right - left) * 3.5 / 6), round(top + (bottom - top) * 3.5 / 4)
     frame = read_frame(folder / chart["frames"][0], (bayer.rows, bayer.cols), bayer.bits)

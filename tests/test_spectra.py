@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.calibrate import responsivity, series
-from l3cli.curve_table import read_curves
+from l3cli.curve_table import read_table
 from l3cli.errors import InputFileError
 from l3cli.io.scene_files import read_iset_scene
 from l3cli.measurement import BandCapture
@@ -50,7 +50,8 @@ def test_a_line_between_two_nanometres_counts(line: float, turned: int, tmp_path
     power = lamp(line)
     table = np.vstack([HALVES, power])[:, ::turned].T
     (tmp_path / "lamp.csv").write_text("".join(f"{x},{y}\n" for x, y in table))
-    found = light.make_light("lamp.csv", {"lamp.csv": read_curves(tmp_path / "lamp.csv")}, SEEN)
+    curve = read_table(tmp_path / "lamp.csv")
+    found = light.make_light("lamp.csv", {"lamp.csv": (curve.wavelength, curve.values)}, SEEN)
     xyz = spectra.xyz_weights(found.wavelength) @ found.radiance
     assert np.allclose(chromaticity(xyz), chromaticity(summed_up(HALVES, power[0])), atol=1e-5)
     if line == 546.5:
@@ -231,10 +232,10 @@ def test_a_bands_centre_does_not_depend_on_where_it_was_sampled_most() -> None:
 def test_a_table_that_falls_is_read_and_one_out_of_order_refused(tmp_path: Path) -> None:
     path = tmp_path / "curve.csv"
     path.write_text("nm,a,b\n500,1,2\n450,3,4\n400,5,6\n")
-    wavelength, curves = read_curves(path)
-    assert wavelength.tolist() == [400.0, 450.0, 500.0]
-    assert curves.tolist() == [[5.0, 3.0, 1.0], [6.0, 4.0, 2.0]]
+    curves = read_table(path)
+    assert curves.wavelength.tolist() == [400.0, 450.0, 500.0]
+    assert curves.values.tolist() == [[5.0, 3.0, 1.0], [6.0, 4.0, 2.0]]
     for wrong in ("500,1\n400,2\n450,3\n", "500,1\n450,2\n450,3\n", "400,1\n400,2\n"):
         path.write_text(wrong)
         with pytest.raises(InputFileError, match="must increase"):
-            read_curves(path)
+            read_table(path)

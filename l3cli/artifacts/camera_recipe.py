@@ -4,12 +4,13 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import ClassVar
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import LONGEST, MAX_CFA, MAX_CHANNELS, MOST_WAVELENGTHS, CameraModel, Noise, Optics
 from l3cli.artifacts.store import load
-from l3cli.config import Recipe, Seed, load_recipe, read_text
+from l3cli.config import CountOrNone, Recipe, Seed, load_recipe, parse_recipe, parse_toml, read_text
 from l3cli.curve_table import read_table
 from l3cli.errors import RecipeError, suggestion
 from l3cli.physics import spectra
@@ -79,17 +80,47 @@ class CameraRecipe(Recipe):
     optics: OpticsRecipe
 
 
+class PhaseRecipe(Recipe):
+    """The camera of another recipe, with its array read from another pixel on."""
+
+    title: ClassVar[str] = CameraRecipe.title
+
+    name: str
+    base: str  # the other recipe, relative to this one
+    phase: tuple[CountOrNone, CountOrNone]  # row and column of the base's array that come first here
+
+
 def load_camera(path: Path) -> CameraModel:
     """A camera from a camera.h5 or from a camera recipe (.toml)."""
     if path.suffix == ".toml":
-        return camera_from_recipe(load_recipe(path, CameraRecipe), path)
+        return camera_from_recipe(*read_recipe(path))
     return load(CameraModel, path)
 
 
 def camera_files(path: Path) -> list[Path]:
-    """What `load_camera` reads: the file, and the curves that a recipe names."""
-    named = load_recipe(path, CameraRecipe).responsivity.file if path.suffix == ".toml" else None
-    return [path] if named is None else [path, path.parent / named]
+    """What `load_camera` reads: the file, the base of a recipe, and the curves that a recipe names."""
+    if path.suffix != ".toml":
+        return [path]
+    recipe, whole = read_recipe(path)
+    named = recipe.responsivity.file
+    return list(dict.fromkeys([path, whole, *([] if named is None else [whole.parent / named])]))
+
+
+def read_recipe(path: Path) -> tuple[CameraRecipe, Path]:
+    """A camera recipe and the file that holds its figures: `path`, or the base that it names."""
+    text, name = read_text(path, CameraRecipe.title), str(path)
+    if "base" not in parse_toml(text, name):
+        return parse_recipe(text, CameraRecipe, name), path
+    variant = parse_recipe(text, PhaseRecipe, name)
+    whole = path.parent / variant.base
+    base = load_recipe(whole, CameraRecipe)
+    period, (row, col) = parse_cfa(base.cfa, str(whole)).shape, variant.phase
+    if row >= period[0] or col >= period[1]:
+        raise RecipeError(f"{path}: phase is [{row}, {col}], and the array of {whole} is {period[0]}×{period[1]}, from 0")
+    lines = [line.split() for line in base.cfa.pattern]
+    pattern = [" ".join(line[col:] + line[:col]) for line in lines[row:] + lines[:row]]
+    cfa = CfaRecipe(base.cfa.channels, pattern)
+    return msgspec.structs.replace(base, name=variant.name, cfa=cfa), whole
 
 
 def camera_from_recipe(recipe: CameraRecipe, path: Path) -> CameraModel:
@@ -244,5 +275,7 @@ def _sum_of_gaussians(wavelength: NDArray[np.float64], terms: list[Gaussian]) ->
 
 
 def recipe_text(path: Path) -> str:
-    """The recipe's text for the history, or nothing for an artifact."""
-    return read_text(path) if path.suffix == ".toml" else ""
+    """The text of a recipe, and of its base below it, for the history; nothing for an artifact."""
+    if path.suffix != ".toml":
+        return ""
+    return "\n".join(read_text(file) for file in dict.fromkeys([path, read_recipe(path)[1]]))

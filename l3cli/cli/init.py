@@ -71,7 +71,7 @@ def init(recipe: str | None, folder: Path | None, force: bool, console: "Console
 def summary(path: Path) -> str:
     """One line on a camera recipe: the period of its array, its channels, the first sentence of the file's first comment."""
     text = path.read_text(encoding="utf-8")
-    cfa = tomllib.loads(text)["cfa"]
+    cfa = tomllib.loads((_base(path) or path).read_text(encoding="utf-8"))["cfa"]
     comment = " ".join(
         line.lstrip("# ") for line in itertools.takewhile(lambda line: line.startswith("#"), text.splitlines())
     )
@@ -82,7 +82,15 @@ def summary(path: Path) -> str:
 
 def folder_files(camera: Path) -> dict[str, Path]:
     """What the recipe folder of a camera recipe holds, by name: the files it is copied from."""
-    return {name: recipe_folder() / source for name, source in COMMON.items()} | {"camera.toml": camera}
+    base = _base(camera)
+    files = {name: recipe_folder() / source for name, source in COMMON.items()} | {"camera.toml": camera}
+    return files | ({} if base is None else {base.name: base})
+
+
+def _base(camera: Path) -> Path | None:
+    """The camera recipe that this one builds on, beside it."""
+    named = tomllib.loads(camera.read_text(encoding="utf-8")).get("base")
+    return None if named is None else camera.parent / named
 
 
 def write_folder(origins: dict[str, Path], folder: Path) -> None:
