@@ -1,6 +1,7 @@
 """From XYZ to what a screen shows and an eye sees of it: adaptation, exposure, sRGB both ways, CIELAB differences.
 
-XYZ are CIE 1931. A picture is linear sRGB (row, col, 3), 1 being display white, unless a name says "codes".
+XYZ are CIE 1931. A picture is linear sRGB (row, col, 3), 1 being display white, unless a name says "codes"
+(docs/method.md#display).
 """
 
 import functools
