@@ -1,5 +1,7 @@
 // Chroma: the formula of l3cli/classes/chroma.py.
 
+#define CHROMA_CONSTANTS __global const int *restrict chroma_weights  // (chroma, channel)
+
 // Add to the scores (chroma) what channel c says; `scaled` is its mean times 65536.
 INLINE void add_scores(ints *score, int c, uints scaled, __global const int *chroma_weights) {
 #if CHROMAS > 1

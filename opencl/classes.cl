@@ -12,10 +12,7 @@ void classes(__global const ushort *restrict raw,                // (row, col) D
              __global const uint *restrict mean_reciprocal,      // (channel, CFA row, period) round(65536 / count)
              __global const uint *restrict variance_reciprocal,  // (channel, CFA row, period) round(512 / count)
              __global const uint *restrict site_column,          // (period) CFA column
-             __global const int *restrict level_tops,            // (level edge) highest level sum below each
-             __global const uint *restrict contrast_edges,       // (contrast edge, level)
-             __global const ushort *restrict case_of_code,       // (code)
-             __global const int *restrict chroma_weights,        // (chroma, channel)
+             RULE_CONSTANTS,
              __global uint *restrict labels,                     // (row, col)
              int phase_row, int phase_column, int rows, int columns) {
     const int x0 = get_group_id(0) * TILE, y0 = get_group_id(1) * BAND;
@@ -53,13 +50,11 @@ void classes(__global const ushort *restrict raw,                // (row, col) D
                 const int at = (c * CFA_ROWS + site_row) * PERIOD + phase;
                 add_evidence(&evidence, c, FIXED(uints, count + at), patch_sum(&runs, &near, c, x),
                              patch_square(&runs, &near, c, x), FIXED(uints, mean_reciprocal + at),
-                             FIXED(uints, variance_reciprocal + at), chroma_weights);
+                             FIXED(uints, variance_reciprocal + at), RULE);
             }
             const shorts code = patch_saturated(&runs, x);
-            uints kind = chroma_of(evidence.score);
-            if (any_case(code, case_of_code)) kind = kind_of(kind, case_of(code, case_of_code));
             const uints site = FIXED(uints, site_column + phase) + site_row * CFA_COLUMNS;
-            const uints label = class_of(&evidence, site, kind, level_tops, contrast_edges);
+            const uints label = class_of(&evidence, site, code, RULE);
             if (x + LANES <= width) FAR(uints, label_row + x) = label;
             else for (int i = 0; x + i < width; i++) label_row[x + i] = label[i];
         }

@@ -1,7 +1,9 @@
 // Contrast: the formula of l3cli/classes/contrast.py.
 
-// What a channel adds to the variance sum: `count`, `sum` and `square` of its pixels in the patch, its mean, and the reciprocal
-// that goes with the count.
+#define CONTRAST_CONSTANTS __global const uint *restrict contrast_edges  // (contrast edge, level)
+
+// What a channel adds to the variance sum: `count`, `sum` and `square` of its pixels in the patch, its mean, and the
+// reciprocal that goes with the count.
 INLINE uints variance_part(uints count, uints sum, uints square, uints mean, uints variance_reciprocal) {
     const uints cap = 0xffffffffu / CHANNELS;
     const uints deviation = square - mean * (sum + sum - mean * count), variance = deviation * variance_reciprocal;

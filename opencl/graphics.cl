@@ -31,10 +31,7 @@ void classes(__global const ushort *restrict raw,                // (row, col) D
              __global const uint *restrict mean_reciprocal,      // (channel, CFA row, period) round(65536 / count)
              __global const uint *restrict variance_reciprocal,  // (channel, CFA row, period) round(512 / count)
              __global const uint *restrict site_column,          // (period) CFA column
-             __global const int *restrict level_tops,            // (level edge) highest level sum below each
-             __global const uint *restrict contrast_edges,       // (contrast edge, level)
-             __global const ushort *restrict case_of_code,       // (code)
-             __global const int *restrict chroma_weights,        // (chroma, channel)
+             RULE_CONSTANTS,
              __global uint *restrict labels,                     // (row, col)
              int phase_row, int phase_column, int rows, int columns) {
     __local ushort value[TILE_ROWS][TILE_COLUMNS], bit[TILE_ROWS][TILE_COLUMNS];  // DN and 1 << channel
@@ -79,13 +76,12 @@ void classes(__global const ushort *restrict raw,                // (row, col) D
             q += square[line][p];
         }
         const int at = (c * CFA_ROWS + site_row) * PERIOD + site;
-        add_evidence(&evidence, c, count[at], s, q, mean_reciprocal[at], variance_reciprocal[at], chroma_weights);
+        add_evidence(&evidence, c, count[at], s, q, mean_reciprocal[at], variance_reciprocal[at], RULE);
         barrier(CLK_LOCAL_MEM_FENCE);
     }
     uint code = 0;
     for (int p = column + RADIUS - SATURATION_RADIUS; p <= column + RADIUS + SATURATION_RADIUS; p++) code |= saturated[line][p];
-    const uint kind = kind_of(chroma_of(evidence.score), case_of(code, case_of_code));
-    const uint label = class_of(&evidence, site_row * CFA_COLUMNS + site, kind, level_tops, contrast_edges);
+    const uint label = class_of(&evidence, site_row * CFA_COLUMNS + site, code, RULE);
     if (x < columns && y < rows) labels[(size_t)y * columns + x] = label;
 }
 

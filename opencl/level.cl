@@ -1,5 +1,7 @@
 // Level: the formula of l3cli/classes/level.py.
 
+#define LEVEL_CONSTANTS __global const int *restrict level_tops  // (level edge) highest level sum below each
+
 // What a channel adds to the level sum; `scaled` is its mean times 65536.
 INLINE uints level_part(uints scaled) { return scaled >> (16 - LEVEL_FRACTION); }
 

@@ -1,8 +1,12 @@
-// From the sums of a patch to its class, for as many pixels as `uints` holds: the features joined as by l3cli/classes/decide.py
-// and ClassRule, in uint, exact or wrapping to exact, for both variants.
+// From the sums of a patch to its class, for as many pixels as `uints` holds: the features joined as by ClassRule and
+// l3cli/classes/decide.py, in uint, exact or wrapping to exact, for both variants.
 
 // CFA phase of padded row or column p, whose frame begins at phase `start`: that of p - RADIUS.
 #define PADDED_PHASE(p, start, period) (((p) + (start) + ((period) - 1) * RADIUS) % (period))
+
+// What the features read, in the order of FEATURES (l3cli/classes/rule.py): as parameters, and handed on.
+#define RULE_CONSTANTS LEVEL_CONSTANTS, CONTRAST_CONSTANTS, SATURATION_CONSTANTS, CHROMA_CONSTANTS
+#define RULE level_tops, contrast_edges, case_of_code, chroma_weights
 
 typedef struct {
     uints level_sum, variance_sum;  // over the channels seen so far
@@ -17,7 +21,7 @@ INLINE void no_evidence(Evidence *e) {
 
 // What channel c says: `count`, `sum` and `square` of its pixels in the patch, and the reciprocals that go with the count.
 INLINE void add_evidence(Evidence *e, int c, uints count, uints sum, uints square, uints mean_reciprocal,
-                         uints variance_reciprocal, __global const int *chroma_weights) {
+                         uints variance_reciprocal, RULE_CONSTANTS) {
     const uints scaled = sum * mean_reciprocal;
     e->level_sum += level_part(scaled);
     e->variance_sum += variance_part(count, sum, square, scaled >> 16, variance_reciprocal);
@@ -25,12 +29,17 @@ INLINE void add_evidence(Evidence *e, int c, uints count, uints sum, uints squar
 }
 
 // The chroma, or where saturation decides its case behind the chromas.
-INLINE uints kind_of(uints chroma, uints saturation) { return saturation > 0 ? CHROMAS - 1 + saturation : chroma; }
+INLINE uints kind_of(const Evidence *e, patterns code, RULE_CONSTANTS) {
+    const uints chroma = chroma_of(e->score);
+    if (!any_case(code, case_of_code)) return chroma;
+    const uints saturation = case_of(code, case_of_code);
+    return saturation > 0 ? CHROMAS - 1 + saturation : chroma;
+}
 
-// The class of a pixel of `site`. Comparing with every level edge needs no look-up, which vectors are slow at; contrast edges
-// follow the level in the same loop.
-INLINE uints class_of(const Evidence *e, uints site, uints kind, __global const int *level_tops,
-                      __global const uint *contrast_edges) {
+// The class of pixels of `site` near whose centres the channels of `code` are saturated. Comparing with every level edge
+// needs no look-up, which vectors are slow at; contrast edges follow the level in the same loop.
+INLINE uints class_of(const Evidence *e, uints site, patterns code, RULE_CONSTANTS) {
+    const uints kind = kind_of(e, code, RULE);
     uints level = 0, edge[CONTRASTS];
     first_contrast_edges(edge, contrast_edges);
     #pragma unroll 4

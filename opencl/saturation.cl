@@ -1,10 +1,16 @@
 // Saturation: the formula of l3cli/classes/saturation.py.
 
+#define SATURATION_CONSTANTS __global const ushort *restrict case_of_code  // (code)
+
 #if LANES == 1
-INLINE uint case_of(uint code, __global const ushort *case_of_code) { return case_of_code[code]; }
+typedef uint patterns;  // of saturated channels, a bit each
+INLINE uint case_of(patterns code, __global const ushort *case_of_code) { return case_of_code[code]; }
+INLINE bool any_case(patterns code, __global const ushort *case_of_code) { return true; }
 #else
+typedef shorts patterns;
+
 // Cases of LANES pixels: a look-up, pixel by pixel.
-INLINE uints case_of(shorts code, __global const ushort *case_of_code) {
+INLINE uints case_of(patterns code, __global const ushort *case_of_code) {
     uint saturation[LANES];
     ushort pattern[LANES];
     NEAR(shorts, pattern) = code;
@@ -14,7 +20,7 @@ INLINE uints case_of(shorts code, __global const ushort *case_of_code) {
 }
 
 // Whether any of LANES pixels may have a case other than 0: few have, and the look-up is slow.
-INLINE bool any_case(shorts code, __global const ushort *case_of_code) {
+INLINE bool any_case(patterns code, __global const ushort *case_of_code) {
     ulong word[LANES / 4], all = 0;
     *(shorts_unaligned *)word = code;
     #pragma unroll

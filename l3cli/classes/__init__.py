@@ -6,4 +6,7 @@ keys, its integer formula, the macros and constants of its kernel snippet (openc
 count n, sum S and sum of squares Q of every channel, and the pattern of channels that are saturated near its centre.
 `rule` makes a camera's rule from a recipe, `decide` gives the class, `names` says what classes are called. How class indices
 are numbered stands in ClassRule, beside how it is stored (artifacts/class_rule).
+
+To add a feature: its module here, named in `rule.FEATURES` and asked by `rule` and `decide`; its keys in `recipe`, what is
+stored and its axis in ClassRule; its snippet in opencl/, joined by rule.cl.
 """
