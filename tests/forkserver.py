@@ -21,7 +21,7 @@ IMPORTS = (
     "l3cli.cli.evaluate l3cli.cli.report l3cli.cli.compare l3cli.cli.info l3cli.cli.simulate l3cli.cli.init "
     "l3cli.calibrate.model l3cli.train.table l3cli.simulate.frame l3cli.simulate.drawn l3cli.render.reference "
     "l3cli.evaluate.evaluation l3cli.io.measurements l3cli.io.curves l3cli.simulate.lab l3cli.calibrate.figures "
-    "l3cli.calibrate.acceptance l3cli.calibrate.text"
+    "l3cli.calibrate.acceptance l3cli.calibrate.text l3cli.stages.calibration l3cli.stages.lab"
 )
 
 ENDING = (signal.SIGINT, signal.SIGTERM)

@@ -1,21 +1,14 @@
 """l3 lab: camera → the measurements a lab would make of it."""
 
-import functools
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from l3cli.cli import options
 
 if TYPE_CHECKING:
-    from l3cli.artifacts.camera import CameraModel
-    from l3cli.io.measurements import MeasurementRecipe
-    from l3cli.simulate.flaws import FlawRecipe
-    from l3cli.simulate.lab import LabCapture, LabRecipe
     from l3cli.stages.console import Console
-
-MONO = "spectra/mono.csv"  # spectra of the monochromator's steps
 
 
 @click.command()
@@ -35,94 +28,6 @@ def lab(camera: Path, output: Path, recipe: Path | None, seed: int, jobs: int, f
     \b
     Example: l3 lab camera.toml -o lab
     """
-    from l3cli.artifacts.camera_recipe import camera_files, load_camera
-    from l3cli.config import load_recipe
-    from l3cli.files import refuse_existing, refuse_spared, sole_writer_of_folder
-    from l3cli.io.measurements import write_measurements
-    from l3cli.parallel import workers
-    from l3cli.simulate.lab import FOLDERS, LabRecipe, plan
-    from l3cli.stages.claims import refuse_unwritable
+    from l3cli.stages.lab import measure
 
-    file = output / "MEASUREMENTS.toml"
-    claims = options.claims(console)
-    claims.spare(camera, *filter(None, [recipe]))
-    refuse_spared(file)
-    refuse_unwritable(file)
-    refuse_existing(file, force)
-    claims.hold(sole_writer_of_folder(output, inside=FOLDERS), output)
-    refuse_existing(file, force)  # now that no other run writes it
-    claims.spare(*camera_files(camera))
-    model = load_camera(camera)
-    chosen = load_recipe(recipe, LabRecipe) if recipe else LabRecipe()
-    captures = plan(model, chosen, seed)
-    for name in _names(captures):
-        refuse_spared(output / name)
-    file.unlink(missing_ok=True)  # written last, it never names frames of two runs
-    work = [(capture, trial) for capture in captures for trial in range(capture.trials)]
-    take = functools.partial(_take, model, chosen.flaws, output, seed)
-    with workers(jobs) as crew:
-        for _ in console.progress(crew(take, work), len(work), "frames"):
-            pass
-    write_measurements(_described(model, chosen, captures, output), file)
-    console.say(f"{file}: {len(captures)} captures, {len(work)} frames; next: l3 calibrate {file} -o camera.h5")
-
-
-def _take(model: "CameraModel", flaws: "FlawRecipe", folder: Path, seed: int, job: "tuple[LabCapture, int]") -> None:
-    """Take and write one frame, in whatever process."""
-    from l3cli.io.images import write_mosaic
-    from l3cli.simulate.lab import take
-
-    capture, trial = job
-    write_mosaic(folder / _frame_name(capture, trial), take(model, capture, trial, seed, flaws))
-
-
-def _frame_name(capture: "LabCapture", trial: int) -> str:
-    return f"{capture.name}_{trial}.tif" if capture.trials > 1 else f"{capture.name}.tif"
-
-
-def _names(captures: "tuple[LabCapture, ...]") -> list[str]:
-    """Of all files that are written, relative to the folder."""
-    frames = [_frame_name(capture, trial) for capture in captures for trial in range(capture.trials)]
-    charts = [_chart_name(capture) for capture in captures if capture.kind == "chart"]
-    return ["MEASUREMENTS.toml", MONO, *charts, *frames]
-
-
-def _chart_name(capture: "LabCapture") -> str:
-    return f"spectra/{capture.name.replace('/', '_')}.csv"
-
-
-def _described(
-    model: "CameraModel", chosen: "LabRecipe", captures: "tuple[LabCapture, ...]", folder: Path
-) -> "MeasurementRecipe":
-    """The measurement file's content, after writing the spectra it names."""
-    import numpy as np
-
-    from l3cli.io import measurements as files
-    from l3cli.io.curves import write_curves
-    from l3cli.simulate.lab import chart_corners
-    from l3cli.units import PHOTON_RADIANCE
-
-    mono: list[files.MonoRecipe] = []
-    charts: list[files.ChartRecipe] = []
-    others: dict[str, list[files.CaptureRecipe]] = {"white": [], "dark": []}
-    for capture in captures:
-        common: dict[str, Any] = {
-            "frames": [_frame_name(capture, trial) for trial in range(capture.trials)],
-            "exposure_s": capture.exposure,
-            "monitor": capture.monitor,
-        }
-        if capture.kind == "mono":
-            mono.append(files.MonoRecipe(**common, spectrum=MONO, column=capture.light))
-        elif capture.kind == "chart":
-            name = _chart_name(capture)
-            patches = [f"patch_{patch}" for patch in range(1, len(capture.radiance) + 1)]
-            write_curves(folder / name, capture.wavelength, capture.radiance, patches, PHOTON_RADIANCE)
-            corners = chart_corners(model)
-            charts.append(files.ChartRecipe(**common, illuminant=capture.light, corners=corners, radiance=name))
-        else:
-            others[capture.kind].append(files.CaptureRecipe(**common))
-    steps = [capture for capture in captures if capture.kind == "mono"]
-    radiances, lights = np.concatenate([step.radiance for step in steps]), [step.light for step in steps]
-    write_curves(folder / MONO, steps[0].wavelength, radiances, lights, PHOTON_RADIANCE)
-    uncertainty = files.UncertaintyRecipe(lamp_drift=chosen.monitor_error, wavelength_nm=chosen.wavelength_error_nm)
-    return files.describe(model, uncertainty, mono=mono, chart=charts, **others)
+    measure(camera, output, console, recipe=recipe, seed=seed, jobs=jobs, force=force)

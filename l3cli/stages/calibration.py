@@ -1,0 +1,58 @@
+"""The calibration stage: lab measurements → camera model."""
+
+import itertools
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera_recipe import camera_files, load_camera
+from l3cli.artifacts.store import save
+from l3cli.calibrate import acceptance, figures, model
+from l3cli.errors import L3Error
+from l3cli.io.curves import export_curves, export_paths
+from l3cli.io.measurements import inputs_of, load_measurements
+from l3cli.parallel import ordered_map
+from l3cli.stages.claims import Claims
+from l3cli.stages.console import Console
+
+
+class NotAccepted(L3Error):
+    """The model predicts its own charts badly; nothing is written."""
+
+
+def calibrate(
+    measurements: Path, output: Path, console: Console, *, truth: Path | None = None, export: Path | None = None,
+    accept: bool = False, jobs: int = 1, force: bool = False,
+) -> tuple[CameraModel, dict[str, Any]]:  # fmt: skip
+    """Write the camera model of a measurement file; the model, and its figures, ready for JSON.
+
+    `truth`: camera (model or recipe) behind a virtual lab, to compare with. `export`: folder for the curves as CSV and as
+    rawtoaces JSON. `accept`: write a model that predicts its own charts badly, for which else NotAccepted is raised.
+    InputFileError or RecipeError if the measurements cannot be used, L3Error if an output cannot be written.
+    """
+    with Claims(console) as claims:
+        claims.spare(measurements, *filter(None, [truth]))
+        for path in (output, *(export_paths(export) if export else ())):
+            claims.claim_file(path, force)
+        inputs = inputs_of(measurements)
+        claims.spare(*itertools.chain(*inputs.files.values()), *(camera_files(truth) if truth else ()))
+        true = load_camera(truth) if truth else None
+        measured = load_measurements(measurements)
+
+        def each(function: Callable[[Any], Any], captures: Iterable[Any]) -> Iterator[Any]:
+            captures = list(captures)
+            return console.progress(ordered_map(function, captures, jobs), len(captures), "captures")
+
+        camera = model.calibrate(measured, each)
+        if (shortfall := acceptance.shortfall(camera)) and not accept:
+            raise NotAccepted(f"{measurements}: {shortfall}")
+        camera = replace(camera, history=(inputs.history({"accept": True} if accept else {}),))
+        result: dict[str, Any] = figures.figures(camera)
+        if true is not None:
+            result["truth"] = figures.compare(camera, true)
+        save(camera, output)
+        if export:
+            export_curves(camera, export)
+        return camera, result
