@@ -217,6 +217,16 @@ def test_another_camera_takes_its_own_unseen_frames(workplace: Workplace, folder
         )
 
 
+def test_a_recipe_that_the_camera_is_based_on_makes_all_of_it_again(workplace: Workplace, tmp_path: Path) -> None:
+    assert run(["init", "bayer_bggr", str(tmp_path / "phase"), "--quiet"]) == 0
+    (tmp_path / "phase/virtual_lab").mkdir()
+    measured = "virtual_lab/MEASUREMENTS.toml"
+    (tmp_path / "phase" / measured).touch()
+    (tmp_path / "phase/.asked").touch()
+    assert "l3 lab" not in workplace.do(tmp_path / "phase", f"make -n {measured}")[0]
+    assert "l3 lab" in workplace.do(tmp_path / "phase", f"make -n -W bayer.toml {measured}")[0]
+
+
 def test_a_stopped_make_goes_on_where_it_was(workplace: Workplace, folder: Path, tmp_path: Path) -> None:
     undisturbed = (folder / "training.h5").read_bytes()
     (folder / "training.h5").unlink()
