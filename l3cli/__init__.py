@@ -1,3 +1,24 @@
-"""Give a camera with any colour filter array its image pipeline: calibrate, simulate, train, render."""
+"""Give a camera with any colour filter array its image pipeline: calibrate, simulate, train, render.
+
+What is named here comes from `l3cli.api` and is imported when it is used.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from l3cli.api import Renderer, calibrate, evaluate, load, read_raw, render, save, simulate, train
 
 __version__ = "0.1.0"
+__all__ = ["Renderer", "calibrate", "evaluate", "load", "read_raw", "render", "save", "simulate", "train"]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from l3cli import api
+
+    return getattr(api, name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

@@ -9,14 +9,14 @@ FLOORS = [
     {"physics"},
     {"artifacts", "curve_table", "scene", "frame", "dark", "measurement"},
     {"classes"},
-    {"calibrate", "simulate", "train", "render", "evaluate", "report", "io", "parallel"},
+    {"calibration", "simulation", "training", "rendering", "evaluation", "report", "io", "parallel"},
     {"stages"},
-    {"cli"},
+    {"api", "cli"},
     {"__main__"},
 ]
 DOORS = {
     "click": ("cli/",),
-    "pyopencl": ("render/opencl.py", "render/opencl_devices.py"),
+    "pyopencl": ("rendering/opencl.py", "rendering/opencl_devices.py"),
     "rawpy": ("io/",),
     "OpenImageIO": ("io/",),
     "tifffile": ("io/",),
@@ -27,9 +27,10 @@ DOORS = {
     "dask": ("parallel/cluster.py",),
     "distributed": ("parallel/cluster.py",),
     "rich": ("cli/",),
+    "threadpoolctl": ("api.py",),
     "jinja2": ("report/",),
     "markupsafe": ("report/",),
-    "colour_demosaicing": ("evaluate/",),
+    "colour_demosaicing": ("evaluation/",),
 }
 
 

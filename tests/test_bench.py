@@ -6,9 +6,9 @@ import shutil
 import pytest
 
 from l3cli import parallel
-from l3cli.render import benchmark
-from l3cli.simulate import benchmark as simulation
-from l3cli.train import benchmark as training
+from l3cli.rendering import benchmark
+from l3cli.simulation import benchmark as simulation
+from l3cli.training import benchmark as training
 
 FIELDS = {
     "width", "height", "patch", "channels", "outputs", "classes", "backend", "variant", "device", "stages_ms", "frame_ms",

@@ -12,7 +12,7 @@ import pytest
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.store import load
-from l3cli.calibrate import defects, gain, model, noise, responsivity
+from l3cli.calibration import defects, gain, model, noise, responsivity
 from l3cli.errors import InputFileError
 from l3cli.files import sha256
 from l3cli.measurement import Body, Capture, ChartCapture, MonoCapture

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.calibrate.series import fit_series
+from l3cli.calibration.series import fit_series
 from l3cli.errors import InputFileError
 from l3cli.measurement import CHART_COLS, CHART_ROWS, BandCapture, Body, Capture
 

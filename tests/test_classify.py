@@ -15,7 +15,7 @@ from l3cli.classes.rule import FEATURES, make_rule
 from l3cli.classes.windows import neighbourhoods, sites
 from l3cli.errors import RecipeError
 from l3cli.frame import mirrored_indices, pad_mosaic
-from l3cli.render.layout import source_folder
+from l3cli.rendering.layout import source_folder
 from tests.conftest import random_case_of_code
 
 

@@ -20,10 +20,10 @@ from l3cli.dark import average_dark, without_dark
 from l3cli.errors import InputFileError
 from l3cli.frame import RawFrame
 from l3cli.io.images import write_mosaic
-from l3cli.render.exposure import LightMeter
-from l3cli.render.opencl import OpenCLRenderer
-from l3cli.render.reference import ReferenceRenderer
-from l3cli.simulate import sensor
+from l3cli.rendering.exposure import LightMeter
+from l3cli.rendering.opencl import OpenCLRenderer
+from l3cli.rendering.reference import ReferenceRenderer
+from l3cli.simulation import sensor
 
 LEAKY = ("dark_current_e_per_s = 5.0", "dark_current_e_per_s = 60.0")
 SCENES = """

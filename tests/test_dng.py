@@ -20,8 +20,8 @@ from l3cli.io.dng_writer import LIGHT_CODES, RawColour, write_dng
 from l3cli.io.raw_files import read_raw
 from l3cli.physics import spectra
 from l3cli.physics.display import delta_e_2000, lab, srgb_from_xyz_matrix
-from l3cli.simulate.light import make_light
-from l3cli.simulate.raw_colour import colour_matrix, neutral
+from l3cli.simulation.light import make_light
+from l3cli.simulation.raw_colour import colour_matrix, neutral
 
 SCENES = """
 illuminants = ["D65", "A"]

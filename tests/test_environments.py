@@ -172,8 +172,8 @@ def test_who_says_yes_trusts_and_what_is_neither_is_refused(monkeypatch: pytest.
 # --------------------------------------------------------------------------------------------------------- caches
 PROGRAM = """
 import numpy as np
-from l3cli.render import opencl_devices
-from l3cli.render.opencl import OpenCLRenderer
+from l3cli.rendering import opencl_devices
+from l3cli.rendering.opencl import OpenCLRenderer
 cl = opencl_devices.pyopencl()
 class Bare(OpenCLRenderer):
     def __init__(self):
@@ -186,7 +186,7 @@ buffer = cl.Buffer(one._context, cl.mem_flags.WRITE_ONLY, numbers.nbytes)
 kernel(queue, (16,), None, buffer)
 cl.enqueue_copy(queue, numbers, buffer)
 assert (numbers == 7).all()
-from l3cli.render import kernels
+from l3cli.rendering import kernels
 kernels.keep()
 print(kernels.unkept())
 """

@@ -17,14 +17,14 @@ from l3cli.classes.chroma import chroma_centres
 from l3cli.classes.decide import label_mosaic
 from l3cli.cli import run
 from l3cli.errors import InputFileError
-from l3cli.evaluate.basic import develop, fit_colour, light_of, white_preserving_ridge
-from l3cli.evaluate.classes import ClassErrors
-from l3cli.evaluate.demosaic import bayer_roles, interpolate, rivals, tiled
-from l3cli.evaluate.evaluation import Evaluation, higher_is_better
-from l3cli.evaluate.pictures import error_map
-from l3cli.evaluate.quality import band_quality, quality
-from l3cli.evaluate.scielab import OPPONENT_FROM_XYZ, scielab
-from l3cli.evaluate.similarity import psnr, spectral_angle, ssim
+from l3cli.evaluation.basic import develop, fit_colour, light_of, white_preserving_ridge
+from l3cli.evaluation.classes import ClassErrors
+from l3cli.evaluation.demosaic import bayer_roles, interpolate, rivals, tiled
+from l3cli.evaluation.evaluation import Evaluation, higher_is_better
+from l3cli.evaluation.pictures import error_map
+from l3cli.evaluation.quality import band_quality, quality
+from l3cli.evaluation.scielab import OPPONENT_FROM_XYZ, scielab
+from l3cli.evaluation.similarity import psnr, spectral_angle, ssim
 from l3cli.io.images import read_image
 from l3cli.physics import spectra
 from l3cli.physics.display import delta_e_2000, lab

@@ -12,9 +12,9 @@ from l3cli.artifacts.training_set import open_training_set
 from l3cli.frame import RawFrame
 from l3cli.physics import spectra
 from l3cli.physics.display import delta_e_2000, lab
-from l3cli.render.renderer import make_renderer
-from l3cli.simulate import reflectances
-from l3cli.simulate.charts import colorchecker_patches
+from l3cli.rendering.renderer import make_renderer
+from l3cli.simulation import reflectances
+from l3cli.simulation.charts import colorchecker_patches
 from tests.conftest import CONFIGS
 
 CAMERA = CONFIGS / "cameras/fiveband.toml"

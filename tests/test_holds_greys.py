@@ -19,10 +19,10 @@ from l3cli.cli import run
 from l3cli.frame import RawFrame
 from l3cli.physics import spectra
 from l3cli.physics.display import lab
-from l3cli.render.renderer import make_renderer
-from l3cli.simulate import sensor
-from l3cli.simulate.light import make_light, white_rates
-from l3cli.train.highlights import grey_patches
+from l3cli.rendering.renderer import make_renderer
+from l3cli.simulation import sensor
+from l3cli.simulation.light import make_light, white_rates
+from l3cli.training.highlights import grey_patches
 from tests.conftest import CONFIGS
 
 SCENES = """

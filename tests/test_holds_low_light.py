@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from l3cli.errors import InputFileError
-from l3cli.evaluate.comparison import Curve, crossings, curve_of, require_comparable
+from l3cli.evaluation.comparison import Curve, crossings, curve_of, require_comparable
 from tests.conftest import CONFIGS
 
 UNSEEN = """

@@ -11,13 +11,13 @@ from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.training_set import open_training_set
 from l3cli.cli.init import COMMON
 from l3cli.config import load_recipe
-from l3cli.evaluate.demosaic import interpolate
-from l3cli.evaluate.quality import psnr
+from l3cli.evaluation.demosaic import interpolate
+from l3cli.evaluation.quality import psnr
 from l3cli.io.images import read_image
 from l3cli.recipes import known_recipes
-from l3cli.simulate.lab import LabRecipe
-from l3cli.simulate.recipe import SceneRecipe
-from l3cli.train.recipe import TrainingRecipe
+from l3cli.simulation.lab import LabRecipe
+from l3cli.simulation.recipe import SceneRecipe
+from l3cli.training.recipe import TrainingRecipe
 from tests.conftest import CONFIGS
 
 CAMERAS = known_recipes("cameras")

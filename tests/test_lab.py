@@ -13,8 +13,8 @@ from l3cli.cli import run
 from l3cli.config import load_recipe
 from l3cli.curve_table import read_table
 from l3cli.io.frames import read_frame
-from l3cli.simulate.flaws import FlawRecipe, flaws_of
-from l3cli.simulate.lab import LabRecipe, MonoRecipe, plan, take
+from l3cli.simulation.flaws import FlawRecipe, flaws_of
+from l3cli.simulation.lab import LabRecipe, MonoRecipe, plan, take
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 QUICK = """

@@ -20,7 +20,7 @@ from l3cli.cli import COMMANDS, l3, terminal
 from l3cli.columns import columns
 from l3cli.errors import suggestion
 from l3cli.frame import RawFrame
-from l3cli.render.coverage import CoverageMeter
+from l3cli.rendering.coverage import CoverageMeter
 from tests.conftest import CONFIGS, in_terminal
 
 UNITS = re.compile(r"\b(DN|nm|pixels?|seconds?|a second|a degree|Number|numbers|Rate factor|Bytes)\b", re.IGNORECASE)

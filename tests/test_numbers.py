@@ -23,7 +23,7 @@ from l3cli.config import parse_recipe
 from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.io.images import write_mosaic
 from l3cli.quantities import NoSuchNumber, Quantity
-from l3cli.train.recipe import TrainingRecipe
+from l3cli.training.recipe import TrainingRecipe
 from tests.conftest import CLASSES
 from tests.hostile import timed
 from tests.hostile_numbers import OPTIONS

@@ -14,7 +14,7 @@ from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.cli import run
-from l3cli.evaluate.likeness import MOST_COLOUR, colour_difference, noise_ratio, unlike
+from l3cli.evaluation.likeness import MOST_COLOUR, colour_difference, noise_ratio, unlike
 from tests.conftest import bayer_camera
 
 TWIN = bayer_camera()

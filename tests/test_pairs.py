@@ -10,10 +10,10 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import TrainingFrame, TrainingPair, open_training_set
 from l3cli.classes.windows import neighbourhoods
 from l3cli.frame import RawFrame, as_taken, upright
-from l3cli.simulate.pairs import make_pair
-from l3cli.simulate.recipe import Pair
-from l3cli.train.patches import expose_patches, noise_share, sample_pair
-from l3cli.train.symmetry import site_maps
+from l3cli.simulation.pairs import make_pair
+from l3cli.simulation.recipe import Pair
+from l3cli.training.patches import expose_patches, noise_share, sample_pair
+from l3cli.training.symmetry import site_maps
 
 PAIR = Pair(raw="a.tif", picture="a.png", scale=0.5)
 

@@ -264,7 +264,7 @@ def test_inputs_replaced_meanwhile_are_refused(
     copied: Path, tmp_path: Path, refused: Refused, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Between reading and writing a frame gets other content: the history would name what was not read."""
-    from l3cli.calibrate import model
+    from l3cli.calibration import model
 
     calibrate, frame = model.calibrate, min((copied / "dark").iterdir())
     replacement = tmp_path / "replacement"

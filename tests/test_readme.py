@@ -21,9 +21,9 @@ from l3cli.artifacts.training_set import GROUPS, TrainingSet
 from l3cli.cli import COMMANDS, l3
 from l3cli.config import TELLING, Recipe, load_recipe
 from l3cli.io.measurements import MeasurementRecipe
-from l3cli.simulate.lab import LabRecipe
-from l3cli.simulate.recipe import SceneRecipe
-from l3cli.train.recipe import TrainingRecipe
+from l3cli.simulation.lab import LabRecipe
+from l3cli.simulation.recipe import SceneRecipe
+from l3cli.training.recipe import TrainingRecipe
 from tests.conftest import CONFIGS
 
 ROOT = CONFIGS.parent

@@ -29,12 +29,12 @@ from l3cli.physics.display import (
     srgb_from_xyz_matrix,
     xyz_from_srgb_matrix,
 )
-from l3cli.render import opencl, opencl_devices
-from l3cli.render.display import Display, encode, make_display, require_xyz
-from l3cli.render.opencl import OpenCLRenderer
-from l3cli.render.opencl_devices import choose_device, devices
-from l3cli.render.reference import ReferenceRenderer
-from l3cli.render.renderer import BACKENDS, make_renderer
+from l3cli.rendering import opencl, opencl_devices
+from l3cli.rendering.display import Display, encode, make_display, require_xyz
+from l3cli.rendering.opencl import OpenCLRenderer
+from l3cli.rendering.opencl_devices import choose_device, devices
+from l3cli.rendering.reference import ReferenceRenderer
+from l3cli.rendering.renderer import BACKENDS, make_renderer
 
 XYZ = ("X", "Y", "Z")
 # float32 sums of at most 225 products, each term below 1 and rounded to 6e-8: 225 · 6e-8 at worst, a tenth of it in fact.
@@ -465,7 +465,7 @@ def test_unknown_backend_is_refused():
 def test_pocl_works_with_an_unwritable_home():
     """PoCL without a folder for its cache finds no device at all."""
     script = (
-        "import os; from l3cli.render.opencl_devices import choose_device\n"
+        "import os; from l3cli.rendering.opencl_devices import choose_device\n"
         "choose_device(''); print(os.environ['POCL_CACHE_DIR'])"
     )
     kept = {key: value for key, value in os.environ.items() if key not in ("POCL_CACHE_DIR", "XDG_CACHE_HOME")}

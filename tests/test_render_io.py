@@ -22,9 +22,9 @@ from l3cli.io.images import check_format, read_image, write_linear, write_pictur
 from l3cli.io.raw_files import KnownBetter, read_raw
 from l3cli.physics import spectra
 from l3cli.physics.display import adaptation_matrix, scene_white, srgb_from_xyz_matrix
-from l3cli.render import opencl_devices
-from l3cli.render.display import make_display
-from l3cli.render.reference import ReferenceRenderer
+from l3cli.rendering import opencl_devices
+from l3cli.rendering.display import make_display
+from l3cli.rendering.reference import ReferenceRenderer
 
 ENDING = (signal.SIGALRM, signal.SIGINT, signal.SIGTERM)
 

@@ -11,7 +11,7 @@ from l3cli.io.scene_files import find, read_iset_scene, read_rgb_picture
 from l3cli.physics import spectra
 from l3cli.physics.display import srgb_curve, srgb_from_xyz_matrix
 from l3cli.scene import Scene
-from l3cli.simulate import charts, leaves, light, procedural, reflectances, rgb
+from l3cli.simulation import charts, leaves, light, procedural, reflectances, rgb
 from tests.conftest import CONFIGS
 
 WAVELENGTH = np.arange(400.0, 701.0, 10.0)
@@ -283,7 +283,7 @@ def test_the_grid_covers_what_the_camera_sees() -> None:
 @pytest.mark.parametrize("name", ["default", "demo_unseen", "small"])
 def test_recipes_in_configs_are_right(name: str, fiveband: object) -> None:
     from l3cli.config import load_recipe
-    from l3cli.simulate.recipe import SceneRecipe, check
+    from l3cli.simulation.recipe import SceneRecipe, check
 
     recipe = load_recipe(CONFIGS / f"scenes/{name}.toml", SceneRecipe)
     check(recipe, fiveband)  # type: ignore[arg-type]

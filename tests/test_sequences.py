@@ -30,8 +30,8 @@ from l3cli.io.sequences import find_frames, numbered_files, numbered_name
 from l3cli.parallel import threads
 from l3cli.parallel.threads import Behind, ahead
 from l3cli.physics.display import automatic_exposure
-from l3cli.render.exposure import TIME_CONSTANT, LightMeter, SteadyExposure
-from l3cli.render.reference import ReferenceRenderer
+from l3cli.rendering.exposure import TIME_CONSTANT, LightMeter, SteadyExposure
+from l3cli.rendering.reference import ReferenceRenderer
 
 RGGB = dataclasses.replace(random_table(BAYER, bits=12, black=64.0), camera_name="RGGB", rows=20, cols=28)
 COUNT = 5

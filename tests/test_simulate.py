@@ -18,12 +18,12 @@ from l3cli.artifacts.training_set import open_training_set
 from l3cli.physics import spectra
 from l3cli.physics.lens import diffraction_transfer, relative_illumination
 from l3cli.scene import Scene
-from l3cli.simulate import charts, light, optics, procedural, sensor
-from l3cli.simulate.drawn import draw
-from l3cli.simulate.frame import Saturating, simulate
-from l3cli.simulate.recipe import Lens
-from l3cli.simulate.sources import ColorChecker, WantedScene
-from l3cli.simulate.targets import make_target
+from l3cli.simulation import charts, light, optics, procedural, sensor
+from l3cli.simulation.drawn import draw
+from l3cli.simulation.frame import Saturating, simulate
+from l3cli.simulation.recipe import Lens
+from l3cli.simulation.sources import ColorChecker, WantedScene
+from l3cli.simulation.targets import make_target
 from tests.conftest import CONFIGS, bayer_camera
 
 PLAIN = Lens(diffraction=False)

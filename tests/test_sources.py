@@ -14,9 +14,9 @@ from l3cli.io.scene_files import read_iset_scene
 from l3cli.physics import spectra
 from l3cli.physics.display import lab
 from l3cli.scene import Scene
-from l3cli.simulate import charts, sources
-from l3cli.simulate.drawn import draw
-from l3cli.simulate.framing import framed
+from l3cli.simulation import charts, sources
+from l3cli.simulation.drawn import draw
+from l3cli.simulation.framing import framed
 
 WAVELENGTH = np.arange(400.0, 701.0, 10.0)
 RANGE = "wavelength_range_nm = [400, 700, 10]\n"

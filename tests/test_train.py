@@ -26,13 +26,13 @@ from l3cli.classes.windows import neighbourhoods
 from l3cli.config import load_recipe
 from l3cli.errors import L3Error
 from l3cli.io.images import read_image
-from l3cli.train.accumulate import sum_sites
-from l3cli.train.lesson import LAST, Lesson
-from l3cli.train.patches import draw_levels, expose_patches, sample_patches
-from l3cli.train.recipe import LearningRecipe, TrainingRecipe
-from l3cli.train.sums import EXACT, STEP, add_rounded, grid_steps, moment_matrix
-from l3cli.train.symmetry import orientations, site_maps, stabilisers
-from l3cli.train.table import add_up
+from l3cli.training.accumulate import sum_sites
+from l3cli.training.lesson import LAST, Lesson
+from l3cli.training.patches import draw_levels, expose_patches, sample_patches
+from l3cli.training.recipe import LearningRecipe, TrainingRecipe
+from l3cli.training.sums import EXACT, STEP, add_rounded, grid_steps, moment_matrix
+from l3cli.training.symmetry import orientations, site_maps, stabilisers
+from l3cli.training.table import add_up
 from tests.conftest import CONFIGS
 
 MIX = np.array([[0.4, 0.2, 0.1], [0.2, 0.7, 0.1], [0.0, 0.1, 0.9]])  # the truth: XYZ of the channels at the same pixel

@@ -26,11 +26,11 @@ from l3cli.parallel import workers
 from l3cli.stages.console import Silent
 from l3cli.stages.training.passes import Execution, first_pass
 from l3cli.stages.training.run import open_run
-from l3cli.train.benchmark import made_up_frame, stage_shares, train
-from l3cli.train.division import BATCH, SUM_BYTES, frame_blocks, portions
-from l3cli.train.lesson import LAST, Lesson, spread_patches
-from l3cli.train.recipe import LearningRecipe, TrainingRecipe
-from l3cli.train.sums import empty_sums
+from l3cli.training.benchmark import made_up_frame, stage_shares, train
+from l3cli.training.division import BATCH, SUM_BYTES, frame_blocks, portions
+from l3cli.training.lesson import LAST, Lesson, spread_patches
+from l3cli.training.recipe import LearningRecipe, TrainingRecipe
+from l3cli.training.sums import empty_sums
 from tests.test_train import a_frame, a_set
 
 SMALL = "[classes]\npatch = 3\nlevels = 4\n[learning]\npatches = 2100\nfirst_draws = 1\ndraws = 2\n"

@@ -34,11 +34,11 @@ def bench(device: str | None, variant: str | None, list_only: bool, as_json: boo
     from l3cli.artifacts.camera_recipe import load_camera
     from l3cli.parallel import alone
     from l3cli.recipes import known_recipes
-    from l3cli.render import benchmark as rendering
-    from l3cli.render.opencl_devices import survey
-    from l3cli.simulate import benchmark as simulation
+    from l3cli.rendering import benchmark as rendering
+    from l3cli.rendering.opencl_devices import survey
+    from l3cli.simulation import benchmark as simulation
     from l3cli.stages.input_warnings import warn_of_kernels
-    from l3cli.train import benchmark as training
+    from l3cli.training import benchmark as training
 
     found = survey()
     if list_only:

@@ -39,7 +39,7 @@ def calibrate(
     \b
     Example: l3 calibrate lab/MEASUREMENTS.toml -o camera.h5
     """
-    from l3cli.calibrate import acceptance, text
+    from l3cli.calibration import acceptance, text
     from l3cli.errors import L3Error
     from l3cli.stages.calibration import NotAccepted
     from l3cli.stages.calibration import calibrate as stage

@@ -11,7 +11,7 @@ from l3cli.cli.terminal import show, show_json
 from l3cli.columns import columns, printable
 
 if TYPE_CHECKING:
-    from l3cli.evaluate.comparison import Curve
+    from l3cli.evaluation.comparison import Curve
 
 
 @click.command()
@@ -37,7 +37,7 @@ def compare(
     Example: l3 compare bayer.json rgbw.json --figure psnr -o curves.html
     """
     from l3cli.errors import RecipeError
-    from l3cli.evaluate.comparison import crossings, curve_of, require_comparable
+    from l3cli.evaluation.comparison import crossings, curve_of, require_comparable
 
     if output is not None:
         if output.suffix != ".html":

@@ -56,7 +56,7 @@ def _content(file: Path) -> dict[str, Any]:
 
     content = describe(file)
     if content["kind"] == TransformTable.kind:
-        from l3cli.train.insight import insight
+        from l3cli.training.insight import insight
 
         content["insight"] = insight(load(TransformTable, file))
     return content
@@ -159,7 +159,7 @@ def _versions() -> dict[str, Any]:
 
     from l3cli import __version__
     from l3cli.errors import DeviceError
-    from l3cli.render.opencl_devices import survey
+    from l3cli.rendering.opencl_devices import survey
 
     try:
         required = metadata.requires("l3cli") or []

@@ -9,7 +9,7 @@ from typing import Any
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import camera_files, load_camera
 from l3cli.artifacts.store import save
-from l3cli.calibrate import acceptance, figures, model
+from l3cli.calibration import acceptance, figures, model
 from l3cli.errors import L3Error
 from l3cli.io.curves import export_curves, export_paths
 from l3cli.io.measurements import inputs_of, load_measurements

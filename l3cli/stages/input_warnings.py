@@ -7,8 +7,8 @@ import numpy as np
 
 from l3cli.files import sha256
 from l3cli.frame import RawFrame
-from l3cli.render.coverage import CoverageMeter
-from l3cli.render.kernels import unkept
+from l3cli.rendering.coverage import CoverageMeter
+from l3cli.rendering.kernels import unkept
 from l3cli.stages.console import Console
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ def warn_if_trained_on(table: "TransformTable", path: "Path", frames: "Path", co
 def warn_if_unlike(table: tuple[object, "TransformTable"], frames: tuple[object, "CameraModel"], console: Console) -> str:
     """Say so if a table is judged on frames of another camera than it was trained for; both with the name of their file.
     What is said, or ""."""
-    from l3cli.evaluate.likeness import unlike
+    from l3cli.evaluation.likeness import unlike
 
     (name, transforms), (other, camera) = table, frames
     if not (differences := unlike(transforms, camera)):

@@ -15,13 +15,13 @@ from l3cli.frame import RawFrame, upright
 from l3cli.io.raw_files import KnownBetter, read_raw
 from l3cli.io.sequences import Pending
 from l3cli.parallel import Crew
-from l3cli.render.display import Display
+from l3cli.rendering.display import Display
 from l3cli.stages.rendering.rendition import Exposed, Rendition, Unread, display_of, file_of, linear_of, pixels_of
 
 if TYPE_CHECKING:
     from l3cli.artifacts.table import TransformTable
     from l3cli.parallel.cluster import Scheduler
-    from l3cli.render.renderer import Renderer
+    from l3cli.rendering.renderer import Renderer
 
 
 class Local:
@@ -119,7 +119,7 @@ def _renderer(
     """The table and what renders through it, made once a worker."""
     from l3cli.artifacts.store import load
     from l3cli.artifacts.table import TransformTable
-    from l3cli.render.renderer import make_renderer
+    from l3cli.rendering.renderer import make_renderer
 
     require_same(path, digest)
     table = load(TransformTable, path)
@@ -130,7 +130,7 @@ def _renderer(
 def executor_of(setup: RenderSetup, table: "TransformTable", scheduler: "Scheduler | None") -> "Iterator[Local | Remote]":
     """Who renders: this process, or the workers of a scheduler."""
     from l3cli.parallel import workers
-    from l3cli.render.renderer import make_renderer
+    from l3cli.rendering.renderer import make_renderer
 
     if scheduler is None:
         yield Local(make_renderer(setup.backend, table, **setup.engine), setup.rendition)

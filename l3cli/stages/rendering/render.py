@@ -16,7 +16,7 @@ from l3cli.io.raw_files import KnownBetter
 from l3cli.io.sequences import Footage, find_frames, read_dark
 from l3cli.io.video import VideoChoice
 from l3cli.physics.display import scene_white
-from l3cli.render.display import require_xyz
+from l3cli.rendering.display import require_xyz
 from l3cli.stages.claims import Claims
 from l3cli.stages.console import Console
 from l3cli.stages.input_warnings import warn_of_kernels, warn_of_white

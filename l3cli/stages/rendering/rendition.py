@@ -10,10 +10,10 @@ from l3cli.frame import RawFrame, upright
 from l3cli.io import images
 from l3cli.io.sequences import Pending
 from l3cli.physics.display import automatic_exposure
-from l3cli.render.display import Display, make_display
+from l3cli.rendering.display import Display, make_display
 
 if TYPE_CHECKING:
-    from l3cli.render.renderer import Renderer
+    from l3cli.rendering.renderer import Renderer
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from l3cli.frame import RawFrame, upright
 from l3cli.io.sequences import Footage, Pending
 from l3cli.io.video import VideoChoice
 from l3cli.parallel.threads import Behind, ahead
-from l3cli.render.exposure import LightMeter, SteadyExposure
+from l3cli.rendering.exposure import LightMeter, SteadyExposure
 from l3cli.stages.console import Console
 from l3cli.stages.input_warnings import FrameWarnings
 from l3cli.stages.rendering.destination import Destination, open_sink

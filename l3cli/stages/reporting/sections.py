@@ -50,7 +50,7 @@ def compose(given: Given, backend: str, console: Console) -> tuple[str, str, lis
 
 def _warn_of_cameras(given: Given, console: Console) -> None:
     """Say so of every camera model that is unlike the first table's camera or, without one, unlike the first artifact's."""
-    from l3cli.evaluate.likeness import unlike
+    from l3cli.evaluation.likeness import unlike
 
     held = [(entry, head.camera) for entry, head in given.training]
     known: list[tuple[Entry, Any]] = [*given.tables, *given.cameras, *held]
@@ -83,8 +83,8 @@ def _cameras_within(given: Given) -> list[tuple[str, CameraModel]]:
 
 
 def _camera_figures(camera: CameraModel) -> dict[str, Any]:
-    from l3cli.calibrate.acceptance import shortfall
-    from l3cli.calibrate.figures import camera_figures, figures
+    from l3cli.calibration.acceptance import shortfall
+    from l3cli.calibration.figures import camera_figures, figures
 
     if camera.fit is not None:
         return figures(camera) | {"shortfall": (shortfall(camera) or "").partition(";")[0]}
@@ -95,7 +95,7 @@ def _camera_figures(camera: CameraModel) -> dict[str, Any]:
 
 def _transforms(name: str, table: TransformTable, light: NDArray[np.float64] | None) -> Section:
     from l3cli.classes.names import class_name
-    from l3cli.train.insight import insight
+    from l3cli.training.insight import insight
 
     return transform_section(table, light, insight(table), functools.partial(class_name, table), name)
 
@@ -118,10 +118,10 @@ def _evaluation(
     console: Console,
 ) -> tuple[str, Section]:
     """A table on frames it has not seen: in a sentence, and as a section with pictures of a few frames."""
-    from l3cli.evaluate.evaluation import Evaluation
-    from l3cli.evaluate.pictures import frame_pictures
-    from l3cli.evaluate.quality import XYZ
-    from l3cli.render.renderer import make_renderer
+    from l3cli.evaluation.evaluation import Evaluation
+    from l3cli.evaluation.pictures import frame_pictures
+    from l3cli.evaluation.quality import XYZ
+    from l3cli.rendering.renderer import make_renderer
 
     (given, transforms), (seen, head) = table, frames
     warning = warn_if_unlike((given.name, transforms), (seen.name, head.camera), console)

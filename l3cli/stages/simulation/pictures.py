@@ -23,7 +23,7 @@ def _write_pictures(run: SimulationRun, frames: Iterable[TrainingPair], folder: 
     import numpy as np
 
     from l3cli.io.images import write_linear, write_mosaic, write_picture
-    from l3cli.render.display import encode, make_display
+    from l3cli.rendering.display import encode, make_display
 
     for index, frame in enumerate(frames):
         name = frame_name(index, frame.scene)
@@ -39,8 +39,8 @@ def _write_pictures(run: SimulationRun, frames: Iterable[TrainingPair], folder: 
 def _write_dng(run: SimulationRun, frames: Iterable[TrainingPair], folder: Path) -> None:
     """Each raw frame as DNG, with the white balance of its light where that is known."""
     from l3cli.io.dng_writer import LIGHT_CODES, RawColour, write_dng
-    from l3cli.simulate.light import make_light
-    from l3cli.simulate.raw_colour import colour_matrix, neutral
+    from l3cli.simulation.light import make_light
+    from l3cli.simulation.raw_colour import colour_matrix, neutral
 
     camera = run.camera
     lights = {name: make_light(name, {}, camera.wavelength) for name in LIGHT_CODES}

@@ -13,11 +13,11 @@ from l3cli.curve_table import read_table
 from l3cli.errors import InputFileError, RecipeError, listed
 from l3cli.files import sha256
 from l3cli.io.scene_files import find
-from l3cli.simulate import recipe as asked
-from l3cli.simulate.light import OWN, Curve, check_measured, make_light, recorded_under
-from l3cli.simulate.recipe import SceneRecipe
-from l3cli.simulate.sources import BandFolder, FileSource
-from l3cli.simulate.targets import make_target
+from l3cli.simulation import recipe as asked
+from l3cli.simulation.light import OWN, Curve, check_measured, make_light, recorded_under
+from l3cli.simulation.recipe import SceneRecipe
+from l3cli.simulation.sources import BandFolder, FileSource
+from l3cli.simulation.targets import make_target
 from l3cli.stages.console import Console
 from l3cli.stages.simulation.run import SimulationRun
 from l3cli.stages.simulation.scenes import files_of, refusals

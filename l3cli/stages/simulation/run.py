@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.simulate.light import Light
-from l3cli.simulate.recipe import SceneRecipe
-from l3cli.simulate.targets import Target
+from l3cli.simulation.light import Light
+from l3cli.simulation.recipe import SceneRecipe
+from l3cli.simulation.targets import Target
 
 
 @dataclass(frozen=True)

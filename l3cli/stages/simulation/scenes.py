@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from l3cli.errors import InputFileError, RecipeError
-from l3cli.simulate import sources
+from l3cli.simulation import sources
 from l3cli.stages.simulation.run import SimulationRun
 
 if TYPE_CHECKING:
@@ -23,8 +23,8 @@ def files_of(source: sources.Source, path: Path) -> list[Path]:
 
 def read_scene(wanted: sources.WantedScene, run: SimulationRun) -> "Scene":
     """The scene, read or drawn, as it lies on the sensor; InputFileError if it does not fit there."""
-    from l3cli.simulate import drawn
-    from l3cli.simulate.framing import framed
+    from l3cli.simulation import drawn
+    from l3cli.simulation.framing import framed
 
     if wanted.path is None:
         scene = drawn.draw(wanted, run.seed, run.camera.wavelength)
@@ -55,7 +55,7 @@ def _substitute_light(wanted: sources.WantedScene, run: SimulationRun) -> Any:
 
 def _rgb(wanted: sources.WantedScene, run: SimulationRun) -> "Scene":
     from l3cli.io.scene_files import read_rgb_picture
-    from l3cli.simulate import procedural, rgb
+    from l3cli.simulation import procedural, rgb
 
     assert wanted.path is not None
     assert isinstance(wanted.source, sources.RgbPictures)
@@ -65,7 +65,7 @@ def _rgb(wanted: sources.WantedScene, run: SimulationRun) -> "Scene":
 
 def _cube(wanted: sources.WantedScene, run: SimulationRun) -> "Scene":
     from l3cli.io import cubes
-    from l3cli.simulate.cubes import scene_of
+    from l3cli.simulation.cubes import scene_of
 
     source, path = wanted.source, wanted.path
     assert path is not None
@@ -112,7 +112,7 @@ def refusals(run: SimulationRun, files: list[list[Path]]) -> list[dict[Path, Inp
 
 def _check_size(wanted: sources.WantedScene, run: SimulationRun) -> None:
     """RecipeError for a drawn scene, InputFileError for a file, if it does not fit on the sensor."""
-    from l3cli.simulate.framing import framed_size
+    from l3cli.simulation.framing import framed_size
 
     source, error = wanted.source, RecipeError if wanted.path is None else InputFileError
     size = source.size if isinstance(source, sources.Drawn) else SIZES[type(source)](wanted, run)

@@ -11,7 +11,7 @@ from l3cli.artifacts.training_set import TrainingSet, open_training_set, write_t
 from l3cli.config import load_recipe
 from l3cli.files import finished_together, refuse_existing
 from l3cli.parallel import workers
-from l3cli.simulate.recipe import SceneRecipe, shots
+from l3cli.simulation.recipe import SceneRecipe, shots
 from l3cli.stages.claims import Claims
 from l3cli.stages.console import Console
 from l3cli.stages.simulation.parts import (

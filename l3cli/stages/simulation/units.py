@@ -12,9 +12,9 @@ from l3cli.errors import InputFileError
 from l3cli.files import require_same, write_whole
 from l3cli.parallel import Crew
 from l3cli.parallel.cluster import scratch_folder
-from l3cli.simulate import sources
-from l3cli.simulate.light import OWN
-from l3cli.simulate.recipe import Pair, Shot
+from l3cli.simulation import sources
+from l3cli.simulation.light import OWN
+from l3cli.simulation.recipe import Pair, Shot
 from l3cli.stages.simulation.run import SimulationRun
 from l3cli.stages.simulation.scenes import files_of, read_scene
 
@@ -61,7 +61,7 @@ def simulate_unit(unit: WorkUnit) -> int:
     if isinstance(unit.what, Pair):
         write_part(run.part(shots[0].index), _pair(unit.what, run), 0.0, run.key)
         return 1
-    from l3cli.simulate.light import uncovered_share
+    from l3cli.simulation.light import uncovered_share
 
     scene = read_scene(unit.what, run)
     missing = uncovered_share(run.camera, scene.wavelength)
@@ -102,8 +102,8 @@ def frame_bytes(run: SimulationRun) -> int:
 
 
 def _frame(scene: "Scene", shot: Shot, run: SimulationRun) -> Any:
-    from l3cli.simulate import light
-    from l3cli.simulate.frame import Averaging, Saturating, simulate
+    from l3cli.simulation import light
+    from l3cli.simulation.frame import Averaging, Saturating, simulate
 
     if shot.illuminant == OWN:
         falling = light.own_light(scene, shot.luminance)
@@ -129,7 +129,7 @@ def _pair(pair: Pair, run: SimulationRun) -> Any:
     from l3cli.io.raw_files import KnownBetter, read_raw
     from l3cli.io.scene_files import read_rgb_picture
     from l3cli.physics.display import xyz_from_srgb_matrix
-    from l3cli.simulate.pairs import make_pair
+    from l3cli.simulation.pairs import make_pair
 
     raw_path, path = run.base / pair.raw, run.base / pair.picture
     raw = read_raw(raw_path, run.camera, KnownBetter(phase=pair.phase))

@@ -12,14 +12,14 @@ from l3cli.artifacts.training_set import TrainingSet
 from l3cli.parallel import Crew
 from l3cli.stages.console import Console
 from l3cli.stages.training.run import TrainingRun, TrainingSource, frames_of
-from l3cli.train.accumulate import sum_sites
-from l3cli.train.division import Portion, portions
-from l3cli.train.lesson import FIRST, LAST, Lesson, has_two_passes
-from l3cli.train.recipe import TrainingRecipe, check_learning
-from l3cli.train.solve import Solution
-from l3cli.train.sums import add
-from l3cli.train.table import Pilot, canonical_sites, learn_site, look_at, pilot_patches, survey
-from l3cli.train.weighing import Judge, judge_of
+from l3cli.training.accumulate import sum_sites
+from l3cli.training.division import Portion, portions
+from l3cli.training.lesson import FIRST, LAST, Lesson, has_two_passes
+from l3cli.training.recipe import TrainingRecipe, check_learning
+from l3cli.training.solve import Solution
+from l3cli.training.sums import add
+from l3cli.training.table import Pilot, canonical_sites, learn_site, look_at, pilot_patches, survey
+from l3cli.training.weighing import Judge, judge_of
 
 MOST_PILOTED = 256  # frames that a worker looks at in one go before the passes
 

@@ -11,8 +11,8 @@ from l3cli.artifacts.training_set import TrainingPair, TrainingSet, open_trainin
 from l3cli.config import load_recipe, read_text
 from l3cli.errors import InputFileError
 from l3cli.files import require_same, sha256, stamp
-from l3cli.train.lesson import FIRST, spread_patches
-from l3cli.train.recipe import TrainingRecipe
+from l3cli.training.lesson import FIRST, spread_patches
+from l3cli.training.recipe import TrainingRecipe
 
 
 @dataclass(frozen=True)

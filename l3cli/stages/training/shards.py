@@ -19,11 +19,11 @@ from l3cli.stages.console import Console
 from l3cli.stages.training.passes import Execution, first_pass, sum_unit, summed
 from l3cli.stages.training.run import TrainingRun
 from l3cli.stages.training.whole import executed, say_table
-from l3cli.train.division import frame_blocks
-from l3cli.train.lesson import FIRST, LAST, Lesson
-from l3cli.train.recipe import TrainingRecipe
-from l3cli.train.sums import empty_sums
-from l3cli.train.table import add_up, assemble, canonical_sites, learn_site
+from l3cli.training.division import frame_blocks
+from l3cli.training.lesson import FIRST, LAST, Lesson
+from l3cli.training.recipe import TrainingRecipe
+from l3cli.training.sums import empty_sums
+from l3cli.training.table import add_up, assemble, canonical_sites, learn_site
 
 if TYPE_CHECKING:
     from l3cli.parallel.cluster import Scheduler

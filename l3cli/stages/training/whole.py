@@ -16,9 +16,9 @@ from l3cli.stages.claims import Claims
 from l3cli.stages.console import Console
 from l3cli.stages.training.passes import Execution, first_pass, learn_unit, summed
 from l3cli.stages.training.run import TrainingRun, open_run
-from l3cli.train.division import frame_blocks
-from l3cli.train.lesson import LAST
-from l3cli.train.table import assemble, learn_site
+from l3cli.training.division import frame_blocks
+from l3cli.training.lesson import LAST
+from l3cli.training.table import assemble, learn_site
 
 if TYPE_CHECKING:
     from l3cli.parallel.cluster import Scheduler

@@ -1,0 +1,30 @@
+"""Whether a calibrated camera can be trusted: what its own captures, its efficiency and its validation say against it."""
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.calibration.model import likely_mistake
+
+LEAST_EFFICIENCY = 0.01  # at the peak: below, a unit is more likely than such a camera
+LEAST_R_SQUARED, MOST_RMSE = 0.98, 0.02  # of every channel, or the calibration has failed
+
+
+def shortfall(camera: CameraModel) -> str | None:
+    """Why the camera should not be trusted: the sentence that names captures that disagree, an efficiency that is hardly a
+    camera's, or the channel that its own validation fails; or None."""
+    if camera.fit and camera.fit.sweep and camera.fit.sweep.odd:
+        odd = camera.fit.sweep.odd
+        more = f" and {len(odd) - 1} more" if len(odd) > 1 else ""
+        return f"{odd[0]}{more}; check exposure, monitor and spectrum"
+    peak = float(camera.responsivity.max())
+    if camera.absolute and peak < LEAST_EFFICIENCY:
+        return f"the peak quantum efficiency is {100 * peak:.3g} % only; {likely_mistake(peak)}"
+    validation = camera.fit.validation if camera.fit else None
+    if validation is None:
+        return None
+    for index, name in enumerate(camera.channels):
+        fit, rmse = float(validation.r_squared[index]), float(validation.relative_rmse[index])
+        if fit < LEAST_R_SQUARED or rmse > MOST_RMSE:
+            return (
+                f"channel {name} is predicted with R² {fit:.4f} and a relative RMSE of {100 * rmse:.2f} %, "
+                f"{LEAST_R_SQUARED} and {100 * MOST_RMSE:g} % are wanted; check lights and captures"
+            )
+    return None

@@ -1,0 +1,164 @@
+"""Captures against each other: what one says of light and exposure must agree with what the others say.
+
+Signals follow exposure times radiance, so that a mistyped exposure, a unit or a mixed-up light stands out by its factor long
+before a fit goes visibly wrong. The factors allowed are far beyond what lamps, lenses and sensors do.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.calibration.responsivity import Sweep, light_centre
+from l3cli.errors import InputFileError
+from l3cli.measurement import BandCapture, Capture, ChartCapture, MonoCapture
+
+FACTOR = 1.5  # between signals a second of one light
+SCALE = 3.0  # between the responses that monochromator and charts give, seen in other parts of the frame
+STEP, END = 3.0, 20.0  # between a monochromator step and both its neighbours; at either end and its next two
+LEAST = 0.02  # of the largest response or signal: less makes no difference
+NEAR_TOP = 0.85  # of the largest signal: more may be saturated
+LONGEST = 20.0  # times the exposure that saturates: nobody takes longer ones
+DRIFT = 0.05  # DN that the black level may wander
+Array = NDArray[np.float64]
+
+
+def check_whites(captures: Sequence[Capture], lit: Array, signal: Array) -> None:
+    """InputFileError names the white capture whose signal (capture, channel) DN does not follow its seconds of light."""
+    top = signal.max(axis=0)
+    total = np.maximum(signal.sum(axis=1), 1e-9)
+    below = (signal < NEAR_TOP * top).all(axis=1) & (total > LEAST * total.max())
+    rates = total / lit
+    _check_alike([captures[int(index)] for index in np.flatnonzero(below)], rates[below], "white")
+    if not below.any():
+        return
+    expected = lit * np.median(rates[below])
+    for capture, value, linear, saturates in zip(captures, total, expected, ~below, strict=True):
+        if saturates and (value > FACTOR * linear or linear > LONGEST * total.max()):
+            raise _odd(capture, value / linear, "white")
+
+
+def check_darks(captures: Sequence[Capture], signal: Array) -> None:
+    """InputFileError names the dark capture whose mean (capture) DN lies far off the line of all others over exposure; told
+    only where three others or more agree with each other."""
+    exposure = np.array([capture.exposure for capture in captures])
+    worst, told = 0.0, None
+    for index, capture in enumerate(captures):
+        others = np.arange(len(captures)) != index
+        if np.unique(exposure[others]).size < 3:
+            continue
+        line = np.polyfit(exposure[others], signal[others], 1)
+        rest = float(np.abs(signal[others] - np.polyval(line, exposure[others])).max())
+        predicted = float(np.polyval(line, exposure[index]))
+        off = abs(signal[index] - predicted)
+        grown = max(abs(predicted - line[1]), abs(signal[index] - line[1]))
+        if off > max(DRIFT, 10.0 * rest, 0.5 * grown, worst):
+            worst, told = off, (capture, signal[index], predicted)
+    if told is not None:
+        capture, value, predicted = told
+        raise InputFileError(
+            f"{capture.name}: {value:.2f} DN in the dark of {capture.exposure:g} s, where the other dark captures say "
+            f"{predicted:.2f} DN; check its exposure"
+        )
+
+
+def check_series(captures: Sequence[BandCapture], light: NDArray[np.int64], values: Array, valid: NDArray[np.bool_]) -> None:
+    """InputFileError names the capture whose patches (capture, patch, channel) DN do not follow exposure in its band."""
+    lit = np.array([capture.lit for capture in captures])[:, None, None]
+    for band in np.unique(light):
+        chosen = np.flatnonzero(light == band)
+        seen = np.where(valid[chosen], values[chosen] / lit[chosen], np.nan)
+        known = ~np.isnan(seen).all(axis=0)
+        usual = np.zeros(known.shape)
+        usual[known] = np.nanmedian(seen[:, known], axis=0)
+        used = valid[chosen] & known
+        sums = np.where(used, values[chosen], 0.0).sum(axis=(1, 2))
+        expected = (np.where(used, usual, 0.0) * lit[chosen]).sum(axis=(1, 2))
+        count = used.sum(axis=(1, 2))
+        plain = (count > 0) & (np.maximum(sums, expected) > LEAST * values.max() * count) & (expected > 0)
+        rates = np.maximum(sums[plain], 1e-9) / expected[plain]
+        _check_alike([captures[index] for index in chosen[plain]], rates, "band")
+
+
+def check_charts(captures: Sequence[ChartCapture], measured: Array, predicted: Array, absolute: bool) -> None:
+    """InputFileError names the chart whose signals (chart, channel) DN over those `predicted` from the monochromator's
+    light are other than the rest's, or says that the two kinds of capture contradict each other (`absolute`)."""
+    ratio = np.median(np.maximum(measured, 1e-9) / np.maximum(predicted, 1e-30), axis=1)
+    votes = np.append(ratio, 1.0) if absolute and len(ratio) == 2 else ratio  # the monochromator decides between two
+    off = np.abs(np.log(ratio / np.median(votes)))
+    if off.max() > np.log(FACTOR if votes.size > 2 else FACTOR**2):
+        raise _odd(captures[int(off.argmax())], float(ratio[off.argmax()] / np.median(votes)), "chart")
+    scale = float(np.median(ratio))
+    if absolute and not 1 / SCALE < scale < SCALE:
+        raise InputFileError(
+            f"the [[chart]] captures are {_factor(scale)} than the [[mono]] ones say; check exposures and radiances of both "
+            '(unit = "relative photons" for a monochromator whose scale is not known)'
+        )
+
+
+def odd_steps(captures: Sequence[MonoCapture], sweep: Sweep) -> tuple[str, ...]:
+    """The monochromatic captures whose responses lie far above or below those of both neighbours in wavelength, in every
+    channel that sees them, and by how much: the most striking first, then without it the next."""
+    centre = np.array([light_centre(capture.wavelength, capture.radiance) for capture in captures])
+    left = list(np.argsort(centre, kind="stable"))
+    told = []
+    while len(left) > 3:
+        factors = [_step_factor(sweep, left, place) for place in range(len(left))]
+        worst = int(np.argmax(np.abs(np.log(factors))))
+        if factors[worst] == 1.0:
+            break
+        told.append(f"{captures[left[worst]].name}: {_factor(factors[worst])} than its neighbours")
+        del left[worst]
+    return tuple(told)
+
+
+def _step_factor(sweep: Sweep, order: Sequence[int], place: int) -> float:
+    """How often the step at `place` of `order` responds as much as its neighbours allow, least of all channels; 1: it does
+    not."""
+    factors = []
+    for channel in range(sweep.values.shape[1]):
+        if not sweep.valid[order[place], channel]:
+            continue
+        seen = [index for index in order if sweep.valid[index, channel]]
+        values = np.maximum(sweep.values[seen, channel], 0.0)
+        floor = LEAST * values.max()
+        at = seen.index(order[place])
+        if at == 0 or at == len(seen) - 1:
+            near, next_but_one = (values[1], values[2]) if at == 0 else (values[-2], values[-3])
+            beyond = near * near / max(next_but_one, floor)
+            low, high = min(near, beyond) / END, max(near, beyond) * END
+        else:
+            low, high = min(values[at - 1], values[at + 1]) / STEP, max(values[at - 1], values[at + 1]) * STEP
+        if max(values[at], low) < floor:
+            continue  # hardly seen, and not expected to be
+        value = max(values[at], 1e-3 * floor)
+        factors.append(value / high if value > max(high, floor) else value / low if value < low else 1.0)
+    if not factors or min(factors) <= 1.0 <= max(factors):
+        return 1.0
+    return float(min(factors, key=lambda factor: abs(np.log(factor))))
+
+
+def _check_alike(captures: Sequence[Capture], rates: Array, kind: str) -> None:
+    """InputFileError if one of the signals a second (capture) differs from the others' by more than light does."""
+    if len(captures) < 2:
+        return
+    off = np.abs(np.log(rates / np.median(rates)))
+    worst = int(off.argmax())
+    if len(captures) == 2 and np.ptp(np.log(rates)) > np.log(FACTOR):
+        raise InputFileError(
+            f"{captures[0].name} and {captures[1].name}: their signals a second of light differ by a factor of "
+            f"{np.exp(np.ptp(np.log(rates))):.3g}; check the exposures of both"
+        )
+    if len(captures) > 2 and off[worst] > np.log(FACTOR):
+        raise _odd(captures[worst], float(rates[worst] / np.median(rates)), kind)
+
+
+def _odd(capture: Capture, factor: float, kind: str) -> InputFileError:
+    return InputFileError(
+        f"{capture.name}: {_factor(factor)} than the other {kind} captures say of {capture.exposure:g} s; "
+        "check its exposure, monitor and light"
+    )
+
+
+def _factor(factor: float) -> str:
+    return f"{factor:.3g} times brighter" if factor > 1 else f"{1 / factor:.3g} times darker"

@@ -1,0 +1,147 @@
+"""Figures of a calibrated camera, in EMVA 1288 names and units, and how close they come to a known truth."""
+
+from typing import Any
+
+import numpy as np
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.fit import ChartFit, NoiseFit, SeriesFit
+from l3cli.calibration import gain
+from l3cli.errors import InputFileError
+from l3cli.physics import spectra
+
+
+def camera_figures(camera: CameraModel) -> dict[str, tuple[float, str]]:
+    """Figures of the whole camera: EMVA 1288 name → value, unit."""
+    noise = camera.noise
+    return {
+        "overall system gain K": (camera.gain, "DN/e-"),
+        "temporal dark noise": (noise.read_noise, "e-"),
+        "dark current": (noise.dark_current, "e-/s"),
+        "DSNU": (noise.dsnu, "e-"),
+        "PRNU": (100.0 * noise.prnu, "%"),
+        "saturation capacity": (min(noise.well_capacity, camera.full_scale), "e-"),
+        "black level": (camera.black, "DN"),
+        "saturation level": (camera.white, "DN"),
+    }
+
+
+def figures(camera: CameraModel) -> dict[str, Any]:
+    """Figures of a calibrated camera and of each of its channels, of lights and bands, ready for JSON."""
+    fit = camera.fit
+    assert fit is not None
+    columns: dict[str, Any] = {}
+    if fit.chart is not None:
+        columns |= _efficiency_columns(camera)
+    if fit.noise is not None:
+        columns |= _emva_columns(fit.noise)
+    if fit.sweep is not None:
+        columns["Eq. 1 (% left)"] = 100.0 * fit.sweep.residual
+    if fit.series is not None:
+        columns["LE (%)"] = 100.0 * fit.series.linearity_error
+    if fit.validation is not None:
+        columns |= {"R²": fit.validation.r_squared, "RMSE (%)": 100.0 * fit.validation.relative_rmse}
+    left_out = (*(fit.sweep.left_out if fit.sweep else ()), *(fit.series.left_out if fit.series else ()))
+    return {
+        "camera": {name: {"value": value, "unit": unit} for name, (value, unit) in camera_figures(camera).items()},
+        "channels": _by_channel(camera, columns) if columns else {},
+        "lights": _lights(camera, fit.chart) if fit.chart else {},
+        "bands": _bands(camera, fit.series) if fit.series else {},
+        "smoothing": fit.sweep.chosen_smoothing if fit.sweep else None,
+        "responsivity": "absolute" if camera.absolute else "relative",
+        "declared": list(camera.declared),
+        "left out": list(left_out),
+        "defects": fit.noise.defects.tolist() if fit.noise else [],
+        "saturation reached": bool(fit.noise.white_reached) if fit.noise else None,
+    }
+
+
+def _efficiency_columns(camera: CameraModel) -> dict[str, Any]:
+    """Absolute efficiency at each channel's peak, the half width of its 95 % band, and Eq. 2's offset."""
+    assert camera.fit is not None
+    assert camera.fit.chart is not None
+    peak = camera.responsivity.argmax(axis=1)[:, None]
+    return {
+        "peak QE (%)": 100.0 * np.take_along_axis(camera.responsivity, peak, 1)[:, 0],
+        "± 95 % (%)": 100.0 * np.take_along_axis(camera.responsivity_band, peak, 1)[:, 0],
+        "offset (DN)": camera.fit.chart.beta,
+    }
+
+
+def _emva_columns(noise: NoiseFit) -> dict[str, Any]:
+    """EMVA 1288's figures; the dynamic range is that of electrons, from saturation down to a signal-to-noise ratio of 1."""
+    least = np.sqrt(noise.read_noise**2 + 1.0 / 12.0 / noise.conversion_gain**2) + 0.5
+    return {
+        "K (DN/e-)": noise.conversion_gain,
+        "dark noise (e-)": noise.read_noise,
+        "dark current (e-/s)": noise.dark_current,
+        "DSNU (e-)": noise.dsnu,
+        "PRNU (%)": 100.0 * noise.prnu,
+        "SNR max (dB)": 10.0 * np.log10(noise.saturation_capacity),
+        "DR (dB)": 20.0 * np.log10(noise.saturation_capacity / least),
+        "LE (%)": 100.0 * noise.linearity_error,
+    }
+
+
+def _lights(camera: CameraModel, chart: ChartFit) -> dict[str, dict[str, float]]:
+    """R² and relative RMSE of each chart and channel."""
+    rows = {}
+    for index, light in enumerate(chart.illuminants):
+        measured, predicted = chart.measured[index][None], chart.predicted[index][None]
+        rmse = 100.0 * gain.relative_rmse(measured, predicted, camera.black)
+        fits = gain.r_squared(measured, predicted)
+        cells = {f"RMSE {name} (%)": float(value) for name, value in zip(camera.channels, rmse, strict=True)}
+        rows[f"{index + 1} {light}"] = cells | {f"R² {n}": float(v) for n, v in zip(camera.channels, fits, strict=True)}
+    return rows
+
+
+def _bands(camera: CameraModel, series: SeriesFit) -> dict[str, dict[str, float]]:
+    """Centre, response and spread over patches of each band and channel."""
+    rows = {}
+    for index, light in enumerate(series.lights):
+        row = {"centre (nm)": float(camera.wavelength[index])}
+        for channel, name in enumerate(camera.channels):
+            row[name] = float(series.response[index, channel])
+            row[f"± {name} (%)"] = 100.0 * float(series.spread[index, channel])
+        rows[light] = row
+    return rows
+
+
+def compare(camera: CameraModel, truth: CameraModel) -> dict[str, Any]:
+    """How close a calibrated camera comes to the one that was measured: figures, and curves of each channel.
+
+    InputFileError if the two do not have the same channels.
+    """
+    if camera.channels != truth.channels:
+        raise InputFileError(
+            f"the truth has the channels {' '.join(truth.channels)}, the measurements {' '.join(camera.channels)}; "
+            "give the camera that was measured"
+        )
+    real = spectra.average(truth.responsivity, truth.wavelength, camera.wavelength)
+    if not camera.absolute:
+        real = real / real.max()
+    error = camera.responsivity - real
+    columns = {
+        "responsivity RMS error (% of peak)": 100.0 * np.sqrt(np.mean(error**2, axis=1)) / real.max(axis=1),
+        "within band (%)": 100.0 * np.mean(np.abs(error) <= camera.responsivity_band, axis=1),
+    }
+    if camera.absolute:
+        found, true_gain = camera.gain * camera.responsivity.sum(axis=1), truth.gain * real.sum(axis=1)
+        columns["gain alpha·r error (%)"] = 100.0 * (found / true_gain - 1.0)
+    true = camera_figures(truth)
+    return {
+        "camera": {
+            name: {"recovered": value, "true": true[name][0], "unit": unit}
+            | {"error %": 100.0 * (value / true[name][0] - 1.0) if true[name][0] else None}
+            for name, (value, unit) in camera_figures(camera).items()
+        },
+        "channels": _by_channel(camera, columns),
+    }
+
+
+def _by_channel(camera: CameraModel, columns: dict[str, Any]) -> dict[str, dict[str, float]]:
+    """Columns (channel) as one row of plain numbers a channel."""
+    return {
+        name: {title: float(column[index]) for title, column in columns.items()}
+        for index, name in enumerate(camera.channels)
+    }

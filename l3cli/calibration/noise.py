@@ -1,0 +1,321 @@
+"""Noise of a sensor from stacks of frames, as EMVA 1288 defines it (docs/method.md#dark-and-white-frames).
+
+Every temporal variance comes from differences of frames taken in pairs, in which the fixed pattern cancels; every spatial
+one has the variance of its own estimator subtracted. Hot and dead pixels stay out. Where a function goes through many
+captures, `each` is the map that does so: the built-in one, or one that keeps several processes busy.
+"""
+
+import functools
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.calibration import agreement
+from l3cli.calibration import defects as defective
+from l3cli.calibration.defects import Defects
+from l3cli.errors import InputFileError
+from l3cli.measurement import Body, Capture
+
+QUANTISATION = 1.0 / 12.0  # DN², variance of rounding
+SATURATED = 0.985  # share of the span from black to white that counts as saturated
+TOLERATED = 1e-4  # share of saturated pixels that leaves a variance unharmed
+LINEAR = (0.05, 0.95)  # share of saturation over which EMVA 1288 judges linearity
+WINDOW = 7  # samples of one CFA site in a local mean: 5–9, wider ones see dust (docs/method.md#dark-and-white-frames)
+Array = NDArray[np.float64]
+Counts = NDArray[np.int64]
+Each = Callable[[Callable, Iterable], Iterator]
+
+
+@dataclass(frozen=True)
+class Level:
+    """Statistics of the frames of one exposure."""
+
+    exposure: float  # s
+    lit: float  # s of the measured light
+    trials: int
+    counts: Counts  # (channel, value) pixels of all frames
+    variance: Array  # (channel) DN², temporal
+
+
+@dataclass(frozen=True)
+class DarkNoise:
+    """What lens-cap frames tell, each (channel)."""
+
+    black: Array  # DN at zero exposure
+    slope: Array  # DN/s
+    variance: Array  # DN² at zero exposure, quantisation taken out
+    dsnu: Array  # DN
+    hot: Defects = field(default_factory=defective.none)
+
+
+@dataclass(frozen=True)
+class PhotonTransfer:
+    """Temporal variance against signal of the white frames."""
+
+    mean: Array  # (level, channel) DN above black
+    variance: Array  # (level, channel) DN²
+    used: NDArray[np.bool_]  # (level, channel) below saturation
+    white: float  # DN at which pixels saturate
+    white_reached: bool  # False: no frame saturates, white is the converter's top
+    gain: Array  # (channel) DN/e-, conversion gain K
+    gain_error: Array  # (channel) DN/e-, its standard deviation
+    linearity_error: Array  # (channel) EMVA 1288 LE, relative
+
+
+# ------------------------------------------------------------------------------------------------ frame statistics
+
+
+def by_site(values: NDArray, cfa: NDArray[np.uint8]) -> Iterator[tuple[int, NDArray]]:
+    """(channel, the pixels of one site of the super-pixel as a picture of their own), site by site."""
+    rows, cols = cfa.shape
+    for row in range(rows):
+        for col in range(cols):
+            yield int(cfa[row, col]), values[row::rows, col::cols]
+
+
+def pooled(per_site: Sequence[float], cfa: NDArray[np.uint8]) -> Array:
+    """(channel) mean over its sites of one figure a site, sites in the order of `by_site`."""
+    count = np.bincount(cfa.ravel())
+    return np.bincount(cfa.ravel(), weights=np.asarray(per_site, dtype=np.float64)) / count
+
+
+def histogram(values: NDArray[np.uint16], body: Body, defects: Defects) -> Counts:
+    """(channel, value) how many pixels of each channel have each value, defects left out."""
+    counts = np.zeros((len(body.channels), 2**body.bits), dtype=np.int64)
+    for channel, site in by_site(values, body.cfa):
+        counts[channel] += np.bincount(site.ravel(), minlength=2**body.bits)
+    row, col = defects.T
+    channels = body.cfa[row % body.cfa.shape[0], col % body.cfa.shape[1]]
+    np.subtract.at(counts, (channels, values[row, col]), 1)
+    return counts
+
+
+def count_values(capture: Capture, body: Body, defects: Defects) -> Counts:
+    """(channel, value) histogram of all frames of a capture, defects left out."""
+    counts = np.zeros((len(body.channels), 2**body.bits), dtype=np.int64)
+    for frame in capture.frames:
+        counts += histogram(frame, body, defects)
+    return counts
+
+
+def mean_value(counts: Counts) -> Array:
+    """(channel) mean DN of a histogram (channel, value)."""
+    return counts @ np.arange(counts.shape[1]) / counts.sum(axis=1)
+
+
+def share_from(counts: Counts, value: float) -> Array:
+    """(channel) share of the pixels that lie at `value` DN or above."""
+    return counts[:, int(np.ceil(value)) :].sum(axis=1) / counts.sum(axis=1)
+
+
+def measure_level(capture: Capture, body: Body, defects: Defects) -> Level:
+    """Histogram and temporal variance of a capture of even light or none; InputFileError if it is a single frame.
+
+    The variance is half that of the difference of two frames, centred, so that neither fixed pattern nor a drift of the
+    lamp or of the black level enters; frames 1 and 2 make a pair, 3 and 4 the next.
+    """
+    counts = np.zeros((len(body.channels), 2**body.bits), dtype=np.int64)
+    variances, trials = [], 0
+    previous = None
+    for frame in capture.frames:
+        counts += histogram(frame, body, defects)
+        trials += 1
+        if previous is None:
+            previous = frame.astype(np.int32)
+            continue
+        difference = previous - frame
+        difference[defects[:, 0], defects[:, 1]] = 0
+        variances.append(pooled([site.var(dtype=np.float64) / 2 for _, site in by_site(difference, body.cfa)], body.cfa))
+        previous = None
+    if not variances:
+        raise InputFileError(f"{capture.name} is a single frame; noise needs two or more of each exposure")
+    return Level(capture.exposure, capture.lit, trials, counts, np.mean(variances, axis=0))
+
+
+def weighted_sums(captures: Sequence[Capture], weights: Array, body: Body, each: Each = map) -> Array:
+    """Pictures (sum, row, col): Σ over captures of weights (sum, capture, channel) × mean frame, read one by one."""
+    total = np.zeros((len(weights), body.rows, body.cols))
+    used = [index for index in range(len(captures)) if weights[:, index].any()]
+    means = each(mean_frame, [captures[index] for index in used])
+    for index, mean in zip(used, means, strict=True):
+        for channel, weight in zip(_channels(body), weights[:, index].T, strict=True):
+            for site in channel:
+                total[:, site[0], site[1]] += weight[:, None, None] * mean[site]
+    return total
+
+
+def _channels(body: Body) -> list[list[tuple[slice, slice]]]:
+    """Of each channel the slices that take its sites out of a frame."""
+    rows, cols = body.cfa.shape
+    sites: list[list[tuple[slice, slice]]] = [[] for _ in body.channels]
+    for row in range(rows):
+        for col in range(cols):
+            sites[body.cfa[row, col]].append((slice(row, None, rows), slice(col, None, cols)))
+    return sites
+
+
+def mean_frame(capture: Capture) -> NDArray[np.float32]:
+    """Mean (row, col) DN of the frames of a capture."""
+    total: NDArray | None = None
+    trials = 0
+    for frame in capture.frames:
+        total = frame.astype(np.uint32) if total is None else total + frame
+        trials += 1
+    assert total is not None
+    return (total / trials).astype(np.float32)
+
+
+# ------------------------------------------------------------------------------------------------------------ dark
+
+
+def line_weights(exposures: Array) -> tuple[Array, Array]:
+    """Weights (level) whose sums with values give intercept and slope of the least-squares line over `exposures`."""
+    centred = exposures - exposures.mean()
+    slope = centred / (centred @ centred)
+    return 1.0 / exposures.size - exposures.mean() * slope, slope
+
+
+def dark_noise(captures: Sequence[Capture], body: Body, each: Each = map) -> DarkNoise:
+    """Black, dark signal, read noise, DSNU and hot pixels from lens-cap frames; InputFileError without two exposures."""
+    exposures = np.array([capture.exposure for capture in captures])
+    if np.unique(exposures).size < 2:
+        raise InputFileError("the dark frames have a single exposure; dark current needs two or more, up to a second")
+    intercept, slope = line_weights(exposures)
+    weights = np.repeat(np.stack([intercept, slope])[..., None], len(body.channels), axis=2)
+    offsets, slopes = weighted_sums(captures, weights, body, each)
+    hot = defective.join(defective.outliers(offsets, body.cfa), defective.outliers(slopes, body.cfa))
+    offsets = defective.patched(offsets, body.cfa, hot)
+    levels = list(each(functools.partial(measure_level, body=body, defects=hot), captures))
+    mean = np.array([mean_value(level.counts) for level in levels])
+    agreement.check_darks(captures, mean.mean(axis=1))
+    variance = np.array([level.variance for level in levels])
+    own = (intercept**2 / [level.trials for level in levels]) @ variance
+    spatial = pooled([_pixel_variance(site) for _, site in by_site(offsets, body.cfa)], body.cfa)
+    return DarkNoise(
+        black=intercept @ mean,
+        slope=slope @ mean,
+        variance=np.maximum(intercept @ variance - QUANTISATION, 0.0),
+        dsnu=np.sqrt(np.maximum(spatial - own, 0.0)),
+        hot=hot,
+    )
+
+
+def _pixel_variance(site: Array) -> float:
+    """Variance of a picture without what its rows and columns have in common (column noise is no DSNU of pixels)."""
+    centred = site - site.mean(axis=0, keepdims=True)
+    centred -= centred.mean(axis=1, keepdims=True)
+    rows, cols = site.shape
+    return float((centred**2).sum() / max((rows - 1) * (cols - 1), 1))
+
+
+# ----------------------------------------------------------------------------------------------------------- white
+
+
+def photon_transfer(levels: Sequence[Level], body: Body, dark: DarkNoise) -> PhotonTransfer:
+    """Conversion gain from the line of white levels sorted by exposure (docs/method.md#dark-and-white-frames).
+
+    Saturation is where the variance falls, be it the well or the converter; levels from there on stay out.
+    InputFileError if a channel has fewer than two levels below saturation.
+    """
+    mean = np.array([mean_value(level.counts) for level in levels]) - dark.black
+    variance = np.array([level.variance for level in levels])
+    if not variance.max(axis=0).all():
+        raise InputFileError("the white frames hold no noise: all are saturated, or copies of one frame; take them again")
+    white, reached = saturation(levels, variance, 2**body.bits - 1)
+    limit = dark.black.mean() + SATURATED * (white - dark.black.mean())
+    clipped = np.array([share_from(level.counts, limit) for level in levels]) > TOLERATED
+    before_fall = np.arange(len(levels))[:, None] <= variance.argmax(axis=0)
+    used = before_fall & ~clipped & (variance > 0)
+    lines = []
+    for channel, name in enumerate(body.channels):
+        chosen = [level for level, usable in zip(levels, used[:, channel], strict=True) if usable]
+        if len({level.exposure for level in chosen}) < 2:
+            raise InputFileError(
+                f"channel {name} has {len({level.exposure for level in chosen})} white exposures below saturation; "
+                "give two or more, shorter ones"
+            )
+        lines.append(_transfer_line(chosen, mean[used[:, channel], channel], channel))
+    gain, error = np.array(lines).T
+    if gain.min() <= 0:
+        raise InputFileError("the noise of the white frames does not grow with exposure; check exposures and frames")
+    linearity = linearity_errors(levels, mean, used, dark, white)
+    return PhotonTransfer(mean, variance, used, white, reached, gain, error, linearity)
+
+
+def _transfer_line(levels: Sequence[Level], mean: Array, channel: int) -> tuple[float, float]:
+    """Slope of variance over mean (level) and its standard deviation; that of a variance is √(2/n) of itself."""
+    variance = np.array([level.variance[channel] for level in levels])
+    samples = np.array([level.counts[channel].sum() / level.trials * (level.trials // 2) for level in levels])
+    line, covariance = np.polyfit(mean, variance, 1, w=np.sqrt(samples / 2.0) / variance, cov="unscaled")
+    return float(line[0]), float(np.sqrt(covariance[0, 0]))
+
+
+def linearity_errors(levels: Sequence[Level], mean: Array, used: NDArray[np.bool_], dark: DarkNoise, white: float) -> Array:
+    """(channel) EMVA 1288 LE: mean relative deviation of the signal from a line; 0 with fewer than three levels."""
+    lit, exposure = np.array([(level.lit, level.exposure) for level in levels]).T
+    errors = []
+    for channel, signal in enumerate((mean - dark.slope * exposure[:, None]).T):
+        share = mean[:, channel] / (white - dark.black[channel])
+        chosen = used[:, channel] & (share >= LINEAR[0]) & (share <= LINEAR[1]) & (signal > 0)
+        errors.append(linearity_error(lit[chosen], signal[chosen]) if chosen.sum() > 2 else 0.0)
+    return np.array(errors)
+
+
+def linearity_error(lit: Array, signal: Array) -> float:
+    """Mean relative deviation of `signal` from the line over `lit` that makes relative deviations least."""
+    line = np.polyval(np.polyfit(lit, signal, 1, w=1.0 / signal), lit)
+    return float(np.mean(np.abs(signal / line - 1.0)))
+
+
+def saturation(levels: Sequence[Level], variance: Array, top: int) -> tuple[float, bool]:
+    """DN at which pixels saturate, and whether any did: the median of a channel whose variance has collapsed."""
+    fallen = variance[-1] / variance.max(axis=0)
+    channel = int(fallen.argmin())
+    if fallen[channel] > 0.5:
+        return float(top), False
+    cumulated = levels[-1].counts[channel].cumsum()
+    return float(np.searchsorted(cumulated, cumulated[-1] / 2)), True
+
+
+def prnu(
+    captures: Sequence[Capture], levels: Sequence[Level], used: NDArray[np.bool_], body: Body, hot: Defects, each: Each = map
+) -> tuple[Array, Defects]:
+    """(channel) relative spread of the pixels' slopes over exposure about their local mean (uneven light cancels), and
+    the dead pixels, whose slope differs from that mean by a tenth or more."""
+    weights = np.zeros(used.shape)
+    for channel in range(used.shape[1]):
+        chosen = used[:, channel]
+        weights[chosen, channel] = line_weights(np.array([level.lit for level in levels])[chosen])[1]
+    variance = np.array([level.variance for level in levels])
+    trials = np.array([level.trials for level in levels])
+    own = (weights**2 * variance / trials[:, None]).sum(axis=0)
+    slopes = defective.patched(weighted_sums(captures, weights[None], body, each)[0], body.cfa, hot)
+    dead = defective.outliers(_over_local_mean(slopes, body.cfa), body.cfa, defective.LEAST_LOSS)
+    slopes = defective.patched(slopes, body.cfa, dead)
+    spread = [_local_spread(site, own[channel]) for channel, site in by_site(slopes, body.cfa)]
+    return np.sqrt(np.maximum(pooled(spread, body.cfa), 0.0)), dead
+
+
+def _local_mean(site: Array) -> Array:
+    from scipy.ndimage import uniform_filter
+
+    return np.asarray(uniform_filter(site, WINDOW), dtype=np.float64)
+
+
+def _over_local_mean(picture: Array, cfa: NDArray[np.uint8]) -> Array:
+    """(row, col) each pixel over the mean of its neighbours of the same CFA site, minus 1."""
+    deviation = np.empty_like(picture)
+    for (_, into), (_, site) in zip(by_site(deviation, cfa), by_site(picture, cfa), strict=True):
+        into[...] = site / _local_mean(site) - 1.0
+    return deviation
+
+
+def _local_spread(site: Array, own: float) -> float:
+    """Variance of site / local mean − 1, without the estimator's own variance `own` of each sample."""
+    inner = slice(WINDOW // 2, -(WINDOW // 2))
+    local = _local_mean(site)[inner, inner]
+    deviation = site[inner, inner] / local - 1.0
+    # A sample is part of its own local mean, which shrinks its deviation by 1 − 1/n.
+    return float(np.mean(deviation**2) / (1.0 - 1.0 / WINDOW**2) - own * np.mean(1.0 / local**2))

@@ -1,0 +1,159 @@
+"""A table judged frame by frame beside pipelines that learn nothing, and what comes out of it all as one document."""
+
+import dataclasses
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.training_set import TrainingPair, TrainingSet
+from l3cli.errors import InputFileError
+from l3cli.evaluation.basic import Colour, develop, fit_colour, light_of
+from l3cli.evaluation.classes import ClassErrors
+from l3cli.evaluation.demosaic import rivals
+from l3cli.evaluation.quality import XYZ, band_quality, cropped, quality
+from l3cli.evaluation.scielab import VIEWING
+from l3cli.evaluation.similarity import spectral_angle
+from l3cli.physics.display import displayed, displayed_delta_e, white_luminance
+
+Array = NDArray[np.floating]
+FORMAT = 1  # of the document; a change of its keys raises it
+OURS = "ours"
+LARGEST = 1e24  # cd/m² that a table may answer with: its square, summed up, is a number
+
+
+class Evaluation:
+    """Figures of a table on the frames of a training set, gathered frame by frame; memory holds no pictures."""
+
+    def __init__(self, table: TransformTable, head: TrainingSet, viewing: float = VIEWING) -> None:
+        """InputFileError if table and frames are of different CFAs or outputs."""
+        camera = head.camera
+        if camera.channels != table.channels or not np.array_equal(camera.cfa, table.cfa):
+            raise InputFileError("the frames are of a camera with another CFA than the table; evaluate a matching pair")
+        if head.outputs != table.outputs:
+            names = f"{', '.join(table.outputs)} of the table, {', '.join(head.outputs)} of the frames"
+            raise InputFileError(f"outputs differ ({names}); evaluate a matching pair")
+        self._table, self._camera, self._wanted, self._viewing = table, camera, head.target_light, viewing
+        self._pictures = table.outputs == XYZ
+        self._rivals = rivals(camera.cfa) if self._pictures else {}
+        self._figure = "mean_delta_e" if self._pictures else "mean_angle"
+        self._colours: dict[bytes, Colour] = {}  # by light
+        self._frames: list[dict[str, Any]] = []
+        self._classes = ClassErrors(table, self.pipelines)
+
+    @property
+    def pipelines(self) -> tuple[str, ...]:
+        """ "ours" first, then what it is compared with; nothing where the outputs are not XYZ."""
+        return (OURS, *self._rivals)
+
+    def add(self, frame: TrainingPair, outputs: Array, labels: NDArray[np.integer]) -> dict[str, Array]:
+        """Count a frame whose raw the table rendered to `outputs` (output, row, col) by the classes `labels` (row, col).
+
+        Returns the planes (output, row, col) of every pipeline in the target's unit. InputFileError if the frame is too
+        small to have pixels whose neighbourhood lies inside it, if its light is dark, or if `outputs` are no colours.
+        """
+        border = self._table.rule.radius
+        if min(frame.raw.shape) <= 2 * border:
+            size = "×".join(map(str, frame.raw.shape))
+            raise InputFileError(f"frame {frame.scene} has {size} pixels, none with a whole patch; give larger frames")
+        if self._pictures and not frame.white[1] > 0:
+            raise InputFileError(f"frame {frame.scene} has a white without luminance; simulate it again")
+        with np.errstate(over="ignore"):
+            ours = outputs * (self._table.output_unit / frame.exposure)
+        if not np.abs(ours).max() <= LARGEST:
+            raise InputFileError(f"the table renders frame {frame.scene} to numbers beyond all light; train it again")
+        planes: dict[str, Array] = {OURS: ours}
+        for name, demosaic in self._rivals.items():
+            planes[name] = develop(frame, self._camera, self._colour(frame), demosaic)
+        black = self._camera.black + self._camera.dark_signal(frame.dark_time)
+        level = float(frame.raw.mean() - black) / (self._camera.white - self._camera.black)
+        about = {"scene": frame.scene, "illuminant": frame.illuminant, "luminance": frame.luminance, "level": level}
+        figures = {name: self._quality(of, frame, border) for name, of in planes.items()}
+        self._frames.append({**about, **figures})
+        errors = {name: cropped(self._errors(of, frame), border) for name, of in planes.items()}
+        self._classes.add(cropped(labels, border), errors)
+        return planes
+
+    def document(self) -> dict[str, Any]:
+        """All figures, ready for JSON. The keys are those of `l3 evaluate --json`:
+
+        format         1, raised when keys change
+        camera, outputs, viewing (samples a degree of S-CIELAB), pipelines ("ours" first)
+        frames         scene, illuminant, luminance (cd/m²), level (mean signal above the dark / full scale), then per
+                       pipeline the fields of Quality (XYZ) or BandQuality (other outputs)
+        mean           per pipeline the mean of every figure over the frames
+        better         per rival pipeline: in how many frames ours is better, by figure
+        by_level       from, to (of the frames' level, a factor of two), frames, then per pipeline the mean figures
+        by_illuminant  illuminant, frames, then as by_level
+        by_class       level, contrast, chroma, saturation: lists of what names a class, pixels, per pipeline the mean error
+        worst_classes  level, from, to, contrast, chroma (null if saturated), case, pixels, per pipeline the mean error
+        """
+        first = self._frames[0]
+        return {
+            "format": FORMAT,
+            "camera": self._camera.name,
+            "outputs": list(self._table.outputs),
+            "viewing": self._viewing,
+            "pipelines": list(self.pipelines),
+            "frames": self._frames,
+            "mean": self._mean(self._frames),
+            "better": {name: self._better(name, tuple(first[OURS])) for name in self._rivals},
+            "by_level": self._grouped(lambda frame: _octave(frame["level"]), lambda key: {"from": key[0], "to": key[1]}),
+            "by_illuminant": self._grouped(lambda frame: frame["illuminant"], lambda key: {"illuminant": key}),
+            "by_class": self._classes.by_axis(self._figure),
+            "worst_classes": self._classes.worst(self._figure, OURS),
+        }
+
+    def _colour(self, frame: TrainingPair) -> Colour:
+        light = light_of(frame, self._camera)
+        key = light.wavelength.tobytes() + light.radiance.tobytes()
+        if key not in self._colours:
+            self._colours[key] = fit_colour(self._camera, light, self._wanted)
+        return self._colours[key]
+
+    def _quality(self, planes: Array, frame: TrainingPair, border: int) -> dict[str, float]:
+        if self._pictures:
+            return dataclasses.asdict(quality(planes, frame.target, frame.white, border, self._viewing))
+        return dataclasses.asdict(band_quality(planes, frame.target, frame.white, border))
+
+    def _errors(self, planes: Array, frame: TrainingPair) -> Array:
+        """ΔE00 as displayed, or spectral angle in degrees, of every pixel (row, col)."""
+        if not self._pictures:
+            return spectral_angle(planes, frame.target)
+        scale = white_luminance(frame.target[1])
+        return displayed_delta_e(*(displayed(of, frame.white, scale) for of in (planes, frame.target)))
+
+    def _mean(self, frames: Iterable[dict[str, Any]]) -> dict[str, dict[str, float]]:
+        frames = list(frames)
+        return {
+            name: {figure: float(np.mean([frame[name][figure] for frame in frames])) for figure in frames[0][name]}
+            for name in self.pipelines
+        }
+
+    def _better(self, rival: str, figures: tuple[str, ...]) -> dict[str, int]:
+        """Number of frames in which ours is better than `rival`, by figure."""
+        counts = {}
+        for figure in figures:
+            sign = 1.0 if higher_is_better(figure) else -1.0
+            counts[figure] = sum(sign * (frame[OURS][figure] - frame[rival][figure]) > 0 for frame in self._frames)
+        return counts
+
+    def _grouped(self, key: Callable[[dict], Any], about: Callable[[Any], dict[str, Any]]) -> list[dict[str, Any]]:
+        groups = []
+        for value in sorted({key(frame) for frame in self._frames}):
+            members = [frame for frame in self._frames if key(frame) == value]
+            groups.append({**about(value), "frames": len(members), **self._mean(members)})
+        return groups
+
+
+def higher_is_better(figure: str) -> bool:
+    """Whether a larger value of a figure is the better one, as of PSNR and SSIM; errors are better when small."""
+    return figure.endswith(("psnr", "ssim"))
+
+
+def _octave(level: float) -> tuple[float, float]:
+    """The bounds, a factor of two apart about a power of two, between which a level lies; below 2^-12 all are one."""
+    power = np.rint(np.log2(max(level, 2.0**-12)))
+    return float(2.0 ** (power - 0.5)), float(2.0 ** (power + 0.5))

@@ -1,0 +1,239 @@
+"""How long a frame takes, stage by stage, on made-up frames through made-up tables of real size.
+
+A frame is timed from uint16 in host memory to the result in host memory, everything included. Where a C compiler is at
+hand, the bare multiply-adds of as many transforms (limit.c) are timed in turn with it, frame by frame, so that both meet the
+same moods of the machine.
+"""
+
+import contextlib
+import functools
+import os
+import shutil
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from l3cli.artifacts.class_rule import ClassRule
+from l3cli.artifacts.table import TransformTable
+from l3cli.classes.chroma import CHROMA_FRACTION, chroma_weights
+from l3cli.classes.level import LEVEL_FRACTION
+from l3cli.classes.windows import VARIANCE_FRACTION
+from l3cli.frame import RawFrame
+from l3cli.physics import spectra
+from l3cli.rendering.display import make_display
+from l3cli.rendering.layout import VARIANTS
+from l3cli.rendering.opencl import OpenCLRenderer
+from l3cli.rendering.reference import ReferenceRenderer
+
+FRAMES = 20  # timed frames of each case, after WARM_UP more
+WARM_UP = 3
+LIMIT_OUTPUTS = 3  # of limit.c
+
+
+@dataclass(frozen=True)
+class Case:
+    """One line of the benchmark."""
+
+    width: int
+    height: int
+    patch: int
+    cfa: str  # key of CFAS
+    classes: str  # key of CLASSES
+    outputs: int = 3  # 3: X, Y, Z, shown as sRGB of 8 bits; another number: outputs as they are
+
+
+CFAS = {
+    "five-band": np.array([[2, 1, 4, 1], [1, 3, 1, 0], [4, 1, 2, 1], [1, 0, 1, 3]], np.uint8),
+    "bayer": np.array([[0, 1], [1, 2]], np.uint8),
+}
+CLASSES = {"fast": (10, 1), "default": (20, 8)}  # levels and chromas of the recipes in configs/classes
+FULL = (
+    Case(1280, 720, 9, "five-band", "fast"),
+    Case(1280, 720, 9, "five-band", "default"),
+    Case(2048, 1164, 9, "five-band", "fast"),
+    Case(2048, 1164, 9, "five-band", "default"),
+    Case(1280, 720, 5, "bayer", "fast"),
+    Case(1280, 720, 5, "bayer", "default"),
+    Case(1280, 720, 9, "five-band", "fast", 1),
+    Case(1280, 720, 9, "five-band", "fast", 8),
+)
+SMALL = (Case(320, 240, 9, "five-band", "fast"), Case(320, 240, 5, "bayer", "fast"))  # for what is not made for speed here
+TINY = (Case(64, 48, 9, "five-band", "fast"),)
+BITS, BLACK, WHITE, CASE_COUNT = 12, 109, 4095, 10
+
+
+def jobs(device: str | None, variant: str | None) -> list[Callable[[], dict[str, Any]]]:
+    """All measurements for a device, or those of one variant: full frames with the variant made for it, small ones with the
+    other, tiny ones with the reference."""
+    usual = OpenCLRenderer(made_up_table(TINY[0], np.random.default_rng(0)), device).variant
+    planned: list[Callable[[], dict[str, Any]]] = []
+    for name in VARIANTS if variant is None else (variant,):
+        planned += [functools.partial(measure, case, device, name) for case in (FULL if name == usual else SMALL)]
+    return planned + [functools.partial(measure_reference, case) for case in TINY if variant is None]
+
+
+def measure(case: Case, device: str | None = None, variant: str | None = None) -> dict[str, Any]:
+    """Medians over FRAMES frames on an OpenCL device: frame_ms as the caller waits, stages_ms as the device counts them
+    (OpenCLRenderer.stage_times). With a compiler also limit_ms, and limit_ratio, the median of frame over limit."""
+    rng = np.random.default_rng(0)
+    renderer = OpenCLRenderer(made_up_table(case, rng), device, variant)
+    frame, display = made_up_frame(case, rng), make_display(spectra.white_point("D65"), 1.0, 8)
+    shown = display if case.outputs == 3 else None
+
+    def render() -> None:
+        renderer.outputs(frame) if shown is None else renderer.picture(frame, shown)
+
+    with _limit(case) as limit:
+        waits, limits = _times(render, limit)
+    stages = [renderer.stage_times(frame, shown) for _ in range(FRAMES)]
+    result = _result(case, "opencl", renderer.variant, renderer.device.name.strip(), waits)
+    result["stages_ms"] = {stage: float(np.median([times[stage] for times in stages])) for stage in stages[0]}
+    if limits:
+        result["limit_ms"] = float(np.median(limits))
+        result["limit_ratio"] = float(np.median(np.divide(waits, limits)))
+    return result
+
+
+def measure_reference(case: Case) -> dict[str, Any]:
+    """The same of the numpy reference, which has no stages to speak of."""
+    rng = np.random.default_rng(0)
+    renderer = ReferenceRenderer(made_up_table(case, rng))
+    frame, display = made_up_frame(case, rng), make_display(spectra.white_point("D65"), 1.0, 8)
+    classes, _ = _times(lambda: renderer.labels(frame), None)
+    outputs, _ = _times(lambda: renderer.outputs(frame), None)
+    waits, _ = _times(lambda: renderer.picture(frame, display), None)
+    until = [0.0, float(np.median(classes)), float(np.median(outputs)), float(np.median(waits))]
+    stages = dict(zip(("classes", "transforms", "encode"), np.maximum(np.diff(until), 0).tolist(), strict=True))
+    return {
+        **_result(case, "reference", "reference", "numpy", waits),
+        "stages_ms": {"upload": 0.0, **stages, "download": 0.0},
+    }
+
+
+def _times(render: Callable[[], object], limit: Callable[[], float] | None) -> tuple[list[float], list[float]]:
+    """Milliseconds of FRAMES calls of `render`, and of the limit before each."""
+    waits, limits = [], []
+    for turn in range(WARM_UP + FRAMES):
+        bare = limit() if limit else 0.0
+        start = time.perf_counter()
+        render()
+        if turn >= WARM_UP:
+            waits.append((time.perf_counter() - start) * 1e3)
+            limits.append(bare)
+    return waits, limits if limit else []
+
+
+def _result(case: Case, backend: str, variant: str, device: str, waits: list[float]) -> dict[str, Any]:
+    frame_ms = float(np.median(waits))
+    return {
+        "width": case.width,
+        "height": case.height,
+        "patch": case.patch,
+        "channels": int(CFAS[case.cfa].max()) + 1,
+        "classes": case.classes,
+        "outputs": case.outputs,
+        "backend": backend,
+        "variant": variant,
+        "device": device,
+        "stages_ms": {},
+        "frame_ms": frame_ms,
+        "mp_per_s": case.width * case.height / frame_ms / 1e3,
+    }
+
+
+@contextlib.contextmanager
+def _limit(case: Case) -> Iterator[Callable[[], float] | None]:
+    """A function that runs the bare multiply-adds of a case once and tells the milliseconds; None without a compiler, or
+    where limit.c does not compute the like."""
+    compiler = shutil.which(os.environ.get("CC", "cc"))
+    if compiler is None or case.outputs != LIMIT_OUTPUTS:
+        yield None
+        return
+    with tempfile.TemporaryDirectory(prefix="l3-limit-") as folder:
+        program = Path(folder, "limit")
+        source = Path(__file__).with_name("limit.c")
+        flags = ["-O3", "-march=native", "-fopenmp", f"-DPATCH={case.patch}"]
+        built = subprocess.run([compiler, *flags, source, "-o", program, "-lm"], capture_output=True, check=False)
+        if built.returncode:
+            yield None
+            return
+        # passive: threads that spin between frames would take the processor from what is timed in turn with them
+        environment = {**os.environ, "OMP_WAIT_POLICY": "passive"}
+        arguments = [str(program), str(case.width), str(case.height)]
+        with subprocess.Popen(
+            arguments, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1, env=environment
+        ) as process:
+            assert process.stdin is not None
+            assert process.stdout is not None
+            ask, answer = process.stdin, process.stdout
+
+            def once() -> float:
+                ask.write("\n")
+                ask.flush()
+                return float(answer.readline())
+
+            yield once
+
+
+def made_up_table(case: Case, rng: np.random.Generator) -> TransformTable:
+    """Random weights for as many classes as a trained table has: the recipe's levels and chromas, two contrasts, ten
+    saturation cases; chroma centres about the grey of `made_up_frame`, so that its pixels change between them."""
+    cfa = CFAS[case.cfa]
+    channels = int(cfa.max()) + 1
+    level_count, chromas = CLASSES[case.classes]
+    levels = BLACK + np.geomspace(0.001, 0.95, level_count - 1) * (WHITE - BLACK)
+    centres = 1 - 0.08 * np.arange(channels) + 0.1 * rng.standard_normal((chromas, channels))
+    centres /= centres.sum(axis=1, keepdims=True)
+    case_of_code = rng.permutation(np.arange(2**channels) % CASE_COUNT).astype(np.uint16)
+    case_of_code[0] = 0
+    rule = ClassRule(
+        patch=case.patch,
+        shift=0,
+        level_edges=np.rint(levels * 2**LEVEL_FRACTION * channels).astype(np.uint32),
+        contrast_edges=np.rint(2 * 2**VARIANCE_FRACTION * channels * (30 + 0.4 * np.append(levels, WHITE)))[None].astype(
+            np.uint32
+        ),
+        saturation=4036,
+        saturation_radius=2,
+        case_of_code=case_of_code,
+        chroma_black=BLACK * 2**CHROMA_FRACTION,
+        chroma_weights=chroma_weights(centres),
+    )
+    classes = cfa.size * rule.classes_per_site
+    return TransformTable(
+        camera_name="made up",
+        rows=case.height,
+        cols=case.width,
+        channels=tuple("abcdefgh"[:channels]),
+        cfa=cfa,
+        bits=BITS,
+        black=float(BLACK),
+        white=float(WHITE),
+        outputs=("X", "Y", "Z") if case.outputs == 3 else tuple(f"o{index}" for index in range(case.outputs)),
+        target_description="",
+        output_unit=1.0,
+        white_point=spectra.white_point("D65") if case.outputs == 3 else np.ones(case.outputs),
+        rule=rule,
+        weights=(rng.standard_normal((classes, case.outputs, case.patch**2)) / case.patch).astype(np.float32),
+        intercept=np.zeros((classes, case.outputs), np.float32),
+        samples=np.ones(classes),
+        condition=np.ones(classes, np.float32),
+    )
+
+
+def made_up_frame(case: Case, rng: np.random.Generator) -> RawFrame:
+    """A smooth scene over all levels with noise and some texture: neighbouring pixels change class as real ones do."""
+    cfa = CFAS[case.cfa]
+    row, col = np.mgrid[: case.height, : case.width]
+    channel = cfa[row % cfa.shape[0], col % cfa.shape[1]]
+    level = 0.5 + 0.3 * np.sin(col * 0.01) + 0.29 * np.cos(row * 0.013)
+    texture = 1 + 0.25 * np.sign(np.sin(col * 0.9) * np.sin(row * 0.7)) * ((col // 160 + row // 120) % 4 == 0)
+    mean = level * texture * (1 - 0.08 * channel) * (WHITE - BLACK)
+    values = BLACK + mean + rng.standard_normal(mean.shape) * np.sqrt(30 + 0.4 * np.maximum(mean, 0))
+    return RawFrame("made up", np.clip(np.rint(values), 0, WHITE).astype(np.uint16), BLACK, WHITE)

@@ -1,0 +1,170 @@
+"""How the kernels see a table: macros for shapes, arrays for values, sources in their order (opencl/*.cl)."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.table import TransformTable
+from l3cli.classes.rule import FEATURES, kernel_arrays, kernel_macros
+from l3cli.classes.windows import Integers, neighbourhoods
+from l3cli.physics.display import srgb_curve
+from l3cli.rendering.display import Display
+
+Macros = dict[str, int | str]
+
+PERIODS = 31  # columns by which a row of the CFA is repeated, so that two vectors of 16 can be read from any phase on
+
+
+@dataclass(frozen=True)
+class Cut:
+    """How a band is cut: each work-group renders a tile of `tile` columns and `band` rows."""
+
+    tile: int  # columns
+    band: int  # rows
+    group: tuple[int, int]  # work-items
+    lanes: int  # pixels, or taps, that a work-item takes side by side
+
+    @property
+    def macros(self) -> Macros:
+        return {"TILE": self.tile, "BAND": self.band, "LANES": self.lanes}
+
+
+def source_folder() -> Path:
+    """Where the .cl files lie: inside the installed package, or beside it in a checkout."""
+    package = Path(__file__).parents[1]
+    inside = package / "opencl"
+    return inside if inside.is_dir() else package.parent / "opencl"
+
+
+def program_source(variant: str) -> str:
+    """The .cl files of a variant, joined; #line keeps file and line in the compiler's messages."""
+    folder = source_folder()
+    names = VARIANTS[variant].sources
+    return "\n".join(f'#line 1 "{name}"\n{(folder / name).read_text(encoding="utf-8")}' for name in names)
+
+
+def table_macros(table: TransformTable) -> Macros:
+    """Everything about a table that a kernel's loops and formulas depend on."""
+    rule = table.rule
+    return {
+        "PATCH": rule.patch,
+        "RADIUS": rule.radius,
+        "CHANNELS": len(table.channels),
+        "OUTPUTS": len(table.outputs),
+        "CFA_ROWS": table.cfa.shape[0],
+        "CFA_COLUMNS": table.cfa.shape[1],
+        "PERIOD": table.cfa.shape[1] + PERIODS,
+        "SHIFT": rule.shift,
+        "WHITE_TOP": 2**table.bits - 1,
+        **kernel_macros(rule),
+    }
+
+
+OUTPUTS_AS_THEY_ARE: Macros = {"PLANES": 1, "CODE": "float"}
+NOT_ENCODED: Macros = {"NOT_ENCODED": 1, "CODE": "float"}  # for timing: one number a pixel is written
+
+
+def display_macros(display: Display) -> Macros:
+    """What the last stage writes."""
+    macros: Macros = {"CODE": {8: "uchar", 16: "ushort"}[display.bits], "TOP": display.top}
+    # Within 8e-5, which moves one value of 8 bits in 200 by one; within 1.2e-6, which is what float32 gives.
+    return macros | (curve_macros(2, 5) if display.bits == 8 else curve_macros(3, 8))
+
+
+def curve_macros(steps: int, degree: int) -> Macros:
+    """The power part of the sRGB curve as a polynomial in the fourth root (encoding.cl), fitted at Chebyshev's nodes."""
+    lowest = 0.0031308**0.25
+    root = lowest + (1 - lowest) * (np.cos(np.linspace(0, np.pi, 1001)) + 1) / 2
+    terms = np.polynomial.polynomial.polyfit(root, srgb_curve(root**4), degree)
+    return {"CURVE_STEPS": steps, "CURVE_DEGREE": degree, "CURVE_TERMS": ",".join(f"{term:.9g}f" for term in terms)}
+
+
+def class_arrays(table: TransformTable) -> tuple[NDArray, ...]:
+    """The constants of the kernel `classes`, in the order of its arguments; what they are stands there."""
+    rule, channels = table.rule, len(table.channels)
+    near = neighbourhoods(table.cfa, rule.patch, channels)
+    period = np.arange(table.cfa.shape[1] + PERIODS) % table.cfa.shape[1]
+    cfa = table.cfa[:, period].astype(np.uint16)
+    member = np.where(cfa == np.arange(channels, dtype=np.uint16)[:, None, None], np.uint16(0xFFFF), np.uint16(0))
+
+    def by_channel(site_values: Integers) -> NDArray[np.uint32]:
+        return site_values.reshape(*table.cfa.shape, channels).transpose(2, 0, 1)[:, :, period].astype(np.uint32)
+
+    return (
+        member,
+        np.uint16(1) << cfa,
+        by_channel(near.count),
+        by_channel(near.mean_reciprocal),
+        by_channel(near.variance_reciprocal),
+        period.astype(np.uint32),
+        *kernel_arrays(rule),
+    )
+
+
+def _weights_per_dn(table: TransformTable) -> NDArray[np.float32]:
+    """(class, output, tap), taps column by column, per DN above black."""
+    classes, outputs, _ = table.weights.shape
+    square = table.weights.reshape(classes, outputs, table.rule.patch, table.rule.patch)
+    return (square.transpose(0, 1, 3, 2) / (table.white - table.black)).reshape(classes, outputs, -1).astype(np.float32)
+
+
+def pack_in_vectors(table: TransformTable, lanes: int) -> NDArray[np.float32]:
+    """(class, group, …) for transform.cl: vectors (vector, output, lane) of all taps but the last, the last taps of four
+    outputs, their four intercepts, and zeros up to a multiple of 16."""
+    weights = _weights_per_dn(table)
+    classes, outputs, taps = weights.shape
+    groups = -(-outputs // 4)
+    group = -(-outputs // groups)
+    vectors = -(-(taps - 1) // lanes)
+    last = vectors * group * lanes
+    packed = np.zeros((classes, groups, -(-(last + 8) // 16) * 16), np.float32)
+    for g in range(groups):
+        chosen = slice(g * group, min((g + 1) * group, outputs))
+        count = chosen.stop - chosen.start
+        in_lanes = np.zeros((classes, group, vectors * lanes), np.float32)
+        in_lanes[:, :count, : taps - 1] = weights[:, chosen, :-1]
+        ordered = in_lanes.reshape(classes, group, vectors, lanes).transpose(0, 2, 1, 3)
+        packed[:, g, :last] = ordered.reshape(classes, last)
+        packed[:, g, last : last + count] = weights[:, chosen, -1]
+        packed[:, g, last + 4 : last + 4 + count] = table.intercept[:, chosen]
+    return packed
+
+
+def pack_in_fours(table: TransformTable, lanes: int) -> NDArray[np.float32]:
+    """(class, 1 + tap, output) for graphics.cl: the intercept, then the taps, outputs filled up to a multiple of four."""
+    weights = _weights_per_dn(table)
+    classes, outputs, taps = weights.shape
+    packed = np.zeros((classes, 1 + taps, -(-outputs // 4) * 4), np.float32)
+    packed[:, 0, :outputs] = table.intercept
+    packed[:, 1:, :outputs] = weights.transpose(0, 2, 1)
+    return packed
+
+
+def _cut_for_graphics(table: TransformTable, lanes: int) -> Cut:
+    tile = 64 // table.cfa.shape[1] * table.cfa.shape[1]
+    return Cut(tile, 4, (tile, 4), 1)
+
+
+@dataclass(frozen=True)
+class Variant:
+    """The same computation, arranged for one kind of device."""
+
+    sources: tuple[str, ...]  # files of opencl/, joined in this order
+    cut: Callable[[TransformTable, int], Cut]  # for a number of lanes that suits the device
+    pack: Callable[[TransformTable, int], NDArray[np.float32]]  # weights as its kernels read them, for Cut.lanes
+
+
+SHARED = ("vectors.cl", *(feature.SNIPPET for feature in FEATURES), "rule.cl", "encoding.cl")
+VARIANTS = {
+    # Few and long work-items, each vectorised within: over pixels for the classes, over taps for the transforms.
+    "processor": Variant(
+        (*SHARED, "ingest.cl", "statistics.cl", "classes.cl", "rows.cl", "transform.cl"),
+        lambda table, lanes: Cut(256, 48, (1, 1), lanes),
+        pack_in_vectors,
+    ),
+    # A work-item a pixel; the device lays them side by side itself.
+    "graphics": Variant((*SHARED, "graphics.cl"), _cut_for_graphics, pack_in_fours),
+}

@@ -1,0 +1,77 @@
+"""Finding OpenCL devices, and saying why there are none."""
+
+from typing import Any
+
+from l3cli.errors import DeviceError, shortened
+from l3cli.rendering import kernels
+
+INSTALL = 'install one, on any processor with: pip install "pyopencl[pocl]"'
+
+
+def pyopencl() -> Any:
+    """pyopencl, imported when first needed; DeviceError if there is no OpenCL at all."""
+    kernels.prepare()
+    try:
+        import pyopencl
+    except ImportError as error:
+        raise DeviceError(f"OpenCL cannot be loaded ({error}); {INSTALL}") from error
+    return pyopencl
+
+
+def devices() -> list[Any]:
+    """Every OpenCL device there is, in the order that --device and L3_DEVICE count."""
+    return [device for _, shown, _ in _platforms() for device in shown]
+
+
+def survey() -> list[str]:
+    """One line for each device, with its number; and one for each platform without any, and for none at all, with what is
+    missing and how to mend it."""
+    lines, number = [], 0
+    found = _platforms()
+    for name, shown, why in found:
+        for device in shown:
+            kind = next(
+                (kind for kind in ("GPU", "CPU") if device.type & getattr(pyopencl().device_type, kind)), "accelerator"
+            )
+            lines.append(f"{number}: {device.name.strip()} ({kind}, {device.max_compute_units} units; {name})")
+            number += 1
+        if not shown:
+            lines.append(f"{name} shows no device: {why}")
+    return lines or [f"no OpenCL driver (ICD) is installed; {INSTALL}"]
+
+
+def _platforms() -> list[tuple[str, list[Any], str]]:
+    """Name, devices and, where there are none, the reason, of every platform."""
+    cl = pyopencl()
+    try:
+        platforms = cl.get_platforms()
+    except cl.Error:  # the loader finds no driver
+        return []
+    found = []
+    for platform in platforms:
+        try:
+            shown, why = platform.get_devices(), "it has none"
+        except cl.Error as error:
+            shown, why = [], " ".join(str(error).split())[:200]
+        found.append((platform.name.strip(), shown, why))
+    return found
+
+
+def choose_device(wanted: str) -> Any:
+    """The device that `wanted` names by index or part of its name; else the first GPU, else the first of any kind.
+
+    DeviceError if there is none.
+    """
+    found = devices()
+    if not found:
+        raise DeviceError(f"no OpenCL device was found: {'; '.join(survey())}")
+    if not wanted:
+        gpu = pyopencl().device_type.GPU
+        return next((device for device in found if device.type & gpu), found[0])
+    if wanted in (numbers := list(map(str, range(len(found))))):
+        return found[numbers.index(wanted)]
+    named = [device for device in found if wanted.lower() in device.name.lower()]
+    if not named or wanted.isdecimal():
+        names = ", ".join(f"{index}: {device.name.strip()}" for index, device in enumerate(found))
+        raise DeviceError(f'no OpenCL device is called "{shortened(wanted)}"; --device or L3_DEVICE must be one of {names}')
+    return named[0]

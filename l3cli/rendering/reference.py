@@ -1,0 +1,67 @@
+"""The plain truth of rendering in float64: what every other backend is held against (docs/method.md#rendering)."""
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.table import TransformTable
+from l3cli.classes.decide import label_mosaic
+from l3cli.classes.windows import Integers
+from l3cli.frame import RawFrame, pad_mosaic
+from l3cli.rendering.display import Display, encode, require_xyz
+
+
+class ReferenceRenderer:
+    """Renderer in numpy: slow, exact, without a device."""
+
+    def __init__(self, table: TransformTable) -> None:
+        self.table = table
+
+    def labels(self, frame: RawFrame) -> Integers:
+        """Class (row, col) of every pixel."""
+        return table_labels(at_table_levels(frame, self.table), self.table)
+
+    def outputs(self, frame: RawFrame) -> NDArray[np.float32]:
+        """Outputs of the table, (output, row, col)."""
+        return self.exact_outputs(frame).astype(np.float32)
+
+    def picture(self, frame: RawFrame, display: Display) -> NDArray:
+        """The frame as sRGB (row, col, 3); RecipeError unless the table's outputs are X, Y, Z."""
+        require_xyz(self.table.outputs)
+        return encode(self.exact_outputs(frame), display)
+
+    def pictures(self, frames: Iterable[tuple[RawFrame, Display]]) -> Iterator[NDArray]:
+        """The picture of each frame, in order."""
+        return (self.picture(frame, display) for frame, display in frames)
+
+    def exact_outputs(self, frame: RawFrame) -> NDArray[np.float64]:
+        """`outputs` before rounding to float32."""
+        levelled = at_table_levels(frame, self.table)
+        return frame.light_share * output_planes(levelled, table_labels(levelled, self.table), self.table)
+
+
+def at_table_levels(frame: RawFrame, table: TransformTable) -> RawFrame:
+    """The frame on the black level, white level and depth that the table was trained for."""
+    return frame.at_levels(table.black, table.white, table.bits)
+
+
+def table_labels(frame: RawFrame, table: TransformTable) -> Integers:
+    """Class (row, col) of every pixel of a frame at the table's levels."""
+    return label_mosaic(frame.values, table.rule, table.cfa, len(table.channels), frame.phase)
+
+
+def output_planes(frame: RawFrame, labels: Integers, table: TransformTable) -> NDArray[np.float64]:
+    """Each pixel's transform applied to its neighbourhood: (output, row, col) from a frame at the table's levels and its
+    classes (row, col)."""
+    rows, cols = frame.values.shape
+    patch, outputs = table.rule.patch, len(table.outputs)
+    signal = (frame.values - frame.black) / (table.white - table.black)
+    padded = pad_mosaic(signal, table.rule.radius, (table.cfa.shape[0], table.cfa.shape[1]))
+    windows = np.lib.stride_tricks.sliding_window_view(padded, (patch, patch))
+    planes = np.empty((outputs, rows, cols))
+    for row in range(rows):  # a row at a time: the chosen transforms of a whole frame would fill gigabytes
+        patches = windows[row].reshape(cols, patch**2, 1)
+        weighted = table.weights[labels[row]].astype(np.float64) @ patches
+        planes[:, row] = (weighted[..., 0] + table.intercept[labels[row]]).T
+    return planes

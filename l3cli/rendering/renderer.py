@@ -1,0 +1,49 @@
+"""The one interface of everything that renders, and the backends behind it."""
+
+import importlib
+from collections.abc import Iterable, Iterator
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.table import TransformTable
+from l3cli.errors import RecipeError, suggestion
+from l3cli.frame import RawFrame
+from l3cli.rendering.display import Display
+
+# A new backend is one class, made from a TransformTable, and one line here; its module is imported when it is asked for.
+BACKENDS = {
+    "opencl": "l3cli.rendering.opencl:OpenCLRenderer",
+    "reference": "l3cli.rendering.reference:ReferenceRenderer",
+}
+
+
+class Renderer(Protocol):
+    """Renders frames through the table it was made from; keeps whatever is the same from frame to frame."""
+
+    def labels(self, frame: RawFrame) -> NDArray[np.integer]:
+        """Class (row, col) of every pixel, equal for every backend."""
+
+    def outputs(self, frame: RawFrame) -> NDArray[np.float32]:
+        """Outputs of the table, (output, row, col), of the frame's size."""
+
+    def picture(self, frame: RawFrame, display: Display) -> NDArray:
+        """The frame as sRGB (row, col, 3), uint8 or uint16 as the display says.
+
+        RecipeError unless the table's outputs are X, Y, Z.
+        """
+
+    def pictures(self, frames: Iterable[tuple[RawFrame, Display]]) -> Iterator[NDArray]:
+        """The picture of each frame, in order; while the caller looks at one the next may be at work."""
+
+
+def make_renderer(backend: str, table: TransformTable, **options: str | None) -> Renderer:
+    """The renderer called `backend` for a table. RecipeError if there is none, DeviceError if it finds no device.
+
+    `options` are the backend's own: of "opencl" `device` and `variant` (OpenCLRenderer).
+    """
+    if backend not in BACKENDS:
+        raise RecipeError(f'backend "{backend}" is unknown; {suggestion(backend, BACKENDS)}')
+    module, _, name = BACKENDS[backend].partition(":")
+    return getattr(importlib.import_module(module), name)(table, **options)

@@ -1,0 +1,84 @@
+"""One frame: a scene under a light, through lens and sensor, beside its target (docs/method.md#simulation)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.training_set import TrainingFrame
+from l3cli.physics.lens import relative_illumination
+from l3cli.scene import Scene
+from l3cli.simulation import optics, sensor
+from l3cli.simulation.light import Light, electron_weights
+from l3cli.simulation.recipe import Lens
+from l3cli.simulation.targets import XYZ, Target, output_weights
+
+
+@dataclass(frozen=True)
+class Saturating:
+    """An exposure that makes this share of all pixels reach full scale."""
+
+    share: float
+
+
+@dataclass(frozen=True)
+class Averaging:
+    """An exposure that makes the mosaic's mean reach this share of full scale, were nothing clipped."""
+
+    share: float
+
+
+def simulate(
+    camera: CameraModel,
+    scene: Scene,
+    light: Light,
+    exposure: float | Saturating | Averaging,
+    lens: Lens,
+    seed: tuple[int, ...],
+    target: Target = XYZ,
+    noises: str = "all",
+) -> TrainingFrame:
+    """What the camera collects of `scene` under `light` in `exposure` seconds, and the picture without lens or noise.
+
+    One scene sample is one pixel: its average over the pixel's area, so that frame and target are registered. The chain is
+    linear up to the noise, so the bands are first projected on outputs and channels in one product: a wavelength-dependent
+    blur needs the channels a few times (LOW_RANK_ERROR), nothing needs the bands again. ValueError if an automatic exposure
+    finds no light.
+    """
+    bands, pitch = scene.wavelength, camera.pixel_pitch
+    wanted = output_weights(target, camera, light, bands)
+    collected = electron_weights(camera, light, bands)
+    transfer = optics.lens_transfer(camera.optics, pitch, bands, lens.diffraction, lens.defocus_um * 1e-6)
+    terms = np.ones((1, bands.size)) if transfer is None else transfer.spectral
+    unit = (
+        collected.max() or 1.0
+    )  # taken out of what is rounded to float32, so that rounding is the same for every luminance
+    through = (collected[:, None] / unit * terms).reshape(-1, bands.size)
+    planes = optics.project(scene.reflectance, np.concatenate([wanted, through]))
+    ideal, rates = planes[: len(wanted)], planes[len(wanted) :]
+    if transfer is not None:
+        shape = (len(collected), len(terms), *rates.shape[1:])
+        rates = optics.blurred_channels(rates.reshape(shape), transfer, pitch)
+        np.maximum(rates, 0.0, out=rates)  # diffraction of a point may ring below zero
+    rates *= np.float32(unit)
+    if lens.off_axis:
+        distance, shape = camera.optics.image_distance, (rates.shape[1], rates.shape[2])
+        rates *= relative_illumination(distance, pitch, shape).astype(np.float32)
+    if isinstance(exposure, Saturating):
+        exposure = sensor.saturating_exposure(camera, sensor.mosaic(rates, camera.cfa), exposure.share)
+    elif isinstance(exposure, Averaging):
+        exposure = sensor.averaging_exposure(camera, sensor.mosaic(rates, camera.cfa), exposure.share)
+    electrons = rates * np.float32(exposure)
+    rng = np.random.default_rng(seed)
+    return TrainingFrame(
+        electrons=electrons,
+        raw=sensor.expose(camera, sensor.mosaic(electrons, camera.cfa), exposure, rng, noises),
+        target=ideal,
+        white=output_weights(target, camera, light, light.wavelength).sum(axis=1),
+        scene=scene.name,
+        illuminant=light.name,
+        luminance=light.luminance,
+        exposure=exposure,
+        light=light.spectrum,
+        seed=seed,
+    )

@@ -1,0 +1,86 @@
+"""How a scene lies on the sensor: cropped, mirrored, turned, scaled."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.scene import Scene
+from l3cli.simulation.sources import Framing
+
+
+def framed(scene: Scene, framing: Framing, camera: CameraModel) -> Scene:
+    """The scene as `framing` lays it on the sensor of `camera`; ValueError if the crop reaches beyond the scene."""
+    cube = scene.reflectance
+    top, left, rows, cols = _cropped(cube.shape, framing)
+    cube = cube[top : top + rows, left : left + cols]
+    if framing.flip is not None:
+        cube = np.flip(cube, axis=("rows", "cols").index(framing.flip))
+    cube = np.rot90(cube, framing.rotate // 90)
+    scale = _scale(framing, camera, cube.shape[1])
+    if scale is not None:
+        cube = _scaled(cube, scale, (camera.rows, camera.cols))
+    return replace(scene, reflectance=np.ascontiguousarray(cube))
+
+
+def framed_size(size: tuple[int, int], framing: Framing, camera: CameraModel) -> tuple[int, int]:
+    """(rows, cols) that `framed` makes of a scene of `size`; ValueError if the crop reaches beyond the scene."""
+    _, _, rows, cols = _cropped(size, framing)
+    if framing.rotate % 180:
+        rows, cols = cols, rows
+    scale = _scale(framing, camera, cols)
+    if scale is not None:
+        rows, cols = min(_pixels(rows, scale), camera.rows), min(_pixels(cols, scale), camera.cols)
+    return rows, cols
+
+
+def _cropped(size: tuple[int, ...], framing: Framing) -> tuple[int, int, int, int]:
+    """First row, first column, rows and columns of what is used of a scene."""
+    if framing.crop is None:
+        return 0, 0, size[0], size[1]
+    top, left, rows, cols = framing.crop
+    if top + rows > size[0] or left + cols > size[1]:
+        raise ValueError(f"crop {list(framing.crop)} reaches beyond the scene of {size[0]}×{size[1]}")
+    return framing.crop
+
+
+def _scale(framing: Framing, camera: CameraModel, cols: int) -> float | None:
+    """Pixels a sample of a scene that is `cols` wide."""
+    if framing.field_of_view_deg is None:
+        return framing.scale
+    width = 2.0 * camera.optics.image_distance * np.tan(np.radians(framing.field_of_view_deg) / 2.0)
+    return float(width / camera.pixel_pitch / cols)
+
+
+def _pixels(length: int, scale: float) -> int:
+    return max(1, round(length * scale))
+
+
+def _scaled(cube: NDArray[np.float32], scale: float, most: tuple[int, int]) -> NDArray[np.float32]:
+    """cube (row, col, band) with `scale` pixels a sample, its middle cut out where it exceeds `most` (rows, cols)."""
+    down, across = (_resampling(length, scale, limit) for length, limit in zip(cube.shape, most, strict=False))
+    rows, cols, bands = cube.shape
+    tall = (down @ cube.reshape(rows, cols * bands)).reshape(-1, cols, bands)
+    scaled = np.empty((tall.shape[0], across.shape[0], bands), np.float32)
+    for row, line in enumerate(tall):
+        scaled[row] = across @ line
+    return scaled
+
+
+def _resampling(length: int, scale: float, most: int) -> Any:
+    """Sparse M (pixel, sample): linear interpolation of samples at their centres, averaged over pixels larger than a
+    sample."""
+    from scipy.sparse import csr_array
+
+    whole = _pixels(length, scale)
+    pixels, step = min(whole, most), length / whole
+    points = max(1, round(4 * step)) if step > 1 else 1
+    inside = (np.arange(points) + 0.5) / points
+    position = (np.arange(pixels)[:, None] + (whole - pixels) / 2 + inside) * step - 0.5  # in samples
+    first = np.floor(position).astype(int)
+    near = np.clip(np.stack([first, first + 1]), 0, length - 1)
+    weight = np.stack([1 - (position - first), position - first]).astype(np.float32) / points
+    row = np.broadcast_to(np.arange(pixels)[:, None], near.shape)
+    return csr_array((weight.ravel(), (row.ravel(), near.ravel())), shape=(pixels, length))

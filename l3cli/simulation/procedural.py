@@ -1,0 +1,172 @@
+"""Scenes from mathematics: dead leaves to train on, and a composition to look at (docs/method.md#procedural-scenes)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.simulation import charts, leaves
+from l3cli.simulation.reflectances import palette, surfaces
+
+Array = NDArray[np.floating]
+Cube = NDArray[np.float32]  # (row, col, band)
+
+OVERSAMPLING = 2  # scenes are drawn finer and averaged, so that their edges fall between pixels
+SMALLEST_RADIUS, LARGEST_RADIUS = 3.0, 150.0  # pixels of the scene
+BRIGHTEST = 3.0  # of a perfect white, highlights included
+STRIP = 64  # rows drawn at once: a picture's spectra at twice its size would not fit
+
+
+def grid(wavelength: Array) -> NDArray[np.float64]:
+    """Wavelengths (band) in nm that a procedural scene has for a camera: 400–700 by 10, farther where the camera sees."""
+    first = np.floor(min(wavelength[0], 400.0) / 10.0) * 10.0
+    last = np.ceil(max(wavelength[-1], 700.0) / 10.0) * 10.0
+    return np.arange(first, last + 5.0, 10.0)
+
+
+# -------------------------------------------------------------------------------------------------- dead leaves
+
+
+@dataclass(frozen=True)
+class Coat:
+    """How each leaf looks: what it is made of, how light falls on it. Positions are relative to centre and radius."""
+
+    reflectance: NDArray[np.float32]  # (leaf, band)
+    brightness: NDArray[np.float32]  # (leaf) logarithm
+    slope: NDArray[np.float32]  # (2, leaf) gradient down and across of the logarithm
+    hollow: NDArray[np.float32]  # (leaf) fall of the logarithm towards the rim
+    texture: NDArray[np.float32]  # (leaf) amplitude of the logarithm
+    field: NDArray[np.intp]  # (leaf) texture field
+    highlight: NDArray[np.float32]  # (leaf) peak of a white reflection, in perfect whites
+    sharpness: NDArray[np.float32]  # (leaf) of the highlight
+    position: NDArray[np.float32]  # (2, leaf) of the highlight, down and across
+
+
+def dead_leaves(rng: np.random.Generator, size: tuple[int, int], wavelength: Array) -> Cube:
+    """Reflectance (row, col, band) of leaves that hide each other, in light, shadow and gloss."""
+    fine = (size[0] * OVERSAMPLING, size[1] * OVERSAMPLING)
+    materials = palette(rng, surfaces(tuple(wavelength)))
+    smallest = SMALLEST_RADIUS * (4.0 if rng.random() < 0.5 else 1.0)  # half the frames are of larger things
+    cover = leaves.dead_leaves(rng, fine, smallest * OVERSAMPLING, LARGEST_RADIUS * OVERSAMPLING)
+    coat = _coats(rng, materials, len(cover.radius))
+    fields = _texture_fields(rng, fine)
+    light = _light(rng, fine)
+    cube = np.empty((*size, wavelength.size), np.float32)
+    for top in range(0, size[0], STRIP):
+        rows = slice(top * OVERSAMPLING, min(top + STRIP, size[0]) * OVERSAMPLING)
+        cube[top : top + STRIP] = _draw(cover, coat, fields[:, rows], light[rows], rows)
+    return _blurred(cube, rng.uniform(0.0, 0.8))
+
+
+def _coats(rng: np.random.Generator, materials: Array, count: int) -> Coat:
+    """Each of `count` leaves is one of the materials (material, band) or, in 40 %, a mixture of two."""
+    one, other = materials[rng.integers(len(materials), size=(2, count))]
+    share = np.where(rng.random(count) < 0.4, rng.random(count), 1.0)[:, None]
+    angle = rng.uniform(0, 2 * np.pi, count)
+    steepness, hollow = 0.2 * abs(rng.standard_normal((2, count)))
+    glossy = rng.random(count) < 0.05
+    return Coat(
+        reflectance=(one * share + other * (1 - share)).astype(np.float32),
+        brightness=(0.4 * rng.standard_normal(count)).astype(np.float32),
+        slope=(steepness * np.array([np.sin(angle), np.cos(angle)])).astype(np.float32),
+        hollow=hollow.astype(np.float32),
+        texture=np.exp(rng.uniform(np.log(0.01), np.log(0.6), count)).astype(np.float32),
+        field=rng.integers(TEXTURES, size=count),
+        highlight=(glossy * np.exp(rng.uniform(np.log(0.1), np.log(2.7), count))).astype(np.float32),
+        sharpness=rng.uniform(4, 60, count).astype(np.float32),
+        position=rng.uniform(-0.7, 0.7, (2, count)).astype(np.float32),
+    )
+
+
+# Exponent range of the amplitude spectrum and stretch of the pink textures: from sand to clouds, and a brushed one.
+PINK = ((0.3, 0.9, 1.0), (0.8, 1.3, 1.0), (1.6, 1.6, 1.0), (1.0, 1.0, 1.0), (0.6, 0.6, 1.0), (1.1, 1.1, 4.0))
+TEXTURES = len(PINK) + 2  # blotches and stripes beside them
+
+
+def _texture_fields(rng: np.random.Generator, shape: tuple[int, int]) -> NDArray[np.float32]:
+    """The textures of one frame, (texture, row, col), each with a variance of about 1."""
+    pink = [leaves.pink(rng, shape, rng.uniform(low, high), stretch) for low, high, stretch in PINK]
+    return np.stack([*pink, _blotches(rng, shape), _stripes(rng, shape)])
+
+
+def _blotches(rng: np.random.Generator, shape: tuple[int, int]) -> NDArray[np.float32]:
+    """Two tones with sharp borders, as on fur, bark and prints."""
+    return np.tanh(8 * leaves.pink(rng, shape, rng.uniform(0.8, 1.8), np.exp(rng.uniform(0.0, 2.0))))
+
+
+def _stripes(rng: np.random.Generator, shape: tuple[int, int]) -> NDArray[np.float32]:
+    """Two tones in wavering stripes, 2 to 14 pixels of the scene a period, as on cloth, blinds and letters."""
+    angle, period = rng.uniform(0, np.pi), OVERSAMPLING * np.exp(rng.uniform(np.log(2.0), np.log(14.0)))
+    down, across = np.ogrid[: shape[0], : shape[1]]
+    position = (across * np.cos(angle) + down * np.sin(angle)) / period
+    position = position + rng.uniform(0, 1) * leaves.pink(rng, shape, 1.8)
+    return np.where(position % 1 < rng.uniform(0.3, 0.7), 1.0, -1.0).astype(np.float32)
+
+
+def _light(rng: np.random.Generator, shape: tuple[int, int]) -> NDArray[np.float32]:
+    """Relative light (row, col): uneven everywhere, in 30 % of the frames with shadows of soft, ragged edges."""
+    logarithm = 0.4 * leaves.pink(rng, shape, 1.8)
+    shadows = rng.poisson(1.0) if rng.random() < 0.3 else 0
+    down, across = np.ogrid[: shape[0], : shape[1]]
+    for _ in range(shadows):
+        angle = rng.uniform(0, 2 * np.pi)
+        through = rng.uniform(0, 1, 2) * shape
+        distance = (across - through[1]) * np.cos(angle) + (down - through[0]) * np.sin(angle)
+        ragged = distance + rng.uniform(0, 30) * leaves.pink(rng, shape, 1.2)
+        softness = OVERSAMPLING * np.exp(rng.uniform(np.log(0.5), np.log(20.0)))
+        logarithm -= (rng.uniform(0.3, 1.6) / (1 + np.exp(-np.clip(ragged / softness, -30, 30)))).astype(np.float32)
+    return np.exp(logarithm)
+
+
+def _draw(cover: leaves.Leaves, coat: Coat, fields: NDArray[np.float32], light: NDArray[np.float32], rows: slice) -> Cube:
+    """Some rows of the picture: reflectance (row, col, band), averaged to the scene's own size."""
+    label = cover.label[rows]
+    down = np.arange(rows.start, rows.stop, dtype=np.float32)[:, None]
+    across = np.arange(label.shape[1], dtype=np.float32)
+    radius = cover.radius[label]
+    v, u = (down - cover.row[label]) / radius, (across - cover.col[label]) / radius
+    texture = np.take_along_axis(fields, coat.field[label][None], axis=0)[0]
+    logarithm = coat.brightness[label] + coat.slope[0][label] * v + coat.slope[1][label] * u
+    logarithm += coat.texture[label] * texture - coat.hollow[label] * np.minimum(u * u + v * v, 4.0)
+    distance = (v - coat.position[0][label]) ** 2 + (u - coat.position[1][label]) ** 2
+    gloss = coat.highlight[label] * np.exp(0.3 * texture - coat.sharpness[label] * distance)
+    gloss *= gloss > 0.004  # a highlight ends somewhere
+    cube = coat.reflectance[label] * (np.exp(logarithm) * light)[..., None] + gloss[..., None]
+    return np.minimum(_averaged(cube), np.float32(BRIGHTEST)).astype(np.float32)
+
+
+def _averaged(fine: Cube) -> Cube:
+    """Mean of each OVERSAMPLING × OVERSAMPLING block: (row, col, band)."""
+    rows, cols, bands = fine.shape
+    step = OVERSAMPLING
+    return fine.reshape(rows // step, step, cols // step, step, bands).mean(axis=(1, 3))
+
+
+def _blurred(cube: Cube, sigma: float) -> Cube:
+    """A lens is never perfect: Gaussian blur of `sigma` pixels; below 0.2 it would change nothing."""
+    from scipy.ndimage import gaussian_filter1d
+
+    if sigma <= 0.2:
+        return cube
+    return gaussian_filter1d(gaussian_filter1d(cube, sigma, axis=0), sigma, axis=1)
+
+
+# -------------------------------------------------------------------------------------------------- composition
+
+
+def composition(rng: np.random.Generator, size: tuple[int, int], wavelength: Array) -> Cube:
+    """Reflectance (row, col, band) of a demonstration picture: before dead leaves stand a ColorChecker, a grey ramp, a zone
+    plate and slanted bars."""
+    cube = dead_leaves(rng, size, wavelength)
+    rows, cols = size
+    unit = min(rows // 18, cols // 32)
+    for height, width, centre, panel in (
+        (8, 12, (0.66, 0.25), charts.colorchecker),
+        (2, 12, (0.30, 0.25), charts.ramp_panel),
+        (7, 7, (0.68, 0.62), charts.zone_plate_panel),
+        (7, 7, (0.30, 0.84), charts.slanted_bars_panel),
+    ):
+        shape = (height * unit, width * unit)
+        top, left = round(rows * centre[0] - shape[0] / 2), round(cols * centre[1] - shape[1] / 2)
+        cube[top : top + shape[0], left : left + shape[1]] = panel(shape, wavelength)
+    return cube

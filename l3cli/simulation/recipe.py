@@ -1,0 +1,193 @@
+"""SCENES.toml: what is simulated, under which light, how long exposed: frames = scenes × lights × luminances × exposures."""
+
+import itertools
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, ClassVar, Literal
+
+import msgspec
+import numpy as np
+
+from l3cli.artifacts.camera import CameraModel, Optics
+from l3cli.config import Recipe
+from l3cli.errors import RecipeError, suggestion
+from l3cli.physics import spectra
+from l3cli.simulation.light import MEASURED, OWN, Curve, parts
+from l3cli.simulation.sensor import with_analog_gain
+from l3cli.simulation.sources import (
+    FileSource,
+    IsetScenes,
+    Source,
+    Spectral,
+    WantedScene,
+    can_be_relit,
+    check_source,
+    has_own_light,
+    wanted_scenes,
+)
+from l3cli.simulation.targets import CAMERA, OUTPUTS
+
+
+class Lens(Recipe):
+    """Which imperfections of the lens are simulated, and another lens than the camera's (docs/method.md#optics)."""
+
+    diffraction: bool = True
+    off_axis: bool = False  # darker corners; a table does not know where in the frame it is applied
+    defocus_um: float = 0.0  # standard deviation of a Gaussian blur on the sensor
+    transmittance: float | str | None = None  # number or CSV, on top of what the camera's responsivity holds
+    focal_length_mm: float | None = None
+    f_number: float | None = None
+    magnification: float | None = None  # |image size / object size|; 0: infinity
+
+
+class SensorSetting(Recipe):
+    noise: Literal["all", "shot", "none"] = "all"  # shot: of light and dark current only; none: only rounding
+    analog_gain: Annotated[float, msgspec.Meta(ge=1e-3, le=1e3)] = 1.0  # on top of the camera's gain
+
+
+class TargetRecipe(Recipe):
+    outputs: str = "CIE 1931"  # or "CIE 1964", "luminance", "camera" (its bands everywhere), a CSV of matching functions
+    illuminant: str | None = None  # another light than falls on the frame: illuminant correction
+
+
+class Pair(Recipe):
+    """A raw file and the picture it should become, pixel by pixel."""
+
+    raw: str  # relative to the recipe
+    picture: str  # encoded sRGB, or EXR with channels named like the target's outputs
+    offset: tuple[int, int] = (0, 0)  # row and column of the raw that the picture's first pixel shows
+    phase: tuple[int, int] | None = None  # CFA row and column of the raw's first pixel; default: as the file says
+    scale: float | None = None  # picture value × scale = share of full scale that a white as bright gives; default: fitted
+
+
+class SceneRecipe(Recipe):
+    title: ClassVar[str] = "a scene recipe"
+
+    scene: list[Source] = msgspec.field(default_factory=list)
+    pair: list[Pair] = msgspec.field(default_factory=list)
+    # CIE names, "3200K", "D6000K", CSV files, mixtures "0.7 D65 + 0.3 lamp.csv", or "scene": its own
+    illuminants: list[str] = msgspec.field(default_factory=lambda: ["D65"])
+    luminances_cd_m2: list[float] = msgspec.field(default_factory=lambda: [100.0])  # of a perfect white
+    exposure_share: list[float] | None = None  # automatic: share of full scale that white reaches in its brightest channel
+    exposure_saturated: list[float] | None = None  # automatic: share of all pixels that reach full scale
+    exposure_mean: list[float] | None = None  # automatic: share of full scale that the mosaic's mean reaches, unclipped
+    exposure_s: list[float] | None = None  # fixed
+    lens: Lens = msgspec.field(default_factory=Lens)
+    sensor: SensorSetting = msgspec.field(default_factory=SensorSetting)
+    target: TargetRecipe = msgspec.field(default_factory=TargetRecipe)
+
+    def exposures(self) -> tuple[str, list[float]]:
+        """The way exposures are given (a key of `ways`) and their values; RecipeError unless there is just one way."""
+        ways = {
+            "share": self.exposure_share,
+            "saturated": self.exposure_saturated,
+            "mean": self.exposure_mean,
+            "seconds": self.exposure_s,
+        }
+        given = {way: values for way, values in ways.items() if values is not None}
+        if len(given) != 1:
+            automatic = "exposure_share, exposure_saturated, exposure_mean (automatic)"
+            raise RecipeError(f"give exactly one of {automatic} and exposure_s (fixed)")
+        return next(iter(given.items()))
+
+
+def scene_lights(recipe: SceneRecipe) -> list[str]:
+    """The lights that scenes of the recipe were seen under, where it tells them."""
+    return [source.light for source in recipe.scene if isinstance(source, Spectral | IsetScenes) and source.light]
+
+
+def curve_files(recipe: SceneRecipe) -> dict[str, str]:
+    """Every CSV file that the recipe names, relative to it, and its part: light, transmittance or functions."""
+    lights = [*recipe.illuminants, *filter(None, [recipe.target.illuminant])]
+    lights += scene_lights(recipe)
+    found = {name: "light" for text in lights for _, name in parts(text) if name.endswith(MEASURED)}
+    if isinstance(recipe.lens.transmittance, str):
+        found[recipe.lens.transmittance] = "transmittance"
+    if recipe.target.outputs.endswith(MEASURED):
+        found[recipe.target.outputs] = "functions"
+    return found
+
+
+def set_up(camera: CameraModel, recipe: SceneRecipe, curves: Mapping[str, Curve]) -> CameraModel:
+    """The camera with the recipe's lens and analog gain: what the training set is of. RecipeError if they cannot be."""
+    lens, optics = recipe.lens, camera.optics
+    focal = optics.focal_length if lens.focal_length_mm is None else lens.focal_length_mm * 1e-3
+    f_number = optics.f_number if lens.f_number is None else lens.f_number
+    distance = optics.object_distance
+    if lens.magnification is not None:
+        distance = focal * (1.0 + 1.0 / lens.magnification) if lens.magnification > 0 else 0.0
+    if not (focal > 0 and f_number > 0 and (lens.magnification or 0) >= 0 and (distance == 0 or distance > focal)):
+        raise RecipeError("lens: focal length and f-number must be above zero, the object farther than the focal length")
+    if isinstance(lens.transmittance, str):
+        grid, values = curves[lens.transmittance]
+        passed = spectra.average(values[0], grid, camera.wavelength)
+    else:
+        passed = np.full(camera.wavelength.size, 1.0 if lens.transmittance is None else lens.transmittance)
+    if not (passed.min() >= 0 and 0 < passed.max() <= 1):
+        raise RecipeError("lens.transmittance must lie in 0…1 and let some light through")
+    if lens.defocus_um < 0:
+        raise RecipeError("lens.defocus_um must not be negative")
+    fitted = replace(camera, responsivity=camera.responsivity * passed, optics=Optics(focal, f_number, distance))
+    return with_analog_gain(fitted, recipe.sensor.analog_gain)
+
+
+def check(recipe: SceneRecipe, camera: CameraModel) -> None:
+    """RecipeError if the recipe asks for what cannot be."""
+    if not (recipe.scene or recipe.pair):
+        raise RecipeError("scene or pair must have an entry")
+    if recipe.scene:
+        _check_exposures(recipe, camera)
+    for number, source in enumerate(recipe.scene, 1):
+        check_source(source, camera, f"scene {number}")
+        if OWN in recipe.illuminants and not has_own_light(source):
+            raise RecipeError(f'scene {number} has no light of its own; leave "{OWN}" out of illuminants')
+        if recipe.illuminants != [OWN] and not can_be_relit(source):
+            raise RecipeError(f'scene {number} holds radiance without its light; give light, or illuminants = ["{OWN}"]')
+    outputs = recipe.target.outputs
+    if outputs not in (*OUTPUTS, CAMERA) and not outputs.endswith(MEASURED):
+        known = suggestion(outputs, (*OUTPUTS, CAMERA))
+        raise RecipeError(f'target.outputs "{outputs}" is unknown; {known} (or a CSV file)')
+    if recipe.target.illuminant == OWN:
+        raise RecipeError(f'target.illuminant cannot be "{OWN}"; leave it out')
+    for pair in recipe.pair:
+        if min(pair.offset) < 0 or not (pair.scale is None or pair.scale > 0):
+            raise RecipeError(f"pair {pair.raw}: offset must not be negative and scale must be above zero")
+    if recipe.pair and outputs == CAMERA:
+        raise RecipeError("the target of a pair is a picture; target.outputs cannot be the camera's bands")
+
+
+def _check_exposures(recipe: SceneRecipe, camera: CameraModel) -> None:
+    way, exposures = recipe.exposures()
+    if not (recipe.illuminants and recipe.luminances_cd_m2 and exposures):
+        raise RecipeError("illuminants, luminances_cd_m2 and the exposures must each have an entry")
+    if not all(0 < value < float("inf") for value in (*recipe.luminances_cd_m2, *exposures)):
+        raise RecipeError("luminances and exposures must be above zero")
+    if way == "saturated" and max(exposures) >= 1:
+        raise RecipeError("exposure_saturated is a share of the pixels, below 1")
+    if way == "seconds" and not camera.absolute:
+        raise RecipeError(f"{camera.name} has only a relative responsivity; use exposure_share, not exposure_s")
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One frame to be simulated under a light, with an exposure."""
+
+    index: int  # of the frame
+    illuminant: str
+    luminance: float  # cd/m²
+    exposure: float  # seconds, share of full scale or share of saturated pixels, as SceneRecipe.exposures says
+
+
+def shots(recipe: SceneRecipe, files: list[list[Path]]) -> Iterator[tuple[WantedScene, list[Shot]]]:
+    """Every scene of the recipe with its frames; `files` are those of each of its sources, none where it has none."""
+    index = itertools.count()
+    for source, found in zip(recipe.scene, files, strict=True):
+        for scene in wanted_scenes(source, found):
+            settings = itertools.product(recipe.illuminants, recipe.luminances_cd_m2, recipe.exposures()[1])
+            yield scene, [Shot(next(index), *setting) for setting in settings]
+
+
+def patterns(recipe: SceneRecipe) -> list[str | None]:
+    """The file or glob of each source; None for built-in scenes."""
+    return [source.file if isinstance(source, FileSource) else None for source in recipe.scene]

@@ -1,0 +1,189 @@
+"""Patches → sums of their classes (docs/method.md#training). What each step costs decides its order:
+
+patches are turned tap by tap, rescaled, exposed and labelled in pieces that stay in the caches, of which only label, level
+and scale are kept; then all are sorted by class, made again without noise in pieces that end where classes end, weighed, and
+multiplied class by class.
+"""
+
+import itertools
+from collections.abc import Iterable, Iterator, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.class_rule import ClassRule
+from l3cli.artifacts.partial_sums import ClassSums
+from l3cli.artifacts.training_set import TrainingPair
+from l3cli.classes.decide import label_statistics
+from l3cli.classes.statistics import patch_statistics, truncation
+from l3cli.classes.windows import Neighbourhoods, TapOrder, neighbourhoods, tap_order
+from l3cli.training.division import BATCH
+from l3cli.training.lesson import Lesson
+from l3cli.training.patches import Floats, Patches, draw_levels, expose_patches, noise_share, patches_of
+from l3cli.training.sums import add_rounded, empty_sums, grid_steps, pairs
+from l3cli.training.weighing import Judge
+
+EXPOSED = 4096  # patches exposed at once, so that their arrays stay in the caches
+PIECE, LARGEST_PIECE = 1024, 4096  # rows weighed and multiplied at once, and where one class has so many
+DARKEST_LEVEL = 1e-4  # share of full scale: rows of darker patches get no more weight
+TARGET_FLOOR = 0.05  # of the level: rows of darker targets get no more weight (docs/method.md#row-weights)
+
+
+def sum_sites(
+    lesson: Lesson,
+    blocks: Iterable[tuple[int, tuple[int, ...], Iterator[TrainingPair]]],
+    judges: Mapping[int, Judge | None],
+) -> dict[int, ClassSums]:
+    """Sums of the canonical sites that `judges` names, whose rows they weigh, over blocks (index of the first frame, sites
+    that take part, frames); a frame is read once and let go."""
+    near = neighbourhoods(lesson.head.camera.cfa, lesson.rule.patch, len(lesson.head.camera.channels))
+    sums = {site: empty_sums(lesson.rule, len(lesson.head.outputs)) for site in judges}
+    for first, sites, frames in blocks:
+        rngs = {site: np.random.default_rng([lesson.seed, lesson.number, first, site]) for site in sites}
+        for site, patches in _batches(lesson, first, frames, near, rngs):
+            _Batch(lesson, patches, near, site, judges[site]).add_to(sums[site], rngs[site])
+    return sums
+
+
+def _batches(
+    lesson: Lesson, first: int, frames: Iterator[TrainingPair], near: Neighbourhoods, rngs: dict[int, np.random.Generator]
+) -> Iterator[tuple[int, Patches]]:
+    """The patches of a block, frames from `first`, for each site: together or, where one frame has more than BATCH, a part
+    of it at a time."""
+    waiting: dict[int, list[Patches]] = {site: [] for site in rngs}
+    for index, frame in enumerate(frames, first):
+        for site, rng in rngs.items():
+            rest = lesson.patches[index]
+            while rest:
+                count = min(rest, BATCH)
+                rest -= count
+                waiting[site].append(patches_of(frame, lesson.head, near, site, count, rng, lesson.recipe.symmetry))
+                if rest:
+                    yield site, waiting[site].pop()
+    for site, patches in waiting.items():
+        yield site, Patches.together(patches)
+        patches.clear()
+
+
+class _Batch:
+    """Patches of one site on their way into the sums."""
+
+    def __init__(self, lesson: Lesson, patches: Patches, near: Neighbourhoods, site: int, judge: Judge | None) -> None:
+        self.lesson, self.patches, self.near, self.site, self.judge = lesson, patches, near, site, judge
+        member = (near.channel[site][:, None] == np.arange(near.count.shape[1])) / near.count[site]
+        self.tap_share = member.mean(axis=1).astype(np.float32)  # level = mean over channels of the channel means
+
+    def add_to(self, sums: ClassSums, rng: np.random.Generator) -> None:
+        """Draw levels, decide classes and add everything to `sums`."""
+        label, level, scale = self._exposed(rng)
+        order = np.argsort(label, kind="stable")
+        label = label[order]
+        steps = grid_steps(self.lesson.rule, self.lesson.head.camera, self.patches.target.shape[1])
+        for piece in _pieces(label):
+            draw = order[piece]
+            patch = draw % len(self.patches.signal)
+            self._add_piece(sums, steps, label[piece], level[draw], scale[draw], patch, rng)
+
+    def _exposed(self, rng: np.random.Generator) -> tuple[NDArray[np.unsignedinteger], Floats, Floats]:
+        """Class, level as the camera sees it and scale of every draw of every patch (draw · patch)."""
+        lesson, signal = self.lesson, self.patches.signal
+        own_level = np.maximum(signal @ self.tap_share, 1e-3)
+        drawn = [self._drawn_scale(own_level, rng) for _ in range(lesson.draws)]
+        scale: Floats = np.array([self.patches.possible(one) for one in drawn], np.float32)
+        label = np.empty(scale.shape, dtype=np.min_scalar_type(lesson.rule.classes_per_site))
+        level = np.empty_like(scale)
+        order = tap_order(lesson.rule, self.near, self.site)
+        for first in range(0, len(signal), EXPOSED):
+            here = slice(first, first + EXPOSED)
+            for draw, seen in enumerate(self._seen(here, scale[:, here], order, rng)):
+                label[draw, here], level[draw, here] = seen
+        return label.reshape(-1), np.maximum(level, np.float32(DARKEST_LEVEL)).reshape(-1), scale.reshape(-1)
+
+    def _drawn_scale(self, own_level: Floats, rng: np.random.Generator) -> NDArray[np.float64]:
+        """Factors (patch) that take patches from their own level to one that is drawn."""
+        if not self.lesson.recipe.rescale:
+            return np.ones(own_level.size)
+        return draw_levels(self.lesson.recipe, own_level.size, rng) / own_level
+
+    def _seen(
+        self, here: slice, scale: Floats, order: TapOrder, rng: np.random.Generator
+    ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float64]]]:
+        """Class and level (patch) of the patches `here` at each row of `scale` (draw, patch), with noise."""
+        lesson, patches = self.lesson, self.patches
+        signal: Floats = np.ascontiguousarray(patches.signal[here].T)[order.taps]
+        carried: Floats | None = None if patches.carried is None else patches.carried[here].T[order.taps]
+        for row in scale:
+            left = None if carried is None else carried * row**2
+            values = expose_patches(signal * row, lesson.head.camera, rng, left, lesson.dark)
+            sums, squares, code = patch_statistics(values, lesson.rule, order)
+            yield label_statistics(sums, squares, code, lesson.rule, self.near, self.site), self._level(sums)
+
+    def _level(self, sums: NDArray[np.uint32]) -> NDArray[np.float64]:
+        """Level (patch) as a share of full scale: mean over the channels of the means of their `sums` (channel, patch)."""
+        camera, shift = self.lesson.head.camera, self.lesson.rule.shift
+        mean = (1 / (self.near.count[self.site] * len(sums))) @ sums
+        return (mean * 2**shift + (truncation(shift) - camera.black)) / (camera.white - camera.black)
+
+    def _add_piece(
+        self,
+        sums: ClassSums,
+        steps: NDArray[np.float64],
+        label: NDArray[np.unsignedinteger],
+        level: Floats,
+        scale: Floats,
+        patch: NDArray[np.int64],
+        rng: np.random.Generator,
+    ) -> None:
+        """Add rows of non-decreasing class: patches `patch` rescaled by `scale`, seen at `level`."""
+        clean = self.patches.signal.take(patch, axis=0)
+        clean *= scale[:, None]
+        target = self.patches.target[patch] * scale[:, None]
+        carried = None if self.patches.carried is None else self.patches.carried[patch] * scale[:, None] ** 2
+        variance = noise_share(clean, self.lesson.head.camera, carried, self.lesson.dark)
+        if self.lesson.recipe.noise == "sampled":
+            clean += np.sqrt(variance) * rng.standard_normal(clean.shape, dtype=np.float32)
+            variance[:] = 0
+        np.clip(clean, -np.inf, 1.0, out=clean)
+        start = np.flatnonzero(np.diff(label, prepend=label[0] + 1))  # a class begins where the label changes
+        runs = list(zip(label[start].tolist(), start.tolist(), [*start[1:].tolist(), len(label)], strict=True))
+        brightness = self.lesson.brightness(target) / level + np.float32(TARGET_FLOOR)
+        weight = brightness ** np.float32(-self.lesson.recipe.brightness_power) / level
+        if self.judge is not None:
+            weight *= self.judge.weight(clean, variance, target, level, runs)
+        taps = clean.shape[1]
+        rows = np.empty((len(label), taps + 1 + target.shape[1]), np.float32)
+        np.multiply(clean, weight[:, None], out=rows[:, :taps])
+        rows[:, taps] = weight
+        np.multiply(target, weight[:, None], out=rows[:, taps + 1 :])
+        _add_runs(sums, self.lesson.rule, steps, rows, variance, weight**2, runs)
+
+
+def _pieces(label: NDArray[np.unsignedinteger]) -> Iterator[slice]:
+    """Pieces of about PIECE of the rows whose sorted classes are `label`, which end where a class ends unless it is large:
+    a class's product costs little more for many rows than for few."""
+    start = np.flatnonzero(np.diff(label, prepend=label[0] + 1))
+    first = start[np.unique(start // PIECE, return_index=True)[1]].tolist()
+    for begin, end in itertools.pairwise([*first, len(label)]):
+        for part in range(begin, end, LARGEST_PIECE):
+            yield slice(part, min(part + LARGEST_PIECE, end))
+
+
+def _add_runs(
+    sums: ClassSums,
+    rule: ClassRule,
+    steps: NDArray[np.float64],
+    rows: Floats,
+    variance: Floats,
+    weight: Floats,
+    runs: list,
+) -> None:
+    """Add the products of the rows, and the noise variance by `weight`, of each class, first and last row of `runs`,
+    rounded to the grid of `steps` (level, pair)."""
+    width = rows.shape[1]
+    row, col = pairs(width)
+    place = row * width + col
+    for index, first, last in runs:
+        block = rows[first:last]
+        add_rounded(sums.moments[index], (block.T @ block).reshape(-1).take(place), steps[rule.split(index).level])
+        add_rounded(sums.noise[index], weight[first:last] @ variance[first:last], steps[0, 0])
+        sums.count[index] += last - first

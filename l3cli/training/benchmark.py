@@ -1,0 +1,119 @@
+"""How long one core takes to learn from a patch, on made-up frames."""
+
+import cProfile
+import pstats
+import resource
+import sys
+import time
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.training_set import TrainingFrame, TrainingSet
+from l3cli.training.accumulate import sum_sites
+from l3cli.training.division import frame_blocks
+from l3cli.training.lesson import FIRST, LAST, Lesson, spread_patches
+from l3cli.training.recipe import LearningRecipe, TrainingRecipe
+from l3cli.training.table import assemble, canonical_sites, learn_site, look_at, pilot_patches, survey
+from l3cli.training.weighing import judge_of
+
+REPEATS = 2  # of which the faster counts, in CPU seconds: other work on the machine only slows
+FRAMES, SIDE = 8, 160
+STAGES = {  # functions whose time, with all that they call, makes a stage
+    "patches": ("patches_of",),
+    "expose": ("expose_patches",),
+    "label": ("patch_statistics", "label_statistics"),
+    "weigh": ("noise_share", "weight"),
+    "sum": ("_add_runs",),
+    "solve": ("learn_site", "assemble"),
+}
+
+
+@dataclass(frozen=True)
+class Case:
+    """One line of the benchmark: both passes of the default classes, so many patches a site."""
+
+    patches: int
+
+
+CASES = (Case(60_000),)
+
+
+def measure(camera: CameraModel, case: Case) -> dict[str, Any]:
+    """The faster of REPEATS trainings from frames in memory to a table, told apart by stages, and the peak memory of this
+    process, which parallel.alone keeps to one thread. A row is a patch at one of the levels it is rescaled to."""
+    frames = [made_up_frame(camera, seed) for seed in range(FRAMES)]
+    recipe = TrainingRecipe(learning=LearningRecipe(patches=case.patches))
+    times, rows = [], 0
+    for _ in range(REPEATS):
+        start = time.process_time()
+        rows = train(frames, camera, recipe)
+        times.append(time.process_time() - start)
+    with cProfile.Profile(time.process_time) as profile:
+        train(frames, camera, recipe)
+    kib = 1 if sys.platform != "darwin" else 1024  # what getrusage counts in
+    return {
+        "patches": case.patches,
+        "channels": len(camera.channels),
+        "rows": rows,
+        "cpu_s": min(times),
+        "rows_per_s": rows / min(times),
+        "stages_ns": {name: share * min(times) / rows * 1e9 for name, share in stage_shares(profile).items()},  # a row
+        "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / kib / 1e3,
+    }
+
+
+def train(frames: list[TrainingFrame], camera: CameraModel, recipe: TrainingRecipe) -> int:
+    """Both passes over `frames` to a table; the number of rows that were added up."""
+    head = TrainingSet(camera=camera, outputs=("X", "Y", "Z"), target_description="made up")
+    patches = spread_patches(recipe.learning.patches, [len(frames)], None)
+    pilot = look_at(frames, 0, pilot_patches(patches), head, recipe, 0)
+    rule, white, exposure = survey([pilot], patches, head, recipe, 0)
+    lesson, table, rows = Lesson(head, patches, rule, recipe.learning, white, 0, FIRST, exposure), None, 0
+    for number in (FIRST, LAST):
+        lesson = replace(lesson, number=number)
+        sites = canonical_sites(head, rule, lesson.recipe)
+        judges = {site: judge_of(table, site, lesson.recipe.error_power) if table else None for site in sites}
+        blocks = [(block[0], tuple(judges), iter(frames[block.start : block.stop])) for block in frame_blocks(lesson)]
+        sums = sum_sites(lesson, blocks, judges)
+        rows += sum(int(own.count.sum()) for own in sums.values())
+        table = assemble(lesson, {site: learn_site(lesson, [sums.pop(site)], site) for site in judges}, ())
+    return rows
+
+
+def stage_shares(profile: cProfile.Profile) -> dict[str, float]:
+    """The share of the profiled time in each of STAGES, and in all the rest."""
+    profile.create_stats()
+    stats = pstats.Stats(profile)
+    spent = dict.fromkeys(STAGES, 0.0)
+    for (path, _, name), (_, _, _, cumulative, _) in stats.stats.items():  # type: ignore[attr-defined]
+        for stage, names in STAGES.items():
+            if name in names and "l3cli" in path:
+                spent[stage] += cumulative
+    whole = stats.total_tt  # type: ignore[attr-defined]
+    shares = {stage: seconds / whole for stage, seconds in spent.items()}
+    return {**shares, "rest": 1 - sum(shares.values())}
+
+
+def made_up_frame(camera: CameraModel, seed: int) -> TrainingFrame:
+    """Squares of many colours and sizes, lit unevenly."""
+    rng = np.random.default_rng(seed)
+    share = np.full((len(camera.channels), SIDE, SIDE), 0.3)
+    for size in np.geomspace(80, 3, 400).astype(int):
+        row, col = rng.integers(0, SIDE - size, 2)
+        share[:, row : row + size, col : col + size] = rng.random((len(share), 1, 1))
+    share *= np.linspace(0.3, 1.0, SIDE)
+    target = np.einsum("oc,crk->ork", rng.random((3, len(share))), share) * camera.white_dose / 0.01
+    return TrainingFrame(
+        raw=np.zeros((SIDE, SIDE), np.uint16),
+        electrons=(share * camera.full_scale).astype(np.float32),
+        target=target.astype(np.float32),
+        white=np.array([95.0, 100.0, 109.0]),
+        scene="made up",
+        illuminant="D65",
+        luminance=100.0,
+        exposure=0.01,
+        seed=(0, seed),
+    )

@@ -1,0 +1,58 @@
+"""How a pass is divided: frames into blocks, blocks and sites among processes. Sums are the same however it is done."""
+
+import itertools
+from dataclasses import dataclass
+
+from l3cli.training.lesson import Lesson
+from l3cli.training.sums import empty_sums
+
+BATCH = 50_000  # patches that are sorted together: bounds memory, and makes a class's product large enough to be fast
+SUM_BYTES = 200 << 20  # of sums that a process fills at a time, if it is more than those of two sites
+
+
+@dataclass(frozen=True)
+class Portion:
+    """What one process sums up in one go over the frames."""
+
+    blocks: tuple[tuple[range, tuple[int, ...]], ...]  # frames, and the canonical sites that take patches from them
+    whole: tuple[int, ...]  # the sites that no other portion takes part in
+
+    @property
+    def sites(self) -> tuple[int, ...]:
+        return tuple(sorted({site for _, sites in self.blocks for site in sites}))
+
+
+def frame_blocks(lesson: Lesson) -> list[range]:
+    """The frames in runs of about BATCH patches or less, which are sorted together; whole blocks are dealt to shards and
+    processes. Blocks are nearly equal, so that nobody waits for the largest."""
+    total, before = sum(lesson.patches), 0
+    count = -(-total // BATCH)
+    starts: list[int] = []
+    for index, patches in enumerate(lesson.patches):
+        if before * count // total >= len(starts):
+            starts.append(index)
+        before += patches
+    return [range(first, last) for first, last in itertools.pairwise([*starts, len(lesson.patches)])]
+
+
+def portions(lesson: Lesson, sites: list[int], blocks: list[range], jobs: int) -> list[Portion]:
+    """All blocks of all sites in nearly equal portions for `jobs` processes, each of as few sites as can be."""
+    one = empty_sums(lesson.rule, len(lesson.head.outputs))
+    most = max(2, SUM_BYTES // one.moments.nbytes)  # sites at a time
+    units = [(site, block) for site in sites for block in blocks]
+    for count in itertools.count(jobs, jobs):
+        edges = [len(units) * part // count for part in range(count + 1)]
+        parts = [units[first:last] for first, last in itertools.pairwise(edges) if last > first]
+        if max((len({site for site, _ in part}) for part in parts), default=0) <= most:
+            break
+    return [
+        Portion(
+            tuple(
+                (block, tuple(site for site, own in part if own == block))
+                for block in blocks
+                if block in {own for _, own in part}
+            ),
+            tuple(site for site in sites if all((site, block) in part for block in blocks)),
+        )
+        for part in parts
+    ]

@@ -1,0 +1,71 @@
+"""What clipped areas are taken for: grey, the more channels clip the surer (docs/method.md#clipped-areas).
+
+Where channels clip, the colour of a surface is lost with them, and the mean colour of all training surfaces that clip alike
+is no good guess: it gives highlights a cast. Highlights are mostly neutral, and a neutral error is the one that nobody sees.
+So every class near saturation is taught, beside its patches, flat greys of the training light that clip as its patches do.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.class_rule import ClassRule
+from l3cli.artifacts.partial_sums import ClassSums
+from l3cli.classes import level, saturation
+from l3cli.training.sums import moment_matrix
+
+Array = NDArray[np.float64]
+
+DARKEST, BRIGHTEST, STEP = 0.3, 1.0, 1.02  # greys, of those that just clip the first and the last channel
+NEARLY = (0.94, 0.97, 1.0)  # of the saturation threshold: noise lets greys this bright clip
+ODDS = 4.0  # greys a patch of the class, times clipped channels per one that is not; 1 leaves seams between classes …
+SUREST = 30.0  # … and this many where every channel clips
+FAINTEST = 1e-6  # of the largest: directions in which the outputs vary less are not followed
+
+
+def grey_patches(
+    sums: ClassSums, rule: ClassRule, window: NDArray[np.int64], white: Array, black: float, top: float
+) -> dict[int, Array]:
+    """Moments (column, column) of flat greys for the classes near saturation in which greys come to lie: their mean
+    times the number of greys a patch of the class (ODDS).
+
+    `window` (tap) names the channel of each tap, `white` (output) is that of the training light at Y = 1, `black` and `top`
+    are the camera's black and saturation level in DN.
+    """
+    flat = _flat_moments(sums, rule, window.size + 1 + white.size)
+    signal = _channels_of(flat, window, white)
+    if signal is None:
+        return {}
+    rows: dict[int, list[Array]] = {}
+    threshold = (rule.saturation - black) / (top - black)
+    for grey in np.exp(np.arange(np.log(DARKEST / signal.max()), np.log(BRIGHTEST / signal.min()), np.log(STEP))):
+        clipped = np.minimum(grey * signal, 1.0)
+        at = level.level_of_mean(rule, float((clipped * (top - black) + black).sum()))
+        row = np.concatenate([clipped[window], [1.0], grey * white]) / np.sqrt(clipped.mean() * grey)
+        for nearly in NEARLY:
+            saturated = clipped >= nearly * threshold
+            case = int(saturation.cases(rule, saturation.code_of(saturated)))
+            if not case:
+                continue
+            share = saturated.mean()
+            weight = np.sqrt(min(ODDS * share / max(1.0 - share, 1e-9), SUREST))
+            for near in {max(at - 1, 0), at, min(at + 1, rule.levels - 1)}:
+                for index in rule.join(near, np.arange(rule.contrasts), rule.kinds_of(case)).tolist():
+                    rows.setdefault(index, []).append(weight * row)
+    return {index: np.array(own).T @ np.array(own) / len(own) for index, own in rows.items()}
+
+
+def _flat_moments(sums: ClassSums, rule: ClassRule, width: int) -> Array:
+    """Summed moments (column, column) of all unsaturated patches of the lowest contrast."""
+    return moment_matrix(rule.by_axis(sums.moments)[0, :, 0, rule.kinds_of(0)].sum(axis=(0, 1)), width)
+
+
+def _channels_of(moments: Array, window: NDArray[np.int64], white: Array) -> Array | None:
+    """Signals (channel) of the training light's white at Y = 1, by regression of the channels on the outputs (a per cent or
+    two off where the training surfaces differ from white). None if there are no patches."""
+    taps = window.size
+    power = moments[taps + 1 :, taps + 1 :]
+    if not power.any():
+        return None
+    of_outputs = moments[:taps, taps + 1 :] @ np.linalg.pinv(power, rcond=FAINTEST, hermitian=True)
+    signal = np.bincount(window, of_outputs @ white) / np.bincount(window)
+    return signal if signal.min() > 0 else None

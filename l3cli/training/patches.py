@@ -1,0 +1,200 @@
+"""Patches of a training frame, and their levels (docs/method.md#patches, docs/method.md#level-rescaling)."""
+
+import functools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.training_set import TrainingFrame, TrainingPair, TrainingSet
+from l3cli.classes.windows import Neighbourhoods
+from l3cli.errors import InputFileError
+from l3cli.training.recipe import LearningRecipe
+from l3cli.training.symmetry import orientations, site_maps
+
+Floats = NDArray[np.float32]
+QUANTISATION = 1 / 12  # DN², of rounding to whole DN
+
+
+@dataclass(frozen=True)
+class Patches:
+    """Noise-free, unclipped patches of one canonical site with their targets."""
+
+    signal: Floats  # (patch, tap) share of full scale
+    target: Floats  # (patch, output) in the table's output unit
+    carried: Floats | None = None  # (patch, tap) noise variance that a real signal already has, full scale²; simulated: 0
+
+    def possible(self, scale: NDArray[np.float64]) -> NDArray[np.float64]:
+        """`scale` (patch) as far as the patches can follow. Simulated ones follow everywhere. Real ones carry noise and
+        clipped values: they can be made darker, since noise can be added, but not brighter, and not at all if a tap clips.
+        """
+        if self.carried is None:
+            return scale
+        followed = np.where((self.signal >= 1).any(axis=1), 1.0, np.minimum(scale, 1.0))
+        return np.where(self.carried.any(axis=1), followed, scale)
+
+    @classmethod
+    def together(cls, parts: list["Patches"]) -> "Patches":
+        """All patches of `parts`; simulated ones among real ones carry a variance of zero."""
+        carried = None
+        if any(part.carried is not None for part in parts):
+            carried = np.concatenate([np.zeros_like(p.signal) if p.carried is None else p.carried for p in parts])
+        signal, target = (np.concatenate([getattr(part, name) for part in parts]) for name in ("signal", "target"))
+        return cls(signal, target, carried)
+
+
+def patches_of(
+    frame: TrainingPair,
+    head: TrainingSet,
+    near: Neighbourhoods,
+    site: int,
+    count: int,
+    rng: np.random.Generator,
+    shared: bool = True,
+) -> Patches:
+    """`count` patches of a simulated frame or a real pair, laid out like those of canonical `site`; whether sites share
+    their training, as in site_maps, matters to real pairs."""
+    side = int(np.sqrt(near.channel.shape[1]))
+    if frame.raw.shape[0] < side or frame.raw.shape[1] < side:
+        rows, cols = frame.raw.shape
+        raise InputFileError(f"frame of scene {frame.scene} is {rows}×{cols}, smaller than the {side}×{side} patch")
+    if isinstance(frame, TrainingFrame):
+        unit = head.camera.white_dose
+        return sample_patches(frame, head, unit, near.channel[site], count, orientations(side), rng)
+    return sample_pair(frame, head.camera, near, site, count, rng, shared)
+
+
+def sample_pair(
+    pair: TrainingPair,
+    camera: CameraModel,
+    near: Neighbourhoods,
+    site: int,
+    count: int,
+    rng: np.random.Generator,
+    shared: bool = True,
+) -> Patches:
+    """`count` patches of a real pair at random places among the sites that are canonical `site` turned or mirrored: only
+    there, and only turned so, is its mosaic that of the table."""
+    side = int(np.sqrt(near.channel.shape[1]))
+    radius, period = side // 2, camera.cfa.shape
+    rows, cols = pair.raw.shape
+    every = enumerate(site_maps(near.channel, side, shared))
+    maps = [(other, found) for other, found in every if found.canonical == site]
+    reach = np.arange(side) - radius
+    offset = (reach[:, None] * cols + reach[None]).ravel()
+    places, takes = [], []
+    for part, (other, found) in enumerate(maps):
+        number = (part + 1) * count // len(maps) - part * count // len(maps)
+        down = np.arange(radius + (other // period[1] - radius) % period[0], rows - radius, period[0])
+        across = np.arange(radius + (other % period[1] - radius) % period[1], cols - radius, period[1])
+        if not (down.size and across.size):
+            continue
+        place = rng.choice(down, number) * cols + rng.choice(across, number)
+        places.append(place)
+        takes.append(place[:, None] + offset[found.permutation])
+    if not places:
+        raise InputFileError(f"pair {pair.scene} is too small for a patch of every site; give a larger picture")
+    values = pair.raw.reshape(-1)[np.concatenate(takes)].astype(np.float32)
+    span = np.float32(camera.white - camera.black)
+    signal = (values - np.float32(camera.black)) / span
+    carried = (camera.noise_variance(signal * span) / span**2).astype(np.float32)
+    signal[values >= np.floor(camera.white)] = 1.0
+    target = pair.target.reshape(len(pair.target), -1)[:, np.concatenate(places)].T
+    scaled = target * np.float32(pair.exposure / camera.white_dose)
+    return Patches(signal, np.ascontiguousarray(scaled, np.float32), carried)
+
+
+def sample_patches(
+    frame: TrainingFrame,
+    head: TrainingSet,
+    unit: float,
+    window: NDArray[np.int64],
+    count: int,
+    orientations: list[NDArray[np.int64]],
+    rng: np.random.Generator,
+) -> Patches:
+    """`count` patches at random places and orientations of a frame, seen through the CFA `window` (tap).
+
+    The mosaic is laid over the full-resolution electrons at any offset, after mirroring and turning the scene.
+    """
+    side = int(np.sqrt(window.size))
+    radius = side // 2
+    _, rows, cols = frame.electrons.shape
+    row = rng.integers(radius, rows - radius, count)
+    col = rng.integers(radius, cols - radius, count)
+    turn = np.arange(count) * len(orientations) // count
+    reach = np.arange(side) - radius
+    offset = (reach[:, None] * cols + reach[None]).ravel()
+    channel_start = window * (rows * cols)
+    electrons = frame.electrons.reshape(-1)
+    signal = np.empty((count, window.size), dtype=np.float32)
+    for index, permutation in enumerate(orientations):
+        chosen = np.flatnonzero(turn == index)
+        place = (row[chosen] * cols + col[chosen])[:, None] + (offset[permutation] + channel_start)[None]
+        signal[chosen] = electrons[place]
+    signal *= np.float32(1.0 / head.camera.full_scale)
+    target = frame.target[:, row, col].T * np.float32(frame.exposure / unit)
+    return Patches(signal, np.ascontiguousarray(target))
+
+
+def draw_levels(recipe: LearningRecipe, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    """`count` levels, share of full scale: log-uniform over the whole range, a share of them over the highlights."""
+    low = np.where(rng.random(count) < recipe.highlight_share, recipe.highlight_from, recipe.darkest)
+    return low * (recipe.brightest / low) ** rng.random(count)
+
+
+@functools.cache
+def _normal_deviates() -> Floats:
+    return np.random.default_rng(0).standard_normal(1 << 20, dtype=np.float32)
+
+
+def _normal(shape: tuple[int, ...], rng: np.random.Generator) -> Floats:
+    """Standard normal values: a run of 2²⁰ deviates from a random place on. Enough for class decisions, where each patch
+    counts by itself, and twenty times as fast as fresh ones."""
+    pool, size = _normal_deviates(), math.prod(shape)
+    start = rng.integers(max(pool.size - size, 0), endpoint=True)
+    run = pool[start : start + size]
+    return (run if run.size == size else np.resize(run, size)).reshape(shape)
+
+
+def expose_patches(
+    signal: Floats,
+    camera: CameraModel,
+    rng: np.random.Generator,
+    carried: Floats | None = None,
+    dark: float = 0.0,
+) -> NDArray[np.uint32]:
+    """The noisy DN that decide the class of `signal` in shares of full scale, (patch, tap) or (tap, patch), in a frame of
+    which `dark` DN of dark current have been taken off. A simulated signal lacks all noise, a real one what goes beyond the
+    variance `carried` already."""
+    noisy = _variance(signal, camera, carried, dark, QUANTISATION)
+    np.sqrt(noisy, out=noisy)
+    noisy *= _normal(signal.shape, rng)
+    noisy += signal
+    noisy *= np.float32(camera.white - camera.black)
+    noisy += np.float32(camera.black + 0.5)  # cast rounds down
+    return np.clip(noisy, 0.0, np.floor(camera.white), out=noisy).astype(np.uint32)
+
+
+def noise_share(signal: Floats, camera: CameraModel, carried: Floats | None = None, dark: float = 0.0) -> Floats:
+    """Variance of the noise that signals (patch, tap) lack, in units of full scale squared; 0 where clipped. `dark` as for
+    `expose_patches`."""
+    variance = _variance(signal, camera, carried, dark)
+    variance *= signal < 1
+    return variance
+
+
+def _variance(signal: Floats, camera: CameraModel, carried: Floats | None, dark: float, later: float = 0.0) -> Floats:
+    """camera.noise_variance in units of full scale, less what signals carry, as only real ones do, which alone are ever
+    negative, and what rounding will add `later` (DN²)."""
+    if carried is not None:
+        signal = np.clip(signal, 0.0, np.inf)
+    span = camera.white - camera.black
+    constant, linear, quadratic = camera.noise_terms(dark)
+    variance = signal * np.float32(quadratic)
+    variance += np.float32(linear / span)
+    variance *= signal
+    variance += np.float32((constant - later) / span**2)
+    return variance if carried is None else np.clip(variance - carried, 0.0, np.inf)

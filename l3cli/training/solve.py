@@ -1,0 +1,231 @@
+"""From sums to transforms: a Wiener solution a class, thin ones shrunk, empty ones filled (docs/method.md#solution)."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.class_rule import ClassRule
+from l3cli.artifacts.partial_sums import ClassSums
+from l3cli.errors import L3Error
+from l3cli.training.highlights import grey_patches
+from l3cli.training.recipe import LearningRecipe
+from l3cli.training.sums import moment_matrix, symmetric_places
+
+Array = NDArray[np.float64]
+CASE_SHARE = 0.1  # of the pseudo-patches come from all levels of a case
+
+
+@dataclass(frozen=True)
+class Goal:
+    """What the transforms are to give."""
+
+    outputs: tuple[str, ...]
+    white: Array  # (output) a perfect white under the training light, Y = 1
+    black: float  # DN, of the camera
+    top: float  # DN, at which a pixel of the camera saturates
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Wiener solutions of the classes of one canonical site, in the opponent basis, and what it costs to bend them.
+
+    Rows run over the taps and the intercept. `response` says what a flat patch of one channel (last: the intercept) adds to
+    each output; `compliance` is how rows give way when that is changed by one (docs/method.md#equal-response).
+    """
+
+    rows: Array  # (class, tap + 1, output)
+    response: Array  # (class, channel + 1, output)
+    compliance: Array  # (class, noise factor, tap + 1, channel + 1)
+    softness: Array  # (class, noise factor, channel + 1, channel + 1): the response of the compliance
+    solved: NDArray[np.bool_]  # (class)
+    samples: Array  # (class) patches of its own
+    condition: Array  # (class) of the equations for the least noisy row; 0: not solved
+
+
+@dataclass(frozen=True)
+class Transforms:
+    """Transforms of the classes of one site, taps in units of full scale."""
+
+    weights: Array  # (class, output, tap)
+    intercept: Array  # (class, output)
+    samples: Array  # (class) patches of its own; 0: filled
+    condition: Array  # (class)
+
+
+def solve(
+    sums: ClassSums,
+    rule: ClassRule,
+    window: NDArray[np.int64],
+    stabilisers: list[NDArray[np.int64]],
+    recipe: LearningRecipe,
+    goal: Goal,
+) -> Solution:
+    """Solutions for every class of a site that has patches or a parent with patches: T = Y Xᵀ (X Xᵀ + Λ)⁻¹, thin classes
+    helped by their neighbours; `window` (tap) names the channel of each tap, and `stabilisers` (tap) are the orientations
+    that leave it as it is, over which sums are averaged. Raises L3Error if no class has any patches."""
+    parents = _parents(sums, rule)
+    parent = _parent_of(np.arange(sums.count.size), rule)
+    solved = parents.count[parent] > 0 if recipe.parent_patches else sums.count > 0
+    if not solved.any():
+        raise L3Error("no class has training patches; simulate more frames")
+    places = symmetric_places(stabilisers, window.size + 1 + len(goal.outputs))
+    groups = np.append(window, window.max() + 1)  # every channel, and the intercept as one more
+    member = (groups[None] == np.arange(groups.max() + 1)[:, None]).astype(np.float64)
+    factors = _noise_factors(recipe, goal)
+    basis = _opponent_basis(goal)
+    greys = grey_patches(sums, rule, window, goal.white, goal.black, goal.top)
+    rows = np.zeros((solved.size, groups.size, len(goal.outputs)))
+    compliance = np.zeros((solved.size, len(set(factors)), groups.size, len(member)))
+    condition = np.zeros(solved.size)
+    columns = {factor: [column for column, own in enumerate(factors) if own == factor] for factor in sorted(set(factors))}
+    for index in np.flatnonzero(solved).tolist():
+        packed, noise = _shrunk(sums, parents, index, rule, recipe)
+        moments = moment_matrix(packed[places].mean(axis=0), groups.size + len(goal.outputs))
+        noise = noise[np.array(stabilisers)].mean(axis=0)
+        if index in greys:
+            moments += (sums.count[index] + recipe.parent_patches) * greys[index]
+        used = groups.size if rule.case(rule.split(index).kind) else groups.size - 1  # an intercept if saturated
+        for number, (factor, wanted) in enumerate(columns.items()):
+            system = _system(moments[:used, :used], noise, factor, recipe.ridge)
+            cross = moments[:used, groups.size :] @ basis[:, wanted]
+            found, worst = _solve_positive(system, np.concatenate([cross, member.T[:used]], axis=1))
+            rows[index, :used, wanted] = found[:, : len(wanted)].T
+            compliance[index, number, :used] = found[:, len(wanted) :]
+            condition[index] = max(condition[index], worst)
+    return Solution(rows, member @ rows, compliance, member @ compliance, solved, sums.count, condition)
+
+
+def equal_responses(
+    solutions: list[Solution], copies: list[int], rule: ClassRule, recipe: LearningRecipe, goal: Goal
+) -> list[Transforms]:
+    """Transforms of the canonical sites, each of which stands for `copies` sites, bent so that every class answers a flat
+    patch alike at all sites; else the CFA shows on plain areas (docs/method.md#equal-response). Of all common responses the
+    one of least total squared error is taken. Classes that some site has no solution for are filled from the nearest, at all
+    sites from the same one. L3Error if there is no class that all sites have a solution for.
+    """
+    factors = _noise_factors(recipe, goal)
+    bent = [solution.rows.copy() for solution in solutions]
+    solved = np.all([solution.solved for solution in solutions], axis=0)
+    if not solved.any():
+        raise L3Error("no class has training patches at every CFA site; simulate more frames")
+    saturated = rule.case(rule.split(np.arange(solved.size)).kind) > 0
+    for kind in (False, True):
+        used = slice(None) if kind else slice(0, -1)  # without an intercept there is none to equalise
+        here = np.flatnonzero(solved & (saturated == kind))
+        for output, factor in enumerate(factors if recipe.equal_response else ()):
+            number = sorted(set(factors)).index(factor)
+            stiffness = [np.linalg.inv(solution.softness[here, number][:, used, used]) for solution in solutions]
+            response = [solution.response[here][:, used, output, None] for solution in solutions]
+            total = sum(copy * stiff for copy, stiff in zip(copies, stiffness, strict=True))
+            pull = sum(copy * k @ r for copy, k, r in zip(copies, stiffness, response, strict=True))
+            common = np.linalg.solve(total, pull)
+            for site, (stiff, own) in enumerate(zip(stiffness, response, strict=True)):
+                change = solutions[site].compliance[here, number][:, :, used] @ (stiff @ (common - own))
+                bent[site][here, :, output] += change[..., 0]
+    back = np.linalg.inv(_opponent_basis(goal))
+    transforms = []
+    for solution, rows in zip(solutions, bent, strict=True):
+        filled = np.swapaxes(rows @ back, 1, 2)[_nearest(solved, rule)]
+        transforms.append(Transforms(filled[..., :-1], filled[..., -1], solution.samples, solution.condition))
+    return transforms
+
+
+def _shrunk(sums: ClassSums, parents: ClassSums, index: int, rule: ClassRule, recipe: LearningRecipe) -> tuple[Array, Array]:
+    """Moments (pair) and noise (tap) of a class with help (docs/method.md#thin-classes): unsaturated, sums of the levels
+    beside it, which add since sums are relative to the level; and pseudo-patches of its parent."""
+    (_, level, contrast, kind), parent = rule.split(index), _parent_of(index, rule)
+    moments, noise, count = sums.moments[index].copy(), sums.noise[index], sums.count[index]
+    pool = recipe.level_pool if count > 0 and not rule.case(kind) else ()
+    for distance, weight in enumerate(pool, start=1):
+        for other in (level - distance, level + distance):
+            if 0 <= other < rule.levels:
+                neighbour = rule.join(other, contrast, kind)
+                moments += weight * sums.moments[neighbour]
+                count += weight * sums.count[neighbour]
+    if count > 0:
+        noise = noise * (count / sums.count[index])  # the class's own, scaled to the new number of patches
+    return (
+        moments + recipe.parent_patches * parents.moments[parent],
+        noise + recipe.parent_patches * parents.noise[parent],
+    )
+
+
+def _parents(sums: ClassSums, rule: ClassRule) -> ClassSums:
+    """Mean sums of a patch of each parent: the classes of its level, contrast and saturation case, whatever their chroma,
+    or where none of them has patches those of any contrast; and a share of its case's (docs/method.md#thin-classes). A
+    parent's count is that of its level and case."""
+    first = np.unique(rule.case(np.arange(rule.kinds)), return_index=True)[1]  # kind of each case
+
+    def by_case(values: Array) -> Array:
+        return np.add.reduceat(values.reshape(*rule.shape, -1), first, axis=2)
+
+    count = by_case(sums.count)
+
+    def means(values: Array) -> Array:
+        own = by_case(values)
+        near = own / np.maximum(count, 1e-9)
+        level = own.sum(axis=1, keepdims=True) / np.maximum(count.sum(axis=1, keepdims=True), 1e-9)
+        case = own.sum(axis=(0, 1)) / np.maximum(count.sum(axis=(0, 1)), 1e-9)
+        mean = (1 - CASE_SHARE) * np.where(count > 0, near, level) + CASE_SHARE * case
+        return mean.reshape(-1, own.shape[-1])
+
+    level_count = np.broadcast_to(count.sum(axis=1, keepdims=True), count.shape)
+    return ClassSums(means(sums.moments), means(sums.noise), level_count.reshape(-1).copy())
+
+
+def _parent_of(index: Any, rule: ClassRule) -> Any:
+    """The parent of classes `index`, which tells saturation cases but not chromas apart."""
+    _, level, contrast, kind = rule.split(index)
+    return rule.join_cases(level, contrast, rule.case(kind))
+
+
+def _system(power: Array, noise: Array, factor: float, ridge: float) -> Array:
+    """X Xᵀ + factor · Λ + ridge over taps and, if `power` has it, the intercept."""
+    taps = noise.size
+    system = power.copy()
+    diagonal = system.reshape(-1)[:: len(system) + 1]
+    diagonal[taps:] += 1e-9
+    diagonal[:taps] += factor * noise + ridge * diagonal[:taps].mean() + 1e-12
+    return system
+
+
+def _solve_positive(system: Array, right: Array) -> tuple[Array, float]:
+    """The solution of a symmetric positive system by Cholesky, and an estimate of its condition number (1-norm)."""
+    from scipy.linalg import lapack
+
+    factor, failed = lapack.dpotrf(system.T, lower=False)
+    if failed:  # rounding has made a nearly singular system indefinite
+        return np.asarray(np.linalg.solve(system, right), np.float64), float(np.linalg.cond(system, 1))
+    found, _ = lapack.dpotrs(factor, right, lower=False)
+    reciprocal, _ = lapack.dpocon(factor, np.abs(system).sum(axis=0).max(), uplo="U")
+    return found, 1.0 / max(reciprocal, 1e-30)
+
+
+def _noise_factors(recipe: LearningRecipe, goal: Goal) -> list[float]:
+    """How much each row of the opponent basis weighs noise against bias (docs/method.md#noise-weights)."""
+    if goal.outputs == ("X", "Y", "Z"):
+        return [recipe.chroma_noise, recipe.luminance_noise, recipe.chroma_noise]
+    return [recipe.luminance_noise] * len(goal.outputs)
+
+
+def _opponent_basis(goal: Goal) -> Array:
+    """Columns X − X_w Y, Y, Z − Z_w Y for XYZ, zero on greys under the training light; the identity for other outputs."""
+    basis = np.eye(len(goal.outputs))
+    if goal.outputs == ("X", "Y", "Z"):
+        basis[1, 0], basis[1, 2] = -goal.white[0], -goal.white[2]
+    return basis
+
+
+def _nearest(filled: NDArray[np.bool_], rule: ClassRule) -> NDArray[np.int64]:
+    """For every class the filled class it takes its transform from: itself, else the same kind at the nearest level and
+    contrast, else the nearest of any kind."""
+    _, level, contrast, kind = rule.split(np.arange(filled.size))
+    known = np.flatnonzero(filled)
+    source = np.arange(filled.size)
+    for index in np.flatnonzero(~filled):
+        far = np.abs(level[known] - level[index]) * rule.contrasts + np.abs(contrast[known] - contrast[index])
+        far = far + (kind[known] != kind[index]) * filled.size
+        source[index] = known[np.argmin(far)]
+    return source

@@ -1,0 +1,176 @@
+"""The training room's front: what the command calls, in the order it calls it."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.class_rule import ClassRule
+from l3cli.artifacts.partial_sums import ClassSums
+from l3cli.artifacts.schema import Stage
+from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.training_set import TrainingPair, TrainingSet
+from l3cli.classes.chroma import channel_shares, choose_chromas
+from l3cli.classes.rule import make_rule
+from l3cli.classes.saturation import choose_cases, saturation_codes
+from l3cli.classes.windows import neighbourhoods
+from l3cli.errors import InputFileError
+from l3cli.training.lesson import Lesson, brightness_of
+from l3cli.training.patches import draw_levels, expose_patches, patches_of
+from l3cli.training.recipe import LearningRecipe, TrainingRecipe
+from l3cli.training.solve import Goal, Solution, equal_responses, solve
+from l3cli.training.sums import add, empty_sums, grid_steps, require_exact
+from l3cli.training.symmetry import orientations, site_maps, stabilisers
+
+PILOT_PATCHES = 4000  # patches a site over all frames that decide which saturation cases are kept
+
+
+@dataclass(frozen=True)
+class Pilot:
+    """What the class rule is chosen from, of some frames."""
+
+    occurrences: NDArray[np.int64]  # (code) of each saturation code
+    shares: NDArray[np.float64]  # (patch, channel)
+    whites: NDArray[np.float64]  # (frame, output) of their lights, each at Y = 1
+    exposures: NDArray[np.float64]  # (frame) s; real pairs, whose dark current is off already: 0
+
+
+def look_at(
+    frames: Iterable[TrainingPair], first: int, patches: Sequence[int], head: TrainingSet, recipe: TrainingRecipe, seed: int
+) -> Pilot:
+    """A pilot sample of `frames`, the first of which has the index `first` and which give so many `patches` (frame)."""
+    camera = head.camera
+    codes = 2 ** len(camera.channels)
+    rule = make_rule(recipe.classes, camera, np.zeros(codes, dtype=np.uint16))
+    near = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
+    canonical = canonical_sites(head, rule, recipe.learning)
+    occurrences = np.zeros(codes, dtype=np.int64)
+    shares, whites, exposures = [], [], []
+    for index, (frame, count) in enumerate(zip(frames, patches, strict=True), first):
+        whites.append(_unit_white(frame, head.outputs))
+        exposures.append(frame.dark_time)
+        dark = _dark_signal(frame, camera)
+        for site in canonical:
+            rng = np.random.default_rng([seed, 0, index, site])
+            pilot = patches_of(frame, head, near, site, count, rng, recipe.learning.symmetry)
+            own_level = np.maximum(pilot.signal.mean(axis=1), 1e-3)
+            scale = pilot.possible(draw_levels(recipe.learning, len(own_level), rng) / own_level)[:, None]
+            carried = None if pilot.carried is None else (pilot.carried * scale**2).astype(np.float32)
+            values = expose_patches((pilot.signal * scale).astype(np.float32), camera, rng, carried, dark)
+            occurrences += np.bincount(saturation_codes(values, rule, near, site), minlength=codes)
+            shares.append(channel_shares(pilot.signal, near, site))
+    return Pilot(occurrences, np.concatenate(shares), np.array(whites), np.array(exposures))
+
+
+def pilot_patches(patches: Sequence[int]) -> list[int]:
+    """Patches (frame) a site of the pilot sample of frames that have `patches` (frame)."""
+    total = sum(patches)
+    return [-(-PILOT_PATCHES * share // total) for share in patches]
+
+
+def survey(
+    pilots: Iterable[Pilot], patches: Sequence[int], head: TrainingSet, recipe: TrainingRecipe, seed: int
+) -> tuple[ClassRule, NDArray[np.float64], float]:
+    """The class rule for `head.camera`, its saturation cases and chroma centres from the pilots of all frames in order, the
+    mean white point (output) of their lights and the mean exposure time (s) of those that are simulated; frames count as
+    they have `patches` (frame)."""
+    every = list(pilots)
+    case_of_code = choose_cases(np.sum([own.occurrences for own in every], axis=0), recipe.classes.max_cases)
+    centres = choose_chromas(np.concatenate([own.shares for own in every]), recipe.classes.chromas, seed)
+    whites = np.concatenate([own.whites for own in every])
+    exposures = np.concatenate([own.exposures for own in every])
+    counts = np.where(exposures > 0, patches, 0)
+    exposure = float(exposures @ counts / max(counts.sum(), 1))
+    rule = make_rule(recipe.classes, head.camera, case_of_code, centres, head.camera.dark_signal(exposure))
+    return rule, np.average(whites, axis=0, weights=patches), exposure
+
+
+def canonical_sites(head: TrainingSet, rule: ClassRule, recipe: LearningRecipe) -> list[int]:
+    """The sites that are trained; all others are their rotations or mirror images."""
+    near = neighbourhoods(head.camera.cfa, rule.patch, len(head.camera.channels))
+    return sorted({site_map.canonical for site_map in site_maps(near.channel, rule.patch, recipe.symmetry)})
+
+
+def add_up(lesson: Lesson, parts: Iterable[ClassSums]) -> ClassSums:
+    """The sums of all parts; L3Error if a class has more patches than can be added exactly."""
+    outputs = len(lesson.head.outputs)
+    sums = empty_sums(lesson.rule, outputs)
+    for part in parts:
+        add(sums, part)
+    require_exact(sums, lesson.rule, grid_steps(lesson.rule, lesson.head.camera, outputs))
+    return sums
+
+
+def learn_site(lesson: Lesson, parts: Iterable[ClassSums], site: int) -> Solution:
+    """Solutions of one canonical site from the sums of all parts of a pass, in whatever order; L3Error as add_up."""
+    sums = add_up(lesson, parts)
+    camera, rule = lesson.head.camera, lesson.rule
+    window = neighbourhoods(camera.cfa, rule.patch, len(camera.channels)).channel[site]
+    alike = stabilisers(window, rule.patch) if lesson.recipe.symmetry else orientations(rule.patch)[:1]
+    return solve(sums, rule, window, alike, lesson.recipe, _goal(lesson))
+
+
+def assemble(lesson: Lesson, solutions: dict[int, Solution], history: tuple[Stage, ...]) -> TransformTable:
+    """The table of all sites from the solutions of the canonical ones."""
+    head, rule, camera = lesson.head, lesson.rule, lesson.head.camera
+    near = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
+    maps = site_maps(near.channel, rule.patch, lesson.recipe.symmetry)
+    copies = [sum(site_map.canonical == site for site_map in maps) for site in solutions]
+    equal = equal_responses(list(solutions.values()), copies, rule, lesson.recipe, _goal(lesson))
+    transforms = dict(zip(solutions, equal, strict=True))
+    weights, intercept, samples, condition = [], [], [], []
+    for site_map in maps:
+        trained = transforms[site_map.canonical]
+        turned = np.empty_like(trained.weights)
+        turned[..., site_map.permutation] = trained.weights
+        weights.append(turned)
+        intercept.append(trained.intercept)
+        samples.append(trained.samples)
+        condition.append(trained.condition)
+    return TransformTable(
+        history=history,
+        camera_name=camera.name,
+        rows=camera.rows,
+        cols=camera.cols,
+        channels=camera.channels,
+        cfa=camera.cfa,
+        bits=camera.bits,
+        black=camera.black,
+        white=camera.white,
+        outputs=head.outputs,
+        output_unit=camera.white_dose,
+        target_description=head.target_description,
+        white_point=lesson.white_point,
+        rule=rule,
+        weights=np.concatenate(weights).astype(np.float32),
+        intercept=np.concatenate(intercept).astype(np.float32),
+        samples=np.concatenate(samples),
+        condition=np.concatenate(condition).astype(np.float32),
+        exposure=lesson.exposure,
+        camera=replace(camera, fit=None),
+    )
+
+
+def _goal(lesson: Lesson) -> Goal:
+    camera = lesson.head.camera
+    return Goal(lesson.head.outputs, lesson.white_point, camera.black, camera.white)
+
+
+def _dark_signal(frame: TrainingPair, camera: CameraModel) -> float:
+    """DN of dark current in a frame; InputFileError if that fills its pixels."""
+    dark = camera.dark_signal(frame.dark_time)
+    if not dark < camera.white - camera.black:
+        raise InputFileError(
+            f"frame of scene {frame.scene}: in {frame.dark_time:.4g} s dark current alone fills a pixel; expose shorter"
+        )
+    return dark
+
+
+def _unit_white(frame: TrainingPair, outputs: tuple[str, ...]) -> NDArray[np.float64]:
+    """White (output) of a frame's light at Y = 1, or at a mean of 1 where no output is called Y."""
+    size = float(brightness_of(frame.white, outputs))
+    if frame.white.size != len(outputs) or size <= 0:
+        raise InputFileError(f"white of scene {frame.scene} is no positive white of the outputs {', '.join(outputs)}")
+    return frame.white / size
