@@ -111,7 +111,8 @@ def serve() -> None:
         left = {str(each): each.stat().st_size for each in sorted(Path("out").rglob("*")) if each.is_file()}
         if asked["disk"]:
             subprocess.run(["umount", "out"], check=True)
-        said = {name: Path(f"{os.getpid()}.{name}").read_text() for name in ("out", "err")}
+        words = {name: Path(f"{os.getpid()}.{name}") for name in ("out", "err")}
+        said = {name: file.read_text() if file.exists() else "" for name, file in words.items()}  # killed before it had any
         _tell({"code": code, **said, "left": left})
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from l3cli import __version__
+from l3cli.cli.log import Logged
 from l3cli.cli.terminal import drop, prepare, tell
 from l3cli.errors import L3Error, suggestion
 from l3cli.interrupts import ignore, must_wait
@@ -112,6 +113,7 @@ def main() -> None:
 
 def run(arguments: list[str]) -> int:
     """Exit code of `l3 ARGUMENTS`, after printing what there is to print."""
+    Logged.current = None
     try:
         result: Any = l3.main(arguments, prog_name="l3", standalone_mode=False)
         sys.stdout.flush()
@@ -186,5 +188,8 @@ def _usage(error: click.ClickException) -> str:
 
 
 def _fail(message: str, code: int) -> int:
-    tell(f"l3: {' '.join(message.split())}")
+    line = " ".join(message.split())
+    tell(f"l3: {line}")
+    if Logged.current is not None:
+        Logged.current.record("error", line)
     return code

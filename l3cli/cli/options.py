@@ -79,10 +79,36 @@ def output(what: str, required: bool = True) -> Callable[[F], F]:
 
 
 force = click.option("--force", is_flag=True, help="Replace the output if it exists.")
-quiet = click.option(
-    "--quiet", "console", is_flag=True, callback=lambda context, parameter, value: ErrorsOnly() if value else Terminal(),
-    help="Say nothing on stderr but errors.",
+LOG = "l3cli.log"  # in a context's meta: the log that is asked for
+
+
+def _log(context: click.Context, parameter: click.Parameter, path: Path | None) -> None:
+    context.meta[LOG] = path
+
+
+def _console(context: click.Context, parameter: click.Parameter, quiet: bool) -> "Console":
+    console: Console = ErrorsOnly() if quiet else Terminal()
+    if context.meta[LOG] is None:
+        return console
+    from l3cli.cli.log import Logged
+
+    return Logged(console, context.meta[LOG], context.info_name or "l3")
+
+
+_QUIET = click.option(
+    "--quiet", "console", is_flag=True, callback=_console, help="Say nothing on stderr but errors.",
 )  # fmt: skip
+_LOG = click.option(
+    "--log", type=FILE, metavar="FILE", is_eager=True, expose_value=False, callback=_log,
+    help="Also append all that is said to FILE, with time, level and command.",
+)  # fmt: skip
+
+
+def quiet(command: F) -> F:
+    """--quiet and --log FILE, both as one parameter `console`."""
+    return _LOG(_QUIET(command))
+
+
 as_json = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on stdout.")
 seed = click.option(
     "--seed",
