@@ -217,3 +217,51 @@ def _wait_until(done: Callable[[], bool]) -> None:
     while not done():
         assert time.monotonic() < end
         time.sleep(0.05)
+
+
+CUT_OFF = """
+import os, sys, threading, time
+from pathlib import Path
+from l3cli.errors import L3Error
+from l3cli.parallel import workers
+
+class Large:
+    def __reduce__(self):  # called when the worker begins to send it
+        Path("begun").touch()
+        return bytes, (bytes(150_000_000),)
+
+def large(number):
+    return Large()
+
+class Stopped(BaseException):
+    pass
+
+def take(results):
+    try:
+        next(results)
+    except L3Error:
+        pass  # its worker was ended
+
+if __name__ == "__main__":
+    for trial in range(6):
+        try:
+            with workers(2) as crew:
+                threading.Thread(target=take, args=(crew(large, [trial]),)).start()
+                while not Path("begun").exists():
+                    time.sleep(0.001)
+                time.sleep(0.03 + 0.03 * trial)
+                raise Stopped
+        except Stopped:
+            Path("begun").unlink()
+"""
+
+
+def test_an_end_while_a_worker_sends_a_large_result_is_an_end(tmp_path: Path) -> None:
+    """Half a result lies in the pipe: nobody waits for the rest."""
+    (tmp_path / "cut_off.py").write_text(CUT_OFF)
+    environment = {**os.environ, "PYTHONPATH": str(CONFIGS.parent)}
+    call = [sys.executable, "cut_off.py"]
+    ended = subprocess.run(
+        call, cwd=tmp_path, env=environment, timeout=PATIENCE, capture_output=True, text=True, check=False
+    )
+    assert ended.returncode == 0, ended.stderr

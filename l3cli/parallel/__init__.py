@@ -88,6 +88,9 @@ def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
         for child in multiprocessing.active_children():
             if child not in before:
                 child.terminate()
+        # One that ends while it sends a result leaves half of it. The pool's thread waits for the rest as long as anybody
+        # could send it, and so do we, who hold that end of the pipe, too.
+        pool._result_queue._writer.close()  # type: ignore[attr-defined]
         raise
     finally:
         pool.shutdown(cancel_futures=True)
