@@ -266,7 +266,7 @@ def test_an_interrupted_video_leaves_nothing(l3, tmp_path, table, stack, monkeyp
 
 
 def test_ctrl_c_stops_a_run_that_waits_for_its_input(tmp_path, table):
-    call = (sys.executable, "-c", RUN, "render", table, "-", "-o", tmp_path / "a.mp4", "--size", "20x28", *FAST)
+    call = (sys.executable, "-m", "l3cli", "render", table, "-", "-o", tmp_path / "a.mp4", "--size", "20x28", *FAST)
     before = sorted(tmp_path.iterdir())
     command = [str(part) for part in call]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as waiting:
