@@ -55,3 +55,13 @@ def judge_of(table: TransformTable, site: int, power: float) -> Judge:
     products = np.stack([x * x, y * y, z * z, x * y, y * z], axis=-1)
     weights = np.ascontiguousarray(np.swapaxes(table.weights[own], 1, 2))
     return Judge(weights, products, table.intercept[own], table.white_point.astype(np.float32), power)
+
+
+def lab_error(
+    error: Floats, target: Floats, level: Floats, white: NDArray[np.floating]
+) -> Floats:
+    """Squared Lab error (…), chroma halved and eased, of errors in XYZ (…, 3) about targets (…, 3) at levels (…)."""
+    relative = 1 / level[..., None]
+    slope = np.maximum(target * relative / white, DARKEST) ** np.float32(-2 / 3) / (3 * white)
+    x, y, z = np.moveaxis(slope * error * relative, -1, 0)
+    return np.asarray((LIGHTNESS * y) ** 2 + (RED_GREEN * (x - y)) ** 2 + (YELLOW_BLUE * (y - z)) ** 2)

@@ -1,0 +1,32 @@
+"""A layer that reads planes: the outputs of the layer before it (docs/method.md#layers)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.schema import check, data, group
+from l3cli.artifacts.structure_rule import StructureRule
+
+PLANE_STEP = 2.0**-13  # of the output unit: what a plane's integers count
+PLANE_TOP = 2**15 - 1  # planes are signed 16-bit integers
+
+
+@dataclass(frozen=True)
+class PlaneLayer:
+    """Transforms of square windows of the planes X − aY, Y, Z − bY (of a white: zero, its Y, zero) of the layer before."""
+
+    side: int = data("int64", unit="pixel", doc="side of the windows")
+    rule: StructureRule = group()
+    weights: NDArray[np.float32] = data(
+        "float32", "plane_class", "output", "plane_tap", doc="taps plane by plane, each row by row; per output unit"
+    )
+    intercept: NDArray[np.float32] = data("float32", "plane_class", "output", doc="added to the weighted sum")
+    samples: NDArray[np.float64] = data("float64", "plane_class", doc="training patches; 0: filled from a neighbour")
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    @property
+    def radius(self) -> int:
+        return self.side // 2
