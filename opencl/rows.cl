@@ -1,6 +1,15 @@
 // Processor variant: a row of outputs → what is written of it.
 
-#if defined(PLANES)
+#if defined(FIXED_POINT)
+
+// Sums planes[o * TILE + x] → what the next layer reads (output, pixel), in its steps
+INLINE void write_row(__global short *picture, const int *planes, __global const float *matrix, size_t at, int width,
+                      size_t pixels) {
+    for (int o = 0; o < OUTPUTS; o++)
+        for (int x = 0; x < width; x++) picture[o * pixels + at + x] = plane_value(planes[o * TILE + x]);
+}
+
+#elif defined(PLANES)
 
 // planes[o * TILE + x] → picture (output, pixel)
 INLINE void write_row(__global float *picture, const float *planes, __global const float *matrix, size_t at, int width,

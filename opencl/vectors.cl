@@ -23,6 +23,7 @@ VECTOR(uint, uints, LANES);
 VECTOR(int, ints, LANES);
 VECTOR(float, floats, LANES);
 VECTOR(float, four_floats, 4);
+VECTOR(int, four_ints, 4);
 VECTOR(short, signed_shorts, LANES);
 VECTOR(ushort, shorts, LANES);           // as many as there are uints: half a register
 VECTOR(ushort, full_shorts, 2 * LANES);  // a whole register
@@ -33,4 +34,18 @@ VECTOR(ushort, full_shorts, 2 * LANES);  // a whole register
 #define NEAR(type, p) (*(type##_unaligned *)(p))                  // the vector at p in private memory
 #define FAR(type, p) (*(__global type##_unaligned *)(p))          // the vector at p in the device's memory
 #define FIXED(type, p) (*(__global const type##_unaligned *)(p))  // a constant one there
+#endif
+
+// What a layer reads and sums up: a mosaic's values or planes in floating point or, so that planes are the same on every
+// device, a mosaic's DN in integers.
+#ifdef FIXED_POINT
+#define TAP int
+#define TAPS_BESIDE ints
+#define FOUR_TAPS four_ints
+#define TAP4 int4
+#else
+#define TAP float
+#define TAPS_BESIDE floats
+#define FOUR_TAPS four_floats
+#define TAP4 float4
 #endif

@@ -18,11 +18,12 @@ All in integers below 2³¹, and so equal wherever it is computed.
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.structure_rule import DIRECTIONS, GRADIENT, StructureRule
+from l3cli.artifacts.structure_rule import DIRECTIONS, GRADIENT, MOST_SCALE, StructureRule
 from l3cli.classes.windows import Integers
 
 SIGMA = 16  # gradient units a standard deviation of noise
 WINDOW = (1, 2, 3, 2, 1)
+NOISE_TRACE = 2 * 81 * SIGMA**2  # trace of the tensor that noise alone makes on average
 REACH = 3  # pixels beyond a plane that the structure of its edge looks at
 
 

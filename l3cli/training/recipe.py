@@ -5,7 +5,7 @@ from typing import Annotated, ClassVar, Literal
 import msgspec
 
 from l3cli.classes.recipe import ClassRecipe
-from l3cli.config import CountOrNone, Recipe
+from l3cli.config import Count, CountOrNone, Recipe
 from l3cli.errors import RecipeError
 
 MOST_PATCHES = 1_000_000_000
@@ -38,6 +38,23 @@ class LearningRecipe(Recipe):
     equal_response: bool = True  # all CFA sites answer a flat patch alike (docs/method.md#equal-response)
 
 
+class LayerRecipe(Recipe):
+    """How a layer is learned that reads the planes of the layer before (docs/method.md#layers)."""
+
+    side: Annotated[int, msgspec.Meta(ge=1, le=9)] = 5  # pixels, odd, of the windows of each plane
+    level_step: Count = 2  # levels of the first layer that make one
+    strengths: tuple[float, ...] = (1.7, 8.0)  # edges of the structure tensor's trace, relative to that of noise
+    coherence: float = 0.48  # share of the trace along one direction from which an edge has one
+    mosaics: Annotated[int, msgspec.Meta(ge=1, le=MOST_PATCHES)] = 900  # over all frames
+    achromatic: float = 0.2  # share of them that show their scene without colour
+    rows: Annotated[int, msgspec.Meta(ge=1, le=MOST_PATCHES)] = 6000  # pixels of a mosaic that are learned from
+    ridge: float = 1e-5  # relative to the mean power of a tap
+    luminance_noise: float = 1.5  # weight of the noise covariance for Y
+    chroma_noise: float = 2.0  # the same for the two chroma rows
+    level_pool: tuple[float, ...] = (0.5, 0.25)  # weight of classes one, two… levels away
+    parent_patches: CountOrNone = 200  # pseudo-rows of the parent, added to every class
+
+
 class TrainingRecipe(Recipe):
     """Classes and learning; every key has the default that configs/classes/default.toml spells out."""
 
@@ -45,6 +62,7 @@ class TrainingRecipe(Recipe):
 
     classes: ClassRecipe = msgspec.field(default_factory=ClassRecipe)
     learning: LearningRecipe = msgspec.field(default_factory=LearningRecipe)
+    layer: tuple[LayerRecipe, ...] = ()  # layers after the first
 
 
 def check_learning(recipe: LearningRecipe) -> None:

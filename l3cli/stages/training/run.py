@@ -11,7 +11,7 @@ from l3cli.artifacts.training_set import TrainingPair, TrainingSet, open_trainin
 from l3cli.config import load_recipe, read_text
 from l3cli.errors import InputFileError
 from l3cli.files import require_same, sha256, stamp
-from l3cli.training.lesson import FIRST, spread_patches
+from l3cli.training.lesson import spread_patches
 from l3cli.training.recipe import TrainingRecipe
 
 
@@ -33,12 +33,13 @@ class TrainingRun:
     head: TrainingSet
     patches: tuple[int, ...]  # (frame)
     recipe: TrainingRecipe
+    shares: tuple[Fraction, ...] | None  # (set)
     seed: int
     stage: Stage
 
-    def history(self, number: int) -> tuple[Stage, ...]:
-        """History of what comes from pass `number`."""
-        stage = replace(self.stage, options={**self.stage.options, "pass": "first"}) if number == FIRST else self.stage
+    def history(self, before: str = "") -> tuple[Stage, ...]:
+        """History of what the run makes, or of what it makes `before` its end: the table of a pass, by the pass's name."""
+        stage = replace(self.stage, options={**self.stage.options, "pass": before}) if before else self.stage
         return (*self.head.history, stage)
 
 
@@ -60,7 +61,7 @@ def open_run(
     inputs = {"training set": [sha256(path) for path in training]}
     stage = Stage("train", chosen, read_text(classes) if classes else "", inputs)
     sources = tuple(map(TrainingSource, training, frames, inputs["training set"], map(stamps.__getitem__, training)))
-    return TrainingRun(sources, head, patches, recipe, seed, stage)
+    return TrainingRun(sources, head, patches, recipe, shares, seed, stage)
 
 
 def frames_of(training: tuple[TrainingSource, ...], wanted: range, remote: bool) -> Iterator[TrainingPair]:

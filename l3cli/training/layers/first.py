@@ -5,31 +5,29 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.layers import PLANE_STEP, PLANE_TOP
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.class_rule import ClassRule
+from l3cli.artifacts.layers import PLANE_TOP
 from l3cli.classes.decide import labels as classes_of
 from l3cli.classes.planes import FixedPoint
 from l3cli.classes.statistics import mosaic_statistics, truncation
-from l3cli.classes.structure import REACH
 from l3cli.classes.windows import Integers, neighbourhoods
-from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.class_rule import ClassRule
 from l3cli.frame import pad_mosaic
 from l3cli.training.layers.mosaics import Mosaic
 
 Floats = NDArray[np.float32]
 AT_ONCE = 1 << 14  # pixels
+DARKEST_LEVEL = 1e-4  # share of full scale: rows of darker pixels get no more weight
 
 
 @dataclass(frozen=True)
 class Seen:
     """A mosaic after the first layer."""
 
-    mosaic: Mosaic
-    site: Integers  # (row, col)
-    level: Integers  # (row, col) of the first layer
-    case: Integers  # (row, col) saturation case
-    brightness: NDArray[np.float64]  # (row, col) level as a share of full scale
-    noisy: NDArray[np.int16]  # (plane, row, col) what the next layer reads, in PLANE_STEP
+    target: Floats  # (row, col, output)
+    label: Integers  # (row, col) class of the first layer
+    brightness: Floats  # (row, col) mean over the channels of their means, share of full scale
+    noisy: NDArray[np.int16]  # (plane, row, col) what the next layer reads, in steps
     clean: Floats  # (plane, row, col) the same without noise, by the classes of the noisy one
 
 
@@ -38,24 +36,27 @@ class FirstLayer:
 
     def __init__(self, camera: CameraModel, rule: ClassRule, fixed: FixedPoint) -> None:
         self.camera, self.rule, self.fixed = camera, rule, fixed
-        self.near = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
+        self._near = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
         self._weights = np.swapaxes(fixed.weights, 1, 2).astype(np.float64)  # integers, which float64 adds exactly
         self._light_weights = self._weights.astype(np.float32)
 
     def see(self, mosaic: Mosaic) -> Seen:
         """Classes and planes of a mosaic."""
         camera, rule = self.camera, self.rule
-        statistics = mosaic_statistics(mosaic.values, rule, self.near, camera.cfa, (0, 0))
+        statistics = mosaic_statistics(mosaic.values, rule, self._near, camera.cfa, (0, 0))
         within = classes_of(rule, statistics)
-        place = rule.split(within)
-        mean = (statistics.sums / self.near.count[statistics.site]).mean(axis=-1) * 2**rule.shift
+        mean = (statistics.sums / self._near.count[statistics.site]).mean(axis=-1) * 2**rule.shift
         brightness = (mean + truncation(rule.shift) - camera.black) / (camera.white - camera.black)
         label = rule.on_site(within, statistics.site)
-        noisy = self.fixed.planes(np.rint(self._sums(mosaic.values, label, self._weights)).astype(np.int64))
-        clean = self._sums(mosaic.clean, label, self._light_weights) / np.float32(2.0**self.fixed.fraction)
-        clean = np.clip(clean, -PLANE_TOP, PLANE_TOP).astype(np.float32)
-        case = rule.case(place.kind)
-        return Seen(mosaic, statistics.site, place.level, case, np.maximum(brightness, 1e-4), noisy, clean)
+        noisy = self.fixed.planes(self._sums(mosaic.values, label, self._weights).astype(np.int64))
+        clean = self._sums(mosaic.clean, label, self._light_weights) * np.float32(2.0**-self.fixed.fraction)
+        return Seen(
+            target=np.moveaxis(mosaic.target, 0, -1),
+            label=label,
+            brightness=np.maximum(brightness, DARKEST_LEVEL).astype(np.float32),
+            noisy=noisy,
+            clean=np.clip(clean, -PLANE_TOP, PLANE_TOP),
+        )
 
     def _sums(self, values: NDArray, label: Integers, weights: NDArray) -> NDArray:
         """Σ W · DN + B (plane, row, col)."""
@@ -64,23 +65,16 @@ class FirstLayer:
         windows = np.lib.stride_tricks.sliding_window_view(padded, (self.rule.patch, self.rule.patch))
         flat = label.reshape(-1)
         order = np.argsort(flat, kind="stable")
-        out = np.empty((flat.size, weights.shape[2]), weights.dtype)
+        sums = np.empty((flat.size, weights.shape[2]), weights.dtype)
         for first in range(0, flat.size, AT_ONCE):
             part = order[first : first + AT_ONCE]
             taps = windows[part // cols, part % cols].reshape(len(part), -1)
-            sorted_label = flat[part]
-            start = np.flatnonzero(np.diff(sorted_label, prepend=-1))
-            for a, b in zip(start, [*start[1:], len(part)], strict=True):
-                index = sorted_label[a]
-                out[part[a:b]] = taps[a:b] @ weights[index] + self.fixed.intercept[index].astype(weights.dtype)
-        return out.T.reshape(-1, rows, cols)
+            for index, run in runs_of(flat[part]):
+                sums[part[run]] = taps[run] @ weights[index] + self.fixed.intercept[index].astype(weights.dtype)
+        return sums.T.reshape(-1, rows, cols)
 
 
-def mirrored(planes: NDArray, margin: int) -> NDArray:
-    """Planes (…, row, col) with `margin` more pixels on each side, mirrored about the outermost ones."""
-    widths = [(0, 0)] * (planes.ndim - 2) + [(margin, margin)] * 2
-    return np.pad(planes, widths, mode="reflect")
-
-
-MARGIN = REACH
-STEP = PLANE_STEP
+def runs_of(label: Integers) -> list[tuple[int, slice]]:
+    """Each class of sorted labels, and where it lies."""
+    start = np.flatnonzero(np.diff(label, prepend=-1)).tolist()
+    return [(int(label[a]), slice(a, b)) for a, b in zip(start, [*start[1:], len(label)], strict=True)]

@@ -1,19 +1,20 @@
-"""Training mosaics: pieces of a frame as the camera sees them at some level, noisy and noise-free (docs/method.md#layers)."""
+"""Training mosaics: pieces of frames as the camera sees them at some level, noisy and noise-free (docs/method.md#layers)."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.training_set import TrainingFrame, TrainingSet
+from l3cli.artifacts.training_set import TrainingFrame, TrainingPair
+from l3cli.physics import spectra
 from l3cli.training.patches import expose_patches
 from l3cli.training.recipe import LearningRecipe
 
 Floats = NDArray[np.float32]
 LARGEST_SIDE = 156  # pixels
+Y = 1  # its place among the outputs X, Y, Z
 
 
 @dataclass(frozen=True)
@@ -26,51 +27,75 @@ class Mosaic:
 
 
 @dataclass(frozen=True)
-class White:
-    """The white of the training light at Y = 1."""
+class Exposed:
+    """How frames become mosaics."""
 
-    signal: NDArray[np.float64]  # (channel) share of full scale
-    output: NDArray[np.float64]  # (output)
+    camera: CameraModel
+    recipe: LearningRecipe
+    dark: float  # DN of dark current in frames that the table is for
+    achromatic: float  # share of the mosaics that show their scene without colour
 
 
-def mosaics(
-    frame: TrainingFrame, head: TrainingSet, recipe: LearningRecipe, layer: Any, white: White, dark: float,
-    rng: np.random.Generator,
-) -> Iterator[Mosaic]:  # fmt: skip
-    """Mosaics of a frame, turned and mirrored at random, at drawn levels; the last of them show the scene without colour."""
-    camera = head.camera
-    signal = frame.electrons / np.float32(camera.full_scale)
+def mosaics_of(frame: TrainingPair, count: int, exposed: Exposed, rng: np.random.Generator) -> Iterator[Mosaic]:
+    """`count` mosaics of a frame. Simulated ones are turned and mirrored at random and shown at drawn levels, the last of them
+    without colour; real pairs, whose noise cannot be told from the scene, as they are."""
+    if not isinstance(frame, TrainingFrame):
+        yield from (_piece_of_pair(frame, exposed.camera, rng) for _ in range(count))
+        return
+    camera = exposed.camera
+    signal = frame.electrons * np.float32(1 / camera.full_scale)
     target = frame.target * np.float32(frame.exposure / camera.white_dose)
-    for number in range(layer.mosaics + layer.grey_mosaics):
-        place = _place(signal.shape[1:], rng)
-        seen, wanted = _turned(signal, place), _turned(target, place)
-        if number >= layer.mosaics:  # luminance alone
-            luminance = wanted[1]
-            seen = white.signal.astype(np.float32)[:, None, None] * luminance
-            wanted = white.output.astype(np.float32)[:, None, None] * luminance
-        scale = _scale(recipe, rng) / max(float(seen.mean()), 1e-3)
-        mosaic = np.float32(scale) * _through_cfa(seen, camera)
-        values = expose_patches(mosaic, camera, rng, dark=dark).astype(np.uint16)
+    white = white_signal(frame, camera)
+    coloured = count if white is None else count - round(exposed.achromatic * count)
+    for number in range(count):
+        turn = _drawn_turn(signal.shape[1:], rng)
+        seen, wanted = _turned(signal, turn), _turned(target, turn)
+        if white is not None and number >= coloured:
+            luminance = wanted[Y]
+            seen = white.astype(np.float32)[:, None, None] * luminance
+            wanted = (frame.white / frame.white[Y]).astype(np.float32)[:, None, None] * luminance
+        scale = np.float32(_drawn_level(exposed.recipe, rng) / max(float(seen.mean()), 1e-3))
+        mosaic = scale * _through_cfa(seen, camera)
+        values = expose_patches(mosaic, camera, rng, dark=exposed.dark).astype(np.uint16)
         clean = np.minimum(mosaic, 1.0) * np.float32(camera.white - camera.black) + np.float32(camera.black)
-        yield Mosaic(values, clean, wanted * np.float32(scale))
+        yield Mosaic(values, clean, wanted * scale)
 
 
-def _place(shape: tuple[int, ...], rng: np.random.Generator) -> tuple[int, bool, slice, slice]:
+def white_signal(frame: TrainingPair, camera: CameraModel) -> NDArray[np.float64] | None:
+    """Signals (channel), as shares of full scale, of a white of Y = 1 under the light of a frame; None if that is unknown."""
+    if frame.light is None:
+        return None
+    light = spectra.resample(frame.light.radiance.astype(np.float64), frame.light.wavelength, camera.wavelength)
+    return np.asarray(camera.electron_weights @ light * (camera.white_dose / camera.full_scale))
+
+
+def _piece_of_pair(pair: TrainingPair, camera: CameraModel, rng: np.random.Generator) -> Mosaic:
+    starts = [
+        int(rng.integers((length - min(length, LARGEST_SIDE)) // period + 1)) * period
+        for length, period in zip(pair.raw.shape, camera.cfa.shape, strict=True)
+    ]
+    rows, cols = (slice(start, start + LARGEST_SIDE) for start in starts)
+    values = pair.raw[rows, cols]
+    target = pair.target[:, rows, cols] * np.float32(pair.exposure / camera.white_dose)
+    return Mosaic(values, np.minimum(values.astype(np.float32), np.float32(camera.white)), target)
+
+
+def _drawn_turn(shape: tuple[int, ...], rng: np.random.Generator) -> tuple[int, bool, slice, slice]:
     """Quarter turns, whether mirrored, and rows and columns of the turned frame."""
     turns, mirrored = int(rng.integers(4)), bool(rng.integers(2))
     rows, cols = shape[::-1] if turns % 2 else shape
-    side = min(rows, cols, LARGEST_SIDE)
-    row, col = rng.integers(rows - side + 1), rng.integers(cols - side + 1)
-    return turns, mirrored, slice(row, row + side), slice(col, col + side)
+    height, width = min(rows, LARGEST_SIDE), min(cols, LARGEST_SIDE)
+    row, col = int(rng.integers(rows - height + 1)), int(rng.integers(cols - width + 1))
+    return turns, mirrored, slice(row, row + height), slice(col, col + width)
 
 
-def _turned(planes: Floats, place: tuple[int, bool, slice, slice]) -> Floats:
-    turns, mirrored, rows, cols = place
+def _turned(planes: Floats, turn: tuple[int, bool, slice, slice]) -> Floats:
+    turns, mirrored, rows, cols = turn
     turned = np.rot90(planes, turns, (1, 2))
     return (turned[:, :, ::-1] if mirrored else turned)[:, rows, cols]
 
 
-def _scale(recipe: LearningRecipe, rng: np.random.Generator) -> float:
+def _drawn_level(recipe: LearningRecipe, rng: np.random.Generator) -> float:
     low = recipe.highlight_from if rng.random() < recipe.highlight_share else recipe.darkest
     return float(low * (recipe.brightest / low) ** rng.random())
 

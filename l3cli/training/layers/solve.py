@@ -27,9 +27,9 @@ class LayerGoal:
 
 def solve_layer(
     sums: list[LayerSums], copies: list[int], rule: StructureRule, goal: LayerGoal, equal: bool = True
-) -> tuple[list[Array], NDArray[np.bool_]]:
+) -> list[Array]:
     """Rows (class, tap + 1, output) of the canonical sites, each of which stands for `copies`, bent so that all answer flat
-    areas alike and, where nothing is saturated, white with white; and which classes have a solution."""
+    areas alike and, where nothing is saturated, white with white."""
     taps = int((np.sqrt(8 * sums[0].noise.shape[1] + 1) - 1) / 2)
     outputs, planes = len(goal.noise), len(goal.white)
     plane = np.repeat(np.arange(planes), taps // planes)
@@ -70,7 +70,7 @@ def solve_layer(
             for site, (one, k, r) in enumerate(zip(found, stiff, response, strict=True)):
                 rows[site][index, :used, output] = one[:, 0] + one[:, 1:] @ (k @ (common - r))
     source = _nearest(solved, rule)
-    return [one[source] for one in rows], solved
+    return [one[source] for one in rows]
 
 
 class _Parents:
