@@ -47,6 +47,12 @@ def require_xyz(outputs: tuple[str, ...]) -> None:
         raise RecipeError(f"pictures need the outputs X, Y, Z, this table has {', '.join(outputs)}; write an .exr file")
 
 
+def require_one_layer(layers: int) -> None:
+    """RecipeError for a table of more layers than the renderers know."""
+    if layers > 1:
+        raise RecipeError(f"this table has {layers} layers, which no renderer takes yet; train one without later layers")
+
+
 def encode(planes: NDArray, display: Display) -> NDArray:
     """XYZ planes (output, row, col) as the display's codes (row, col, 3), computed in float64."""
     linear = np.einsum("po,orc->rcp", display.matrix, planes.astype(np.float64))

@@ -48,7 +48,7 @@ def program_source(variant: str) -> str:
 
 def table_macros(table: TransformTable) -> Macros:
     """Everything about a table that a kernel's loops and formulas depend on."""
-    rule = table.rule
+    rule = table.first.rule
     return {
         "PATCH": rule.patch,
         "RADIUS": rule.radius,
@@ -84,7 +84,7 @@ def curve_macros(steps: int, degree: int) -> Macros:
 
 def class_arrays(table: TransformTable) -> tuple[NDArray, ...]:
     """The constants of the kernel `classes`, in the order of its arguments; what they are stands there."""
-    rule, channels = table.rule, len(table.channels)
+    rule, channels = table.first.rule, len(table.channels)
     near = neighbourhoods(table.cfa, rule.patch, channels)
     period = np.arange(table.cfa.shape[1] + PERIODS) % table.cfa.shape[1]
     cfa = table.cfa[:, period].astype(np.uint16)
@@ -106,8 +106,8 @@ def class_arrays(table: TransformTable) -> tuple[NDArray, ...]:
 
 def _weights_per_dn(table: TransformTable) -> NDArray[np.float32]:
     """(class, output, tap), taps column by column, per DN above black."""
-    classes, outputs, _ = table.weights.shape
-    square = table.weights.reshape(classes, outputs, table.rule.patch, table.rule.patch)
+    classes, outputs, _ = table.first.weights.shape
+    square = table.first.weights.reshape(classes, outputs, table.first.rule.patch, table.first.rule.patch)
     return (square.transpose(0, 1, 3, 2) / (table.white - table.black)).reshape(classes, outputs, -1).astype(np.float32)
 
 
@@ -129,7 +129,7 @@ def pack_in_vectors(table: TransformTable, lanes: int) -> NDArray[np.float32]:
         ordered = in_lanes.reshape(classes, group, vectors, lanes).transpose(0, 2, 1, 3)
         packed[:, g, :last] = ordered.reshape(classes, last)
         packed[:, g, last : last + count] = weights[:, chosen, -1]
-        packed[:, g, last + 4 : last + 4 + count] = table.intercept[:, chosen]
+        packed[:, g, last + 4 : last + 4 + count] = table.first.intercept[:, chosen]
     return packed
 
 
@@ -138,7 +138,7 @@ def pack_in_fours(table: TransformTable, lanes: int) -> NDArray[np.float32]:
     weights = _weights_per_dn(table)
     classes, outputs, taps = weights.shape
     packed = np.zeros((classes, 1 + taps, -(-outputs // 4) * 4), np.float32)
-    packed[:, 0, :outputs] = table.intercept
+    packed[:, 0, :outputs] = table.first.intercept
     packed[:, 1:, :outputs] = weights.transpose(0, 2, 1)
     return packed
 

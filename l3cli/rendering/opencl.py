@@ -20,7 +20,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.errors import DeviceError, RecipeError
 from l3cli.frame import RawFrame, mirrored_indices
 from l3cli.rendering import kernels, layout
-from l3cli.rendering.display import Display, require_xyz
+from l3cli.rendering.display import Display, require_one_layer, require_xyz
 from l3cli.rendering.opencl_devices import choose_device, pyopencl
 
 BAND_PIXELS = 1 << 22  # of a band, margins aside
@@ -42,6 +42,7 @@ class OpenCLRenderer:
     def __init__(
         self, table: TransformTable, device: str | None = None, variant: str | None = None, lanes: int | None = None
     ) -> None:
+        require_one_layer(len(table.layers))
         self.table = table
         self.device = choose_device(os.environ.get("L3_DEVICE", "") if device is None else device)
         self._kept = True  # whether kernels.keep() has seen all that was compiled
@@ -210,7 +211,7 @@ class OpenCLRenderer:
         return self._frame_bands[1]
 
     def _cut_into_bands(self, rows: int, columns: int) -> Iterator["_Band"]:
-        radius, cfa = self.table.rule.radius, self.table.cfa
+        radius, cfa = self.table.first.rule.radius, self.table.cfa
         row_source = mirrored_indices(rows, radius, cfa.shape[0])
         column_source = self._constant(mirrored_indices(columns, radius, cfa.shape[1]), np.int32)
         height = max(1, BAND_PIXELS // columns)

@@ -9,13 +9,14 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.classes.decide import label_mosaic
 from l3cli.classes.windows import Integers
 from l3cli.frame import RawFrame, pad_mosaic
-from l3cli.rendering.display import Display, encode, require_xyz
+from l3cli.rendering.display import Display, encode, require_one_layer, require_xyz
 
 
 class ReferenceRenderer:
     """Renderer in numpy: slow, exact, without a device."""
 
     def __init__(self, table: TransformTable) -> None:
+        require_one_layer(len(table.layers))
         self.table = table
 
     def labels(self, frame: RawFrame) -> Integers:
@@ -48,20 +49,20 @@ def at_table_levels(frame: RawFrame, table: TransformTable) -> RawFrame:
 
 def table_labels(frame: RawFrame, table: TransformTable) -> Integers:
     """Class (row, col) of every pixel of a frame at the table's levels."""
-    return label_mosaic(frame.values, table.rule, table.cfa, len(table.channels), frame.phase)
+    return label_mosaic(frame.values, table.first.rule, table.cfa, len(table.channels), frame.phase)
 
 
 def output_planes(frame: RawFrame, labels: Integers, table: TransformTable) -> NDArray[np.float64]:
     """Each pixel's transform applied to its neighbourhood: (output, row, col) from a frame at the table's levels and its
     classes (row, col)."""
     rows, cols = frame.values.shape
-    patch, outputs = table.rule.patch, len(table.outputs)
+    patch, outputs = table.first.rule.patch, len(table.outputs)
     signal = (frame.values - frame.black) / (table.white - table.black)
-    padded = pad_mosaic(signal, table.rule.radius, (table.cfa.shape[0], table.cfa.shape[1]))
+    padded = pad_mosaic(signal, table.first.rule.radius, (table.cfa.shape[0], table.cfa.shape[1]))
     windows = np.lib.stride_tricks.sliding_window_view(padded, (patch, patch))
     planes = np.empty((outputs, rows, cols))
     for row in range(rows):  # a row at a time: the chosen transforms of a whole frame would fill gigabytes
         patches = windows[row].reshape(cols, patch**2, 1)
-        weighted = table.weights[labels[row]].astype(np.float64) @ patches
-        planes[:, row] = (weighted[..., 0] + table.intercept[labels[row]]).T
+        weighted = table.first.weights[labels[row]].astype(np.float64) @ patches
+        planes[:, row] = (weighted[..., 0] + table.first.intercept[labels[row]]).T
     return planes

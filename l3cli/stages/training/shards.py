@@ -77,7 +77,7 @@ def _last_pass(run: TrainingRun, table: TransformTable, path: Path | None) -> Le
             f"{path} is not the first pass of this run: other training sets, shares, recipe or seed; "
             'make it with "l3 train --merge" of the first pass\'s shards'
         )
-    about = (run.head, run.patches, table.rule, run.recipe.learning, table.white_point, run.seed)
+    about = (run.head, run.patches, table.first.rule, run.recipe.learning, table.white_point, run.seed)
     return Lesson(*about, LAST, table.exposure)
 
 

@@ -75,5 +75,5 @@ def _learn(run: TrainingRun, execution: Execution) -> TransformTable:
 
 def say_table(table: TransformTable, output: Path, console: Console) -> None:
     """What has been learned, in a line."""
-    filled = int((table.samples == 0).sum())
-    console.say(f"{output}: {len(table.weights)} classes, {filled} of them without patches of their own")
+    filled = int((table.first.samples == 0).sum())
+    console.say(f"{output}: {len(table.first.weights)} classes, {filled} of them without patches of their own")
