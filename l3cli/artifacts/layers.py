@@ -1,15 +1,35 @@
-"""A layer that reads planes: the outputs of the layer before it (docs/method.md#layers)."""
+"""The layers of a transform table: the first reads the mosaic, later ones the outputs of the layer before
+(docs/method.md#layers)."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.schema import check, data, group
 from l3cli.artifacts.structure_rule import StructureRule
 
 PLANE_STEP = 2.0**-13  # of the output unit: what a plane's integers count
 PLANE_TOP = 2**15 - 1  # planes are signed 16-bit integers
+
+
+@dataclass(frozen=True)
+class MosaicLayer:
+    """Transforms of patches of the mosaic: output = weights · (patch − black) / (white − black) + intercept."""
+
+    rule: ClassRule = group()
+    weights: NDArray[np.float32] = data(
+        "float32", "class", "output", "tap", doc="taps row by row; per unit of (DN − black) / (white − black)"
+    )
+    intercept: NDArray[np.float32] = data("float32", "class", "output", doc="added to the weighted sum")
+    samples: NDArray[np.float64] = data("float64", "class", doc="training patches; 0: filled from a neighbour")
+    condition: NDArray[np.float32] = data("float32", "class", doc="condition number of the class's equations; 0: none")
+
+    def __post_init__(self) -> None:
+        check(self)
+        if self.weights.shape[2] != self.rule.patch**2:
+            raise ValueError(f"weights has {self.weights.shape[2]} taps, the rule's patch {self.rule.patch**2}")
 
 
 @dataclass(frozen=True)

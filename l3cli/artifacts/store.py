@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 
 from l3cli.artifacts import container
-from l3cli.artifacts.schema import Artifact, Spec, Stage, check, declared
+from l3cli.artifacts.schema import Artifact, Group, Spec, Stage, check, declared, instances
 from l3cli.artifacts.stored import KNOWN_FILTERS, datasets, filters_of, require_readable
 from l3cli.errors import InputFileError
 from l3cli.files import require_regular
@@ -24,6 +24,7 @@ from l3cli.files import require_regular
 COMPRESSION = {"compression": "gzip", "compression_opts": 4, "shuffle": True, "fletcher32": True}
 HDF5_ERRORS = (OSError, RuntimeError, KeyError, TypeError, ValueError, OverflowError)  # what h5py makes of damage
 CHECKSUM = {"fletcher32": True}  # for pictures: noise hardly shrinks, and shrinking it takes longer than simulating it
+MOST_GROUPS = 64  # in a list of them
 SEALED = 2  # format version from which every file carries its digest
 A = TypeVar("A", bound=Artifact)
 
@@ -33,12 +34,13 @@ A = TypeVar("A", bound=Artifact)
 
 def write_fields(group: h5py.Group, instance: Any, filters: Mapping[str, Any] = COMPRESSION) -> None:
     """Write every declared field of `instance` below `group`, arrays through `filters`."""
-    for name, spec, optional in declared(type(instance)):
+    for name, spec, _ in declared(type(instance)):
         value = getattr(instance, name)
         if isinstance(spec, Spec):
             _write_dataset(group, name, spec, value, filters)
-        elif not (optional and value is None):
-            write_fields(group.create_group(name), value, filters)
+        else:
+            for place, each in instances(name, value).items():
+                write_fields(group.create_group(place), each, filters)
 
 
 def _write_dataset(group: h5py.Group, name: str, spec: Spec, value: Any, filters: Mapping[str, Any] = COMPRESSION) -> None:
@@ -140,16 +142,29 @@ def read_fields(group: h5py.Group, cls: type, path: Path, **extra: Any) -> Any:
             continue  # what files of older versions do not tell
         if isinstance(spec, Spec):
             values[name] = _read_dataset(group, name, spec, path)
-        elif name in members(group, path):
-            values[name] = read_fields(hard_group(group, name, path), spec, path)
         else:
-            raise InputFileError(f"{path} lacks the group {_inside(group, name)}; make the file again")
+            values[name] = _read_group(group, name, spec, path)
     try:
         instance = cls(**values)
         check(instance)
     except ValueError as error:
         raise InputFileError(f"{path}: {error}; make the file again") from error
     return instance
+
+
+def _read_group(group: h5py.Group, name: str, spec: Group, path: Path) -> Any:
+    """The instance, or the tuple of instances, of a declared group."""
+    if spec.since and int(group.file.attrs["version"]) < spec.since:
+        return read_fields(group, spec.kind, path)
+    if name not in members(group, path):
+        raise InputFileError(f"{path} lacks the group {_inside(group, name)}; make the file again")
+    below = hard_group(group, name, path)
+    if not spec.several:
+        return read_fields(below, spec.kind, path)
+    count = len(members(below, path))
+    if count > MOST_GROUPS:
+        raise InputFileError(f"{path}: {_inside(group, name)} holds more than {MOST_GROUPS} groups; make the file again")
+    return tuple(read_fields(hard_group(below, str(index), path), spec.kind, path) for index in range(count))
 
 
 def _inside(group: h5py.Group, name: str) -> str:

@@ -74,7 +74,7 @@ def chromas(rule: ClassRule, statistics: Statistics) -> Integers:
 
 def entry(table: TransformTable, chroma: int) -> dict[str, Any]:
     """Number of a chroma and its centre as the channels' shares, read back from the rule's weights |q|² − 2 q."""
-    shares = chroma_centres(table.rule)[chroma].tolist()
+    shares = chroma_centres(table.first.rule)[chroma].tolist()
     return {"chroma": chroma, "shares": dict(zip(table.channels, shares, strict=True))}
 
 

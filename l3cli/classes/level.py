@@ -64,7 +64,7 @@ def inner_bounds(rule: ClassRule, black: float, white: float) -> NDArray[np.floa
 
 def bounds(table: TransformTable) -> NDArray[np.float64]:
     """Bounds (level + 1) of the levels as shares of full scale, from 0 to 1."""
-    inner = inner_bounds(table.rule, table.black, table.white)
+    inner = inner_bounds(table.first.rule, table.black, table.white)
     return np.concatenate([[0.0], np.clip(inner, 0.0, 1.0), [1.0]])
 
 
@@ -81,7 +81,7 @@ def heading(entry: dict[str, Any]) -> str:
 
 def name(table: TransformTable, level: int) -> str:
     """Such as "level 3 (0.002–0.003 of full scale)"."""
-    inner = inner_bounds(table.rule, table.black, table.white)
+    inner = inner_bounds(table.first.rule, table.black, table.white)
     lower = "0" if level == 0 else f"{inner[level - 1]:.3g}"
     upper = f"{inner[level]:.3g}" if level < len(inner) else "1"
     return f"level {level} ({lower}–{upper} of full scale)"

@@ -15,7 +15,7 @@ def heading(axis: str, entry: dict[str, Any]) -> str:
 
 def class_name(table: TransformTable, index: int) -> str:
     """Where a class applies, such as "site (1, 2) g, level 3 (0.002–0.003 of full scale), contrast 0, chroma 5"."""
-    place = table.rule.split(index)
+    place = table.first.rule.split(index)
     row, col = divmod(place.site, table.cfa.shape[1])
     channel = table.channels[table.cfa[row, col]]
     features = level.name(table, place.level), contrast.name(table, place.contrast), kind_name(table, place.kind)
@@ -24,5 +24,5 @@ def class_name(table: TransformTable, index: int) -> str:
 
 def kind_name(table: TransformTable, kind: int) -> str:
     """ "chroma K", or "saturated A+B": the pattern of channels nearest to all that share the saturation case."""
-    case = int(table.rule.case(kind))
+    case = int(table.first.rule.case(kind))
     return saturation.name(table, case) if case else chroma.name(table, kind)

@@ -69,7 +69,7 @@ def cases(rule: ClassRule, code: Integers) -> Integers:
 
 def entry(table: TransformTable, case: int) -> dict[str, Any]:
     """Number of a saturation case and the channels that all patterns sorted into it have saturated."""
-    codes = np.flatnonzero(table.rule.case_of_code == case)
+    codes = np.flatnonzero(table.first.rule.case_of_code == case)
     common = int(np.bitwise_and.reduce(codes)) if codes.size else 0
     return {"case": case, "saturated": _channels(table, common)}
 
@@ -81,7 +81,7 @@ def heading(entry: dict[str, Any]) -> str:
 
 def name(table: TransformTable, case: int) -> str:
     """ "saturated A+B": the pattern of channels nearest to all that share the saturation case."""
-    codes = np.flatnonzero(table.rule.case_of_code == case)
+    codes = np.flatnonzero(table.first.rule.case_of_code == case)
     if not codes.size:
         return "no pattern"
     code = int(codes[::-1][np.argmin(_apart(codes, len(table.channels))[::-1])])

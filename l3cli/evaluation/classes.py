@@ -17,9 +17,9 @@ class ClassErrors:
     """Sums of pixel errors by level, contrast and kind (chroma or saturation case), over the sites of the CFA."""
 
     def __init__(self, table: TransformTable, pipelines: tuple[str, ...]) -> None:
-        self._rule, self._table = table.rule, table
-        self._pixels = np.zeros(table.rule.shape, dtype=np.int64)
-        self._sums = {name: np.zeros(table.rule.shape) for name in pipelines}
+        self._rule, self._table = table.first.rule, table
+        self._pixels = np.zeros(table.first.rule.shape, dtype=np.int64)
+        self._sums = {name: np.zeros(table.first.rule.shape) for name in pipelines}
 
     def add(self, labels: NDArray[np.integer], errors: dict[str, Array]) -> None:
         """Count a frame: class (row, col) of every pixel and the error (row, col) of every pipeline there."""

@@ -54,7 +54,7 @@ class Evaluation:
         Returns the planes (output, row, col) of every pipeline in the target's unit. InputFileError if the frame is too
         small to have pixels whose neighbourhood lies inside it, if its light is dark, or if `outputs` are no colours.
         """
-        border = self._table.rule.radius
+        border = self._table.first.rule.radius
         if min(frame.raw.shape) <= 2 * border:
             size = "×".join(map(str, frame.raw.shape))
             raise InputFileError(f"frame {frame.scene} has {size} pixels, none with a whole patch; give larger frames")

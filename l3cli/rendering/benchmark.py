@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from l3cli.artifacts.class_rule import ClassRule
+from l3cli.artifacts.layers import MosaicLayer
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.chroma import CHROMA_FRACTION, chroma_weights
 from l3cli.classes.level import LEVEL_FRACTION
@@ -219,11 +220,13 @@ def made_up_table(case: Case, rng: np.random.Generator) -> TransformTable:
         target_description="",
         output_unit=1.0,
         white_point=spectra.white_point("D65") if case.outputs == 3 else np.ones(case.outputs),
-        rule=rule,
-        weights=(rng.standard_normal((classes, case.outputs, case.patch**2)) / case.patch).astype(np.float32),
-        intercept=np.zeros((classes, case.outputs), np.float32),
-        samples=np.ones(classes),
-        condition=np.ones(classes, np.float32),
+        first=MosaicLayer(
+            rule=rule,
+            weights=(rng.standard_normal((classes, case.outputs, case.patch**2)) / case.patch).astype(np.float32),
+            intercept=np.zeros((classes, case.outputs), np.float32),
+            samples=np.ones(classes),
+            condition=np.ones(classes, np.float32),
+        ),
     )
 
 

@@ -24,15 +24,15 @@ class LightMeter:
 
     def __init__(self, table: TransformTable) -> None:
         self.table = table
-        self._near = neighbourhoods(table.cfa, table.rule.patch, len(table.channels))
-        self._weights = np.ascontiguousarray(table.weights[:, 1])
-        self._intercept = table.intercept[:, 1]
+        self._near = neighbourhoods(table.cfa, table.first.rule.patch, len(table.channels))
+        self._weights = np.ascontiguousarray(table.first.weights[:, 1])
+        self._intercept = table.first.intercept[:, 1]
 
     def brightness(self, frame: RawFrame) -> float:
         """Y that ought to be shown white."""
         table = self.table
         patches, site = spread_patches(frame, table)
-        classes = table.rule.on_site(label_patches(patches.values, table.rule, self._near, site), site)
+        classes = table.first.rule.on_site(label_patches(patches.values, table.first.rule, self._near, site), site)
         signal = (patches.values.astype(np.float32) - np.float32(patches.black)) / np.float32(table.white - table.black)
         luminance = np.einsum("nt,nt->n", self._weights[classes], signal) + self._intercept[classes]
         return frame.light_share * float(np.percentile(luminance, WHITE_PERCENTILE))
@@ -43,11 +43,11 @@ def spread_patches(frame: RawFrame, table: TransformTable) -> tuple[RawFrame, in
     of the frame's first pixel."""
     period_row, period_col = table.cfa.shape
     rows, cols = frame.values.shape
-    row = _spread(rows, period_row, GRID[0], table.rule.patch)
-    col = _spread(cols, period_col, GRID[1], table.rule.patch)
-    row_source = mirrored_indices(rows, table.rule.radius, period_row)[row]
-    col_source = mirrored_indices(cols, table.rule.radius, period_col)[col]
-    patches = frame.values[row_source[:, None, :, None], col_source[None, :, None, :]].reshape(-1, table.rule.patch**2)
+    row = _spread(rows, period_row, GRID[0], table.first.rule.patch)
+    col = _spread(cols, period_col, GRID[1], table.first.rule.patch)
+    row_source = mirrored_indices(rows, table.first.rule.radius, period_row)[row]
+    col_source = mirrored_indices(cols, table.first.rule.radius, period_col)[col]
+    patches = frame.values[row_source[:, None, :, None], col_source[None, :, None, :]].reshape(-1, table.first.rule.patch**2)
     levelled = replace(frame, values=patches).at_levels(table.black, table.white, table.bits)
     return levelled, frame.phase[0] * period_col + frame.phase[1]
 

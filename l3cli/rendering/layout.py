@@ -55,7 +55,7 @@ def program_source(names: tuple[str, ...]) -> str:
 
 def table_macros(table: TransformTable) -> Macros:
     """Everything about a table that a kernel's loops and formulas depend on."""
-    rule = table.rule
+    rule = table.first.rule
     return {
         "PATCH": rule.patch,
         "RADIUS": rule.radius,
@@ -115,7 +115,7 @@ def curve_macros(steps: int, degree: int) -> Macros:
 
 def class_arrays(table: TransformTable) -> tuple[NDArray, ...]:
     """The constants of the kernel `classes`, in the order of its arguments; what they are stands there."""
-    rule, channels = table.rule, len(table.channels)
+    rule, channels = table.first.rule, len(table.channels)
     near = neighbourhoods(table.cfa, rule.patch, channels)
     period = np.arange(table.cfa.shape[1] + PERIODS) % table.cfa.shape[1]
     cfa = table.cfa[:, period].astype(np.uint16)

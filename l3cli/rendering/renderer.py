@@ -22,8 +22,8 @@ BACKENDS = {
 class Renderer(Protocol):
     """Renders frames through the table it was made from; keeps whatever is the same from frame to frame."""
 
-    def labels(self, frame: RawFrame) -> NDArray[np.integer]:
-        """Class (row, col) of every pixel, equal for every backend."""
+    def labels(self, frame: RawFrame, layer: int = 0) -> NDArray[np.integer]:
+        """Class (row, col) of every pixel in a layer of the table, equal for every backend."""
 
     def outputs(self, frame: RawFrame) -> NDArray[np.float32]:
         """Outputs of the table, (output, row, col), of the frame's size."""

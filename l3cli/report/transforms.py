@@ -26,7 +26,7 @@ def transform_section(
     linear sRGB of the channels, None where no camera tells it; `name` is the file the table comes from."""
     classes = found["classes"]
     lead = (
-        f"{classes['all']} classes of {table.rule.patch} × {table.rule.patch} patches; "
+        f"{classes['all']} classes of {table.first.rule.patch} × {table.first.rule.patch} patches; "
         f"{classes['trained']} are trained on patches of their own, {classes['filled']} filled from their neighbours. "
         f"For {table.camera_name}. From {name}."
     )
@@ -49,7 +49,7 @@ def level_middles(table: TransformTable) -> Array:
 
 
 def _population_blocks(table: TransformTable, found: dict[str, Any]) -> tuple[Block, ...]:
-    samples = table.rule.by_axis(table.samples)
+    samples = table.first.rule.by_axis(table.first.samples)
     levels = [tidy(value, 1) for value in level.bounds(table)[1:]]
     kinds, sites = kind_names(found), [f"{r},{c} {table.channels[channel]}" for (r, c), channel in np.ndenumerate(table.cfa)]
     by_number = max(map(len, kinds)) > LONGEST
@@ -57,7 +57,7 @@ def _population_blocks(table: TransformTable, found: dict[str, Any]) -> tuple[Bl
     sites = [name.partition(" ")[0] for name in sites] if max(map(len, sites)) > LONGEST else sites
     kind = "kind (number in the table)" if by_number else "kind"
     figures = []
-    for contrast in range(table.rule.contrasts):
+    for contrast in range(table.first.rule.contrasts):
         counts = samples[:, :, contrast].sum(axis=0).T
         figures.append(
             _population(counts, kinds, levels, f"Patches at contrast {contrast}{_contrast(table, contrast)}", kind)
@@ -75,9 +75,9 @@ def kind_names(found: dict[str, Any]) -> list[str]:
 
 
 def _contrast(table: TransformTable, contrast: int) -> str:
-    if table.rule.contrasts == 1:
+    if table.first.rule.contrasts == 1:
         return ""
-    return {0: ", the flattest", table.rule.contrasts - 1: ", the most textured"}.get(contrast, "")
+    return {0: ", the flattest", table.first.rule.contrasts - 1: ", the most textured"}.get(contrast, "")
 
 
 def _population(counts: Array, rows: list[str], levels: list[str], title: str, y_label: str) -> Figure:
@@ -118,8 +118,8 @@ def _transform_blocks(table: TransformTable, light: Array | None, class_name: Ca
 def chosen_classes(table: TransformTable) -> list[int]:
     """Classes worth a look: of the commonest channel's first site dark and bright, flat and textured; then a textured class
     of middling level for each other channel. Of each the unsaturated kind of most patches."""
-    rule = table.rule
-    samples = table.rule.by_axis(table.samples)[..., rule.kinds_of(0)]
+    rule = table.first.rule
+    samples = table.first.rule.by_axis(table.first.samples)[..., rule.kinds_of(0)]
     sites = table.cfa.ravel()
     common = int(np.bincount(sites).argmax())
     middles = level_middles(table)
@@ -138,11 +138,11 @@ def chosen_classes(table: TransformTable) -> list[int]:
 
 def _maps(table: TransformTable, light: Array | None, index: int, name: str) -> Figure:
     """Filters under a patch and, for each of the first outputs, its weights: blue below zero, orange above."""
-    patch, outputs = table.rule.patch, min(MAPS, len(table.outputs))
+    patch, outputs = table.first.rule.patch, min(MAPS, len(table.outputs))
     gap, top = 8.0, 18.0
     side = (WIDTH - gap * outputs) / (outputs + 1)
     cell = side / patch
-    weights = table.weights[index].astype(np.float64)
+    weights = table.first.weights[index].astype(np.float64)
     items = [f'<text x="{side / 2:.1f}" y="13" text-anchor="middle">filters</text>']
     for tap, channel in enumerate(taps(table, index)):
         x, y = tap % patch * cell, top + tap // patch * cell
@@ -162,7 +162,7 @@ def _maps(table: TransformTable, light: Array | None, index: int, name: str) -> 
         f"{table.outputs[o]} {tidy(gains[o])} (sum {tidy(weights[o].sum())}, largest {tidy(np.abs(weights[o]).max())})"
         for o in range(outputs)
     )
-    finding = f"{table.samples[index]:.0f} patches. Noise gain √Σw²: {figures}."
+    finding = f"{table.first.samples[index]:.0f} patches. Noise gain √Σw²: {figures}."
     return Figure(name, sheet(WIDTH, round(top + side + 2), "".join(items), f"{name}. {finding}"), finding)
 
 
@@ -181,7 +181,7 @@ def _weight_map(weights: Array, left: float, top: float, cell: float) -> list[st
 
 def taps(table: TransformTable, index: int) -> Integers:
     """Channel of each tap of a class's patch."""
-    return window_channels(table.cfa, table.rule.patch)[table.rule.split(index).site]
+    return window_channels(table.cfa, table.first.rule.patch)[table.first.rule.split(index).site]
 
 
 # ----------------------------------------------------------------------------------------------------------- noise
@@ -189,11 +189,12 @@ def taps(table: TransformTable, index: int) -> Integers:
 
 def _noise_figures(table: TransformTable) -> Figures:
     """Noise gain over level: median over trained unsaturated classes."""
-    gain = table.rule.by_axis(np.sqrt((table.weights.astype(np.float64) ** 2).sum(axis=2)))[..., table.rule.kinds_of(0), :]
-    trained = table.rule.by_axis(table.samples)[..., table.rule.kinds_of(0)] > 0
+    rule, gains = table.first.rule, np.sqrt((table.first.weights.astype(np.float64) ** 2).sum(axis=2))
+    gain = rule.by_axis(gains)[..., rule.kinds_of(0), :]
+    trained = rule.by_axis(table.first.samples)[..., rule.kinds_of(0)] > 0
     middles, curves = level_middles(table), []
     for output in range(min(MAPS, len(table.outputs))):
-        for contrast in sorted({0, table.rule.contrasts - 1}):
+        for contrast in sorted({0, table.first.rule.contrasts - 1}):
             curves.append((output, contrast, _medians(gain[:, :, contrast, :, output], trained[:, :, contrast])))
     known = np.concatenate([values[np.isfinite(values)] for _, _, values in curves])
     if not known.size:
@@ -206,7 +207,7 @@ def _noise_figures(table: TransformTable) -> Figures:
             continue
         textured = contrast > 0
         plot.line(middles[at], values[at], colours.SERIES[output], "dashed" if textured else "line")
-        where = "" if table.rule.contrasts == 1 else (", textured" if textured else ", flat")
+        where = "" if table.first.rule.contrasts == 1 else (", textured" if textured else ", flat")
         keys.append(Key(f"{table.outputs[output]}{where}", colours.SERIES[output], "dashed" if textured else "line"))
         told.append(f"{table.outputs[output]}{where} {tidy(values[at][0], 2)} to {tidy(values[at][-1], 2)}")
     finding = (

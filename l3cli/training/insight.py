@@ -20,34 +20,34 @@ def insight(table: TransformTable) -> dict[str, Any]:
     trained unsaturated classes of what a flat unit signal of one channel adds to each output. condition: median and worst
     over trained classes. worst: the trained classes of the largest noise gain (of Y if there is one), with their names.
     """
-    trained, rule = table.samples > 0, table.rule
+    trained, rule = table.first.samples > 0, table.first.rule
     taps = rule.patch**2
-    noise_gain = np.sqrt((table.weights.astype(np.float64) ** 2).sum(axis=2))
+    noise_gain = np.sqrt((table.first.weights.astype(np.float64) ** 2).sum(axis=2))
     kind = rule.split(np.arange(len(trained))).kind
     judged = noise_gain[:, table.outputs.index("Y")] if "Y" in table.outputs else noise_gain.max(axis=1)
     order = np.argsort(np.where(trained, -judged, np.inf), kind="stable")[: int(trained.sum())]
     # sites that are mirror images share their training: the first of them stands for all
-    _, first = np.unique(np.stack([judged[order], table.samples[order]]), axis=1, return_index=True)
+    _, first = np.unique(np.stack([judged[order], table.first.samples[order]]), axis=1, return_index=True)
     worst = order[np.sort(first)[:WORST]]
-    per_kind = np.bincount(kind, weights=table.samples, minlength=rule.kinds)
+    per_kind = np.bincount(kind, weights=table.first.samples, minlength=rule.kinds)
     return {
         "target": table.target_description,
         "classes": {
             "all": len(trained),
             "trained": int(trained.sum()),
-            "thin": int((trained & (table.samples < taps)).sum()),
+            "thin": int((trained & (table.first.samples < taps)).sum()),
             "filled": int((~trained).sum()),
         },
         "kinds": [{"name": kind_name(table, index), "patches": count} for index, count in enumerate(per_kind.tolist())],
         "noise_gain": _spread(noise_gain[trained], table.outputs),
         "dc_gain": _dc_gain(table, trained & (rule.case(kind) == 0)),
-        "condition": _spread(table.condition[trained, None].astype(np.float64), ("all",))["all"],
+        "condition": _spread(table.first.condition[trained, None].astype(np.float64), ("all",))["all"],
         "worst": [
             {
                 "class": class_name(table, index),
                 "noise_gain": float(judged[index]),
-                "patches": float(table.samples[index]),
-                "condition": float(table.condition[index]),
+                "patches": float(table.first.samples[index]),
+                "condition": float(table.first.condition[index]),
             }
             for index in worst.tolist()
         ],
@@ -66,13 +66,13 @@ def _spread(values: NDArray[np.float64], names: tuple[str, ...]) -> dict[str, di
 
 def _dc_gain(table: TransformTable, chosen: NDArray[np.bool_]) -> dict[str, dict[str, float]]:
     """Median over the chosen classes of the sum of the weights of each channel: {output: {channel: gain}}."""
-    windows = window_channels(table.cfa, table.rule.patch)
-    site = table.rule.split(np.arange(len(chosen))).site
+    windows = window_channels(table.cfa, table.first.rule.patch)
+    site = table.first.rule.split(np.arange(len(chosen))).site
     gain = np.full((len(chosen), len(table.outputs), len(table.channels)), np.nan)
     for index in np.unique(site):
         here = chosen & (site == index)
         member = windows[index][:, None] == np.arange(len(table.channels))
-        gain[here] = table.weights[here] @ member.astype(np.float64)
+        gain[here] = table.first.weights[here] @ member.astype(np.float64)
     median = np.median(gain[chosen], axis=0) if chosen.any() else np.zeros(gain.shape[1:])
     return {
         output: dict(zip(table.channels, values, strict=True))

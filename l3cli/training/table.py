@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
+from l3cli.artifacts.layers import MosaicLayer
 from l3cli.artifacts.partial_sums import ClassSums
 from l3cli.artifacts.schema import Stage
 from l3cli.artifacts.table import TransformTable
@@ -143,11 +144,13 @@ def assemble(lesson: Lesson, solutions: dict[int, Solution], history: tuple[Stag
         output_unit=camera.white_dose,
         target_description=head.target_description,
         white_point=lesson.white_point,
-        rule=rule,
-        weights=np.concatenate(weights).astype(np.float32),
-        intercept=np.concatenate(intercept).astype(np.float32),
-        samples=np.concatenate(samples),
-        condition=np.concatenate(condition).astype(np.float32),
+        first=MosaicLayer(
+            rule,
+            np.concatenate(weights).astype(np.float32),
+            np.concatenate(intercept).astype(np.float32),
+            np.concatenate(samples),
+            np.concatenate(condition).astype(np.float32),
+        ),
         exposure=lesson.exposure,
         camera=replace(camera, fit=None),
     )

@@ -50,11 +50,11 @@ class Judge:
 
 def judge_of(table: TransformTable, site: int, power: float) -> Judge:
     """The judge of a canonical site from the first pass's table; its weights go with `power` of the squared error."""
-    own = table.rule.of_site(site)
-    x, y, z = np.moveaxis(table.weights[own], 1, 0)
+    own = table.first.rule.of_site(site)
+    x, y, z = np.moveaxis(table.first.weights[own], 1, 0)
     products = np.stack([x * x, y * y, z * z, x * y, y * z], axis=-1)
-    weights = np.ascontiguousarray(np.swapaxes(table.weights[own], 1, 2))
-    return Judge(weights, products, table.intercept[own], table.white_point.astype(np.float32), power)
+    weights = np.ascontiguousarray(np.swapaxes(table.first.weights[own], 1, 2))
+    return Judge(weights, products, table.first.intercept[own], table.white_point.astype(np.float32), power)
 
 
 def lab_error(

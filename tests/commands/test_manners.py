@@ -22,6 +22,7 @@ from l3cli.errors import suggestion
 from l3cli.frame import RawFrame
 from l3cli.rendering.coverage import CoverageMeter
 from tests.helpers.paths import CONFIGS
+from tests.helpers.tables import with_first
 from tests.helpers.terminal import in_terminal
 
 UNITS = re.compile(r"\b(DN|nm|pixels?|seconds?|a second|a degree|Number|numbers|Rate factor|Bytes)\b", re.IGNORECASE)
@@ -295,10 +296,10 @@ def test_levels_without_training_are_counted(pipeline: Path, capsys) -> None:
     from l3cli.stages.input_warnings import FrameWarnings
 
     table = load(TransformTable, pipeline / "table.h5")
-    samples = table.samples.reshape(table.cfa.size, table.rule.levels, -1).copy()
+    samples = table.first.samples.reshape(table.cfa.size, table.first.rule.levels, -1).copy()
     samples[:, 2:5] = 100.0
     samples[:, :2] = samples[:, 5:] = 0.0
-    part = replace(table, samples=samples.ravel(), camera=None)
+    part = replace(with_first(table, samples=samples.ravel()), camera=None)
     meter = CoverageMeter(part)
     dark, middle, bright = (meter.coverage(next(frames_of(part, level, 1))) for level in (0.0, 0.01, 0.7))
     assert (dark.darker, dark.brighter, middle.darker, middle.brighter) == (1.0, 0.0, 0.0, 0.0)

@@ -1,7 +1,6 @@
 """Sequences in, numbered pictures out: every kind of input, order and numbers, broken frames, resuming, exposure in time."""
 
 import contextlib
-import dataclasses
 import itertools
 import os
 import shutil
@@ -33,7 +32,7 @@ from l3cli.rendering.exposure import TIME_CONSTANT, LightMeter, SteadyExposure
 from l3cli.rendering.reference import ReferenceRenderer
 from tests.helpers.cameras import BAYER, FIVE_BAND
 from tests.helpers.sequences import COUNT, FAST, RGGB, RUN, frames, pictures
-from tests.helpers.tables import random_table
+from tests.helpers.tables import random_table, with_first
 
 
 @pytest.fixture
@@ -272,7 +271,7 @@ def stopped(l3: Callable, monkeypatch: pytest.MonkeyPatch, after: int, *call: ob
 @pytest.fixture
 def other(tmp_path: Path) -> Path:
     """A table whose pictures differ."""
-    save(dataclasses.replace(RGGB, weights=RGGB.weights * np.float32(0.5)), tmp_path / "other.h5")
+    save(with_first(RGGB, weights=RGGB.first.weights * np.float32(0.5)), tmp_path / "other.h5")
     return tmp_path / "other.h5"
 
 
@@ -590,7 +589,7 @@ def test_many_threads_end(number: int):
 def test_the_meter_reads_what_the_table_would_show(cfa):
     table = random_table(cfa, bits=12, black=100.0)
     # Weights like those of a trained table: all sites answer alike.
-    table = dataclasses.replace(table, weights=np.abs(table.weights), intercept=np.zeros_like(table.intercept))
+    table = with_first(table, weights=np.abs(table.first.weights), intercept=np.zeros_like(table.first.intercept))
     rows, cols = np.mgrid[:120, :160]
     values = (100 + 3000 * (0.3 + 0.3 * np.sin(rows / 25) + 0.3 * np.cos(cols / 40))).clip(0).astype(np.uint16)
     frame = RawFrame("f", values, 100.0, 4095.0, phase=(1, 1))

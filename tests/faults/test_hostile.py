@@ -23,6 +23,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from l3cli.artifacts.container import seal
+from l3cli.artifacts.layers import MosaicLayer
 from l3cli.artifacts.store import save
 from l3cli.classes.names import kind_name
 from l3cli.errors import InputFileError
@@ -169,7 +170,7 @@ KEPT_VALUES: list[tuple[str, int, str, Any]] = [
     ("training.h5", 2, "outputs", np.array([b"X", b"Y"])),
     ("sums.h5", 0, "sites", np.array([1, 2, 3])),  # sums of sites that the camera does not train
     ("sums.h5", 0, "training/camera/pixel_pitch", 1e-25),  # a pixel that takes ages to fill
-    ("table.h5", 0, "rule/shift", -1),
+    ("table.h5", 0, "first/rule/shift", -1),
     ("table.h5", 1, "bits", 4096),
     ("camera.h5", 2, "wavelength", np.linspace(1.0, 1e12, 31)),
     ("camera.h5", 2, "gain", 0.0),
@@ -192,12 +193,13 @@ def test_values_that_were_found_stay_refused(shop: Workshop, name: str, command:
 def test_a_camera_of_many_channels_does_not_compare_all_patterns_in_pairs() -> None:
     """16 channels have 65536 patterns: all against all would be 32 GB."""
     table = random_table(np.arange(16).reshape(4, 4), patch=5)
-    rule = dataclasses.replace(table.rule, case_of_code=np.minimum(np.arange(2**16), 2).astype(np.uint16))
+    rule = dataclasses.replace(table.first.rule, case_of_code=np.minimum(np.arange(2**16), 2).astype(np.uint16))
     weights = np.zeros((table.cfa.size * rule.classes_per_site, 3, 25), np.float32)
     each = {"intercept": weights[:, :, 0], "samples": np.ones(len(weights)), "condition": np.ones(len(weights), np.float32)}
-    table = dataclasses.replace(table, rule=rule, weights=weights, channels=tuple("abcdefghijklmnop"), **each)
-    assert kind_name(table, table.rule.chromas) == "saturated a"
-    assert kind_name(table, table.rule.chromas + 1) == "saturated a+b+c+d+e+f+g+h+i+j+k+l+m+n+o+p"
+    first = MosaicLayer(rule, weights, **each)
+    table = dataclasses.replace(table, first=first, channels=tuple("abcdefghijklmnop"))
+    assert kind_name(table, table.first.rule.chromas) == "saturated a"
+    assert kind_name(table, table.first.rule.chromas + 1) == "saturated a+b+c+d+e+f+g+h+i+j+k+l+m+n+o+p"
 
 
 # ----------------------------------------------------------------------------------------------------- decoding apart
@@ -418,8 +420,8 @@ def test_groups_in_a_circle_are_walked_once(l3: Callable, tmp_path: Path) -> Non
     save(random_table(BAYER, bits=12, black=64.0), tmp_path / "table.h5")
     with h5py.File(tmp_path / "table.h5", "r+") as root:
         for name in ("round", "and", "again"):
-            root[f"rule/{name}"] = root
-            root[name] = root["rule"]
+            root[f"first/rule/{name}"] = root
+            root[name] = root["first/rule"]
     seal(tmp_path / "table.h5")
     code, out, _ = l3("info", tmp_path / "table.h5")
     assert code == 0

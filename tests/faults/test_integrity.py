@@ -35,7 +35,7 @@ READERS = {
 
 
 def some_sums(camera: CameraModel) -> tuple[PartialSums, ClassSums]:
-    rule = a_table(camera).rule
+    rule = a_table(camera).first.rule
     head = PartialSums(
         shard=1,
         shards=1,
@@ -111,7 +111,7 @@ def test_a_changed_value_that_is_sealed_again_is_found_by_its_own_checksum(artif
     path = tmp_path / "table.h5"
     content = bytearray(artifacts["table"].read_bytes())
     with h5py.File(artifacts["table"]) as root:
-        content[container.BLOCK + root["weights"].id.get_chunk_info(0).byte_offset + 9] ^= 1
+        content[container.BLOCK + root["first/weights"].id.get_chunk_info(0).byte_offset + 9] ^= 1
     path.write_bytes(content)
     container.seal(path)
     assert "dataset weights is damaged (checksum)" in refused(3, "info", "--verify", path)

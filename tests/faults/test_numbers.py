@@ -285,8 +285,8 @@ def test_no_chromas_are_none(l3, tmp_path, pipeline) -> None:
         output = tmp_path / f"{chromas}.h5"
         assert l3("train", pipeline / "training.h5", "--classes", recipe, "-o", output, "--quiet") == (0, "", "")
         tables.append(load(TransformTable, output))
-    assert tables[0].rule.chromas == 1
-    np.testing.assert_array_equal(tables[0].weights, tables[1].weights)
+    assert tables[0].first.rule.chromas == 1
+    np.testing.assert_array_equal(tables[0].first.weights, tables[1].first.weights)
 
 
 @pytest.mark.parametrize(

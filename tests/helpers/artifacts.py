@@ -8,6 +8,7 @@ import numpy as np
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.fit import ChartFit, Fit, NoiseFit, SeriesFit, SweepFit
+from l3cli.artifacts.layers import MosaicLayer
 from l3cli.artifacts.schema import Stage
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingFrame
@@ -80,10 +81,12 @@ def a_table(camera: CameraModel) -> TransformTable:
         target_description="",
         output_unit=0.5,
         white_point=np.array([0.95, 1.0, 1.09]),
-        rule=rule,
-        weights=rng.standard_normal((classes, 3, 9)).astype(np.float32),
-        intercept=np.zeros((classes, 3), np.float32),
-        samples=np.ones(classes),
-        condition=np.ones(classes, np.float32),
+        first=MosaicLayer(
+            rule=rule,
+            weights=rng.standard_normal((classes, 3, 9)).astype(np.float32),
+            intercept=np.zeros((classes, 3), np.float32),
+            samples=np.ones(classes),
+            condition=np.ones(classes, np.float32),
+        ),
         history=(Stage("train", {"seed": 0}),),
     )

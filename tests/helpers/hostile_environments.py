@@ -83,12 +83,12 @@ class Place:
 def make_desk(folder: Path) -> None:
     """A table, a raw frame as .tif and .npy, an evaluation, and what becomes of the frame: reference.png, opencl.png."""
     from tests.helpers.cameras import BAYER
-    from tests.helpers.tables import random_table
+    from tests.helpers.tables import random_table, with_first
 
     table = random_table(BAYER, bits=12, black=64.0)
-    cases = table.rule.case_of_code.copy()
+    cases = table.first.rule.case_of_code.copy()
     cases[0] = 0  # what does not clip is not taken for clipped
-    save(replace(table, rule=replace(table.rule, case_of_code=cases)), folder / "table.h5")
+    save(with_first(table, rule=replace(table.first.rule, case_of_code=cases)), folder / "table.h5")
     values = np.random.default_rng(0).integers(700, 900, (20, 24)).astype(np.uint16)  # nothing worth a warning
     write_mosaic(folder / "raw.tif", values)
     np.save(folder / "raw.npy", values)

@@ -1,9 +1,11 @@
 """Tables of random weights, for cameras of any colour filter array."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 
+from l3cli.artifacts.layers import MosaicLayer
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.recipe import ClassRecipe
 from l3cli.classes.rule import make_rule
@@ -15,6 +17,11 @@ def random_case_of_code(channels: int, rng: np.random.Generator) -> np.ndarray:
     cases = rng.integers(0, 4, 2**channels).astype(np.uint16)
     cases[0] = 0
     return cases
+
+
+def with_first(table: TransformTable, **fields: Any) -> TransformTable:
+    """The table with other values in `fields` of its first layer."""
+    return dataclasses.replace(table, first=dataclasses.replace(table.first, **fields))
 
 
 XYZ = ("X", "Y", "Z")
@@ -46,9 +53,11 @@ def random_table(cfa, bits=12, black=0.0, patch=5, outputs=XYZ, contrasts=(1.4,)
         target_description="",
         output_unit=1.0,
         white_point=np.array([0.9505, 1.0, 1.089, *np.ones(16)])[: len(outputs)],
-        rule=rule,
-        weights=((1 + rng.normal(size=(classes, len(outputs), patch**2))) / patch**2).astype(np.float32),
-        intercept=rng.normal(scale=0.05, size=(classes, len(outputs))).astype(np.float32),
-        samples=np.ones(classes),
-        condition=np.ones(classes, np.float32),
+        first=MosaicLayer(
+            rule=rule,
+            weights=((1 + rng.normal(size=(classes, len(outputs), patch**2))) / patch**2).astype(np.float32),
+            intercept=rng.normal(scale=0.05, size=(classes, len(outputs))).astype(np.float32),
+            samples=np.ones(classes),
+            condition=np.ones(classes, np.float32),
+        ),
     )

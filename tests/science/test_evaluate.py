@@ -428,8 +428,8 @@ def test_errors_are_counted_in_their_class(trained: Path) -> None:
     table = load(TransformTable, trained / "table.h5")
     with open_training_set(trained / "training.h5") as reader:
         frame = reader.frame(0)
-    labels = label_mosaic(frame.raw, table.rule, table.cfa, len(table.channels))
-    shape = (table.cfa.size, table.rule.levels, table.rule.contrasts, table.rule.kinds)
+    labels = label_mosaic(frame.raw, table.first.rule, table.cfa, len(table.channels))
+    shape = (table.cfa.size, table.first.rule.levels, table.first.rule.contrasts, table.first.rule.kinds)
     _, level, contrast, kind = np.unravel_index(labels, shape)
     errors = ClassErrors(table, ("ours",))
     errors.add(labels, {"ours": level.astype(float)})
@@ -441,7 +441,7 @@ def test_errors_are_counted_in_their_class(trained: Path) -> None:
         assert entry["pixels"] == (contrast == entry["contrast"]).sum()
     for entry in errors.by_axis("mean_delta_e")["chroma"]:
         assert entry["pixels"] == (kind == entry["chroma"]).sum()
-    centres = chroma_centres(table.rule)
+    centres = chroma_centres(table.first.rule)
     assert centres.shape == (4, 3)
     assert centres.sum(axis=1) == pytest.approx(np.ones(4), abs=0.01)
 
@@ -450,7 +450,7 @@ def test_an_evaluation_needs_no_file(trained: Path) -> None:
     table = load(TransformTable, trained / "table.h5")
     with open_training_set(trained / "training.h5") as reader:
         evaluation, frame = Evaluation(table, reader.head), reader.frame(0)
-    labels = label_mosaic(frame.raw, table.rule, table.cfa, len(table.channels))
+    labels = label_mosaic(frame.raw, table.first.rule, table.cfa, len(table.channels))
     perfect = frame.target * frame.exposure / table.output_unit
     planes = evaluation.add(frame, perfect, labels)
     assert planes["ours"] == pytest.approx(np.asarray(frame.target), rel=1e-5)
@@ -463,8 +463,8 @@ def test_errors_are_laid_to_the_class_of_their_pixel(trained: Path) -> None:
     table = load(TransformTable, trained / "table.h5")
     with open_training_set(trained / "training.h5") as reader:
         evaluation, frame = Evaluation(table, reader.head), reader.frame(0)
-    labels = label_mosaic(frame.raw, table.rule, table.cfa, len(table.channels))
-    level = labels % table.rule.classes_per_site // (table.rule.contrasts * table.rule.kinds)
+    labels = label_mosaic(frame.raw, table.first.rule, table.cfa, len(table.channels))
+    level = labels % table.first.rule.classes_per_site // (table.first.rule.contrasts * table.first.rule.kinds)
     spoilt = np.bincount(level[2:-2, 2:-2].ravel()).argmax()
     planes = frame.target * np.where(level == spoilt, 0.7, 1.0)
     evaluation.add(frame, planes * frame.exposure / table.output_unit, labels)

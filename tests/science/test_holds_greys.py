@@ -97,7 +97,7 @@ def test_plain_areas_show_no_pattern_at_any_level(learned: Learned) -> None:
     for exposure in EXPOSURES:
         raw = learned.raw(exposure, 24, None)
         means = site_means(renderer.outputs(raw), learned.camera, 8)
-        if np.unique(renderer.labels(raw)[8:-8, 8:-8] % learned.table.rule.classes_per_site).size > 1:
+        if np.unique(renderer.labels(raw)[8:-8, 8:-8] % learned.table.first.rule.classes_per_site).size > 1:
             on_an_edge.append(exposure)
         else:
             assert (np.ptp(means, axis=0) <= 1e-4 * means.mean(axis=0)).all(), exposure

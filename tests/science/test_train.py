@@ -147,8 +147,8 @@ def test_flat_fields_give_their_true_output(bayer: CameraModel, tmp_path: Path, 
     code, _, err = l3("train", training, "--classes", tmp_path / "classes.toml", "-o", tmp_path / "table.h5")
     assert code == 0, err
     table = load(TransformTable, tmp_path / "table.h5")
-    assert np.isfinite(table.weights).all()
-    assert (np.abs(table.weights).sum(axis=(1, 2)) > 0).all()  # no class is left empty
+    assert np.isfinite(table.first.weights).all()
+    assert (np.abs(table.first.weights).sum(axis=(1, 2)) > 0).all()  # no class is left empty
     near = neighbourhoods(camera.cfa, 5, 3)
     rng = np.random.default_rng(9)
     for level in (0.01, 0.1, 0.5):
@@ -157,9 +157,9 @@ def test_flat_fields_give_their_true_output(bayer: CameraModel, tmp_path: Path, 
         truth = MIX @ share
         for site in range(4):
             patch = camera.black + share[near.channel[site]] * (camera.white - camera.black)
-            label = label_patches(np.rint(patch).astype(np.uint16)[None], table.rule, near, site)[0]
-            index = site * table.rule.classes_per_site + label
-            result = table.weights[index] @ share[near.channel[site]] + table.intercept[index]
+            label = label_patches(np.rint(patch).astype(np.uint16)[None], table.first.rule, near, site)[0]
+            index = site * table.first.rule.classes_per_site + label
+            result = table.first.weights[index] @ share[near.channel[site]] + table.first.intercept[index]
             assert result == pytest.approx(truth, rel=0.03, abs=0.002 * level)
 
 
@@ -217,7 +217,7 @@ def test_other_outputs_than_xyz(
     assert table.output_unit == camera.white_dose
     white = mix.sum(axis=1)
     assert table.white_point == pytest.approx(white / (white[0] if outputs == ("Y",) else white.mean()))
-    assert (np.abs(table.weights).sum(axis=(1, 2)) > 0).all()
+    assert (np.abs(table.first.weights).sum(axis=(1, 2)) > 0).all()
     share = np.array([0.3, 0.25, 0.2])
     mosaic = camera.black + share[np.tile(camera.cfa, (16, 16))] * (camera.white - camera.black)
     np.save(tmp_path / "raw.npy", np.rint(mosaic).astype(np.uint16))
@@ -244,20 +244,20 @@ def test_info_tells_what_a_table_has_learned(bayer: CameraModel, tmp_path: Path,
     code, out, _ = l3("info", tmp_path / "table.h5", "--json")
     assert code == 0
     table, found = load(TransformTable, tmp_path / "table.h5"), json.loads(out)["insight"]
-    assert found["classes"]["all"] == len(table.weights)
-    assert found["classes"]["filled"] == int((table.samples == 0).sum())
-    assert found["classes"]["trained"] + found["classes"]["filled"] == len(table.weights)
-    assert sum(kind["patches"] for kind in found["kinds"]) == table.samples.sum() == 4 * 3000 * 4
+    assert found["classes"]["all"] == len(table.first.weights)
+    assert found["classes"]["filled"] == int((table.first.samples == 0).sum())
+    assert found["classes"]["trained"] + found["classes"]["filled"] == len(table.first.weights)
+    assert sum(kind["patches"] for kind in found["kinds"]) == table.first.samples.sum() == 4 * 3000 * 4
     # trained on flat fields whose outputs are MIX of the channels, that is what a flat signal gives
     gains = np.array([[found["dc_gain"][output][channel] for channel in "rgb"] for output in "XYZ"])
     assert gains == pytest.approx(MIX, abs=0.03)
-    trained = table.samples > 0
-    noise = np.sqrt((table.weights[trained, 1].astype(np.float64) ** 2).sum(axis=1))
+    trained = table.first.samples > 0
+    noise = np.sqrt((table.first.weights[trained, 1].astype(np.float64) ** 2).sum(axis=1))
     assert found["noise_gain"]["Y"] == pytest.approx({"median": np.median(noise), "worst": noise.max()})
     assert found["worst"][0]["noise_gain"] == pytest.approx(noise.max())
     assert found["worst"][0]["class"].startswith("site (")
     assert 1 <= found["condition"]["median"] <= found["condition"]["worst"]
-    assert (table.condition[trained] >= 1).all()
+    assert (table.first.condition[trained] >= 1).all()
     code, out, _ = l3("info", tmp_path / "table.h5")
     assert code == 0
     assert "noisiest classes:" in out
@@ -317,9 +317,9 @@ def test_plain_areas_show_no_cfa_pattern(bayer: CameraModel, tmp_path: Path, l3:
     table = load(TransformTable, tmp_path / "table.h5")
     near = neighbourhoods(bayer.cfa, 5, 3)
     member = near.channel[:, :, None] == np.arange(3)
-    weights = table.weights.reshape(4, -1, 3, 25).astype(np.float64)
+    weights = table.first.weights.reshape(4, -1, 3, 25).astype(np.float64)
     response = np.einsum("skot,stc->skoc", weights, member)
-    own = table.samples.reshape(4, -1).min(axis=0) > 0  # classes that every site has seen
+    own = table.first.samples.reshape(4, -1).min(axis=0) > 0  # classes that every site has seen
     assert own.sum() > 5
     spread = np.ptp(response[:, own], axis=0)
     assert spread.max() < 2e-3 * np.abs(response[:, own]).max()

@@ -33,7 +33,7 @@ from l3cli.rendering.opencl_devices import choose_device, devices
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.rendering.renderer import BACKENDS, make_renderer
 from tests.helpers.cameras import BAYER, FIVE_BAND, X_TRANS
-from tests.helpers.tables import XYZ, random_table
+from tests.helpers.tables import XYZ, random_table, with_first
 
 # float32 sums of at most 225 products, each term below 1 and rounded to 6e-8: 225 · 6e-8 at worst, a tenth of it in fact.
 OUTPUT_TOLERANCE = 1e-5
@@ -85,7 +85,7 @@ def frames(draw, table: TransformTable) -> RawFrame:
     top = 2 ** draw(st.sampled_from([table.bits, table.bits, 16])) - 1
     level, spread = draw(st.floats(0, 1.1)), draw(st.sampled_from([0.0, 0.001, 0.05, 0.5, 2.0]))
     values = table.black + top * level * rng.uniform(0.3, 1.0) * (1 + spread * rng.normal(size=(rows, cols)))
-    for value in draw(st.lists(st.sampled_from([0.0, table.black, float(table.rule.saturation), top]), max_size=3)):
+    for value in draw(st.lists(st.sampled_from([0.0, table.black, float(table.first.rule.saturation), top]), max_size=3)):
         row, col = rng.integers(0, rows), rng.integers(0, cols)
         values[row : row + rng.integers(1, 9), col : col + rng.integers(1, 9)] = value
     phase = (draw(st.integers(0, table.cfa.shape[0] - 1)), draw(st.integers(0, table.cfa.shape[1] - 1)))
@@ -116,7 +116,7 @@ def test_frames_of_one_value_and_of_one_line(renderers):
     reference, device = renderers
     table = reference.table
     for shape in ((1, 1), (1, 70), (70, 1), (17, 33)):
-        for value in (0, int(table.black), table.rule.saturation, 2**table.bits - 1):
+        for value in (0, int(table.black), table.first.rule.saturation, 2**table.bits - 1):
             frame = RawFrame("f", np.full(shape, value, np.uint16), table.black, table.white)
             np.testing.assert_array_equal(device.labels(frame), reference.labels(frame))
             exact = reference.exact_outputs(frame)
@@ -203,9 +203,9 @@ def test_a_value_on_an_edge_falls_on_the_same_side():
     """Nine values of 0 or 1 with four ones have the variance 4 · round(512 / 9) and the level sum 4 · 7282 >> 8."""
     table = random_table([[0]], patch=3)
     level_edges = np.array([113, 200, 300], np.uint32)
-    rule = dataclasses.replace(table.rule, level_edges=level_edges, contrast_edges=np.full((1, 4), 4 * 57, np.uint32))
+    rule = dataclasses.replace(table.first.rule, level_edges=level_edges, contrast_edges=np.full((1, 4), 4 * 57, np.uint32))
     classes = rule.classes_per_site
-    table = dataclasses.replace(
+    table = with_first(
         table,
         rule=rule,
         weights=np.zeros((classes, 3, 9), np.float32),
@@ -232,9 +232,9 @@ ENCODINGS = [(8, 0.01), (16, 0.05)]
 def test_encodings_on_the_device(kind):
     """The whole range, below black and beyond white, in both depths."""
     table = random_table([[0]], bits=16, patch=3)
-    centre = np.zeros_like(table.weights)
+    centre = np.zeros_like(table.first.weights)
     centre[:, :, 4] = 1.0
-    table = dataclasses.replace(table, weights=centre, intercept=np.full_like(table.intercept, -0.01))
+    table = with_first(table, weights=centre, intercept=np.full_like(table.first.intercept, -0.01))
     frame = RawFrame("ramp", np.arange(65536, dtype=np.uint16).reshape(256, 256), table.black, table.white)
     device, reference = OpenCLRenderer(table, **KINDS[kind]), ReferenceRenderer(table)
     for bits, share in ENCODINGS:
@@ -249,9 +249,9 @@ def test_encodings_on_the_device(kind):
 
 def test_centre_tap_of_the_reference_gives_the_signal_back():
     table = random_table(BAYER, bits=10, black=64.0)
-    centre = np.zeros_like(table.weights)
+    centre = np.zeros_like(table.first.weights)
     centre[:, 1, 12] = 1.0
-    table = dataclasses.replace(table, weights=centre, intercept=np.zeros_like(table.intercept))
+    table = with_first(table, weights=centre, intercept=np.zeros_like(table.first.intercept))
     values = np.random.default_rng(0).integers(0, 1024, (7, 9)).astype(np.uint16)
     planes = ReferenceRenderer(table).exact_outputs(RawFrame("f", values, 64.0, 1023.0, (1, 0)))
     np.testing.assert_allclose(planes[1], (values - 64.0) / 959.0, atol=1e-12)
@@ -262,10 +262,10 @@ def test_centre_tap_of_the_reference_gives_the_signal_back():
 def test_weights_follow_class_tap_and_phase(backend):
     """Tap order, class order and the phase, seen through a table whose weights are 1 for one tap of one site."""
     table = random_table(BAYER, bits=10)
-    weights = np.zeros_like(table.weights)
-    per_site = table.rule.classes_per_site
+    weights = np.zeros_like(table.first.weights)
+    per_site = table.first.rule.classes_per_site
     weights[3 * per_site :, 0, 5 * 1 + 4] = 1.0  # site (1, 1): one row up, two columns to the right
-    table = dataclasses.replace(table, weights=weights, intercept=np.zeros_like(table.intercept))
+    table = with_first(table, weights=weights, intercept=np.zeros_like(table.first.intercept))
     values = np.random.default_rng(0).integers(0, 1024, (6, 8)).astype(np.uint16)
     plane = make_renderer(backend, table).outputs(RawFrame("f", values, 0.0, 1023.0, (0, 1)))[0]
     expected = np.zeros((6, 8))

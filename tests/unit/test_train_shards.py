@@ -195,13 +195,13 @@ def test_shares_weigh_training_sets(bayer: CameraModel, tmp_path: Path, l3: Call
         assert code == 0, err
         table = load(TransformTable, out)
         whites[shares] = table.white_point
-        assert table.samples.sum() == 2 * 4 * (6 * -(-700 // 6) + 1400 if shares == "1,2" else 2100)
+        assert table.first.samples.sum() == 2 * 4 * (6 * -(-700 // 6) + 1400 if shares == "1,2" else 2100)
     assert whites["1,2"] == pytest.approx([(0.8 + 2 * 1.2) / 3, 1.0, (1.0 + 2 * 0.6) / 3], rel=2e-3)
     assert table.history[-1].options == {"seed": 0, "shares": "1"}
     # a set without a share is as if it had not been given
     assert l3("train", many, *run[2:], "--shares", "3", "-o", tmp_path / "alone.h5")[0] == 0
     alone = load(TransformTable, tmp_path / "alone.h5")
-    assert (alone.weights == table.weights).all()
+    assert (alone.first.weights == table.first.weights).all()
     assert alone.history[-1].inputs == table.history[-1].inputs
 
 

@@ -46,7 +46,7 @@ def learn_later(run: TrainingRun, table: TransformTable, execution: Execution) -
             add_sums(sums, part)
         else:
             sums = part
-    return replace(table, later=(learn_layer(layer, rule, sums),), history=run.history(0))
+    return replace(table, later=(learn_layer(layer, rule, sums),), history=run.history())
 
 
 def layer_pass(run: TrainingRun, table: TransformTable) -> LayerPass:

@@ -54,7 +54,7 @@ def _write_shard(run: TrainingRun, shard: tuple[int, int], first: Path | None, o
     if not blocks:  # more shards than blocks
         sums = ((site, empty_sums(lesson.rule, len(run.head.outputs))) for site in sites)
     head = PartialSums(
-        history=run.history(lesson.number),
+        history=run.history("first" if lesson.number == FIRST else ""),
         shard=index,
         shards=count,
         pass_number=lesson.number,
@@ -72,12 +72,12 @@ def _write_shard(run: TrainingRun, shard: tuple[int, int], first: Path | None, o
 
 def _last_pass(run: TrainingRun, table: TransformTable, path: Path | None) -> Lesson:
     """The pass after the one that made the table; InputFileError if that is of another run."""
-    if table.history != run.history(FIRST):
+    if table.history != run.history("first"):
         raise InputFileError(
             f"{path} is not the first pass of this run: other training sets, shares, recipe or seed; "
             'make it with "l3 train --merge" of the first pass\'s shards'
         )
-    about = (run.head, run.patches, table.rule, run.recipe.learning, table.white_point, run.seed)
+    about = (run.head, run.patches, table.first.rule, run.recipe.learning, table.white_point, run.seed)
     return Lesson(*about, LAST, table.exposure)
 
 
