@@ -122,16 +122,16 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
                __global const int *restrict row_source,     // (padded row)
                __global const int *restrict column_source,  // (padded col)
                __global const uint *restrict labels,        // (row, col)
-               __global const TAP4 *restrict weights,       // (class, intercept and taps column by column, output)
+               __global const tap4 *restrict weights,       // (class, intercept and taps column by column, output)
                __global const float *restrict matrix,       // (3, 3) encoded values from X, Y, Z, before the curve
                __global CODE *restrict picture,             // (output, row, col), or (row, col, 3)
                float black, int source_rows, int rows, int columns) {
-    __local TAP signal[TILE_ROWS][TILE_COLUMNS][SOURCES];
+    __local tap signal[TILE_ROWS][TILE_COLUMNS][SOURCES];
     const int x0 = get_group_id(0) * TILE, y0 = get_group_id(1) * BAND;
     const int column = column_of(get_local_id(0)), line = get_local_id(1), x = x0 + column, y = y0 + line;
     for (int i = line * TILE + get_local_id(0); i < TILE_ROWS * TILE_COLUMNS; i += ITEMS) {
         const size_t place = source_of(i, y0, x0, row_source, column_source, rows, columns);
-        __local TAP *to = signal[i / TILE_COLUMNS][i % TILE_COLUMNS];
+        __local tap *to = signal[i / TILE_COLUMNS][i % TILE_COLUMNS];
 #if SOURCES > 1
         for (int s = 0; s < SOURCES; s++) to[s] = source[place + (size_t)s * source_rows * columns];
 #elif defined(FIXED_POINT)
@@ -143,21 +143,21 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
     barrier(CLK_LOCAL_MEM_FENCE);
     if (x >= columns || y >= rows) return;
     const size_t at = (size_t)y * columns + x;
-    __global const TAP4 *weight = weights + (size_t)labels[at] * CLASS_STRIDE;
-    TAP4 total[FOURS];
+    __global const tap4 *weight = weights + (size_t)labels[at] * CLASS_STRIDE;
+    tap4 total[FOURS];
     for (int f = 0; f < FOURS; f++) total[f] = *weight++;
     for (int i = 0; i < PATCH; i++) {
         #pragma unroll
         for (int j = 0; j < PATCH; j++) {
             #pragma unroll
             for (int s = 0; s < SOURCES; s++) {
-                const TAP tap = signal[line + j][column + i][s];
+                const tap value = signal[line + j][column + i][s];
                 #pragma unroll
-                for (int f = 0; f < FOURS; f++) total[f] += tap * *weight++;
+                for (int f = 0; f < FOURS; f++) total[f] += value * *weight++;
             }
         }
     }
-    TAP output[4 * FOURS];
+    tap output[4 * FOURS];
     for (int f = 0; f < FOURS; f++) {
         output[4 * f] = total[f].x;
         output[4 * f + 1] = total[f].y;

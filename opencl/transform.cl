@@ -45,20 +45,20 @@
 #endif
 
 // Lanes 0 2 and 1 3 of each four → [a b a b]
-INLINE TAPS_BESIDE fold_two(TAPS_BESIDE a, TAPS_BESIDE b) {
+INLINE taps fold_two(taps a, taps b) {
     return SHUFFLE_FOURS(a, b, 0, LANES, 1, LANES + 1) + SHUFFLE_FOURS(a, b, 2, LANES + 2, 3, LANES + 3);
 }
 // [a b a b], [c d c d] → [a b c d]
-INLINE TAPS_BESIDE fold_four(TAPS_BESIDE ab, TAPS_BESIDE cd) {
+INLINE taps fold_four(taps ab, taps cd) {
     return SHUFFLE_FOURS(ab, cd, 0, 1, LANES, LANES + 1) + SHUFFLE_FOURS(ab, cd, 2, 3, LANES + 2, LANES + 3);
 }
 // The fours of each vector added up, one four after the other.
-INLINE TAPS_BESIDE fold_all(const TAPS_BESIDE v[LANES / 4]) {
+INLINE taps fold_all(const taps v[LANES / 4]) {
 #if LANES == 16
 #define JOIN(u, v, low, high) __builtin_shufflevector(u, v, low, low + 1, low + 2, low + 3, high, high + 1, high + 2, high + 3, \
     low + 16, low + 17, low + 18, low + 19, high + 16, high + 17, high + 18, high + 19)
-    const TAPS_BESIDE ab = JOIN(v[0], v[1], 0, 4) + JOIN(v[0], v[1], 8, 12);
-    const TAPS_BESIDE cd = JOIN(v[2], v[3], 0, 4) + JOIN(v[2], v[3], 8, 12);
+    const taps ab = JOIN(v[0], v[1], 0, 4) + JOIN(v[0], v[1], 8, 12);
+    const taps cd = JOIN(v[2], v[3], 0, 4) + JOIN(v[2], v[3], 8, 12);
     return JOIN(ab, cd, 0, 8) + JOIN(ab, cd, 4, 12);
 #else
     return __builtin_shufflevector(v[0], v[1], 0, 1, 2, 3, 8, 9, 10, 11)
@@ -67,28 +67,28 @@ INLINE TAPS_BESIDE fold_all(const TAPS_BESIDE v[LANES / 4]) {
 }
 
 // Where the sums of a pixel begin: output o's last tap and intercept, in lane o.
-INLINE FOUR_TAPS last_taps(const TAP *patch, __global const TAP *weights) {
-    return FIXED(FOUR_TAPS, weights + LAST_TAP) * patch[TAPS - 1] + FIXED(FOUR_TAPS, weights + LAST_TAP + 4);
+INLINE four_taps last_taps(const tap *patch, __global const tap *weights) {
+    return FIXED(four_taps, weights + LAST_TAP) * patch[TAPS - 1] + FIXED(four_taps, weights + LAST_TAP + 4);
 }
 
 // A pair's products with the weights of their classes, summed as far as a pair goes.
-INLINE void apply_pair(TAPS_BESIDE sum[GROUP], const TAP *first, const TAP *second, __global const TAP *first_weights,
-                       __global const TAP *second_weights) {
-    const FOUR_TAPS first_last = last_taps(first, first_weights), second_last = last_taps(second, second_weights);
-    TAPS_BESIDE one[GROUP], other[GROUP];
+INLINE void apply_pair(taps sum[GROUP], const tap *first, const tap *second, __global const tap *first_weights,
+                       __global const tap *second_weights) {
+    const four_taps first_last = last_taps(first, first_weights), second_last = last_taps(second, second_weights);
+    taps one[GROUP], other[GROUP];
     #pragma unroll
     for (int o = 0; o < GROUP; o++) {
-        one[o] = other[o] = (TAPS_BESIDE)0;
+        one[o] = other[o] = (taps)0;
         one[o][o] = first_last[o];
         other[o][o] = second_last[o];
     }
     #pragma unroll
     for (int j = 0; j < VECTORS; j++) {
-        const TAPS_BESIDE u = NEAR(TAPS_BESIDE, first + j * LANES), v = NEAR(TAPS_BESIDE, second + j * LANES);
+        const taps u = NEAR(taps, first + j * LANES), v = NEAR(taps, second + j * LANES);
         #pragma unroll
         for (int o = 0; o < GROUP; o++) {
-            one[o] += u * FIXED(TAPS_BESIDE, first_weights + (j * GROUP + o) * LANES);
-            other[o] += v * FIXED(TAPS_BESIDE, second_weights + (j * GROUP + o) * LANES);
+            one[o] += u * FIXED(taps, first_weights + (j * GROUP + o) * LANES);
+            other[o] += v * FIXED(taps, second_weights + (j * GROUP + o) * LANES);
         }
     }
     #pragma unroll
@@ -96,19 +96,19 @@ INLINE void apply_pair(TAPS_BESIDE sum[GROUP], const TAP *first, const TAP *seco
 }
 
 // LANES pixels from x on: plane o of group g → planes[(g * GROUP + o) * TILE + x].
-INLINE void apply(TAP *planes, const TAP *patches, const uint *label, __global const TAP *weights, int x) {
+INLINE void apply(tap *planes, const tap *patches, const uint *label, __global const tap *weights, int x) {
     for (int g = 0; g < GROUPS; g++) {
-        __global const TAP *group = weights + g * GROUP_STRIDE;
-        TAPS_BESIDE folded[GROUP][LANES / 4];
+        __global const tap *group = weights + g * GROUP_STRIDE;
+        taps folded[GROUP][LANES / 4];
         #pragma unroll
         for (int n = 0; n < LANES / 2; n += 2) {
-            TAPS_BESIDE pair[2][GROUP];
+            taps pair[2][GROUP];
             #pragma unroll
             for (int i = 0; i < 2; i++) {
                 const int first = PAIR_FIRST(n + i), second = first + PAIR;
                 const uint class = label[x + first], other = label[x + second];
-                const TAP *patch = patches + (x + first) * COLUMN;
-                __global const TAP *row = group + (size_t)class * CLASS_STRIDE;
+                const tap *patch = patches + (x + first) * COLUMN;
+                __global const tap *row = group + (size_t)class * CLASS_STRIDE;
                 if (class == other)
                     apply_pair(pair[i], patch, patch + PAIR * COLUMN, row, row);
                 else
@@ -119,8 +119,8 @@ INLINE void apply(TAP *planes, const TAP *patches, const uint *label, __global c
         }
         #pragma unroll
         for (int o = 0; o < GROUP; o++) {
-            const TAPS_BESIDE in_pairs = fold_all(folded[o]);
-            NEAR(TAPS_BESIDE, planes + (g * GROUP + o) * TILE + x) =
+            const taps in_pairs = fold_all(folded[o]);
+            NEAR(taps, planes + (g * GROUP + o) * TILE + x) =
                 __builtin_shufflevector(in_pairs, in_pairs, ALL_LANES(PAIR_PLACE));
         }
     }
@@ -131,10 +131,10 @@ INLINE void apply(TAP *planes, const TAP *patches, const uint *label, __global c
 
 // The newest row into the ring: to is where column 0's pixel falls. The black level is taken off here: zero signal then
 // stays zero in every transform. Integers keep it: their intercepts know it.
-INLINE void into_ring(TAP *to, __global const ushort *raw, __global const int *column_source, float black, int x0, int columns,
+INLINE void into_ring(tap *to, __global const ushort *raw, __global const int *column_source, float black, int x0, int columns,
                       size_t stride, ushort *row, int span) {
     ingest(row, raw, column_source, x0, columns);
-    TAP signal[SPAN];
+    tap signal[SPAN];
     for (int p = 0; p < span; p += LANES)
 #ifdef FIXED_POINT
         NEAR(ints, signal + p) = CONVERT(NEAR(shorts, row + p), ints);
@@ -148,7 +148,7 @@ INLINE void into_ring(TAP *to, __global const ushort *raw, __global const int *c
 #define SOURCE short
 
 // The newest row of every plane into the ring.
-INLINE void into_ring(TAP *to, __global const short *planes, __global const int *column_source, float black, int x0,
+INLINE void into_ring(tap *to, __global const short *planes, __global const int *column_source, float black, int x0,
                       int columns, size_t stride, ushort *row, int span) {
     const int first = max(0, RADIUS - x0), last = min(TILE + 2 * RADIUS, columns - x0 + RADIUS);
     const int end = min(TILE + 2 * RADIUS, columns - x0 + 2 * RADIUS);
@@ -168,7 +168,7 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
                __global const int *restrict row_source,     // (padded row)
                __global const int *restrict column_source,  // (padded col)
                __global const uint *restrict labels,        // (row, col)
-               __global const TAP *restrict weights,        // (class, group, CLASS_STRIDE) per unit of the source, see above
+               __global const tap *restrict weights,        // (class, group, CLASS_STRIDE) per unit of the source, see above
                __global const float *restrict matrix,       // (3, 3) encoded values from X, Y, Z, before the curve
                __global CODE *restrict picture,
                float black, int source_rows, int rows, int columns) {
@@ -178,7 +178,7 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
     const size_t stride = (size_t)source_rows * columns;
     ushort row[SPAN];
     uint label[TILE];
-    TAP ring[RING], planes[GROUPS * GROUP * TILE];
+    tap ring[RING], planes[GROUPS * GROUP * TILE];
     for (int i = 0; i < SPAN; i++) row[i] = 0;
     for (int i = 0; i < TILE; i++) label[i] = 0;
     for (int i = 0; i < RING; i++) ring[i] = 0;

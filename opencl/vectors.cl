@@ -36,16 +36,19 @@ VECTOR(ushort, full_shorts, 2 * LANES);  // a whole register
 #define FIXED(type, p) (*(__global const type##_unaligned *)(p))  // a constant one there
 #endif
 
-// What a layer reads and sums up: a mosaic's values or planes in floating point or, so that planes are the same on every
+// What a layer reads and sums up: values of a mosaic, or planes, in floating point or, so that planes are the same on every
 // device, a mosaic's DN in integers.
 #ifdef FIXED_POINT
-#define TAP int
-#define TAPS_BESIDE ints
-#define FOUR_TAPS four_ints
-#define TAP4 int4
+#define SAME_KIND(floating, integer) integer
 #else
-#define TAP float
-#define TAPS_BESIDE floats
-#define FOUR_TAPS four_floats
-#define TAP4 float4
+#define SAME_KIND(floating, integer) floating
+#endif
+typedef SAME_KIND(float, int) tap;
+#if LANES == 1
+typedef SAME_KIND(float4, int4) tap4;
+#else
+typedef SAME_KIND(floats, ints) taps;
+typedef SAME_KIND(floats_unaligned, ints_unaligned) taps_unaligned;
+typedef SAME_KIND(four_floats, four_ints) four_taps;
+typedef SAME_KIND(four_floats_unaligned, four_ints_unaligned) four_taps_unaligned;
 #endif

@@ -65,7 +65,9 @@ class OpenCLRenderer:
                 self._weights = self._constant(variant_layout.pack(layout.first_weights(table), self._cut.lanes))
             else:
                 self._planes = cl.Kernel(first, "transform")
-                self._plane_weights = self._constant(variant_layout.pack(layout.plane_weights(table, fixed), self._cut.lanes))
+                self._plane_weights = self._constant(
+                    variant_layout.pack(layout.plane_weights(table, fixed), self._cut.lanes)
+                )
                 self._structure_buffers = [self._constant(array) for array in layout.structure_arrays(table)]
                 self._weights = self._constant(variant_layout.pack(layout.later_weights(table), self._cut.lanes))
                 self._structures = cl.Kernel(self._build_last(layout.OUTPUTS_AS_THEY_ARE), "structures")

@@ -57,9 +57,7 @@ def judge_of(table: TransformTable, site: int, power: float) -> Judge:
     return Judge(weights, products, table.first.intercept[own], table.white_point.astype(np.float32), power)
 
 
-def lab_error(
-    error: Floats, target: Floats, level: Floats, white: NDArray[np.floating]
-) -> Floats:
+def lab_error(error: Floats, target: Floats, level: Floats, white: NDArray[np.floating]) -> Floats:
     """Squared Lab error (…), chroma halved and eased, of errors in XYZ (…, 3) about targets (…, 3) at levels (…)."""
     relative = 1 / level[..., None]
     slope = np.maximum(target * relative / white, DARKEST) ** np.float32(-2 / 3) / (3 * white)

@@ -53,7 +53,9 @@ def test_noise_of_its_level_is_flat_and_corners_have_no_direction() -> None:
 
 
 @given(st.integers(0, 7), st.floats(0, np.pi), st.integers(0, 2**32 - 1))
-def test_a_turned_picture_has_the_class_of_the_unturned_one_where_the_turn_is_known(turn: int, angle: float, seed: int) -> None:
+def test_a_turned_picture_has_the_class_of_the_unturned_one_where_the_turn_is_known(
+    turn: int, angle: float, seed: int
+) -> None:
     """A site whose window is read in the order orientations()[turn] sees its neighbourhood as its canonical site does."""
     noise = np.random.default_rng(seed).standard_normal((SIZE, SIZE)) * 100
     canonical = grating(angle) + np.rint(noise)

@@ -68,9 +68,7 @@ class LayerPass:
         return maps, [next(k for k, turn in enumerate(every) if (turn == one.permutation).all()) for one in maps]
 
 
-def luminance_noise(
-    layer: LayerPass, frames: Iterable[TrainingPair], first: int, every: int
-) -> list[NDArray[np.float64]]:
+def luminance_noise(layer: LayerPass, frames: Iterable[TrainingPair], first: int, every: int) -> list[NDArray[np.float64]]:
     """Of every frame whose index, `first` that of the first, is a multiple of `every`: sums of squared differences that noise
     makes between pixels two apart of the luminance, and their number (2, level)."""
     see, found = layer.first_layer.see, []
@@ -111,9 +109,7 @@ def structure_rule(layer: LayerPass, noise: Iterable[NDArray[np.float64]]) -> St
     )
 
 
-def sum_layer(
-    layer: LayerPass, rule: StructureRule, frames: Iterable[TrainingPair], first: int
-) -> dict[int, LayerSums]:
+def sum_layer(layer: LayerPass, rule: StructureRule, frames: Iterable[TrainingPair], first: int) -> dict[int, LayerSums]:
     """Sums of every canonical site over frames, `first` being the index of the first."""
     side, see = layer.recipe.side, layer.first_layer.see
     reading = layer.reading(side)
@@ -145,7 +141,9 @@ def learn_layer(layer: LayerPass, rule: StructureRule, sums: dict[int, LayerSums
     copies = [int((reading.canonical == site).sum()) for site in sums]
     noise = (recipe.chroma_noise, recipe.luminance_noise, recipe.chroma_noise)
     goal = LayerGoal(recipe.level_pool, recipe.parent_patches, recipe.ridge, noise, np.array([0.0, 1.0, 0.0]))
-    solved = dict(zip(sums, solve_layer(list(sums.values()), copies, rule, goal, layer.learning.equal_response), strict=True))
+    solved = dict(
+        zip(sums, solve_layer(list(sums.values()), copies, rule, goal, layer.learning.equal_response), strict=True)
+    )
     back = np.linalg.inv(layer.basis)
     weights, intercept, samples = [], [], []
     for site, canonical in enumerate(reading.canonical.tolist()):
