@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.table import TransformTable
-from l3cli.classes.rule import FEATURES, kernel_arrays, kernel_macros
+from l3cli.classes.kernel import joined, kernel_arrays, kernel_macros, snippets
 from l3cli.classes.windows import Integers, neighbourhoods
 from l3cli.physics.display import srgb_curve
 from l3cli.rendering.display import Display
@@ -39,11 +40,16 @@ def source_folder() -> Path:
     return inside if inside.is_dir() else package.parent / "opencl"
 
 
-def program_source(variant: str) -> str:
-    """The .cl files of a variant, joined; #line keeps file and line in the compiler's messages."""
+def program_source(variant: str, rule: ClassRule) -> str:
+    """The .cl files of a variant with the features of a rule, joined; #line keeps file and line in the compiler's
+    messages."""
     folder = source_folder()
-    names = VARIANTS[variant].sources
-    return "\n".join(f'#line 1 "{name}"\n{(folder / name).read_text(encoding="utf-8")}' for name in names)
+
+    def texts(names: tuple[str, ...]) -> list[str]:
+        return [f'#line 1 "{name}"\n{(folder / name).read_text(encoding="utf-8")}' for name in names]
+
+    features = [*texts(("vectors.cl", *snippets(rule))), f'#line 1 "joined features"\n{joined(rule)}']
+    return "\n".join(features + texts(VARIANTS[variant].sources))
 
 
 def table_macros(table: TransformTable) -> Macros:
@@ -152,12 +158,12 @@ def _cut_for_graphics(table: TransformTable, lanes: int) -> Cut:
 class Variant:
     """The same computation, arranged for one kind of device."""
 
-    sources: tuple[str, ...]  # files of opencl/, joined in this order
+    sources: tuple[str, ...]  # files of opencl/, joined in this order behind the features'
     cut: Callable[[TransformTable, int], Cut]  # for a number of lanes that suits the device
     pack: Callable[[TransformTable, int], NDArray[np.float32]]  # weights as its kernels read them, for Cut.lanes
 
 
-SHARED = ("vectors.cl", *(feature.SNIPPET for feature in FEATURES), "rule.cl", "encoding.cl")
+SHARED = ("rule.cl", "encoding.cl")
 VARIANTS = {
     # Few and long work-items, each vectorised within: over pixels for the classes, over taps for the transforms.
     "processor": Variant(

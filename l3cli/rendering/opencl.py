@@ -186,7 +186,7 @@ class OpenCLRenderer:
     def _build(self, ending: layout.Macros) -> Any:
         shapes = {**layout.table_macros(self.table), **self._cut.macros, **ending}
         options = [*BUILD_OPTIONS, *(f"-D{name}={value}" for name, value in shapes.items())]
-        return self._compile(layout.program_source(self.variant), options)
+        return self._compile(layout.program_source(self.variant, self.table.rule), options)
 
     def _compile(self, source: str, options: list[str]) -> Any:
         device = self.device

@@ -13,6 +13,7 @@ from l3cli.artifacts.schema import Stage
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingPair, TrainingSet
 from l3cli.classes.chroma import channel_shares, choose_chromas
+from l3cli.classes.decide import observe_patches
 from l3cli.classes.rule import make_rule
 from l3cli.classes.saturation import choose_cases, saturation_codes
 from l3cli.classes.windows import neighbourhoods
@@ -35,6 +36,7 @@ class Pilot:
     shares: NDArray[np.float64]  # (patch, channel)
     whites: NDArray[np.float64]  # (frame, output) of their lights, each at Y = 1
     exposures: NDArray[np.float64]  # (frame) s; real pairs, whose dark current is off already: 0
+    observed: dict[str, NDArray[np.float64]]  # (patch, …) what each further feature asks for
 
 
 def look_at(
@@ -47,7 +49,7 @@ def look_at(
     near = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
     canonical = canonical_sites(head, rule, recipe.learning)
     occurrences = np.zeros(codes, dtype=np.int64)
-    shares, whites, exposures = [], [], []
+    shares, whites, exposures, observed = [], [], [], []
     for index, (frame, count) in enumerate(zip(frames, patches, strict=True), first):
         whites.append(_unit_white(frame, head.outputs))
         exposures.append(frame.dark_time)
@@ -61,7 +63,8 @@ def look_at(
             values = expose_patches((pilot.signal * scale).astype(np.float32), camera, rng, carried, dark)
             occurrences += np.bincount(saturation_codes(values, rule, near, site), minlength=codes)
             shares.append(channel_shares(pilot.signal, near, site))
-    return Pilot(occurrences, np.concatenate(shares), np.array(whites), np.array(exposures))
+            observed.append(observe_patches(values, rule, near, site))
+    return Pilot(occurrences, np.concatenate(shares), np.array(whites), np.array(exposures), _together(observed))
 
 
 def pilot_patches(patches: Sequence[int]) -> list[int]:
@@ -83,8 +86,13 @@ def survey(
     exposures = np.concatenate([own.exposures for own in every])
     counts = np.where(exposures > 0, patches, 0)
     exposure = float(exposures @ counts / max(counts.sum(), 1))
-    rule = make_rule(recipe.classes, head.camera, case_of_code, centres, head.camera.dark_signal(exposure))
+    observed = _together([own.observed for own in every])
+    rule = make_rule(recipe.classes, head.camera, case_of_code, centres, head.camera.dark_signal(exposure), observed)
     return rule, np.average(whites, axis=0, weights=patches), exposure
+
+
+def _together(observed: list[dict[str, NDArray[np.float64]]]) -> dict[str, NDArray[np.float64]]:
+    return {name: np.concatenate([own[name] for own in observed]) for name in observed[0]}
 
 
 def canonical_sites(head: TrainingSet, rule: ClassRule, recipe: LearningRecipe) -> list[int]:
