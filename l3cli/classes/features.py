@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import Axis, ClassRule
 from l3cli.artifacts.table import TransformTable
-from l3cli.classes import chroma, contrast, level, saturation
+from l3cli.classes import chroma, contrast, direction, level, saturation
 from l3cli.classes.windows import Integers
 from l3cli.config import Recipe
 from l3cli.errors import InputFileError
@@ -89,7 +89,9 @@ BASIC: tuple[BasicFeature, ...] = (
     saturation,
     chroma,
 )  # in this order their snippets are joined and their arrays handed on
-FURTHER: Mapping[str, FurtherFeature] = {}  # by the table of a recipe that switches it on
+FURTHER: Mapping[str, FurtherFeature] = {  # by the table of a recipe that switches it on
+    "direction": direction,
+}
 
 
 def feature_of(axis: Axis, rule: ClassRule) -> FurtherFeature:

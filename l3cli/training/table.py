@@ -23,7 +23,7 @@ from l3cli.training.patches import draw_levels, expose_patches, patches_of
 from l3cli.training.recipe import LearningRecipe, TrainingRecipe
 from l3cli.training.solve import Goal, Solution, equal_responses, solve
 from l3cli.training.sums import add, empty_sums, grid_steps, require_exact
-from l3cli.training.symmetry import orientations, site_maps, stabilisers
+from l3cli.training.symmetry import class_stabilisers, orientations, site_maps, turned_classes
 
 PILOT_PATCHES = 4000  # patches a site over all frames that decide which saturation cases are kept
 
@@ -116,7 +116,7 @@ def learn_site(lesson: Lesson, parts: Iterable[ClassSums], site: int) -> Solutio
     sums = add_up(lesson, parts)
     camera, rule = lesson.head.camera, lesson.rule
     window = neighbourhoods(camera.cfa, rule.patch, len(camera.channels)).channel[site]
-    alike = stabilisers(window, rule.patch) if lesson.recipe.symmetry else orientations(rule.patch)[:1]
+    alike = class_stabilisers(rule, window) if lesson.recipe.symmetry else orientations(rule.patch)[:1]
     return solve(sums, rule, window, alike, lesson.recipe, _goal(lesson))
 
 
@@ -133,10 +133,11 @@ def assemble(lesson: Lesson, solutions: dict[int, Solution], history: tuple[Stag
         trained = transforms[site_map.canonical]
         turned = np.empty_like(trained.weights)
         turned[..., site_map.permutation] = trained.weights
-        weights.append(turned)
-        intercept.append(trained.intercept)
-        samples.append(trained.samples)
-        condition.append(trained.condition)
+        classes = turned_classes(rule, site_map.permutation)
+        weights.append(turned[classes])
+        intercept.append(trained.intercept[classes])
+        samples.append(trained.samples[classes])
+        condition.append(trained.condition[classes])
     return TransformTable(
         history=history,
         camera_name=camera.name,
