@@ -52,6 +52,11 @@ void classes(__global const ushort *restrict raw,                // (row, col) D
                              patch_square(&runs, &near, c, x), FIXED(uints, mean_reciprocal + at),
                              FIXED(uints, variance_reciprocal + at), RULE);
             }
+#ifdef EACH_WINDOW
+#define ADD_WINDOW(s, top, left, rows, columns, sign) \
+    evidence.window_sum[s] = evidence.window_sum[s] sign window_sum(ring, k - 2 * RADIUS, top, left, rows, columns, x);
+            EACH_WINDOW(ADD_WINDOW)
+#endif
             const shorts code = patch_saturated(&runs, x);
             const uints site = FIXED(uints, site_column + phase) + site_row * CFA_COLUMNS;
             const uints label = class_of(&evidence, site, code, RULE);

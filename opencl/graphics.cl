@@ -81,6 +81,12 @@ void classes(__global const ushort *restrict raw,                // (row, col) D
         add_evidence(&evidence, c, count[at], s, q, mean_reciprocal[at], variance_reciprocal[at], RULE);
         barrier(CLK_LOCAL_MEM_FENCE);
     }
+#ifdef EACH_WINDOW
+#define ADD_WINDOW(s, top, left, rows, columns, sign) \
+    for (int j = line + top; j < line + top + rows; j++) \
+        for (int p = column + left; p < column + left + columns; p++) evidence.window_sum[s] sign##= value[j][p] >> SHIFT;
+    EACH_WINDOW(ADD_WINDOW)
+#endif
     uint code = 0;
     for (int p = column + RADIUS - SATURATION_RADIUS; p <= column + RADIUS + SATURATION_RADIUS; p++) code |= saturated[line][p];
     const uint label = class_of(&evidence, site_row * CFA_COLUMNS + site, code, RULE);

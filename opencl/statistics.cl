@@ -96,6 +96,21 @@ INLINE uints patch_square(const Runs *runs, const Columns *columns, int c, int p
     return total;
 }
 
+#ifdef EACH_WINDOW
+// Values of a window of those patches, whose rows lie in the ring from slot `first` on. A row's sum fits 16 bits.
+INLINE ints window_sum(ushort ring[PATCH + 1][SPAN], int first, int top, int left, int rows, int columns, int p) {
+    ints total = (ints)0;
+    for (int j = 0; j < rows; j++) {
+        const ushort *row = ring[(first + top + j) % (PATCH + 1)] + p + left;
+        shorts sum = 0;
+        #pragma unroll
+        for (int i = 0; i < columns; i++) sum += NEAR(shorts, row + i) >> SHIFT;
+        total += CONVERT(sum, ints);
+    }
+    return total;
+}
+#endif
+
 // Channels saturated near the centres of those patches, one bit a channel.
 INLINE shorts patch_saturated(const Runs *runs, int p) {
     shorts found = 0;

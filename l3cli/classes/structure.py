@@ -18,7 +18,7 @@ All in integers below 2³¹, and so equal wherever it is computed.
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.structure_rule import DIRECTIONS, GRADIENT, MOST_SCALE, StructureRule
+from l3cli.artifacts.structure_rule import DIRECTIONS, GRADIENT, StructureRule
 from l3cli.classes.windows import Integers
 
 SIGMA = 16  # gradient units a standard deviation of noise
@@ -47,9 +47,11 @@ def tensor(luminance: Integers, scale: Integers) -> tuple[Integers, Integers, In
 
 
 def _windowed(values: Integers) -> Integers:
-    reach = len(WINDOW) - 1
-    rows = sum(weight * values[i : values.shape[0] - reach + i] for i, weight in enumerate(WINDOW))
-    return np.asarray(sum(weight * rows[:, i : values.shape[1] - reach + i] for i, weight in enumerate(WINDOW)))
+    for axis in (0, 1):
+        length = values.shape[axis] - len(WINDOW) + 1
+        parts = [weight * values.take(range(i, i + length), axis) for i, weight in enumerate(WINDOW)]
+        values = np.add.reduce(parts)
+    return values
 
 
 def directions(a: Integers, b: Integers) -> tuple[Integers, Integers]:

@@ -133,7 +133,10 @@ def _learned(found: dict[str, Any]) -> list[str]:
     lines = [
         f"{classes['all']} classes: {classes['trained']} trained, {classes['thin']} of them on fewer patches than taps; "
         f"{classes['filled']} without patches of their own",
-        "patches: " + " · ".join(f"{kind['name']} {kind['patches']:.0f}" for kind in found["kinds"]),
+        *(
+            "patches: " + " · ".join(f"{value['name']} {value['patches']:.0f}" for value in values)
+            for values in (found["kinds"], *found.get("further", {}).values())
+        ),
         f"noise gain √Σw² (median, worst class): {figures}",
         f"condition (median, worst class): {found['condition']['median']:.2g}, {found['condition']['worst']:.2g}",
         "gain of a flat signal (median of unsaturated classes):",

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.layers import PLANE_STEP, PLANE_TOP
 from l3cli.artifacts.structure_rule import DIRECTIONS, GRADIENT
 from l3cli.artifacts.table import TransformTable
+from l3cli.classes.kernel import joined, kernel_arrays, kernel_macros, snippets
 from l3cli.classes.later import first_label_words
 from l3cli.classes.planes import LUMINANCE, FixedPoint
-from l3cli.classes.rule import FEATURES, kernel_arrays, kernel_macros
 from l3cli.classes.windows import Integers, neighbourhoods
 from l3cli.physics.display import srgb_curve
 from l3cli.rendering.display import Display
@@ -47,8 +48,19 @@ def source_folder() -> Path:
     return inside if inside.is_dir() else package.parent / "opencl"
 
 
-def program_source(names: tuple[str, ...]) -> str:
-    """The .cl files of these names, joined; #line keeps file and line in the compiler's messages."""
+def first_source(variant: str, rule: ClassRule) -> str:
+    """The .cl files of a variant for the layer that reads the mosaic, with the features of its rule, joined; #line keeps file
+    and line in the compiler's messages."""
+    features = [_texts(("vectors.cl", *snippets(rule))), f'#line 1 "joined features"\n{joined(rule)}']
+    return "\n".join([*features, _texts(VARIANTS[variant].sources)])
+
+
+def later_source(variant: str) -> str:
+    """The .cl files of a variant for a layer that reads planes."""
+    return _texts(VARIANTS[variant].later_sources)
+
+
+def _texts(names: tuple[str, ...]) -> str:
     folder = source_folder()
     return "\n".join(f'#line 1 "{name}"\n{(folder / name).read_text(encoding="utf-8")}' for name in names)
 
@@ -213,13 +225,15 @@ def _cut_for_graphics(table: TransformTable, lanes: int) -> Cut:
 class Variant:
     """The same computation, arranged for one kind of device."""
 
-    sources: tuple[str, ...]  # files of opencl/ for the layer that reads the mosaic, joined in this order
+    sources: tuple[
+        str, ...
+    ]  # files of opencl/ for the layer that reads the mosaic, joined in this order behind the features'
     later_sources: tuple[str, ...]  # and for one that reads planes
     cut: Callable[[TransformTable, int], Cut]  # for a number of lanes that suits the device
     pack: Callable[[Weights, int], NDArray]  # weights as its kernels read them, for Cut.lanes
 
 
-SHARED = ("vectors.cl", *(feature.SNIPPET for feature in FEATURES), "rule.cl", "encoding.cl")
+SHARED = ("rule.cl", "encoding.cl")
 LATER_SHARED = ("vectors.cl", "encoding.cl", "structure.cl")
 VARIANTS = {
     # Few and long work-items, each vectorised within: over pixels for the classes, over taps for the transforms.

@@ -233,15 +233,16 @@ class OpenCLRenderer:
         """The program of the last layer."""
         if not self.table.later:
             return self._build_first(ending)
-        return self._build(layout.VARIANTS[self.variant].later_sources, {**layout.later_macros(self.table), **ending})
+        return self._build(layout.later_source(self.variant), {**layout.later_macros(self.table), **ending})
 
     def _build_first(self, ending: layout.Macros) -> Any:
         """The program of the layer that reads the mosaic."""
-        return self._build(layout.VARIANTS[self.variant].sources, {**layout.table_macros(self.table), **ending})
+        source = layout.first_source(self.variant, self.table.first.rule)
+        return self._build(source, {**layout.table_macros(self.table), **ending})
 
-    def _build(self, sources: tuple[str, ...], shapes: layout.Macros) -> Any:
+    def _build(self, source: str, shapes: layout.Macros) -> Any:
         options = [*BUILD_OPTIONS, *(f"-D{name}={value}" for name, value in {**shapes, **self._cut.macros}.items())]
-        return self._compile(layout.program_source(sources), options)
+        return self._compile(source, options)
 
     def _compile(self, source: str, options: list[str]) -> Any:
         device = self.device

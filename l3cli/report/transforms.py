@@ -58,14 +58,14 @@ def _population_blocks(table: TransformTable, found: dict[str, Any]) -> tuple[Bl
     kind = "kind (number in the table)" if by_number else "kind"
     figures = []
     for contrast in range(table.first.rule.contrasts):
-        counts = samples[:, :, contrast].sum(axis=0).T
+        counts = samples[:, :, contrast].sum(axis=(0, 2)).T
         figures.append(
             _population(counts, kinds, levels, f"Patches at contrast {contrast}{_contrast(table, contrast)}", kind)
         )
-    by_site = samples.sum(axis=(2, 3))
+    by_site = samples.sum(axis=(2, 3, 4))
     figures.append(_population(by_site, sites, levels, "Patches by site", "site (row, column, channel)"))
     empty = Text("An empty cell has no patches of its own and took its transform from a neighbour.")
-    return (empty, Figures(tuple(figures)), _kinds_table(found))
+    return (empty, Figures(tuple(figures)), _kinds_table(found), *_further_tables(found))
 
 
 def kind_names(found: dict[str, Any]) -> list[str]:
@@ -99,6 +99,13 @@ def _kinds_table(found: dict[str, Any]) -> Table:
     return Table("Patches of each chroma and saturation case", ("kind", "patches"), rows)
 
 
+def _further_tables(found: dict[str, Any]) -> tuple[Table, ...]:
+    return tuple(
+        Table(f"Patches by {name}", (name, "patches"), tuple((each["name"], f"{each['patches']:.0f}") for each in values))
+        for name, values in found.get("further", {}).items()
+    )
+
+
 # ------------------------------------------------------------------------------------------------------ transforms
 
 
@@ -119,7 +126,6 @@ def chosen_classes(table: TransformTable) -> list[int]:
     """Classes worth a look: of the commonest channel's first site dark and bright, flat and textured; then a textured class
     of middling level for each other channel. Of each the unsaturated kind of most patches."""
     rule = table.first.rule
-    samples = table.first.rule.by_axis(table.first.samples)[..., rule.kinds_of(0)]
     sites = table.cfa.ravel()
     common = int(np.bincount(sites).argmax())
     middles = level_middles(table)
@@ -130,9 +136,11 @@ def chosen_classes(table: TransformTable) -> list[int]:
     wanted += [(int(np.argmax(sites == channel)), mid, rule.contrasts - 1) for channel in others]
     found = []
     for site, at, contrast in wanted:
-        kind = int(samples[site, at, contrast].argmax())
-        if samples[site, at, contrast, kind] > 0:
-            found.append(rule.join(at, contrast, kind, site))
+        further = np.arange(rule.further)[:, None]
+        classes = rule.join(at, contrast, np.arange(rule.chromas), site, further).ravel()
+        most = int(classes[table.first.samples[classes].argmax()])
+        if table.first.samples[most] > 0:
+            found.append(most)
     return list(dict.fromkeys(found))
 
 
@@ -195,7 +203,7 @@ def _noise_figures(table: TransformTable) -> Figures:
     middles, curves = level_middles(table), []
     for output in range(min(MAPS, len(table.outputs))):
         for contrast in sorted({0, table.first.rule.contrasts - 1}):
-            curves.append((output, contrast, _medians(gain[:, :, contrast, :, output], trained[:, :, contrast])))
+            curves.append((output, contrast, _medians(gain[:, :, contrast, ..., output], trained[:, :, contrast])))
     known = np.concatenate([values[np.isfinite(values)] for _, _, values in curves])
     if not known.size:
         return Figures(())
@@ -218,7 +226,8 @@ def _noise_figures(table: TransformTable) -> Figures:
 
 
 def _medians(values: Array, chosen: NDArray[np.bool_]) -> Array:
-    """Median over sites and kinds of (site, level, kind) where chosen; NaN for levels without any."""
+    """Median over sites, further features and kinds of (site, level, further, kind) where chosen; NaN for levels without
+    any."""
     return np.array(
         [np.median(values[:, at][chosen[:, at]]) if chosen[:, at].any() else np.nan for at in range(values.shape[1])]
     )

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.partial_sums import ClassSums
 from l3cli.artifacts.training_set import TrainingPair
-from l3cli.classes.decide import label_statistics
+from l3cli.classes.decide import label_sums
 from l3cli.classes.statistics import patch_statistics, truncation
 from l3cli.classes.windows import Neighbourhoods, TapOrder, neighbourhoods, tap_order
 from l3cli.training.division import BATCH
@@ -115,8 +115,8 @@ class _Batch:
         for row in scale:
             left = None if carried is None else carried * row**2
             values = expose_patches(signal * row, lesson.head.camera, rng, left, lesson.dark)
-            sums, squares, code = patch_statistics(values, lesson.rule, order)
-            yield label_statistics(sums, squares, code, lesson.rule, self.near, self.site), self._level(sums)
+            seen = patch_statistics(values, lesson.rule, order)
+            yield label_sums(seen, lesson.rule, self.near, self.site), self._level(seen.sums)
 
     def _level(self, sums: NDArray[np.uint32]) -> NDArray[np.float64]:
         """Level (patch) as a share of full scale: mean over the channels of the means of their `sums` (channel, patch)."""

@@ -24,7 +24,7 @@ FRAMES, SIDE = 8, 160
 STAGES = {  # functions whose time, with all that they call, makes a stage
     "patches": ("patches_of",),
     "expose": ("expose_patches",),
-    "label": ("patch_statistics", "label_statistics"),
+    "label": ("patch_statistics", "label_sums"),
     "weigh": ("noise_share", "weight"),
     "sum": ("_add_runs",),
     "solve": ("learn_site", "assemble"),

@@ -49,14 +49,15 @@ def grey_patches(
             share = saturated.mean()
             weight = np.sqrt(min(ODDS * share / max(1.0 - share, 1e-9), SUREST))
             for near in {max(at - 1, 0), at, min(at + 1, rule.levels - 1)}:
-                for index in rule.join(near, np.arange(rule.contrasts), rule.kinds_of(case)).tolist():
+                every = np.arange(rule.contrasts)[:, None], rule.kinds_of(case)
+                for index in rule.join(near, *every, further=np.arange(rule.further)).ravel().tolist():
                     rows.setdefault(index, []).append(weight * row)
     return {index: np.array(own).T @ np.array(own) / len(own) for index, own in rows.items()}
 
 
 def _flat_moments(sums: ClassSums, rule: ClassRule, width: int) -> Array:
     """Summed moments (column, column) of all unsaturated patches of the lowest contrast."""
-    return moment_matrix(rule.by_axis(sums.moments)[0, :, 0, rule.kinds_of(0)].sum(axis=(0, 1)), width)
+    return moment_matrix(rule.by_axis(sums.moments)[0, :, 0, :, rule.kinds_of(0)].sum(axis=(0, 1, 2)), width)
 
 
 def _channels_of(moments: Array, window: NDArray[np.int64], white: Array) -> Array | None:

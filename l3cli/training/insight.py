@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
+from l3cli.classes.features import further_features
 from l3cli.classes.names import class_name, kind_name
 from l3cli.classes.windows import window_channels
 
@@ -16,14 +17,16 @@ def insight(table: TransformTable) -> dict[str, Any]:
     """Figures of a table, all in plain Python types.
 
     classes: all, trained, thin (fewer patches of their own than taps), filled (none). kinds: name and patches of each
-    chroma and saturation case. noise_gain: √Σw² of each output, median and worst over trained classes. dc_gain: median over
+    chroma and saturation case. further: of each value of each further feature, by its name; not there if the rule has none.
+    noise_gain: √Σw² of each output, median and worst over trained classes. dc_gain: median over
     trained unsaturated classes of what a flat unit signal of one channel adds to each output. condition: median and worst
     over trained classes. worst: the trained classes of the largest noise gain (of Y if there is one), with their names.
     """
     trained, rule = table.first.samples > 0, table.first.rule
     taps = rule.patch**2
     noise_gain = np.sqrt((table.first.weights.astype(np.float64) ** 2).sum(axis=2))
-    kind = rule.split(np.arange(len(trained))).kind
+    place = rule.split(np.arange(len(trained)))
+    kind = place.kind
     judged = noise_gain[:, table.outputs.index("Y")] if "Y" in table.outputs else noise_gain.max(axis=1)
     order = np.argsort(np.where(trained, -judged, np.inf), kind="stable")[: int(trained.sum())]
     # sites that are mirror images share their training: the first of them stands for all
@@ -39,6 +42,7 @@ def insight(table: TransformTable) -> dict[str, Any]:
             "filled": int((~trained).sum()),
         },
         "kinds": [{"name": kind_name(table, index), "patches": count} for index, count in enumerate(per_kind.tolist())],
+        **({"further": _further(table, place.further)} if rule.axes else {}),
         "noise_gain": _spread(noise_gain[trained], table.outputs),
         "dc_gain": _dc_gain(table, trained & (rule.case(kind) == 0)),
         "condition": _spread(table.first.condition[trained, None].astype(np.float64), ("all",))["all"],
@@ -52,6 +56,17 @@ def insight(table: TransformTable) -> dict[str, Any]:
             for index in worst.tolist()
         ],
     }
+
+
+def _further(table: TransformTable, together: NDArray[np.int64]) -> dict[str, list[dict[str, Any]]]:
+    """Name and patches of each value of each further feature, which the classes have `together` (class)."""
+    every = {}
+    for (feature, axis), value in zip(
+        further_features(table.first.rule), table.first.rule.split_further(together), strict=True
+    ):
+        patches = np.bincount(value, weights=table.first.samples, minlength=axis.size).tolist()
+        every[axis.name] = [{"name": feature.name(table, index), "patches": count} for index, count in enumerate(patches)]
+    return every
 
 
 def _spread(values: NDArray[np.float64], names: tuple[str, ...]) -> dict[str, dict[str, float]]:

@@ -135,13 +135,13 @@ def equal_responses(
 def _shrunk(sums: ClassSums, parents: ClassSums, index: int, rule: ClassRule, recipe: LearningRecipe) -> tuple[Array, Array]:
     """Moments (pair) and noise (tap) of a class with help (docs/method.md#thin-classes): unsaturated, sums of the levels
     beside it, which add since sums are relative to the level; and pseudo-patches of its parent."""
-    (_, level, contrast, kind), parent = rule.split(index), _parent_of(index, rule)
+    (_, level, contrast, further, kind), parent = rule.split(index), _parent_of(index, rule)
     moments, noise, count = sums.moments[index].copy(), sums.noise[index], sums.count[index]
     pool = recipe.level_pool if count > 0 and not rule.case(kind) else ()
     for distance, weight in enumerate(pool, start=1):
         for other in (level - distance, level + distance):
             if 0 <= other < rule.levels:
-                neighbour = rule.join(other, contrast, kind)
+                neighbour = rule.join(other, contrast, kind, further=further)
                 moments += weight * sums.moments[neighbour]
                 count += weight * sums.count[neighbour]
     if count > 0:
@@ -153,13 +153,13 @@ def _shrunk(sums: ClassSums, parents: ClassSums, index: int, rule: ClassRule, re
 
 
 def _parents(sums: ClassSums, rule: ClassRule) -> ClassSums:
-    """Mean sums of a patch of each parent: the classes of its level, contrast and saturation case, whatever their chroma,
-    or where none of them has patches those of any contrast; and a share of its case's (docs/method.md#thin-classes). A
-    parent's count is that of its level and case."""
+    """Mean sums of a patch of each parent: the classes of its level, contrast and saturation case, whatever their chroma
+    and further features, or where none of them has patches those of any contrast; and a share of its case's
+    (docs/method.md#thin-classes). A parent's count is that of its level and case."""
     first = np.unique(rule.case(np.arange(rule.kinds)), return_index=True)[1]  # kind of each case
 
     def by_case(values: Array) -> Array:
-        return np.add.reduceat(values.reshape(*rule.shape, -1), first, axis=2)
+        return np.add.reduceat(values.reshape(*rule.shape, -1), first, axis=3).sum(axis=2)
 
     count = by_case(sums.count)
 
@@ -176,9 +176,9 @@ def _parents(sums: ClassSums, rule: ClassRule) -> ClassSums:
 
 
 def _parent_of(index: Any, rule: ClassRule) -> Any:
-    """The parent of classes `index`, which tells saturation cases but not chromas apart."""
-    _, level, contrast, kind = rule.split(index)
-    return rule.join_cases(level, contrast, rule.case(kind))
+    """The parent of classes `index`, which tells saturation cases but neither chromas nor further features apart."""
+    place = rule.split(index)
+    return rule.join_cases(place.level, place.contrast, rule.case(place.kind))
 
 
 def _system(power: Array, noise: Array, factor: float, ridge: float) -> Array:
@@ -220,12 +220,12 @@ def _opponent_basis(goal: Goal) -> Array:
 
 def _nearest(filled: NDArray[np.bool_], rule: ClassRule) -> NDArray[np.int64]:
     """For every class the filled class it takes its transform from: itself, else the same kind at the nearest level and
-    contrast, else the nearest of any kind."""
-    _, level, contrast, kind = rule.split(np.arange(filled.size))
+    contrast, one of the same further features before others, else the nearest of any kind."""
+    _, level, contrast, further, kind = rule.split(np.arange(filled.size))
     known = np.flatnonzero(filled)
     source = np.arange(filled.size)
     for index in np.flatnonzero(~filled):
         far = np.abs(level[known] - level[index]) * rule.contrasts + np.abs(contrast[known] - contrast[index])
-        far = far + (kind[known] != kind[index]) * filled.size
+        far = far + (kind[known] != kind[index]) * filled.size + 0.5 * (further[known] != further[index])
         source[index] = known[np.argmin(far)]
     return source

@@ -66,7 +66,7 @@ def require_exact(sums: ClassSums, rule: ClassRule, steps: Array) -> None:
     than the larger of their squares, so the squares tell for all."""
     width = (int(np.sqrt(8 * sums.moments.shape[1] + 1)) - 1) // 2
     row, col = pairs(width)
-    squares = rule.by_axis(sums.moments[:, row == col])[0] / steps[:, None, None, row == col]
+    squares = rule.by_axis(sums.moments[:, row == col])[0] / steps[:, None, None, None, row == col]
     if max(squares.max(), sums.noise.max() / STEP) >= EXACT:
         raise L3Error("a class has more patches than can be added exactly; lower learning.patches or learning.draws")
 

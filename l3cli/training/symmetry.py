@@ -5,6 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.class_rule import ClassRule
+from l3cli.classes.features import further_features
+
 Indices = NDArray[np.int64]
 
 
@@ -47,3 +50,20 @@ def site_maps(channel: Indices, patch: int, shared: bool = True) -> list[SiteMap
 def stabilisers(window: Indices, patch: int) -> list[Indices]:
     """The orientations that leave the layout of one window (tap) as it is."""
     return [permutation for permutation in orientations(patch) if (window[permutation] == window).all()]
+
+
+def turned_classes(rule: ClassRule, permutation: Indices) -> Indices:
+    """Class within a site (class) that patches of each class have after their taps are permuted by an orientation of
+    `orientations`. Only further features can change: sums over all of a patch stay."""
+    number = next(n for n, each in enumerate(orientations(rule.patch)) if np.array_equal(each, permutation))
+    transposed, turns = divmod(number, 4)
+    place = rule.split(np.arange(rule.classes_per_site))
+    values = zip(further_features(rule), rule.split_further(place.further), strict=True)
+    further = rule.join_further([feature.turned(axis, bool(transposed), turns)[value] for (feature, axis), value in values])
+    return rule.join(place.level, place.contrast, place.kind, further=further)
+
+
+def class_stabilisers(rule: ClassRule, window: Indices) -> list[Indices]:
+    """The orientations that leave the layout of one window (tap) and the class of every patch as they are."""
+    every = np.arange(rule.classes_per_site)
+    return [turn for turn in stabilisers(window, rule.patch) if np.array_equal(turned_classes(rule, turn), every)]

@@ -14,6 +14,7 @@ from l3cli.artifacts.schema import Stage
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingPair, TrainingSet
 from l3cli.classes.chroma import channel_shares, choose_chromas
+from l3cli.classes.decide import observe_patches
 from l3cli.classes.rule import make_rule
 from l3cli.classes.saturation import choose_cases, saturation_codes
 from l3cli.classes.windows import neighbourhoods
@@ -23,7 +24,7 @@ from l3cli.training.patches import draw_levels, expose_patches, patches_of
 from l3cli.training.recipe import LearningRecipe, TrainingRecipe
 from l3cli.training.solve import Goal, Solution, equal_responses, solve
 from l3cli.training.sums import add, empty_sums, grid_steps, require_exact
-from l3cli.training.symmetry import orientations, site_maps, stabilisers
+from l3cli.training.symmetry import class_stabilisers, orientations, site_maps, turned_classes
 
 PILOT_PATCHES = 4000  # patches a site over all frames that decide which saturation cases are kept
 
@@ -36,6 +37,7 @@ class Pilot:
     shares: NDArray[np.float64]  # (patch, channel)
     whites: NDArray[np.float64]  # (frame, output) of their lights, each at Y = 1
     exposures: NDArray[np.float64]  # (frame) s; real pairs, whose dark current is off already: 0
+    observed: dict[str, NDArray[np.float64]]  # (patch, …) what each further feature asks for
 
 
 def look_at(
@@ -48,7 +50,7 @@ def look_at(
     near = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
     canonical = canonical_sites(head, rule, recipe.learning)
     occurrences = np.zeros(codes, dtype=np.int64)
-    shares, whites, exposures = [], [], []
+    shares, whites, exposures, observed = [], [], [], []
     for index, (frame, count) in enumerate(zip(frames, patches, strict=True), first):
         whites.append(_unit_white(frame, head.outputs))
         exposures.append(frame.dark_time)
@@ -62,7 +64,8 @@ def look_at(
             values = expose_patches((pilot.signal * scale).astype(np.float32), camera, rng, carried, dark)
             occurrences += np.bincount(saturation_codes(values, rule, near, site), minlength=codes)
             shares.append(channel_shares(pilot.signal, near, site))
-    return Pilot(occurrences, np.concatenate(shares), np.array(whites), np.array(exposures))
+            observed.append(observe_patches(values, rule, near, site))
+    return Pilot(occurrences, np.concatenate(shares), np.array(whites), np.array(exposures), _together(observed))
 
 
 def pilot_patches(patches: Sequence[int]) -> list[int]:
@@ -84,8 +87,13 @@ def survey(
     exposures = np.concatenate([own.exposures for own in every])
     counts = np.where(exposures > 0, patches, 0)
     exposure = float(exposures @ counts / max(counts.sum(), 1))
-    rule = make_rule(recipe.classes, head.camera, case_of_code, centres, head.camera.dark_signal(exposure))
+    observed = _together([own.observed for own in every])
+    rule = make_rule(recipe.classes, head.camera, case_of_code, centres, head.camera.dark_signal(exposure), observed)
     return rule, np.average(whites, axis=0, weights=patches), exposure
+
+
+def _together(observed: list[dict[str, NDArray[np.float64]]]) -> dict[str, NDArray[np.float64]]:
+    return {name: np.concatenate([own[name] for own in observed]) for name in observed[0]}
 
 
 def canonical_sites(head: TrainingSet, rule: ClassRule, recipe: LearningRecipe) -> list[int]:
@@ -109,7 +117,7 @@ def learn_site(lesson: Lesson, parts: Iterable[ClassSums], site: int) -> Solutio
     sums = add_up(lesson, parts)
     camera, rule = lesson.head.camera, lesson.rule
     window = neighbourhoods(camera.cfa, rule.patch, len(camera.channels)).channel[site]
-    alike = stabilisers(window, rule.patch) if lesson.recipe.symmetry else orientations(rule.patch)[:1]
+    alike = class_stabilisers(rule, window) if lesson.recipe.symmetry else orientations(rule.patch)[:1]
     return solve(sums, rule, window, alike, lesson.recipe, _goal(lesson))
 
 
@@ -126,10 +134,11 @@ def assemble(lesson: Lesson, solutions: dict[int, Solution], history: tuple[Stag
         trained = transforms[site_map.canonical]
         turned = np.empty_like(trained.weights)
         turned[..., site_map.permutation] = trained.weights
-        weights.append(turned)
-        intercept.append(trained.intercept)
-        samples.append(trained.samples)
-        condition.append(trained.condition)
+        classes = turned_classes(rule, site_map.permutation)
+        weights.append(turned[classes])
+        intercept.append(trained.intercept[classes])
+        samples.append(trained.samples[classes])
+        condition.append(trained.condition[classes])
     return TransformTable(
         history=history,
         camera_name=camera.name,

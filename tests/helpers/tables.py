@@ -27,13 +27,23 @@ def with_first(table: TransformTable, **fields: Any) -> TransformTable:
 XYZ = ("X", "Y", "Z")
 
 
-def random_table(cfa, bits=12, black=0.0, patch=5, outputs=XYZ, contrasts=(1.4,), wild=False, seed=1) -> TransformTable:
-    """A table of random weights with outputs of about 0…1; `wild`: contrast edges anywhere in 32 bits."""
+def random_table(
+    cfa, bits=12, black=0.0, patch=5, outputs=XYZ, contrasts=(1.4,), wild=False, seed=1, **further
+) -> TransformTable:
+    """A table of random weights with outputs of about 0…1; `wild`: contrast edges anywhere in 32 bits; `further`: keys of
+    further features by their names."""
     rng = np.random.default_rng(seed)
     channels = int(np.max(cfa)) + 1
     camera = random_camera(cfa, channels, bits, black)
     case_of_code = rng.integers(0, 5, 2**channels).astype(np.uint16)
-    recipe = ClassRecipe(patch=patch, levels=7, lowest_level=0.02, contrasts=contrasts, saturation_radius=min(2, patch // 2))
+    recipe = ClassRecipe(
+        patch=patch,
+        levels=7,
+        lowest_level=0.02,
+        contrasts=contrasts,
+        saturation_radius=min(2, patch // 2),
+        **further,
+    )
     centres = rng.dirichlet(np.ones(channels), int(rng.integers(1, 9)))
     rule = make_rule(recipe, camera, case_of_code, centres)
     if wild:

@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.classes.decide import label_mosaic, label_patches
+from l3cli.classes.features import BASIC, FURTHER
 from l3cli.classes.level import LEVEL_FRACTION
 from l3cli.classes.recipe import ClassRecipe
-from l3cli.classes.rule import FEATURES, make_rule
+from l3cli.classes.rule import make_rule
 from l3cli.classes.windows import neighbourhoods, sites
 from l3cli.errors import RecipeError
 from l3cli.frame import mirrored_indices, pad_mosaic
@@ -171,13 +172,14 @@ def test_indices_are_joined_as_they_are_split(fiveband: CameraModel) -> None:
     rng = np.random.default_rng(3)
     rule = make_rule(ClassRecipe(contrasts=(1.4, 4.0)), fiveband, random_case_of_code(5, rng), rng.dirichlet(np.ones(5), 6))
     index = np.arange(16 * rule.classes_per_site)
-    site, level, contrast, kind = rule.split(index)
-    np.testing.assert_array_equal((site, level, contrast, kind), np.unravel_index(index, (16, *rule.shape)))
+    site, level, contrast, further, kind = rule.split(index)
+    assert not further.any()
+    np.testing.assert_array_equal((site, level, contrast, further, kind), np.unravel_index(index, (16, *rule.shape)))
     np.testing.assert_array_equal(rule.join(level, contrast, kind, site), index)
     np.testing.assert_array_equal(rule.on_site(rule.join(level, contrast, kind), site), index)
     np.testing.assert_array_equal(rule.within_site(index), rule.join(level, contrast, kind))
-    assert rule.split(1234) == tuple(part[1234] for part in (site, level, contrast, kind))
-    assert rule.by_axis(index)[7, 3, 2, 4] == rule.join(3, 2, 4, 7)
+    assert rule.split(1234) == tuple(part[1234] for part in (site, level, contrast, further, kind))
+    assert rule.by_axis(index)[7, 3, 2, 0, 4] == rule.join(3, 2, 4, 7)
     assert index[rule.of_site(2)].tolist() == index[site == 2].tolist()
 
 
@@ -194,8 +196,8 @@ def test_a_kind_is_a_chroma_or_a_saturation_case(fiveband: CameraModel) -> None:
 
 def test_every_feature_has_its_snippet_and_no_macro_twice(fiveband: CameraModel) -> None:
     rule = make_rule(ClassRecipe(), fiveband, np.zeros(32, np.uint16))
-    macros = [key for feature in FEATURES for key in feature.macros(rule)]
+    macros = [key for feature in BASIC for key in feature.macros(rule)]
     assert len(set(macros)) == len(macros)
-    for feature in FEATURES:
+    for feature in (*BASIC, *FURTHER.values()):
         snippet = (source_folder() / feature.SNIPPET).read_text(encoding="utf-8")
         assert f"l3cli/classes/{feature.SNIPPET.removesuffix('.cl')}.py" in snippet

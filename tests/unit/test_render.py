@@ -14,6 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from l3cli.artifacts.table import TransformTable
+from l3cli.classes import direction
 from l3cli.classes.windows import neighbourhoods
 from l3cli.errors import DeviceError, RecipeError
 from l3cli.frame import RawFrame, upright
@@ -52,6 +53,10 @@ TABLES = {
     "stripes": lambda: random_table(STRIPES, bits=8, patch=3, outputs=XYZ + ("N", "U"), contrasts=()),
     "sixteen": lambda: random_table(SIXTEEN, bits=13, patch=15, outputs=("a",), contrasts=(1.4, 3.0), wild=True),
     "mono": lambda: random_table([[0]], bits=16, patch=11, outputs=tuple("abcdefghijklmnop"), wild=True),
+    "directions": lambda: random_table(BAYER, bits=14, black=256.0, patch=9, direction=direction.Keys()),
+    "8 directions": lambda: random_table(
+        FIVE_BAND, black=100.0, direction=direction.Keys(orientations=8, strengths=(1.5, 6.0), coherence=0.4)
+    ),
 }
 
 
@@ -64,6 +69,8 @@ KINDS = {  # how a table is rendered: arguments of OpenCLRenderer
 RENDERED = [(name, "processor") for name in TABLES]
 RENDERED += [("five-band", "8 lanes"), ("five-band", "16 lanes")]
 RENDERED += [("five-band", "graphics"), ("x-trans", "graphics"), ("stripes", "graphics")]
+RENDERED += [("8 directions", "8 lanes"), ("8 directions", "16 lanes")]
+RENDERED += [("directions", "graphics"), ("8 directions", "graphics")]
 
 
 @pytest.fixture(scope="module", params=RENDERED, ids="-".join)

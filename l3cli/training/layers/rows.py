@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.layers import PLANE_STEP
 from l3cli.artifacts.structure_rule import StructureRule
+from l3cli.classes.later import mirrored
 from l3cli.classes.windows import Integers
 from l3cli.training.accumulate import TARGET_FLOOR
-from l3cli.classes.later import mirrored
 from l3cli.training.layers.first import Floats, Seen, runs_of
 from l3cli.training.sums import STEP, add_rounded, pairs
 from l3cli.training.weighing import ERROR_FLOOR, lab_error
@@ -82,9 +82,8 @@ def row_weights(
 
 def _averaged(values: Floats) -> Floats:
     """Means over 5 × 5."""
-    padded = mirrored(values, 2)
-    rows = sum(padded[i : i + values.shape[0]] for i in range(5))
-    return np.asarray(sum(rows[:, i : i + values.shape[1]] for i in range(5)) / 25, np.float32)
+    windows = np.lib.stride_tricks.sliding_window_view(mirrored(values, 2), (5, 5))
+    return np.asarray(windows.mean(axis=(2, 3)), np.float32)
 
 
 def add_rows(
