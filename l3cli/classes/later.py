@@ -28,8 +28,8 @@ def mirrored(planes: NDArray, margin: int) -> NDArray:
 
 
 def first_label_words(rule: StructureRule, first: ClassRule) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-    """What a kernel reads of each class (class) of the first layer: the scale of gradients, with bits 14 and 15 set where the
-    tensor's components change their signs; and the first class of its site and level, with bit 31 set where saturation
+    """What a kernel reads of each class (class) of the first layer: the scale of gradients, with bits 14 and 15 set where
+    the tensor's components change their signs; and the first class of its site and level, with bit 31 set where saturation
     decides and it is the class itself (opencl/structure.cl)."""
     place = first.split(np.arange(len(rule.turns) * first.classes_per_site))
     turned = (rule.turns[place.site] < 0).astype(np.uint32)

@@ -2,9 +2,9 @@
 
     plane = clamp(Σ W · DN + B + 2^(F − 1) >> F, ±32767)
 
-The planes are X − aY, Y and Z − bY, with (a, 1, b) the white under the training light, so that greys have no chroma. W and B
-are the layer's weights and intercept per DN and PLANE_STEP, times 2^F, rounded; F is the largest for which no sum of any class
-and any DN leaves 32 bits.
+The planes are X − aY, Y and Z − bY, with (a, 1, b) the white under the training light, so that greys have no chroma. W and
+B are the layer's weights and intercept per DN and PLANE_STEP, times 2^F, rounded; F is the largest for which no sum of any
+class and any DN leaves 32 bits.
 """
 
 from dataclasses import dataclass

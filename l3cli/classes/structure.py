@@ -1,8 +1,8 @@
 """Structure: strength and direction of the edge at a pixel, from the luminance that the layer before has made
 (docs/method.md#structure).
 
-With Y that luminance in fixed point and s the gradient scale of the pixel's level, so that noise alone has a standard deviation
-of about SIGMA:
+With Y that luminance in fixed point and s the gradient scale of the pixel's level, so that noise alone has a standard
+deviation of about SIGMA:
 
     g_x = clamp((Y[r, c + 1] − Y[r, c − 1]) · s >> 8, ±4095)     g_y alike down a column
     xx, yy, xy = Σ w · (g_x², g_y², g_x g_y) over 5 × 5, w the products of 1 2 3 2 1

@@ -49,8 +49,8 @@ def source_folder() -> Path:
 
 
 def first_source(variant: str, rule: ClassRule) -> str:
-    """The .cl files of a variant for the layer that reads the mosaic, with the features of its rule, joined; #line keeps file
-    and line in the compiler's messages."""
+    """The .cl files of a variant for the layer that reads the mosaic, with the features of its rule, joined; #line keeps
+    file and line in the compiler's messages."""
     features = [_texts(("vectors.cl", *snippets(rule))), f'#line 1 "joined features"\n{joined(rule)}']
     return "\n".join([*features, _texts(VARIANTS[variant].sources)])
 

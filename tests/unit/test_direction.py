@@ -138,7 +138,7 @@ def test_a_table_keeps_its_direction(tmp_path) -> None:
     save(table, tmp_path / "table.h5")
     again = load(TransformTable, tmp_path / "table.h5")
     assert equal(again, table)
-    assert again.rule.axes[0].windows == table.first.rule.axes[0].windows
+    assert again.first.rule.axes[0].windows == table.first.rule.axes[0].windows
     names = {class_name(again, index).split(", ")[4] for index in range(again.rule.classes_per_site)}
     assert len(names) == again.rule.further == 33
     assert {"flat", "along 11.25° strength 2 coherent", "along 168.75° strength 1 mixed"} <= names

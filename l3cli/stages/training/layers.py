@@ -1,5 +1,6 @@
 """Layers after the first: what the processes of a training run do for them (docs/method.md#layers)."""
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -101,7 +102,7 @@ def _units(
     count = min(len(frames), UNITS * execution.crew.size)
     edges = [frames.start + len(frames) * part // count for part in range(count + 1)] if count else []
     about = (run.training, execution.remote, layer, rule)
-    return [LayerUnit(*about, range(first, last)) for first, last in zip(edges, edges[1:], strict=False)]
+    return [LayerUnit(*about, range(first, last)) for first, last in itertools.pairwise(edges)]
 
 
 def _measure(unit: LayerUnit) -> list[NDArray[np.float64]]:

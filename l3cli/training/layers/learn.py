@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.layers import PlaneLayer
-from l3cli.artifacts.structure_rule import StructureRule
+from l3cli.artifacts.structure_rule import MOST_SCALE, StructureRule
 from l3cli.artifacts.training_set import TrainingPair
 from l3cli.classes import structure
 from l3cli.classes.later import label_planes
@@ -69,8 +69,8 @@ class LayerPass:
 
 
 def luminance_noise(layer: LayerPass, frames: Iterable[TrainingPair], first: int, every: int) -> list[NDArray[np.float64]]:
-    """Of every frame whose index, `first` that of the first, is a multiple of `every`: sums of squared differences that noise
-    makes between pixels two apart of the luminance, and their number (2, level)."""
+    """Of every frame whose index, `first` that of the first, is a multiple of `every`: sums of squared differences that
+    noise makes between pixels two apart of the luminance, and their number (2, level)."""
     see, found = layer.first_layer.see, []
     for index, frame in enumerate(frames, first):
         if index % every:
@@ -98,7 +98,7 @@ def structure_rule(layer: LayerPass, noise: Iterable[NDArray[np.float64]]) -> St
     if known.size:
         spread = np.log(squares[known] / count[known]) / 2
         deviation = np.exp(np.interp(np.arange(layer.rule.levels), known, spread))
-    scale = np.clip(np.rint(256 * structure.SIGMA / deviation), 1, structure.MOST_SCALE)
+    scale = np.clip(np.rint(256 * structure.SIGMA / deviation), 1, MOST_SCALE)
     return StructureRule(
         level_step=layer.recipe.level_step,
         gradient_scale=scale.astype(np.uint16),

@@ -37,8 +37,8 @@ class Exposed:
 
 
 def mosaics_of(frame: TrainingPair, count: int, exposed: Exposed, rng: np.random.Generator) -> Iterator[Mosaic]:
-    """`count` mosaics of a frame. Simulated ones are turned and mirrored at random and shown at drawn levels, the last of them
-    without colour; real pairs, whose noise cannot be told from the scene, as they are."""
+    """`count` mosaics of a frame. Simulated ones are turned and mirrored at random and shown at drawn levels, the last of
+    them without colour; real pairs, whose noise cannot be told from the scene, as they are."""
     if not isinstance(frame, TrainingFrame):
         yield from (_piece_of_pair(frame, exposed.camera, rng) for _ in range(count))
         return
@@ -62,7 +62,7 @@ def mosaics_of(frame: TrainingPair, count: int, exposed: Exposed, rng: np.random
 
 
 def white_signal(frame: TrainingPair, camera: CameraModel) -> NDArray[np.float64] | None:
-    """Signals (channel), as shares of full scale, of a white of Y = 1 under the light of a frame; None if that is unknown."""
+    """Signals (channel), as shares of full scale, of a white of Y = 1 under the light of a frame; None if it is unknown."""
     if frame.light is None:
         return None
     light = spectra.resample(frame.light.radiance.astype(np.float64), frame.light.wavelength, camera.wavelength)

@@ -90,8 +90,8 @@ def add_rows(
     sums: Mapping[int, LayerSums], seen: Seen, label: Integers, rule: StructureRule, reading: Reading, pixels: Integers,
     weight: Floats, basis: NDArray[np.float64],
 ) -> None:  # fmt: skip
-    """Add the rows of `pixels` with classes `label` (row, col) and weights `weight` (row, col) to the sums of their canonical
-    sites."""
+    """Add the rows of `pixels` with classes `label` (row, col) and weights `weight` (row, col) to the sums of their
+    canonical sites."""
     site, within = np.divmod(label.ravel(), rule.classes_per_site)
     weight = weight.ravel()
     target = seen.target.reshape(-1, seen.target.shape[-1]) @ basis.astype(np.float32)
