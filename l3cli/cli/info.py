@@ -148,7 +148,22 @@ def _learned(found: dict[str, Any]) -> list[str]:
         f"  {worst['noise_gain']:8.3g}  {worst['class']}: {worst['patches']:.0f} patches, condition {worst['condition']:.2g}"
         for worst in found["worst"]
     ]
+    for number, layer in enumerate(found["later"], 2):
+        lines += _later(number, layer)
     return lines
+
+
+def _later(number: int, layer: dict[str, Any]) -> list[str]:
+    """Lines that tell what a layer after the first has learned."""
+    classes, side = layer["classes"], layer["side"]
+    gains = " · ".join(f"{output} {gain['median']:.3g}, {gain['worst']:.3g}" for output, gain in layer["noise_gain"].items())
+    return [
+        f"layer {number}: {classes['all']} classes: {classes['trained']} trained, "
+        f"{classes['filled']} without patches of their own; {side} × {side} × {layer['planes']} taps",
+        f"  {layer['levels']} levels; {layer['structures']} structures: flat, {layer['strengths']} strengths × (none + "
+        f"{layer['directions']} directions)",
+        f"  noise gain √Σw² (median, worst class): {gains}",
+    ]
 
 
 # ------------------------------------------------------------------------------------------------------- versions

@@ -30,12 +30,32 @@ def transform_section(
         f"{classes['trained']} are trained on patches of their own, {classes['filled']} filled from their neighbours. "
         f"For {table.camera_name}. From {name}."
     )
-    parts = (
+    parts: tuple[Part, ...] = (
         Part("Class population", _population_blocks(table, found)),
         Part("Transforms", _transform_blocks(table, light, class_name)),
         Part("Noise and flat areas", (_noise_figures(table), *_gain_tables(table, found))),
     )
+    if found["later"]:
+        parts += (Part("Later layers", (_later_table(found),)),)
     return Section(f"Table: {name}", lead, parts)
+
+
+def _later_table(found: dict[str, Any]) -> Table:
+    """A row for each layer after the first."""
+    gains = tuple(f"noise gain {output}, median" for output in found["noise_gain"])
+    rows = tuple(
+        (
+            f"layer {number}",
+            *(str(layer["classes"][key]) for key in ("all", "trained", "filled")),
+            f"{layer['side']} × {layer['side']} × {layer['planes']}",
+            str(layer["levels"]),
+            f"flat, {layer['strengths']} strengths × (none + {layer['directions']} directions): {layer['structures']}",
+            *(tidy(gain["median"]) for gain in layer["noise_gain"].values()),
+        )
+        for number, layer in enumerate(found["later"], 2)
+    )
+    headings = ("layer", "classes", "trained", "filled", "taps", "levels", "structures", *gains)
+    return Table("Layers that read the outputs of the layer before", headings, rows)
 
 
 def level_middles(table: TransformTable) -> Array:

@@ -5,6 +5,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.layers import PlaneLayer
+from l3cli.artifacts.structure_rule import DIRECTIONS
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.features import further_features
 from l3cli.classes.names import class_name, kind_name
@@ -21,6 +23,7 @@ def insight(table: TransformTable) -> dict[str, Any]:
     noise_gain: √Σw² of each output, median and worst over trained classes. dc_gain: median over
     trained unsaturated classes of what a flat unit signal of one channel adds to each output. condition: median and worst
     over trained classes. worst: the trained classes of the largest noise gain (of Y if there is one), with their names.
+    All are of the first layer; later: of every layer after it `later_layer`.
     """
     trained, rule = table.first.samples > 0, table.first.rule
     taps = rule.patch**2
@@ -55,6 +58,24 @@ def insight(table: TransformTable) -> dict[str, Any]:
             }
             for index in worst.tolist()
         ],
+        "later": [later_layer(layer, table.outputs) for layer in table.later],
+    }
+
+
+def later_layer(layer: PlaneLayer, outputs: tuple[str, ...]) -> dict[str, Any]:
+    """Figures of a layer after the first: its classes, side (pixel) and number of its windows, levels, structures (flat, and
+    each strength without a direction and in each of them), noise_gain as in `insight`."""
+    trained, rule = layer.samples > 0, layer.rule
+    gain = np.sqrt((layer.weights.astype(np.float64) ** 2).sum(axis=2))
+    return {
+        "classes": {"all": len(trained), "trained": int(trained.sum()), "filled": int((~trained).sum())},
+        "side": layer.side,
+        "planes": len(outputs),
+        "levels": rule.levels,
+        "structures": rule.structures,
+        "strengths": rule.strengths,
+        "directions": DIRECTIONS,
+        "noise_gain": _spread(gain[trained], outputs),
     }
 
 

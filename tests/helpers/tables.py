@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from l3cli.artifacts.layers import MosaicLayer
+from l3cli.artifacts.layers import MosaicLayer, PlaneLayer
+from l3cli.artifacts.structure_rule import StructureRule
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.recipe import ClassRecipe
 from l3cli.classes.rule import make_rule
@@ -22,6 +23,27 @@ def random_case_of_code(channels: int, rng: np.random.Generator) -> np.ndarray:
 def with_first(table: TransformTable, **fields: Any) -> TransformTable:
     """The table with other values in `fields` of its first layer."""
     return dataclasses.replace(table, first=dataclasses.replace(table.first, **fields))
+
+
+def with_later(table: TransformTable, *sides: int, seed: int = 1) -> TransformTable:
+    """The table with later layers of random weights, whose windows have these sides."""
+    rng = np.random.default_rng(seed)
+    sites, outputs, below = table.cfa.size, len(table.outputs), table.first.rule
+    layers = []
+    for step, side in enumerate(sides, 1):
+        rule = StructureRule(
+            level_step=step,
+            gradient_scale=np.full(below.levels, 256, np.uint16),
+            strength_edges=np.arange(1, 3 + step, dtype=np.uint32) * 1000,
+            coherence=24,
+            turns=np.ones((sites, 2), np.int8),
+            cases=below.cases,
+        )
+        classes = sites * rule.classes_per_site
+        weights = (rng.normal(size=(classes, outputs, outputs * side**2)) / side).astype(np.float32)
+        samples = np.where(np.arange(classes) % 2, 10.0, 0.0)
+        layers.append(PlaneLayer(side, rule, weights, np.zeros((classes, outputs), np.float32), samples))
+    return dataclasses.replace(table, later=tuple(layers))
 
 
 XYZ = ("X", "Y", "Z")
