@@ -1,4 +1,5 @@
-"""Direction: along which way a neighbourhood varies, how strongly, and whether it varies along that way alone.
+"""Direction: along which way a neighbourhood varies, how strongly, and whether it varies along that way alone
+(docs/method.md#direction).
 
 Differences D of sums over boxes of one CFA period, which hold every channel equally often wherever they lie, so that no
 difference shows the CFA: right − left (0), lower right − upper left (1), lower − upper (2), lower left − upper right (3).

@@ -13,7 +13,8 @@ METHOD = (ROOT / "docs/method.md").read_text(encoding="utf-8")
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 CITING = ("l3cli", "opencl", "configs", "tests", "docs", "README.md", "CHANGELOG.md", "Makefile")
 CITED = r"\b((?:docs/)?\w+\.md)#([\w-]*)"
-PAGES = {"docs/method.md": METHOD, "README.md": README}
+ARCHITECTURE = (ROOT / "docs/architecture.md").read_text(encoding="utf-8")
+PAGES = {"docs/method.md": METHOD, "docs/architecture.md": ARCHITECTURE, "README.md": README}
 
 
 def anchors(page: str) -> list[str]:
