@@ -114,7 +114,7 @@ def test_a_changed_value_that_is_sealed_again_is_found_by_its_own_checksum(artif
         content[container.BLOCK + root["first/weights"].id.get_chunk_info(0).byte_offset + 9] ^= 1
     path.write_bytes(content)
     container.seal(path)
-    assert "dataset weights is damaged (checksum)" in refused(3, "info", "--verify", path)
+    assert "dataset first/weights is damaged (checksum)" in refused(3, "info", "--verify", path)
 
 
 def test_a_file_without_its_digest_or_before_its_first_byte_is_refused(artifacts, tmp_path, refused) -> None:

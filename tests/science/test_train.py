@@ -268,7 +268,8 @@ def test_saturation_cases_are_named_by_their_pattern(fiveband: CameraModel) -> N
     occurrences = np.zeros(32, np.int64)
     occurrences[[0, 0b00010, 0b10010, 0b11111]] = 1000, 100, 100, 300
     rule = make_rule(ClassRecipe(), fiveband, choose_cases(occurrences, 12))
-    table = SimpleNamespace(rule=rule, channels=fiveband.channels, cfa=fiveband.cfa, black=100.0, white=4095.0)
+    first = SimpleNamespace(rule=rule)
+    table = SimpleNamespace(first=first, channels=fiveband.channels, cfa=fiveband.cfa, black=100.0, white=4095.0)
     names = [kind_name(table, kind) for kind in range(rule.kinds)]  # type: ignore[arg-type]
     everything = "saturated " + "+".join(fiveband.channels)
     c, g = fiveband.channels[4], fiveband.channels[1]
