@@ -33,6 +33,7 @@ from l3cli.artifacts.training_set import (
 from l3cli.errors import InputFileError
 from tests.helpers.artifacts import a_camera, a_frame, a_table, some_sums
 from tests.helpers.paths import CONFIGS, ROOT
+from tests.helpers.readme import README
 
 KINDS = ("camera", "training", "table", "sums")
 STORED = (CameraModel, TrainingSet, TransformTable, PartialSums, TrainingFrame, TrainingPair, ClassSums)
@@ -132,6 +133,21 @@ def test_a_whole_table_opens_as_a_tree(folder: Path) -> None:
     tree = xarray.open_datatree(folder / "table.h5", engine="h5netcdf")
     assert {"/", "/rule", "/camera", "/camera/noise", "/camera/optics"} <= set(tree.groups)
     tree.close()
+
+
+def test_the_example_of_the_readme_runs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    lines = README.partition("    import xarray\n")[2].partition("\n\n")[0].splitlines()
+    monkeypatch.chdir(folder)
+    names: dict[str, Any] = {"xarray": xarray}
+    shown = []
+    for line in map(str.strip, lines):
+        if " = " in line:
+            exec(line, names)
+        else:
+            shown.append(eval(line, names))
+    assert [value if isinstance(value, str) else value.dims for value in shown] == [
+        ("class", "tap"), "1", ("wavelength",), ("row", "col"),
+    ]  # fmt: skip
 
 
 def test_h5py_follows_dims_both_ways(folder: Path) -> None:
