@@ -27,12 +27,21 @@ class Spec:
     axes: tuple[str, ...]
     unit: str
     doc: str
+    coordinate: bool = False  # tells what stands where along its one axis: text does, and numbers that are declared so
 
 
-def data(dtype: str, *axes: str, unit: str = "1", doc: str = "", default: Any = dataclasses.MISSING) -> Any:
+def data(
+    dtype: str,
+    *axes: str,
+    unit: str = "1",
+    doc: str = "",
+    default: Any = dataclasses.MISSING,
+    coordinate: bool = False,
+) -> Any:
     """Declare one dataset: `dtype` ("float64", "uint16", "str"…), axis names (none: a scalar), unit and meaning; with a
-    default it may be absent, as it is from files of older versions."""
-    return field(metadata={"spec": Spec(dtype, axes, unit, doc)}, default=default)
+    default it may be absent, as it is from files of older versions. `coordinate`: numbers along an axis of another name."""
+    spec = Spec(dtype, axes, unit, doc, coordinate or (dtype == "str" and len(axes) == 1))
+    return field(metadata={"spec": spec}, default=default)
 
 
 @dataclass(frozen=True)
@@ -102,17 +111,22 @@ def instances(name: str, value: Any) -> dict[str, Any]:
 
 
 def check(instance: Any) -> None:
-    """Dtypes, number of axes, equal length of equally named axes, finite numbers; ValueError names the field. Axes that only
-    the members of a list have may differ in length between them."""
-    _check(instance, {}, "")
+    """Dtypes, number of axes, equal length of equally named axes, finite numbers; ValueError names the field.
+
+    An axis whose values a group gives, in a dataset of its name, is an axis of that group and those below it alone; axes
+    that only the members of a list have may differ in length between them.
+    """
+    _check(instance, {}, {}, "")
 
 
-def _check(instance: Any, lengths: dict[str, tuple[int, str]], prefix: str) -> None:
-    for name, spec, _ in declared(type(instance)):
+def _check(instance: Any, lengths: dict[str, tuple[int, str]], scopes: dict[str, str], prefix: str) -> None:
+    fields = list(declared(type(instance)))
+    scopes = scopes | {name: prefix for name, spec, _ in fields if isinstance(spec, Spec) and spec.axes == (name,)}
+    for name, spec, _ in fields:
         value = getattr(instance, name)
         if not isinstance(spec, Spec):
             for place, each in instances(name, value).items():
-                _check(each, dict(lengths) if spec.several else lengths, f"{prefix}{place}/")
+                _check(each, dict(lengths) if spec.several else lengths, scopes, f"{prefix}{place}/")
             continue
         array = np.asarray(value)
         label = f"{prefix}{name} ({', '.join(spec.axes)})"
@@ -127,7 +141,7 @@ def _check(instance: Any, lengths: dict[str, tuple[int, str]], prefix: str) -> N
                 told = f"beyond ±{MOST:g}" if np.isfinite(array).all() else "that are not finite"
                 raise ValueError(f"{label} holds values {told}")
         for axis, length in zip(spec.axes, array.shape, strict=True):
-            known, where = lengths.setdefault(axis, (length, prefix + name))
+            known, where = lengths.setdefault(scopes.get(axis, "") + axis, (length, prefix + name))
             if known != length:
                 raise ValueError(f"{label} has {length} along {axis}, but {where} has {known}")
 

@@ -258,12 +258,12 @@ from l3cli.rendering.opencl import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
 
 table = load(TransformTable, Path("table.h5"))
-assert [axis.name for axis in table.rule.axes] == ["direction", "peak"], table.rule.axes
+assert [axis.name for axis in table.first.rule.axes] == ["direction", "peak"], table.first.rule.axes
 values = np.random.default_rng(0).integers(60, 4096, (70, 300)).astype(np.uint16)
 values[:35] = 1000 + 20 * np.arange(300)[None] % 900
 frame = RawFrame("f", values, table.black, table.white, (1, 2))
 labels = ReferenceRenderer(table).labels(frame)
-directions, peaks = table.rule.split_further(table.rule.split(labels).further)
+directions, peaks = table.first.rule.split_further(table.first.rule.split(labels).further)
 assert np.unique(directions).tolist() == [0, 1, 2, 3, 4] and np.unique(peaks).tolist() == [0, 1, 2]
 for variant in ("processor", "graphics"):
     np.testing.assert_array_equal(OpenCLRenderer(table, variant=variant).labels(frame), labels)
