@@ -187,7 +187,8 @@ def test_a_picture_of_several_parts_is_refused(tmp_path: Path) -> None:
     sink = oiio.ImageOutput.create(str(tmp_path / "a.exr"))
     assert sink.open(str(tmp_path / "a.exr"), tuple(specs))
     for number, spec in enumerate(specs):
-        assert number == 0 or sink.open(str(tmp_path / "a.exr"), spec, "AppendSubimage")
+        if number:
+            assert sink.open(str(tmp_path / "a.exr"), spec, "AppendSubimage")
         assert sink.write_image(np.zeros((6, 8, 3), np.float16))
     sink.close()
     with pytest.raises(InputFileError, match="holds more than one part"):

@@ -39,6 +39,7 @@ from tests.helpers.hostile_numbers import OPTIONS, RECIPES, Call
 from tests.helpers.hostile_special_files import SpecialFiles
 from tests.helpers.paths import CONFIGS, ROOT
 from tests.helpers.tables import random_table
+from tests.helpers.tasks import PATIENCE
 
 IDENTITIES = 40
 INPUTS = int(os.environ.get("L3_HOSTILE_INPUTS", "500"))  # of all subjects together
@@ -289,11 +290,17 @@ def test_the_child_ends_with_its_parent(limited: None) -> None:
     program = "import os, signal\nfrom pathlib import Path\nfrom tests.helpers.decoders import echo\n"
     program += "print(echo(Path('f'), '', 0)['process'], flush=True)\nos.kill(os.getpid(), signal.SIGKILL)"
     child = int(subprocess.run([sys.executable, "-c", program], capture_output=True, check=False).stdout)
-    for _ in range(100):
-        if not Path(f"/proc/{child}").exists() or "(zombie)" in Path(f"/proc/{child}/status").read_text():
-            return
+    deadline = time.monotonic() + PATIENCE
+    while lives(child):
+        assert time.monotonic() < deadline, f"process {child} lives on"
         time.sleep(0.05)
-    pytest.fail(f"process {child} lives on")
+
+
+def lives(process: int) -> bool:
+    try:
+        return "(zombie)" not in Path(f"/proc/{process}/status").read_text()
+    except OSError:  # it is gone, perhaps since a moment ago
+        return False
 
 
 # -------------------------------------------------------------------------------------- refused before it is allocated

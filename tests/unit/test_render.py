@@ -220,7 +220,7 @@ def test_a_value_on_an_edge_falls_on_the_same_side():
     four[0, :] = four[1, 1] = 1
     frame = RawFrame("f", four, 0.0, 4095.0)
     centre = OpenCLRenderer(table).labels(frame)[1, 1] // rule.kinds
-    assert centre == 1 * rule.contrasts + 0  # on the level edge: the level above; on the contrast edge: the contrast below
+    assert centre == rule.contrasts  # on the level edge: the level above; on the contrast edge: the contrast below
 
 
 # Bits, and the share of codes that may differ by one, where float32 falls on the other side of a rounding; 8 bits come by a

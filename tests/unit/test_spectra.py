@@ -173,7 +173,7 @@ def test_an_iset_scene_that_falls_is_turned_round(tmp_path: Path) -> None:
 
 
 def narrow(centre: float) -> np.ndarray:
-    return np.exp(-0.5 * ((HALVES - centre) / 1.0) ** 2)
+    return np.exp(-0.5 * (HALVES - centre) ** 2)
 
 
 CENTRES = (550.0, 552.5, 555.0)
