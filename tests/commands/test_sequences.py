@@ -31,6 +31,7 @@ from l3cli.parallel.threads import Behind, ahead
 from l3cli.physics.display import automatic_exposure
 from l3cli.rendering.exposure import TIME_CONSTANT, LightMeter, SteadyExposure
 from l3cli.rendering.reference import ReferenceRenderer
+from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import BAYER, FIVE_BAND
 from tests.helpers.sequences import COUNT, FAST, RGGB, RUN, frames, pictures
 from tests.helpers.tables import random_table
@@ -77,7 +78,9 @@ def write_stack(path: Path) -> Path:
 
 
 @pytest.mark.parametrize("stack", ["a.npy", "a.raw", "a.h5"])
-def test_a_stack_gives_the_pictures_of_its_frames(l3, tmp_path, table, truth, stack):
+def test_a_stack_gives_the_pictures_of_its_frames(
+    l3: L3, tmp_path: Path, table: Path, truth: list[np.ndarray], stack: str
+) -> None:
     source = write_stack(tmp_path / stack)
     assert l3("render", table, source, "-o", tmp_path / "out", "--exposure", 0.8, *FAST) == (0, "", "")
     found = pictures(tmp_path / "out")
@@ -86,7 +89,9 @@ def test_a_stack_gives_the_pictures_of_its_frames(l3, tmp_path, table, truth, st
 
 
 @pytest.mark.parametrize("name", ["", "frame_%02d.tif", "frame_##.tif", "frame_*.tif", "frame_[01]?.tif"])
-def test_files_of_a_folder_keep_names_and_numbers(l3, tmp_path, table, folder, truth, name):
+def test_files_of_a_folder_keep_names_and_numbers(
+    l3: L3, tmp_path: Path, table: Path, folder: Path, truth: list[np.ndarray], name: str
+) -> None:
     assert l3("render", table, folder / name, "-o", tmp_path / "out", "--exposure", 0.8, *FAST) == (0, "", "")
     found = pictures(tmp_path / "out")
     assert list(found) == [f"frame_{number:02d}.png" for number in range(7, 12)]
@@ -95,7 +100,7 @@ def test_files_of_a_folder_keep_names_and_numbers(l3, tmp_path, table, folder, t
     assert list(pictures(tmp_path / "new")) == [f"p_{number:04d}.png" for number in range(7, 12)]
 
 
-def test_stdin_is_a_stream_of_frames(tmp_path, table, folder, truth):
+def test_stdin_is_a_stream_of_frames(tmp_path: Path, table: Path, folder: Path, truth: list[np.ndarray]) -> None:
     render = ("render", table, "-", "-o", tmp_path / "out/####.png", "--size", "20x28", "--exposure", 0.8, *FAST)
     given = frames().astype("<u2").tobytes()
     command = [sys.executable, "-c", RUN, *(str(part) for part in render)]
@@ -108,14 +113,14 @@ def test_stdin_is_a_stream_of_frames(tmp_path, table, folder, truth):
     assert b"frame 4: stdin ends within the frame" in cut.stderr
 
 
-def test_ranges_choose_by_number(l3, tmp_path, table, folder):
+def test_ranges_choose_by_number(l3: L3, tmp_path: Path, table: Path, folder: Path) -> None:
     for frames_, numbers in (("8-11x3", (8, 11)), ("9", (9,)), ("7-8", (7, 8))):
         output = tmp_path / frames_
         assert l3("render", table, folder, "-o", output / "%d.png", "--frames", frames_, *FAST)[0] == 0
         assert sorted(numbered_files(output / "%d.png")) == list(numbers)
 
 
-def test_camera_raws_of_a_folder_are_a_sequence(l3, l3_data, tmp_path, table):
+def test_camera_raws_of_a_folder_are_a_sequence(l3: L3, l3_data: Path, tmp_path: Path, table: Path) -> None:
     (tmp_path / "clip").mkdir()
     for number in (1, 2):
         (tmp_path / f"clip/A001_{number:06d}.dng").symlink_to(l3_data / "raw/colorchart.dng")
@@ -127,7 +132,7 @@ def test_camera_raws_of_a_folder_are_a_sequence(l3, l3_data, tmp_path, table):
     assert found["A001_000001.jpg"].shape == (1156, 1734, 3)
 
 
-def test_cinema_dng_tells_its_rate(tmp_path):
+def test_cinema_dng_tells_its_rate(tmp_path: Path) -> None:
     told = [(51044, "2i", 1, (24000, 1001), True)]
     for name, tags in (("a_1.dng", told), ("a_2.dng", told), ("b_1.dng", []), ("b_2.dng", [])):
         tifffile.imwrite(tmp_path / name, frames()[0], extratags=tags)
@@ -141,7 +146,7 @@ def test_cinema_dng_tells_its_rate(tmp_path):
     assert find_frames((tmp_path / "c_%d.dng",), RGGB, known).rate is None
 
 
-def test_raw_frames_are_never_replaced(refused, tmp_path, table, folder):
+def test_raw_frames_are_never_replaced(refused: Refused, tmp_path: Path, table: Path, folder: Path) -> None:
     before = {path: path.read_bytes() for path in folder.iterdir()}
     for output in (folder / "frame_%02d.tif", folder, folder / "frame_07.tif"):
         source = folder / "frame_07.tif" if output.suffix and output.exists() else folder
@@ -150,7 +155,7 @@ def test_raw_frames_are_never_replaced(refused, tmp_path, table, folder):
     assert {path: path.read_bytes() for path in folder.iterdir()} == before
 
 
-def test_numbers_come_from_names_where_names_have_them(tmp_path):
+def test_numbers_come_from_names_where_names_have_them(tmp_path: Path) -> None:
     known = KnownBetter()
     for name in ("b_9.npy", "b_10.npy"):
         np.save(tmp_path / name, frames()[0])
@@ -160,7 +165,7 @@ def test_numbers_come_from_names_where_names_have_them(tmp_path):
     assert [each.number for each in find_frames((tmp_path,), RGGB, known).frames] == [0, 1, 2]
 
 
-def test_patterns_are_spelled_as_they_are_read(tmp_path):
+def test_patterns_are_spelled_as_they_are_read(tmp_path: Path) -> None:
     for name in ("a_0001.tif", "a_10000.tif", "a_001.tif", "a_0002.tiff", "b_0001.tif", "a_00003.tif"):
         (tmp_path / name).touch()
     assert list(numbered_files(tmp_path / "a_%04d.tif")) == [1, 10000]
@@ -168,7 +173,7 @@ def test_patterns_are_spelled_as_they_are_read(tmp_path):
     assert numbered_name(Path("x/a_%d.tif"), 7) == Path("x/a_7.tif")
 
 
-def test_wrong_calls_are_refused_in_one_line(refused, tmp_path, table, folder):
+def test_wrong_calls_are_refused_in_one_line(refused: Refused, tmp_path: Path, table: Path, folder: Path) -> None:
     (tmp_path / "empty").mkdir()
     np.save(tmp_path / "mixed.npy", frames())
     with h5py.File(tmp_path / "two.h5", "w") as root:
@@ -205,7 +210,9 @@ def test_wrong_calls_are_refused_in_one_line(refused, tmp_path, table, folder):
 # --------------------------------------------------------------------------------------------------- broken and resumed
 
 
-def test_a_missing_frame_stops_the_run_before_any_work(l3, refused, tmp_path, table, folder):
+def test_a_missing_frame_stops_the_run_before_any_work(
+    l3: L3, refused: Refused, tmp_path: Path, table: Path, folder: Path
+) -> None:
     (folder / "frame_09.tif").unlink()
     pattern = folder / "frame_%02d.tif"
     assert "frame 9 is not in" in refused(3, "render", table, pattern, "-o", tmp_path / "out", *FAST)
@@ -216,7 +223,7 @@ def test_a_missing_frame_stops_the_run_before_any_work(l3, refused, tmp_path, ta
     assert list(pictures(tmp_path / "out")) == [f"frame_{number:02d}.png" for number in (7, 8, 10, 11)]
 
 
-def test_a_broken_frame_stops_the_run_and_is_named(l3, tmp_path, table, folder):
+def test_a_broken_frame_stops_the_run_and_is_named(l3: L3, tmp_path: Path, table: Path, folder: Path) -> None:
     (folder / "frame_09.tif").write_bytes(b"nothing")
     code, _, err = l3("render", table, folder, "-o", tmp_path / "out", *FAST)
     assert (code, err.count("\n")) == (3, 1)
@@ -230,7 +237,7 @@ def test_a_broken_frame_stops_the_run_and_is_named(l3, tmp_path, table, folder):
 
 
 @pytest.mark.parametrize("exposure", ["auto", 0.8])
-def test_resuming_gives_the_same_bytes(l3, tmp_path, table, folder, exposure):
+def test_resuming_gives_the_same_bytes(l3: L3, tmp_path: Path, table: Path, folder: Path, exposure: float | str) -> None:
     call = ("render", table, folder, "--exposure", exposure, *FAST)
     assert l3(*call, "-o", tmp_path / "whole")[0] == 0
     keep = (folder / "frame_10.tif").read_bytes()
@@ -282,7 +289,16 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 @pytest.mark.parametrize("output", ["out", "out/p_%02d.png"])
 @pytest.mark.parametrize("again", [(), ("--force",)])
-def test_resuming_never_keeps_another_runs_pictures(l3, monkeypatch, tmp_path, table, other, folder, output, again):
+def test_resuming_never_keeps_another_runs_pictures(
+    l3: L3,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    table: Path,
+    other: Path,
+    folder: Path,
+    output: str,
+    again: tuple[str, ...],
+) -> None:
     options = (folder, "--exposure", 0.8, *FAST, "-o")
     assert l3("render", table, *options, tmp_path / output)[0] == 0
     assert l3("render", other, *options, tmp_path / output.replace("out", "whole"))[0] == 0
@@ -292,7 +308,9 @@ def test_resuming_never_keeps_another_runs_pictures(l3, monkeypatch, tmp_path, t
     assert contents(tmp_path / "out") == contents(tmp_path / "whole")
 
 
-def test_resuming_replaces_nothing_that_the_run_did_not_make(l3, refused, monkeypatch, tmp_path, table, folder):
+def test_resuming_replaces_nothing_that_the_run_did_not_make(
+    l3: L3, refused: Refused, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, table: Path, folder: Path
+) -> None:
     call = ("render", table, folder, "--exposure", 0.8, *FAST, "-o")
     assert l3(*call, tmp_path / "whole")[0] == 0
     stopped(l3, monkeypatch, 2, *call, tmp_path / "out")
@@ -315,7 +333,9 @@ def other_frame(path: Path) -> None:
 
 
 @pytest.mark.parametrize("way", ["folder", "pattern", "glob", "names", "stack"])
-def test_resuming_notices_inputs_that_changed(l3, refused, monkeypatch, tmp_path, table, folder, way):
+def test_resuming_notices_inputs_that_changed(
+    l3: L3, refused: Refused, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, table: Path, folder: Path, way: str
+) -> None:
     inputs = {
         "folder": (folder,),
         "pattern": (folder / "frame_%02d.tif",),
@@ -336,8 +356,8 @@ def test_resuming_notices_inputs_that_changed(l3, refused, monkeypatch, tmp_path
 
 
 def test_resuming_takes_frames_that_were_mended_since_and_notices_those_that_are_gone(
-    l3, refused, monkeypatch, tmp_path, table, folder
-):
+    l3: L3, refused: Refused, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, table: Path, folder: Path
+) -> None:
     call = ("render", table, folder, "--exposure", 0.8, *FAST, "-o")
     stopped(l3, monkeypatch, 2, *call, tmp_path / "out")
     other_frame(folder / "frame_09.tif")
@@ -349,7 +369,9 @@ def test_resuming_takes_frames_that_were_mended_since_and_notices_those_that_are
     assert contents(tmp_path / "out") == contents(tmp_path / "whole")
 
 
-def test_resuming_notices_a_frame_that_others_took_their_exposure_from(l3, refused, monkeypatch, tmp_path, table, folder):
+def test_resuming_notices_a_frame_that_others_took_their_exposure_from(
+    l3: L3, refused: Refused, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, table: Path, folder: Path
+) -> None:
     keep = (folder / "frame_07.tif").read_bytes()
     (folder / "frame_07.tif").write_bytes(b"")
     call = ("render", table, folder, "--exposure", "auto", "--skip-bad", *FAST, "-o", tmp_path / "out")
@@ -358,7 +380,9 @@ def test_resuming_notices_a_frame_that_others_took_their_exposure_from(l3, refus
     assert "leave --resume out" in refused(2, *call, "--resume")
 
 
-def test_resuming_goes_by_the_files_not_by_how_their_names_are_typed(l3, refused, monkeypatch, tmp_path, table, folder):
+def test_resuming_goes_by_the_files_not_by_how_their_names_are_typed(
+    l3: L3, refused: Refused, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, table: Path, folder: Path
+) -> None:
     shutil.copytree(folder, tmp_path / "elsewhere/frames")
     for path in (tmp_path / "elsewhere/frames").iterdir():
         other_frame(path)
@@ -370,7 +394,7 @@ def test_resuming_goes_by_the_files_not_by_how_their_names_are_typed(l3, refused
     assert l3("render", table, folder, *options, "--resume") == (0, "", "")
 
 
-def test_a_stream_is_resumed_only_with_the_same_frames(tmp_path, table):
+def test_a_stream_is_resumed_only_with_the_same_frames(tmp_path: Path, table: Path) -> None:
     call = [sys.executable, "-c", RUN, "render", table, "-", "--size", "20x28", "-o", tmp_path / "out", "--exposure", 0.8]
 
     def fed(mosaics: np.ndarray, *more: str) -> tuple[int, str]:
@@ -389,7 +413,9 @@ def test_a_stream_is_resumed_only_with_the_same_frames(tmp_path, table):
     assert len(list((tmp_path / "out").iterdir())) == COUNT
 
 
-def test_a_mark_that_was_cut_off_costs_no_more_than_its_last_picture(l3, monkeypatch, tmp_path, table, folder):
+def test_a_mark_that_was_cut_off_costs_no_more_than_its_last_picture(
+    l3: L3, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, table: Path, folder: Path
+) -> None:
     call = ("render", table, folder, "--exposure", 0.8, *FAST, "-o")
     assert l3(*call, tmp_path / "whole")[0] == 0
     stopped(l3, monkeypatch, 3, *call, tmp_path / "out")
@@ -400,7 +426,7 @@ def test_a_mark_that_was_cut_off_costs_no_more_than_its_last_picture(l3, monkeyp
     assert contents(tmp_path / "out") == contents(tmp_path / "whole")
 
 
-def test_what_is_there_is_refused_before_any_work(refused, tmp_path, table, folder):
+def test_what_is_there_is_refused_before_any_work(refused: Refused, tmp_path: Path, table: Path, folder: Path) -> None:
     write_mosaic(tmp_path / "out/frame_09.png", frames()[0])
     assert "frame_09.png exists" in refused(1, "render", table, folder, "-o", tmp_path / "out")
     assert "frame_09.png exists" in refused(1, "render", table, "-", "-o", tmp_path / "out", "--size", "20x28")
@@ -409,7 +435,7 @@ def test_what_is_there_is_refused_before_any_work(refused, tmp_path, table, fold
 # --------------------------------------------------------------------------------------------------------- threads
 
 
-def test_reading_runs_ahead_no_further_than_asked():
+def test_reading_runs_ahead_no_further_than_asked() -> None:
     made: list[int] = []
     taken = ahead((made.append(number) or number for number in range(1000)), 3)
     for number in range(10):
@@ -423,7 +449,7 @@ def test_reading_runs_ahead_no_further_than_asked():
     assert threading.active_count() <= before
 
 
-def test_writing_falls_behind_no_further_than_asked():
+def test_writing_falls_behind_no_further_than_asked() -> None:
     gate, written = threading.Event(), []
 
     def slow(item: int) -> None:
@@ -449,7 +475,7 @@ def test_writing_falls_behind_no_further_than_asked():
     assert written == list(range(10))
 
 
-def test_errors_cross_threads():
+def test_errors_cross_threads() -> None:
     def broken():
         yield 1
         raise InputFileError("broken")
@@ -471,7 +497,7 @@ def test_errors_cross_threads():
         put_many(Behind(fails, 2))
 
 
-def test_a_failing_block_still_writes_what_was_put_an_interrupted_one_does_not():
+def test_a_failing_block_still_writes_what_was_put_an_interrupted_one_does_not() -> None:
     for error, count in ((InputFileError, 3), (KeyboardInterrupt, 1)):
         gate, written = threading.Event(), []
 
@@ -492,7 +518,7 @@ def test_a_failing_block_still_writes_what_was_put_an_interrupted_one_does_not()
         assert written == list(range(count))
 
 
-def test_an_interrupt_while_the_last_items_are_waited_for_drops_what_waits():
+def test_an_interrupt_while_the_last_items_are_waited_for_drops_what_waits() -> None:
     """What is being done is done: a thread at work when the program ends could abort it."""
     main_thread, written = threading.main_thread().ident, []
 
@@ -521,7 +547,7 @@ def test_an_interrupt_while_the_last_items_are_waited_for_drops_what_waits():
     assert sorted(written, key=str) == [0, 1]
 
 
-def test_what_never_ends_is_not_waited_for_after_an_interrupt(monkeypatch):
+def test_what_never_ends_is_not_waited_for_after_an_interrupt(monkeypatch: pytest.MonkeyPatch) -> None:
     """As when nobody reads the pipe that is written to."""
     monkeypatch.setattr(threads, "WRITING", 0.2)
     monkeypatch.setattr(threads, "STEP", 0.1)
@@ -545,7 +571,7 @@ def test_what_never_ends_is_not_waited_for_after_an_interrupt(monkeypatch):
     gate.set()
 
 
-def test_no_interrupt_makes_threads_wait_for_ever():
+def test_no_interrupt_makes_threads_wait_for_ever() -> None:
     """At any moment of what is handed from thread to thread: half-way through a notification the next would be lost."""
     program = """
 import random, signal, sys, time
@@ -574,7 +600,7 @@ for _ in range(100):
 
 
 @pytest.mark.parametrize("number", [1, 2, 3])
-def test_many_threads_end(number: int):
+def test_many_threads_end(number: int) -> None:
     for count in (0, 1, 5):
         written: list[int] = []
         with Behind(written.append, 2, number) as writing:
@@ -587,7 +613,7 @@ def test_many_threads_end(number: int):
 
 
 @pytest.mark.parametrize("cfa", [BAYER, FIVE_BAND])
-def test_the_meter_reads_what_the_table_would_show(cfa):
+def test_the_meter_reads_what_the_table_would_show(cfa: list[list[int]]) -> None:
     table = random_table(cfa, bits=12, black=100.0)
     # Weights like those of a trained table: all sites answer alike.
     table = dataclasses.replace(table, weights=np.abs(table.weights), intercept=np.zeros_like(table.intercept))
@@ -608,14 +634,14 @@ def scales(brightness: list[float], rate: int = 30) -> np.ndarray:
     return np.array([exposure.scale(value) for value in brightness])
 
 
-def test_noise_does_not_flicker():
+def test_noise_does_not_flicker() -> None:
     found = scales([0.5 * (1.1 if number % 2 else 1 / 1.1) for number in range(200)])
     change = np.abs(np.diff(np.log(found)))
     assert change[1:].max() < 0.01  # ±10 % from frame to frame becomes less than 1 %
     assert np.ptp(np.log(found[100:])) < 0.01
 
 
-def test_a_change_of_light_is_followed_without_overshoot():
+def test_a_change_of_light_is_followed_without_overshoot() -> None:
     found = scales([0.2] * 30 + [0.8] * 150)
     np.testing.assert_allclose(found[:30], 5.0)
     assert (np.diff(found[29:]) < 0).all()
@@ -626,11 +652,13 @@ def test_a_change_of_light_is_followed_without_overshoot():
     assert scales([0.2] * 60 + [0.8] * 60, 60)[-1] == pytest.approx(scales([0.2] * 30 + [0.8] * 30, 30)[-1])
 
 
-def test_dark_frames_leave_the_exposure_where_it_was():
+def test_dark_frames_leave_the_exposure_where_it_was() -> None:
     np.testing.assert_allclose(scales([0.0, -1.0, 0.5, 0.0]), [1, 1, 2, 2])
 
 
-def test_files_named_one_by_one_have_their_own_exposure_a_sequence_has_a_common_one(l3, tmp_path, table, folder):
+def test_files_named_one_by_one_have_their_own_exposure_a_sequence_has_a_common_one(
+    l3: L3, tmp_path: Path, table: Path, folder: Path
+) -> None:
     call = ("render", table, "--backend", "reference")
     assert l3(*call, *sorted(folder.iterdir()), "-o", tmp_path / "stills")[0] == 0
     assert l3(*call, folder, "-o", tmp_path / "sequence")[0] == 0

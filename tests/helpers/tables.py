@@ -20,7 +20,9 @@ def random_case_of_code(channels: int, rng: np.random.Generator) -> np.ndarray:
 XYZ = ("X", "Y", "Z")
 
 
-def random_table(cfa, bits=12, black=0.0, patch=5, outputs=XYZ, contrasts=(1.4,), wild=False, seed=1) -> TransformTable:
+def random_table(
+    cfa, bits=12, black=0.0, patch=5, outputs=XYZ, contrasts=(1.4,), wild=False, seed: int = 1
+) -> TransformTable:
     """A table of random weights with outputs of about 0…1; `wild`: contrast edges anywhere in 32 bits."""
     rng = np.random.default_rng(seed)
     channels = int(np.max(cfa)) + 1
