@@ -1,7 +1,7 @@
 """The pages of a TIFF: frames where a sequence is rendered, refused where one picture or frame is wanted."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +26,7 @@ def table(tmp_path: Path) -> Path:
     return tmp_path / "table.h5"
 
 
-def write_pages(path: Path, pages: object, big: bool = False, order: str = "<", **options: object) -> Path:
+def write_pages(path: Path, pages: Iterable[np.ndarray], big: bool = False, order: str = "<", **options: object) -> Path:
     with tifffile.TiffWriter(path, bigtiff=big, byteorder=order) as file:
         for page in pages:
             file.write(page, contiguous=False, **{**PLAIN, **options})
@@ -186,6 +186,7 @@ def test_a_picture_of_several_parts_is_refused(tmp_path: Path) -> None:
     for number, spec in enumerate(specs):
         spec.attribute("oiio:subimagename", f"part {number}")
     sink = oiio.ImageOutput.create(str(tmp_path / "a.exr"))
+    assert sink is not None
     assert sink.open(str(tmp_path / "a.exr"), tuple(specs))
     for number, spec in enumerate(specs):
         if number:

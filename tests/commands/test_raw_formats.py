@@ -157,7 +157,7 @@ def test_dumps_of_another_size_are_refused(refused: Refused, tmp_path: Path, tab
     gap=st.sampled_from([" ", "\n", "\r\n", "\t", "\n# made by hand\n", " #\n#\n "]),
 )  # fmt: skip
 def test_graymaps_keep_their_values(
-    tmp_path_factory: pytest.TempPathFactory, rows: int, cols: int, top: int, seed: int, gap: int
+    tmp_path_factory: pytest.TempPathFactory, rows: int, cols: int, top: int, seed: int, gap: str
 ) -> None:
     values = np.random.default_rng(seed).integers(0, top + 1, (rows, cols)).astype(np.uint16)
     path = tmp_path_factory.mktemp("pgm") / "a.PGM"
@@ -238,6 +238,7 @@ def test_a_fits_cube_is_a_sequence(tmp_path: Path, mosaic: np.ndarray) -> None:
     found = [(each.stem, each.read()) for each in footage.frames]
     assert [stem for stem, _ in found] == ["a_000000", "a_000001", "a_000002"]
     for divisor, (_, frame) in enumerate(found, 1):
+        assert frame is not None
         np.testing.assert_array_equal(frame.values, mosaic // divisor)
 
 
@@ -272,7 +273,7 @@ def test_broken_fits_is_refused(
                      (tuple("abcdefghijklmnop"), np.arange(16).reshape(4, 4)), (("r", "g", "b", "o", "c"), FIVE_BAND)]),
     st.integers(0, 20), st.integers(0, 20),
 )  # fmt: skip
-def test_phase_of_our_own_codes(case: str, row: int, col: int) -> None:
+def test_phase_of_our_own_codes(case: tuple[tuple[str, ...], np.ndarray], row: int, col: int) -> None:
     channels, cfa = case
     ours = sensor(channels, np.asarray(cfa))
     seen = np.roll(channel_codes(channels)[cfa], (-row, -col), axis=(0, 1))
@@ -449,8 +450,8 @@ def test_libraw_tells_the_phase_of_any_array_it_knows(tmp_path: Path, mosaic: np
 
 @pytest.mark.parametrize("name", ["a.dng", "a.nef"])
 def test_a_sensor_without_filters(tmp_path: Path, mosaic: np.ndarray, name: str) -> None:
-    bare = {"tags": {262: (SHORT, [34892])}, "drop": (33421, 33422, 50710)}
-    path = write_dng(tmp_path / name, mosaic, np.array([[0]]), **bare)
+    one = np.array([[0]])
+    path = write_dng(tmp_path / name, mosaic, one, tags={262: (SHORT, [34892])}, drop=(33421, 33422, 50710))
     frame = read_raw(path, sensor(("clear",), np.array([[0]])))
     np.testing.assert_array_equal(frame.values, mosaic)
     with pytest.raises(InputFileError, match="array w, the table rg/gb"):

@@ -89,8 +89,9 @@ def test_pictures_say_that_they_are_srgb(tmp_path: Path) -> None:
     assert b"sRGB" in (tmp_path / "a.png").read_bytes()
     for name in ("a.tif", "a.jpg"):
         write_picture(tmp_path / name, np.zeros((2, 2, 3), np.uint8))
-        tagged = oiio.ImageInput.open(str(tmp_path / name)).spec()["oiio:ColorSpace"]
-        assert "srgb" in str(tagged).lower()
+        source = oiio.ImageInput.open(str(tmp_path / name))
+        assert source is not None
+        assert "srgb" in str(source.spec()["oiio:ColorSpace"]).lower()
 
 
 def test_an_interrupted_picture_leaves_no_complaints(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -128,6 +129,7 @@ def write_mono(path: Path, values: np.ndarray, kind: str = "uint16", **attribute
     for key, value in attributes.items():
         spec.attribute(key.replace("__", ":"), value)
     sink = oiio.ImageOutput.create(str(path))
+    assert sink is not None
     assert sink.open(str(path), spec)
     assert sink.write_image(values[..., None])
     sink.close()

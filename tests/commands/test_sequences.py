@@ -10,7 +10,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Iterator
 from fractions import Fraction
 from pathlib import Path
 
@@ -437,11 +437,18 @@ def test_what_is_there_is_refused_before_any_work(refused: Refused, tmp_path: Pa
 
 def test_reading_runs_ahead_no_further_than_asked() -> None:
     made: list[int] = []
-    taken = ahead((made.append(number) or number for number in range(1000)), 3)
+
+    def numbers() -> Iterator[int]:
+        for number in range(1000):
+            made.append(number)
+            yield number
+
+    taken = ahead(numbers(), 3)
+    assert isinstance(taken, Generator)
     for number in range(10):
         assert next(taken) == number
         time.sleep(0.01)
-        assert len(made) <= number + 1 + 3, taken.close()
+        assert len(made) <= number + 1 + 3
     taken.close()
     before = threading.active_count()
     time.sleep(0.05)
@@ -476,7 +483,7 @@ def test_writing_falls_behind_no_further_than_asked() -> None:
 
 
 def test_errors_cross_threads() -> None:
-    def broken():
+    def broken() -> Iterator[int]:
         yield 1
         raise InputFileError("broken")
 
@@ -499,7 +506,8 @@ def test_errors_cross_threads() -> None:
 
 def test_a_failing_block_still_writes_what_was_put_an_interrupted_one_does_not() -> None:
     for error, count in ((InputFileError, 3), (KeyboardInterrupt, 1)):
-        gate, written = threading.Event(), []
+        gate = threading.Event()
+        written: list[int] = []
 
         def slow(item: int, gate: threading.Event = gate, written: list = written) -> None:
             gate.wait()
@@ -520,7 +528,9 @@ def test_a_failing_block_still_writes_what_was_put_an_interrupted_one_does_not()
 
 def test_an_interrupt_while_the_last_items_are_waited_for_drops_what_waits() -> None:
     """What is being done is done: a thread at work when the program ends could abort it."""
-    main_thread, written = threading.main_thread().ident, []
+    main_thread = threading.main_thread().ident
+    assert main_thread is not None
+    written: list[int | str] = []
 
     def slow(item: int) -> None:
         time.sleep(0.1)

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import av
 import numpy as np
@@ -56,7 +57,7 @@ def decoded(path: Path, pixels: str = "rgb24") -> np.ndarray:
 def test_videos_say_what_they_hold(
     l3: L3, tmp_path: Path, table: Path, stack: Path, arguments: tuple[int | str, ...]
 ) -> None:
-    name, *options = arguments
+    name, options = str(arguments[0]), arguments[1:]
     call = ("render", table, stack, *options, "--fps", "24000/1001", *FAST)
     assert l3(*call, "-o", tmp_path / name) == (0, "", "")
     with av.open(str(tmp_path / name)) as video:
@@ -250,7 +251,7 @@ def test_an_interrupted_video_leaves_nothing(
     rendered = executors.upright
     calls: list[int] = []
 
-    def interrupted(*arguments: object) -> np.ndarray:
+    def interrupted(*arguments: Any) -> np.ndarray:
         calls.append(1)
         if len(calls) == 4:
             raise KeyboardInterrupt
@@ -266,15 +267,17 @@ def test_ctrl_c_stops_a_run_that_waits_for_its_input(tmp_path: Path, table: Path
     call = (sys.executable, "-m", "l3cli", "render", table, "-", "-o", tmp_path / "a.mp4", "--size", "20x28", *FAST)
     before = sorted(tmp_path.iterdir())
     command = [str(part) for part in call]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as waiting:
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as waiting:
+        assert waiting.stdin is not None
+        assert waiting.stderr is not None
         deadline = time.monotonic() + 20
         while len(list(tmp_path.iterdir())) == len(before) and time.monotonic() < deadline:
-            waiting.stdin.buffer.write(frames()[0].tobytes())  # until the encoder has begun its file
-            waiting.stdin.buffer.flush()
+            waiting.stdin.write(frames()[0].tobytes())  # until the encoder has begun its file
+            waiting.stdin.flush()
             time.sleep(0.05)
         waiting.send_signal(signal.SIGINT)
         assert waiting.wait(20) == 130
-        assert waiting.stderr.read().strip() == "l3: interrupted"
+        assert waiting.stderr.read().strip() == b"l3: interrupted"
     assert sorted(tmp_path.iterdir()) == before
 
 
@@ -282,6 +285,8 @@ def test_a_reader_that_goes_away_ends_the_run(tmp_path: Path, table: Path) -> No
     np.save(tmp_path / "long.npy", np.tile(frames(), (400, 1, 1)))
     call = (sys.executable, "-c", RUN, "render", table, tmp_path / "long.npy", "-o", "-", *FAST)
     with subprocess.Popen([str(part) for part in call], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as writing:
+        assert writing.stdout is not None
+        assert writing.stderr is not None
         assert writing.stdout.read(9) == b"YUV4MPEG2"
         writing.stdout.close()
         assert writing.wait(30) == 1

@@ -195,8 +195,15 @@ def test_a_camera_of_many_channels_does_not_compare_all_patterns_in_pairs() -> N
     table = random_table(np.arange(16).reshape(4, 4), patch=5)
     rule = dataclasses.replace(table.rule, case_of_code=np.minimum(np.arange(2**16), 2).astype(np.uint16))
     weights = np.zeros((table.cfa.size * rule.classes_per_site, 3, 25), np.float32)
-    each = {"intercept": weights[:, :, 0], "samples": np.ones(len(weights)), "condition": np.ones(len(weights), np.float32)}
-    table = dataclasses.replace(table, rule=rule, weights=weights, channels=tuple("abcdefghijklmnop"), **each)
+    table = dataclasses.replace(
+        table,
+        rule=rule,
+        weights=weights,
+        intercept=weights[:, :, 0],
+        samples=np.ones(len(weights)),
+        condition=np.ones(len(weights), np.float32),
+        channels=tuple("abcdefghijklmnop"),
+    )
     assert kind_name(table, table.rule.chromas) == "saturated a"
     assert kind_name(table, table.rule.chromas + 1) == "saturated a+b+c+d+e+f+g+h+i+j+k+l+m+n+o+p"
 
@@ -488,11 +495,12 @@ def test_what_names_say_moves_no_cursor_and_makes_no_line(l3: Callable, pipeline
 
     table = load(TransformTable, pipeline / "table.h5")
     names = (HURT, *table.channels[1:])
+    assert table.camera is not None
     camera = dataclasses.replace(table.camera, channels=names)
     save(dataclasses.replace(table, channels=names, camera=camera), tmp_path / "table.h5")
     shutil.copy(pipeline / "unseen.h5", tmp_path / "unseen.h5")
     with h5py.File(tmp_path / "unseen.h5", "r+") as root:
-        values = {f"frames/00000/{name}": np.bytes_(HURT.encode()) for name in ("scene", "illuminant")}
+        values: dict[str, Any] = {f"frames/00000/{name}": np.bytes_(HURT.encode()) for name in ("scene", "illuminant")}
         values["camera/channels"] = np.char.encode([HURT, *table.channels[1:]], "utf-8")
         for name, value in values.items():
             attributes = dict(root[name].attrs)

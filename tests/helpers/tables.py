@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.recipe import ClassRecipe
@@ -21,7 +22,14 @@ XYZ = ("X", "Y", "Z")
 
 
 def random_table(
-    cfa, bits=12, black=0.0, patch=5, outputs=XYZ, contrasts=(1.4,), wild=False, seed: int = 1
+    cfa: ArrayLike,
+    bits: int = 12,
+    black: float = 0.0,
+    patch: int = 5,
+    outputs: tuple[str, ...] = XYZ,
+    contrasts: tuple[float, ...] = (1.4,),
+    wild: bool = False,
+    seed: int = 1,
 ) -> TransformTable:
     """A table of random weights with outputs of about 0…1; `wild`: contrast edges anywhere in 32 bits."""
     rng = np.random.default_rng(seed)

@@ -1,6 +1,7 @@
 """The integer class rule: exact in 32 bits, equal on mosaics and on patches, as in docs/method.md#classes."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -98,7 +99,7 @@ def test_level_contrast_and_case_mean_what_they_say(fiveband: CameraModel) -> No
     rule = make_rule(ClassRecipe(), fiveband, case_of_code)
     span = fiveband.white - fiveband.black
 
-    def label(values: np.ndarray) -> tuple[int, int, int]:
+    def label(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         labels = label_mosaic(values.astype(np.uint16), rule, fiveband.cfa, 5)
         level, contrast, case = np.unravel_index(
             labels[20:40, 20:40] % rule.classes_per_site, (rule.levels, rule.contrasts, rule.kinds)
@@ -145,7 +146,7 @@ def test_an_impossible_rule_is_refused(fiveband: CameraModel, recipe: ClassRecip
 
 
 def test_level_edges_are_spaced_or_given(fiveband: CameraModel) -> None:
-    def edges(**keys: object) -> np.ndarray:
+    def edges(**keys: Any) -> np.ndarray:
         rule = make_rule(ClassRecipe(**keys), fiveband, np.zeros(32, np.uint16))
         values = rule.level_edges / (2**LEVEL_FRACTION * 5)
         return (values - fiveband.black) / (fiveband.white - fiveband.black)

@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -55,7 +56,7 @@ TABLES = {
 }
 
 
-KINDS = {  # how a table is rendered: arguments of OpenCLRenderer
+KINDS: dict[str, dict[str, Any]] = {  # how a table is rendered: arguments of OpenCLRenderer
     "processor": {"variant": "processor"},
     "8 lanes": {"variant": "processor", "lanes": 8},
     "16 lanes": {"variant": "processor", "lanes": 16},
@@ -78,7 +79,7 @@ WIDTHS = st.integers(1, 40) | st.sampled_from([255, 256, 257, 300])
 
 
 @st.composite
-def frames(draw, table: TransformTable) -> RawFrame:
+def frames(draw: st.DrawFn, table: TransformTable) -> RawFrame:
     """Mosaics of the table's depth and beyond: noise about any level, textures, areas of black and of saturation."""
     rows, cols = draw(LENGTHS), draw(WIDTHS)
     rng = np.random.default_rng(draw(st.integers(0, 2**32)))
@@ -377,7 +378,9 @@ def test_variant_follows_the_device_unless_chosen() -> None:
     table = random_table(BAYER, patch=3)
     gpu = OpenCLRenderer(table).device.type & 4
     assert OpenCLRenderer(table).variant == ("graphics" if gpu else "processor")
-    assert make_renderer("opencl", table, device="0", variant="graphics").variant == "graphics"
+    chosen = make_renderer("opencl", table, device="0", variant="graphics")
+    assert isinstance(chosen, OpenCLRenderer)
+    assert chosen.variant == "graphics"
     with pytest.raises(RecipeError, match="processor, graphics"):
         OpenCLRenderer(table, variant="vector")
 

@@ -168,6 +168,7 @@ def test_an_iset_scene_that_falls_is_turned_round(tmp_path: Path) -> None:
         savemat(tmp_path / "scene.mat", {"photons": values[..., ::turn], "wave": SEEN[::turn], "illuminant": of_light})
         scene = read_iset_scene(tmp_path / "scene.mat")
         assert np.array_equal(scene.wavelength, SEEN)
+        assert scene.illuminant is not None
         assert np.allclose(scene.illuminant, white)
         assert np.allclose(scene.reflectance, values / white, rtol=1e-6)
 
