@@ -13,11 +13,9 @@ from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.store import load
 from l3cli.io.frames import read_frame
 from l3cli.io.images import write_mosaic
+from tests.helpers.calls import L3, Refused
 from tests.helpers.hostile import TABLE
 from tests.helpers.paths import CONFIGS
-
-L3 = Callable[..., tuple[int, str, str]]
-Refused = Callable[..., str]
 
 
 @pytest.fixture

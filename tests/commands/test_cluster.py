@@ -298,7 +298,8 @@ def _there(cluster: Cluster, *tls: Path) -> Scheduler:
 
     if cluster.scheduler.poll() is None:
         _wait_until(answers)
-    return Scheduler(cluster.address, *tls)
+    ca, certificate, key = tls or (None, None, None)
+    return Scheduler(cluster.address, ca, certificate, key)
 
 
 # ------------------------------------------------------------------------------------------- doors and their keys

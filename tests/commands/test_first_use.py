@@ -12,6 +12,7 @@ import click
 import numpy as np
 import pytest
 
+from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import open_training_set
 from l3cli.cli import COMMANDS
 from l3cli.cli import l3 as program
@@ -209,7 +210,7 @@ def test_pictures_that_do_not_fit_are_left_out_if_asked(
     assert "no scene is left" in refused(3, *call, folder / "none.h5", "--skip-bad").splitlines()[-1]
 
 
-def test_a_size_is_that_of_the_framed_scene(bayer, tmp_path: Path) -> None:
+def test_a_size_is_that_of_the_framed_scene(bayer: CameraModel, tmp_path: Path) -> None:
     from l3cli.scene import Scene
     from l3cli.simulation.framing import framed, framed_size
     from l3cli.simulation.sources import Framing
@@ -221,7 +222,7 @@ def test_a_size_is_that_of_the_framed_scene(bayer, tmp_path: Path) -> None:
         assert framed_size((31, 45), framing, bayer) == framed(scene, framing, bayer).reflectance.shape[:2], text
 
 
-def test_headers_tell_the_size_that_reading_gives(tmp_path: Path, bayer) -> None:
+def test_headers_tell_the_size_that_reading_gives(tmp_path: Path, bayer: CameraModel) -> None:
     import h5py
     from scipy.io import savemat
 

@@ -10,7 +10,7 @@ import pytest
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.training_set import open_training_set
 from l3cli.cli.init import COMMON
-from l3cli.config import load_recipe
+from l3cli.config import Recipe, load_recipe
 from l3cli.evaluation.demosaic import interpolate
 from l3cli.evaluation.quality import psnr
 from l3cli.io.images import read_image
@@ -91,7 +91,7 @@ def test_a_phase_comes_with_its_base(tmp_path: Path, l3: Callable) -> None:
 
 
 def test_every_recipe_that_is_shipped_can_be_read() -> None:
-    kinds = {"scenes": SceneRecipe, "classes": TrainingRecipe, "lab": LabRecipe}
+    kinds: dict[str, type[Recipe]] = {"scenes": SceneRecipe, "classes": TrainingRecipe, "lab": LabRecipe}
     for folder, kind in kinds.items():
         found = sorted((CONFIGS / folder).glob("*.toml"))
         assert found

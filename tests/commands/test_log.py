@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from l3cli.cli.log import HEADING
+from tests.helpers.calls import L3
 
 LINE = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ (info|warning|error) (\w+) (.*)")
-L3 = Callable[..., tuple[int, str, str]]
 
 
 def lines(log: Path) -> list[tuple[str, str, str]]:

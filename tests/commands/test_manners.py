@@ -47,7 +47,9 @@ def called(line: str) -> click.Context:
 
 
 @pytest.mark.parametrize("name", list(COMMANDS))
-def test_help_has_an_example_and_units_and_fits_eighty_columns(name: str, l3: Callable, monkeypatch) -> None:
+def test_help_has_an_example_and_units_and_fits_eighty_columns(
+    name: str, l3: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("COLUMNS", "80")
     code, out, err = l3(name, "--help")
     assert (code, err) == (0, "")
@@ -70,7 +72,7 @@ def test_results_can_be_had_as_json_and_talk_be_silenced() -> None:
     assert [name for name in COMMANDS if "seed" in told[name]] == ["simulate", "train", "lab"]
 
 
-def test_versions_and_devices(l3: Callable, refused: Callable, monkeypatch) -> None:
+def test_versions_and_devices(l3: Callable, refused: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     assert l3("--version")[1].split() == ["l3,", "version", __version__]
     code, out, err = l3("info", "--version", "--json")
     assert (code, err) == (0, "")
@@ -130,7 +132,9 @@ def test_bash_completes_with_the_line_of_the_readme(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("shell", "word"), [("zsh", "compdef"), ("fish", "complete --no-files --command l3")])
-def test_the_scripts_of_other_shells(shell: str, word: str, monkeypatch, capsys) -> None:
+def test_the_scripts_of_other_shells(
+    shell: str, word: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setenv("_L3_COMPLETE", f"{shell}_source")
     with pytest.raises(SystemExit) as stop:
         l3.main([], prog_name="l3")
@@ -165,14 +169,16 @@ class Clock:
         return self.now
 
 
-def logged(total: int | None, count: int, step: float, monkeypatch, capsys) -> list[str]:
+def logged(
+    total: int | None, count: int, step: float, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> list[str]:
     monkeypatch.setattr(time, "monotonic", Clock(step))
     capsys.readouterr()
     assert list(terminal.Terminal().progress(range(count), total, "frames")) == list(range(count))
     return capsys.readouterr().err.splitlines()
 
 
-def test_a_log_hears_of_progress_now_and_then(monkeypatch, capsys) -> None:
+def test_a_log_hears_of_progress_now_and_then(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     lines = logged(1000, 1000, 1.0, monkeypatch, capsys)
     assert len(lines) == 9  # what comes when all is done, the command itself says
     assert lines[0] == "frames: 100 of 1000, 1 a second, 15 min 0 s left"
@@ -185,7 +191,7 @@ def test_a_log_hears_of_progress_now_and_then(monkeypatch, capsys) -> None:
     assert len(endless) == 8
 
 
-def test_quiet_is_quiet(monkeypatch, capsys) -> None:
+def test_quiet_is_quiet(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(time, "monotonic", Clock(100.0))
     assert list(terminal.ErrorsOnly().progress(range(100), 100, "frames")) == list(range(100))
     assert capsys.readouterr().err == ""
@@ -237,7 +243,9 @@ def test_columns_are_divided_where_they_do_not_fit() -> None:
     assert columns(headings, rows, 1) == columns(headings, rows, 15)  # what cannot fit is not lost
 
 
-def test_tables_fit_a_terminal_of_eighty_columns(pipeline: Path, tmp_path: Path, l3: Callable, monkeypatch) -> None:
+def test_tables_fit_a_terminal_of_eighty_columns(
+    pipeline: Path, tmp_path: Path, l3: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
     judged = tmp_path / "evaluation.json"
     table, unseen = pipeline / "table.h5", pipeline / "unseen.h5"
     judged.write_text(l3("evaluate", table, unseen, "--json")[1])
@@ -290,7 +298,7 @@ def frames_of(table: TransformTable, level: float, count: int) -> Iterator[RawFr
         yield RawFrame(f"frame {number}", values, table.black, table.white)
 
 
-def test_levels_without_training_are_counted(pipeline: Path, capsys) -> None:
+def test_levels_without_training_are_counted(pipeline: Path, capsys: pytest.CaptureFixture[str]) -> None:
     from dataclasses import replace
 
     from l3cli.stages.input_warnings import FrameWarnings

@@ -174,9 +174,9 @@ def fields(kind: type) -> set[str]:
     found = set()
     for field in dataclasses.fields(kind):
         found.add(field.name)
-        below = [each for each in (field.type, *getattr(field.type, "__args__", ())) if dataclasses.is_dataclass(each)]
-        for each in below:
-            found |= fields(each)
+        for each in (field.type, *getattr(field.type, "__args__", ())):
+            if isinstance(each, type) and dataclasses.is_dataclass(each):
+                found |= fields(each)
     return found
 
 
@@ -196,7 +196,7 @@ def test_every_recipe_is_of_its_kind(path: Path) -> None:
 
 
 def test_keys_that_tell_a_kind_of_recipe_belong_to_it_alone() -> None:
-    kinds = (*RECIPES.values(), MeasurementRecipe)
+    kinds: tuple[type[Recipe], ...] = (*RECIPES.values(), MeasurementRecipe)
     assert {kind.title for kind in kinds} == set(TELLING)
     for title, keys in TELLING.items():
         for key in keys:

@@ -227,8 +227,13 @@ def hostile(stages: Path) -> list[Path]:
     history = (Stage("<b>calibrate", {"<i>": EVIL}, EVIL, {"<u>frames": ["<s>" * 8]}, "<em>"),)
     channels = ("<b>", "</text><i>", '"><u>&amp;')  # short enough to stand in the drawings
     camera = replace(load(CameraModel, stages / "camera.h5"), name=EVIL, channels=channels, history=history)
-    about = {"camera_name": EVIL, "channels": channels, "history": history, "camera": replace(camera, fit=None)}
-    table = replace(load(TransformTable, stages / "table.h5"), **about)
+    table = replace(
+        load(TransformTable, stages / "table.h5"),
+        camera_name=EVIL,
+        channels=channels,
+        history=history,
+        camera=replace(camera, fit=None),
+    )
     save(camera, folder / "camera.h5")
     save(replace(table, target_description=EVIL), folder / "table.h5")
     with open_training_set(stages / "unseen.h5") as reader:

@@ -2,6 +2,7 @@
 `make soak` has 20 000 through each way of l3 render and 2 000 through l3 simulate."""
 
 import dataclasses
+import io
 import logging
 import os
 import subprocess
@@ -73,7 +74,7 @@ def look_at(run: int, frames: int) -> Look | None:
 def watched(done: Callable[["subprocess.Popen[bytes]"], int], pulse: float, *command: object) -> list[Look]:
     """Looks at `l3 COMMAND`, every `pulse` seconds while it runs; `done` tells of its frames."""
     env = {**os.environ, "PYTHONPATH": str(ROOT)}
-    looks = []
+    looks: list[Look] = []
     with subprocess.Popen(
         [*L3, *map(str, command), "--quiet"], env=env, stdout=subprocess.PIPE, start_new_session=True
     ) as run:
@@ -104,7 +105,7 @@ def piped(frame_bytes: int) -> Callable[["subprocess.Popen[bytes]"], int]:
     threads: list[threading.Thread] = []
 
     def read(run: "subprocess.Popen[bytes]") -> None:
-        assert run.stdout is not None
+        assert isinstance(run.stdout, io.BufferedReader)
         while chunk := run.stdout.read1(1 << 20):
             got[0] += len(chunk)
 
@@ -198,7 +199,7 @@ def render(
     elif what.endswith((".raw", ".h5")):
         done, output = piped(streamed), "-"
     else:
-        done, output = in_folder(folder / "out"), folder / "out/####.tif"
+        done, output = in_folder(folder / "out"), str(folder / "out/####.tif")
     looks = watched(
         done,
         0.2 if lasting else 0.0,

@@ -87,7 +87,7 @@ def test_file_names_of_any_bytes(desk: Path, tmp_path: Path, name: bytes, locale
     os.mkdir(folder)
     for source, suffix in (("table", b".h5"), ("raw", b".tif"), ("raw", b".npy")):
         shutil.copy(os.fsencode(desk / source) + suffix, folder + b"/" + name + suffix)
-    start = [*RUN, "render", name + b".h5", name + b".tif", "--backend", "reference", "--quiet"]
+    start: list[str | bytes] = [*RUN, "render", name + b".h5", name + b".tif", "--backend", "reference", "--quiet"]
     for command in ([*start, "-o", name + b".exr"], [*start, name + b".npy", "-o", name + b".mkv"]):
         ended = subprocess.run(command, cwd=folder, env=environment(**locale), capture_output=True, check=False)
         assert (ended.returncode, ended.stdout, ended.stderr) == (0, b"", b""), command

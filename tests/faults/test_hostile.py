@@ -40,6 +40,7 @@ from tests.helpers.hostile_numbers import OPTIONS, RECIPES, Call
 from tests.helpers.hostile_special_files import SpecialFiles
 from tests.helpers.paths import CONFIGS, ROOT
 from tests.helpers.tables import random_table
+from tests.helpers.tasks import PATIENCE
 
 IDENTITIES = 40
 INPUTS = int(os.environ.get("L3_HOSTILE_INPUTS", "500"))  # of all subjects together
@@ -195,7 +196,11 @@ def test_a_camera_of_many_channels_does_not_compare_all_patterns_in_pairs() -> N
     table = random_table(np.arange(16).reshape(4, 4), patch=5)
     rule = dataclasses.replace(table.first.rule, case_of_code=np.minimum(np.arange(2**16), 2).astype(np.uint16))
     weights = np.zeros((table.cfa.size * rule.classes_per_site, 3, 25), np.float32)
-    each = {"intercept": weights[:, :, 0], "samples": np.ones(len(weights)), "condition": np.ones(len(weights), np.float32)}
+    each: dict[str, Any] = {
+        "intercept": weights[:, :, 0],
+        "samples": np.ones(len(weights)),
+        "condition": np.ones(len(weights), np.float32),
+    }
     first = MosaicLayer(rule, weights, **each)
     table = dataclasses.replace(table, first=first, channels=tuple("abcdefghijklmnop"))
     assert kind_name(table, table.first.rule.chromas) == "saturated a"
@@ -291,11 +296,17 @@ def test_the_child_ends_with_its_parent(limited: None) -> None:
     program = "import os, signal\nfrom pathlib import Path\nfrom tests.helpers.decoders import echo\n"
     program += "print(echo(Path('f'), '', 0)['process'], flush=True)\nos.kill(os.getpid(), signal.SIGKILL)"
     child = int(subprocess.run([sys.executable, "-c", program], capture_output=True, check=False).stdout)
-    for _ in range(100):
-        if not Path(f"/proc/{child}").exists() or "(zombie)" in Path(f"/proc/{child}/status").read_text():
-            return
+    deadline = time.monotonic() + PATIENCE
+    while lives(child):
+        assert time.monotonic() < deadline, f"process {child} lives on"
         time.sleep(0.05)
-    pytest.fail(f"process {child} lives on")
+
+
+def lives(process: int) -> bool:
+    try:
+        return "(zombie)" not in Path(f"/proc/{process}/status").read_text()
+    except OSError:  # it is gone, perhaps since a moment ago
+        return False
 
 
 # -------------------------------------------------------------------------------------- refused before it is allocated
@@ -483,11 +494,12 @@ def test_what_names_say_moves_no_cursor_and_makes_no_line(l3: Callable, pipeline
 
     table = load(TransformTable, pipeline / "table.h5")
     names = (HURT, *table.channels[1:])
+    assert table.camera is not None
     camera = dataclasses.replace(table.camera, channels=names)
     save(dataclasses.replace(table, channels=names, camera=camera), tmp_path / "table.h5")
     shutil.copy(pipeline / "unseen.h5", tmp_path / "unseen.h5")
     with h5py.File(tmp_path / "unseen.h5", "r+") as root:
-        values = {f"frames/00000/{name}": np.bytes_(HURT.encode()) for name in ("scene", "illuminant")}
+        values: dict[str, Any] = {f"frames/00000/{name}": np.bytes_(HURT.encode()) for name in ("scene", "illuminant")}
         values["camera/channels"] = np.char.encode([HURT, *table.channels[1:]], "utf-8")
         for name, value in values.items():
             attributes = dict(root[name].attrs)

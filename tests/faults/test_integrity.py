@@ -22,6 +22,7 @@ from l3cli.artifacts.training_set import TrainingSet, open_training_set, write_t
 from l3cli.cli import run
 from l3cli.errors import InputFileError
 from tests.helpers.artifacts import a_camera, a_frame, a_table, some_sums
+from tests.helpers.calls import L3, Refused
 from tests.helpers.paths import CONFIGS
 
 SCENES = 'exposure_share = [0.9]\n[[scene]]\nsource = "dead leaves"\nsize = [32, 32]\n'
@@ -65,7 +66,9 @@ def test_a_flipped_bit_anywhere_is_found(
 
 
 @pytest.mark.parametrize("kind", list(READERS))
-def test_every_command_tells_of_a_changed_byte_in_one_line(kind: str, artifacts: dict[str, Path], refused, tmp_path) -> None:
+def test_every_command_tells_of_a_changed_byte_in_one_line(
+    kind: str, artifacts: dict[str, Path], refused: Refused, tmp_path: Path
+) -> None:
     content = bytearray(artifacts[kind].read_bytes())
     content[random.Random(kind).randrange(600, len(content))] ^= 16
     path = tmp_path / "changed.h5"
@@ -91,7 +94,9 @@ def test_whole_artifacts_are_right_and_read_by_any_hdf5(artifacts: dict[str, Pat
         assert path.read_bytes().startswith(container.TITLE)
 
 
-def test_a_changed_value_that_is_sealed_again_is_found_by_its_own_checksum(artifacts, tmp_path, refused) -> None:
+def test_a_changed_value_that_is_sealed_again_is_found_by_its_own_checksum(
+    artifacts: dict[str, Path], tmp_path: Path, refused: Refused
+) -> None:
     path = tmp_path / "table.h5"
     content = bytearray(artifacts["table"].read_bytes())
     with h5py.File(artifacts["table"]) as root:
@@ -101,7 +106,9 @@ def test_a_changed_value_that_is_sealed_again_is_found_by_its_own_checksum(artif
     assert "dataset first/weights is damaged (checksum)" in refused(3, "info", "--verify", path)
 
 
-def test_a_file_without_its_digest_or_before_its_first_byte_is_refused(artifacts, tmp_path, refused) -> None:
+def test_a_file_without_its_digest_or_before_its_first_byte_is_refused(
+    artifacts: dict[str, Path], tmp_path: Path, refused: Refused
+) -> None:
     content = artifacts["camera"].read_bytes()
     path = tmp_path / "camera.h5"
     for bad, says in (
@@ -129,7 +136,7 @@ def save_version_1(artifact: Artifact, path: Path) -> h5py.File:
     return root
 
 
-def test_format_version_1_is_read_and_becomes_2(bayer: CameraModel, fiveband: CameraModel, tmp_path: Path, l3) -> None:
+def test_format_version_1_is_read_and_becomes_2(bayer: CameraModel, fiveband: CameraModel, tmp_path: Path, l3: L3) -> None:
     path = tmp_path / "old.h5"
     for artifact in (a_camera(bayer), a_table(bayer)):
         save_version_1(artifact, path).close()

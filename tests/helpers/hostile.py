@@ -519,6 +519,7 @@ def _write_image(path: Path, pixels: np.ndarray, names: list[str] | None = None,
         spec.attribute("compression", compression)
     spec.attribute("DateTime", "")  # else the clock: a seed must mean one input
     sink = oiio.ImageOutput.create(str(path))
+    assert sink is not None
     assert sink.open(str(path), spec)
     assert sink.write_image(np.ascontiguousarray(pixels))
     sink.close()

@@ -119,7 +119,7 @@ def _judge(desk: Path, place: Place, folder: Path) -> str | None:
         each.mkdir()
     inside = os.fsencode(work) + b"/" + place.name
     for source, suffix in (("table.h5", b".h5"), ("raw.tif", b".tif"), ("raw.npy", b".npy"), ("evaluation.json", b".json")):
-        shutil.copy(desk / source, inside + suffix)
+        shutil.copy(os.fsencode(desk / source), inside + suffix)
     before = set(os.listdir(os.fsencode(work)))
     line, code, made = _call(place)
     ended = _run(line, place, work, tmp, home)

@@ -61,7 +61,7 @@ PLACES = {
     "endless": lambda path: path.symlink_to("/dev/zero"),
     "nothing": lambda path: path.symlink_to("/dev/null"),
     "terminal": lambda path: path.symlink_to("/dev/tty"),
-    "folder": Path.mkdir,
+    "folder": lambda path: path.mkdir(),
     "dangling": lambda path: path.symlink_to("nowhere/at/all"),
     "loop": lambda path: path.symlink_to(path.name),
     "behind a file": lambda path: path.symlink_to("camera.toml/more"),

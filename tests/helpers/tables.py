@@ -4,6 +4,7 @@ import dataclasses
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from l3cli.artifacts.layers import MosaicLayer, PlaneLayer
 from l3cli.artifacts.structure_rule import StructureRule
@@ -50,7 +51,15 @@ XYZ = ("X", "Y", "Z")
 
 
 def random_table(
-    cfa, bits=12, black=0.0, patch=5, outputs=XYZ, contrasts=(1.4,), wild=False, seed=1, **further
+    cfa: ArrayLike,
+    bits: int = 12,
+    black: float = 0.0,
+    patch: int = 5,
+    outputs: tuple[str, ...] = XYZ,
+    contrasts: tuple[float, ...] = (1.4,),
+    wild: bool = False,
+    seed: int = 1,
+    **further: Any,
 ) -> TransformTable:
     """A table of random weights with outputs of about 0…1; `wild`: contrast edges anywhere in 32 bits; `further`: keys of
     further features by their names."""

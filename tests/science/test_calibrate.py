@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,9 +15,8 @@ from l3cli.calibration import defects, gain, model, noise, responsivity
 from l3cli.errors import InputFileError
 from l3cli.files import sha256
 from l3cli.measurement import Body, Capture, ChartCapture, MonoCapture
+from tests.helpers.calls import L3
 
-L3 = Callable[..., tuple[int, str, str]]
-Refused = Callable[..., str]
 GOALS = {  # % of the truth
     "overall system gain K": 1.0,
     "temporal dark noise": 3.0,

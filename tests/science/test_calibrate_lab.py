@@ -1,7 +1,6 @@
 """What a real lab does wrong and calibration knows of: flawed pixels, drifting lamps, stray light; EMVA 1288's table."""
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,8 +18,8 @@ from l3cli.curve_table import read_table
 from l3cli.io.curves import write_curves
 from l3cli.measurement import Body
 from l3cli.simulation.flaws import FlawRecipe, flaws_of
+from tests.helpers.calls import L3
 
-L3 = Callable[..., tuple[int, str, str]]
 MEAN = """
 lamp_drift = 0.03
 monitor_error = 0.0

@@ -300,6 +300,7 @@ def rewritten(
         head: TrainingSet = dataclasses.replace(reader.head, outputs=outputs)
         with write_training_set(target, head) as writer:
             for frame in reader:
+                assert isinstance(frame, TrainingFrame)
                 writer.append(frames(frame))
 
 

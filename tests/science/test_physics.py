@@ -18,9 +18,8 @@ from l3cli.errors import InputFileError, RecipeError
 from l3cli.io.measurements import patch_name
 from l3cli.measurement import PATCH_NAMES
 from l3cli.physics import spectra
+from tests.helpers.calls import L3, Refused
 
-L3 = Callable[..., tuple[int, str, str]]
-Refused = Callable[..., str]
 RADIANCE = {"J": 1, "s": -1, "sr": -1, "m": -3}
 
 

@@ -14,7 +14,8 @@ from tests.helpers.recipes import FEW_CLASSES
 CHART = '[[scene]]\nsource = "colorchecker"\nsize = [192, 288]\n'
 LEAVES = 'exposure_share = [0.9]\n[[scene]]\nsource = "dead leaves"\nsize = [48, 48]\ncount = 2\n'
 WAVELENGTH = np.arange(380, 781, 2)
-LINES = sum(np.exp(-0.5 * ((WAVELENGTH - centre) / 8.0) ** 2) for centre in (455, 545, 615))  # a lamp of three narrow bands
+CENTRES = np.array([[455], [545], [615]])
+LINES = np.exp(-0.5 * ((WAVELENGTH - CENTRES) / 8.0) ** 2).sum(axis=0)  # a lamp of three narrow bands
 
 
 @pytest.fixture

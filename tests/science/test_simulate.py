@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from l3cli.artifacts.camera import CameraModel, Noise, Optics
-from l3cli.artifacts.training_set import open_training_set
+from l3cli.artifacts.training_set import TrainingFrame, open_training_set
 from l3cli.physics import spectra
 from l3cli.physics.lens import diffraction_transfer, relative_illumination
 from l3cli.scene import Scene
@@ -90,7 +90,8 @@ def test_electrons_and_noise_meet_isetcam(isetcam: Path, off_axis: str) -> None:
     illuminant = spectra.photons_from_energy(table["wave"], table["illum_energy_D65"])
     white = given["mean_luminance_cd_m2"] / (patches @ (table["V"] * table["illum_energy_D65"])).mean()
     white *= table["V"] @ table["illum_energy_D65"]  # cd/m² of a perfect white in that scene
-    chart = Scene("patches", table["wave"], patches.reshape(6, 4, -1).transpose(1, 0, 2).copy(), illuminant)
+    spread = patches.reshape(6, 4, -1).transpose(1, 0, 2).copy()
+    chart = Scene("patches", table["wave"], spread, illuminant.astype(np.float64))
     frame = simulate(camera, chart, light.own_light(chart, white), given["exp_time"], PLAIN, (0, 0))
     patch_pixels = given["patch_px"] * given["oi_sample_spacing_m"][0] / camera.pixel_pitch
     fall = relative_illumination(camera.optics.image_distance, camera.pixel_pitch, (camera.rows, camera.cols))
@@ -264,20 +265,22 @@ def test_targets_of_every_kind_are_of_one_scene(fiveband: CameraModel) -> None:
     grid = np.arange(380.0, 781.0, 5.0)
     functions = (grid, spectra.colour_matching_functions(grid))
 
-    def seen(*arguments: object) -> tuple[np.ndarray, np.ndarray]:
-        target = make_target(*arguments, fiveband)  # type: ignore[arg-type]
+    def seen(
+        kind: str, functions: light.Curve | None = None, names: tuple[str, ...] = (), wanted: light.Light | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        target = make_target(kind, functions, names, wanted, fiveband)
         frame = simulate(fiveband, scene, falling, 0.01, PLAIN, (0,), target)
         assert len(target.outputs) == len(frame.target)
         assert np.allclose(frame.target[:, 3, 3], 0.25 * frame.white, rtol=1e-5)
         share = frame.electrons[:, 3, 3] / fiveband.full_scale
         return frame.target[:, 3, 3], share
 
-    xyz, share = seen("CIE 1931", None, (), None)
+    xyz, share = seen("CIE 1931")
     assert xyz[1] == pytest.approx(10.0, rel=1e-5)
-    assert seen("luminance", None, (), None)[0] == pytest.approx(xyz[1], rel=1e-5)
-    assert np.allclose(seen("a.csv", functions, ("X", "Y", "Z"), None)[0], xyz, rtol=1e-4)
-    assert np.allclose(seen("camera", None, (), None)[0] * 0.01 / fiveband.white_dose, share, rtol=1e-5)
-    corrected, _ = seen("CIE 1931", None, (), d65)
+    assert seen("luminance")[0] == pytest.approx(xyz[1], rel=1e-5)
+    assert np.allclose(seen("a.csv", functions, ("X", "Y", "Z"))[0], xyz, rtol=1e-4)
+    assert np.allclose(seen("camera")[0] * 0.01 / fiveband.white_dose, share, rtol=1e-5)
+    corrected, _ = seen("CIE 1931", wanted=d65)
     assert np.allclose(corrected / corrected[1], spectra.white_point("D65"), rtol=1e-3)
 
 
@@ -373,12 +376,12 @@ def test_frames_are_scenes_times_lights_times_exposures(
     code, out, err = l3("simulate", recipe, "--camera", bayer_recipe, "-o", output, "--seed", 5, "--pictures", pictures)
     assert (code, out) == (0, ""), err
     with open_training_set(output) as reader:
-        frames = list(reader)
+        frames = [frame for frame in reader if isinstance(frame, TrainingFrame)]
         stage = reader.head.history[-1]
     assert len(frames) == 3 * 2 * 2
     assert [frame.illuminant for frame in frames[:4]] == ["D65", "D65", "A", "A"]
     assert {frame.scene for frame in frames} == {"dead leaves 0.0", "dead leaves 0.1", "colorchecker 0.0"}
-    assert frames[7].seed.tolist() == [5, 7]
+    assert list(frames[7].seed) == [5, 7]
     assert frames[1].luminance == pytest.approx(100.0)
     assert np.allclose(frames[0].electrons, frames[1].electrons, rtol=1e-5)  # exposure makes up for luminance
     assert np.allclose(10 * frames[0].target, frames[1].target, rtol=1e-5)

@@ -42,7 +42,7 @@ XTRANS = np.concatenate([XTRANS, np.roll(XTRANS, 3, axis=1)])
 
 
 def quiet_camera(camera: CameraModel) -> CameraModel:
-    return dataclasses.replace(camera, noise=Noise(0.01, 0.0, 0.0, 0.0, 15000.0), gain=camera.gain * 1.0)
+    return dataclasses.replace(camera, noise=Noise(0.01, 0.0, 0.0, 0.0, 15000.0))
 
 
 def test_symmetry_of_known_arrays(fiveband: CameraModel) -> None:
@@ -93,7 +93,8 @@ def test_exposed_patches_have_the_noise_of_the_camera(bayer: CameraModel) -> Non
     assert values[:4].mean(axis=1) == pytest.approx(bayer.black + signal[:4, 0] * span, abs=0.3)
     assert values[:4].var(axis=1) == pytest.approx(expected, rel=0.03)
     assert (values[4] == np.floor(bayer.white)).all()
-    assert abs(np.corrcoef(values[1:4])[np.triu_indices(3, 1)]).max() < 0.02
+    among = np.asarray(np.corrcoef(values[1:4]))
+    assert abs(among[np.triu_indices(3, 1)]).max() < 0.02
     assert abs(np.corrcoef(values[2, :-1], values[2, 1:])[0, 1]) < 0.02
     # more than there are deviates in store
     many = expose_patches(np.full(3 << 19, 0.3, np.float32), bayer, np.random.default_rng(1))
@@ -102,7 +103,7 @@ def test_exposed_patches_have_the_noise_of_the_camera(bayer: CameraModel) -> Non
 
 def test_contributions_are_rounded_to_whole_steps() -> None:
     rng = np.random.default_rng(0)
-    more, step = (rng.standard_normal(999) * 300).astype(np.float32), 2.0 ** rng.integers(-24, -10, 999)
+    more, step = (rng.standard_normal(999) * 300).astype(np.float32), np.exp2(rng.integers(-24, -10, 999).astype(np.float64))
     total = np.zeros(999)
     add_rounded(total, more, step)
     assert (total == np.rint(more / step) * step).all()
@@ -185,7 +186,7 @@ def test_sums_are_exact_in_any_order(bayer: CameraModel) -> None:
     patches = sample_patches(
         frames[0], head, bayer.white_dose, near.channel[1], 1000, orientations(3), np.random.default_rng([1, 2, 0, 1])
     )
-    matrix = sum(moment_matrix(row, 13) for row in parts[0].moments)
+    matrix = np.sum([moment_matrix(row, 13) for row in parts[0].moments], axis=0)
     assert np.linalg.eigvalsh(matrix).min() > 0
     ratio = matrix[10:, 10:].diagonal() / (patches.target.astype(np.float64) ** 2).sum(axis=0)
     assert ratio == pytest.approx(ratio.mean(), rel=0.2)  # outputs are weighed alike

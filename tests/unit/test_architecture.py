@@ -44,8 +44,8 @@ def imports(path: Path) -> set[str]:
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: relative import"
             found.add(node.module or "")
-            if node.module == "l3cli":
-                found |= {f"l3cli.{alias.name}" for alias in node.names}
+            if node.module in ("l3cli", "tests"):
+                found |= {f"{node.module}.{alias.name}" for alias in node.names}
     return found
 
 
@@ -73,6 +73,14 @@ def test_libraries_enter_by_their_one_door() -> None:
         for name in imports(path):
             doors = DOORS.get(name.split(".")[0])
             assert doors is None or where.startswith(doors), f"{where} imports {name}"
+
+
+def test_no_test_module_imports_another() -> None:
+    """What several of them use lies in tests/helpers, which imports none of them."""
+    for path in (ROOT / "tests").rglob("*.py"):
+        for name in imports(path):
+            assert not name.rpartition(".")[2].startswith(("test_", "conftest")), f"{path} imports {name}"
+            assert not name.startswith("tests.") or name.startswith("tests.helpers"), f"{path} imports {name}"
 
 
 def test_class_indices_are_split_in_one_place() -> None:

@@ -129,6 +129,6 @@ def test_evaluations_and_training_take_old_files(l3: Callable, folder: Path) -> 
     code, out, _ = l3(*call)
     assert code == 0
     assert 0 < json.loads(out)["mean"]["ours"]["mean_delta_e"] < 20
-    call = ("train", folder / "training.h5", "--classes", folder / "classes.toml", "-o", folder / "new.h5", "--quiet")
-    assert l3(*call)[0] == 0
+    again = ("train", folder / "training.h5", "--classes", folder / "classes.toml", "-o", folder / "new.h5", "--quiet")
+    assert l3(*again)[0] == 0
     assert load(TransformTable, folder / "new.h5").first.weights.shape == (16, 3, 9)

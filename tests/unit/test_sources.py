@@ -90,8 +90,9 @@ def test_a_folder_of_bands(simulated: Callable[[str], list], tmp_path: Path) -> 
     for band in range(31):
         spec = oiio.ImageSpec(24, 20, 1, "uint16")
         sink = oiio.ImageOutput.create("x.png")
-        sink.open(str(tmp_path / f"toys/toys_ms_{band + 1}.png"), spec)  # 10 sorts before 2 as text
-        sink.write_image(np.ascontiguousarray(stored[..., band : band + 1]))
+        assert sink is not None
+        assert sink.open(str(tmp_path / f"toys/toys_ms_{band + 1}.png"), spec)  # 10 sorts before 2 as text
+        assert sink.write_image(np.ascontiguousarray(stored[..., band : band + 1]))
         sink.close()
     assert np.array_equal(cubes.read_band_folder(tmp_path / "toys").values, stored)
     (frame,) = simulated(f'[[scene]]\nsource = "bands"\nfile = "to*"\n{RANGE}')
@@ -133,6 +134,7 @@ def test_cubes_of_matlab_hdf5_and_numpy(tmp_path: Path) -> None:
     assert np.array_equal(cubes.read_cube(tmp_path / "a.npy", None, "band row col").values, a_cube())
     told = cubes.read_cube(tmp_path / "b.mat", None, "row col band")
     assert np.array_equal(told.values, a_cube())
+    assert told.wavelength is not None
     assert np.array_equal(told.wavelength, WAVELENGTH)
     assert np.array_equal(cubes.read_cube(tmp_path / "c.mat", "cube", "row col band").values, a_cube())
     assert np.array_equal(cubes.read_cube(tmp_path / "d.h5", "a/cube", "row col band").values, a_cube())
@@ -149,6 +151,7 @@ def test_exr_channels_and_tiff_pages(tmp_path: Path) -> None:
     write_linear(tmp_path / "a.exr", a_cube()[..., shuffled], tuple(f"S0.{WAVELENGTH[i]:.0f},5nm" for i in shuffled))
     told = cubes.read_channels(tmp_path / "a.exr")
     assert np.array_equal(told.values, a_cube())
+    assert told.wavelength is not None
     assert np.allclose(told.wavelength, WAVELENGTH + 0.5)
     tifffile.imwrite(tmp_path / "b.tif", a_cube().transpose(2, 0, 1), photometric="minisblack")
     assert np.array_equal(cubes.read_channels(tmp_path / "b.tif").values, a_cube())

@@ -168,12 +168,13 @@ def test_an_iset_scene_that_falls_is_turned_round(tmp_path: Path) -> None:
         savemat(tmp_path / "scene.mat", {"photons": values[..., ::turn], "wave": SEEN[::turn], "illuminant": of_light})
         scene = read_iset_scene(tmp_path / "scene.mat")
         assert np.array_equal(scene.wavelength, SEEN)
+        assert scene.illuminant is not None
         assert np.allclose(scene.illuminant, white)
         assert np.allclose(scene.reflectance, values / white, rtol=1e-6)
 
 
 def narrow(centre: float) -> np.ndarray:
-    return np.exp(-0.5 * ((HALVES - centre) / 1.0) ** 2)
+    return np.exp(-0.5 * (HALVES - centre) ** 2)
 
 
 CENTRES = (550.0, 552.5, 555.0)

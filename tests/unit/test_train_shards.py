@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -57,7 +58,7 @@ def test_every_set_gets_its_share(sets: list[tuple[int, Fraction]], patches: int
     assert first == len(found)
 
 
-def a_lesson(bayer: CameraModel, patches: tuple[int, ...], **recipe: object) -> Lesson:
+def a_lesson(bayer: CameraModel, patches: tuple[int, ...], **recipe: Any) -> Lesson:
     rule = make_rule(ClassRecipe(**{"patch": 3, "levels": 4, **recipe}), bayer, np.zeros(8, np.uint16))
     head = TrainingSet(camera=bayer, outputs=("X", "Y", "Z"), target_description="")
     return Lesson(head, patches, rule, LearningRecipe(), np.ones(3), 0, LAST)
