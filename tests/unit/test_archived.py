@@ -102,7 +102,7 @@ def test_cameras_and_frames_hold_what_they_held(archived: Archived, folder: Path
 def test_a_table_without_layers_opens_as_one_of_one_layer(archived: Archived, folder: Path) -> None:
     table = load(TransformTable, folder / "table.h5")
     assert hashlib.sha256(table.first.weights.tobytes()).hexdigest() == archived.weights
-    assert (table.first.rule.patch, table.first.rule.shape, table.first.samples.sum()) == (3, (2, 1, 2), 16000)
+    assert (table.first.rule.patch, table.first.rule.shape, table.first.samples.sum()) == (3, (2, 1, 1, 2), 16000)
     assert (table.output_unit, table.exposure, table.camera is not None) == (
         archived.output_unit, archived.exposure, archived.has_camera
     )  # fmt: skip

@@ -18,7 +18,7 @@ from l3cli.artifacts import container
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.partial_sums import ClassSums, PartialSums, open_partial_sums, write_partial_sums
-from l3cli.artifacts.schema import Artifact, Spec, declared, equal
+from l3cli.artifacts.schema import Artifact, Spec, declared, equal, instances
 from l3cli.artifacts.store import describe, load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import (
@@ -81,8 +81,9 @@ def groups(instance: Any, where: str) -> Iterator[tuple[str, Any]]:
     """(path, instance) of a group and those below it."""
     yield where, instance
     for name, member, _ in declared(type(instance)):
-        if not isinstance(member, Spec) and getattr(instance, name) is not None:
-            yield from groups(getattr(instance, name), f"{where.rstrip('/')}/{name}")
+        if not isinstance(member, Spec):
+            for place, each in instances(name, getattr(instance, name)).items():
+                yield from groups(each, f"{where.rstrip('/')}/{place}")
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -125,13 +126,13 @@ def test_axes_have_coordinates_where_a_dataset_gives_them(folder: Path) -> None:
         light = opened("training.h5", f"{frame}/light").radiance
         assert light.sel(wavelength=900) == 2
     assert list(opened("training.h5", "frames/00001").electrons.channel) == ["r", "g", "b", "o", "c"]
-    assert opened("table.h5").weights.sel(output="Y").dims == ("class", "tap")
+    assert opened("table.h5", "first").weights.sel(output="Y").dims == ("class", "tap")
     assert opened("table.h5", "first/rule").chroma_weights.sel(channel="r").dims == ("chroma",)
 
 
 def test_a_whole_table_opens_as_a_tree(folder: Path) -> None:
     tree = xarray.open_datatree(folder / "table.h5", engine="h5netcdf")
-    assert {"/", "/rule", "/camera", "/camera/noise", "/camera/optics"} <= set(tree.groups)
+    assert {"/", "/first/rule", "/camera", "/camera/noise", "/camera/optics"} <= set(tree.groups)
     tree.close()
 
 
