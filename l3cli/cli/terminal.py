@@ -8,12 +8,12 @@ import os
 import re
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import IO, TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from l3cli.columns import printable
+from l3cli.columns import columns, printable
 from l3cli.stages.console import Silent
 
 if TYPE_CHECKING:
@@ -25,6 +25,11 @@ T = TypeVar("T")
 def show(*lines: str) -> None:
     """Lines of a result on stdout."""
     click.echo("\n".join(map(printable, lines)))
+
+
+def show_table(title: Sequence[str], headings: Sequence[str], rows: Sequence[Sequence[str]], *notes: str) -> None:
+    """A table on stdout, as wide as that is, between the lines of its title and notes."""
+    show(*title, *columns(headings, rows, width()), *notes)
 
 
 def show_json(document: Any, console: "Console") -> None:
