@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from l3cli.stages.console import Console
 
 T = TypeVar("T")
+PARAMETER = re.compile("‹([a-z_]+)›")  # as messages from below the command line mark it
 
 
 def show(*lines: str) -> None:
@@ -54,10 +55,15 @@ def _finite(value: Any, name: str, missing: list[str]) -> Any:
     return value
 
 
+def with_options(message: str) -> str:
+    """A message that may come from below the command line, with an option for each parameter it names (‹skip_bad›)."""
+    return PARAMETER.sub(lambda found: f"--{found[1].replace('_', '-')}", message)
+
+
 def tell(message: str) -> None:
     """One line of talk on stderr. Where it cannot be said, on a full disk or to a reader who has gone, the work goes on."""
     try:
-        click.echo(printable(message), err=True)
+        click.echo(printable(with_options(message)), err=True)
     except OSError:
         drop(sys.stderr)
 

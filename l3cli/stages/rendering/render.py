@@ -57,9 +57,9 @@ def render(
         claims.spare(table, *inputs, *dark)
         claim(destination, force, claims)
         if destination.linear and (exposure is not None or white is not None):
-            raise RecipeError(".exr files hold the outputs as they are; --exposure and --white are for pictures")
+            raise RecipeError(".exr files hold the outputs as they are; ‹exposure› and ‹white› are for pictures")
         if engine and backend != "opencl":
-            raise RecipeError(f"--{next(iter(engine))} is for the opencl backend; leave it or --backend {backend} out")
+            raise RecipeError(f"‹{next(iter(engine))}› is for the opencl backend; leave it or ‹backend› {backend} out")
         transforms = load(TransformTable, table)
         if dark:
             known = replace(known, dark=read_dark(_spared(find_frames(dark, transforms, known), claims)))
