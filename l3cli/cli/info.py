@@ -36,26 +36,43 @@ def info(file: Path | None, inputs: tuple[Path, ...], verifies: bool, versions: 
     """
     if versions == (file is not None):
         raise click.UsageError("give either a FILE or --version")
-    from l3cli.stages import information
-
     if verifies and file is not None:
-        verification = information.verification(file, inputs)
-        if as_json:
-            show_json(verification.document(), Terminal())
-        else:
-            show(*_verified(file, verification))
-        if verification.strangers:
-            named = ", ".join(str(path) for path in verification.strangers)
-            raise InputFileError(f"{named}: not what {file} was made of; another file, or changed since")
+        _verify(file, inputs, as_json)
         return
     if verifies or inputs:
         raise click.UsageError("one file at a time, unless --verify compares it with what it was made of")
-    content = information.versions() if file is None else information.content(file)
+    document = _versions() if file is None else _content(file)
     if as_json:
-        show_json(content, Terminal())
+        show_json(document, Terminal())
         return
-    for line in _version_lines(content) if versions else _lines(content):
+    for line in _version_lines(document) if versions else _lines(document):
         show(*folded(printable(line), len(line) - len(line.lstrip()) + 4))
+
+
+def _content(file: Path) -> dict[str, Any]:
+    from l3cli.stages.information import content
+
+    return content(file)
+
+
+def _versions() -> dict[str, Any]:
+    from l3cli.stages.versions import versions
+
+    return versions()
+
+
+def _verify(file: Path, inputs: tuple[Path, ...], as_json: bool) -> None:
+    """Show what is right and what is not given; InputFileError if something is not right."""
+    from l3cli.stages.information import verification
+
+    result = verification(file, inputs)
+    if as_json:
+        show_json(result.document(), Terminal())
+    else:
+        show(*_verified(file, result))
+    if result.strangers:
+        named = ", ".join(str(path) for path in result.strangers)
+        raise InputFileError(f"{named}: not what {file} was made of; another file, or changed since")
 
 
 def _lines(content: dict[str, Any]) -> list[str]:

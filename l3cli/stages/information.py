@@ -1,17 +1,12 @@
-"""What an artifact holds and whether it is intact, and what this l3 is made of."""
+"""What an artifact holds, and whether it is intact and made of the files at hand."""
 
-import platform
-import re
 from dataclasses import asdict, dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from l3cli import __version__
 from l3cli.artifacts.store import describe, load
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.verify import Intact, Link, chain, verify
-from l3cli.errors import DeviceError
 from l3cli.files import sha256
 
 
@@ -51,34 +46,3 @@ def verification(file: Path, inputs: tuple[Path, ...]) -> Verification:
     if a byte is not as it was written."""
     intact = verify(file)
     return Verification(intact, *chain(intact.history, {path: sha256(path) for path in inputs}))
-
-
-def versions() -> dict[str, Any]:
-    """What a report of a fault should tell: l3, Python, libraries (None: an extra not installed), OpenCL devices."""
-    from l3cli.rendering.opencl_devices import survey
-
-    try:
-        required = metadata.requires("l3cli") or []
-    except metadata.PackageNotFoundError:  # sources on a path, not installed
-        required = []
-    names = sorted(
-        {re.split(r"[^\w.-]", each)[0] for each in required if "'dev'" not in each.replace('"', "'")}, key=str.lower
-    )
-    try:
-        devices = survey()
-    except DeviceError as error:
-        devices = [str(error)]
-    return {
-        "l3": __version__,
-        "python": platform.python_version(),
-        "system": f"{platform.system()} {platform.machine()}",
-        "libraries": {name: _version(name) for name in names},
-        "devices": devices,
-    }
-
-
-def _version(library: str) -> str | None:
-    try:
-        return metadata.version(library)
-    except metadata.PackageNotFoundError:
-        return None

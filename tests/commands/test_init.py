@@ -14,7 +14,7 @@ from l3cli.evaluation.demosaic import interpolate
 from l3cli.evaluation.quality import psnr
 from l3cli.io.images import read_image
 from l3cli.recipes import known_recipes
-from l3cli.simulation.lab import LabRecipe
+from l3cli.simulation.lab_recipe import LabRecipe
 from l3cli.simulation.recipe import SceneRecipe
 from l3cli.stages.starting import COMMON
 from l3cli.training.recipe import TrainingRecipe

@@ -9,7 +9,7 @@ from l3cli.artifacts.camera_recipe import recipe_text
 from l3cli.artifacts.schema import Stage
 from l3cli.artifacts.training_set import TrainingSet
 from l3cli.config import read_text
-from l3cli.curve_table import read_table
+from l3cli.curve_file import read_table
 from l3cli.errors import InputFileError, RecipeError, listed
 from l3cli.files import sha256
 from l3cli.io.scene_files import find
