@@ -60,7 +60,7 @@ def average_dark(frames: Iterable[RawFrame]) -> DarkFrame:
     middle, spread = float(np.median(mean)), _spread(mean)
     level = float(mean[np.abs(mean - middle) <= HOT * spread + 0.5].mean())
     if not level < first.black + CLIPPED * (first.white - first.black):
-        raise InputFileError(f"{first.name} is clipped nearly everywhere; give frames without light as --dark")
+        raise InputFileError(f"{first.name} is clipped nearly everywhere; give frames without light as ‹dark›")
     variance = squares / (count - 1) / count if count > 1 else spread**2
     deviation = mean - level
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -1,4 +1,7 @@
-"""What can go wrong, and the exit code each kind of failure gives (README, "Exit codes")."""
+"""What can go wrong, and the exit code each kind of failure gives (README, "Exit codes").
+
+A message that names a parameter marks it ‹force›, by its name in Python; the command line writes its option there, --force.
+"""
 
 from collections.abc import Iterable
 

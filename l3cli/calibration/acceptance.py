@@ -1,7 +1,7 @@
 """Whether a calibrated camera can be trusted: what its own captures, its efficiency and its validation say against it."""
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.calibration.model import likely_mistake
+from l3cli.calibration.efficiency import likely_mistake
 
 LEAST_EFFICIENCY = 0.01  # at the peak: below, a unit is more likely than such a camera
 LEAST_R_SQUARED, MOST_RMSE = 0.98, 0.02  # of every channel, or the calibration has failed

@@ -2,20 +2,17 @@
 
 import errno
 import importlib
-import signal
 import sys
-import threading
-from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from l3cli import __version__
-from l3cli.cli.log import Logged
 from l3cli.cli.terminal import drop, prepare, tell
 from l3cli.errors import L3Error, suggestion
-from l3cli.interrupts import ignore, must_wait
+from l3cli.interrupts import Terminated, heed, leave_to_python
 from l3cli.limits import require_address_space
+from l3cli.stages.log import Logged
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
@@ -41,7 +38,6 @@ CURES = {
     errno.ENOTDIR: "; a part of the path is a file, not a folder",
 }
 NO_THREAD = "can't start new thread"  # what Python says
-LATER = 0.05  # seconds until a signal comes again that came where it must wait
 
 
 class Pipeline(click.Group):
@@ -93,21 +89,12 @@ def l3(context: click.Context) -> None:
         context.exit(2)
 
 
-class Terminated(BaseException):
-    """SIGTERM has come: a scheduler or a user ends the program, which cleans up as after Ctrl-C."""
-
-
 def main() -> None:
     """Run the command line; every failure ends as one line on stderr and the exit code of README, "Exit codes"."""
     prepare()
-    sys.unraisablehook = _lost
-    for each in (signal.SIGINT, signal.SIGTERM):
-        if signal.getsignal(each) is not signal.SIG_IGN:  # as a job in the background ignores Ctrl-C
-            signal.signal(each, _end)
+    heed()
     code = run(sys.argv[1:])
-    for each in (signal.SIGINT, signal.SIGTERM):
-        if signal.getsignal(each) is _end:  # all is done, but for Python's own end, where an exception finds no door
-            signal.signal(each, signal.SIG_DFL)
+    leave_to_python()
     sys.exit(code)
 
 
@@ -144,32 +131,6 @@ def run(arguments: list[str]) -> int:
             drop(sys.stdout)
         cure = CURES.get(error.errno or 0, "")
         return _fail(f"{error.filename or 'input/output'}: {error.strerror or error}{cure}", 1)
-
-
-def _end(number: int, frame: FrameType | None) -> None:
-    ending = KeyboardInterrupt if number == signal.SIGINT else Terminated
-    if must_wait(frame, ending):
-        _come_again(number)
-        return
-    ignore()
-    raise ending
-
-
-def _lost(what: Any) -> None:
-    """Hears of what is raised where Python cannot pass it on, as in a finaliser: a signal that fell there comes again."""
-    if what.exc_type not in (KeyboardInterrupt, Terminated):
-        sys.__unraisablehook__(what)
-        return
-    number = signal.SIGINT if what.exc_type is KeyboardInterrupt else signal.SIGTERM
-    signal.signal(number, _end)
-    _come_again(number)  # not here, where it would be lost, too
-
-
-def _come_again(number: int) -> None:
-    """Send the main thread a signal a little later."""
-    main_thread = threading.main_thread().ident
-    assert main_thread is not None
-    threading.Timer(LATER, signal.pthread_kill, (main_thread, number)).start()
 
 
 def _usage(error: click.ClickException) -> str:

@@ -40,16 +40,9 @@ def calibrate(
     Example: l3 calibrate lab/MEASUREMENTS.toml -o camera.h5
     """
     from l3cli.calibration import acceptance, text
-    from l3cli.errors import L3Error
-    from l3cli.stages.calibration import NotAccepted
     from l3cli.stages.calibration import calibrate as stage
 
-    try:
-        camera, result = stage(
-            measurements, output, console, truth=truth, export=export, accept=accept, jobs=jobs, force=force
-        )
-    except NotAccepted as error:
-        raise L3Error(f"{error}, or add --accept") from error
+    camera, result = stage(measurements, output, console, truth=truth, export=export, accept=accept, jobs=jobs, force=force)
     if as_json:
         show_json(result, console)
     else:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from l3cli.cli.terminal import ErrorsOnly, Terminal
+from l3cli.cli.terminal import ErrorsOnly, Terminal, with_options
 from l3cli.quantities import LARGEST_WHOLE, NoSuchNumber, Quantity
 
 if TYPE_CHECKING:
@@ -90,9 +90,9 @@ def _console(context: click.Context, parameter: click.Parameter, quiet: bool) ->
     console: Console = ErrorsOnly() if quiet else Terminal()
     if context.meta[LOG] is None:
         return console
-    from l3cli.cli.log import Logged
+    from l3cli.stages.log import Logged
 
-    return Logged(console, context.meta[LOG], context.info_name or "l3")
+    return Logged(console, context.meta[LOG], context.info_name or "l3", with_options)
 
 
 _QUIET = click.option(

@@ -1,12 +1,10 @@
 """The document of `l3 evaluate` as tables on stdout."""
 
-from collections.abc import Sequence
 from typing import Any
 
 from l3cli.classes.names import heading
 from l3cli.cli import terminal
-from l3cli.cli.terminal import show
-from l3cli.columns import columns
+from l3cli.cli.terminal import show, show_table
 from l3cli.columns import figure as number
 
 WIDE = 110  # characters in a line from which every figure is shown; JSON holds all of them
@@ -40,12 +38,12 @@ def print_tables(document: dict[str, Any]) -> None:
 
     rows = [[f["scene"], f["illuminant"], f"{f['level']:.3f}", *values(f)] for f in document["frames"]]
     rows.append(["mean", "", "", *values(document["mean"])])
-    _print("", ["scene", "light", "level", *named], rows)
+    show_table([], ["scene", "light", "level", *named], rows)
     levels = [[f"{g['from']:.3f}–{g['to']:.3f}", str(g["frames"]), *values(g)] for g in document["by_level"]]
-    _print("by light level", ["level", "frames", *named], levels)
+    show_table(["", "by light level"], ["level", "frames", *named], levels)
     if len(document["by_illuminant"]) > 1:
         lights = [[g["illuminant"], str(g["frames"]), *values(g)] for g in document["by_illuminant"]]
-        _print("by illuminant", ["light", "frames", *named], lights)
+        show_table(["", "by illuminant"], ["light", "frames", *named], lights)
     _print_classes(document, figures[0])
     for rival, counts in document["better"].items():
         shares = ", ".join(f"{HEADINGS[figure]} {counts[figure]}" for figure in main)
@@ -61,17 +59,13 @@ def _print_classes(document: dict[str, Any], figure: str) -> None:
 
     for axis, entries in document["by_class"].items():
         if len(entries) > 1:
-            _print(f"by class: {axis}", named, [row(heading(axis, entry), entry) for entry in entries])
+            show_table(["", f"by class: {axis}"], named, [row(heading(axis, entry), entry) for entry in entries])
     worst = []
     for entry in document["worst_classes"]:
         kind = f"case {entry['case']}" if entry["chroma"] is None else f"chroma {entry['chroma']}"
         worst.append(row(f"{heading('level', entry)} · contrast {entry['contrast']} · {kind}", entry))
-    _print("worst classes", named, worst)
+    show_table(["", "worst classes"], named, worst)
 
 
 def _number(figure: str, value: float) -> str:
     return number(value, ".4f" if figure == "ssim" else ".2f")
-
-
-def _print(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    show(*(["", title] if title else []), *columns(headings, rows, terminal.width()))

@@ -8,23 +8,29 @@ import os
 import re
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import IO, TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from l3cli.columns import printable
+from l3cli.columns import columns, printable
 from l3cli.stages.console import Silent
 
 if TYPE_CHECKING:
     from l3cli.stages.console import Console
 
 T = TypeVar("T")
+PARAMETER = re.compile("‹([a-z_]+)›")  # as messages from below the command line mark it
 
 
 def show(*lines: str) -> None:
     """Lines of a result on stdout."""
     click.echo("\n".join(map(printable, lines)))
+
+
+def show_table(title: Sequence[str], headings: Sequence[str], rows: Sequence[Sequence[str]], *notes: str) -> None:
+    """A table on stdout, as wide as that is, between the lines of its title and notes."""
+    show(*title, *columns(headings, rows, width()), *notes)
 
 
 def show_json(document: Any, console: "Console") -> None:
@@ -49,10 +55,15 @@ def _finite(value: Any, name: str, missing: list[str]) -> Any:
     return value
 
 
+def with_options(message: str) -> str:
+    """A message that may come from below the command line, with an option for each parameter it names (‹skip_bad›)."""
+    return PARAMETER.sub(lambda found: f"--{found[1].replace('_', '-')}", message)
+
+
 def tell(message: str) -> None:
     """One line of talk on stderr. Where it cannot be said, on a full disk or to a reader who has gone, the work goes on."""
     try:
-        click.echo(printable(message), err=True)
+        click.echo(printable(with_options(message)), err=True)
     except OSError:
         drop(sys.stderr)
 

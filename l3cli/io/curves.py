@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.config import LARGEST
-from l3cli.curve_table import CurveTable, other_unit, read_table
+from l3cli.curve_file import other_unit, read_table
+from l3cli.curve_table import CurveTable
 from l3cli.errors import InputFileError
 from l3cli.files import write_whole
 from l3cli.limits import read_bounded

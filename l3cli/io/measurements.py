@@ -34,7 +34,8 @@ from l3cli.artifacts.camera_recipe import (
 )
 from l3cli.artifacts.schema import Stage
 from l3cli.config import Recipe, load_recipe, read_text
-from l3cli.curve_table import RELATIVE, CurveTable, read_table
+from l3cli.curve_file import read_table
+from l3cli.curve_table import RELATIVE, CurveTable
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.files import sha256, stamp, write_whole
 from l3cli.io.curves import read_finished, read_sweep

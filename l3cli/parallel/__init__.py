@@ -116,7 +116,7 @@ def _result(future: "Future[R]") -> R:
     try:
         return future.result()
     except BrokenProcessPool as error:
-        raise L3Error("a worker process was ended from outside, perhaps for lack of memory; use fewer --jobs") from error
+        raise L3Error("a worker process was ended from outside, perhaps for lack of memory; use fewer ‹jobs›") from error
 
 
 def _end_with_parent() -> None:

@@ -31,8 +31,8 @@ R = TypeVar("R")
 ANSWER = 10.0  # seconds in which a scheduler must answer
 PATIENCE = 60.0  # seconds without any worker after which a run is given up
 PULSE = 1.0  # seconds between looks at the workers
-INSTALL = '--scheduler needs dask; install it with: pip install "l3cli[cluster]"'
-WITHOUT_TLS = "the scheduler listens beyond this machine without TLS: who reaches it can run programs as you; see --tls-ca"
+INSTALL = '‹scheduler› needs dask; install it with: pip install "l3cli[cluster]"'
+WITHOUT_TLS = "the scheduler listens beyond this machine without TLS: who reaches it can run programs as you; see ‹tls_ca›"
 _one_at_a_time = threading.Lock()
 
 
@@ -53,10 +53,10 @@ class Scheduler:
             raise RecipeError(f'"{self.address}" is no scheduler\'s address; give tcp://HOST:PORT or tls://HOST:PORT')
         files = (self.ca, self.certificate, self.key)
         if found[1] == "tls" and None in files:
-            raise RecipeError(f"{self.address} needs --tls-ca, --tls-cert and --tls-key")
+            raise RecipeError(f"{self.address} needs ‹tls_ca›, ‹tls_cert› and ‹tls_key›")
         if found[1] == "tcp" and files != (None, None, None):
             raise RecipeError(
-                f"{self.address} speaks no TLS; give tls://HOST:PORT, or leave --tls-ca, --tls-cert, --tls-key out"
+                f"{self.address} speaks no TLS; give tls://HOST:PORT, or leave ‹tls_ca›, ‹tls_cert›, ‹tls_key› out"
             )
         for path in filter(None, files):
             if not path.is_file():
@@ -101,7 +101,7 @@ def _connected(distributed: Any, scheduler: Scheduler) -> Any:
         try:
             security.get_connection_args("client")
         except OSError as error:
-            raise InputFileError(f"--tls-ca, --tls-cert or --tls-key cannot be used ({error}); give PEM files") from error
+            raise InputFileError(f"‹tls_ca›, ‹tls_cert› or ‹tls_key› cannot be used ({error}); give PEM files") from error
     try:
         return distributed.Client(scheduler.address, security=security, timeout=ANSWER, set_as_default=False)
     except OSError as error:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import TrainingFrame
@@ -45,6 +46,28 @@ def simulate(
     blur needs the channels a few times (LOW_RANK_ERROR), nothing needs the bands again. ValueError if an automatic exposure
     finds no light.
     """
+    ideal, rates = _collected(camera, scene, light, lens, target)
+    seconds = _seconds(camera, rates, exposure)
+    electrons = rates * np.float32(seconds)
+    rng = np.random.default_rng(seed)
+    return TrainingFrame(
+        electrons=electrons,
+        raw=sensor.expose(camera, sensor.mosaic(electrons, camera.cfa), seconds, rng, noises),
+        target=ideal,
+        white=output_weights(target, camera, light, light.wavelength).sum(axis=1),
+        scene=scene.name,
+        illuminant=light.name,
+        luminance=light.luminance,
+        exposure=seconds,
+        light=light.spectrum,
+        seed=seed,
+    )
+
+
+def _collected(
+    camera: CameraModel, scene: Scene, light: Light, lens: Lens, target: Target
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """The picture without lens or noise (output, row, col), and what the channels collect (channel, row, col) e-/s."""
     bands, pitch = scene.wavelength, camera.pixel_pitch
     wanted = output_weights(target, camera, light, bands)
     collected = electron_weights(camera, light, bands)
@@ -64,21 +87,13 @@ def simulate(
     if lens.off_axis:
         distance, shape = camera.optics.image_distance, (rates.shape[1], rates.shape[2])
         rates *= relative_illumination(distance, pitch, shape).astype(np.float32)
+    return ideal, rates
+
+
+def _seconds(camera: CameraModel, rates: NDArray[np.float32], exposure: float | Saturating | Averaging) -> float:
+    """The exposure in seconds."""
     if isinstance(exposure, Saturating):
-        exposure = sensor.saturating_exposure(camera, sensor.mosaic(rates, camera.cfa), exposure.share)
-    elif isinstance(exposure, Averaging):
-        exposure = sensor.averaging_exposure(camera, sensor.mosaic(rates, camera.cfa), exposure.share)
-    electrons = rates * np.float32(exposure)
-    rng = np.random.default_rng(seed)
-    return TrainingFrame(
-        electrons=electrons,
-        raw=sensor.expose(camera, sensor.mosaic(electrons, camera.cfa), exposure, rng, noises),
-        target=ideal,
-        white=output_weights(target, camera, light, light.wavelength).sum(axis=1),
-        scene=scene.name,
-        illuminant=light.name,
-        luminance=light.luminance,
-        exposure=exposure,
-        light=light.spectrum,
-        seed=seed,
-    )
+        return sensor.saturating_exposure(camera, sensor.mosaic(rates, camera.cfa), exposure.share)
+    if isinstance(exposure, Averaging):
+        return sensor.averaging_exposure(camera, sensor.mosaic(rates, camera.cfa), exposure.share)
+    return exposure

@@ -7,7 +7,7 @@ from typing import Literal
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.config import Count, Recipe, Seed
-from l3cli.curve_table import other_unit
+from l3cli.curve_file import other_unit
 from l3cli.errors import L3Error, RecipeError
 
 SMALLEST = 16  # pixels of a scene's shorter side

@@ -15,7 +15,8 @@ from l3cli.io.curves import write_curves
 from l3cli.io.images import write_mosaic
 from l3cli.parallel import workers
 from l3cli.simulation.flaws import FlawRecipe
-from l3cli.simulation.lab import FOLDERS, LabCapture, LabRecipe, chart_corners, plan, take
+from l3cli.simulation.lab import FOLDERS, LabCapture, chart_corners, plan, take
+from l3cli.simulation.lab_recipe import LabRecipe
 from l3cli.stages.claims import Claims, refuse_unwritable
 from l3cli.stages.console import Console
 from l3cli.units import PHOTON_RADIANCE

@@ -9,14 +9,14 @@ import pytest
 
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.training_set import open_training_set
-from l3cli.cli.init import COMMON
 from l3cli.config import Recipe, load_recipe
 from l3cli.evaluation.demosaic import interpolate
 from l3cli.evaluation.quality import psnr
 from l3cli.io.images import read_image
 from l3cli.recipes import known_recipes
-from l3cli.simulation.lab import LabRecipe
+from l3cli.simulation.lab_recipe import LabRecipe
 from l3cli.simulation.recipe import SceneRecipe
+from l3cli.stages.starting import COMMON
 from l3cli.training.recipe import TrainingRecipe
 from tests.helpers.paths import CONFIGS
 from tests.helpers.recipes import SMALL

@@ -11,7 +11,7 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-from l3cli import cli
+from l3cli import interrupts
 from l3cli.artifacts.store import save
 from l3cli.errors import RecipeError
 from l3cli.files import sha256
@@ -101,12 +101,12 @@ def test_an_interrupted_picture_leaves_no_complaints(tmp_path: Path, capfd: pyte
     try:
         for moment in np.linspace(2e-6, 2e-4, 100):
             for each in ENDING:
-                signal.signal(each, cli._end)
+                signal.signal(each, interrupts.end)
             try:
                 signal.setitimer(signal.ITIMER_REAL, moment)
                 write_picture(tmp_path / "picture.png", picture)
                 time.sleep(0.2)  # it may have had to wait
-            except cli.Terminated:
+            except interrupts.Terminated:
                 ends += 1
     finally:
         for each in ENDING:

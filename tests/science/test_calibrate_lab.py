@@ -12,9 +12,9 @@ from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.store import load
 from l3cli.calibration import defects, gain, noise
 from l3cli.calibration.curves import Curves
-from l3cli.calibration.model import efficiency
+from l3cli.calibration.efficiency import efficiency
 from l3cli.cli import run
-from l3cli.curve_table import read_table
+from l3cli.curve_file import read_table
 from l3cli.io.curves import write_curves
 from l3cli.measurement import Body
 from l3cli.simulation.flaws import FlawRecipe, flaws_of

@@ -13,7 +13,7 @@ from l3cli import units
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.store import load
-from l3cli.curve_table import read_table
+from l3cli.curve_file import read_table
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.io.measurements import patch_name
 from l3cli.measurement import PATCH_NAMES

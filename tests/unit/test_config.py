@@ -8,7 +8,7 @@ import pytest
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import CameraRecipe, camera_files, load_camera, recipe_text
 from l3cli.config import load_recipe
-from l3cli.curve_table import read_table
+from l3cli.curve_file import read_table
 from l3cli.errors import InputFileError, RecipeError
 from tests.helpers.cameras import bayer_camera
 from tests.helpers.paths import CONFIGS

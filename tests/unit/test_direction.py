@@ -148,13 +148,13 @@ def test_a_table_keeps_its_direction(tmp_path: Path) -> None:
     assert {"flat", "along 11.25° strength 2 coherent", "along 168.75° strength 1 mixed"} <= names
 
 
-def test_a_table_without_further_features_says_nothing_of_them(tmp_path) -> None:
+def test_a_table_without_further_features_says_nothing_of_them(tmp_path: Path) -> None:
     """Not a byte more than before there were any."""
     save(random_table(BAYER), tmp_path / "plain.h5")
     save(random_table(BAYER, direction=FOUR), tmp_path / "direction.h5")
     plain, more = ({item["name"] for item in describe(tmp_path / name)["datasets"]} for name in ("plain.h5", "direction.h5"))
-    assert {name.partition("/features/")[0] for name in more - plain} == {"rule"}
-    assert load(TransformTable, tmp_path / "plain.h5").rule.features is None
+    assert {name.partition("/features/")[0] for name in more - plain} == {"first/rule"}
+    assert load(TransformTable, tmp_path / "plain.h5").first.rule.features is None
 
 
 def test_a_damaged_direction_is_refused() -> None:

@@ -101,7 +101,7 @@ def test_a_signal_that_falls_into_hdf5_waits_until_it_has_written(tmp_path: Path
     program = f"""
 import os, pathlib, signal, time
 import numpy as np
-from l3cli import cli
+from l3cli import cli, interrupts
 from l3cli.artifacts import container
 
 path, system = pathlib.Path("whole.h5"), os.{call}
@@ -118,7 +118,7 @@ def work(*_, **__):
     print(container.check(path, ""), flush=True)
     time.sleep(60)
 
-cli.LATER = 2.0
+interrupts.LATER = 2.0
 cli.l3.main = work
 cli.main()
 """

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.calibration import responsivity, series
-from l3cli.curve_table import read_table
+from l3cli.curve_file import read_table
 from l3cli.errors import InputFileError
 from l3cli.io.scene_files import read_iset_scene
 from l3cli.measurement import BandCapture

@@ -9,7 +9,7 @@ from collections.abc import Generator, Iterator
 
 import pytest
 
-from l3cli import cli
+from l3cli import interrupts
 from l3cli.errors import InputFileError
 from l3cli.parallel import threads
 from l3cli.parallel.threads import Behind, ahead
@@ -126,7 +126,7 @@ def test_an_interrupt_while_the_last_items_are_waited_for_drops_what_waits() -> 
         written.append("taken for all")
         time.sleep(60)
 
-    before = {each: signal.signal(each, cli._end) for each in (signal.SIGINT, signal.SIGTERM)}
+    before = {each: signal.signal(each, interrupts.end) for each in (signal.SIGINT, signal.SIGTERM)}
     try:
         with pytest.raises(KeyboardInterrupt):
             interrupted()
@@ -165,22 +165,22 @@ def test_no_interrupt_makes_threads_wait_for_ever() -> None:
     """At any moment of what is handed from thread to thread: half-way through a notification the next would be lost."""
     program = """
 import random, signal, sys, time
-from l3cli import cli
+from l3cli import interrupts
 from l3cli.parallel import threads
 from l3cli.parallel.threads import Behind, ahead
 
 threads.WRITING = 1e9
-moments, sys.unraisablehook, cli.LATER = random.Random(0), cli._lost, 0.02
+moments, sys.unraisablehook, interrupts.LATER = random.Random(0), interrupts.repeat_lost, 0.02
 for _ in range(100):
     for each in (signal.SIGALRM, signal.SIGINT, signal.SIGTERM):
-        signal.signal(each, cli._end)
+        signal.signal(each, interrupts.end)
     try:
         signal.setitimer(signal.ITIMER_REAL, moments.uniform(2e-6, 4e-4))
         with Behind(abs, 2) as writing:
             for item in ahead(range(100), 2):
                 writing.put(item)
         time.sleep(1.0)
-    except cli.Terminated:
+    except interrupts.Terminated:
         signal.signal(signal.SIGALRM, signal.SIG_IGN)
         time.sleep(0.05)  # it may come again
         print("terminated")

@@ -72,7 +72,7 @@ def destination_of(output: Path, suffix: str, choice: VideoChoice) -> Destinatio
         destination = Destination(output, "pattern" if PATTERN.search(output.name) else kind, suffix)
         images.check_format(destination.file(0, "frame"), choice.bits)
         if choice.codec or choice.crf is not None:
-            raise RecipeError(f"{output}: --codec and --crf are for videos; name a .mp4, .mov or .mkv")
+            raise RecipeError(f"{output}: ‹codec› and ‹crf› are for videos; name a .mp4, .mov or .mkv")
     return destination
 
 
@@ -147,7 +147,7 @@ def marked(
     """
     if destination.kind not in ("pattern", "folder"):
         if resume:
-            raise RecipeError(f"--resume goes on with a sequence of pictures; {destination.path} is written in one go")
+            raise RecipeError(f"‹resume› goes on with a sequence of pictures; {destination.path} is written in one go")
         refuse_outputs(destination, footage, force)
         yield None
         return

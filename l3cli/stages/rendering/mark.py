@@ -46,7 +46,7 @@ class Mark:
         """Go on where the run under the path stopped; RecipeError, naming the output, if that was another one."""
         first, *lines = self._path.read_text(encoding="utf-8", errors="replace").split("\n")
         if first.split(" ")[0] != self._key:
-            raise RecipeError(f"{made_by} holds a run with another table, inputs or options; leave --resume out")
+            raise RecipeError(f"{made_by} holds a run with another table, inputs or options; leave ‹resume› out")
         self.force = self.force or first.endswith(" force")
         for line in lines:
             with contextlib.suppress(ValueError):  # a line that was cut off
@@ -66,14 +66,14 @@ class Mark:
         if origin is None or not self.is_ours(file):
             return False
         if self._made[file.name][1] != origin:
-            raise RecipeError(f"{file} was made of another input than is given now; leave --resume out")
+            raise RecipeError(f"{file} was made of another input than is given now; leave ‹resume› out")
         return True
 
     def refuse_others(self) -> None:
         """RecipeError if pictures are there whose frames have not come up."""
         if self._unasked:
             raise RecipeError(
-                f"{self._path.with_name(min(self._unasked))} was made of a frame that is not given now; leave --resume out"
+                f"{self._path.with_name(min(self._unasked))} was made of a frame that is not given now; leave ‹resume› out"
             )
 
     def begin(self) -> None:

@@ -50,6 +50,7 @@ def render(
     the scene's white, None: the table's. `skip_bad`: leave out broken frames. `resume`: go on where a run was stopped.
     RecipeError, InputFileError, DeviceError or L3Error before anything is written where that can be told.
     """
+    # One long sequence: in this order a refusal comes before any work, and no output takes the place of what is read.
     choice = VideoChoice(rate or USUAL_RATE, bits, codec, crf, preset)
     destination = destination_of(output, suffix, choice)
     engine = {name: value for name, value in {"device": device, "variant": variant}.items() if value is not None}
@@ -57,9 +58,9 @@ def render(
         claims.spare(table, *inputs, *dark)
         claim(destination, force, claims)
         if destination.linear and (exposure is not None or white is not None):
-            raise RecipeError(".exr files hold the outputs as they are; --exposure and --white are for pictures")
+            raise RecipeError(".exr files hold the outputs as they are; ‹exposure› and ‹white› are for pictures")
         if engine and backend != "opencl":
-            raise RecipeError(f"--{next(iter(engine))} is for the opencl backend; leave it or --backend {backend} out")
+            raise RecipeError(f"‹{next(iter(engine))}› is for the opencl backend; leave it or ‹backend› {backend} out")
         transforms = load(TransformTable, table)
         if dark:
             known = replace(known, dark=read_dark(_spared(find_frames(dark, transforms, known), claims)))

@@ -39,7 +39,7 @@ def open_folder(output: Path, key: str, resume: bool, force: bool) -> Path:
                 return folder
             if not force:
                 raise RecipeError(
-                    f"{folder} is of a run with another recipe, camera, seed or version; leave --resume out or add --force"
+                    f"{folder} is of a run with another recipe, camera, seed or version; leave ‹resume› out or add ‹force›"
                 )
         _remove(folder)
     write_whole(mark, key)

@@ -9,7 +9,7 @@ from l3cli.artifacts.camera_recipe import recipe_text
 from l3cli.artifacts.schema import Stage
 from l3cli.artifacts.training_set import TrainingSet
 from l3cli.config import read_text
-from l3cli.curve_table import read_table
+from l3cli.curve_file import read_table
 from l3cli.errors import InputFileError, RecipeError, listed
 from l3cli.files import sha256
 from l3cli.io.scene_files import find
@@ -57,7 +57,7 @@ def fitting(
         count = sum(map(len, files))
         total = f"{len(bad)} of {count} scenes cannot be taken: " if len(bad) > 1 else ""
         why = [str(error).partition("; ")[0] for error in bad]
-        cure = "give scale, crop or (rgb) shrink, mend the files, or leave them out with --skip-bad"
+        cure = "give scale, crop or (rgb) shrink, mend the files, or leave them out with ‹skip_bad›"
         raise InputFileError(f"{total}{listed(why)}; {cure}")
     kept = [[path for path in paths if path not in errors] for paths, errors in zip(files, refused, strict=True)]
     drawn = any(not isinstance(source, FileSource) for source in run.recipe.scene)

@@ -45,6 +45,7 @@ def simulate(
     fit the sensor. RecipeError or InputFileError if recipe, camera or files cannot be used, L3Error if an output cannot be
     written.
     """
+    # One long sequence: in this order a refusal comes before any work, and no output takes the place of what is read.
     folders = list(dict.fromkeys(filter(None, (pictures, dng))))
     with Claims(console) as claims:
         claims.spare(scenes, *camera_files(camera))

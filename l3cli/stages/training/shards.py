@@ -90,7 +90,7 @@ def merge_shards(shards: tuple[Path, ...], output: Path, console: Console, *, fo
         save(table, output)
         say_table(table, output, console)
         if number == FIRST:
-            console.say(f"this is the first pass: go on with --shard I/N --first {output}")
+            console.say(f"this is the first pass: go on with ‹shard› I/N ‹first› {output}")
         return table
 
 

@@ -1,9 +1,9 @@
-"""--log FILE: all that a command says, appended to a file, a line each with time (UTC), level and command."""
+"""A log: all that a command says, appended to a file, a line each with time (UTC), level and command."""
 
 import os
 import stat
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TypeVar
 
@@ -20,12 +20,13 @@ class Logged:
 
     current: "Logged | None" = None  # of the command that is running, for the error that ends it
 
-    def __init__(self, console: Console, path: Path, command: str) -> None:
-        """RecipeError if there is something else than a log at `path`, L3Error if it cannot be written."""
-        self._console, self._path, self._command = console, path, command
+    def __init__(self, console: Console, path: Path, command: str, wording: Callable[[str], str] = str) -> None:
+        """`wording` makes of a message what the log holds. RecipeError if there is something else than a log at `path`,
+        L3Error if it cannot be written."""
+        self._console, self._path, self._command, self._wording = console, path, command, wording
         self._lost = False  # whether it could not be written
         if path.exists() and not (path.is_file() and _is_log(path)):
-            raise RecipeError(f"{path} is no log of l3's; name another file for --log")
+            raise RecipeError(f"{path} is no log of l3's; name another file for ‹log›")
         self._append(b"" if path.exists() else HEADING)
         Logged.current = self
 
@@ -56,7 +57,7 @@ class Logged:
         if self._lost:
             return
         try:
-            self._append(f"{now} {level} {self._command} {printable(message)}\n".encode())
+            self._append(f"{now} {level} {self._command} {printable(self._wording(message))}\n".encode())
         except L3Error as error:
             self._lost = True
             self._console.alert(f"warning: {error}")
@@ -70,7 +71,7 @@ class Logged:
             finally:
                 os.close(file)
         except OSError as error:
-            raise L3Error(f"{self._path} cannot be written: {error.strerror}; name another file for --log") from error
+            raise L3Error(f"{self._path} cannot be written: {error.strerror}; name another file for ‹log›") from error
 
 
 def _is_log(path: Path) -> bool:
