@@ -5,7 +5,7 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "l3cli"
 FLOORS = [
-    {"errors", "limits", "interrupts", "config", "recipes", "files", "columns", "quantities", "units"},
+    {"errors", "limits", "interrupts", "config", "recipes", "files", "locks", "columns", "quantities", "units"},
     {"physics"},
     {"artifacts", "curve_table", "scene", "frame", "dark", "measurement"},
     {"classes"},
