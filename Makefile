@@ -44,19 +44,19 @@ test: $(VENV)/installed ## the test suite
 	$(BIN)/python -m pytest
 
 study: $(VENV)/installed ## calibration over 21 seeds and a whole session's time and memory (ten minutes)
-	$(BIN)/python -m pytest -m slow -s --ignore tests/test_video_rate.py
+	$(BIN)/python -m pytest -m slow -s --ignore tests/studies/test_video_rate.py
 
 soak: $(VENV)/installed ## every stage killed forty times, full disks, endurance (half an hour)
 	$(BIN)/python -m pytest -m soak -s
 
 video: $(VENV)/installed ## rate and memory of 1800 raw frames to video, beside the encoder alone (six minutes)
-	$(BIN)/python -m pytest -m slow -s tests/test_video_rate.py
+	$(BIN)/python -m pytest -m slow -s tests/studies/test_video_rate.py
 
 fuzz: $(VENV)/installed ## 20 000 spoilt inputs, 2 000 led by coverage, 500 environments (a quarter of an hour); what fails stays in build/fuzz
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[fuzz]"
-	PYTHONPATH=$(CURDIR) nice $(BIN)/python -m tests.fuzz --inputs $(INPUTS) --jobs $(JOBS)
-	PYTHONPATH=$(CURDIR) nice $(BIN)/python -m tests.fuzz --inputs 2000 --guided
-	PYTHONPATH=$(CURDIR) nice $(BIN)/python -m tests.fuzz --environments $(PLACES) --jobs $(JOBS)
+	PYTHONPATH=$(CURDIR) nice $(BIN)/python -m tests.helpers.fuzz --inputs $(INPUTS) --jobs $(JOBS)
+	PYTHONPATH=$(CURDIR) nice $(BIN)/python -m tests.helpers.fuzz --inputs 2000 --guided
+	PYTHONPATH=$(CURDIR) nice $(BIN)/python -m tests.helpers.fuzz --environments $(PLACES) --jobs $(JOBS)
 
 curve: $(VENV)/installed ## Bayer and RGBW over the light on the scene: which is better from where (ten minutes)
 	rm -rf $(CURVE) && mkdir -p $(CURVE)

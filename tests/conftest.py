@@ -1,19 +1,17 @@
 """Fixtures are the stages before: camera → training set → table. All are small, all are made by the real commands."""
 
-import contextlib
 import os
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.cli import run
-
-CONFIGS = Path(__file__).parents[1] / "configs"
-TERMINAL = ("TERM", "COLUMNS", "LINES", "NO_COLOR", "FORCE_COLOR")  # what tests of terminals say themselves
+from tests.helpers.cameras import bayer_camera
+from tests.helpers.paths import CONFIGS
+from tests.helpers.recipes import CLASSES, SCENES, UNSEEN
 
 
 @pytest.fixture(scope="session")
@@ -62,41 +60,6 @@ def l3_data() -> Path:
     return folder
 
 
-def bayer_camera(bits: int = 12, pattern: tuple[str, ...] = ("r g", "g b")) -> str:
-    """The text of a small Bayer camera recipe."""
-    rows = ", ".join(f'"{row}"' for row in pattern)
-    return f"""
-name = "small Bayer"
-[sensor]
-rows = 192
-cols = 256
-pixel_pitch_um = 4.0
-bits = {bits}
-gain_dn_per_e = {0.25 * 2.0 ** (bits - 12)}
-black_dn = {64 * 2 ** (bits - 12)}
-fixed_pattern_seed = 3
-[cfa]
-channels = ["r", "g", "b"]
-pattern = [{rows}]
-[responsivity]
-wavelength_nm = [400, 700, 10]
-peak_efficiency = 0.4
-[responsivity.gaussians]
-r = [{{ peak = 0.8, centre_nm = 600, sigma_nm = 35 }}]
-g = [{{ peak = 1.0, centre_nm = 535, sigma_nm = 40 }}]
-b = [{{ peak = 0.9, centre_nm = 460, sigma_nm = 30 }}]
-[noise]
-read_noise_e = 4.0
-dark_current_e_per_s = 5.0
-dsnu_e = 2.0
-prnu = 0.005
-well_capacity_e = 15000
-[optics]
-focal_length_mm = 25
-f_number = 2.8
-"""
-
-
 @pytest.fixture(scope="session")
 def bayer_recipe(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("camera") / "bayer.toml"
@@ -108,13 +71,6 @@ def bayer_recipe(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def bayer(bayer_recipe: Path) -> CameraModel:
     """A small Bayer camera."""
     return load_camera(bayer_recipe)
-
-
-def random_case_of_code(channels: int, rng: np.random.Generator) -> np.ndarray:
-    """A saturation-case map with a few cases, code 0 being case 0."""
-    cases = rng.integers(0, 4, 2**channels).astype(np.uint16)
-    cases[0] = 0
-    return cases
 
 
 @pytest.fixture(scope="session")
@@ -133,23 +89,6 @@ def lab_folder(fine_bayer_recipe: Path, tmp_path_factory: pytest.TempPathFactory
     path = tmp_path_factory.mktemp("lab")
     assert run(["lab", str(fine_bayer_recipe), "-o", str(path), "--quiet"]) == 0
     return path
-
-
-SCENES = """
-exposure_share = [0.9]
-[[scene]]
-source = "dead leaves"
-size = [96, 96]
-count = 10
-"""
-UNSEEN = """
-exposure_share = [0.8]
-[[scene]]
-source = "composition"
-size = [160, 240]
-seed = 5
-"""
-CLASSES = "[classes]\npatch = 5\nlevels = 8\n[learning]\npatches = 12000\n"
 
 
 @pytest.fixture(scope="session")
@@ -171,26 +110,3 @@ def pipeline(tmp_path_factory: pytest.TempPathFactory) -> Path:
     raw = next((folder / "unseen").glob("*_raw.tif"))
     l3("render", folder / "table.h5", raw, "-o", folder / "picture.png")
     return folder
-
-
-def in_terminal(command: list[str], environment: dict[str, str], columns: int = 80) -> str:
-    """What a command shows on a terminal of 24 rows, stdout and stderr together."""
-    import fcntl
-    import pty
-    import struct
-    import subprocess
-    import termios
-
-    ours, theirs = pty.openpty()
-    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, columns, 0, 0))
-    known = {"TERM": "xterm-256color", **{key: value for key, value in os.environ.items() if key not in TERMINAL}}
-    known |= {"PYTHONPATH": str(CONFIGS.parent), **environment}
-    run = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=theirs, stderr=theirs, env=known)
-    os.close(theirs)
-    shown = b""
-    with contextlib.suppress(OSError):  # what reading says when the other end is closed
-        while part := os.read(ours, 65536):
-            shown += part
-    os.close(ours)
-    assert run.wait(timeout=60) == 0, shown
-    return shown.decode()

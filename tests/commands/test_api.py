@@ -1,0 +1,133 @@
+"""`import l3cli as l3`: the commands as functions, with artifacts and arrays, and the bytes of the commands."""
+
+import inspect
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import l3cli as l3
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.training_set import TrainingSet
+from l3cli.errors import InputFileError, L3Error, RecipeError
+from l3cli.io.images import read_image
+from tests.helpers.cameras import BAYER
+from tests.helpers.tables import random_table
+
+
+def same(one: Path, other: Path) -> bool:
+    return one.read_bytes() == other.read_bytes()
+
+
+def test_stages_give_the_bytes_of_the_commands(pipeline: Path, tmp_path: Path) -> None:
+    camera = l3.calibrate(pipeline / "lab/MEASUREMENTS.toml", tmp_path / "camera.h5")
+    assert isinstance(camera, CameraModel)
+    assert same(tmp_path / "camera.h5", pipeline / "camera.h5")
+    head = l3.simulate(str(pipeline / "scenes.toml"), camera, tmp_path / "training.h5")
+    assert isinstance(head, TrainingSet)
+    assert same(tmp_path / "training.h5", pipeline / "training.h5")
+    table = l3.train(tmp_path / "training.h5", tmp_path / "table.h5", classes=pipeline / "classes.toml")
+    assert isinstance(table, TransformTable)
+    assert same(tmp_path / "table.h5", pipeline / "table.h5")
+    raw = next((pipeline / "unseen").glob("*_raw.tif"))
+    assert l3.render(table, raw, tmp_path / "picture.png") == 0
+    assert same(tmp_path / "picture.png", pipeline / "picture.png")
+    figures = l3.evaluate(table, pipeline / "unseen.h5")
+    assert figures["mean"]["ours"]["mean_delta_e"] < figures["mean"]["basic"]["mean_delta_e"]
+
+
+def test_a_renderer_gives_the_picture_of_the_command(pipeline: Path) -> None:
+    table = l3.load(pipeline / "table.h5")
+    raw = next((pipeline / "unseen").glob("*_raw.tif"))
+    frame = l3.read_raw(raw, table)
+    expected, _ = read_image(pipeline / "picture.png")
+    for renderer in (l3.Renderer(table), l3.Renderer(pipeline / "table.h5")):
+        np.testing.assert_array_equal(renderer.picture(frame), expected)
+    assert renderer.outputs(frame).shape == (*frame.values.shape, 3)
+    assert renderer.labels(frame).shape == frame.values.shape
+    assert renderer.picture(frame, exposure=0.5, white="A", bits=16).dtype == np.uint16
+
+
+def test_arrays_generators_and_threads_share_a_renderer() -> None:
+    table, rng = random_table(BAYER, patch=3), np.random.default_rng(1)
+    frames = [rng.integers(0, 4096, (20, 24)).astype(np.uint16) for _ in range(6)]
+    renderer = l3.Renderer(table)
+    expected = [renderer.picture(frame, exposure=1.0) for frame in frames]
+    assert all(map(np.array_equal, renderer.pictures((frame for frame in frames), exposure=1.0), expected))
+    made: dict[int, np.ndarray] = {}
+
+    def work(index: int) -> None:
+        made[index] = renderer.picture(frames[index], exposure=1.0)
+
+    threads = [threading.Thread(target=work, args=(index,)) for index in range(6)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert all(np.array_equal(made[index], expected[index]) for index in range(6))
+
+
+def test_what_is_loaded_and_saved_is_the_same_file(pipeline: Path, tmp_path: Path) -> None:
+    for name in ("camera.h5", "table.h5"):
+        l3.save(l3.load(pipeline / name), tmp_path / name)
+        assert same(tmp_path / name, pipeline / name)
+    assert isinstance(l3.load(pipeline / "training.h5"), TrainingSet)
+
+
+def test_mistakes_raise_and_say_what_is_wrong(pipeline: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputFileError, match="does not exist"):
+        l3.load(tmp_path / "nothing.h5")
+    with pytest.raises(RecipeError, match=r"did you mean \"default\""):
+        l3.simulate("defalt", "bayer", tmp_path / "t.h5")
+    with pytest.raises(RecipeError, match="as many shares"):
+        l3.train(pipeline / "training.h5", tmp_path / "t.h5", shares=[1, 2])
+    with pytest.raises(L3Error, match="exists"):
+        l3.train(pipeline / "training.h5", pipeline / "table.h5")
+    with pytest.raises(InputFileError, match="float64"):
+        l3.Renderer(pipeline / "table.h5").picture(np.zeros((20, 20)))
+    with pytest.raises(AttributeError, match="colour"):
+        l3.colour  # noqa: B018
+
+
+def test_the_interface_is_imported_when_it_is_used() -> None:
+    code = "import sys, l3cli; print([name for name in sys.modules if name.startswith(('l3cli.', 'numpy', 'h5py'))])"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
+    assert set(l3.__all__) <= set(dir(l3))
+    assert (Path(l3.__file__).parent / "py.typed").is_file()
+
+
+@pytest.mark.parametrize("name", l3.__all__)
+def test_everything_is_documented_and_typed(name: str) -> None:
+    offered = getattr(l3, name)
+    assert inspect.getdoc(offered)
+    public = [offered, *(value for key, value in vars(offered).items() if not key.startswith("_") and callable(value))] \
+        if inspect.isclass(offered) else [offered]  # fmt: skip
+    for each in public:
+        assert inspect.getdoc(each)
+        if not inspect.isclass(each):
+            assert "return" in each.__annotations__
+
+
+def test_the_example_runs(pipeline: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The lines of the module's docstring, on files of the pipeline in the place of those that they name."""
+    from l3cli import api
+
+    text = inspect.getdoc(api)
+    assert text is not None
+    lines = [line[4:] for line in text.splitlines() if line.startswith("    ")]
+    assert len(lines) == 5
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "lab").symlink_to(pipeline / "lab")
+    assert l3.simulate(pipeline / "unseen.toml", pipeline / "camera.toml", tmp_path / "u.h5", dng=tmp_path / "dng")
+    next((tmp_path / "dng").glob("*.dng")).rename(tmp_path / "frame.dng")
+    source = "\n".join(lines).replace('"default"', repr(str(pipeline / "scenes.toml")))
+    source = source.replace('"table.h5"', f'"table.h5", classes={str(pipeline / "classes.toml")!r}').replace(
+        "jobs=2", "jobs=1"
+    )
+    names: dict = {}
+    exec(compile(source, "example", "exec"), names)
+    assert names["picture"].shape[2] == 3

@@ -1,0 +1,296 @@
+"""Measurements that cannot be used: one line that names the culprit, the right exit code, and nothing written."""
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera_recipe import load_camera
+from l3cli.artifacts.store import load
+from l3cli.io.frames import read_frame
+from l3cli.io.images import write_mosaic
+from tests.helpers.hostile import TABLE
+from tests.helpers.paths import CONFIGS
+
+L3 = Callable[..., tuple[int, str, str]]
+Refused = Callable[..., str]
+
+
+@pytest.fixture
+def folder(lab_folder: Path) -> Path:
+    return lab_folder
+
+
+@pytest.fixture
+def bayer(fine_bayer_recipe: Path) -> CameraModel:
+    return load_camera(fine_bayer_recipe)
+
+
+@pytest.fixture
+def copied(lab_folder: Path, tmp_path: Path) -> Path:
+    """A copy of the lab's folder, to be spoilt."""
+    return Path(shutil.copytree(lab_folder, tmp_path / "lab"))
+
+
+def edit(folder: Path, old: str, new: str, count: int = 1) -> None:
+    path = folder / "MEASUREMENTS.toml"
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, count))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("exposure_s", "exposure", "[mono"),
+        ("pixel_pitch_um = 4.0\n", "", "missing key `pixel_pitch_um` in [sensor]"),
+        ("[[dark]]", "[[darkness]]", "`darkness`"),
+        ("bits = 12", "bits = 99", "1 to 16 bits"),
+        ("rows = 192", "rows = 12", "too few"),
+        ('column = "410nm"', "column = 999", "column 999 of spectra/mono.csv"),
+        ('"g b"', '"g x"', '"x" is no channel'),
+        ("[sensor]", "[sensor", "not valid TOML"),
+        ("f_number = 2.8", "f_number = 0", "above 0"),
+        ("object_distance_m = 0.0", "object_distance_m = 0.01", "nearer than the focal length"),
+        ("exposure_s = ", "exposure_s = -", "exposure_s and monitor above 0"),
+        ("exposure_s = ", "exposure_s = nan #", "mono.exposure_s is nan"),
+        ("monitor = ", "monitor = inf #", "mono.monitor is inf"),
+        ("[sensor]", "[datasheet]\nwell_capacity_e = 1\nblack_dn = 0\nwhite_dn = 1\n[sensor]", "or its [datasheet]"),
+        ("[sensor]", '[curves]\nfile = "x.csv"\n[sensor]', "found mono and curves"),
+        ("lamp_drift = ", "lamp_drift = -", "lamp_drift in 0…1"),
+    ],
+)
+def test_wrong_keys_are_recipe_errors(old: str, new: str, says: str, copied: Path, tmp_path: Path, refused: Refused) -> None:
+    edit(copied, old, new)
+    line = refused(2, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
+    assert says in line
+    assert "MEASUREMENTS.toml" in line
+
+
+def truncate(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:20000])
+
+
+def too_small(path: Path) -> None:
+    write_mosaic(path, np.zeros((100, 100), dtype=np.uint16))
+
+
+def too_deep(path: Path) -> None:
+    write_mosaic(path, np.full((192, 256), 5000, dtype=np.uint16))
+
+
+def no_picture(path: Path) -> None:
+    path.write_text("not a picture")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "says"),
+    [
+        (Path.unlink, "does not exist"),
+        (truncate, "truncated"),
+        (too_small, "100×100 pixels, the sensor 192×256"),
+        (too_deep, "more than 12 bits"),
+        (no_picture, "not an image"),
+    ],
+)
+@pytest.mark.parametrize("kind", ["mono", "chart", "white", "dark"])
+def test_bad_frames_are_named(
+    kind: str, spoil: Callable[[Path], None], says: str, copied: Path, tmp_path: Path, refused: Refused
+) -> None:
+    frame = sorted((copied / kind).iterdir())[1]
+    spoil(frame)
+    line = refused(3, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
+    assert says in line
+    assert frame.name in line
+
+
+def test_an_8_bit_frame_is_no_raw_frame(copied: Path, tmp_path: Path, refused: Refused) -> None:
+    frame = sorted((copied / "dark").iterdir())[0]
+    frame.write_bytes(b"P5 256 192 255\n" + bytes(192 * 256))
+    line = refused(3, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
+    assert "uint8" in line
+    assert frame.name in line
+
+
+@pytest.mark.parametrize(
+    ("column", "says"),
+    [("dark, as it were", "not a row of numbers"), ("nan", "increase"), ("", "not a row of numbers")],
+)
+@pytest.mark.parametrize("name", ["mono.csv", "chart_*_A.csv"])
+def test_bad_spectra_are_named(name: str, column: str, says: str, copied: Path, tmp_path: Path, refused: Refused) -> None:
+    (path,) = (copied / "spectra").glob(name)
+    lines = path.read_text().splitlines()
+    cells = lines[10].split(",")
+    lines[10] = ",".join([*cells[:-1], column])
+    path.write_text("\n".join(lines))
+    line = refused(3, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
+    assert says in line
+    assert path.name in line
+
+
+def test_a_chart_needs_24_radiances(copied: Path, tmp_path: Path, refused: Refused) -> None:
+    (path,) = (copied / "spectra").glob("chart_*_A.csv")
+    path.write_text("\n".join(line.rpartition(",")[0] for line in path.read_text().splitlines()))
+    line = refused(3, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
+    assert "23 curves, 24 are wanted" in line
+
+
+def test_a_missing_spectrum_is_named(copied: Path, tmp_path: Path, refused: Refused) -> None:
+    (copied / "spectra/mono.csv").unlink()
+    assert "mono.csv" in refused(3, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
+
+
+@pytest.mark.parametrize(("name", "says"), [("mono.csv", "does not cover its light"), ("chart_*_A.csv", "do not cover")])
+def test_spectra_that_end_too_early_are_named(name: str, says: str, copied: Path, tmp_path: Path, refused: Refused) -> None:
+    (path,) = (copied / "spectra").glob(name)
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([lines[0], *(line for line in lines[1:] if float(line.partition(",")[0]) < 600)]))
+    line = refused(3, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
+    assert says in line
+    assert "_A.tif" in line or "590nm" in line
+
+
+def test_a_lost_channel_is_named_by_the_validation(copied: Path, tmp_path: Path, refused: Refused, l3: L3) -> None:
+    """A chart whose exposure is stated 10 % too long: R² stays high, the relative RMSE does not."""
+    text = (copied / "MEASUREMENTS.toml").read_text()
+    before, chart = text.split("[[chart]]", 1)
+    line = next(line for line in chart.splitlines() if line.startswith("exposure_s"))
+    chart = chart.replace(line, f"exposure_s = {1.1 * float(line.partition('=')[2])}", 1)
+    (copied / "MEASUREMENTS.toml").write_text(f"{before}[[chart]]{chart}")
+    command = ("calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
+    line = refused(1, *command)
+    assert "channel r is predicted with R² 0.99" in line
+    assert "--accept" in line
+    code, _, err = l3(*command, "--accept")
+    assert code == 0
+    assert "accepted although channel r" in err
+    assert load(CameraModel, tmp_path / "camera.h5").history[0].options == {"accept": True}
+
+
+@pytest.fixture
+def table(tmp_path: Path) -> Path:
+    """A sweep of four wavelengths as a table beside a photodiode."""
+    folder = tmp_path / "table"
+    folder.mkdir()
+    (folder / "MEASUREMENTS.toml").write_text(TABLE)
+    rows = [f"{nm},100,110,{90 + nm / 10},64,64,64,{nm / 10},1" for nm in (400, 500, 600, 700)]
+    (folder / "sweep.csv").write_text("\n".join(["nm,light r,light g,light b,dark r,dark g,dark b,diode,dark", *rows]))
+    (folder / "diode.csv").write_text("390,0.5\n710,0.9\n")
+    return folder
+
+
+def test_a_table_makes_a_relative_camera(table: Path, tmp_path: Path, l3: L3) -> None:
+    """The photodiode's curve divides, its dark reading is lost first, and energy becomes photons."""
+    assert l3("calibrate", table / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")[0] == 0
+    camera = load(CameraModel, tmp_path / "camera.h5")
+    wavelength = np.array([400.0, 500.0, 600.0, 700.0])
+    energy = (wavelength / 10 - 1) / np.interp(wavelength, [390, 710], [0.5, 0.9])
+    expected = np.array([[36.0] * 4, [46.0] * 4, 26 + wavelength / 10]) / energy / wavelength
+    np.testing.assert_allclose(camera.responsivity, expected / expected.max(), rtol=1e-12)
+    assert not camera.absolute
+    assert camera.gain == pytest.approx((4000 - 64) / 20000)
+    assert camera.noise.read_noise == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "code", "says"),
+    [
+        ("sweep.csv", "400,100", "400,text", 3, "not a row of numbers"),
+        ("sweep.csv", "500,100", "500,nan", 3, "every value be a number"),
+        ("sweep.csv", ",1\n600", "\n600", 3, "equally many values"),
+        ("diode.csv", "390,", "450,", 3, "do not cover the sweep's 400…700 nm"),
+        ("diode.csv", "0.5", "-0.5", 3, "photodiode responds to"),
+        ("sweep.csv", "64,50.0,1", "64,1.0,1", 3, "sees no light at 500 nm"),
+        ("MEASUREMENTS.toml", '"diode.csv"', '"none.csv"', 3, "none.csv"),
+        ("MEASUREMENTS.toml", '["r", "g", "b"]', '["r", "g", "b", "w"]', 2, "cfa.pattern"),
+        ("MEASUREMENTS.toml", '"r g", "g b"', '"r g", "g g"', 2, "cfa.pattern"),
+        ("MEASUREMENTS.toml", "white_dn = 4000", "white_dn = 5000", 2, "white_dn ≤ 4095"),
+        ("MEASUREMENTS.toml", "well_capacity_e = 20000", "well_capacity_e = 0", 2, "a well"),
+        ("MEASUREMENTS.toml", "[datasheet]", "[data_sheet]", 2, "data_sheet"),
+        (
+            "MEASUREMENTS.toml",
+            '[sweep]\ntable = "sweep.csv"\nphotodiode',
+            '[curves]\nfile = "sweep.csv"\n#',
+            3,
+            "8 curves, 3",
+        ),
+        ("MEASUREMENTS.toml", '[sweep]\ntable = "sweep.csv"\nphotodiode', '[curves]\nfile = "a.json"\n#', 3, "a.json"),
+    ],
+)
+def test_a_bad_table_is_named(
+    name: str, old: str, new: str, code: int, says: str, table: Path, tmp_path: Path, refused: Refused
+) -> None:
+    (table / "a.json").write_text('{"spectral_data": {"data": {"main": {"400": [1, 2, "x"]}}}}')
+    text = (table / name).read_text()
+    assert old in text
+    (table / name).write_text(text.replace(old, new, 1))
+    assert says in refused(code, "calibrate", table / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
+
+
+def test_a_table_of_other_channels_is_refused(table: Path, tmp_path: Path, refused: Refused) -> None:
+    path = table / "sweep.csv"
+    path.write_text("\n".join(line.rpartition(",")[0] for line in path.read_text().splitlines()))
+    line = refused(3, "calibrate", table / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
+    assert "sweep.csv: holds 7 curves, 8 are wanted" in line
+
+
+def corners_of(folder: Path) -> str:
+    text = (folder / "MEASUREMENTS.toml").read_text()
+    return next(line for line in text.splitlines() if line.startswith("corners"))
+
+
+@pytest.mark.parametrize(
+    ("corners", "code", "says"),
+    [
+        ("corners = [[-5, 10], [240, 10], [240, 180], [10, 180]]", 3, "outside the frame"),
+        ("corners = [[10, 10], [240, 10], [240, 1800], [10, 180]]", 3, "outside the frame"),
+        ("corners = [[10, 10], [10, 10], [10, 10], [10, 10]]", 3, "corners"),
+        ("corners = [[10, 10], [14, 10], [14, 14], [10, 14]]", 3, "too few pixels"),
+        ("corners = [[10, 10], [14, 10]]", 2, "2 corners"),
+    ],
+)
+def test_wrong_corners_are_named(corners: str, code: int, says: str, copied: Path, tmp_path: Path, refused: Refused) -> None:
+    edit(copied, corners_of(copied), corners)
+    assert says in refused(code, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
+
+
+def test_charts_upside_down_do_not_make_a_camera(copied: Path, tmp_path: Path, refused: Refused) -> None:
+    line = corners_of(copied)
+    first, second, third, fourth = json.loads(line.partition("= ")[2])
+    edit(copied, line, f"corners = {[third, fourth, first, second]}", count=-1)
+    assert "do not fit" in refused(3, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
+
+
+def test_saturated_captures_are_refused(copied: Path, bayer: CameraModel, tmp_path: Path, refused: Refused) -> None:
+    full = np.full((bayer.rows, bayer.cols), 3814, dtype=np.uint16)
+    chart = sorted((copied / "chart").iterdir())[0]
+    kept = read_frame(chart, (bayer.rows, bayer.cols), bayer.bits).copy()
+    write_mosaic(chart, full)
+    command = (3, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
+    line = refused(*command)
+    assert "patch 1 is saturated in channel r" in line
+    assert chart.name in line
+    write_mosaic(chart, kept)
+    for frame in (copied / "mono").iterdir():
+        write_mosaic(frame, full)
+    assert "channel r is saturated in every monochromatic capture" in refused(*command)
+    for frame in (copied / "white").iterdir():
+        write_mosaic(frame, full)
+    assert "the white frames hold no noise" in refused(*command)
+
+
+def test_outputs_and_truth_are_checked_first(folder: Path, tmp_path: Path, refused: Refused) -> None:
+    taken = tmp_path / "camera.h5"
+    taken.write_text("mine")
+    assert "--force" in refused(1, "calibrate", folder / "MEASUREMENTS.toml", "-o", taken)
+    assert taken.read_text() == "mine"
+    fiveband = CONFIGS / "cameras/fiveband.toml"
+    command = ("calibrate", folder / "MEASUREMENTS.toml", "-o", tmp_path / "new.h5", "--truth")
+    assert "r g b o c" in refused(3, *command, fiveband)
+    assert "none.h5" in refused(3, *command, tmp_path / "none.h5")
+    assert "none.toml" in refused(3, "calibrate", tmp_path / "none.toml", "-o", tmp_path / "new.h5")
+    assert refused(2, "calibrate", folder / "MEASUREMENTS.toml")

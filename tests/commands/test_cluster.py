@@ -1,0 +1,372 @@
+"""Many machines: a real dask scheduler and four workers on loopback give the bytes of a single process, also when one worker
+is killed; what goes wrong with them is one line within bounded time."""
+
+import contextlib
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from l3cli.cli import run
+from l3cli.errors import InputFileError, L3Error, RecipeError
+from l3cli.files import require_same, sha256
+from l3cli.limits import ONE_BLAS_THREAD
+from l3cli.parallel import cluster as elsewhere
+from l3cli.parallel import workers
+from l3cli.parallel.cluster import Scheduler
+from tests.helpers.paths import ROOT
+from tests.helpers.tasks import PATIENCE, refusing, squared
+
+WORKERS = 4
+SCENES = """
+illuminants = ["D65", "A"]
+luminances_cd_m2 = [100.0]
+exposure_share = [0.9]
+[[scene]]
+source = "dead leaves"
+size = [32, 40]
+count = 6
+[[scene]]
+source = "rgb"
+file = "picture.png"
+"""
+CLASSES = "[classes]\npatch = 3\nlevels = 4\n[learning]\npatches = 52000\nfirst_draws = 1\ndraws = 1\n"  # two blocks
+ROWS, COLS, FRAMES = 48, 64, 9
+
+
+class Cluster:
+    """A scheduler and its workers, which are processes of ours."""
+
+    def __init__(self, folder: Path, *tls: object) -> None:
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            port = free.getsockname()[1]
+        self.address = f"{'tls' if tls else 'tcp'}://127.0.0.1:{port}"
+        self._folder, self._tls = folder, tls
+        self.scheduler = self._start("scheduler", "--host", "127.0.0.1", "--port", port, "--protocol", self.address[:3])
+        self.workers: list[subprocess.Popen[bytes]] = []
+
+    def add(self, count: int) -> None:
+        options = ("--nthreads", 1, "--no-nanny", "--local-directory", self._folder)
+        self.workers += [self._start("worker", self.address, *options) for _ in range(count)]
+
+    def _start(self, *command: object) -> "subprocess.Popen[bytes]":
+        here = {"PYTHONPATH": str(ROOT), **ONE_BLAS_THREAD}  # holds what the workers are to do
+        line = [sys.executable, "-m", "dask", *command, "--no-dashboard", *self._tls]
+        with open(self._folder / "log", "ab") as log:
+            return subprocess.Popen(list(map(str, line)), stdout=log, stderr=log, env={**os.environ, **here})
+
+    def end(self) -> None:
+        for process in (*self.workers, self.scheduler):
+            process.kill()
+            process.wait()
+
+
+@contextlib.contextmanager
+def a_cluster(folder: Path, count: int, *tls: object) -> Iterator[Cluster]:
+    cluster = Cluster(folder, *tls)
+    try:
+        cluster.add(count)
+        yield cluster
+    finally:
+        cluster.end()
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+    with a_cluster(tmp_path_factory.mktemp("cluster"), WORKERS) as cluster:
+        with workers(1, Scheduler(cluster.address)) as crew:
+            _wait_until(lambda: len(set(crew(_process, range(8 * WORKERS)))) == WORKERS)
+        yield cluster
+
+
+@pytest.fixture(scope="module")
+def made(bayer_recipe: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What a single process makes: training.h5, table.h5, pictures/, video.y4m of frames/."""
+    folder = tmp_path_factory.mktemp("made")
+    from l3cli.io.images import write_picture
+
+    rng = np.random.default_rng(0)
+    write_picture(folder / "picture.png", rng.integers(0, 256, (32, 40, 3), dtype=np.uint8))
+    (folder / "scenes.toml").write_text(SCENES)
+    (folder / "classes.toml").write_text(CLASSES)
+    (folder / "frames").mkdir()
+    for number in range(FRAMES):
+        values = np.clip(rng.normal(400 + 100 * number, 200, (ROWS, COLS)), 0, 4095)
+        values.astype("<u2").tofile(folder / "frames" / f"{number:04d}.raw")
+    for command in (
+        ("simulate", folder / "scenes.toml", "--camera", bayer_recipe, "-o", folder / "training.h5"),
+        ("train", folder / "training.h5", "--classes", folder / "classes.toml", "-o", folder / "table.h5"),
+        ("render", *frames(folder), "--exposure", 1, "-o", folder / "pictures"),
+        ("render", *frames(folder), "-o", folder / "video.y4m"),
+    ):
+        assert run([*map(str, command), "--quiet"]) == 0
+    return folder
+
+
+def frames(folder: Path) -> tuple[object, ...]:
+    return folder / "table.h5", folder / "frames", "--size", f"{ROWS}x{COLS}"
+
+
+def _process(item: int) -> int:
+    time.sleep(0.01)
+    return os.getpid()
+
+
+def _wait_until(done: Callable[[], bool]) -> None:
+    end = time.monotonic() + PATIENCE
+    while not done():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+def _content(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+# ------------------------------------------------------------------------------------------------- the same bytes
+
+
+def test_simulate_gives_the_same_bytes(
+    cluster: Cluster, made: Path, bayer_recipe: Path, tmp_path: Path, l3: Callable
+) -> None:
+    command = ("simulate", made / "scenes.toml", "--camera", bayer_recipe, "-o", tmp_path / "training.h5")
+    assert l3(*command, "--quiet", "--scheduler", cluster.address) == (0, "", "")
+    assert (tmp_path / "training.h5").read_bytes() == (made / "training.h5").read_bytes()
+    assert [path.name for path in tmp_path.iterdir()] == ["training.h5"]
+
+
+def test_train_gives_the_same_bytes(cluster: Cluster, made: Path, tmp_path: Path, l3: Callable) -> None:
+    command = ("train", made / "training.h5", "--classes", made / "classes.toml", "-o", tmp_path / "table.h5")
+    code, _, err = l3(*command, "--scheduler", cluster.address)
+    assert code == 0, err
+    assert (tmp_path / "table.h5").read_bytes() == (made / "table.h5").read_bytes()
+
+
+def test_a_shard_gives_the_same_bytes(cluster: Cluster, made: Path, tmp_path: Path, l3: Callable) -> None:
+    command = ("train", made / "training.h5", "--classes", made / "classes.toml", "--shard", "2/2")
+    for name, where in (("here", ()), ("there", ("--scheduler", cluster.address))):
+        assert l3(*command, "-o", tmp_path / name, *where)[0] == 0
+    assert (tmp_path / "here").read_bytes() == (tmp_path / "there").read_bytes()
+
+
+def test_render_gives_the_same_bytes(cluster: Cluster, made: Path, tmp_path: Path, l3: Callable) -> None:
+    """Files that workers read, and frames that are sent to them because their exposure follows those before."""
+    where = ("--scheduler", cluster.address)
+    assert l3("render", *frames(made), "--exposure", 1, "-o", tmp_path / "pictures", *where)[0] == 0
+    assert _content(tmp_path / "pictures") == _content(made / "pictures")
+    assert l3("render", *frames(made), "-o", tmp_path / "video.y4m", *where)[0] == 0
+    assert (tmp_path / "video.y4m").read_bytes() == (made / "video.y4m").read_bytes()
+
+
+def test_a_broken_frame_is_told_or_left_out(cluster: Cluster, made: Path, tmp_path: Path, l3: Callable) -> None:
+    shutil.copytree(made / "frames", tmp_path / "frames")
+    (tmp_path / "frames/0003.raw").write_bytes(b"short")
+    command = ("render", made / "table.h5", *frames(tmp_path)[1:], "--exposure", 1, "--scheduler", cluster.address)
+    code, _, err = l3(*command, "-o", tmp_path / "stopped")
+    assert (code, err.count("\n")) == (3, 1)
+    assert "0003.raw has 5 bytes" in err
+    assert l3(*command, "-o", tmp_path / "pictures", "--skip-bad")[0] == 1
+    whole = _content(made / "pictures")
+    del whole["0003.png"]
+    assert _content(tmp_path / "pictures") == whole
+
+
+def test_a_killed_worker_changes_nothing(
+    cluster: Cluster, made: Path, bayer_recipe: Path, tmp_path: Path, l3: Callable
+) -> None:
+    """One is killed while it works and holds results; dask has others do its work again."""
+    output = tmp_path / "training.h5"
+    (tmp_path / "picture.png").write_bytes((made / "picture.png").read_bytes())
+    (tmp_path / "scenes.toml").write_text(SCENES.replace("[32, 40]", "[128, 128]").replace("count = 6", "count = 12"))
+    command = ("simulate", tmp_path / "scenes.toml", "--camera", bayer_recipe, "--quiet", "-o")
+    assert l3(*command, tmp_path / "here.h5")[0] == 0
+    left: list[int] = []
+
+    def kill() -> None:
+        parts = tmp_path / "training.h5.parts"
+        _wait_until(lambda: len(list(parts.glob("*.h5"))) >= 4)
+        cluster.workers[0].kill()
+        left.append(26 - len(list(parts.glob("*.h5"))))
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    code, _, err = l3(*command, output, "--scheduler", cluster.address)
+    killer.join()
+    cluster.workers.pop(0).wait()
+    cluster.add(1)  # for those that come after
+    assert code == 0, err
+    assert left[0] > 2  # it was killed while there was work
+    assert output.read_bytes() == (tmp_path / "here.h5").read_bytes()
+
+
+# ----------------------------------------------------------------------------------------------- what goes wrong
+
+
+def test_what_a_worker_raises_is_raised_here(cluster: Cluster) -> None:
+    with workers(1, Scheduler(cluster.address)) as crew:
+        assert list(crew(squared, range(40))) == [number**2 for number in range(40)]
+        with pytest.raises(L3Error, match="not 0"):
+            list(crew(refusing, range(3)))
+        assert list(crew(squared, range(4))) == [0, 1, 4, 9]
+
+
+def test_few_results_are_under_way(cluster: Cluster) -> None:
+    """Items are taken when there is room for them, not all at once."""
+    taken: list[int] = []
+
+    def items() -> Iterator[int]:
+        for item in range(100):
+            taken.append(item)
+            yield item
+
+    with workers(1, Scheduler(cluster.address)) as crew:
+        results = crew(squared, items())
+        assert next(results) == 0
+        assert len(taken) <= 2 * (WORKERS + 1)
+        assert list(results) == [number**2 for number in range(1, 100)]
+
+
+def test_a_worker_of_another_version_is_refused(cluster: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(elsewhere, "__version__", "0.0.1")
+    with (
+        workers(1, Scheduler(cluster.address)) as crew,
+        pytest.raises(L3Error, match=r"a worker has l3cli \S+, this machine 0\.0\.1"),
+    ):
+        list(crew(squared, range(1)))
+
+
+def test_another_file_under_the_name_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "training.h5"
+    path.write_bytes(b"ours")
+    digest = sha256(path)
+    require_same(path, digest)
+    path.write_bytes(b"theirs")
+    with pytest.raises(InputFileError, match="is another file for a worker"):
+        require_same(path, digest)
+    with pytest.raises(InputFileError, match="cannot be read by a worker"):
+        require_same(tmp_path / "absent", digest)
+
+
+def test_without_workers_a_run_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """None at the beginning; and all lost while they are at work."""
+    with a_cluster(tmp_path, 0) as cluster:
+        there = _there(cluster)
+        with monkeypatch.context() as hasty:
+            hasty.setattr(elsewhere, "PATIENCE", 1.0)
+            with pytest.raises(L3Error, match="no worker for 1 s"), workers(1, there):
+                pass
+        cluster.add(1)
+        with workers(1, there) as crew:
+            monkeypatch.setattr(elsewhere, "PATIENCE", 1.0)
+            with pytest.raises(L3Error, match="no worker for 1 s"):
+                _go_on(crew(_process, range(10_000)), cluster.workers[0].kill)
+
+
+def test_a_scheduler_that_goes_ends_a_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(elsewhere, "ANSWER", 2.0)
+    with a_cluster(tmp_path, 1) as cluster:
+        with workers(1, _there(cluster)) as crew, pytest.raises(L3Error, match="the scheduler has gone"):
+            _go_on(crew(_process, range(10_000)), cluster.scheduler.kill)
+        with pytest.raises(L3Error, match="no scheduler answers"), workers(1, _there(cluster)):
+            pass
+
+
+def _go_on(results: Iterator[object], fault: Callable[[], None]) -> None:
+    """Take all results; after the first the fault comes."""
+    next(results)
+    fault()
+    for _ in results:
+        pass
+
+
+def _there(cluster: Cluster, *tls: Path) -> Scheduler:
+    """Its scheduler, which answers."""
+    host, port = cluster.address.rpartition("/")[2].split(":")
+
+    def answers() -> bool:
+        with socket.socket() as probe:
+            return probe.connect_ex((host, int(port))) == 0
+
+    if cluster.scheduler.poll() is None:
+        _wait_until(answers)
+    return Scheduler(cluster.address, *tls)
+
+
+# ------------------------------------------------------------------------------------------- doors and their keys
+
+
+def test_tls_opens_to_those_with_a_certificate(tmp_path: Path, bayer_recipe: Path, made: Path, l3: Callable) -> None:
+    if shutil.which("openssl") is None:
+        pytest.skip("openssl is not installed")
+    ca, certificate, key = (tmp_path / name for name in ("ca.pem", "certificate.pem", "key.pem"))
+    new = ("openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes", "-days", "2")
+    subprocess.run([*new, "-subj", "/CN=localhost", "-keyout", key, "-out", certificate], check=True, capture_output=True)
+    shutil.copy(certificate, ca)  # it signs itself
+    tls = ("--tls-ca", ca, "--tls-cert", certificate, "--tls-key", key)
+    with a_cluster(tmp_path, 1, "--tls-ca-file", ca, "--tls-cert", certificate, "--tls-key", key) as cluster:
+        command = ("simulate", made / "scenes.toml", "--camera", bayer_recipe, "-o", tmp_path / "training.h5")
+        code, _, err = l3(*command, "--quiet", "--scheduler", _there(cluster, ca, certificate, key).address, *tls)
+        assert (code, err) == (0, "")
+        assert (tmp_path / "training.h5").read_bytes() == (made / "training.h5").read_bytes()
+
+
+def test_wrong_doors_are_one_line(
+    made: Path, bayer_recipe: Path, tmp_path: Path, refused: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pem = tmp_path / "ca.pem"
+    pem.write_text("no certificate")
+    run = ("simulate", made / "scenes.toml", "--camera", bayer_recipe, "-o", tmp_path / "no.h5")
+    tls = ("--tls-ca", pem, "--tls-cert", pem, "--tls-key", pem)
+    assert "go with --scheduler" in refused(2, *run, *tls)
+    assert "leave it out with --scheduler" in refused(2, *run, "--scheduler", "tcp://127.0.0.1:1", "--jobs", 2)
+    for address in ("127.0.0.1:8786", "http://127.0.0.1:8786", "tcp://127.0.0.1", "tcp://127.0.0.1:99999"):
+        assert "is no scheduler's address" in refused(2, *run, "--scheduler", address)
+    assert "needs --tls-ca, --tls-cert and --tls-key" in refused(2, *run, "--scheduler", "tls://127.0.0.1:1")
+    assert "speaks no TLS" in refused(2, *run, "--scheduler", "tcp://127.0.0.1:1", *tls)
+    absent = (*tls[:-1], tmp_path / "absent.pem")
+    assert "absent.pem does not exist" in refused(3, *run, "--scheduler", "tls://127.0.0.1:1", *absent)
+    assert "give PEM files" in refused(3, *run, "--scheduler", "tls://127.0.0.1:1", *tls)
+    monkeypatch.setattr(elsewhere, "ANSWER", 1.0)
+    assert "no scheduler answers at tcp://127.0.0.1:1" in refused(1, *run, "--scheduler", "tcp://127.0.0.1:1")
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    assert 'pip install "l3cli[cluster]"' in refused(1, *run, "--scheduler", "tcp://127.0.0.1:1")
+    assert "--merge takes shards alone" in refused(
+        2, "train", "--merge", made / "training.h5", "-o", tmp_path / "no.h5", "--scheduler", "tcp://127.0.0.1:1"
+    )
+    with pytest.raises(RecipeError):
+        Scheduler("tcp://:8786x")
+
+
+@pytest.mark.parametrize(
+    ("address", "near"),
+    [
+        ("tcp://127.0.0.1:8786", True),
+        ("tcp://127.8.8.8:1", True),
+        ("tcp://[::1]:8786", True),
+        ("tcp://localhost:8786", True),
+        ("tcp://10.0.0.1:8786", False),
+        ("tcp://0.0.0.0:8786", False),
+        ("tcp://[2001:db8::1]:8786", False),
+        ("tcp://cluster.example:8786", False),
+    ],
+)
+def test_what_listens_on_this_machine_alone_is_known(address: str, near: bool) -> None:
+    assert elsewhere._is_loopback(address) == near
+
+
+def test_a_scheduler_open_to_others_is_warned_of(cluster: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[str] = []
+    with workers(1, Scheduler(cluster.address, warn=told.append)):
+        assert told == []
+    monkeypatch.setattr(elsewhere, "_is_loopback", lambda address: False)
+    with workers(1, Scheduler(cluster.address, warn=told.append)):
+        assert told == [elsewhere.WITHOUT_TLS]

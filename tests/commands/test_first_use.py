@@ -1,0 +1,248 @@
+"""What a first-time user meets: l3 alone, recipes by name, recipes that explain themselves, pictures of any size."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import click
+import numpy as np
+import pytest
+
+from l3cli.artifacts.training_set import open_training_set
+from l3cli.cli import COMMANDS
+from l3cli.cli import l3 as program
+from l3cli.cli.init import COMMON
+from l3cli.io.images import write_picture
+from tests.helpers.paths import CONFIGS
+from tests.helpers.readme import commands, sessions
+
+ASKED = {  # every place where a recipe is asked for: what goes before it ← what goes after, kind, parameter
+    ("lab",): (("-o", "x"), "cameras", "camera"),
+    ("lab", "camera.toml", "-o", "x", "--recipe"): ((), "lab", "recipe"),
+    ("calibrate", "m.toml", "-o", "x", "--truth"): ((), "cameras", "truth"),
+    ("simulate",): (("--camera", "c.h5", "-o", "x"), "scenes", "scenes"),
+    ("simulate", "s.toml", "-o", "x", "--camera"): ((), "cameras", "camera"),
+    ("train", "t.h5", "-o", "x", "--classes"): ((), "classes", "classes"),
+}
+EXAMPLES = {"cameras": "fiveband", "lab": "default", "scenes": "small", "classes": "best"}
+TYPOS = {"cameras": "fivebnd", "lab": "defualt", "scenes": "smal", "classes": "bestt"}
+places = pytest.mark.parametrize("place", ASKED, ids=" ".join)
+
+
+def parsed(place: tuple[str, ...], word: str) -> Path:
+    """What a command takes for `word` at a place where a recipe is asked for."""
+    after, _, parameter = ASKED[place]
+    command = program.get_command(click.Context(program), place[0])
+    assert command is not None
+    return command.make_context(place[0], [*place[1:], word, *after]).params[parameter]
+
+
+# ---------------------------------------------------------------------------------------------------------- l3 alone
+
+
+def test_l3_alone_explains_itself_and_is_a_wrong_call(l3: Callable) -> None:
+    helped = l3("--help")
+    assert helped[0] == 0
+    assert len(helped[1].splitlines()) > 15
+    assert l3() == (2, "", helped[1])
+
+
+# ------------------------------------------------------------------------------------------------- recipes by name
+
+
+@places
+def test_a_recipe_is_found_by_its_name(place: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    kind = ASKED[place][1]
+    name = EXAMPLES[kind]
+    assert parsed(place, name) == CONFIGS / kind / f"{name}.toml"
+    (tmp_path / name).mkdir()  # as `l3 init fiveband fiveband` leaves it
+    assert parsed(place, name) == CONFIGS / kind / f"{name}.toml"
+    (tmp_path / name).rmdir()
+    (tmp_path / name).touch()  # a file of that name is what is meant
+    assert parsed(place, name) == Path(name)
+    assert parsed(place, f"./{name}") == Path(name)
+
+
+@places
+def test_a_misspelt_name_brings_the_one_that_was_meant(
+    place: tuple[str, ...], refused: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    after, kind, _ = ASKED[place]
+    assert f'did you mean "{EXAMPLES[kind]}"?' in refused(2, *place, TYPOS[kind], *after)
+    missing = f"configs/{kind}/{EXAMPLES[kind]}.toml"  # as a checkout has it, typed where there is none
+    assert f'{missing} does not exist; without a path "{EXAMPLES[kind]}" is' in refused(3, *place, missing, *after)
+    assert parsed(place, "mine/nothing.toml") == Path("mine/nothing.toml")  # whoever opens it says so
+
+
+def test_a_name_gives_the_bytes_of_its_file(l3: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    calls = {"names": ("small", "bayer"), "files": (CONFIGS / "scenes/small.toml", CONFIGS / "cameras/bayer.toml")}
+    for output, (scenes, camera) in calls.items():
+        code, _, err = l3("simulate", scenes, "--camera", camera, "-o", output, "--quiet")
+        assert (code, err) == (0, "")
+    assert (tmp_path / "names").read_bytes() == (tmp_path / "files").read_bytes()
+    with open_training_set(tmp_path / "names") as reader:
+        assert (CONFIGS / "scenes/small.toml").read_text() in reader.head.history[-1].recipe
+
+
+def test_the_worked_example_finds_its_recipes_in_an_installed_wheel(tmp_path: Path) -> None:
+    package = tmp_path / "site/l3cli"
+    shutil.copytree(CONFIGS.parent / "l3cli", package, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(CONFIGS, package / "configs")
+    asked = [words for line, _ in sessions()[0] for words in commands(line)]
+    code = (
+        "import click, pathlib\nfrom l3cli.cli import l3\n"
+        f"for name, *words in {asked!r}:\n"
+        "    found = l3.get_command(click.Context(l3), name).make_context(name, words).params\n"
+        "    print(*(v for v in found.values() if isinstance(v, pathlib.Path) and v.suffix == '.toml'), sep='\\n')\n"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(package.parent)}
+    run = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60, check=True
+    )
+    found = {Path(line) for line in run.stdout.split()} - {Path("lab/MEASUREMENTS.toml")}
+    assert found == {
+        package / "configs" / name
+        for name in ("cameras/fiveband.toml", "scenes/default.toml", "classes/default.toml", "scenes/demo_unseen.toml")
+    }
+
+
+def test_the_shell_is_offered_names_beside_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+    def offered(*words: str) -> list[str]:
+        from click.shell_completion import ShellComplete
+
+        *before, incomplete = words
+        completion = ShellComplete(program, {}, "l3", "_L3_COMPLETE")
+        return [item.value for item in completion.get_completions(before, incomplete)]
+
+    assert offered("train", "t.h5", "--classes", "be") == ["best"]
+    assert offered("simulate", "de") == ["default", "demo_unseen"]
+    (tmp_path / "camera.toml").touch()
+    (tmp_path / "cameras").mkdir()
+    assert offered("simulate", "s.toml", "--camera", "c") == ["cmy", "camera.toml", "cameras/"]
+    assert offered("simulate", "s.toml", "--camera", "ca") == ["ca"]  # no name begins so: the shell's own files
+
+
+# ---------------------------------------------------------------------------------------- recipes explain themselves
+
+
+def test_nothing_that_users_read_cites_what_they_do_not_have(l3: Callable) -> None:
+    texts = {str(path): path.read_text(encoding="utf-8") for path in CONFIGS.rglob("*") if path.is_file()}
+    texts |= {name: l3(name, "--help")[1] for name in COMMANDS}
+    assert set(COMMON.values()) <= {name.partition("configs/")[2] for name in texts}
+    for name, text in texts.items():
+        assert not re.search(r"\b(METHOD|DESIGN|STYLE)\b|docs/", text), name
+
+
+def test_no_message_cites_what_users_do_not_have() -> None:
+    import ast
+
+    for path in (CONFIGS.parent / "l3cli").rglob("*.py"):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        told = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}  # docstrings are for programmers
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in told:
+                assert "METHOD" not in node.value, (path, node.lineno)
+
+
+# ------------------------------------------------------------------------------------------------- pictures of any size
+
+
+def picture(path: Path, rows: int, cols: int) -> None:
+    write_picture(path, np.random.default_rng(rows).integers(0, 255, (rows, cols, 3)).astype(np.uint8))
+
+
+@pytest.fixture
+def pictures(tmp_path: Path) -> Path:
+    """A recipe of pictures of which two are too large, one is too small, and one is none."""
+    for name, size in {"a": (40, 50), "b": (300, 400), "c": (64, 48), "d": (193, 60), "e": (10, 90)}.items():
+        picture(tmp_path / f"{name}.png", *size)
+    (tmp_path / "f.png").write_bytes(b"no picture")
+    (tmp_path / "scenes.toml").write_text('exposure_share = [0.9]\n[[scene]]\nsource = "rgb"\nfile = "*.png"\n')
+    return tmp_path / "scenes.toml"
+
+
+def test_all_pictures_that_do_not_fit_are_named_before_any_work(
+    pictures: Path, bayer_recipe: Path, refused: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from l3cli.stages.simulation import simulate as stage
+
+    monkeypatch.setattr(stage, "simulate_unit", lambda unit: pytest.fail("work has begun"))
+    line = refused(3, "simulate", pictures, "--camera", bayer_recipe, "-o", pictures.parent / "out.h5")
+    for told in ("4 of 6 scenes", "b.png is 300×400", "d.png is 193×60", "192×256", "e.png is 10×90", "16×16", "f.png"):
+        assert told in line
+    assert all(cure in line for cure in ("scale", "shrink", "--skip-bad"))
+    many = pictures.parent / "many"
+    many.mkdir()
+    for number in range(40):
+        shutil.copy(pictures.parent / "b.png", many / f"{number}.png")
+    pictures.write_text(pictures.read_text().replace("*.png", "many/*.png"))
+    line = refused(3, "simulate", pictures, "--camera", bayer_recipe, "-o", pictures.parent / "out.h5")
+    assert "40 of 40 scenes" in line
+    assert " more" in line
+    assert len(line) < 1000
+
+
+def test_pictures_that_do_not_fit_are_left_out_if_asked(
+    pictures: Path, bayer_recipe: Path, l3: Callable, refused: Callable
+) -> None:
+    folder = pictures.parent
+    call = ("simulate", pictures, "--camera", bayer_recipe, "-o")
+    code, out, err = l3(*call, folder / "some.h5", "--skip-bad")
+    assert (code, out) == (1, "")
+    assert [name for name in "abcdef" if f"{name}.png" in err] == ["b", "d", "e", "f"]
+    assert "2 frames; 4 scenes left out" in err.splitlines()[-1]
+    for name in "bdef":
+        (folder / f"{name}.png").unlink()
+    assert l3(*call, folder / "whole.h5", "--skip-bad", "--quiet") == (0, "", "")
+    assert (folder / "some.h5").read_bytes() == (folder / "whole.h5").read_bytes()
+    picture(folder / "a.png", 300, 400)
+    (folder / "c.png").unlink()
+    assert "no scene is left" in refused(3, *call, folder / "none.h5", "--skip-bad").splitlines()[-1]
+
+
+def test_a_size_is_that_of_the_framed_scene(bayer, tmp_path: Path) -> None:
+    from l3cli.scene import Scene
+    from l3cli.simulation.framing import framed, framed_size
+    from l3cli.simulation.sources import Framing
+
+    scene = Scene("x", np.array([550.0]), np.zeros((31, 45, 1), np.float32), None)
+    for text in ({}, {"crop": (1, 2, 20, 30)}, {"rotate": 90}, {"scale": 0.7}, {"scale": 9.0, "rotate": 270},
+                 {"field_of_view_deg": 2.0}, {"crop": (0, 0, 17, 33), "rotate": 90, "field_of_view_deg": 1.0}):  # fmt: skip
+        framing = Framing(**text)
+        assert framed_size((31, 45), framing, bayer) == framed(scene, framing, bayer).reflectance.shape[:2], text
+
+
+def test_headers_tell_the_size_that_reading_gives(tmp_path: Path, bayer) -> None:
+    import h5py
+    from scipy.io import savemat
+
+    from l3cli.io import cubes, scene_files
+    from l3cli.io.images import picture_size
+    from tests.helpers.cubes import a_cube, basis_file
+
+    cube, path = a_cube(), tmp_path / "cube"
+    picture(tmp_path / "a.png", 33, 44)
+    assert picture_size(tmp_path / "a.png") == (33, 44)
+    np.save(f"{path}.npy", cube)
+    savemat(f"{path}.mat", {"one": cube, "wave": np.arange(31)})
+    savemat(tmp_path / "struct.mat", {"s": {"cube": cube, "other": 3}})
+    with h5py.File(f"{path}.h5", "w") as file:
+        file["group/values"] = cube
+    for name, variable in {"cube.npy": None, "cube.mat": None, "struct.mat": "s.cube", "cube.h5": "group/values"}.items():
+        for axes in ("row col band", "col row band", "band row col"):
+            read = cubes.read_cube(tmp_path / name, variable, axes).values.shape[:2]
+            assert cubes.cube_size(tmp_path / name, variable, axes) == read, (name, axes)
+    basis_file(tmp_path / "iset.mat", "photons")
+    read = scene_files.read_iset_scene(tmp_path / "iset.mat").reflectance.shape[:2]
+    assert scene_files.iset_size(tmp_path / "iset.mat") == read == (20, 24)
+    savemat(tmp_path / "scene.mat", {"scene": {"data": {"photons": cube}, "spectrum": {"wave": np.arange(31)}}})
+    assert scene_files.iset_size(tmp_path / "scene.mat") == (20, 24)

@@ -1,0 +1,204 @@
+"""l3 init: what it makes, and every camera recipe from its folder to a picture, small."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from l3cli.artifacts.camera_recipe import load_camera
+from l3cli.artifacts.training_set import open_training_set
+from l3cli.cli.init import COMMON
+from l3cli.config import load_recipe
+from l3cli.evaluation.demosaic import interpolate
+from l3cli.evaluation.quality import psnr
+from l3cli.io.images import read_image
+from l3cli.recipes import known_recipes
+from l3cli.simulation.lab import LabRecipe
+from l3cli.simulation.recipe import SceneRecipe
+from l3cli.training.recipe import TrainingRecipe
+from tests.helpers.paths import CONFIGS
+from tests.helpers.recipes import SMALL
+
+CAMERAS = known_recipes("cameras")
+NAMES = sorted(CAMERAS)
+BANDS = '\n[target]\noutputs = "camera"\n'
+
+
+def array(name: str) -> np.ndarray:
+    """The colour filter array of a recipe, as names of channels."""
+    camera = load_camera(CAMERAS[name])
+    return np.array(camera.channels)[camera.cfa]
+
+
+def shares(cfa: np.ndarray) -> dict[str, int]:
+    names, counts = np.unique(cfa, return_counts=True)
+    return dict(zip(names.tolist(), counts.tolist(), strict=True))
+
+
+def small_folder(name: str, folder: Path, l3: Callable) -> Path:
+    """The folder that l3 init makes, with small scenes and classes put in."""
+    assert l3("init", name, folder)[0] == 0
+    for recipe, text in SMALL.items():
+        (folder / f"{recipe}.toml").write_text(text)
+    return folder
+
+
+# ------------------------------------------------------------------------------------------------------ l3 init
+
+
+def test_without_arguments_the_recipes_are_listed(l3: Callable) -> None:
+    code, out, err = l3("init")
+    assert code == 0
+    assert [line.split()[0] for line in out.splitlines()] == NAMES
+    assert all(len(line) <= 120 and "…" not in line for line in out.splitlines())
+    assert "l3 init bayer demo" in err
+
+
+@pytest.mark.parametrize(("typo", "meant"), [("quadbayer", '"quad_bayer"'), ("X-Trans", '"xtrans"'), ("rgb-ir", '"rgbir"')])
+def test_a_typo_brings_the_recipe_that_was_meant(typo: str, meant: str, refused: Callable, tmp_path: Path) -> None:
+    assert meant in refused(2, "init", typo, tmp_path / "demo").partition("or")[0]
+
+
+def test_wrong_calls(refused: Callable, tmp_path: Path, l3: Callable) -> None:
+    assert "fiveband, monno" in refused(2, "init", "zzz", tmp_path / "demo")
+    assert '"l3 init bayer bayer"' in refused(2, "init", "bayer")
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full/mine.toml").write_text("")
+    assert "is not empty; add --force" in refused(1, "init", "bayer", tmp_path / "full")
+    assert l3("init", "bayer", tmp_path / "full", "--force")[0] == 0
+    assert (tmp_path / "full/mine.toml").exists()
+    assert "is a file" in refused(1, "init", "bayer", tmp_path / "full/mine.toml")
+
+
+def test_a_folder_holds_the_recipes_as_they_are(tmp_path: Path, l3: Callable) -> None:
+    code, out, err = l3("init", "xtrans", tmp_path / "demo")
+    assert (code, out) == (0, "")
+    assert f"make -C {tmp_path}/demo" in err
+    for name, source in {**COMMON, "camera.toml": "cameras/xtrans.toml"}.items():
+        assert (tmp_path / "demo" / name).read_bytes() == (CONFIGS / source).read_bytes()
+    assert {path.name for path in (tmp_path / "demo").iterdir()} == {*COMMON, "camera.toml"}
+    assert (tmp_path / "demo/slurm.sh").stat().st_mode & 0o777 == 0o755
+
+
+def test_a_phase_comes_with_its_base(tmp_path: Path, l3: Callable) -> None:
+    code, _, err = l3("init", "bayer_bggr", tmp_path / "demo")
+    assert code == 0
+    assert "2×2,  3 channels  A Bayer array, BGGR" in err
+    assert {path.name for path in (tmp_path / "demo").iterdir()} == {*COMMON, "camera.toml", "bayer.toml"}
+    assert load_camera(tmp_path / "demo/camera.toml").name == "Bayer BGGR"
+
+
+def test_every_recipe_that_is_shipped_can_be_read() -> None:
+    kinds = {"scenes": SceneRecipe, "classes": TrainingRecipe, "lab": LabRecipe}
+    for folder, kind in kinds.items():
+        found = sorted((CONFIGS / folder).glob("*.toml"))
+        assert found
+        for path in found:
+            load_recipe(path, kind)
+
+
+# ------------------------------------------------------------------------------------------------------- arrays
+
+
+def test_the_bayer_recipes_are_the_phases_of_one_array() -> None:
+    bayer = array("bayer")
+    shifted = {
+        "bayer_bggr": np.roll(bayer, 1, axis=0),
+        "bayer_rggb": np.roll(bayer, 1, axis=1),
+        "bayer_gbrg": np.roll(bayer, (1, 1), axis=(0, 1)),
+    }
+    for name, cfa in shifted.items():
+        np.testing.assert_array_equal(array(name), cfa)
+        np.testing.assert_array_equal(load_camera(CAMERAS[name]).responsivity, load_camera(CAMERAS["bayer"]).responsivity)
+    np.testing.assert_array_equal(array("quad_bayer"), bayer.repeat(2, axis=0).repeat(2, axis=1))
+
+
+def test_xtrans_has_all_colours_in_every_row_and_column() -> None:
+    cfa = array("xtrans")
+    assert cfa.shape == (6, 6)
+    assert shares(cfa) == {"b": 8, "g": 20, "r": 8}
+    assert all(set(line) == {"r", "g", "b"} for line in (*cfa, *cfa.T))
+    green = cfa == "g"
+    blocks = green & np.roll(green, 1, axis=0) & np.roll(green, 1, axis=1) & np.roll(green, (1, 1), axis=(0, 1))
+    assert blocks.sum() == 4
+    np.testing.assert_array_equal(np.roll(cfa == "r", 3, axis=0), cfa == "b")
+
+
+@pytest.mark.parametrize("name", ["fiveband", "monno"])
+def test_five_bands_have_green_on_every_other_site_and_an_eighth_of_each_other_band(name: str) -> None:
+    cfa = array(name)
+    row, col = np.nonzero(cfa == "g")
+    assert len(row) == 8
+    assert len(set((row + col) % 2)) == 1
+    others = shares(cfa)
+    del others["g"]
+    assert sorted(others.values()) == [2, 2, 2, 2]
+    for band in others:
+        row, col = np.nonzero(cfa == band)
+        assert (abs(row[0] - row[1]), abs(col[0] - col[1])) == (2, 2)
+
+
+def test_arrays_with_other_than_red_green_blue() -> None:
+    assert shares(array("rgbw")) == {"b": 1, "g": 1, "r": 1, "w": 1}
+    assert shares(array("rgbir")) == {"b": 1, "g": 1, "ir": 1, "r": 1}
+    assert shares(array("cmy")) == {"c": 1, "m": 1, "y": 2}
+    cfa = array("rgbw4x4")
+    assert shares(cfa) == {"b": 2, "g": 4, "r": 2, "w": 8}
+    assert set(np.add(*np.nonzero(cfa == "w")) % 2) == {0}
+    assert len(shares(array("snapshot16"))) == array("snapshot16").size == 16
+
+
+# ----------------------------------------------------------------------------------------------- recipes at work
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_recipe_leads_to_a_better_picture_than_a_basic_pipeline(name: str, tmp_path: Path, l3: Callable) -> None:
+    folder = small_folder(name, tmp_path / "demo", l3)
+    camera = ("--camera", folder / "camera.toml", "--quiet")
+    assert l3("simulate", folder / "scenes.toml", *camera, "-o", folder / "training.h5")[0] == 0
+    unseen = ("-o", folder / "unseen.h5", "--pictures", folder / "unseen")
+    assert l3("simulate", folder / "unseen.toml", *camera, *unseen)[0] == 0
+    classes = ("--classes", folder / "classes.toml", "--quiet")
+    assert l3("train", folder / "training.h5", *classes, "-o", folder / "table.h5")[0] == 0
+    raw = next((folder / "unseen").glob("*_raw.tif"))
+    assert l3("render", folder / "table.h5", raw, "-o", folder / "picture.png", "--quiet")[0] == 0
+    judged = ("evaluate", folder / "table.h5", folder / "unseen.h5", "--json", "--backend", "reference")
+    figures = json.loads(l3(*judged)[1])["mean"]
+    assert figures["ours"]["mean_delta_e"] < 0.95 * figures["basic"]["mean_delta_e"]
+    assert figures["ours"]["psnr"] > figures["basic"]["psnr"] + 1.0
+    picture, _ = read_image(folder / "picture.png")
+    ideal, _ = read_image(next((folder / "unseen").glob("*_ideal.png")))
+    assert psnr(picture / 255.0, ideal / 255.0) > 17.0
+
+
+@pytest.mark.parametrize("name", ["rgbir", "snapshot16"])
+def test_all_bands_come_out_better_than_interpolated(name: str, tmp_path: Path, l3: Callable) -> None:
+    folder = small_folder(name, tmp_path / "demo", l3)
+    camera = ("--camera", folder / "camera.toml", "--quiet")
+    assert 'outputs = "camera"' in (folder / "bands_scenes.toml").read_text()
+    for scenes in ("scenes", "unseen"):
+        (folder / f"{scenes}.toml").write_text(SMALL[scenes].replace("\n", BANDS, 1))
+        assert l3("simulate", folder / f"{scenes}.toml", *camera, "-o", folder / f"{scenes}.h5")[0] == 0
+    (folder / "classes.toml").write_text(
+        SMALL["classes"].replace("levels = 6", "levels = 3").replace("chromas = 3", "chromas = 1")
+    )
+    classes = ("--classes", folder / "classes.toml", "--quiet")
+    assert l3("train", folder / "scenes.h5", *classes, "-o", folder / "bands.h5")[0] == 0
+    with open_training_set(folder / "unseen.h5") as reader:
+        model, frame = reader.head.camera, reader.frame(0)
+    np.save(folder / "raw.npy", frame.raw)
+    assert l3("render", folder / "bands.h5", folder / "raw.npy", "-o", folder / "bands.exr", "--quiet")[0] == 0
+    bands, _ = read_image(folder / "bands.exr")
+    interpolated = interpolate(frame.raw - model.black, model.cfa)
+    ours, basic = (fidelity(planes, frame.target) for planes in (np.moveaxis(bands, -1, 0), interpolated))
+    assert ours.min() > basic.min()
+    assert ours.mean() > basic.mean() + 1.0
+
+
+def fidelity(planes: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """PSNR (band) of planes (band, row, col), each at the scale that brings it nearest to its target."""
+    scaled = [plane * (plane * wanted).sum() / (plane**2).sum() for plane, wanted in zip(planes, target, strict=True)]
+    peaks = np.percentile(target, 99, axis=(1, 2))
+    return np.array([psnr(a / peak, b / peak) for a, b, peak in zip(scaled, target, peaks, strict=True)])

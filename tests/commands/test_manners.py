@@ -1,0 +1,329 @@
+"""How the commands behave towards people: help, completion, progress, names suggested, tables that fit, cautions."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import click
+import numpy as np
+import pytest
+
+from l3cli import __version__
+from l3cli.artifacts.store import load
+from l3cli.artifacts.table import TransformTable
+from l3cli.cli import COMMANDS, l3, terminal
+from l3cli.columns import columns
+from l3cli.errors import suggestion
+from l3cli.frame import RawFrame
+from l3cli.rendering.coverage import CoverageMeter
+from tests.helpers.paths import CONFIGS
+from tests.helpers.terminal import in_terminal
+
+UNITS = re.compile(r"\b(DN|nm|pixels?|seconds?|a second|a degree|Number|numbers|Rate factor|Bytes)\b", re.IGNORECASE)
+
+
+def command(name: str) -> click.Command:
+    found = l3.get_command(click.Context(l3), name)
+    assert found is not None
+    return found
+
+
+def called(line: str) -> click.Context:
+    """A command line `l3 …` as click takes it, without doing it."""
+    import shlex
+
+    program, name, *arguments = shlex.split(line)
+    assert program == "l3"
+    return command(name).make_context(name, arguments, parent=click.Context(l3, info_name="l3"))
+
+
+# ----------------------------------------------------------------------------------------------------------- help
+
+
+@pytest.mark.parametrize("name", list(COMMANDS))
+def test_help_has_an_example_and_units_and_fits_eighty_columns(name: str, l3: Callable, monkeypatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    code, out, err = l3(name, "--help")
+    assert (code, err) == (0, "")
+    assert max(map(len, out.splitlines())) <= 80
+    (example,) = re.findall(r"^  Example: (l3 .*)$", out, re.MULTILINE)
+    called(example.partition(" && ")[0])
+    for option in command(name).params:
+        if isinstance(option, click.Option):
+            assert len(option.help or "") > 10, option.name
+            if isinstance(option.type, click.types.IntParamType | click.types.FloatParamType):
+                assert UNITS.search(f"{option.help} {option.metavar}"), f"{name} {option.name} has no unit"
+                assert option.metavar, f"{name} {option.name}"
+
+
+def test_results_can_be_had_as_json_and_talk_be_silenced() -> None:
+    told = {name: {option.name for option in command(name).params} for name in COMMANDS}
+    for name in ("calibrate", "evaluate", "compare", "info", "bench"):
+        assert "as_json" in told[name]
+    assert [name for name in COMMANDS if "console" not in told[name]] == ["compare", "info"]  # they do not talk
+    assert [name for name in COMMANDS if "seed" in told[name]] == ["simulate", "train", "lab"]
+
+
+def test_versions_and_devices(l3: Callable, refused: Callable, monkeypatch) -> None:
+    assert l3("--version")[1].split() == ["l3,", "version", __version__]
+    code, out, err = l3("info", "--version", "--json")
+    assert (code, err) == (0, "")
+    found = json.loads(out)
+    assert found["l3"] == __version__
+    assert found["python"] == ".".join(map(str, sys.version_info[:3]))
+    assert found["devices"][0].startswith("0: ")
+    plain = l3("info", "--version")[1]
+    for name, version in found["libraries"].items():
+        assert f"  {name} {version or 'is not installed'}\n" in plain
+    monkeypatch.setitem(sys.modules, "pyopencl", None)
+    assert 'pip install "pyopencl[pocl]"' in l3("info", "--version")[1]
+    assert "give either" in refused(2, "info")
+    assert "give either" in refused(2, "info", "x.h5", "--version")
+
+
+# ----------------------------------------------------------------------------------------------------- completion
+
+
+def completed(words: str) -> list[str]:
+    """What the shell is offered for the last of `words`, by a process of its own that imports nothing heavy."""
+    code = (
+        "import sys, atexit\n"
+        "atexit.register(lambda: print('heavy', *({'numpy', 'h5py', 'colour', 'rich', 'msgspec'} & set(sys.modules))))\n"
+        "from l3cli.cli import main; main()"
+    )
+    asked = {"_L3_COMPLETE": "bash_complete", "COMP_WORDS": words, "COMP_CWORD": str(words.count(" "))}
+    environment = {**os.environ, **asked, "PYTHONPATH": str(CONFIGS.parent)}
+    run = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=60, check=True
+    )
+    *offered, heavy = run.stdout.splitlines()
+    assert heavy == "heavy"
+    return offered
+
+
+def test_completion_offers_commands_options_words_and_files_at_once() -> None:
+    assert completed("l3 ") == [f"plain,{name}" for name in COMMANDS]
+    assert completed("l3 ca") == ["plain,calibrate"]
+    assert set(completed("l3 train --s")) == {"plain,--shares", "plain,--shard", "plain,--seed", "plain,--scheduler"}
+    assert completed("l3 render table.h5 frame.dng --codec h26") == ["plain,h264", "plain,h265"]
+    assert completed("l3 simulate scenes.toml --camera cam") == ["file,cam"]
+    assert completed("l3 init rgb") == ["plain,rgbir", "plain,rgbw", "plain,rgbw4x4"]
+    assert completed("l3 report camera") == ["file,camera"]
+
+
+def test_bash_completes_with_the_line_of_the_readme(tmp_path: Path) -> None:
+    program = tmp_path / "l3"
+    program.write_text(f'#!/bin/sh\nexec {sys.executable} -c "from l3cli.cli import main; main()" "$@"\n')
+    program.chmod(0o755)
+    (line,) = re.findall(r'^    (eval "\$\(.*bash_source.*?\)")', (CONFIGS.parent / "README.md").read_text(), re.MULTILINE)
+    script = f'{line}\nCOMP_WORDS=(l3 eval) COMP_CWORD=1\n_l3_completion l3\necho "${{COMPREPLY[@]}}"'
+    path = f"{tmp_path}:{os.environ['PATH']}"
+    environment = {**os.environ, "PATH": path, "PYTHONPATH": str(CONFIGS.parent)}
+    run = subprocess.run(["bash", "-c", script], env=environment, capture_output=True, text=True, timeout=60)
+    assert (run.stdout, run.stderr) == ("evaluate\n", "")
+
+
+@pytest.mark.parametrize(("shell", "word"), [("zsh", "compdef"), ("fish", "complete --no-files --command l3")])
+def test_the_scripts_of_other_shells(shell: str, word: str, monkeypatch, capsys) -> None:
+    monkeypatch.setenv("_L3_COMPLETE", f"{shell}_source")
+    with pytest.raises(SystemExit) as stop:
+        l3.main([], prog_name="l3")
+    assert stop.value.code == 0
+    assert word in capsys.readouterr().out
+    assert f"_L3_COMPLETE={shell}_source" in (CONFIGS.parent / "README.md").read_text()
+
+
+# ---------------------------------------------------------------------------------------------------- suggestions
+
+
+def test_suggestions_name_the_nearest_or_all() -> None:
+    assert suggestion("d56", ["D65", "D50", "A"]) == 'did you mean "D65" or "D50"?'
+    assert suggestion("zzz", ["D65", "A"]) == "there are D65, A"
+    many = suggestion("zzz", [f"name {number}" for number in range(1000)])
+    assert many.startswith("there are name 0, name 1, ")
+    assert many.endswith(" …")
+    assert len(many) < 300
+
+
+# ------------------------------------------------------------------------------------------------------- progress
+
+
+class Clock:
+    """A clock that goes on by `step` seconds whenever it is read."""
+
+    def __init__(self, step: float) -> None:
+        self.now, self.step = 0.0, step
+
+    def __call__(self) -> float:
+        self.now += self.step
+        return self.now
+
+
+def logged(total: int | None, count: int, step: float, monkeypatch, capsys) -> list[str]:
+    monkeypatch.setattr(time, "monotonic", Clock(step))
+    capsys.readouterr()
+    assert list(terminal.Terminal().progress(range(count), total, "frames")) == list(range(count))
+    return capsys.readouterr().err.splitlines()
+
+
+def test_a_log_hears_of_progress_now_and_then(monkeypatch, capsys) -> None:
+    lines = logged(1000, 1000, 1.0, monkeypatch, capsys)
+    assert len(lines) == 9  # what comes when all is done, the command itself says
+    assert lines[0] == "frames: 100 of 1000, 1 a second, 15 min 0 s left"
+    assert logged(10, 10, 0.5, monkeypatch, capsys) == []  # over before anybody wonders
+    slow = logged(4, 4, 4000.0, monkeypatch, capsys)
+    assert len(slow) == 3
+    assert slow[0] == "frames: 1 of 4, 1 h 6 min each, 3 h 20 min left"
+    endless = logged(None, 5000, 1.0, monkeypatch, capsys)
+    assert endless[0] == "frames: 600, 1 a second"
+    assert len(endless) == 8
+
+
+def test_quiet_is_quiet(monkeypatch, capsys) -> None:
+    monkeypatch.setattr(time, "monotonic", Clock(100.0))
+    assert list(terminal.ErrorsOnly().progress(range(100), 100, "frames")) == list(range(100))
+    assert capsys.readouterr().err == ""
+
+
+BAR = """
+import time
+from l3cli.cli.terminal import Terminal
+for _ in Terminal().progress(range(3), 3, "simulations"):
+    time.sleep(0.15)
+"""
+
+
+@pytest.mark.parametrize(("environment", "coloured"), [({}, True), ({"NO_COLOR": "1"}, False)])
+def test_a_terminal_gets_a_bar_that_fits(environment: dict[str, str], coloured: bool) -> None:
+    shown = in_terminal([sys.executable, "-c", BAR], environment)
+    assert re.search(r"simulations .*━.*3/3.* a second, 0 s left", shown)
+    assert bool(re.search(r"\x1b\[(3|9)\dm", shown)) == coloured
+    for line in re.split(r"[\r\n]+", re.sub(r"\x1b\[[\d;?]*[A-Za-z]", "", shown)):
+        assert len(line) <= 80
+
+
+def test_a_terminal_that_can_do_nothing_gets_no_bar() -> None:
+    assert in_terminal([sys.executable, "-c", BAR], {"TERM": "dumb"}) == ""
+
+
+# --------------------------------------------------------------------------------------------------------- tables
+
+
+def test_columns_are_divided_where_they_do_not_fit() -> None:
+    headings, rows = ["scene", "ours\nΔE00", "basic\nΔE00"], [["leaves", "1.5", "12.25"], ["mean", "1.5", "12.25"]]
+    assert columns(headings, rows) == [
+        "        ours  basic",
+        "scene   ΔE00   ΔE00",
+        "leaves   1.5  12.25",
+        "mean     1.5  12.25",
+    ]
+    assert columns(headings, rows, 15) == [
+        "        ours",
+        "scene   ΔE00",
+        "leaves   1.5",
+        "mean     1.5",
+        "",
+        "        basic",
+        "scene    ΔE00",
+        "leaves  12.25",
+        "mean    12.25",
+    ]
+    assert columns(headings, rows, 1) == columns(headings, rows, 15)  # what cannot fit is not lost
+
+
+def test_tables_fit_a_terminal_of_eighty_columns(pipeline: Path, tmp_path: Path, l3: Callable, monkeypatch) -> None:
+    judged = tmp_path / "evaluation.json"
+    table, unseen = pipeline / "table.h5", pipeline / "unseen.h5"
+    judged.write_text(l3("evaluate", table, unseen, "--json")[1])
+    wide = l3("evaluate", table, unseen)[1]
+    assert max(map(len, wide.splitlines())) > 100  # a pipe takes whole tables
+    monkeypatch.setenv("COLUMNS", "80")
+    measurements = pipeline / "lab/MEASUREMENTS.toml"
+    for call in (
+        ("evaluate", table, unseen),
+        ("calibrate", measurements, "--truth", pipeline / "camera.toml", "-o", tmp_path / "camera.h5"),
+        ("compare", judged, judged),
+        ("info", table),
+        ("info", pipeline / "camera.h5"),
+        ("info", pipeline / "training.h5"),
+        ("info", "--version"),
+        ("init",),
+    ):
+        code, out, _ = l3(*call)
+        assert code == 0
+        too_long = [line for line in out.splitlines() if len(line) > 80]
+        assert too_long == [], call
+    assert "95 %" in l3("evaluate", table, unseen)[1]
+
+
+# ------------------------------------------------------------------------------------------------------- cautions
+
+
+def test_frames_that_the_table_was_not_made_for_are_told(pipeline: Path, tmp_path: Path, l3: Callable) -> None:
+    raw = next((pipeline / "unseen").glob("*_raw.tif"))
+    render = ("render", pipeline / "table.h5", raw, "--backend", "reference", "-o")
+    assert l3(*render, tmp_path / "fine.png") == (0, "", "")
+    code, _, err = l3(*render, tmp_path / "clipped.png", "--white-level", "1200")
+    assert code == 0
+    assert re.fullmatch(rf"warning: {re.escape(str(raw))}: \d+% of the pixels are clipped .* --white-level\n", err)
+    assert l3(*render, tmp_path / "quiet.png", "--white-level", "1200", "--quiet")[2] == ""
+    err = l3(*render, tmp_path / "a.png", "--white", "A")[2]
+    assert err.startswith("warning: --white A is far from the mean light of the training, x,y = 0.3127,0.3290")
+    assert l3(*render, tmp_path / "d.png", "--white", "D60")[2] == ""
+    unseen = l3("evaluate", pipeline / "table.h5", pipeline / "training.h5", "--backend", "reference")[2]
+    assert "was trained on" in unseen
+    assert "another --seed" in unseen
+
+
+def frames_of(table: TransformTable, level: float, count: int) -> Iterator[RawFrame]:
+    """Noisy grey frames at a share of full scale."""
+    rng = np.random.default_rng(0)
+    for number in range(count):
+        mean = table.black + level * (table.white - table.black)
+        values = np.clip(rng.normal(mean, 2.0, (60, 90)), 0, 4095).astype(np.uint16)
+        yield RawFrame(f"frame {number}", values, table.black, table.white)
+
+
+def test_levels_without_training_are_counted(pipeline: Path, capsys) -> None:
+    from dataclasses import replace
+
+    from l3cli.stages.input_warnings import FrameWarnings
+
+    table = load(TransformTable, pipeline / "table.h5")
+    samples = table.samples.reshape(table.cfa.size, table.rule.levels, -1).copy()
+    samples[:, 2:5] = 100.0
+    samples[:, :2] = samples[:, 5:] = 0.0
+    part = replace(table, samples=samples.ravel(), camera=None)
+    meter = CoverageMeter(part)
+    dark, middle, bright = (meter.coverage(next(frames_of(part, level, 1))) for level in (0.0, 0.01, 0.7))
+    assert (dark.darker, dark.brighter, middle.darker, middle.brighter) == (1.0, 0.0, 0.0, 0.0)
+    assert (bright.darker, bright.brighter, bright.saturated) == (0.0, 1.0, 0.0)
+    low, high = meter.learned_range()
+    assert 0.001 < low < 0.01 < high < 0.2
+    warnings = FrameWarnings(part)
+    for frame in (*frames_of(part, 0.7, 3), *frames_of(part, 0.01, 2)):
+        warnings.measure(frame)
+    capsys.readouterr()
+    warnings.report(terminal.Terminal())
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("warning: 3 of 5 frames, most in frame 0: 100% of the pixels are brighter than anything")
+    assert line.endswith("simulate longer exposures, and train again")
+
+
+def test_looking_costs_milliseconds(pipeline: Path) -> None:
+    table = load(TransformTable, pipeline / "table.h5")
+    meter = CoverageMeter(table)
+    values = np.random.default_rng(0).integers(64, 3000, (1164, 2048)).astype(np.uint16)
+    frame = RawFrame("large", values, table.black, table.white)
+    meter.coverage(frame)
+    times = []
+    for _ in range(7):
+        start = time.perf_counter()
+        meter.coverage(frame)
+        times.append(time.perf_counter() - start)
+    assert min(times) < 0.02  # 2 ms on a quiet core

@@ -1,0 +1,205 @@
+"""The pages of a TIFF: frames where a sequence is rendered, refused where one picture or frame is wanted."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+
+from l3cli.artifacts.store import save
+from l3cli.errors import InputFileError
+from l3cli.io.frames import read_frame
+from l3cli.io.images import read_image, write_mosaic, write_picture
+from l3cli.io.pages import count_pages, read_page
+from l3cli.limits import TRUST
+from tests.helpers.sequences import COUNT, FAST, RGGB, frames, pictures
+
+PLAIN = {"photometric": "minisblack", "metadata": None}
+
+
+@pytest.fixture
+def table(tmp_path: Path) -> Path:
+    save(RGGB, tmp_path / "table.h5")
+    return tmp_path / "table.h5"
+
+
+def write_pages(path: Path, pages: object, big: bool = False, order: str = "<", **options: object) -> Path:
+    with tifffile.TiffWriter(path, bigtiff=big, byteorder=order) as file:
+        for page in pages:
+            file.write(page, contiguous=False, **{**PLAIN, **options})
+    return path
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"big": True}, {"order": ">"}, {"compression": "zlib"}, {"rowsperstrip": 3}, {"subfiletype": 2}],
+    ids=lambda options: next(iter(options), "plain"),
+)
+def test_pages_are_the_frames_of_a_stack(l3, tmp_path: Path, table: Path, options: dict) -> None:
+    np.save(tmp_path / "a.npy", frames())
+    write_pages(tmp_path / "a.tif", frames(), **options)
+    for name in ("a.npy", "a.tif"):
+        assert l3("render", table, tmp_path / name, "-o", tmp_path / name.replace(".", "_"), *FAST) == (0, "", "")
+    ours, theirs = pictures(tmp_path / "a_tif"), pictures(tmp_path / "a_npy")
+    assert list(ours) == [f"a_{number:06d}.png" for number in range(COUNT)]
+    assert all(np.array_equal(ours[name], theirs[name]) for name in theirs)
+
+
+def test_pages_are_chosen_by_number_and_become_videos(l3, tmp_path: Path, table: Path) -> None:
+    stack = write_pages(tmp_path / "a.tiff", frames())
+    assert l3("render", table, stack, "-o", tmp_path / "%d.png", "--frames", "1-4x3", *FAST) == (0, "", "")
+    assert sorted(path.name for path in tmp_path.glob("*.png")) == ["1.png", "4.png"]
+    assert l3("render", table, stack, "-o", tmp_path / "a.mp4", *FAST) == (0, "", "")
+    code, _, err = l3("render", table, stack, "-o", tmp_path / "x.png", *FAST)
+    assert (code, "the inputs are 5 frames" in err) == (2, True)
+
+
+def test_pages_are_read_one_by_one_in_any_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write_pages(tmp_path / "a.tif", frames())
+    for trusting in ("0", "1"):
+        monkeypatch.setenv(TRUST, trusting)
+        assert count_pages(path) == COUNT
+        for number in (3, 0, 4, 4, 1):
+            np.testing.assert_array_equal(read_page(path, number)[0], frames()[number])
+    other = write_pages(tmp_path / "b.tif", frames()[::-1])
+    np.testing.assert_array_equal(read_page(other, 0)[0], frames()[-1])
+    write_pages(path, frames()[::-1])  # another file takes the name
+    np.testing.assert_array_equal(read_page(path, 0)[0], frames()[-1])
+
+
+def test_a_tiff_of_one_page_is_a_frame_as_before(l3, tmp_path: Path, table: Path) -> None:
+    write_mosaic(tmp_path / "a.tif", frames()[0])
+    assert count_pages(tmp_path / "a.tif") == 1
+    assert l3("render", table, tmp_path / "a.tif", "-o", tmp_path / "out", *FAST) == (0, "", "")
+    assert list(pictures(tmp_path / "out")) == ["a.png"]
+
+
+def with_thumbnail(path: Path) -> None:
+    with tifffile.TiffWriter(path) as file:
+        file.write(frames()[0], **PLAIN)
+        file.write(frames()[0][::4, ::4], subfiletype=1, **PLAIN)
+
+
+def with_mask(path: Path) -> None:
+    with tifffile.TiffWriter(path) as file:
+        file.write(frames()[0], **PLAIN)
+        file.write(frames()[0], subfiletype=2, **PLAIN)
+    with tifffile.TiffFile(path, mode="r+") as file:
+        file.pages[1].tags["NewSubfileType"].overwrite(4)
+
+
+def with_colours(path: Path) -> None:
+    write_pages(path, [frames()[0], np.zeros((20, 28, 3), np.uint16)], photometric=None)
+
+
+def with_full_subfile(path: Path) -> None:
+    with tifffile.TiffWriter(path) as file:
+        file.write(frames()[0], subifds=1, **PLAIN)
+        file.write(frames()[1], **PLAIN)
+
+
+def cut_chain(path: Path) -> None:
+    write_pages(path, frames(), compression="zlib")
+    content = path.read_bytes()
+    with tifffile.TiffFile(path) as file:
+        path.write_bytes(content[: file.pages[3].offset + 4])
+
+
+def round_chain(path: Path) -> None:
+    write_pages(path, frames())
+    with tifffile.TiffFile(path) as file:
+        offsets = [page.offset for page in file.pages]
+    content = bytearray(path.read_bytes())
+    at = offsets[2] + 2 + 12 * int.from_bytes(content[offsets[2] : offsets[2] + 2], "little")
+    content[at : at + 4] = offsets[0].to_bytes(4, "little")
+    path.write_bytes(content)
+
+
+ODD: dict[str, tuple[Callable[[Path], object], str]] = {
+    "thumbnail": (with_thumbnail, "page 2 "),
+    "mask": (with_mask, "page 2 "),
+    "another size": (lambda path: write_pages(path, [*frames()[:2], frames()[2][:-2]]), "page 3 "),
+    "another depth": (lambda path: write_pages(path, [frames()[0], (frames()[1] >> 4).astype(np.uint8)]), "page 2 "),
+    "colours": (with_colours, "page 2 "),
+    "a subfile": (with_full_subfile, "beside its pages"),
+    "ImageJ without pages": (
+        lambda path: tifffile.imwrite(path, frames(), imagej=True, truncate=True), "5 frames but has 1 page"
+    ),
+    "tifffile without pages": (
+        lambda path: tifffile.imwrite(path, frames(), photometric="minisblack", truncate=True), "5 frames but has 1 page"
+    ),
+    "cut": (cut_chain, "damaged"),
+    "round": (round_chain, "damaged"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", ODD)
+def test_pages_of_another_kind_are_refused_not_dropped(refused, tmp_path: Path, table: Path, kind: str) -> None:
+    make, words = ODD[kind]
+    make(tmp_path / "a.tif")
+    for output in ("a.png", "out", "a.mp4"):
+        line = refused(3, "render", table, tmp_path / "a.tif", "-o", tmp_path / output, "--skip-bad", *FAST)
+        assert "a.tif" in line
+        assert words in line
+
+
+def test_a_smaller_copy_below_a_frame_is_no_frame(l3, tmp_path: Path, table: Path) -> None:
+    with tifffile.TiffWriter(tmp_path / "a.tif") as file:
+        for mosaic in frames():
+            file.write(mosaic, subifds=1, contiguous=False, **PLAIN)
+            file.write(mosaic[::4, ::4], subfiletype=1, **PLAIN)
+    assert l3("render", table, tmp_path / "a.tif", "-o", tmp_path / "out", *FAST) == (0, "", "")
+    assert len(pictures(tmp_path / "out")) == COUNT
+
+
+def test_a_description_of_another_picture_is_not_believed(tmp_path: Path) -> None:
+    for text in ('{"shape": [40, 56]}', '{"shape": [20, 28]}', '{"shape": []}', '{"shape": [,,]}', '{"shape": [0]}'):
+        path = write_pages(tmp_path / "a.tif", frames()[:1], description=text)
+        assert count_pages(path) == 1
+        assert read_image(path)[0].shape == (20, 28, 1)
+
+
+def test_elsewhere_a_file_has_one_picture(refused, tmp_path: Path, table: Path) -> None:
+    (tmp_path / "in").mkdir()
+    stack = write_pages(tmp_path / "in/a_1.tif", frames())
+    write_mosaic(tmp_path / "b_2.tif", frames()[0])
+    words = "holds more than one page"
+    assert words in refused(3, "render", table, stack, tmp_path / "b_2.tif", "-o", tmp_path / "out", *FAST)
+    assert words in refused(3, "render", table, tmp_path / "in", "-o", tmp_path / "out", *FAST)
+    assert words in refused(3, "render", table, tmp_path / "in/a_%d.tif", "-o", tmp_path / "out", *FAST)
+    for read in (read_image, lambda path: read_frame(path, (20, 28), 12)):
+        with pytest.raises(InputFileError, match=words):
+            read(stack)
+    hidden = tmp_path / "in/hidden.tif"
+    tifffile.imwrite(hidden, frames(), imagej=True, truncate=True)
+    with pytest.raises(InputFileError, match="5 frames but has 1 page"):
+        read_image(hidden)
+
+
+def test_a_picture_of_several_parts_is_refused(tmp_path: Path) -> None:
+    import OpenImageIO as oiio
+
+    specs = [oiio.ImageSpec(8, 6, 3, "half") for _ in range(2)]
+    for number, spec in enumerate(specs):
+        spec.attribute("oiio:subimagename", f"part {number}")
+    sink = oiio.ImageOutput.create(str(tmp_path / "a.exr"))
+    assert sink.open(str(tmp_path / "a.exr"), tuple(specs))
+    for number, spec in enumerate(specs):
+        assert number == 0 or sink.open(str(tmp_path / "a.exr"), spec, "AppendSubimage")
+        assert sink.write_image(np.zeros((6, 8, 3), np.float16))
+    sink.close()
+    with pytest.raises(InputFileError, match="holds more than one part"):
+        read_image(tmp_path / "a.exr")
+
+
+def test_bands_in_pages_are_still_read(tmp_path: Path) -> None:
+    from l3cli.io.cubes import read_channels
+
+    write_pages(tmp_path / "a.tif", frames())
+    np.testing.assert_array_equal(read_channels(tmp_path / "a.tif").values, np.moveaxis(frames(), 0, 2))
+    write_picture(tmp_path / "b.tif", np.zeros((20, 28, 3), np.uint8))
+    assert read_channels(tmp_path / "b.tif").values.shape == (20, 28, 3)
+    tifffile.imwrite(tmp_path / "c.tif", frames(), photometric="minisblack", description=json.dumps({"shape": [5, 20, 28]}))
+    assert read_channels(tmp_path / "c.tif").values.shape == (20, 28, 5)

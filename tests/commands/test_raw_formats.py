@@ -1,0 +1,459 @@
+"""Raw files of the field: packed dumps, graymaps, FITS, DNG and camera raws of any colour filter array."""
+
+import dataclasses
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from astropy.io import fits
+from hypothesis import given
+from hypothesis import strategies as st
+
+from l3cli.artifacts.store import save
+from l3cli.errors import InputFileError, RecipeError
+from l3cli.frame import with_one_black
+from l3cli.io.cfa_codes import channel_codes, find_phase
+from l3cli.io.fits_files import INSTALL
+from l3cli.io.frames import read_frame
+from l3cli.io.images import read_image
+from l3cli.io.packed import PACKED, PACKINGS, make_layout, row_bytes
+from l3cli.io.raw_files import KnownBetter, read_raw
+from l3cli.io.sequences import find_frames
+from tests.helpers.cameras import BAYER, FIVE_BAND
+from tests.helpers.dng_files import BYTE, LONG, RATIONAL, SHORT, SRATIONAL, lossless_jpeg, packed, write_dng
+from tests.helpers.tables import random_table
+
+RGGB = dataclasses.replace(random_table(BAYER, bits=12, black=64.0), camera_name="RGGB", rows=32, cols=40)
+X_TRANS = np.array(
+    [[1, 2, 1, 1, 0, 1], [0, 1, 0, 2, 1, 2], [1, 2, 1, 1, 0, 1], [1, 0, 1, 1, 2, 1], [2, 1, 2, 0, 1, 0], [1, 0, 1, 1, 2, 1]]
+)
+QUAD = np.kron(np.array([[0, 1], [1, 2]]), np.ones((2, 2), int))
+RGB = ("r", "g", "b")
+PATTERN = np.array([[0, 1], [1, 2]])
+
+
+@dataclasses.dataclass(frozen=True)
+class Sensor:
+    """What the readers ask of a table."""
+
+    channels: tuple[str, ...]
+    cfa: np.ndarray
+    rows: int = 32
+    cols: int = 40
+    black: float = 64.0
+    white: float = 4095.0
+
+    def dark_signal(self, exposure: float | None) -> float:
+        return 0.0
+
+
+def sensor(channels: tuple[str, ...], cfa: np.ndarray) -> Any:
+    return Sensor(channels, cfa.astype(np.uint8))
+
+
+@pytest.fixture
+def mosaic() -> np.ndarray:
+    return np.random.default_rng(0).integers(0, 4096, (RGGB.rows, RGGB.cols)).astype(np.uint16)
+
+
+@pytest.fixture
+def table(tmp_path: Path) -> Path:
+    save(RGGB, tmp_path / "table.h5")
+    return tmp_path / "table.h5"
+
+
+# ------------------------------------------------------------------------------------------------------ packed dumps
+
+
+def pack(values: np.ndarray, packing: str, stride: int | None = None) -> bytes:
+    """As MIPI CSI-2 describes it, pixel by pixel."""
+    if packing == "u16":
+        lines = [row.astype("<u2").tobytes() for row in values]
+    else:
+        bits, pixels = {"raw10": (10, 4), "raw12": (12, 2)}[packing]
+        lines = []
+        for row in values.tolist():
+            row += [0] * (-len(row) % pixels)
+            line = b""
+            for start in range(0, len(row), pixels):
+                group = row[start : start + pixels]
+                lower = sum((value & (2 ** (bits - 8) - 1)) << (bits - 8) * place for place, value in enumerate(group))
+                line += bytes(value >> (bits - 8) for value in group) + bytes([lower])
+            lines.append(line)
+    return b"".join(line.ljust(stride or 0, b"\xa5") for line in lines)
+
+
+@given(
+    packing=st.sampled_from(PACKINGS), rows=st.integers(1, 5), cols=st.integers(1, 23), padding=st.integers(0, 9),
+    seed=st.integers(0, 2**32),
+)  # fmt: skip
+def test_packed_values_come_back(packing, rows, cols, padding, seed):
+    bits = PACKED[packing].bits if packing in PACKED else 16
+    values = np.random.default_rng(seed).integers(0, 2**bits, (rows, cols)).astype(np.uint16)
+    stride = row_bytes(cols, packing) + padding
+    layout = make_layout((rows, cols), packing, stride)
+    content = pack(values, packing, stride)
+    assert len(content) == layout.frame_bytes
+    np.testing.assert_array_equal(layout.unpack(content), values)
+
+
+def test_the_bytes_of_the_standard():
+    """MIPI CSI-2, the figures of RAW10 and RAW12: P1…P4 upper bits, then all lower bits, P1 in the lowest."""
+    ten = make_layout((1, 4), "raw10", None).unpack(bytes([0x12, 0x34, 0x56, 0x78, 0b11_10_01_00]))
+    assert ten.tolist() == [[0x12 << 2, 0x34 << 2 | 1, 0x56 << 2 | 2, 0x78 << 2 | 3]]
+    assert make_layout((1, 2), "raw12", None).unpack(bytes([0xAB, 0x12, 0x3C])).tolist() == [[0xABC, 0x123]]
+
+
+def test_packed_files_and_stacks_render_as_their_values(l3, tmp_path, table, mosaic):
+    np.save(tmp_path / "a.npy", np.stack([mosaic >> 2, mosaic >> 3]))
+    levels = ("--black", 16, "--white-level", 1023, "--exposure", 0.8, "--backend", "reference", "--quiet")
+    assert l3("render", table, tmp_path / "a.npy", "-o", tmp_path / "truth", *levels) == (0, "", "")
+    content = [pack(values, "raw10", 64) for values in (mosaic >> 2, mosaic >> 3)]
+    (tmp_path / "a.raw10").write_bytes(b"".join(content))
+    (tmp_path / "a.bin").write_bytes(b"".join(content))
+    (tmp_path / "one.raw10").write_bytes(content[1])
+    layout = ("--stride", 64, *levels)
+    assert l3("render", table, tmp_path / "a.raw10", "-o", tmp_path / "out", *layout) == (0, "", "")
+    assert l3("render", table, tmp_path / "a.bin", "-o", tmp_path / "bin", "--packing", "raw10", *layout) == (0, "", "")
+    assert l3("render", table, tmp_path / "one.raw10", "-o", tmp_path / "one.png", *layout) == (0, "", "")
+    for number in (0, 1):
+        truth = read_image(tmp_path / f"truth/a_{number:06d}.png")[0]
+        np.testing.assert_array_equal(read_image(tmp_path / f"out/a_{number:06d}.png")[0], truth)
+        np.testing.assert_array_equal(read_image(tmp_path / f"bin/a_{number:06d}.png")[0], truth)
+    np.testing.assert_array_equal(read_image(tmp_path / "one.png")[0], truth)
+
+
+def test_a_packed_stream_renders(tmp_path, table, mosaic):
+    arguments = ["render", table, "-", "-o", tmp_path / "####.png", "--size", "32x40", "--packing", "raw12", "--stride", 64]
+    command = [sys.executable, "-c", "import sys; from l3cli.cli import run; sys.exit(run(sys.argv[1:]))"]
+    command += [str(each) for each in (*arguments, "--backend", "reference", "--quiet", "--exposure", 0.8)]
+    done = subprocess.run(command, input=pack(mosaic, "raw12", 64) * 2, capture_output=True, check=False)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert (tmp_path / "0000.png").read_bytes() == (tmp_path / "0001.png").read_bytes()
+
+
+def test_dumps_of_another_size_are_refused(refused, tmp_path, table):
+    (tmp_path / "a.raw12").write_bytes(bytes(1925))
+    line = refused(3, "render", table, tmp_path / "a.raw12", "-o", tmp_path / "a.png")
+    assert "1925 bytes, 32×40 raw12 values have 1920" in line
+    assert "--stride" in line
+    short = refused(2, "render", table, tmp_path / "a.raw12", "-o", tmp_path / "a.png", "--stride", 59)
+    assert "40 raw12 values has 60 bytes" in short
+    assert "raw14" in refused(2, "render", table, tmp_path / "a.raw12", "-o", tmp_path / "a.png", "--packing", "raw14")
+    with pytest.raises(RecipeError, match="no pixels"):
+        make_layout((0, 4), "raw10", None)
+
+
+# ---------------------------------------------------------------------------------------------------------- graymaps
+
+
+@given(
+    rows=st.integers(1, 6), cols=st.integers(1, 6), top=st.integers(1, 65535), seed=st.integers(0, 2**32),
+    gap=st.sampled_from([" ", "\n", "\r\n", "\t", "\n# made by hand\n", " #\n#\n "]),
+)  # fmt: skip
+def test_graymaps_keep_their_values(tmp_path_factory, rows, cols, top, seed, gap):
+    values = np.random.default_rng(seed).integers(0, top + 1, (rows, cols)).astype(np.uint16)
+    path = tmp_path_factory.mktemp("pgm") / "a.PGM"
+    header = gap.join(("P5", str(cols), str(rows), str(top))).encode() + b"\n"
+    path.write_bytes(header + values.astype(np.uint8 if top < 256 else ">u2").tobytes())
+    np.testing.assert_array_equal(read_raw(path, RGGB).values, values)
+
+
+def test_a_lab_may_write_graymaps(tmp_path, mosaic):
+    (tmp_path / "a.pgm").write_bytes(b"P5 40 32 4095\n" + mosaic.astype(">u2").tobytes())
+    np.testing.assert_array_equal(read_frame(tmp_path / "a.pgm", (32, 40), 12), mosaic)
+    with pytest.raises(InputFileError, match="more than 11 bits"):
+        read_frame(tmp_path / "a.pgm", (32, 40), 11)
+    with pytest.raises(InputFileError, match="32×40 pixels, the sensor 40×32"):
+        read_frame(tmp_path / "a.pgm", (40, 32), 12)
+    (tmp_path / "b.pgm").write_bytes(b"P5 2 1 255\nab")
+    with pytest.raises(InputFileError, match="uint8"):
+        read_frame(tmp_path / "b.pgm", (1, 2), 12)
+
+
+@pytest.mark.parametrize(
+    ("content", "word"),
+    [
+        (b"P2\n2 1\n9\n1 2\n", "in text"),
+        (b"P6 1 1 255\nabc", "no binary PGM"),
+        (b"", "no binary PGM"),
+        (b"P5 2 2 255\nabc", "truncated"),
+        (b"P5 2 2 255\nabcde", "more than one"),
+        (b"P5 0 2 255\n", "damaged"),
+        (b"P5 1 1 70000\naa", "damaged"),
+        (b"P5 2 1 9\n\x01\x0a", "at most 9"),
+        (b"P5 999999999 999999999 65535\n", "truncated"),
+    ],
+)
+def test_broken_graymaps_are_refused(refused, tmp_path, table, content, word):
+    (tmp_path / "a.pgm").write_bytes(content)
+    assert word in refused(3, "render", table, tmp_path / "a.pgm", "-o", tmp_path / "a.png")
+
+
+def test_a_folder_of_graymaps_is_a_sequence(l3, tmp_path, table, mosaic):
+    (tmp_path / "clip").mkdir()
+    for number in (9, 10):
+        (tmp_path / f"clip/{number}.pgm").write_bytes(b"P5 40 32 4095\n" + mosaic.astype(">u2").tobytes())
+    assert l3("render", table, tmp_path / "clip", "-o", tmp_path / "out", "--backend", "reference", "--quiet") == (0, "", "")
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["10.png", "9.png"]
+
+
+# -------------------------------------------------------------------------------------------------------------- FITS
+
+
+@pytest.mark.parametrize("name", ["a.fits", "a.fit", "a.FTS"])
+def test_fits_keeps_unsigned_values(tmp_path, mosaic, name):
+    mosaic[0, :2] = (0, 65535)
+    fits.writeto(tmp_path / name, mosaic)
+    frame = read_raw(tmp_path / name, RGGB)
+    np.testing.assert_array_equal(frame.values, mosaic)
+    assert (frame.black, frame.white, frame.phase) == (RGGB.black, RGGB.white, (0, 0))
+    fits.writeto(tmp_path / name, (mosaic >> 8).astype(np.uint8), overwrite=True)
+    np.testing.assert_array_equal(read_raw(tmp_path / name, RGGB).values, mosaic >> 8)
+
+
+def test_packed_fits_and_its_header(tmp_path, mosaic):
+    header = fits.Header({"BAYERPAT": "RGGB", "XBAYROFF": 1, "YBAYROFF": 0, "ROWORDER": "BOTTOM-UP"})
+    units = fits.HDUList([fits.PrimaryHDU(), fits.CompImageHDU(mosaic[::-1], header, compression_type="RICE_1")])
+    units.writeto(tmp_path / "a.fits")
+    frame = read_raw(tmp_path / "a.fits", RGGB)
+    np.testing.assert_array_equal(frame.values, mosaic)
+    assert frame.phase == (0, 1)
+    assert read_raw(tmp_path / "a.fits", RGGB, KnownBetter(phase=(1, 1))).phase == (1, 1)
+    fits.setval(tmp_path / "a.fits", "BAYERPAT", value="CMYG", ext=1)
+    with pytest.raises(InputFileError, match="colour filter array mc/gy, the table rg/gb"):
+        read_raw(tmp_path / "a.fits", RGGB)
+
+
+def test_a_fits_cube_is_a_sequence(tmp_path, mosaic):
+    fits.writeto(tmp_path / "a.fits", np.stack([mosaic, mosaic // 2, mosaic // 3]))
+    footage = find_frames((tmp_path / "a.fits",), RGGB, KnownBetter())
+    found = [(each.stem, each.read()) for each in footage.frames]
+    assert [stem for stem, _ in found] == ["a_000000", "a_000001", "a_000002"]
+    for divisor, (_, frame) in enumerate(found, 1):
+        np.testing.assert_array_equal(frame.values, mosaic // divisor)
+
+
+def test_broken_fits_is_refused(refused, tmp_path, table, mosaic, monkeypatch):
+    path, output = tmp_path / "a.fits", tmp_path / "a.png"
+    path.write_bytes(b"nothing")
+    assert "no FITS file" in refused(3, "render", table, path, "-o", output)
+    fits.writeto(path, mosaic, overwrite=True)
+    path.write_bytes(path.read_bytes()[:3000])
+    assert "damaged" in refused(3, "render", table, path, "-o", output)
+    for values, word in (
+        (mosaic / 2, "float64"),
+        (mosaic.astype(np.int16) - 9, "unsigned"),
+        (mosaic.astype("u4"), "uint32"),
+    ):
+        fits.writeto(path, values, overwrite=True)
+        assert word in refused(3, "render", table, path, "-o", output)
+    fits.HDUList([fits.PrimaryHDU()]).writeto(path, overwrite=True)
+    assert "no image" in refused(3, "render", table, path, "-o", output)
+    monkeypatch.setitem(sys.modules, "astropy.io", None)
+    monkeypatch.setenv("L3_TRUST", "1")  # the process that decodes has its own modules
+    assert INSTALL in refused(1, "render", table, path, "-o", output)
+
+
+# ----------------------------------------------------------------------------------------- the colour filter array
+
+
+@given(
+    st.sampled_from([(RGB, PATTERN), (RGB, X_TRANS), (("r", "g", "b", "ir"), np.array([[0, 1], [3, 2]])),
+                     (tuple("abcdefghijklmnop"), np.arange(16).reshape(4, 4)), (("r", "g", "b", "o", "c"), FIVE_BAND)]),
+    st.integers(0, 20), st.integers(0, 20),
+)  # fmt: skip
+def test_phase_of_our_own_codes(case, row, col):
+    channels, cfa = case
+    ours = sensor(channels, np.asarray(cfa))
+    seen = np.roll(channel_codes(channels)[cfa], (-row, -col), axis=(0, 1))
+    found = find_phase("f", seen, ours)
+    np.testing.assert_array_equal(np.roll(cfa, (-found[0], -found[1]), axis=(0, 1)), np.roll(cfa, (-row, -col), axis=(0, 1)))
+
+
+def test_codes_are_those_of_the_standard():
+    assert channel_codes(("Red", "g", "B", "cyan", "M", "y", "white", "ir", "r")).tolist() == [0, 1, 2, 3, 4, 5, 6, 14, 15]
+
+
+def test_what_another_writer_calls_infrared():
+    ours = sensor(("r", "g", "b", "ir"), np.array([[0, 1], [3, 2]]))
+    assert find_phase("f", np.array([[9, 2], [0, 1]]), ours) == (1, 0)
+
+
+@pytest.mark.parametrize(
+    ("channels", "cfa", "pattern", "word"),
+    [
+        (RGB, PATTERN, QUAD, r"rrgg/rrgg/ggbb/ggbb, the table rg/gb.*--phase"),
+        (RGB, QUAD, PATTERN, r"rg/gb, the table rrgg"),
+        (RGB, X_TRANS, PATTERN, r"rg/gb, the table gb"),
+        (RGB, PATTERN, np.array([[0, 1], [2, 1]]), r"rg/bg"),
+        (("r", "g", "b", "w"), np.array([[0, 1], [3, 2]]), PATTERN, r"the table rg/wb"),
+        (("one", "two"), np.array([[0, 1], [1, 0]]), np.array([[0, 1], [1, 0]]), r"several sites.*--phase"),
+        (RGB, PATTERN, np.zeros((17, 2), int), r"17×2"),
+    ],
+)
+def test_another_array_is_refused(channels, cfa, pattern, word):
+    with pytest.raises(InputFileError, match=word):
+        find_phase("f", pattern, sensor(channels, np.asarray(cfa)))
+
+
+# --------------------------------------------------------------------------------------------------------------- DNG
+
+
+def tiles(values: np.ndarray, size: tuple[int, int], encode: Callable[[np.ndarray], bytes]) -> list[bytes]:
+    rows, cols = (-(-length // step) * step for length, step in zip(values.shape, size, strict=True))
+    whole = np.pad(values, ((0, rows - values.shape[0]), (0, cols - values.shape[1])), mode="edge")
+    starts = [(row, col) for row in range(0, rows, size[0]) for col in range(0, cols, size[1])]
+    return [encode(whole[row : row + size[0], col : col + size[1]]) for row, col in starts]
+
+
+def read_bayer(path: Path, phase: tuple[int, int] | None = None) -> Any:
+    return read_raw(path, RGGB, KnownBetter(phase=phase))
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("bits", [8, 10, 12, 14, 16])
+def test_packed_dng(tmp_path, bits, order):
+    values = np.random.default_rng(bits).integers(0, 2**bits, (23, 33)).astype(np.uint16)
+    cfa = channel_codes(("r", "g", "b", "o", "c"))[FIVE_BAND]
+    known = {50714: (SHORT, [7]), 50717: (LONG, [200])}
+    frame = read_raw(write_dng(tmp_path / "a.dng", values, cfa, bits, order, tags=known), random_table(FIVE_BAND, patch=9))
+    np.testing.assert_array_equal(frame.values, values)
+    assert (frame.black, frame.white, frame.phase) == (7, 200, (0, 0))
+
+
+def test_compressed_and_divided_dng(tmp_path, mosaic):
+    def tiled(bits: int, compression: int, encode: Callable[[np.ndarray], bytes]) -> Path:
+        strips = tiles(mosaic, (16, 16), encode)
+        lengths = (LONG, [len(strip) for strip in strips])
+        tags = {259: (SHORT, [compression]), 322: (LONG, [16]), 323: (LONG, [16]), 324: (LONG, [0] * 6), 325: lengths}
+        return write_dng(tmp_path / "a.dng", mosaic, PATTERN, bits, strips=strips, tags=tags)
+
+    strips = [packed(mosaic[start : start + 8], 12, "<") for start in range(0, 32, 8)]
+    divided = {278: (LONG, [8])}
+    for path in (
+        lambda: write_dng(tmp_path / "a.dng", mosaic, PATTERN, strips=[lossless_jpeg(mosaic)], tags={259: (SHORT, [7])}),
+        lambda: write_dng(tmp_path / "a.dng", mosaic, PATTERN, 12, strips=strips, tags=divided),
+        lambda: tiled(16, 7, lossless_jpeg),
+        lambda: tiled(12, 1, lambda tile: packed(tile, 12, "<")),
+    ):
+        np.testing.assert_array_equal(read_bayer(path()).values, mosaic)
+    write_dng(tmp_path / "a.dng", mosaic, PATTERN, 12, strips=strips, gap=2, tags=divided)
+    with pytest.raises(InputFileError, match="strips"):
+        read_bayer(tmp_path / "a.dng")
+
+
+def test_masked_borders_crop_and_orientation(tmp_path, mosaic):
+    tags = {
+        50829: (SHORT, [3, 4, 29, 39]),  # active area: top, left, bottom, right
+        50719: (RATIONAL, [5, 1, 2, 1]),  # crop origin: across, down
+        50720: (SHORT, [15, 10]),
+        274: (SHORT, [6]),
+    }
+    frame = read_bayer(write_dng(tmp_path / "a.dng", mosaic, PATTERN, tags=tags))
+    np.testing.assert_array_equal(frame.values, mosaic[5:15, 9:24])
+    assert frame.phase == (0, 1)  # two rows down and five columns across from the corner of the active area
+    assert frame.orientation == 6  # LibRaw's code of a quarter turn to the right
+    assert read_bayer(tmp_path / "a.dng", (1, 0)).phase == (1, 0)
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_orientation_is_that_of_libraw(tmp_path, mosaic, orientation):
+    import rawpy
+
+    path = write_dng(tmp_path / "a.dng", mosaic, PATTERN, tags={274: (SHORT, [orientation])})
+    with rawpy.imread(str(path)) as raw:
+        assert read_bayer(path).orientation == raw.sizes.flip
+
+
+def test_black_levels_that_differ_become_one(tmp_path):
+    values = np.full((32, 40), 1000, np.uint16)
+    values[1, 1] = 4000
+    columns, rows = [2 * (col % 3) for col in range(36)], [1, 0] * 14
+    tags = {
+        50829: (SHORT, [4, 4, 32, 40]),
+        50713: (SHORT, [2, 2]),
+        50714: (RATIONAL, [60, 1, 64, 1, 68, 1, 128, 2]),
+        50715: (SRATIONAL, [part for step in columns for part in (step, 1)]),
+        50716: (SRATIONAL, [part for step in rows for part in (step, 1)]),
+    }
+    frame = read_bayer(write_dng(tmp_path / "a.dng", values, PATTERN, tags=tags))
+    black = np.tile([[60, 64], [68, 64]], (14, 18)) + np.array(columns) + np.array(rows)[:, None]
+    np.testing.assert_array_equal(frame.values - frame.black, 1000 - black)
+    assert frame.black == round(black.mean())
+    assert frame.white - frame.black == 4000 - black.max()  # the pixel that saturates first
+
+
+def test_saturation_survives_levelling():
+    black, white = np.array([[96.0, 104.0]]), np.array([[1000.0, 1000.0]])
+    values, common, top = with_one_black(np.array([[1000, 1000], [96, 104]], np.uint16), black, white)
+    assert (common, top) == (100, 996)
+    assert values.tolist() == [[1004, 996], [100, 100]]
+    assert with_one_black(values, np.array([[64.5]]), np.array(900.0))[1:] == (64.5, 900.0)
+
+
+def test_linearisation_table_is_applied(tmp_path, mosaic):
+    curve = (np.arange(4096) ** 2 // 256).tolist()
+    path = write_dng(tmp_path / "a.dng", mosaic, PATTERN, 12, tags={50712: (SHORT, curve), 50717: (LONG, [65000])})
+    np.testing.assert_array_equal(read_bayer(path).values, np.array(curve)[mosaic])
+
+
+@pytest.mark.parametrize(
+    ("tags", "word"),
+    [
+        ({33421: (SHORT, [4, 4]), 33422: (BYTE, QUAD.ravel().tolist())}, "rrgg/rrgg/ggbb/ggbb, the table rg/gb"),
+        ({50829: (SHORT, [8, 0, 33, 40])}, "active area"),
+        ({50720: (SHORT, [41, 24])}, "crop"),
+        ({50714: (SHORT, [4000])}, "black levels are not below its white level"),
+        ({50715: (SRATIONAL, [1, 1])}, "instead of 40"),
+        ({50714: (RATIONAL, [1, 0])}, "tags are damaged"),
+        ({50711: (SHORT, [2])}, "staggered"),
+        ({33421: (SHORT, [0, 4])}, "tags are damaged"),
+        ({33421: (SHORT, [65535, 65535])}, "tags are damaged"),
+        ({50713: (SHORT, [65535, 65535])}, "tags are damaged"),
+        ({274: (SHORT, [99])}, "tags are damaged"),
+    ],
+)
+def test_a_dng_that_does_not_fit_is_refused(refused, tmp_path, table, mosaic, tags, word):
+    write_dng(tmp_path / "a.dng", mosaic, PATTERN, tags=tags)
+    assert word in refused(3, "render", table, tmp_path / "a.dng", "-o", tmp_path / "a.png")
+
+
+# ------------------------------------------------------------------------------------------------- camera raws by LibRaw
+
+
+@pytest.mark.parametrize("name", ["a.raf", "a.nef"])
+def test_libraw_tells_the_phase_of_any_array_it_knows(tmp_path, mosaic, name):
+    """LibRaw goes by a file's content, so that a DNG under a camera's suffix takes the way of the camera's raws."""
+    tags = {50829: (SHORT, [4, 6, 30, 38])}
+    cfa = X_TRANS if name == "a.raf" else PATTERN
+    path = write_dng(tmp_path / name, mosaic, np.roll(cfa, (-1, -1), axis=(0, 1)), tags=tags)
+    frame = read_raw(path, sensor(RGB, cfa))
+    np.testing.assert_array_equal(frame.values, mosaic[4:30, 6:38])
+    assert (frame.phase, frame.black, frame.white) == ((1, 1), 64, 4000)
+    with pytest.raises(InputFileError, match="--phase"):
+        read_raw(path, sensor(RGB, QUAD))
+    assert read_raw(path, sensor(RGB, QUAD), KnownBetter(phase=(2, 3))).phase == (2, 3)
+
+
+@pytest.mark.parametrize("name", ["a.dng", "a.nef"])
+def test_a_sensor_without_filters(tmp_path, mosaic, name):
+    bare = {"tags": {262: (SHORT, [34892])}, "drop": (33421, 33422, 50710)}
+    path = write_dng(tmp_path / name, mosaic, np.array([[0]]), **bare)
+    frame = read_raw(path, sensor(("clear",), np.array([[0]])))
+    np.testing.assert_array_equal(frame.values, mosaic)
+    with pytest.raises(InputFileError, match="array w, the table rg/gb"):
+        read_bayer(path)
+
+
+def test_libraw_black_levels_of_the_colours_become_one(tmp_path, mosaic):
+    tags = {50713: (SHORT, [2, 2]), 50714: (SHORT, [60, 64, 66, 70])}
+    mosaic = np.maximum(mosaic, 100)
+    frame = read_bayer(write_dng(tmp_path / "a.nef", mosaic, PATTERN, tags=tags))
+    black = np.tile([[60, 64], [66, 70]], (16, 20))
+    np.testing.assert_array_equal(frame.values - frame.black, mosaic - black)
+    assert frame.white - frame.black == 3930

@@ -1,0 +1,203 @@
+"""README holds what it says: its commands are complete and run, what it shows is what is printed, what it names is there."""
+
+import dataclasses
+import glob
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import click
+import pytest
+
+from l3cli import recipes
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera_recipe import CameraRecipe, load_camera
+from l3cli.artifacts.partial_sums import PartialSums
+from l3cli.artifacts.store import load
+from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.training_set import GROUPS, TrainingSet
+from l3cli.cli import COMMANDS, l3
+from l3cli.config import TELLING, Recipe, load_recipe
+from l3cli.io.measurements import MeasurementRecipe
+from l3cli.simulation.lab import LabRecipe
+from l3cli.simulation.recipe import SceneRecipe
+from l3cli.training.recipe import TrainingRecipe
+from tests.helpers.paths import CONFIGS
+from tests.helpers.readme import README, commands, sessions
+
+ROOT = CONFIGS.parent
+RECIPES: dict[str, type[Recipe]] = {
+    "cameras": CameraRecipe, "lab": LabRecipe, "scenes": SceneRecipe, "classes": TrainingRecipe,
+}  # fmt: skip
+SHOWN = [line[4:] for line in README.splitlines() if line.startswith("    ")]  # what stands in blocks of commands
+LINES = [line.removeprefix("$ ") for line in SHOWN if re.match(r"(\$ )?(l3 |.*\| l3 )", line)]
+
+
+def command(name: str) -> click.Command:
+    found = l3.get_command(click.Context(l3), name)
+    assert found is not None, f"l3 {name}"
+    return found
+
+
+# ------------------------------------------------------------------------------------------------------- commands
+
+
+@pytest.mark.parametrize("line", LINES)
+def test_every_command_shown_is_complete(line: str) -> None:
+    found = commands(line)
+    assert found, line
+    for name, *arguments in found:
+        command(name).make_context(name, arguments)  # a click.UsageError tells what is wrong or missing
+
+
+def test_there_are_enough_of_them() -> None:
+    assert len(LINES) >= 20
+    assert {name for line in LINES for name, *_ in commands(line)} >= {*COMMANDS} - {"compare", "info", "bench", "init"}
+
+
+def test_the_table_of_commands_has_all_of_them_in_order() -> None:
+    listed = re.findall(r"^\| `l3 ([a-z]+) ?", README, re.MULTILINE)
+    assert listed == list(COMMANDS)
+    for first, *cells in (row.split("|")[1:] for row in README.splitlines() if row.startswith("| `l3 ")):
+        _require_options(first, " ".join(cells))
+
+
+def _require_options(call: str, cells: str) -> None:
+    name = re.findall(r"l3 ([a-z]+)", call)[0]
+    for option in re.findall(r"--[a-z][a-z-]+", call + cells):
+        assert option in options_of(name), f"l3 {name} has no {option}"
+
+
+def options_of(name: str) -> set[str]:
+    return {word for parameter in command(name).params for word in (*parameter.opts, *parameter.secondary_opts)}
+
+
+def test_every_option_named_in_passing_exists() -> None:
+    known = {"--help", "--version"}.union(*(options_of(name) for name in COMMANDS))
+    named = {option for code in re.findall(r"`([^`\n]+)`", README) for option in re.findall(r"(?<!\S)--[a-z][a-z-]+", code)}
+    assert len(named) > 15
+    assert named <= known | {"--cores", "--executor"}  # of snakemake
+
+
+# ----------------------------------------------------------------------------------------------- the worked example
+
+
+def shape(line: str) -> str:
+    """A line without its numbers and its spacing."""
+    return " ".join(re.sub(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?", "#", line).split())
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of configs/ whose recipes are the same but small."""
+    folder = tmp_path_factory.mktemp("readme")
+    shutil.copytree(CONFIGS, folder / "configs")
+    smaller = {
+        "cameras/fiveband.toml": {r"rows = \d+": "rows = 192", r"cols = \d+": "cols = 256"},
+        "scenes/default.toml": {r"size = \[160, 160\]": "size = [64, 64]", r"count = 60": "count = 8"},
+        "scenes/demo_unseen.toml": {r"size = \[720, 1280\]": "size = [160, 240]"},
+        "classes/default.toml": {r"patches = 60000": "patches = 3000"},
+    }
+    for name, changes in smaller.items():
+        path = folder / "configs" / name
+        text = path.read_text()
+        for old, new in changes.items():
+            text, count = re.subn(old, new, text)
+            assert count == 1, (name, old)
+        path.write_text(text)
+    return folder
+
+
+def test_the_worked_example_prints_what_is_shown(small: Path, l3: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(small)
+    monkeypatch.setattr(recipes, "recipe_folder", lambda: small / "configs")
+    session, *_ = sessions()
+    assert [commands(line)[0][0] for line, _ in session] == [
+        "lab", "calibrate", "simulate", "train", "simulate", "render", "evaluate",
+    ]  # fmt: skip
+    for line, shown in session:
+        alone = line.replace(" --jobs 2", "")  # processes take longer to start than this takes
+        words = [each for word in commands(alone)[0] for each in (sorted(glob.glob(word)) if "*" in word else [word])]
+        code, out, err = l3(*words)
+        assert code == 0, err
+        printed = [shape(each) for each in (out + err).splitlines()]
+        for each in shown:
+            if each.strip() != "…":
+                assert shape(each) in printed, f"{line} does not print: {each}"
+    assert load(CameraModel, small / "camera.h5").channels == load_camera(small / "configs/cameras/fiveband.toml").channels
+    assert (small / "rendered.png").stat().st_size > 1000
+
+
+# ------------------------------------------------------------------------------------------------- files and links
+
+
+def test_links_lead_somewhere() -> None:
+    for target in re.findall(r"\]\(([^)#]+)\)", README):
+        if target.startswith("build/"):
+            made = (ROOT / "Makefile").read_text().replace("$(DEMO)", "build/demo")
+            assert target in made, f"make demo does not make {target}"
+        elif "://" not in target:
+            assert (ROOT / target).exists(), target
+
+
+def test_files_named_exist() -> None:
+    named = set(re.findall(r"(?<![\w/.])((?:configs|tests|opencl|l3cli|\.ci)/[\w./-]*\w)", README))
+    assert len(named) > 15
+    for name in sorted(named):
+        assert (ROOT / name).exists(), name
+    for module in re.findall(r"`([a-z_]+)\.(?:py|html|css)`", README):
+        assert list((ROOT / "l3cli").rglob(f"{module}.*")), module
+
+
+def test_make_targets_named_exist() -> None:
+    texts = (ROOT / "Makefile").read_text() + (CONFIGS / "pipelines/Makefile").read_text()
+    targets = set(re.findall(r"^([a-z-]+):", texts, re.MULTILINE))
+    named = set(re.findall(r"`make ([a-z]+)`", README)) | set(re.findall(r"^    make ([a-z]+)", README, re.MULTILINE))
+    assert named >= {"demo", "test", "bench"}
+    assert named <= targets
+
+
+def test_the_trees_of_artifacts_name_what_there_is() -> None:
+    known = {"frames", "pairs", "history"}
+    for kind in (CameraModel, TrainingSet, TransformTable, PartialSums, *GROUPS.values()):
+        known |= fields(kind)
+    block = [line for line in SHOWN if re.search("[├└]─", line)]
+    cells = [cell for line in block for cell in re.findall(r"[├└]─ (.*?)(?:\s{2,}|$)", line)]
+    named = {word for cell in cells for word in re.findall(r"(?:^|, )([a-z_]+)", re.sub(r"\(.*?\)", "", cell))}
+    assert len(named) > 35
+    assert named <= known, named - known
+
+
+def fields(kind: type) -> set[str]:
+    """Names of a dataclass's fields, and of those of the groups below it."""
+    found = set()
+    for field in dataclasses.fields(kind):
+        found.add(field.name)
+        below = [each for each in (field.type, *getattr(field.type, "__args__", ())) if dataclasses.is_dataclass(each)]
+        for each in below:
+            found |= fields(each)
+    return found
+
+
+def test_the_architecture_names_every_module_of_the_lower_floors() -> None:
+    for path in (ROOT / "l3cli").glob("*.py"):
+        if path.stem != "__init__":
+            assert path.name in README, path.name
+
+
+# -------------------------------------------------------------------------------------------------------- recipes
+
+
+@pytest.mark.parametrize("path", sorted(CONFIGS.rglob("*.toml")), ids=lambda path: str(path.relative_to(CONFIGS)))
+def test_every_recipe_is_of_its_kind(path: Path) -> None:
+    kind = RECIPES[path.parent.name]
+    load_camera(path) if kind is CameraRecipe else load_recipe(path, kind)
+
+
+def test_keys_that_tell_a_kind_of_recipe_belong_to_it_alone() -> None:
+    kinds = (*RECIPES.values(), MeasurementRecipe)
+    assert {kind.title for kind in kinds} == set(TELLING)
+    for title, keys in TELLING.items():
+        for key in keys:
+            assert [kind.title for kind in kinds if key in kind.__struct_fields__] == [title], key

@@ -1,0 +1,376 @@
+"""`l3 render` and its files: raw files in, pictures out, and one clear line for everything that cannot be."""
+
+import dataclasses
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+
+from l3cli import cli
+from l3cli.artifacts.store import save
+from l3cli.errors import RecipeError
+from l3cli.files import sha256
+from l3cli.frame import RawFrame
+from l3cli.io import raw_files
+from l3cli.io.images import check_format, read_image, write_linear, write_picture
+from l3cli.io.raw_files import KnownBetter, read_raw
+from l3cli.physics import spectra
+from l3cli.physics.display import adaptation_matrix, scene_white, srgb_from_xyz_matrix
+from l3cli.rendering import opencl_devices
+from l3cli.rendering.display import make_display
+from l3cli.rendering.reference import ReferenceRenderer
+from tests.helpers.cameras import BAYER
+from tests.helpers.tables import XYZ, random_table
+
+ENDING = (signal.SIGALRM, signal.SIGINT, signal.SIGTERM)
+
+RGGB = dataclasses.replace(random_table(BAYER, bits=14, black=512.0), camera_name="RGGB")
+
+
+@pytest.fixture
+def mosaic() -> np.ndarray:
+    return np.random.default_rng(0).integers(0, 2**14, (RGGB.rows, RGGB.cols)).astype(np.uint16)
+
+
+@pytest.fixture
+def table(tmp_path) -> Path:
+    save(RGGB, tmp_path / "table.h5")
+    return tmp_path / "table.h5"
+
+
+@pytest.fixture
+def raw(tmp_path, mosaic) -> Path:
+    np.save(tmp_path / "frame.npy", mosaic)
+    return tmp_path / "frame.npy"
+
+
+# ---------------------------------------------------------------------------------------------------- image files
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.tif", "a.TIFF"])
+@pytest.mark.parametrize("bits", [8, 16])
+def test_lossless_pictures_come_back_as_written(tmp_path, name, bits):
+    picture = np.random.default_rng(0).integers(0, 2**bits, (5, 7, 3)).astype(f"uint{bits}")
+    write_picture(tmp_path / name, picture)
+    pixels, names = read_image(tmp_path / name)
+    np.testing.assert_array_equal(pixels, picture)
+    assert (pixels.dtype, names) == (picture.dtype, ("R", "G", "B"))
+
+
+def test_jpeg_comes_back_alike(tmp_path):
+    ramp = np.linspace(0, 255, 64).astype(np.uint8)
+    picture = np.stack(
+        [np.broadcast_to(ramp, (32, 64)), np.full((32, 64), 90, np.uint8), np.full((32, 64), 200, np.uint8)], -1
+    )
+    write_picture(tmp_path / "a.jpg", picture)
+    pixels, _ = read_image(tmp_path / "a.jpg")
+    assert np.abs(pixels.astype(int) - picture).max() <= 4  # quality 95, no chroma subsampling
+
+
+def test_exr_keeps_floats_and_names(tmp_path):
+    pixels = np.random.default_rng(0).normal(size=(5, 7, 3)).astype(np.float32) * 3
+    write_linear(tmp_path / "a.exr", pixels, XYZ)
+    back, names = read_image(tmp_path / "a.exr")
+    assert (names, back.dtype) == (XYZ, np.float32)
+    np.testing.assert_array_equal(back, pixels)
+    write_linear(tmp_path / "b.exr", pixels[..., :2], ("nir", "leaf"))
+    back, names = read_image(tmp_path / "b.exr")
+    np.testing.assert_array_equal(back[..., [names.index("nir"), names.index("leaf")]], pixels[..., :2])
+
+
+def test_pictures_say_that_they_are_srgb(tmp_path):
+    write_picture(tmp_path / "a.png", np.zeros((2, 2, 3), np.uint8))
+    assert b"sRGB" in (tmp_path / "a.png").read_bytes()
+    for name in ("a.tif", "a.jpg"):
+        write_picture(tmp_path / name, np.zeros((2, 2, 3), np.uint8))
+        tagged = oiio.ImageInput.open(str(tmp_path / name)).spec()["oiio:ColorSpace"]
+        assert "srgb" in str(tagged).lower()
+
+
+def test_an_interrupted_picture_leaves_no_complaints(tmp_path, capfd):
+    """A signal at any moment: the PNG library would tell stderr that half a picture is one."""
+    picture, before = np.zeros((2, 2, 3), np.uint8), {each: signal.getsignal(each) for each in ENDING}
+    ends = 0
+    try:
+        for moment in np.linspace(2e-6, 2e-4, 100):
+            for each in ENDING:
+                signal.signal(each, cli._end)
+            try:
+                signal.setitimer(signal.ITIMER_REAL, moment)
+                write_picture(tmp_path / "picture.png", picture)
+                time.sleep(0.2)  # it may have had to wait
+            except cli.Terminated:
+                ends += 1
+    finally:
+        for each in ENDING:
+            signal.signal(each, before[each])
+    assert ends == 100
+    assert capfd.readouterr().err == ""
+
+
+def test_formats_that_cannot_be_are_refused():
+    for name, bits in (("a.gif", 8), ("a", 8), ("a.jpg", 16)):
+        with pytest.raises(RecipeError, match=r"\.png"):
+            check_format(Path(name), bits)
+
+
+# ------------------------------------------------------------------------------------------------------ raw files
+
+
+def write_mono(path: Path, values: np.ndarray, kind: str = "uint16", **attributes: int) -> Path:
+    spec = oiio.ImageSpec(values.shape[1], values.shape[0], 1, kind)
+    for key, value in attributes.items():
+        spec.attribute(key.replace("__", ":"), value)
+    sink = oiio.ImageOutput.create(str(path))
+    assert sink.open(str(path), spec)
+    assert sink.write_image(values[..., None])
+    sink.close()
+    return path
+
+
+def test_plain_files_hold_the_same_frame(tmp_path, mosaic, raw):
+    mosaic.astype("<u2").tofile(tmp_path / "a.raw")
+    mosaic.astype("<u2").tofile(tmp_path / "a.bin")
+    paths = [raw, tmp_path / "a.raw", tmp_path / "a.bin"]
+    paths += [write_mono(tmp_path / name, mosaic) for name in ("a.tif", "a.png")]
+    for path in paths:
+        frame = read_raw(path, RGGB)
+        np.testing.assert_array_equal(frame.values, mosaic)
+        assert (frame.black, frame.white, frame.phase) == (RGGB.black, RGGB.white, (0, 0))
+
+
+def test_narrow_files_keep_their_values(tmp_path, mosaic):
+    eight = (mosaic >> 6).astype(np.uint8)
+    np.save(tmp_path / "a.npy", eight)
+    np.save(tmp_path / "big.npy", mosaic.astype(">u2"))
+    np.testing.assert_array_equal(read_raw(tmp_path / "a.npy", RGGB).values, eight)
+    np.testing.assert_array_equal(read_raw(tmp_path / "big.npy", RGGB).values, mosaic)
+    np.testing.assert_array_equal(read_raw(write_mono(tmp_path / "a.png", eight, "uint8"), RGGB).values, eight)
+    twelve = write_mono(tmp_path / "a.tif", (mosaic & 0xFFF) << 4 | (mosaic & 0xFFF) >> 8, oiio__BitsPerSample=12)
+    np.testing.assert_array_equal(read_raw(twelve, RGGB).values, mosaic & 0xFFF)
+
+
+def test_what_the_caller_knows_better_wins(tmp_path, mosaic):
+    mosaic[:10, :6].tofile(tmp_path / "a.raw")
+    frame = read_raw(tmp_path / "a.raw", RGGB, KnownBetter(black=7.0, white=99.0, phase=(1, 3), size=(10, 6)))
+    assert (frame.values.shape, frame.black, frame.white, frame.phase) == ((10, 6), 7.0, 99.0, (1, 1))
+
+
+# --------------------------------------------------------------------------------------------------------- l3 render
+
+
+def expected_picture(mosaic: np.ndarray, white: str, scale: float, bits: int) -> np.ndarray:
+    frame = RawFrame("f", mosaic, RGGB.black, RGGB.white)
+    return ReferenceRenderer(RGGB).picture(frame, make_display(scene_white(white), scale, bits))
+
+
+@pytest.mark.parametrize("backend", ["opencl", "reference"])
+@pytest.mark.parametrize("bits", [8, 16])
+def test_render_writes_the_picture_of_the_reference(l3, tmp_path, table, raw, mosaic, backend, bits):
+    output = tmp_path / "new" / "a.png"
+    arguments = ("--backend", backend, "--bits", bits, "--exposure", 0.8, "--white", "A", "--quiet")
+    assert l3("render", table, raw, "-o", output, *arguments) == (0, "", "")
+    pixels, _ = read_image(output)
+    truth = expected_picture(mosaic, "A", 0.8, bits)
+    assert np.abs(pixels.astype(int) - truth).max() <= (1 if bits == 8 else 2)
+
+
+def test_automatic_exposure_shows_one_percent_white(l3, tmp_path, table, raw):
+    assert l3("render", table, raw, "-o", tmp_path / "a.png")[0] == 0
+    assert l3("render", table, raw, "-o", tmp_path / "a.exr")[0] == 0
+    planes, names = read_image(tmp_path / "a.exr")
+    assert names == XYZ
+    frame = RawFrame("f", np.load(raw), RGGB.black, RGGB.white)
+    exact = np.moveaxis(ReferenceRenderer(RGGB).exact_outputs(frame), 0, -1)
+    np.testing.assert_allclose(planes, exact, atol=1e-5)
+    display = make_display(RGGB.white_point, 1 / np.percentile(exact[..., 1], 99), 8)
+    truth = ReferenceRenderer(RGGB).picture(frame, display).astype(int)
+    assert np.abs(read_image(tmp_path / "a.png")[0] - truth).max() <= 1
+
+
+def test_the_same_input_gives_the_same_bytes(l3, tmp_path, table, raw):
+    suffixes = ("png", "tif", "jpg", "exr")
+    for name in ("a", "b"):
+        for suffix in suffixes:
+            assert l3("render", table, raw, "-o", tmp_path / f"{name}.{suffix}")[0] == 0
+        time.sleep(1.1)  # whatever writes the clock into a file writes another second
+    for suffix in suffixes:
+        assert sha256(tmp_path / f"a.{suffix}") == sha256(tmp_path / f"b.{suffix}")
+
+
+def test_several_inputs_fill_a_folder_and_failures_can_be_left_out(l3, tmp_path, table, raw, mosaic):
+    np.save(tmp_path / "second.npy", mosaic[:9, :11])
+    (tmp_path / "broken.npy").write_bytes(b"nothing")
+    inputs = (raw, tmp_path / "broken.npy", tmp_path / "second.npy")
+    code, out, err = l3("render", table, *inputs, "-o", tmp_path / "out", "--format", "tif", "--skip-bad", "--quiet")
+    assert (code, out, err.count("\n")) == (1, "", 2)
+    assert "broken.npy" in err
+    assert "1 of 3 frames" in err
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["frame.tif", "second.tif"]
+    assert read_image(tmp_path / "out/second.tif")[0].shape == (9, 11, 3)
+
+
+def test_picture_is_turned_upright(l3, tmp_path, table, mosaic, monkeypatch):
+    frame = RawFrame("f", mosaic[:6, :10], RGGB.black, RGGB.white, orientation=6)
+    monkeypatch.setattr(raw_files, "read_raw", lambda *_: frame)
+    for name in ("a.png", "a.exr"):
+        assert l3("render", table, "frame.dng", "-o", tmp_path / name)[0] == 0
+        assert read_image(tmp_path / name)[0].shape == (10, 6, 3)
+
+
+def test_existing_outputs_are_refused_before_any_work(refused, tmp_path, table, raw):
+    (tmp_path / "a.png").write_bytes(b"mine")
+    assert "--force" in refused(1, "render", "missing.h5", raw, "-o", tmp_path / "a.png")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "frame.png").write_bytes(b"mine")
+    assert "frame.png exists" in refused(1, "render", table, raw, tmp_path / "b.npy", "-o", tmp_path / "out")
+    assert "folder" in refused(2, "render", table, raw, tmp_path / "b.npy", "-o", tmp_path / "new.png")
+    assert (tmp_path / "a.png").read_bytes() == b"mine"
+
+
+def test_force_replaces(l3, tmp_path, table, raw):
+    (tmp_path / "a.png").write_bytes(b"mine")
+    assert l3("render", table, raw, "-o", tmp_path / "a.png", "--force")[0] == 0
+    assert read_image(tmp_path / "a.png")[0].shape == (RGGB.rows, RGGB.cols, 3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (("-o", "a.gif"), "a.gif"),
+        (("-o", "a.jpg", "--bits", 16), "8 bits"),
+        (("-o", "a.exr", "--exposure", 2), "--exposure"),
+        (("-o", "a.png", "--exposure", "bright"), "no number; give one within"),
+        (("-o", "a.png", "--exposure", -1), "the nearest is 1e-09"),
+        (("-o", "a.png", "--exposure", "nan"), "no number"),
+        (("-o", "a.png", "--white", "moonlight"), "moonlight"),
+        (("-o", "a.png", "--white", "0.5;0.2"), "0.5;0.2"),
+        (("-o", "a.png", "--phase", "1"), "ROW,COL"),
+        (("-o", "a.png", "--size", "3x-4"), "ROWSxCOLS"),
+        (("-o", "a.png", "--backend", "cuda"), "cuda"),
+        ((), "--output"),
+    ],
+)
+def test_wrong_calls_are_refused(refused, table, raw, tmp_path, monkeypatch, arguments, word):
+    monkeypatch.chdir(tmp_path)
+    assert word in refused(2, "render", table, raw, *arguments)
+
+
+def test_equal_names_are_refused(refused, table, raw, tmp_path):
+    assert "one by one" in refused(2, "render", table, raw, Path("elsewhere/frame.raw"), "-o", tmp_path / "out")
+
+
+def test_pictures_of_other_outputs_are_refused_but_exr_is_written(l3, refused, tmp_path, raw):
+    save(random_table(BAYER, bits=14, outputs=("nir", "leaf")), tmp_path / "bands.h5")
+    assert ".exr" in refused(2, "render", tmp_path / "bands.h5", raw, "-o", tmp_path / "a.png")
+    assert l3("render", tmp_path / "bands.h5", raw, "-o", tmp_path / "a.exr")[0] == 0
+    assert set(read_image(tmp_path / "a.exr")[1]) == {"nir", "leaf"}
+
+
+def test_broken_inputs_are_refused_in_one_line(refused, tmp_path, table, mosaic, raw):
+    output = tmp_path / "out.png"
+    inputs = {}
+
+    def made(name: str, content: bytes) -> None:
+        (tmp_path / name).write_bytes(content)
+
+    made("short.raw", b"\0" * 10)
+    inputs["short.raw"] = "--size"
+    made("text.dng", b"not a raw file")
+    inputs["text.dng"] = "LibRaw"
+    made("text.tif", b"not an image")
+    inputs["text.tif"] = "not an image"
+    made("text.npy", b"not an array")
+    inputs["text.npy"] = "numpy.save"
+    made("cut.npy", raw.read_bytes()[:500])
+    inputs["cut.npy"] = "numpy.save"
+    made("empty.npy", b"")
+    inputs["empty.npy"] = "numpy.save"
+    np.save(tmp_path / "float.npy", mosaic / 2)
+    inputs["float.npy"] = "uint16"
+    np.save(tmp_path / "cube.npy", mosaic[None, None])
+    inputs["cube.npy"] = "rows × columns"
+    np.save(tmp_path / "object.npy", np.array([[None]]), allow_pickle=True)
+    inputs["object.npy"] = "numpy.save"
+    np.save(tmp_path / "none.npy", mosaic[:0])
+    inputs["none.npy"] = "no pixels"
+    np.savez(tmp_path / "archive.npz", mosaic)
+    (tmp_path / "archive.npz").rename(tmp_path / "archive.npy")
+    inputs["archive.npy"] = "archive"
+    write_mono(tmp_path / "float.tif", mosaic.astype(np.float32), "float")
+    inputs["float.tif"] = "8 or 16 bits"
+    write_picture(tmp_path / "rgb.png", np.zeros((4, 4, 3), np.uint8))
+    inputs["rgb.png"] = "3 channels"
+    whole = write_mono(tmp_path / "whole.png", mosaic).read_bytes()
+    made("cut.png", whole[: len(whole) // 2])
+    inputs["cut.png"] = "cut.png"
+    (tmp_path / "folder.dng").mkdir()
+    inputs["folder.dng"] = "folder"
+    inputs["missing.dng"] = "does not exist"
+    for name, word in inputs.items():
+        line = refused(3, "render", table, tmp_path / name, "-o", output)
+        assert name in line
+        assert word in line
+    assert "--white-level" in refused(3, "render", table, raw, "-o", output, "--black", 20000)
+    assert "l3 train" in refused(3, "render", raw, raw, "-o", output)
+
+
+def test_no_device_is_exit_code_4(refused, tmp_path, table, raw, monkeypatch):
+    monkeypatch.setenv("L3_DEVICE", "no such device")
+    assert "L3_DEVICE" in refused(4, "render", table, raw, "-o", tmp_path / "a.png")
+    monkeypatch.setattr(opencl_devices, "_platforms", list)
+    assert "pip install" in refused(4, "render", table, raw, "-o", tmp_path / "a.png")
+
+
+def test_a_frame_is_rendered_without_colour_science_by_its_very_numbers(tmp_path, table, raw):
+    colour = spectra.colour_science()
+    np.testing.assert_array_equal(srgb_from_xyz_matrix(), colour.RGB_COLOURSPACES["sRGB"].matrix_XYZ_to_RGB)
+    a, d65 = spectra.white_point("A"), spectra.white_point("D65")
+    theirs = colour.adaptation.matrix_chromatic_adaptation_VonKries(a, d65, transform="Bradford")
+    np.testing.assert_allclose(adaptation_matrix(3 * a, d65), theirs, atol=1e-12)
+    call = f"run(['render', {str(table)!r}, {str(raw)!r}, '-o', {str(tmp_path / 'a.png')!r}])"
+    slow = "{'colour', 'scipy', 'matplotlib', 'av', 'tifffile'}"
+    program = f"import sys; from l3cli.cli import run; code = {call}; sys.exit(code or bool({slow} & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
+
+
+# ------------------------------------------------------------------------------------------------------- real files
+
+
+def test_real_raws_keep_size_levels_and_phase(l3, l3_data, tmp_path, table):
+    facts = {"colorchart.dng": ((1156, 1734), 2056, 15000, (0, 0)), "kodak_dc50.kdc": ((512, 768), 0, 16383, (0, 1))}
+    for name, (shape, black, white, phase) in facts.items():
+        frame = read_raw(l3_data / "raw" / name, RGGB)
+        assert (frame.values.shape, frame.black, frame.white, frame.phase) == (shape, black, white, phase)
+        assert frame.orientation == 0
+        output = tmp_path / name.replace(name[-3:], "png")
+        assert l3("render", table, l3_data / "raw" / name, "-o", output)[0] == 0
+        assert read_image(output)[0].shape == (*shape, 3)
+
+
+def test_real_headerless_raw(l3, l3_data, tmp_path, table):
+    source = l3_data / "raw" / "openisp_test_1920x1080_10bit_u16le_RGGB.raw"
+    options = ("--size", "1080x1920", "--black", 0, "--white-level", 1020)
+    assert l3("render", table, source, "-o", tmp_path / "a.jpg", *options)[0] == 0
+    assert read_image(tmp_path / "a.jpg")[0].shape == (1080, 1920, 3)
+
+
+def test_linear_dng_is_refused(refused, l3_data, tmp_path, table):
+    line = refused(3, "render", table, l3_data / "raw" / "canon_eos_6d.dng", "-o", tmp_path / "a.png")
+    assert "demosaicked" in line
+
+
+def test_device_and_variant_are_chosen_for_one_run(l3, refused, tmp_path, table, raw):
+    for variant in ("processor", "graphics"):
+        output = tmp_path / f"{variant}.png"
+        assert l3("render", table, raw, "-o", output, "--device", 0, "--variant", variant)[0] == 0
+    one, other = (read_image(tmp_path / f"{variant}.png")[0] for variant in ("processor", "graphics"))
+    assert np.abs(one.astype(int) - other).max() <= 1
+    assert "no such device" in refused(4, "render", table, raw, "-o", tmp_path / "a.png", "--device", "no such device")
+    wrong = ("render", table, raw, "-o", tmp_path / "a.png", "--backend", "reference", "--variant", "graphics")
+    assert "--variant is for the opencl backend" in refused(2, *wrong)

@@ -1,0 +1,290 @@
+"""Videos: raw ones in, encoded ones and y4m out, with their colour tags, whole or not at all."""
+
+import dataclasses
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+
+from l3cli.artifacts.store import save
+from l3cli.io.images import read_image
+from l3cli.io.video import VideoChoice, new_video
+from l3cli.stages.rendering import executors
+from tests.helpers.sequences import COUNT, FAST, RGGB, RUN, frames, pictures, write_raw_video
+
+OUTPUTS = {  # arguments: encoder, pixel format, transfer (13: sRGB, 1: BT.709), matrix, range (1: limited)
+    ("a.mp4",): ("h264", "yuv420p", 13, 1, 1),
+    ("a.mkv", "--codec", "h264", "--crf", 10): ("h264", "yuv420p", 13, 1, 1),
+    ("a.mov", "--codec", "h265"): ("hevc", "yuv420p", 13, 1, 1),
+    ("b.mp4", "--codec", "h265", "--bits", 16): ("hevc", "yuv420p10le", 13, 1, 1),
+    ("a.mov",): ("prores", "yuv422p10le", 1, 1, 1),
+    ("a.mkv",): ("ffv1", "bgr0", 13, 0, 2),
+    ("b.mkv", "--bits", 16): ("ffv1", "gbrp16le", 13, 0, 2),
+}
+
+
+@pytest.fixture
+def table(tmp_path: Path) -> Path:
+    save(RGGB, tmp_path / "table.h5")
+    return tmp_path / "table.h5"
+
+
+@pytest.fixture
+def stack(tmp_path: Path) -> Path:
+    np.save(tmp_path / "stack.npy", frames())
+    return tmp_path / "stack.npy"
+
+
+def decoded(path: Path, pixels: str = "rgb24") -> np.ndarray:
+    """Frames (frame, row, col, …) of a video."""
+    with av.open(str(path)) as video:
+        return np.stack([frame.to_ndarray(format=pixels) for frame in video.decode(video=0)])
+
+
+# ------------------------------------------------------------------------------------------------------------- outputs
+
+
+@pytest.mark.parametrize("arguments", list(OUTPUTS), ids=lambda arguments: " ".join(map(str, arguments)))
+def test_videos_say_what_they_hold(l3, tmp_path, table, stack, arguments):
+    name, *options = arguments
+    call = ("render", table, stack, *options, "--fps", "24000/1001", *FAST)
+    assert l3(*call, "-o", tmp_path / name) == (0, "", "")
+    with av.open(str(tmp_path / name)) as video:
+        stream = video.streams.video[0]
+        times = [float(frame.time) for frame in video.decode(video=0)]
+        found = stream.codec_context  # after decoding, since frames may say otherwise than the container
+        tags = (found.name, found.pix_fmt, int(found.color_trc), int(found.colorspace), int(found.color_range))
+        assert tags == OUTPUTS[arguments]
+        assert int(found.color_primaries) == 1
+        assert stream.average_rate == Fraction(24000, 1001)
+        assert (found.width, found.height) == (RGGB.cols, RGGB.rows)
+    np.testing.assert_allclose(times, np.arange(COUNT) * 1001 / 24000, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "codec"), [("a.mp4", "h264"), ("a.mkv", "h264"), ("a.mp4", "h265"), ("a.mkv", "ffv1"), ("a.mov", "prores")]
+)
+def test_the_same_pictures_give_the_same_bytes(tmp_path, name, codec):
+    # Not smaller: below three macroblocks x264's threads do not always agree with themselves.
+    noise = np.random.default_rng(0).integers(0, 200, (48, 64, 3))
+    for folder in ("one", "two"):
+        with new_video(tmp_path / folder / name, VideoChoice(Fraction(25), 8, codec)) as video:
+            for number in range(5):
+                video.write((noise * (0.8 + 0.1 * number)).astype(np.uint8))
+        time.sleep(1.1 * (folder == "one"))  # whatever writes the clock into a file writes another second
+    assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
+
+
+@pytest.mark.parametrize(("bits", "pixels"), [(8, "rgb24"), (16, "rgb48le")])
+def test_ffv1_holds_the_very_pictures(l3, tmp_path, table, stack, bits, pixels):
+    call = ("render", table, stack, "--bits", bits, *FAST)
+    assert l3(*call, "-o", tmp_path / "a.mkv")[0] == 0
+    assert l3(*call, "-o", tmp_path / "out")[0] == 0
+    np.testing.assert_array_equal(decoded(tmp_path / "a.mkv", pixels), list(pictures(tmp_path / "out").values()))
+
+
+def test_colours_survive_the_matrix_and_the_range(tmp_path):
+    colours = np.array([[255, 255, 255], [0, 0, 0], [230, 40, 30], [40, 180, 60], [30, 50, 200], [128, 128, 128]], np.uint8)
+    picture = np.repeat(np.repeat(colours[None], 32, 0), 32, 1)
+    for name, codec in (("a.mp4", "h264"), ("b.mp4", "h265"), ("a.mov", "prores")):
+        with new_video(tmp_path / name, VideoChoice(Fraction(30), 8, codec, 1.0 if codec != "prores" else None)) as video:
+            video.write(picture)
+        with av.open(str(tmp_path / name)) as coded:
+            frame = next(coded.decode(video=0))
+            luma = frame.to_ndarray(format="yuv444p")[0][16, 16::32].astype(int)
+            back = frame.reformat(format="rgb24", src_colorspace="ITU709").to_ndarray()[16, 16::32].astype(int)
+        # BT.709 luma in limited range: 16 + 219 · (0.2126 R + 0.7152 G + 0.0722 B)
+        np.testing.assert_allclose(luma, 16 + 219 / 255 * colours @ [0.2126, 0.7152, 0.0722], atol=2)
+        assert np.abs(back - colours).max() <= 4
+
+
+def test_odd_sizes_are_padded_by_a_row_or_column(l3, tmp_path, table):
+    odd = frames()[:, :19, :27]
+    np.save(tmp_path / "odd.npy", odd)
+    for name, size in (("a.mp4", (20, 28)), ("a.mov", (19, 28)), ("a.mkv", (19, 27)), ("a.y4m", (20, 28))):
+        assert l3("render", table, tmp_path / "odd.npy", "-o", tmp_path / name, *FAST)[0] == 0
+        assert decoded(tmp_path / name).shape == (COUNT, *size, 3)
+    whole = decoded(tmp_path / "a.y4m", "yuv420p")
+    np.testing.assert_array_equal(whole[:, 19, :28], whole[:, 18, :28])
+
+
+def test_y4m_goes_to_a_file_and_to_stdout(tmp_path, l3, table, stack):
+    call = ("render", table, stack, "--fps", 25, *FAST)
+    assert l3(*call, "-o", tmp_path / "a.y4m") == (0, "", "")
+    content = (tmp_path / "a.y4m").read_bytes()
+    head, _, _ = content.partition(b"\n")
+    assert head == b"YUV4MPEG2 W28 H20 F25:1 Ip A1:1 C420jpeg XCOLORRANGE=LIMITED"
+    assert len(content) == len(head) + 1 + COUNT * (len(b"FRAME\n") + 28 * 20 * 3 // 2)
+    assert (np.diff(decoded(tmp_path / "a.y4m").mean(axis=(1, 2, 3))) > 0).all()  # in order
+    piped = subprocess.run([sys.executable, "-c", RUN, *map(str, call), "-o", "-"], capture_output=True, check=True)
+    assert piped.stdout == content
+    assert l3(*call, "--bits", 16, "-o", tmp_path / "b.y4m")[0] == 0
+    with av.open(str(tmp_path / "b.y4m")) as video:
+        assert video.streams.video[0].codec_context.pix_fmt == "yuv420p10le"
+
+
+# -------------------------------------------------------------------------------------------------------------- inputs
+
+
+@pytest.mark.parametrize("pixels", ["gray", "gray12le", "gray16le"])
+def test_raw_videos_give_the_pictures_of_their_frames(l3, tmp_path, table, stack, pixels):
+    source = write_raw_video(tmp_path / "clip.mkv", pixels)
+    if pixels == "gray":
+        np.save(stack, (frames() >> 4).astype(np.uint8))
+    assert l3("render", table, source, "-o", tmp_path / "out", *FAST, "--fps", 30) == (0, "", "")
+    assert l3("render", table, stack, "-o", tmp_path / "truth", *FAST)[0] == 0
+    assert list(pictures(tmp_path / "out")) == [f"clip_{number:06d}.png" for number in range(COUNT)]
+    ours, theirs = (list(pictures(tmp_path / name).values()) for name in ("out", "truth"))
+    np.testing.assert_array_equal(ours, theirs)
+
+
+def test_a_raw_video_keeps_its_rate_and_numbers(l3, tmp_path, table):
+    source = write_raw_video(tmp_path / "clip.mkv", rate=48)
+    assert l3("render", table, source, "-o", tmp_path / "a.mkv", *FAST)[0] == 0
+    with av.open(str(tmp_path / "a.mkv")) as video:
+        assert video.streams.video[0].average_rate == 48
+    assert l3("render", table, source, "-o", tmp_path / "n/%d.png", "--frames", "1-4x2", *FAST)[0] == 0
+    assert list(pictures(tmp_path / "n")) == ["1.png", "3.png"]
+    code, _, err = l3("render", table, source, "-o", tmp_path / "m/%d.png", "--frames", "4-6", *FAST)
+    assert (code, err.count("\n")) == (3, 1)
+    assert "frames 5-6 are not in" in err
+    code, _, err = l3("render", table, source, "-o", tmp_path / "l/%d.png", "--frames", "4-6", "--skip-bad", *FAST)
+    assert (code, err.count("\n")) == (1, 2)
+
+
+@pytest.mark.parametrize(("group", "whole"), [(1, (0, 1, 3, 4)), (4, (0, 1, 4))])
+def test_a_damaged_raw_video_names_the_frame(l3, tmp_path, table, group, whole):
+    source = write_raw_video(tmp_path / "clip.mkv", group=group)  # a frame is lost as far as the next key frame
+    with av.open(str(source)) as video:
+        packets = [bytes(packet) for packet in video.demux(video=0) if packet.size]
+    content = bytearray(source.read_bytes())
+    content[content.index(packets[2]) + len(packets[2]) // 2] ^= 0xFF
+    source.write_bytes(content)
+    code, _, err = l3("render", table, source, "-o", tmp_path / "a.mp4", *FAST)
+    assert (code, err.count("\n")) == (3, 1)
+    assert "frame 2" in err
+    assert not (tmp_path / "a.mp4").exists()
+    code, _, err = l3("render", table, source, "-o", tmp_path / "out", "--skip-bad", *FAST)
+    assert (code, err.count("\n")) == (1, COUNT - len(whole) + 1)
+    assert list(pictures(tmp_path / "out")) == [f"clip_{number:06d}.png" for number in whole]
+
+
+def test_other_videos_are_refused(refused, l3, tmp_path, table, stack):
+    assert l3("render", table, stack, "-o", tmp_path / "rgb.mkv", *FAST)[0] == 0
+    (tmp_path / "text.mkv").write_text("no video")
+    (tmp_path / "none.mkv").touch()
+    assert "one channel" in refused(3, "render", table, tmp_path / "rgb.mkv", "-o", tmp_path / "a.mp4")
+    for name in ("text.mkv", "none.mkv", "missing.mkv"):
+        assert name in refused(3, "render", table, tmp_path / name, "-o", tmp_path / "a.mp4")
+
+
+# ------------------------------------------------------------------------------------------------ whole or not at all
+
+
+def test_wrong_calls_are_refused_in_one_line(refused, tmp_path, table, stack):
+    (tmp_path / "there.mp4").write_bytes(b"mine")
+    for code, word, arguments in (
+        (1, "--force", ("there.mp4",)),
+        (2, "--codec h265", ("a.mp4", "--bits", 16)),
+        (2, "ffv1 goes into .mkv", ("a.mp4", "--codec", "ffv1")),
+        (2, "--crf", ("a.mkv", "--crf", 20)),
+        (2, "not compressed", ("a.y4m", "--codec", "h264")),
+        (2, "--preset", ("a.mp4", "--preset", "best")),
+        (2, "vp9", ("a.mkv", "--codec", "vp9")),
+    ):
+        assert word in refused(code, "render", table, stack, "-o", tmp_path / arguments[0], *arguments[1:])
+
+
+def test_without_pyav_the_cure_is_named(refused, tmp_path, table, stack, monkeypatch):
+    (tmp_path / "clip.mkv").touch()
+    monkeypatch.setitem(sys.modules, "av", None)
+    monkeypatch.setenv("L3_TRUST", "1")  # the process that decodes has its own modules
+    for source, output in ((stack, "a.mp4"), (stack, "a.y4m"), (tmp_path / "clip.mkv", "out")):
+        assert 'pip install "l3cli[video]"' in refused(1, "render", table, source, "-o", tmp_path / output)
+
+
+def test_frames_of_another_size_are_named(l3, tmp_path, table):
+    for number in range(3):
+        np.save(tmp_path / f"f_{number}.npy", frames()[number][: 20 - 2 * (number == 1)])
+    pattern = tmp_path / "f_%d.npy"
+    code, _, err = l3("render", table, pattern, "-o", tmp_path / "a.mp4", *FAST)
+    assert (code, err.count("\n")) == (3, 1)
+    assert "f_1.npy has 18×28 pixels, the video 20×28" in err
+    assert not (tmp_path / "a.mp4").exists()
+    code, _, err = l3("render", table, pattern, "-o", tmp_path / "a.mp4", "--skip-bad", *FAST)
+    assert (code, err.count("\n")) == (1, 2)
+    assert len(decoded(tmp_path / "a.mp4")) == 2
+
+
+def test_nothing_is_left_where_no_frame_could_be_read(refused, tmp_path, table):
+    np.save(tmp_path / "f.npy", frames().astype(np.float32)[0])
+    assert "uint16" in refused(3, "render", table, tmp_path / "f.npy", "-o", tmp_path / "a.mp4", *FAST)
+    nothing = subprocess.run(
+        [sys.executable, "-c", RUN, "render", str(table), "-", "-o", str(tmp_path / "a.mp4"), "--size", "20x28", *FAST],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+    )
+    assert (nothing.returncode, nothing.stderr.count("\n")) == (3, 1)
+    assert not list(tmp_path.glob("*a.*mp4"))
+
+
+@pytest.mark.parametrize("name", ["a.mp4", "a.mkv", "a.y4m"])
+def test_an_interrupted_video_leaves_nothing(l3, tmp_path, table, stack, monkeypatch, name):
+    rendered = executors.upright
+    calls: list[int] = []
+
+    def interrupted(*arguments: object) -> np.ndarray:
+        calls.append(1)
+        if len(calls) == 4:
+            raise KeyboardInterrupt
+        return rendered(*arguments)
+
+    monkeypatch.setattr(executors, "upright", interrupted)
+    before = sorted(tmp_path.iterdir())
+    assert l3("render", table, stack, "-o", tmp_path / name, *FAST) == (130, "", "\nl3: interrupted\n")
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_ctrl_c_stops_a_run_that_waits_for_its_input(tmp_path, table):
+    call = (sys.executable, "-m", "l3cli", "render", table, "-", "-o", tmp_path / "a.mp4", "--size", "20x28", *FAST)
+    before = sorted(tmp_path.iterdir())
+    command = [str(part) for part in call]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as waiting:
+        deadline = time.monotonic() + 20
+        while len(list(tmp_path.iterdir())) == len(before) and time.monotonic() < deadline:
+            waiting.stdin.buffer.write(frames()[0].tobytes())  # until the encoder has begun its file
+            waiting.stdin.buffer.flush()
+            time.sleep(0.05)
+        waiting.send_signal(signal.SIGINT)
+        assert waiting.wait(20) == 130
+        assert waiting.stderr.read().strip() == "l3: interrupted"
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_reader_that_goes_away_ends_the_run(tmp_path, table):
+    np.save(tmp_path / "long.npy", np.tile(frames(), (400, 1, 1)))
+    call = (sys.executable, "-c", RUN, "render", table, tmp_path / "long.npy", "-o", "-", *FAST)
+    with subprocess.Popen([str(part) for part in call], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as writing:
+        assert writing.stdout.read(9) == b"YUV4MPEG2"
+        writing.stdout.close()
+        assert writing.wait(30) == 1
+        assert writing.stderr.read() == b""
+
+
+def test_the_opencl_device_feeds_the_encoder(l3: Callable, tmp_path: Path, table: Path, stack: Path) -> None:
+    assert l3("render", table, stack, "-o", tmp_path / "a.mkv", "--exposure", 0.8, "--quiet") == (0, "", "")
+    assert l3("render", table, stack, "-o", tmp_path / "out", "--exposure", 0.8, "--quiet") == (0, "", "")
+    np.testing.assert_array_equal(decoded(tmp_path / "a.mkv"), list(pictures(tmp_path / "out").values()))
+    single = dataclasses.replace(RGGB, camera_name="one")
+    save(single, tmp_path / "one.h5")
+    np.save(tmp_path / "one.npy", frames()[2])
+    assert l3("render", tmp_path / "one.h5", tmp_path / "one.npy", "-o", tmp_path / "one.png", "--exposure", 0.8)[0] == 0
+    np.testing.assert_array_equal(read_image(tmp_path / "one.png")[0], decoded(tmp_path / "a.mkv")[2])

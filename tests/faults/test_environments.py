@@ -1,0 +1,248 @@
+"""Where a command runs: closed streams, small and foreign disks, other locales, odd file names, odd variables."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from l3cli.config import Recipe, load_recipe
+from l3cli.errors import RecipeError
+from l3cli.io.camera_raws import read_camera_raw
+from l3cli.io.images import write_picture
+from l3cli.limits import TRUST, trusted
+from tests.helpers.dng_files import write_dng
+from tests.helpers.fuzz import Seeded
+from tests.helpers.hostile_environments import PLACES, Place, judge, make_desk
+from tests.helpers.paths import CONFIGS
+from tests.helpers.terminal import in_terminal
+
+RUN = [sys.executable, "-m", "l3cli"]
+
+
+@pytest.fixture(scope="module")
+def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a table and a raw frame as .tif and .npy."""
+    folder = tmp_path_factory.mktemp("desk")
+    make_desk(folder)
+    return folder
+
+
+def environment(**variables: str) -> dict[str, str]:
+    return {**os.environ, "PYTHONPATH": str(CONFIGS.parent), **variables}
+
+
+# ------------------------------------------------------------------------------------------------------- streams
+@pytest.mark.parametrize("closed", ["0", "2", "012"])
+def test_closed_streams_change_nothing(desk: Path, tmp_path: Path, closed: str) -> None:
+    """What a command opens must not come to lie where the streams were: the decoder would read it as its standard input."""
+    shut = " ".join(f"{number}>&-" for number in closed)
+    render = f'"$@" render table.h5 raw.tif -o {tmp_path}/a.png --backend reference --exposure 1 {shut}'
+    show = f'"$@" info table.h5 {shut}'
+    for line in (render, show):
+        ended = subprocess.run(["sh", "-c", line, "sh", *RUN], cwd=desk, env=environment(), capture_output=True, text=True)
+        assert (ended.returncode, ended.stderr) == (0, ""), line
+    assert (tmp_path / "a.png").read_bytes() == (desk / "reference.png").read_bytes()
+    ended = subprocess.run(
+        ["sh", "-c", f'"$@" info nothing.h5 {shut}', "sh", *RUN], cwd=desk, env=environment(), capture_output=True, text=True
+    )
+    assert ended.returncode == 3
+    assert ended.stderr.count("\n") == ("2" not in closed)
+
+
+def test_what_cannot_be_said_changes_no_exit_code(desk: Path, tmp_path: Path) -> None:
+    with open("/dev/full", "w") as full:
+        for arguments, code in (
+            (("info", "nothing.h5"), 3),
+            (("render", "table.h5", "raw.tif", "-o", tmp_path / "a.png", "--backend", "reference", "--white", "A"), 0),
+        ):
+            ended = subprocess.run([*RUN, *arguments], cwd=desk, env=environment(), stdout=subprocess.PIPE, stderr=full)
+            assert (ended.returncode, ended.stdout) == (code, b""), arguments
+    assert (tmp_path / "a.png").exists()
+
+
+# ------------------------------------------------------------------------------------------------- locales, names
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
+def test_every_encoding_shows_what_it_can(desk: Path, encoding: str) -> None:
+    for arguments in (("compare", "evaluation.json"), ("info", "--verify", "table.h5")):
+        ended = subprocess.run(
+            [*RUN, *arguments], cwd=desk, env=environment(PYTHONIOENCODING=encoding), capture_output=True, check=False
+        )
+        assert (ended.returncode, ended.stderr) == (0, b""), arguments
+        assert ended.stdout
+
+
+C_LOCALE = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+
+
+@pytest.mark.parametrize(("name", "locale"), [(b"f\xff", {}), ("éµ".encode(), C_LOCALE)])
+def test_file_names_of_any_bytes(desk: Path, tmp_path: Path, name: bytes, locale: dict[str, str]) -> None:
+    folder = os.fsencode(tmp_path) + b"/in" + name
+    os.mkdir(folder)
+    for source, suffix in (("table", b".h5"), ("raw", b".tif"), ("raw", b".npy")):
+        shutil.copy(os.fsencode(desk / source) + suffix, folder + b"/" + name + suffix)
+    start = [*RUN, "render", name + b".h5", name + b".tif", "--backend", "reference", "--quiet"]
+    for command in ([*start, "-o", name + b".exr"], [*start, name + b".npy", "-o", name + b".mkv"]):
+        ended = subprocess.run(command, cwd=folder, env=environment(**locale), capture_output=True, check=False)
+        assert (ended.returncode, ended.stdout, ended.stderr) == (0, b"", b""), command
+    assert set(os.listdir(folder)) == {name + suffix for suffix in (b".h5", b".tif", b".npy", b".exr", b".mkv")}
+
+
+def test_camera_raws_and_scenes_are_named_by_any_bytes(tmp_path: Path, l3: Callable) -> None:
+    folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/in\xff"))
+    folder.mkdir()
+    write_dng(folder / "a\udcff.dng", np.full((64, 64), 500, np.uint16), np.array([[0, 1], [1, 2]]))
+    assert read_camera_raw(folder / "a\udcff.dng")["values"].shape == (64, 64)
+    write_picture(folder / "b\udcff.png", np.full((24, 32, 3), 120, np.uint8))
+    (folder / "s.toml").write_text('exposure_share = [0.9]\n[[scene]]\nsource = "rgb"\nfile = "*.png"\n')
+    call = (
+        "simulate",
+        folder / "s.toml",
+        "--camera",
+        CONFIGS / "cameras/bayer.toml",
+        "-o",
+        folder / "t\udcff.h5",
+        "--quiet",
+    )
+    assert l3(*call) == (0, "", "")
+    assert "scene str = b?" in l3("info", folder / "t\udcff.h5")[1]
+
+
+def test_json_tells_names_of_any_bytes(desk: Path, tmp_path: Path, capfdbinary: Any) -> None:
+    from l3cli.cli.terminal import Terminal, show_json
+
+    show_json({"name": "f\udcff\x1b\x9b\u202e"}, Terminal())
+    out = capfdbinary.readouterr().out
+    assert out.isascii()
+    assert not {0x1B, 0x9B} & set(out)
+    assert json.loads(out) == {"name": "f\udcff\x1b\x9b\u202e"}
+
+
+class Word(Recipe):
+    word: str
+
+
+def test_a_recipe_of_another_editor_is_the_same_recipe(tmp_path: Path) -> None:
+    path = tmp_path / "a.toml"
+    for content in (b'word = "\xc2\xb5"\n', b'\xef\xbb\xbfword = "\xc2\xb5"\r\n', b'word = "\xc2\xb5"\r\n'):
+        path.write_bytes(content)
+        assert load_recipe(path, Word).word == "µ"
+
+
+def test_other_line_ends_give_the_same_artifact(tmp_path: Path, l3: Callable) -> None:
+    camera = CONFIGS / "cameras/bayer.toml"
+    text = 'exposure_share = [0.9]\n[[scene]]\nsource = "grey ramp"\nsize = [16, 20]\n'
+    for name, content in {"a": text.encode(), "b": b"\xef\xbb\xbf" + text.replace("\n", "\r\n").encode()}.items():
+        (tmp_path / f"{name}.toml").write_bytes(content)
+        call = ("simulate", tmp_path / f"{name}.toml", "--camera", camera, "-o", tmp_path / f"{name}.h5", "--quiet")
+        assert l3(*call) == (0, "", "")
+    assert (tmp_path / "a.h5").read_bytes() == (tmp_path / "b.h5").read_bytes()
+    code, out, _ = l3("info", "--verify", tmp_path / "a.h5", tmp_path / "b.toml", camera)
+    assert code == 0
+    assert "simulate recipe: 2 verified" in out
+
+
+# ------------------------------------------------------------------------------------------------------ variables
+@pytest.mark.parametrize("size", ["²", "0", "-3", "1e9", ""])
+def test_a_terminal_of_no_size_gets_a_bar(size: str) -> None:
+    bar = "from l3cli.cli import terminal; terminal.prepare(); list(terminal.Terminal().progress(range(3), 3, 'frames'))"
+    assert "3/3" in in_terminal([sys.executable, "-c", bar], {"COLUMNS": size, "LINES": size})
+
+
+@pytest.mark.parametrize("word", ["", "0", "false", "False", "no", "OFF", " no ", "n", "f"])
+def test_who_says_no_does_not_trust(word: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(TRUST, word)
+    assert not trusted()
+
+
+def test_who_says_yes_trusts_and_what_is_neither_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    for word in ("1", "true", "Yes", "ON", "y", "t"):
+        monkeypatch.setenv(TRUST, word)
+        assert trusted()
+    monkeypatch.setenv(TRUST, "maybe")
+    with pytest.raises(RecipeError, match='L3_TRUST="maybe" is neither yes nor no'):
+        trusted()
+
+
+# --------------------------------------------------------------------------------------------------------- caches
+PROGRAM = """
+import numpy as np
+from l3cli.rendering import opencl_devices
+from l3cli.rendering.opencl import OpenCLRenderer
+cl = opencl_devices.pyopencl()
+class Bare(OpenCLRenderer):
+    def __init__(self):
+        self.device = opencl_devices.choose_device("")
+        self._context = cl.Context([self.device])
+one = Bare()
+kernel = cl.Kernel(one._compile("__kernel void f(__global int *a) { a[get_global_id(0)] = 7; }", []), "f")
+queue, numbers = cl.CommandQueue(one._context), np.zeros(16, np.int32)
+buffer = cl.Buffer(one._context, cl.mem_flags.WRITE_ONLY, numbers.nbytes)
+kernel(queue, (16,), None, buffer)
+cl.enqueue_copy(queue, numbers, buffer)
+assert (numbers == 7).all()
+from l3cli.rendering import kernels
+kernels.keep()
+print(kernels.unkept())
+"""
+
+
+def computed(**variables: str) -> str:
+    """What a process says of its cache that has compiled and run a small kernel."""
+    known = {key: value for key, value in environment().items() if key not in ("POCL_CACHE_DIR", "XDG_CACHE_HOME")}
+    ended = subprocess.run(
+        [sys.executable, "-c", PROGRAM], env={**known, **variables}, capture_output=True, text=True, check=False
+    )
+    assert (ended.returncode, ended.stderr) == (0, "")
+    return ended.stdout.strip()
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_kernels_are_kept_and_a_damaged_cache_is_built_anew(tmp_path: Path) -> None:
+    assert computed(XDG_CACHE_HOME=str(tmp_path)) == ""
+    kept = tree(tmp_path)
+    assert list(map(os.path.dirname, kept)) == ["l3cli/kernels"]
+    written = {name: (tmp_path / name).stat().st_mtime_ns for name in kept}
+    assert computed(XDG_CACHE_HOME=str(tmp_path)) == ""
+    assert {name: (tmp_path / name).stat().st_mtime_ns for name in kept} == written  # nothing had to be built
+    for name, content in kept.items():
+        (tmp_path / name).write_bytes(content[:-9] + bytes([content[-9] ^ 1]) + content[-8:])
+    assert computed(XDG_CACHE_HOME=str(tmp_path)) == ""
+    assert {name: (tmp_path / name).stat().st_mtime_ns for name in kept}.items().isdisjoint(written.items())
+
+
+@pytest.mark.parametrize("variables", [{"HOME": "/proc"}, {"HOME": ""}])
+def test_kernels_are_compiled_without_a_place_to_keep_them(variables: dict[str, str]) -> None:
+    assert "compiled kernels cannot be kept" in computed(**variables)
+
+
+def test_a_full_disk_for_the_cache_is_one_warning(desk: Path, tmp_path: Path) -> None:
+    mount = f"mount -t tmpfs -o size=16k tmpfs {tmp_path}"
+    if subprocess.run(["unshare", "-rm", "sh", "-c", mount], capture_output=True, check=False).returncode:
+        pytest.skip("no small disk can be mounted here")
+    line = f'{mount} && cd "{desk}" && "$@" render table.h5 raw.npy -o {desk}/full.png'
+    known = environment(XDG_CACHE_HOME=str(tmp_path))
+    known.pop("POCL_CACHE_DIR", None)
+    ended = subprocess.run(
+        ["unshare", "-rm", "sh", "-c", line, "sh", *RUN], env=known, capture_output=True, text=True, check=False
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert (desk / "full.png").exists()
+    (warning,) = [line for line in ended.stderr.splitlines() if "kernels" in line]
+    assert warning.startswith("warning: compiled kernels cannot be kept")
+    assert "No space left" in warning
+
+
+# ------------------------------------------------------------------------------------------------------- together
+@pytest.mark.parametrize("seed", range(PLACES))
+def test_a_command_does_the_same_wherever_it_runs(desk: Path, seed: int) -> None:
+    assert judge(desk, Place.drawn(Seeded(seed))) is None

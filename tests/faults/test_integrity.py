@@ -1,0 +1,213 @@
+"""A byte that has changed is found, wherever it lies; a history is compared with its inputs; older formats are read."""
+
+import dataclasses
+import json
+import random
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from l3cli.artifacts import container
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.partial_sums import ClassSums, PartialSums, open_partial_sums, write_partial_sums
+from l3cli.artifacts.schema import Artifact, Stage, equal
+from l3cli.artifacts.store import load, save, write_fields
+from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.training_set import TrainingSet, open_training_set, write_training_set
+from l3cli.cli import run
+from l3cli.errors import InputFileError
+from tests.helpers.artifacts import a_camera, a_frame, a_table
+from tests.helpers.paths import CONFIGS
+
+SCENES = 'exposure_share = [0.9]\n[[scene]]\nsource = "dead leaves"\nsize = [32, 32]\n'
+# A command that reads each kind of artifact, as first, second, … of its files.
+READERS = {
+    "camera": ("simulate", CONFIGS / "scenes/small.toml", "--camera", "FILE", "-o", "OUT.h5"),
+    "training": ("train", "FILE", "-o", "OUT.h5"),
+    "table": ("render", "FILE", "frame.tif", "-o", "OUT.png"),
+    "sums": ("train", "--merge", "FILE", "-o", "OUT.h5"),
+}
+
+
+def some_sums(camera: CameraModel) -> tuple[PartialSums, ClassSums]:
+    rule = a_table(camera).rule
+    head = PartialSums(
+        shard=1,
+        shards=1,
+        pass_number=1,
+        patches=np.array([5]),
+        training=TrainingSet(camera=camera, outputs=("X", "Y", "Z"), target_description=""),
+        rule=rule,
+        white_point=np.ones(3),
+        sites=np.array([0]),
+        history=(Stage("train", {"seed": 0}),),
+    )
+    return head, ClassSums(*(np.ones(shape) for shape in head.shapes))
+
+
+@pytest.fixture(scope="module")
+def artifacts(bayer: CameraModel, fiveband: CameraModel, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """One small artifact of each kind."""
+    folder = tmp_path_factory.mktemp("artifacts")
+    paths = {kind: folder / f"{kind}.h5" for kind in READERS}
+    save(a_camera(bayer), paths["camera"])
+    save(a_table(bayer), paths["table"])
+    with write_training_set(
+        paths["training"], TrainingSet(camera=fiveband, outputs=("X",), target_description="")
+    ) as writer:
+        writer.append(dataclasses.replace(a_frame(), target=a_frame().target[:1], white=np.ones(1)))
+    head, sums = some_sums(bayer)
+    write_partial_sums(paths["sums"], head, iter([sums]))
+    return paths
+
+
+@settings(max_examples=400, deadline=None)
+@given(data=st.data(), kind=st.sampled_from(list(READERS)), bit=st.integers(0, 7), how=st.sampled_from(["--verify", "read"]))
+def test_a_flipped_bit_anywhere_is_found(
+    data: st.DataObject, kind: str, bit: int, how: str, artifacts: dict[str, Path], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    content = bytearray(artifacts[kind].read_bytes())
+    content[data.draw(st.integers(0, len(content) - 1))] ^= 1 << bit
+    path = tmp_path_factory.getbasetemp() / "flipped.h5"
+    path.write_bytes(content)
+    command = ("info", "--verify", path) if how == "--verify" else READERS[kind]
+    named = {"FILE": path, "OUT.h5": path.with_name("out.h5"), "OUT.png": path.with_name("out.png")}
+    assert run([str(named.get(str(each), each)) for each in command]) == 3
+
+
+@pytest.mark.parametrize("kind", list(READERS))
+def test_every_command_tells_of_a_changed_byte_in_one_line(kind: str, artifacts: dict[str, Path], refused, tmp_path) -> None:
+    content = bytearray(artifacts[kind].read_bytes())
+    content[random.Random(kind).randrange(600, len(content))] ^= 16
+    path = tmp_path / "changed.h5"
+    path.write_bytes(content)
+    named = {"FILE": path, "OUT.h5": tmp_path / "out.h5", "OUT.png": tmp_path / "out.png"}
+    for command in (READERS[kind], ("info", path), ("info", "--verify", path), ("report", path, "-o", tmp_path / "r.html")):
+        assert "changed.h5 is truncated or damaged (checksum)" in refused(
+            3, *(named.get(str(each), each) for each in command)
+        )
+
+
+def test_whole_artifacts_are_right_and_read_by_any_hdf5(artifacts: dict[str, Path], l3: Callable) -> None:
+    for path in artifacts.values():
+        code, out, err = l3("info", "--verify", path)
+        assert (code, err) == (0, "")
+        assert "every byte is as written" in out
+        with h5py.File(path) as root:
+            assert root.userblock_size == container.BLOCK
+            names: list[str] = []
+            root.visit(names.append)
+            count = sum(isinstance(root[name], h5py.Dataset) for name in names)
+        assert json.loads(l3("info", "--verify", path, "--json")[1])["datasets"] == count
+        assert path.read_bytes().startswith(container.TITLE)
+
+
+def test_a_changed_value_that_is_sealed_again_is_found_by_its_own_checksum(artifacts, tmp_path, refused) -> None:
+    path = tmp_path / "table.h5"
+    content = bytearray(artifacts["table"].read_bytes())
+    with h5py.File(artifacts["table"]) as root:
+        content[container.BLOCK + root["weights"].id.get_chunk_info(0).byte_offset + 9] ^= 1
+    path.write_bytes(content)
+    container.seal(path)
+    assert "dataset weights is damaged (checksum)" in refused(3, "info", "--verify", path)
+
+
+def test_a_file_without_its_digest_or_before_its_first_byte_is_refused(artifacts, tmp_path, refused) -> None:
+    content = artifacts["camera"].read_bytes()
+    path = tmp_path / "camera.h5"
+    for bad, says in (
+        (content[container.BLOCK :], "lacks the digest"),
+        (bytes(container.BLOCK) + content[container.BLOCK :], "no l3 artifact, or damaged"),
+        (content[:-1], "truncated or damaged"),
+        (content + b"\0", "truncated or damaged"),
+        (content[: container.BLOCK], "truncated or damaged"),
+        (b"", "not an HDF5 file"),
+    ):
+        path.write_bytes(bad)
+        assert says in refused(3, "info", path)
+
+
+# ---------------------------------------------------------------------------------------------------------- versions
+
+
+def save_version_1(artifact: Artifact, path: Path) -> h5py.File:
+    """An artifact in the layout of format version 1: no user block. Open, for what a caller adds."""
+    root = h5py.File(path, "w", libver=("earliest", "v110"))
+    root.attrs["kind"], root.attrs["version"] = artifact.kind, np.int64(1)
+    stages = json.dumps([dataclasses.asdict(stage) for stage in artifact.history], sort_keys=True)
+    root.create_dataset("history", data=np.bytes_(stages.encode()), dtype=h5py.string_dtype("utf-8", len(stages.encode())))
+    write_fields(root, artifact)
+    return root
+
+
+def test_format_version_1_is_read_and_becomes_2(bayer: CameraModel, fiveband: CameraModel, tmp_path: Path, l3) -> None:
+    path = tmp_path / "old.h5"
+    for artifact in (a_camera(bayer), a_table(bayer)):
+        save_version_1(artifact, path).close()
+        again = load(type(artifact), path)
+        assert equal(again, artifact)
+        assert again.history == artifact.history
+        code, out, _ = l3("info", "--verify", path)
+        assert code == 0
+        assert "format version 1: without a digest" in out
+        save(again, path)
+        assert "format version 2: every byte is as written" in l3("info", "--verify", path)[1]
+    with save_version_1(TrainingSet(camera=fiveband, outputs=("X", "Y", "Z"), target_description=""), path) as root:
+        write_fields(root.create_group("frames/00000"), a_frame())
+    with open_training_set(path) as reader:
+        assert equal(reader.frame(0), a_frame())
+    head, sums = some_sums(bayer)
+    with save_version_1(head, path) as root:
+        write_fields(root.create_group("sums/00000"), sums)
+    with open_partial_sums(path) as sums_reader:
+        assert equal(sums_reader.site(0), sums)
+
+
+@pytest.mark.parametrize("kind", [CameraModel, TransformTable])
+def test_newer_formats_are_refused(kind: type[Artifact], bayer: CameraModel, tmp_path: Path) -> None:
+    path = tmp_path / "new.h5"
+    save(a_camera(bayer) if kind is CameraModel else a_table(bayer), path)
+    with h5py.File(path, "r+") as root:
+        root.attrs["version"] = kind.version + 1
+    container.seal(path)
+    with pytest.raises(InputFileError, match="upgrade l3cli"):
+        load(kind, path)
+
+
+# ---------------------------------------------------------------------------------------------------------- history
+
+
+def test_the_history_is_compared_with_its_inputs(bayer_recipe: Path, tmp_path: Path, l3: Callable) -> None:
+    scenes = tmp_path / "scenes.toml"
+    classes = tmp_path / "classes.toml"
+    scenes.write_text(SCENES)
+    classes.write_text("[classes]\npatch = 3\nlevels = 2\n[learning]\npatches = 500\n")
+    sets = [tmp_path / "a.h5", tmp_path / "b.h5"]
+    for seed, path in enumerate(sets):
+        assert l3("simulate", scenes, "--camera", bayer_recipe, "-o", path, "--seed", seed, "--quiet")[0] == 0
+    table = tmp_path / "table.h5"
+    assert l3("train", *sets, "--classes", classes, "-o", table, "--quiet")[0] == 0
+    code, out, err = l3("info", "--verify", table, *sets, scenes, classes, bayer_recipe, "--json")
+    assert (code, err) == (0, "")
+    found = json.loads(out)
+    links = {(link["stage"], link["role"]): link for link in found["history"] if link["given"]}
+    assert links["train", "training set"]["given"] == [str(path) for path in sets]
+    assert links["train", "recipe"]["given"] == [str(classes)]
+    assert links["simulate", "camera"]["given"] == [str(bayer_recipe)]
+    assert set(links["simulate", "recipe"]["given"]) == {str(scenes), str(bayer_recipe)}
+    assert found["different"] == []
+    code, out, _ = l3("info", "--verify", table, sets[0])
+    assert code == 0
+    assert f"train training set: 1 verified ({sets[0]}), 1 not given" in out
+    classes.write_text(classes.read_text().replace("500", "501"))
+    sets[0].write_bytes(sets[0].read_bytes()[:-1])
+    code, out, err = l3("info", "--verify", table, *sets, classes)
+    assert (code, err.count("\n")) == (3, 1)
+    assert f"{sets[0]}, {classes}: not what {table} was made of" in err
+    assert "train training set: 1 verified" in out
+    assert "--verify" in l3("info", table, sets[1])[2]

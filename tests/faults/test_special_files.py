@@ -1,0 +1,114 @@
+"""Pipes, sockets, devices, folders and broken links are refused before they are opened: nobody waits for a writer."""
+
+import os
+import socket
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from l3cli.artifacts.store import save
+from l3cli.errors import InputFileError
+from l3cli.files import open_regular, require_regular, sha256
+from l3cli.io.images import write_mosaic
+from l3cli.limits import read_bounded
+from tests.helpers.hostile import Hang, timed
+from tests.helpers.sequences import FAST, RGGB, frames
+
+SECONDS = 5
+
+
+@pytest.fixture
+def places(tmp_path: Path) -> Path:
+    """A folder with one place of each kind."""
+    folder = tmp_path / "places"
+    folder.mkdir()
+    os.mkfifo(folder / "pipe")
+    (folder / "folder").mkdir()
+    (folder / "device").symlink_to("/dev/zero")
+    (folder / "nothing").symlink_to("/dev/null")
+    (folder / "dangling").symlink_to("nowhere")
+    (folder / "loop").symlink_to("loop")
+    one = socket.socket(socket.AF_UNIX)
+    here = os.getcwd()
+    os.chdir(folder)  # names of sockets are short
+    one.bind("socket")
+    os.chdir(here)
+    one.close()
+    return folder
+
+
+KINDS = {
+    "pipe": "is a pipe", "socket": "is a socket", "device": "is a device",
+    "nothing": "is a device", "folder": "is a folder", "dangling": "does not exist",
+    "loop": "cannot be read: Too many levels of symbolic links",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_only_regular_files_are_opened(places: Path, kind: str) -> None:
+    path = places / kind
+    for reader in (require_regular, open_regular, sha256, read_bounded):
+        with timed(SECONDS), pytest.raises((InputFileError, OSError)) as caught:
+            reader(path)
+        assert isinstance(caught.value, InputFileError)
+        assert KINDS[kind] in str(caught.value)
+        assert "; give " in str(caught.value)
+
+
+def test_a_file_is_opened_without_waiting(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A pipe that takes the name between look and opening is found when it is open."""
+    os.mkfifo(tmp_path / "pipe")
+    monkeypatch.setattr("l3cli.files.require_regular", lambda *_: None)
+    with timed(SECONDS), pytest.raises(InputFileError, match="is a pipe"):
+        open_regular(tmp_path / "pipe")
+    (tmp_path / "file").write_bytes(b"content")
+    with open_regular(tmp_path / "file") as stream:
+        assert os.get_blocking(stream.fileno())
+        assert stream.read() == b"content"
+
+
+READERS = (
+    "info {}.h5",
+    "train {}.h5 -o new.h5",
+    "report {}.h5 -o new.html",
+    "train a.h5 --classes {}.toml -o new.h5",
+    "calibrate {}.toml -o new.h5",
+    "lab {}.toml -o new",
+    "compare {}.json",
+    "info --verify table.h5 {}.h5",
+    "info --verify table.h5 {}.toml",
+    *(f"render table.h5 {{}}.{suffix} -o new.png" for suffix in ("npy", "dng", "tif", "png", "pgm", "raw", "raw10", "fits")),
+    *(f"render table.h5 {{}}{suffix} -o new.png" for suffix in (".h5", ".mkv", ".nef", "")),
+    "render table.h5 {}.npy frame.tif -o new",
+    "render {}.h5 frame.tif -o new.png",
+)
+
+
+@pytest.mark.parametrize("call", READERS)
+@pytest.mark.parametrize("kind", ["pipe", "socket", "device"])
+def test_every_command_refuses_what_is_no_file(
+    refused: Callable, tmp_path: Path, places: Path, monkeypatch: pytest.MonkeyPatch, call: str, kind: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    save(RGGB, tmp_path / "table.h5")
+    write_mosaic(tmp_path / "frame.tif", frames()[0])
+    word = next(word for word in call.split() if "{}" in word)
+    name = word.format(kind)
+    (tmp_path / name).symlink_to(places / kind)
+    backend = ("--backend", "reference") if call.startswith("render") else ()
+    with timed(SECONDS):
+        line = refused(3, *call.format(kind).split(), *backend)
+    assert f"{name} is a {kind}; " in line
+
+
+def test_a_pipe_named_as_a_file_is_told_of_the_stream(refused: Callable, tmp_path: Path, places: Path) -> None:
+    save(RGGB, tmp_path / "table.h5")
+    (tmp_path / "a.raw").symlink_to(places / "pipe")
+    line = refused(3, "render", tmp_path / "table.h5", tmp_path / "a.raw", "-o", tmp_path / "a.png", *FAST)
+    assert "or - for headerless frames on stdin" in line
+
+
+def test_the_clock_of_these_tests_rings() -> None:
+    with pytest.raises(Hang), timed(0.05):
+        os.read(os.pipe()[0], 1)

@@ -1,0 +1,89 @@
+"""Artifacts with some value in every field, for what is written and read back."""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.class_rule import ClassRule
+from l3cli.artifacts.fit import ChartFit, Fit, NoiseFit, SeriesFit, SweepFit
+from l3cli.artifacts.schema import Stage
+from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.training_set import TrainingFrame
+
+
+def a_fit(channels: int) -> Fit:
+    """A fit with some number in every field, whatever its fields are."""
+    parts = (a_part(part, channels) for part in (NoiseFit, SweepFit, ChartFit, SeriesFit))
+    return Fit(*parts)
+
+
+def a_part(part: type, channels: int) -> Any:
+    lengths = {"channel": channels, "patch": 24, "trial": 4, "white_exposure": 3, "chart": 2, "defect": 0, "coordinate": 2}
+    lengths |= {"left_out": 1, "odd": 1, "light": 2, "capture": 3}
+    values: dict = {}
+    for field in dataclasses.fields(part):
+        spec = field.metadata["spec"]
+        shape = tuple(lengths[axis] for axis in spec.axes)
+        if spec.dtype == "str":
+            values[field.name] = tuple(f"{field.name} {index}" for index in range(*shape))
+        else:
+            values[field.name] = (np.arange(np.prod(shape, dtype=int)).reshape(shape) + 0.5).astype(spec.dtype)[()]
+    return part(**values)
+
+
+def a_camera(camera: CameraModel) -> CameraModel:
+    history = (Stage("calibrate", {"accept": True}, 'name = "µ"', {"frames": ["ab", "cd"]}),)
+    return dataclasses.replace(camera, fit=a_fit(len(camera.channels)), history=history)
+
+
+def a_frame(seed: int = 0, channels: int = 5) -> TrainingFrame:
+    rng = np.random.default_rng(seed)
+    return TrainingFrame(
+        electrons=rng.random((channels, 20, 24), dtype=np.float32),
+        raw=rng.integers(0, 4096, (20, 24)).astype(np.uint16),
+        target=rng.random((3, 20, 24), dtype=np.float32),
+        white=np.array([95.0, 100.0, 108.0]),
+        scene="leaves",
+        illuminant="D65",
+        luminance=100.0,
+        exposure=0.01,
+        seed=(7, seed),
+    )
+
+
+def a_table(camera: CameraModel) -> TransformTable:
+    rule = ClassRule(
+        patch=3,
+        shift=0,
+        level_edges=np.array([900], np.uint32),
+        contrast_edges=np.array([[5, 6]], np.uint32),
+        saturation=4000,
+        saturation_radius=1,
+        case_of_code=np.arange(8, dtype=np.uint16),
+        chroma_black=64 * 16,
+        chroma_weights=np.array([[1, 2, 3], [-4, 5, 6]], np.int32),
+    )
+    classes = camera.cfa.size * rule.classes_per_site
+    rng = np.random.default_rng(1)
+    return TransformTable(
+        camera_name=camera.name,
+        rows=camera.rows,
+        cols=camera.cols,
+        channels=camera.channels,
+        cfa=camera.cfa,
+        bits=camera.bits,
+        black=camera.black,
+        white=camera.white,
+        outputs=("X", "Y", "Z"),
+        target_description="",
+        output_unit=0.5,
+        white_point=np.array([0.95, 1.0, 1.09]),
+        rule=rule,
+        weights=rng.standard_normal((classes, 3, 9)).astype(np.float32),
+        intercept=np.zeros((classes, 3), np.float32),
+        samples=np.ones(classes),
+        condition=np.ones(classes, np.float32),
+        history=(Stage("train", {"seed": 0}),),
+    )

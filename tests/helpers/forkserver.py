@@ -1,0 +1,148 @@
+"""Runs of l3 without their start-up: a process that has imported what the commands need, and forks for each run.
+
+Run as a program it is that process: it takes one JSON object a line, tells the number of the process it forks, and how that
+ended.
+"""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tests.helpers.paths import ROOT
+
+IMPORTS = (
+    "numpy colour h5py OpenImageIO rawpy scipy.optimize scipy.ndimage scipy.interpolate tifffile jinja2 l3cli.cli.render "
+    "l3cli.stages.rendering.render l3cli.stages.reporting.report l3cli.cli.train l3cli.cli.lab l3cli.cli.calibrate "
+    "l3cli.stages.training.shards l3cli.stages.simulation.simulate "
+    "l3cli.cli.evaluate l3cli.cli.report l3cli.cli.compare l3cli.cli.info l3cli.cli.simulate l3cli.cli.init "
+    "l3cli.calibration.model l3cli.training.table l3cli.simulation.frame l3cli.simulation.drawn l3cli.rendering.reference "
+    "l3cli.evaluation.evaluation l3cli.io.measurements l3cli.io.curves l3cli.simulation.lab l3cli.calibration.figures "
+    "l3cli.calibration.acceptance l3cli.calibration.text l3cli.stages.calibration l3cli.stages.lab"
+)
+
+ENDING = (signal.SIGINT, signal.SIGTERM)
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a run ended: exit code, or minus the signal; what it said; what lay in its output folder, by name."""
+
+    code: int
+    out: str
+    err: str
+    left: dict[str, int]
+
+
+class ForkServer:
+    """Starts runs in `folder`, one at a time. With `own_disks` in a mount namespace, which may mount small disks."""
+
+    def __init__(self, folder: Path, own_disks: bool = False) -> None:
+        self.folder, self._child = folder, 0
+        prefix = ["unshare", "-rm"] if own_disks else []
+        self._server = subprocess.Popen(
+            [*prefix, sys.executable, "-m", "tests.helpers.forkserver"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])},
+        )
+
+    def start(self, *arguments: object, disk: str = "", kill: tuple[float, int] = (0.0, 0)) -> int:
+        """Begin `l3 ARGUMENTS`; the number of its process. `disk`: mount options of a tmpfs laid over the folder "out";
+        `kill`: seconds after which it gets a signal."""
+        assert self._server.stdin is not None
+        if self._child:  # of a test that failed
+            os.kill(self._child, signal.SIGKILL)
+            self.wait()
+        given = [str(each) for each in arguments]
+        asked = {"folder": str(self.folder), "arguments": given, "disk": disk, "kill": kill}
+        self._server.stdin.write(json.dumps(asked) + "\n")
+        self._server.stdin.flush()
+        self._child = int(self._answer())
+        return self._child
+
+    def wait(self) -> Ended:
+        """How the run ended that was started last."""
+        answer = self._answer()
+        self._child = 0
+        return Ended(**answer)
+
+    def run(self, *arguments: object, disk: str = "", kill: tuple[float, int] = (0.0, 0)) -> Ended:
+        self.start(*arguments, disk=disk, kill=kill)
+        return self.wait()
+
+    def close(self) -> None:
+        assert self._server.stdin is not None
+        self._server.stdin.close()
+        self._server.wait()
+
+    def _answer(self) -> Any:
+        assert self._server.stdout is not None
+        return json.loads(self._server.stdout.readline())
+
+
+def serve() -> None:
+    from l3cli.parallel import one_blas_thread
+
+    one_blas_thread()
+    for name in IMPORTS.split():
+        __import__(name)
+    for line in sys.stdin:
+        asked = json.loads(line)
+        os.chdir(asked["folder"])
+        if asked["disk"]:
+            os.makedirs("out", exist_ok=True)
+            subprocess.run(["mount", "-t", "tmpfs", "-o", asked["disk"], "tmpfs", "out"], check=True)
+        signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)  # until the run knows what to do with them
+        child = os.fork()
+        if child == 0:
+            _become(asked["arguments"])
+        _tell(child)
+        seconds, number = asked["kill"]
+        if number:
+            time.sleep(seconds)
+            os.kill(child, number)  # it is there, be it ended: nobody else asks for its end
+        code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        left = {str(each): each.stat().st_size for each in sorted(Path("out").rglob("*")) if each.is_file()}
+        if asked["disk"]:
+            subprocess.run(["umount", "out"], check=True)
+        words = {name: Path(f"{os.getpid()}.{name}") for name in ("out", "err")}
+        said = {name: file.read_text() if file.exists() else "" for name, file in words.items()}  # killed before it had any
+        _tell({"code": code, **said, "left": left})
+
+
+def _tell(answer: Any) -> None:
+    print(json.dumps(answer), flush=True)
+
+
+def _become(arguments: list[str]) -> None:
+    """The run, in the forked process, which ends with it; its words go to files called after the server's number."""
+    from l3cli import cli
+
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+    for number, name in ((1, "out"), (2, "err")):
+        said = f"{os.getppid()}.{name}"
+        if os.path.exists(said):
+            os.unlink(said)  # workers of a killed run may still have something to say to theirs
+        os.dup2(os.open(said, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666), number)
+    sys.argv = ["l3", *arguments]
+    for each in ENDING:
+        signal.signal(each, cli._end)
+    group = cli.l3.main
+
+    def begin(*arguments: Any, **options: Any) -> Any:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)  # now it knows
+        return group(*arguments, **options)
+
+    cli.l3.main = begin  # type: ignore[method-assign]
+    cli.main()
+
+
+if __name__ == "__main__":
+    serve()

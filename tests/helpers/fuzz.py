@@ -1,0 +1,213 @@
+"""python -m tests.helpers.fuzz: many hostile inputs, in processes whose crash is seen; what fails leaves its input behind.
+
+Choices come from seeds, so that `--first SEED --inputs 1 --batch` repeats one; with --guided from a fuzzer that prefers
+inputs which reach new lines of l3cli (atheris, pip install "l3cli[fuzz]"). With --environments it is whole commands in so
+many places that none was made for: `--first SEED --environments 1` repeats one.
+"""
+
+import argparse
+import random
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+BATCH = 1000  # inputs a process
+IDENTITIES = "identities"  # as --only: outputs that are inputs alone
+PHYSICS = 100  # of so many seeds one spoils the physics of a lab instead of a file
+SLOW = 3  # seconds of processor time of an input that are worth a word
+
+
+class Seeded:
+    """Choices of a seed."""
+
+    def __init__(self, seed: int) -> None:
+        self._random = random.Random(seed)
+
+    def integer(self, least: int, most: int) -> int:
+        return self._random.randint(least, most)
+
+
+class Guided:
+    """Choices of the coverage-guided fuzzer's bytes."""
+
+    def __init__(self, provider: Any) -> None:
+        self._provider = provider
+
+    def integer(self, least: int, most: int) -> int:
+        return self._provider.ConsumeIntInRange(least, most)
+
+
+class Court:
+    """Judges inputs, and keeps those that fail."""
+
+    def __init__(self, shop: Any, seen: list[str], kept: Path, only: str | None) -> None:
+        from tests.helpers import hostile_numbers
+        from tests.helpers.hostile import SUBJECTS
+        from tests.helpers.hostile_identities import Identities
+        from tests.helpers.hostile_special_files import SpecialFiles
+
+        self._identities = Identities(shop)
+        every = (*SUBJECTS, *hostile_numbers.subjects(shop), SpecialFiles())
+        chosen = [subject for subject in every if only is None or subject.name == only]
+        self.subjects = [subject for turn in range(3) for subject in chosen if only or subject.often > turn]
+        self._shop, self._seen, self._kept = shop, seen, kept
+
+    def judge(self, number: int, subject: Any, choices: Any) -> str | None:
+        """Spoil the subject's file and have it read, or make the call it draws; what did not hold, or None."""
+        if hasattr(subject, "draw"):
+            call, command = subject.draw(choices), 0
+            content, held = str(call).encode(), lambda: subject.judge(self._shop, call)
+        else:
+            content = subject.spoil(self._shop.whole[subject.name], choices)
+            command = choices.integer(0, len(subject.commands) - 1)
+            held = lambda: self._shop.judge_content(subject, content, command)  # noqa: E731
+        mark = self._kept / f"{number}_{command}_{subject.name.replace('/', '_')}"
+        mark.write_bytes(content)  # before it is read, which may be the end of this process
+        start = time.process_time()
+        verdict = held() or (self._seen.pop() if self._seen else None)
+        if (took := time.process_time() - start) > SLOW:
+            print(f"{mark.name}: slow, {took:.1f} s", flush=True)
+        if verdict is None:
+            mark.unlink()
+        else:
+            mark.with_suffix(mark.suffix + ".txt").write_text(verdict)
+            print(f"{mark.name}: {verdict.strip().splitlines()[-1]}", flush=True)
+        return verdict
+
+    def judge_identities(self, number: int, choices: Any) -> str | None:
+        """Have a command write over what it reads; what did not hold, or None."""
+        verdict = self._identities.judge(choices) or (self._seen.pop() if self._seen else None)
+        if verdict is not None:
+            mark = self._kept / f"{number}_{IDENTITIES}.txt"
+            mark.write_text(verdict)
+            print(f"{mark.name}: {verdict.strip().splitlines()[-1]}", flush=True)
+        return verdict
+
+
+@contextmanager
+def court(kept: Path, only: str | None) -> Iterator[Court]:
+    from tests.helpers.hostile import Workshop, confined, watched
+
+    with tempfile.TemporaryDirectory(prefix="l3-fuzz-") as name:
+        shop = Workshop(Path(name))
+        with confined(), watched(Path(tempfile.gettempdir()), kept.absolute()) as seen:
+            yield Court(shop, seen, kept, only)
+
+
+def batch(chosen: argparse.Namespace) -> int:
+    """Judge the inputs of some seeds, one subject after the other; how many failed."""
+    seeds = range(chosen.first, chosen.first + chosen.inputs)
+    failed = 0 if chosen.only else physics([seed for seed in seeds if seed % PHYSICS == 0])
+    with court(chosen.kept, chosen.only) as judges:
+        for seed in seeds:
+            if chosen.only == IDENTITIES or (chosen.only is None and seed % 10 == 0):
+                failed += judges.judge_identities(seed, Seeded(seed)) is not None
+            if chosen.only == IDENTITIES:
+                continue
+            subject = judges.subjects[seed % len(judges.subjects)]
+            failed += judges.judge(seed, subject, Seeded(seed)) is not None
+    return failed
+
+
+def physics(seeds: list[int]) -> int:
+    """Judge a lab with a physical mistake of each seed; how many came through as a wrong camera, or without a name."""
+    from tests.helpers.hostile_physics import judge_seeds
+
+    failed = 0
+    for seed, verdict in judge_seeds(seeds):
+        failed += 1
+        print(f"physics {seed}: {verdict.strip()}", flush=True)
+    return failed
+
+
+def guided(chosen: argparse.Namespace) -> None:
+    """Judge inputs that the coverage of those before has led to; the first failure ends it."""
+    import atheris
+
+    with atheris.instrument_imports(include=["l3cli"]):
+        import l3cli.cli.calibrate
+        import l3cli.cli.info
+        import l3cli.cli.render
+        import l3cli.cli.simulate
+        import l3cli.cli.train  # noqa: F401
+        from tests.helpers.hostile import one_of
+    corpus = chosen.kept / "corpus"
+    corpus.mkdir(exist_ok=True)
+    flags = [f"-runs={chosen.inputs}", f"-artifact_prefix={chosen.kept}/", "-timeout=0", "-rss_limit_mb=0", "-len_control=0"]
+    with court(chosen.kept, chosen.only) as judges:
+        number = 0
+
+        def one(content: bytes) -> None:
+            nonlocal number
+            number += 1
+            choices = Guided(atheris.FuzzedDataProvider(content))
+            verdict = judges.judge(number, one_of(choices, judges.subjects), choices)
+            if verdict is not None:
+                raise AssertionError(verdict)
+
+        atheris.Setup([sys.argv[0], *flags, "-max_len=256", str(corpus)], one)
+        atheris.Fuzz()
+
+
+def environments(chosen: argparse.Namespace) -> int:
+    """Judge whole commands in hostile environments of some seeds; how many failed."""
+    from tests.helpers.hostile_environments import Place, judge, make_desk
+
+    with tempfile.TemporaryDirectory(prefix="l3-fuzz-") as name, ThreadPoolExecutor(chosen.jobs) as pool:
+        make_desk(Path(name))
+        seeds = range(chosen.first, chosen.first + chosen.environments)
+        failed = 0
+        for seed, verdict in zip(
+            seeds, pool.map(lambda seed: judge(Path(name), Place.drawn(Seeded(seed))), seeds), strict=True
+        ):
+            if verdict is not None:
+                failed += 1
+                (chosen.kept / f"place_{seed}.txt").write_text(verdict)
+                print(f"place {seed}: {verdict}", flush=True)
+    print(f"{len(seeds)} environments, {failed} failures" + (f"; {chosen.kept} holds them" if failed else ""))
+    return int(failed > 0)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--inputs", type=int, default=20_000)
+    parser.add_argument("--first", type=int, default=0, help="first seed")
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--only", help="one subject, such as camera.h5")
+    parser.add_argument("--kept", type=Path, default=Path("build/fuzz"), help="folder for inputs that failed")
+    parser.add_argument("--batch", action="store_true", help="judge in this process")
+    parser.add_argument("--guided", action="store_true", help="by coverage, in this process")
+    parser.add_argument("--environments", type=int, default=0, help="places to run whole commands in, and no inputs")
+    chosen = parser.parse_args()
+    chosen.kept.mkdir(parents=True, exist_ok=True)
+    if chosen.environments:
+        return environments(chosen)
+    if chosen.guided:
+        guided(chosen)
+    if chosen.batch:
+        return min(batch(chosen), 100)
+    command = [sys.executable, "-m", "tests.helpers.fuzz", "--batch", "--kept", str(chosen.kept)]
+    command += ["--only", chosen.only] if chosen.only else []
+
+    def one(first: int) -> int:
+        count = min(BATCH, chosen.first + chosen.inputs - first)
+        code = subprocess.run([*command, "--first", str(first), "--inputs", str(count)], check=False).returncode
+        if code < 0:
+            print(f"seeds {first}…{first + count - 1}: the process died of signal {-code}; its input lies in {chosen.kept}")
+        print(f"seeds {first}…{first + count - 1}: {abs(code)} failures", flush=True)
+        return abs(code)
+
+    with ThreadPoolExecutor(chosen.jobs) as pool:
+        failed = sum(pool.map(one, range(chosen.first, chosen.first + chosen.inputs, BATCH)))
+    print(f"{chosen.inputs} inputs, {failed} failures" + (f"; {chosen.kept} holds them" if failed else ""))
+    return int(failed > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

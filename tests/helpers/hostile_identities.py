@@ -1,0 +1,159 @@
+"""Outputs that are inputs: whatever a command reads, and by whatever name an output is the same file, it stays.
+
+Choices come from whoever drives, as in hostile.py.
+"""
+
+import contextlib
+import functools
+import io
+import os
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+from l3cli.cli import run
+from tests.helpers.hostile import Choices, Workshop, one_of
+
+RENDER = "--backend reference --exposure 0.8"
+COLD = "--scheduler tcp://127.0.0.1:1 --tls-ca other.json --tls-cert lab.toml --tls-key evaluation.json"  # nobody listens
+
+
+@dataclass(frozen=True)
+class Sentence:
+    """A command that writes below {out}, what it reads (globs), and what it writes, unless a run shows that."""
+
+    command: str
+    reads: str
+    recipe: str = ""  # text of recipe.toml
+    writes: str = ""
+
+
+def _scenes(source: str, name: str) -> str:
+    ranged = "" if source in ("iset", "rgb", "envi") else "wavelength_range_nm = [400, 700, 50]\n"
+    return f'exposure_share = [0.9]\nilluminants = ["lamp.csv"]\n[[scene]]\nsource = "{source}"\nfile = "{name}"\n{ranged}'
+
+
+def _simulated(source: str, name: str, reads: str = "") -> Sentence:
+    command = "simulate recipe.toml --camera camera.toml -o {out}/t.h5 --pictures {out}/p"
+    return Sentence(command, f"recipe.toml camera.toml lamp.csv {reads or name}", _scenes(source, name))
+
+
+def _rendered(name: str, output: str, more: str = "") -> Sentence:
+    return Sentence(f"render table.h5 {name} -o {{out}}/{output} {RENDER} {more}", f"table.h5 {name}")
+
+
+SENTENCES = (
+    Sentence(
+        "calibrate lab/MEASUREMENTS.toml -o {out}/camera.h5 --accept --export {out}/curves --truth curves.toml",
+        "lab/MEASUREMENTS.toml lab/*/*.tif lab/spectra/*.csv curves.toml curves.csv",
+    ),
+    Sentence("calibrate table.toml -o {out}/camera.h5 --accept --export {out}", "table.toml sweep.csv diode.csv"),
+    Sentence("calibrate curves_of.toml -o {out}/camera.h5 --accept --export {out}", "curves_of.toml curves.json"),
+    Sentence(
+        "simulate scenes.toml --camera curves.toml -o {out}/t.h5 --pictures {out}/p --dng {out}/d",
+        "scenes.toml lamp.csv picture.png frame.tif curves.toml curves.csv",
+    ),
+    Sentence("simulate drawn.toml --camera camera.h5 -o {out}/t.h5 --resume", "drawn.toml camera.h5"),
+    _simulated("iset", "scene.mat"),
+    _simulated("rgb", "picture.jpg"),
+    _simulated("bands", "bands", "bands/*.png"),
+    _simulated("envi", "cube.hdr", "cube.hdr cube.img"),
+    _simulated("cube", "cube.npy"),
+    _simulated("cube", "cube.h5"),
+    _simulated("channels", "channels.exr"),
+    Sentence("train training.h5 --classes classes.toml -o {out}/t.h5", "training.h5 classes.toml"),
+    Sentence("train training.h5 --classes classes.toml --shard 1/2 -o {out}/s.h5", "training.h5 classes.toml"),
+    Sentence("train --merge sums.h5 -o {out}/t.h5", "sums.h5"),
+    Sentence(f"train training.h5 -o {{out}}/t.h5 {COLD}", "training.h5 lab.toml *.json", writes="t.h5"),
+    *(_rendered(f"frame.{suffix}", "a.png") for suffix in ("npy", "tif", "png", "dng", "pgm", "fits")),
+    _rendered("frame.raw", "a.tif", "--size 20x24"),
+    _rendered("frame.tif", "p_%02d.tif"),
+    _rendered("bands/*.png", "out", "--skip-bad --format png --size 18x20"),
+    *(_rendered("stack.npy", output) for output in ("%d.png", "pictures", "a.y4m", "a.mkv")),
+    _rendered("stack.h5", "a.mp4"),
+    *(_rendered("clip.mkv", output) for output in ("%d.jpg", "pictures", "b.mkv", "b.mov")),
+    Sentence("evaluate table.h5 training.h5 --backend reference --pictures {out}/p", "table.h5 training.h5"),
+    Sentence("report camera.h5 training.h5 table.h5 --backend reference -o {out}/r.html", "camera.h5 training.h5 table.h5"),
+    Sentence("compare evaluation.json other.json --figure psnr -o {out}/c.html", "evaluation.json other.json"),
+    Sentence("lab curves.toml --recipe lab.toml -o {out}", "curves.toml curves.csv lab.toml"),
+)
+WAYS = ("its name", "another spelling", "a linked folder", "a symbolic link", "a link to a link", "a hard link")
+
+
+class Identities:
+    """Commands in a workshop whose outputs are made their inputs."""
+
+    def __init__(self, shop: Workshop) -> None:
+        self._inputs, self._out = shop.inputs, shop.folder / "out"
+        self._written = functools.cache(self._write)
+
+    def judge(self, choices: Choices) -> str | None:
+        """Make an output of a sentence one of its inputs; what did not hold, or None."""
+        sentence = one_of(choices, SENTENCES)
+        with contextlib.chdir(self._inputs):
+            before = (self._inputs / "recipe.toml").read_bytes()
+            if sentence.recipe:
+                (self._inputs / "recipe.toml").write_text(sentence.recipe)
+            try:
+                return self._judge(sentence, choices)
+            finally:
+                (self._inputs / "recipe.toml").write_bytes(before)
+                shutil.rmtree(self._out, ignore_errors=True)
+
+    def _judge(self, sentence: Sentence, choices: Choices) -> str | None:
+        written = one_of(choices, self._written(sentence))
+        source = one_of(choices, [path for glob in sentence.reads.split() for path in sorted(Path().glob(glob))])
+        way = one_of(choices, WAYS)
+        arguments = self._disguised(sentence, written, source, way)
+        held, placed = self._contents(), sorted(self._out.rglob("*"))
+        code, said = _called([*arguments, "--force"] if "--force" not in arguments else arguments)
+        told = f"{' '.join(arguments)} --force, where {written} is {source} by {way}: exit code {code}: {said}"
+        changed = [str(path) for path, content in self._contents().items() if held.get(path) != content]
+        if changed or len(held) != len(self._contents()):
+            return f"{told}changed {changed}"
+        if code not in (1, 2, 3) or said.count("\n") != 1:
+            return told
+        return f"{told}left {sorted(self._out.rglob('*'))}" if sorted(self._out.rglob("*")) != placed else None
+
+    def _disguised(self, sentence: Sentence, written: str, source: Path, way: str) -> list[str]:
+        """The command, `written` being `source` in some way: by what is typed, where that names the very file; else by a
+        link that lies in its place."""
+        words = sentence.command.format(out=self._out).split()
+        place = self._out / written
+        place.parent.mkdir(parents=True, exist_ok=True)
+        typed = {
+            WAYS[0]: source,
+            WAYS[1]: self._inputs / "lab" / ".." / source,
+            WAYS[2]: self._out / "linked" / source,
+        }
+        if way in typed and str(place) in words:
+            if way == WAYS[2]:
+                (self._out / "linked").symlink_to(self._inputs)
+            return [str(typed[way]) if word == str(place) else word for word in words]
+        if way == WAYS[4]:
+            (self._out / "link").symlink_to(source.absolute())
+            place.symlink_to(self._out / "link")
+        elif way == WAYS[5]:
+            os.link(source, place)
+        else:
+            place.symlink_to(source.absolute())
+        return words
+
+    def _write(self, sentence: Sentence) -> list[str]:
+        """What an undisturbed run of the sentence writes, relative to {out}."""
+        if sentence.writes:
+            return sentence.writes.split()
+        code, said = _called(sentence.command.format(out=self._out).split())
+        assert code == 0, (sentence.command, said)
+        found = sorted(str(path.relative_to(self._out)) for path in self._out.rglob("*") if path.is_file())
+        shutil.rmtree(self._out)
+        return found
+
+    def _contents(self) -> dict[Path, bytes]:
+        return {path: path.read_bytes() for path in self._inputs.rglob("*") if path.is_file()}
+
+
+def _called(arguments: list[str]) -> tuple[int, str]:
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()) as stderr:
+        code = run(arguments)
+    return code, "".join(line + "\n" for line in stderr.getvalue().splitlines() if line.startswith("l3: "))

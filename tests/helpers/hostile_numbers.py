@@ -1,0 +1,160 @@
+"""Hostile numbers: in every option, variable and recipe key that takes one, what nobody meant and Python half understands.
+
+Whatever the number, a call ends soon: done, or refused in one line with the exit code that README names.
+"""
+
+import contextlib
+import os
+import re
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from tests.helpers import hostile
+from tests.helpers.hostile import Choices, Workshop, one_of
+
+NUMBERS = (
+    "0", "-0", "-1", "1", "2", "0.5", "1e-9", "nan", "inf", "-inf", "1e308", "-1e308", "5e-324", "1e999", "1e999999999",
+    "1" + 23 * "0", "1" + 5000 * "0", 5000 * "0", "9999999999", "9223372036854775807", "9223372036854775808",
+    "10²³", "²", "٣", "0x10", "1_000", "1,5", "1/3", "1/0", "29.97002997", "", " ", "three",
+)  # fmt: skip
+RENDER = "render table.h5 frame.npy -o {out}/a.png --backend reference"
+SEQUENCE = "render table.h5 stack.npy -o {out}/p --backend reference"
+MOVIE = "render table.h5 stack.npy -o {out}/a.mp4 --backend reference"
+BARE = "render table.h5 frame.raw -o {out}/a.png --backend reference"
+TRAIN = "train training.h5 --classes classes.toml -o {out}/t.h5"
+SIMULATE = "simulate drawn.toml --camera camera.toml -o {out}/t.h5"
+OPTIONS = (  # {n} is the number; "=" holds on to what begins with a minus
+    MOVIE + " --fps={n}", MOVIE + " --crf={n}", "render table.h5 stack.npy -o {out}/a.y4m --backend reference --fps={n}",
+    RENDER + " --exposure={n}", RENDER + " --white={n},0.33", RENDER + " --white=0.31,{n}", RENDER + " --white={n}K",
+    RENDER + " --white=D{n}K", RENDER + " --black={n}", RENDER + " --white-level={n}", RENDER + " --phase={n},0",
+    RENDER + " --exposure-time={n}",
+    BARE + " --size={n}x24", BARE + " --size=20x{n}", BARE + " --size=20x24 --stride={n}",
+    "render table.h5 - -o {out}/%d.png --backend reference --size={n}x{n}", RENDER + " --device={n}",
+    SEQUENCE + " --frames={n}", SEQUENCE + " --frames=0-{n}", SEQUENCE + " --frames=0-{n} --skip-bad",
+    SEQUENCE + " --frames=0-2x{n}", "render table.h5 clip.mkv -o {out}/p --backend reference --frames=0-{n} --skip-bad",
+    "render table.h5 stack.npy -o {out}/%0{n}d.png --backend reference", SEQUENCE + " --bits={n}",
+    "evaluate table.h5 training.h5 --backend reference --viewing={n}", TRAIN + " --shard={n}/2", TRAIN + " --shard=1/{n}",
+    TRAIN + " --shares={n}", TRAIN + " --seed={n}", SIMULATE + " --seed={n}", TRAIN + " --shard=1/1 --jobs={n}",
+    "lab camera.toml --recipe lab.toml -o {out}/lab --seed={n}", "bench --list --device={n}",
+    "calibrate curves_of.toml -o {out}/c.h5 --accept --jobs={n}", SIMULATE + " --scheduler=tcp://127.0.0.1:{n}",
+)  # fmt: skip
+VARIABLES = ("L3_MEGAPIXELS", "L3_DECODE_SECONDS", "L3_DEVICE", "COLUMNS", "LINES")
+LOOK = "render table.h5 frame.tif -o {out}/a.png --backend reference"
+RECIPES = {  # each with a command that reads it, as {file}
+    "camera.toml": "simulate drawn.toml --camera {file} -o {out}/t.h5",
+    "scenes.toml": "simulate {file} --camera camera.toml -o {out}/t.h5",
+    "classes.toml": "train training.h5 --classes {file} -o {out}/t.h5",
+    "lab.toml": "lab camera.toml --recipe {file} -o {out}/lab",
+    "table.toml": "calibrate {file} -o {out}/c.h5 --accept",
+    "lab/MEASUREMENTS.toml": "calibrate {file} -o {out}/c.h5 --accept",
+}
+KEYS = {  # keys that the recipes above leave out
+    "camera.toml": "[sensor] white_dn = 4000",
+    "classes.toml": "[classes] saturation = 0.9 saturation_radius = 2 highest_level = 0.9 [learning] highlight_share = 0.25 "
+    "highlight_from = 0.15 brightness_power = 0.5 error_power = 0.2 ridge = 1e-5 luminance_noise = 1 chroma_noise = 1 "
+    "parent_patches = 20",
+    "lab.toml": "[mono] trials = 1 stray_light = 0.0005 level = 0.5 radiance = 1e18 longest_exposure_s = 2.0 [chart] "
+    "trials = 1 luminance = 500 level = 0.5 [white] luminance = 500 [flaws] hot_current_e_per_s = 4000 "
+    "dead_pixels_per_million = 10 dust_specks_per_million = 4 dust_depth = 0.03 dust_radius_px = 12 column_noise_e = 2",
+    "lab/MEASUREMENTS.toml": "[uncertainty] lamp_drift = 0.01 wavelength_nm = 0.1",
+}
+TOML = ("1979-05-27", "1979-05-27T07:32:00Z", "07:32:00", "0x10", "1_000", "true", "[]", '"5"')
+FIGURE = re.compile(r"(?<![\w\"])[-+]?\d[\d.]*(?:[eE][-+]?\d+)?(?![\w\"])")
+
+
+@dataclass(frozen=True)
+class Call:
+    """A command with a number in it: its words, what the environment says, a recipe's name and text."""
+
+    command: str
+    environment: tuple[tuple[str, str], ...] = ()
+    name: str = ""
+    text: str = ""
+
+    def __str__(self) -> str:
+        return "\n".join(filter(None, [self.command, *map("=".join, self.environment), self.name, self.text]))
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """Calls with an awkward number: of an option, of a variable, or of one of the RECIPES."""
+
+    name: str
+    often: int = 3
+
+    def draw(self, choices: Choices) -> Call:
+        """A call."""
+        number = one_of(choices, NUMBERS)
+        if self.name == "options":
+            return Call(one_of(choices, OPTIONS).replace("{n}", number))
+        if self.name == "environment":
+            return Call(LOOK, ((one_of(choices, VARIABLES), number),))
+        text = self.recipe()
+        figure = one_of(choices, list(FIGURE.finditer(text)))
+        new = one_of(choices, (number, one_of(choices, TOML)))
+        return Call(RECIPES[self.name], name=self.name, text=text[: figure.start()] + new + text[figure.end() :])
+
+    def recipe(self) -> str:
+        """The whole recipe with every key that takes a number."""
+        own = {"camera.toml": hostile.CAMERA, "scenes.toml": hostile.SCENES, "classes.toml": hostile.CLASSES}
+        own |= {"lab.toml": hostile.LAB, "table.toml": hostile.TABLE, "lab/MEASUREMENTS.toml": _MEASURED[0]}
+        return with_keys(own[self.name], KEYS.get(self.name, ""))
+
+    def judge(self, shop: Workshop, call: Call) -> str | None:
+        """What did not hold, or None."""
+        return judge(shop, call)
+
+
+_MEASURED = [""]  # the measurement file of the workshop, once there is one
+
+
+def with_keys(text: str, keys: str) -> str:
+    """A recipe with more keys in its tables, which are made where they are not there."""
+    for table, own in re.findall(r"\[(\w+)\]((?: \w+ = \S+)*)", keys):
+        lines = "\n".join(re.findall(r"\w+ = \S+", own)) + "\n"
+        head = f"[{table}]\n"
+        text = text.replace(head, head + lines, 1) if head in text else f"{text}\n{head}{lines}"
+    return text
+
+
+def judge(shop: Workshop, call: Call) -> str | None:
+    """What did not hold when l3 was called, or None."""
+    path, out = shop.inputs / (call.name or "none"), shop.folder / "out"
+    before = path.read_bytes() if call.name else b""
+    if call.name:
+        path.write_text(call.text, encoding="utf-8")
+    words = [word.format(file=path, out=out) if "{" in word else word for word in _words(call.command)]
+    try:
+        with contextlib.chdir(shop.inputs), told(call.environment):
+            return hostile.verdict(words) or shop.strays(out)
+    finally:
+        if call.name:
+            path.write_bytes(before)
+        shutil.rmtree(out, ignore_errors=True)
+
+
+def _words(command: str) -> list[str]:
+    """Words between single blanks: an option may hold one at its end."""
+    return re.split(r" (?=\S)", command)
+
+
+@contextlib.contextmanager
+def told(variables: tuple[tuple[str, str], ...]) -> Iterator[None]:
+    """Say something in the environment for the block."""
+    before = {name: os.environ.get(name) for name, _ in variables}
+    os.environ.update(variables)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def subjects(shop: Workshop) -> tuple[Numbers, ...]:
+    """What can be drawn from, in a workshop."""
+    _MEASURED[0] = (shop.inputs / "lab/MEASUREMENTS.toml").read_text()
+    return (Numbers("options"), Numbers("environment", often=1), *(Numbers(name, often=1) for name in RECIPES))

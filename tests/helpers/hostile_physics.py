@@ -1,0 +1,290 @@
+"""Hostile physics: a small lab's folder with one mistake of a physical kind. Calibration must name it, or undo it where the
+file tells how; a wrong camera with exit code 0 is what must never come out.
+
+    python -m tests.helpers.hostile_physics FIRST COUNT     # seeds; as tests.helpers.fuzz does, every hundredth input
+"""
+
+import contextlib
+import io
+import re
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera_recipe import load_camera
+from l3cli.artifacts.store import load
+from l3cli.cli import run
+from tests.helpers.fuzz import Seeded
+from tests.helpers.hostile import CAMERA, Choices, one_of
+
+LAB = """
+[mono]
+step_nm = 10.0
+bandwidth_nm = 10.0
+overexposed = 1
+[chart]
+illuminants = ["D65", "A", "FL2"]
+[white]
+levels = [0.1, 0.3, 0.5, 0.8, 1.6]
+trials = 2
+[dark]
+exposures_s = [0.01, 0.5, 1.0, 2.0]
+trials = 2
+"""
+JOULE = 1.602176634e-19 * 1239.841984  # J nm a photon
+KINDS = ("mono", "chart", "white", "dark")
+WITHIN = 0.03  # of the peak: responsivities of such a small lab against the truth; whole, they are within a third of it
+FIGURES = {"gain": 0.05, "black": 0.01, "white": 0.01}
+NOISE = {"read_noise": 0.1, "dark_current": 0.2, "prnu": 0.2}
+
+
+class Folder:
+    """A lab's folder to be spoilt: texts are copies, frames are the whole lab's."""
+
+    def __init__(self, whole: Path, path: Path) -> None:
+        path.mkdir()
+        for kind in KINDS:
+            (path / kind).symlink_to(whole / kind)
+        shutil.copytree(whole / "spectra", path / "spectra")
+        for name in ("camera.toml", "curves.csv", "MEASUREMENTS.toml"):
+            shutil.copy(whole / name, path / name)
+        self.path, self.measurements = path, path / "MEASUREMENTS.toml"
+
+    def spectra(self, choices: Choices) -> list[Path]:
+        """All tables of spectra, or those of one kind of capture."""
+        return sorted((self.path / "spectra").glob(one_of(choices, ("*.csv", "mono.csv", "chart*.csv"))))
+
+    def edit(self, change: Callable[[str], str]) -> None:
+        text = self.measurements.read_text()
+        self.measurements.write_text(change(text))
+
+
+Expected = tuple[str, ...] | None  # what the line of a refusal names; None: the camera must come out right
+
+
+def rewritten(path: Path, heading: Callable[[list[str]], list[str]], rows: Callable[[np.ndarray], np.ndarray]) -> None:
+    """A CSV with another heading and other numbers (row, column)."""
+    names = path.read_text().splitlines()[0].split(",")
+    table = np.loadtxt(path, delimiter=",", skiprows=1)
+    lines = [",".join(heading(names)), *(",".join(f"{value:.10g}" for value in row) for row in rows(table))]
+    path.write_text("\n".join(lines) + "\n")
+
+
+def same(names: list[str]) -> list[str]:
+    return names
+
+
+def in_watts(table: np.ndarray, scale: float) -> np.ndarray:
+    return np.column_stack([table[:, 0], table[:, 1:] * scale * JOULE / table[:, :1]])
+
+
+def watts(folder: Folder, choices: Choices) -> Expected:
+    """Spectra in watts that say so, in the heading or the measurement file; that say nothing; that say photons."""
+    prefix, scale = one_of(choices, (("", 1.0), ("m", 1e3), ("µ", 1e6)))
+    way = one_of(choices, ("heading", "key", "untold", "photons"))
+    unit = f"{prefix}W/(sr m² nm)"
+    told = {"heading": lambda name: name.partition(" (")[0] + f" ({unit})", "photons": str}
+    files = folder.spectra(choices)
+    for path in files:
+        name_of = told.get(way, lambda name: name.partition(" (")[0])
+        rewritten(
+            path,
+            lambda names, of=name_of: [names[0], *map(of, names[1:])],
+            lambda t: in_watts(t, scale),
+        )
+    if way == "key":
+        for path in files:
+            line = re.escape(f'"spectra/{path.name}"')
+            folder.edit(lambda text, line=line: re.sub(rf"((spectrum|radiance) = {line})", rf'\1\nunit = "{unit}"', text))
+    return None if way in ("heading", "key") else (".csv", "unit")
+
+
+def milliseconds(folder: Folder, choices: Choices) -> Expected:
+    """All exposures in ms or µs, in the key that says so or in exposure_s."""
+    unit, parts = one_of(choices, (("ms", 1e3), ("us", 1e6)))
+    key = one_of(choices, (f"exposure_{unit}", "exposure_s"))
+    folder.edit(lambda text: re.sub(r"exposure_s = (\S+)", lambda m: f"{key} = {float(m[1]) * parts:.9g}", text))
+    return None if key != "exposure_s" else ("exposure",)
+
+
+def typing_error(folder: Folder, choices: Choices) -> Expected:
+    """One exposure mistyped."""
+    factor = one_of(choices, (1e3, 1e-3, 1e2, 1e-2))
+    kind = one_of(choices, KINDS)
+    captures = list(re.finditer(rf'frames = \["({kind}/[^"]*)".*\nexposure_s = (\S+)', folder.measurements.read_text()))
+    capture = one_of(choices, captures)
+    wrong = capture[0].replace(f"exposure_s = {capture[2]}", f"exposure_s = {float(capture[2]) * factor:.9g}")
+    folder.edit(lambda text: text.replace(capture[0], wrong))
+    return (capture[1],)
+
+
+def columns_swapped(folder: Folder, choices: Choices) -> Expected:
+    """Columns of spectra in another order, headings with them; now and then the wavelengths are not the first."""
+    for path in folder.spectra(choices):
+        width = len(path.read_text().splitlines()[0].split(","))
+        order = list(range(width))
+        first = choices.integer(0, 1)
+        for place in range(first, width - 1):
+            other = choices.integer(place, width - 1)
+            order[place], order[other] = order[other], order[place]
+        rewritten(path, lambda names, by=order: [names[i] for i in by], lambda table, by=order: table[:, by])
+    return None
+
+
+def responsivities_swapped(folder: Folder, choices: Choices) -> Expected:
+    """A camera recipe's own curves in another order: told by the heading, or by a heading that fits no channel."""
+    order = one_of(choices, ([0, 3, 2, 1], [0, 2, 3, 1], [1, 2, 3, 0]))
+    rewritten(folder.path / "curves.csv", lambda names: [names[i] for i in order], lambda table: table[:, order])
+    if choices.integer(0, 2):
+        return None
+    path = folder.path / "curves.csv"
+    path.write_text(path.read_text().replace("g", "green", 1))
+    return ("curves.csv", "green")
+
+
+def other_wavelengths(folder: Folder, choices: Choices) -> Expected:
+    """Wavelengths in µm, Å or m, with a heading that says so, one that says nothing and one that says nm."""
+    unit, scale = one_of(choices, (("um", 1e-3), ("A", 10.0), ("µm", 1e-3), ("Å", 10.0), ("m", 1e-9)))
+    way = one_of(choices, ("told", "untold", "nm"))
+    heading = {"told": one_of(choices, (f"wavelength_{unit}", f"wavelength ({unit})")), "untold": "wavelength"}
+    for path in folder.spectra(choices):
+        name = heading.get(way, "wavelength_nm")
+        rewritten(path, lambda names, first=name: [first, *names[1:]], lambda t: t * [scale, *[1] * (t.shape[1] - 1)])
+    return None if way == "told" else (".csv", "wavelength")
+
+
+def rows_reversed(folder: Folder, choices: Choices) -> Expected:
+    for path in folder.spectra(choices):
+        rewritten(path, same, lambda table: table[::-1])
+    return None
+
+
+def decimal_commas(folder: Folder, choices: Choices) -> Expected:
+    """As a spreadsheet of half the world writes them; between commas nobody can tell them."""
+    separator = one_of(choices, (";", "\t", ","))
+    for path in folder.spectra(choices):
+        heading, *lines = path.read_text().splitlines()
+        cells = [separator.join(cell.replace(".", ",") for cell in line.split(",")) for line in lines]
+        path.write_text("\n".join([heading.replace(",", separator), *cells]) + "\n")
+    return (".csv",) if separator == "," else None
+
+
+def percents(folder: Folder, choices: Choices) -> Expected:
+    """Percent where a share is wanted, and lengths in other units."""
+    wrongs = {
+        "peak_efficiency": ("40", "1.2"),
+        "prnu": ("0.5", "1"),
+        "pixel_pitch_um": ("0.004", "4e-6"),
+        "f_number": ("0.28",),
+    }
+    key = one_of(choices, sorted(wrongs))
+    wrong = one_of(choices, wrongs[key])
+    path = folder.path / "camera.toml"
+    path.write_text(re.sub(rf"{key} = \S+", f"{key} = {wrong}", path.read_text()))
+    return ("camera.toml", key)
+
+
+def pitch(folder: Folder, choices: Choices) -> Expected:
+    """A pixel pitch or focal length in another unit."""
+    key, wrong = one_of(choices, (("pixel_pitch_um", "0.004"), ("focal_length_mm", "0.025"), ("f_number", "0.28")))
+    folder.edit(lambda text: re.sub(rf"{key} = \S+", f"{key} = {wrong}", text))
+    return (key,)
+
+
+MISTAKES: tuple[Callable[[Folder, Choices], Expected], ...] = (
+    watts, milliseconds, typing_error, columns_swapped, responsivities_swapped, other_wavelengths, rows_reversed,
+    decimal_commas, percents, pitch,
+)  # fmt: skip
+
+
+class Lab:
+    """A whole lab, and a place where copies of it are spoilt and judged."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.whole = folder, folder / "whole"
+        self.whole.mkdir(parents=True)
+        (self.whole / "camera.toml").write_text(CAMERA.replace("[400, 700, 10]", "[400, 700, 5]"))
+        (self.whole / "lab.toml").write_text(LAB)
+        self.truth = load_camera(self.whole / "camera.toml")
+        said = self.said("lab", self.whole / "camera.toml", "--recipe", self.whole / "lab.toml", "-o", self.whole)
+        assert said[0] == 0, said
+        rows = np.column_stack([self.truth.wavelength, self.truth.responsivity.T])
+        text = "\n".join(",".join(f"{value:.10g}" for value in row) for row in rows)
+        (self.whole / "curves.csv").write_text("wavelength_nm,r,g,b\n" + text + "\n")
+        (self.whole / "camera.toml").write_text(
+            re.sub(
+                r"\[responsivity.gaussians\].*?(?=\[noise\])",
+                "",
+                CAMERA.replace("[400, 700, 10]", "[400, 700, 5]").replace("0.4\n", '0.4\nfile = "curves.csv"\n', 1),
+                flags=re.S,
+            )
+        )
+
+    def said(self, *arguments: object) -> tuple[int, str]:
+        """Exit code and stderr of a command."""
+        stderr = io.StringIO()
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(stderr):
+            code = run([*map(str, arguments), "--quiet"])
+        return code, stderr.getvalue()
+
+    def judge(self, mistake: Callable[[Folder, Choices], Expected], choices: Choices) -> str | None:
+        """What did not hold of a copy in which `mistake` was made, or None."""
+        path = Path(tempfile.mkdtemp(dir=self.folder)) / "lab"
+        try:
+            folder = Folder(self.whole, path)
+            expected = mistake(folder, choices)
+            code, line = self.said("calibrate", folder.measurements, "-o", path / "camera.h5")
+            if mistake in (responsivities_swapped, percents):
+                code, line = self.said("lab", path / "camera.toml", "--recipe", self.whole / "lab.toml", "-o", path / "new")
+            if expected is None:
+                return f"refused: {line}" if code else self._wrong(path, mistake is responsivities_swapped)
+            if code == 0:
+                return self._wrong(path, False)
+            named = all(word in line for word in expected)
+            return None if named and line.startswith("l3: ") and line.count("\n") == 1 else f"names no {expected}: {line}"
+        finally:
+            shutil.rmtree(path.parent)
+
+    def _wrong(self, path: Path, described: bool) -> str | None:
+        """How far the camera that came out is from the truth; None if it is right."""
+        camera = load_camera(path / "camera.toml") if described else load(CameraModel, path / "camera.h5")
+        real = np.array([np.interp(camera.wavelength, self.truth.wavelength, row, 0, 0) for row in self.truth.responsivity])
+        off = float(np.abs(camera.responsivity - real).max() / real.max())
+        if not off < WITHIN:
+            return f"a wrong camera: responsivity off by {off:.3g} of its peak"
+        for figures, holder, true in ((FIGURES, camera, self.truth), (NOISE, camera.noise, self.truth.noise)):
+            for name, within in figures.items():
+                value, right = getattr(holder, name), getattr(true, name)
+                if not abs(value / right - 1.0) < within:
+                    return f"a wrong camera: {name} is {value:.4g}, not {right:.4g}"
+        return None
+
+
+def judge_seeds(seeds: Iterable[int]) -> Iterator[tuple[int, str]]:
+    """The seeds whose mistakes did not end as they must, and what came of them."""
+    with tempfile.TemporaryDirectory(prefix="l3-physics-") as name:
+        lab = Lab(Path(name) / "lab")
+        for seed in seeds:
+            choices = Seeded(seed)
+            mistake = one_of(choices, MISTAKES)
+            if (verdict := lab.judge(mistake, choices)) is not None:
+                yield seed, f"{mistake.__name__}: {verdict}"
+
+
+def main() -> int:
+    first, count = map(int, sys.argv[1:3])
+    failed = 0
+    for seed, verdict in judge_seeds(range(first, first + count)):
+        failed += 1
+        print(f"{seed} {verdict.strip()}", flush=True)
+    print(f"{count} inputs, {failed} failures")
+    return int(failed > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,39 @@
+"""A short sequence of small mosaics, a table for them, and how to run and read what is rendered of them."""
+
+import dataclasses
+from pathlib import Path
+
+import av
+import numpy as np
+
+from l3cli.io.images import read_image
+from tests.helpers.cameras import BAYER
+from tests.helpers.tables import random_table
+
+RGGB = dataclasses.replace(random_table(BAYER, bits=12, black=64.0), camera_name="RGGB", rows=20, cols=28)
+COUNT = 5
+RUN = "import sys; from l3cli.cli import run; sys.exit(run(sys.argv[1:]))"
+FAST = ("--backend", "reference", "--quiet")
+
+
+def frames(count: int = COUNT) -> np.ndarray:
+    """Mosaics (frame, row, col) that grow brighter."""
+    rng = np.random.default_rng(0)
+    light = np.linspace(0.4, 0.9, count)[:, None, None]
+    return np.clip(64 + 4031 * light * rng.uniform(0.3, 1, (count, RGGB.rows, RGGB.cols)), 0, 4095).astype(np.uint16)
+
+
+def pictures(folder: Path, pattern: str = "*.png") -> dict[str, np.ndarray]:
+    return {path.name: read_image(path)[0] for path in sorted(folder.glob(pattern))}
+
+
+def write_raw_video(path: Path, pixels: str = "gray12le", rate: int = 24, group: int = 1) -> Path:
+    with av.open(str(path), "w") as video:
+        options = {"level": "3", "slicecrc": "1", "slices": "4", "g": str(group)}
+        stream = video.add_stream("ffv1", rate=rate, options=options)
+        stream.width, stream.height, stream.pix_fmt = RGGB.cols, RGGB.rows, pixels
+        for mosaic in frames():
+            values = (mosaic >> 4).astype(np.uint8) if pixels == "gray" else mosaic
+            video.mux(stream.encode(av.VideoFrame.from_ndarray(values, format=pixels)))
+        video.mux(stream.encode())
+    return path

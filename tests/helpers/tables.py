@@ -1,0 +1,54 @@
+"""Tables of random weights, for cameras of any colour filter array."""
+
+import dataclasses
+
+import numpy as np
+
+from l3cli.artifacts.table import TransformTable
+from l3cli.classes.recipe import ClassRecipe
+from l3cli.classes.rule import make_rule
+from tests.helpers.cameras import random_camera
+
+
+def random_case_of_code(channels: int, rng: np.random.Generator) -> np.ndarray:
+    """A saturation-case map with a few cases, code 0 being case 0."""
+    cases = rng.integers(0, 4, 2**channels).astype(np.uint16)
+    cases[0] = 0
+    return cases
+
+
+XYZ = ("X", "Y", "Z")
+
+
+def random_table(cfa, bits=12, black=0.0, patch=5, outputs=XYZ, contrasts=(1.4,), wild=False, seed=1) -> TransformTable:
+    """A table of random weights with outputs of about 0…1; `wild`: contrast edges anywhere in 32 bits."""
+    rng = np.random.default_rng(seed)
+    channels = int(np.max(cfa)) + 1
+    camera = random_camera(cfa, channels, bits, black)
+    case_of_code = rng.integers(0, 5, 2**channels).astype(np.uint16)
+    recipe = ClassRecipe(patch=patch, levels=7, lowest_level=0.02, contrasts=contrasts, saturation_radius=min(2, patch // 2))
+    centres = rng.dirichlet(np.ones(channels), int(rng.integers(1, 9)))
+    rule = make_rule(recipe, camera, case_of_code, centres)
+    if wild:
+        edges = np.exp2(rng.uniform(8, 32, rule.contrast_edges.shape)).astype(np.uint32)
+        rule = dataclasses.replace(rule, contrast_edges=np.sort(edges, axis=0))
+    classes = camera.cfa.size * rule.classes_per_site
+    return TransformTable(
+        camera_name=camera.name,
+        rows=camera.rows,
+        cols=camera.cols,
+        channels=camera.channels,
+        cfa=camera.cfa,
+        bits=bits,
+        black=camera.black,
+        white=camera.white,
+        outputs=outputs,
+        target_description="",
+        output_unit=1.0,
+        white_point=np.array([0.9505, 1.0, 1.089, *np.ones(16)])[: len(outputs)],
+        rule=rule,
+        weights=((1 + rng.normal(size=(classes, len(outputs), patch**2))) / patch**2).astype(np.float32),
+        intercept=rng.normal(scale=0.05, size=(classes, len(outputs))).astype(np.float32),
+        samples=np.ones(classes),
+        condition=np.ones(classes, np.float32),
+    )

@@ -1,0 +1,13 @@
+"""What tests give to worker processes, which import it: a light module."""
+
+from l3cli.errors import L3Error
+
+PATIENCE = 60.0  # seconds that a busy machine may take
+
+
+def squared(number: int) -> int:
+    return number * number
+
+
+def refusing(number: int) -> int:
+    raise L3Error(f"not {number}")

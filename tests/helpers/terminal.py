@@ -1,0 +1,31 @@
+"""Commands on a terminal of a given size."""
+
+import contextlib
+import os
+
+from tests.helpers.paths import ROOT
+
+TERMINAL = ("TERM", "COLUMNS", "LINES", "NO_COLOR", "FORCE_COLOR")  # what tests of terminals say themselves
+
+
+def in_terminal(command: list[str], environment: dict[str, str], columns: int = 80) -> str:
+    """What a command shows on a terminal of 24 rows, stdout and stderr together."""
+    import fcntl
+    import pty
+    import struct
+    import subprocess
+    import termios
+
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, columns, 0, 0))
+    known = {"TERM": "xterm-256color", **{key: value for key, value in os.environ.items() if key not in TERMINAL}}
+    known |= {"PYTHONPATH": str(ROOT), **environment}
+    run = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=theirs, stderr=theirs, env=known)
+    os.close(theirs)
+    shown = b""
+    with contextlib.suppress(OSError):  # what reading says when the other end is closed
+        while part := os.read(ours, 65536):
+            shown += part
+    os.close(ours)
+    assert run.wait(timeout=60) == 0, shown
+    return shown.decode()

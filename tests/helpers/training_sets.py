@@ -1,0 +1,44 @@
+"""Training sets whose targets are a known mix of the channels, so that the best table is known."""
+
+from pathlib import Path
+
+import numpy as np
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.training_set import TrainingFrame, TrainingSet, write_training_set
+
+MIX = np.array([[0.4, 0.2, 0.1], [0.2, 0.7, 0.1], [0.0, 0.1, 0.9]])  # the truth: XYZ of the channels at the same pixel
+
+
+def a_frame(camera: CameraModel, seed: int, smooth: bool, size: tuple[int, int] = (48, 56)) -> TrainingFrame:
+    """A frame whose target is MIX applied to its channels, in the table's unit."""
+    rng = np.random.default_rng(seed)
+    shape = (3, 1, 1) if smooth else (3, *size)
+    share = np.broadcast_to(rng.random(shape) * 0.7 + 0.1, (3, *size)).astype(np.float32)
+    target = np.einsum("oc,crk->ork", MIX, share) * camera.white_dose / 0.01
+    return TrainingFrame(
+        electrons=(share * camera.full_scale).astype(np.float32),
+        raw=np.zeros(size, np.uint16),
+        target=target.astype(np.float32),
+        white=np.array([95.0, 100.0, 109.0]),
+        scene=f"frame {seed}",
+        illuminant="D65",
+        luminance=100.0,
+        exposure=0.01,
+        seed=(0, seed),
+    )
+
+
+def a_set(
+    path: Path,
+    camera: CameraModel,
+    count: int,
+    smooth: bool = True,
+    size: tuple[int, int] = (48, 56),
+    target: str = "a known mix of the channels",
+) -> Path:
+    head = TrainingSet(camera=camera, outputs=("X", "Y", "Z"), target_description=target)
+    with write_training_set(path, head) as writer:
+        for seed in range(count):
+            writer.append(a_frame(camera, seed, smooth, size))
+    return path

@@ -1,0 +1,187 @@
+"""What must hold of greys: plain areas show no CFA pattern, highlights no cast, at any level, through clipping and noise."""
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera_recipe import load_camera
+from l3cli.artifacts.partial_sums import ClassSums
+from l3cli.artifacts.store import load
+from l3cli.artifacts.table import TransformTable
+from l3cli.classes.recipe import ClassRecipe
+from l3cli.classes.rule import make_rule
+from l3cli.classes.windows import neighbourhoods
+from l3cli.cli import run
+from l3cli.frame import RawFrame
+from l3cli.physics import spectra
+from l3cli.physics.display import lab
+from l3cli.rendering.renderer import make_renderer
+from l3cli.simulation import sensor
+from l3cli.simulation.light import make_light, white_rates
+from l3cli.training.highlights import grey_patches
+from tests.helpers.paths import CONFIGS
+
+SCENES = """
+illuminants = ["{light}"]
+exposure_share = [0.9]
+[[scene]]
+source = "dead leaves"
+size = [128, 128]
+count = 12
+"""
+SMALLER = {"patches": "4000", "draws": "6", "patch": "{patch}"}
+EXPOSURES = np.geomspace(0.001, 3.0, 160)  # of that at which a perfect white fills its brightest channel
+EVERY = [
+    ("fiveband", "default", "D65", 5),
+    ("fiveband", "fast", "A", 5),
+    ("fiveband", "default", "A", 9),
+    ("bayer", "default", "A", 5),
+    ("bayer", "fast", "D65", 5),
+]
+
+
+@dataclasses.dataclass(frozen=True)
+class Learned:
+    """A table learned for a camera and a light."""
+
+    camera: CameraModel
+    table: TransformTable
+    rates: np.ndarray  # (channel) photo-electrons of white in the time in which its brightest channel fills
+    white: np.ndarray  # (output) of the same white, Y = 1
+    unit: float  # output Y of that white
+
+    def raw(self, exposure: float, size: int, rng: np.random.Generator | None) -> RawFrame:
+        """A flat grey: how much of `exposure` fills the brightest channel; noisy with an rng."""
+        electrons = np.broadcast_to((self.rates * exposure)[:, None, None], (len(self.rates), size, size)).astype(np.float32)
+        mosaic = sensor.mosaic(electrons, self.camera.cfa)
+        noises = "none" if rng is None else "all"
+        values = sensor.expose(self.camera, mosaic, 0.0, rng or np.random.default_rng(0), noises)
+        return RawFrame("grey", values, self.camera.black, self.camera.white)
+
+
+@pytest.fixture(scope="module", params=EVERY, ids=lambda each: "-".join(map(str, each)))
+def learned(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Learned:
+    name, classes, light, patch = request.param
+    folder = tmp_path_factory.mktemp("greys")
+    path = CONFIGS / f"cameras/{name}.toml"
+    lines = (CONFIGS / f"classes/{classes}.toml").read_text().splitlines()
+    for key, value in SMALLER.items():
+        lines = [f"{key} = {value.format(patch=patch)}" if line.startswith(f"{key} ") else line for line in lines]
+    (folder / "classes.toml").write_text("\n".join(lines))
+    (folder / "scenes.toml").write_text(SCENES.format(light=light))
+    training, table = str(folder / "training.h5"), str(folder / "table.h5")
+    assert run(["simulate", str(folder / "scenes.toml"), "--camera", str(path), "-o", training, "--quiet"]) == 0
+    assert run(["train", training, "--classes", str(folder / "classes.toml"), "-o", table, "--quiet"]) == 0
+    camera, lamp = load_camera(path), make_light(light, {}, load_camera(path).wavelength)
+    rates = white_rates(camera, lamp)
+    seconds = camera.full_scale / rates.max()
+    unit = seconds / camera.white_dose
+    return Learned(camera, load(TransformTable, Path(table)), rates * seconds, spectra.white_point(light), unit)
+
+
+def site_means(planes: np.ndarray, camera: CameraModel, margin: int) -> np.ndarray:
+    """Mean outputs (site, output) of planes (output, row, col), a margin left out that keeps the phase."""
+    down, across = camera.cfa.shape
+    inner = planes[:, margin:-margin, margin:-margin].astype(np.float64)
+    return np.array([inner[:, row::down, col::across].mean(axis=(1, 2)) for row in range(down) for col in range(across)])
+
+
+def test_plain_areas_show_no_pattern_at_any_level(learned: Learned) -> None:
+    """Without noise all sites answer alike at every level, on both sides of transitions and through clipping. Only where a
+    grey lies on an edge itself do integer means put sites into different classes: at very few levels, all of them dark."""
+    renderer, on_an_edge = make_renderer("opencl", learned.table), []
+    for exposure in EXPOSURES:
+        raw = learned.raw(exposure, 24, None)
+        means = site_means(renderer.outputs(raw), learned.camera, 8)
+        if np.unique(renderer.labels(raw)[8:-8, 8:-8] % learned.table.rule.classes_per_site).size > 1:
+            on_an_edge.append(exposure)
+        else:
+            assert (np.ptp(means, axis=0) <= 1e-4 * means.mean(axis=0)).all(), exposure
+    assert len(on_an_edge) <= 0.05 * len(EXPOSURES), np.round(on_an_edge, 4)
+
+
+def test_plain_areas_show_no_pattern_under_noise(learned: Learned) -> None:
+    """Noise sorts the pixels of a plain area into different classes, at some sites more often than at others: within 0.2 %
+    and what the mean of so many pixels can be off by chance; up to 1 % in the dark, where noise decides the class, and where
+    a channel is just about to clip (README, Limits)."""
+    renderer, rng = make_renderer("opencl", learned.table), np.random.default_rng(3)
+    clip = learned.rates / learned.rates.max()
+    for exposure in (0.01, 0.03, 0.1, 0.2, 0.4, 0.6, 0.8, 1.05, 1.15, 1.3, 1.5, 2.0, 3.0):
+        planes = renderer.outputs(learned.raw(exposure, 272, rng))
+        means = site_means(planes, learned.camera, 8)
+        count = 256**2 / learned.camera.cfa.size
+        chance = planes[:, 8:-8, 8:-8].std(axis=(1, 2)) * 4.5 / np.sqrt(count)  # the spread of up to 16 means
+        about_to_clip = (np.abs(exposure * clip - 0.99) < 0.04).any()
+        bound = 0.01 if about_to_clip or exposure <= 0.01 else 0.002
+        spread = np.ptp(means, axis=0) / means.mean(axis=0)
+        assert (spread <= bound + chance / means.mean(axis=0)).all(), (exposure, spread)
+
+
+def test_highlights_have_no_cast(learned: Learned) -> None:
+    """A grey ramp through clipping stays grey and rises; where all channels clip it is white to 0.003 in x, y."""
+    renderer = make_renderer("opencl", learned.table)
+    exposures = EXPOSURES[EXPOSURES > 0.3]
+    ramp = np.array([renderer.outputs(learned.raw(each, 24, None))[:, 8:-8, 8:-8].mean(axis=(1, 2)) for each in exposures])
+    assert np.isfinite(ramp).all()
+    assert ramp.min() > 0
+    shown = ramp / learned.unit  # Y = 1: the white that just fills its brightest channel
+    shown_lab = lab(np.minimum(shown, 4.0), learned.white)
+    chroma = np.hypot(shown_lab[:, 1], shown_lab[:, 2])
+    assert chroma.max() < 7.0, f"{chroma.max():.1f} at {exposures[chroma.argmax()]:.2f}"
+    assert (np.diff(shown[:, 1]) > -0.01 * shown[:-1, 1]).all()  # steps between levels and kinds, hidden by any noise
+    clipped = exposures * learned.rates.min() > 1.02 * learned.rates.max()
+    assert clipped.sum() > 3 or learned.rates.min() < learned.rates.max() / 2.9  # blue of a Bayer array by lamp light
+    x, y = (shown[clipped, :2] / shown[clipped].sum(axis=1, keepdims=True)).T
+    white = learned.white / learned.white.sum()
+    assert x == pytest.approx(np.full(x.size, white[0]), abs=0.003)
+    assert y == pytest.approx(np.full(y.size, white[1]), abs=0.003)
+
+
+def test_clipped_areas_of_a_picture_are_neither_black_nor_magenta(tmp_path: Path, l3: Callable, learned: Learned) -> None:
+    """Bright neutral bars and patches beside dark ones at 1.5 times full exposure, with noise."""
+    rows = np.arange(96)[:, None] // 24 % 2
+    share = np.where(rows ^ (np.arange(96)[None] // 24 % 2), 1.5, 0.4)
+    electrons = (learned.rates[:, None, None] * share).astype(np.float32)
+    rng = np.random.default_rng(1)
+    values = sensor.expose(learned.camera, sensor.mosaic(electrons, learned.camera.cfa), 0.0, rng, "all")
+    raw = RawFrame("bars", values, learned.camera.black, learned.camera.white)
+    planes = make_renderer("opencl", learned.table).outputs(raw) / learned.unit
+    assert np.isfinite(planes).all()
+    assert planes[1][share > 1].min() > 0.2
+    inside = np.zeros_like(share, dtype=bool)
+    for top in range(0, 96, 24):
+        for left in range(0, 96, 24):
+            inside[top + 6 : top + 18, left + 6 : left + 18] = True
+    bright = planes[:, inside & (share > 1)].mean(axis=1)
+    bright_lab = lab(bright, learned.white)
+    assert np.hypot(bright_lab[1], bright_lab[2]) < 5.0
+
+
+def test_greys_are_taught_only_where_they_clip(bayer: CameraModel) -> None:
+    """Sums of grey patches alone: white's channels are found in them, and every taught row is a clipped grey."""
+    cases = np.arange(8).astype(np.uint16)
+    rule = make_rule(ClassRecipe(patch=3, levels=6), bayer, cases)
+    window = neighbourhoods(bayer.cfa, 3, 3).channel[0]
+    signal, white = np.array([0.6, 1.0, 0.8]), np.array([0.95, 1.0, 1.09])
+    columns = np.concatenate([signal[window], [1.0], white])
+    row, col = np.triu_indices(columns.size)
+    sums = ClassSums(
+        np.zeros((rule.classes_per_site, row.size)), np.zeros((rule.classes_per_site, 9)), np.ones(rule.classes_per_site)
+    )
+    assert grey_patches(sums, rule, window, white, bayer.black, bayer.white) == {}
+    sums.moments[0] = columns[row] * columns[col]
+    taught = grey_patches(sums, rule, window, white, bayer.black, bayer.white)
+    assert taught
+    for index, moments in taught.items():
+        kind = index % rule.kinds
+        assert kind >= rule.chromas
+        saturated = [channel for channel in range(3) if kind - rule.chromas + 1 >> channel & 1]
+        assert 1 in saturated  # green clips first
+        found = np.sqrt(np.diag(moments)[:9] / moments[9, 9])
+        assert found[np.isin(window, saturated)] == pytest.approx(1.0, abs=0.08)
+        outputs = moments[10:, 9] / moments[9, 9]
+        assert outputs / outputs[1] == pytest.approx(white)

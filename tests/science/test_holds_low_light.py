@@ -1,0 +1,120 @@
+"""What must hold of the method's founding claim: an RGBW array beats a Bayer array in little light, and not in much."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from l3cli.errors import InputFileError
+from l3cli.evaluation.comparison import Curve, crossings, curve_of, require_comparable
+from tests.helpers.paths import CONFIGS
+
+UNSEEN = """
+illuminants = ["D65"]
+luminances_cd_m2 = [1.0, 400.0]
+exposure_s = [0.0333]
+[[scene]]
+source = "composition"
+size = [160, 240]
+seed = 11
+"""
+SCENES = """
+exposure_share = [0.9]
+[[scene]]
+source = "dead leaves"
+size = [128, 128]
+count = 12
+"""
+CLASSES = "[classes]\npatch = 5\nlevels = 10\n[learning]\npatches = 8000\ndraws = 6\n"
+
+
+@pytest.fixture(scope="module")
+def evaluations(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """bayer.json and rgbw.json: evaluations in little and in much light, one exposure time."""
+    import contextlib
+    import io
+
+    from l3cli.cli import run
+
+    folder = tmp_path_factory.mktemp("light")
+    for name, text in {"scenes": SCENES, "unseen": UNSEEN, "classes": CLASSES}.items():
+        (folder / f"{name}.toml").write_text(text)
+    for name in ("bayer", "rgbw"):
+        camera = str(CONFIGS / f"cameras/{name}.toml")
+        for scenes in ("scenes", "unseen"):
+            file = str(folder / f"{name}.{scenes}.h5")
+            assert run(["simulate", str(folder / f"{scenes}.toml"), "--camera", camera, "-o", file, "--quiet"]) == 0
+        table, classes = str(folder / f"{name}.table.h5"), str(folder / "classes.toml")
+        training = str(folder / f"{name}.scenes.h5")
+        assert run(["train", training, "--classes", classes, "-o", table, "--quiet"]) == 0
+        with contextlib.redirect_stdout(io.StringIO()) as said:
+            assert run(["evaluate", table, str(folder / f"{name}.unseen.h5"), "--json", "--quiet"]) == 0
+        (folder / f"{name}.json").write_text(said.getvalue())
+    return folder
+
+
+@pytest.mark.parametrize("figure", ["mean_delta_e", "scielab", "psnr"])
+def test_without_a_filter_more_is_seen_in_little_light_only(evaluations: Path, l3: Callable, figure: str) -> None:
+    arguments = ("compare", evaluations / "bayer.json", evaluations / "rgbw.json", "--figure", figure)
+    code, out, err = l3(*arguments, "--json")
+    assert (code, err) == (0, "")
+    document = json.loads(out)
+    bayer, rgbw = (curve[figure] for curve in document["curves"])
+    sign = 1 if figure == "psnr" else -1
+    assert sign * (rgbw[0] - bayer[0]) > 0
+    assert sign * (rgbw[1] - bayer[1]) < 0
+    (crossing,) = document["crossings"]
+    (luminance,) = crossing["luminances"]
+    assert 1 < luminance < 400
+    code, out, _ = l3(*arguments)
+    assert code == 0
+    assert f"the better of Bayer and RGBW changes at {luminance:.3g} cd/m²" in out
+
+
+def test_the_curves_are_drawn(evaluations: Path, l3: Callable, tmp_path: Path) -> None:
+    page = tmp_path / "curve.html"
+    arguments = ("compare", evaluations / "bayer.json", evaluations / "rgbw.json", "--figure", "psnr", "--figure", "ssim")
+    assert "ends in .html" in l3(*arguments, "-o", tmp_path / "curve.png")[2]
+    assert l3(*arguments, "-o", page)[0] == 0
+    first = page.read_bytes()
+    assert first.count(b"<figure") == 2
+    assert "psnr: the better of Bayer and RGBW changes at" in first.decode()
+    assert "exists; add --force" in l3(*arguments, "-o", page)[2]
+    assert l3(*arguments, "-o", page, "--force")[0] == 0
+    assert page.read_bytes() == first
+
+
+def test_crossings_are_found_between_points() -> None:
+    one = Curve("one", (1.0, 10.0, 100.0), (4.0, 2.0, 1.0))
+    other = Curve("other", (1.0, 10.0, 100.0), (3.0, 3.0, 3.0))
+    assert crossings(one, other, "mean_delta_e") == pytest.approx([10**0.5])
+    assert crossings(one, one, "psnr") == []
+
+
+def test_what_cannot_be_compared_is_one_line(evaluations: Path, tmp_path: Path, refused: Callable) -> None:
+    (tmp_path / "no.json").write_text("{")
+    (tmp_path / "list.json").write_text("[1]")
+    document = json.loads((evaluations / "bayer.json").read_text())
+    assert "not readable" in refused(3, "compare", tmp_path / "no.json")
+    assert "does not exist" in refused(3, "compare", tmp_path / "missing.json")
+    assert "no evaluation" in refused(3, "compare", tmp_path / "list.json")
+    assert 'no figure "beauty"; there are ' in refused(2, "compare", evaluations / "bayer.json", "--figure", "beauty")
+    with pytest.raises(InputFileError, match="other luminances"):
+        require_comparable([curve_of(document, "psnr"), Curve("b", (1.0,), (2.0,))])
+
+
+def test_both_cameras_differ_in_the_array_alone() -> None:
+    from dataclasses import fields
+
+    import numpy as np
+
+    from l3cli.artifacts.camera_recipe import load_camera
+
+    bayer, rgbw = (load_camera(CONFIGS / f"cameras/{name}.toml") for name in ("bayer", "rgbw"))
+    for field in fields(bayer):
+        if field.name not in ("name", "channels", "cfa", "responsivity", "responsivity_band"):
+            one, other = getattr(bayer, field.name), getattr(rgbw, field.name)
+            assert np.array_equal(one, other) if isinstance(one, np.ndarray) else one == other, field.name
+    assert rgbw.responsivity[:3] == pytest.approx(bayer.responsivity, rel=1e-3)
+    assert (rgbw.responsivity[3] >= rgbw.responsivity[:3].max(axis=0)).all()

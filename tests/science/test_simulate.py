@@ -1,0 +1,541 @@
+"""Simulation: light, lens and sensor against closed forms, colour-science and ISETCam; the command from recipe to file."""
+
+import csv
+import dataclasses
+import json
+import subprocess
+import sys
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from l3cli.artifacts.camera import CameraModel, Noise, Optics
+from l3cli.artifacts.training_set import open_training_set
+from l3cli.physics import spectra
+from l3cli.physics.lens import diffraction_transfer, relative_illumination
+from l3cli.scene import Scene
+from l3cli.simulation import charts, light, optics, procedural, sensor
+from l3cli.simulation.drawn import draw
+from l3cli.simulation.frame import Saturating, simulate
+from l3cli.simulation.recipe import Lens
+from l3cli.simulation.sources import ColorChecker, WantedScene
+from l3cli.simulation.targets import make_target
+from tests.helpers.cameras import bayer_camera
+from tests.helpers.paths import CONFIGS
+
+PLAIN = Lens(diffraction=False)
+
+
+def grey_scene(camera: CameraModel, shape: tuple[int, int] = (32, 32), reflectance: float = 0.5) -> Scene:
+    wavelength = procedural.grid(camera.wavelength)
+    return Scene("grey", wavelength, np.full((*shape, wavelength.size), reflectance, np.float32), None)
+
+
+# ---------------------------------------------------------------------------------------------------- reference
+
+
+@pytest.fixture
+def isetcam(l3_data: Path) -> Path:
+    """ISETCam's numbers (docs/method.md#optics)."""
+    folder = l3_data.parent / "reference/isetcam"
+    if not folder.is_dir():
+        pytest.skip("the ISETCam reference is not at hand")
+    return folder
+
+
+def isetcam_camera(folder: Path) -> CameraModel:
+    """The Bayer sensor of the reference run; its well holds 1 V at 24 000 e-/V."""
+    table = np.genfromtxt(folder / "spectra.csv", delimiter=",", names=True)
+    given = json.loads((folder / "params.json").read_text())
+    efficiency = np.array([table[f"qe_rgb_{channel}"] for channel in "rgb"]) * given["fill_factor"]
+    well = given["vswing"] / given["conversion_gain"]
+    volts = {name: given[name] / given["conversion_gain"] for name in ("read_noise_volts", "dark_voltage", "dsnu_volts")}
+    return CameraModel(
+        name="ISETCam Bayer",
+        rows=given["sensor_rows_cols"][0],
+        cols=given["sensor_rows_cols"][1],
+        pixel_pitch=given["pixel_size"],
+        bits=12,
+        channels=("r", "g", "b"),
+        cfa=np.array(given["cfa_bayer"]).astype(np.uint8) - 1,
+        wavelength=table["wave"],
+        responsivity=efficiency,
+        responsivity_band=np.zeros_like(efficiency),
+        absolute=True,
+        gain=4095 / well,
+        black=0.0,
+        white=4095.0,
+        fixed_pattern_seed=0,
+        noise=Noise(
+            read_noise=volts["read_noise_volts"],
+            dark_current=volts["dark_voltage"],
+            dsnu=volts["dsnu_volts"],
+            prnu=given["prnu_percent"] / 100,
+            well_capacity=well,
+        ),
+        optics=Optics(given["focal_length"], given["fnumber"], given["scene_distance_m"]),
+    )
+
+
+@pytest.mark.parametrize("off_axis", ["nocos4", "cos4"])
+def test_electrons_and_noise_meet_isetcam(isetcam: Path, off_axis: str) -> None:
+    camera = isetcam_camera(isetcam)
+    table = np.genfromtxt(isetcam / "spectra.csv", delimiter=",", names=True)
+    given = json.loads((isetcam / "params.json").read_text())
+    patches = np.array([table[f"mcc_{patch:02d}"] for patch in range(1, 25)], np.float32)
+    illuminant = spectra.photons_from_energy(table["wave"], table["illum_energy_D65"])
+    white = given["mean_luminance_cd_m2"] / (patches @ (table["V"] * table["illum_energy_D65"])).mean()
+    white *= table["V"] @ table["illum_energy_D65"]  # cd/m² of a perfect white in that scene
+    chart = Scene("patches", table["wave"], patches.reshape(6, 4, -1).transpose(1, 0, 2).copy(), illuminant)
+    frame = simulate(camera, chart, light.own_light(chart, white), given["exp_time"], PLAIN, (0, 0))
+    patch_pixels = given["patch_px"] * given["oi_sample_spacing_m"][0] / camera.pixel_pitch
+    fall = relative_illumination(camera.optics.image_distance, camera.pixel_pitch, (camera.rows, camera.cols))
+    dark = camera.noise.dark_current * given["exp_time"]  # only the noisy frames hold it
+    samples = {"r": 61**2 / 4, "g": 61**2 / 2, "b": 61**2 / 4}  # pixels of a patch and channel
+    variances, darks, known, deviations = [], [], [], []
+    rows = list(csv.DictReader((isetcam / "mcc_bayer_d65.csv").open()))
+    on_axis = [float(row["electrons_noisefree"]) for row in rows if row["offaxis"] == "nocos4"]
+    for number, row in enumerate(row for row in rows if row["offaxis"] == off_axis):
+        down, across = (int(row["patch"]) - 1) % 4, (int(row["patch"]) - 1) // 4
+        assert frame.target[1, down, across] == pytest.approx(float(row["scene_Y_cd_m2"]), rel=2e-5)
+        mean = float(frame.electrons["rgb".index(row["channel"]), down, across])
+        if off_axis == "cos4":  # the mean over the 61×61 pixels about the patch's middle
+            y, x = camera.rows / 2 + (down - 1.5) * patch_pixels, camera.cols / 2 + (across - 2.5) * patch_pixels
+            darker = fall[round(y) - 30 : round(y) + 31, round(x) - 30 : round(x) + 31].mean()
+            assert float(row["electrons_noisefree"]) / on_axis[number] == pytest.approx(darker, abs=3e-4)
+            mean *= darker
+        noise_free = float(row["electrons_noisefree"])
+        deviations.append(mean / noise_free - 1.0)
+        darks.append(float(row["volts_noisy_mean"]) / given["conversion_gain"] - noise_free)
+        expected = camera.noise_variance(np.array(camera.gain * (mean + dark))) - 1 / 12  # volts are not quantised
+        variances.append(float(row["volts_noisy_var"]) * 4095**2 / expected)
+        known.append(samples[row["channel"]] / (float(row["volts_noisy_var"]) / given["conversion_gain"] ** 2))
+    assert len(variances) == 72
+    assert np.abs(deviations).max() < 2e-3
+    assert abs(np.mean(deviations)) < 2e-4  # the dark current would add 3.6e-4
+    assert np.average(darks, weights=known) == pytest.approx(dark, abs=3 / np.sqrt(np.sum(known)))
+    assert 3 / np.sqrt(np.sum(known)) < dark  # so few electrons are told from none
+    # A quarter of 61 × 61 pixels a patch and channel know their variance to 4.6 %, all 72 together to 0.6 %.
+    assert np.mean(variances) == pytest.approx(1.0, abs=0.02)
+    assert np.std(variances) == pytest.approx(0.046, abs=0.02)
+
+
+def test_mean_and_variance_of_a_flat_frame_are_those_of_the_method(fiveband: CameraModel) -> None:
+    noise, electrons, exposure = fiveband.noise, 6000.0, 0.1
+    flat = np.full((fiveband.rows, fiveband.cols), electrons)
+    raw = sensor.expose(fiveband, flat, exposure, np.random.default_rng(1)).astype(float)
+    mean = electrons + noise.dark_current * exposure
+    assert (raw.mean() - fiveband.black) / fiveband.gain == pytest.approx(mean, rel=5e-4)
+    pattern = noise.prnu**2
+    variance = (mean + noise.read_noise**2) * (1 + pattern) + pattern * mean**2 + noise.dsnu**2
+    assert raw.var() == pytest.approx(fiveband.gain**2 * variance + 1 / 12, rel=0.02)
+
+
+def test_saturated_pixels_stay_within_the_converter(bayer: CameraModel) -> None:
+    for electrons in (1e6, 1e25):
+        raw = sensor.expose(bayer, np.full((32, 32), electrons), 1.0, np.random.default_rng(0))
+        assert raw.min() == raw.max() == bayer.white
+
+
+def test_fixed_pattern_belongs_to_the_camera(bayer: CameraModel) -> None:
+    quiet = dataclasses.replace(bayer, noise=dataclasses.replace(bayer.noise, prnu=0.2))
+    flat = np.full((64, 64), 3000.0)
+    one, other = (sensor.expose(quiet, flat, 0.0, np.random.default_rng(seed)).astype(float) for seed in (1, 2))
+    assert np.corrcoef(one.ravel(), other.ravel())[0, 1] > 0.95
+
+
+def test_noise_modes_leave_out_what_they_say(fiveband: CameraModel) -> None:
+    flat = np.full((200, 200), 3000.0)
+    raw = {mode: sensor.expose(fiveband, flat, 0.5, np.random.default_rng(1), mode).astype(float) for mode in sensor.NOISES}
+    mean = 3000.0 + fiveband.noise.dark_current * 0.5
+    for mode in raw:
+        assert (raw[mode].mean() - fiveband.black) / fiveband.gain == pytest.approx(mean, rel=2e-3)
+    assert np.ptp(raw["none"]) == 0
+    assert raw["shot"].var() == pytest.approx(fiveband.gain**2 * mean + 1 / 12, rel=0.03)
+    assert raw["all"].var() == pytest.approx(fiveband.noise_variance(np.array(fiveband.gain * mean)), rel=0.03)
+
+
+def test_column_noise_belongs_to_the_columns(bayer: CameraModel) -> None:
+    striped = dataclasses.replace(bayer, noise=dataclasses.replace(bayer.noise, column_noise=30.0))
+    pattern = sensor.fixed_pattern(striped)
+    assert pattern.dsnu.mean(axis=0).std() == pytest.approx(30.0, rel=0.15)
+    assert (pattern.dsnu - pattern.dsnu.mean(axis=0)).std() == pytest.approx(bayer.noise.dsnu, rel=0.02)
+    signal = np.array(500.0)
+    assert striped.noise_variance(signal) - bayer.noise_variance(signal) == pytest.approx((30 * bayer.gain) ** 2)
+
+
+def test_analog_gain_reaches_the_converters_top_sooner(bayer: CameraModel) -> None:
+    bright = sensor.with_analog_gain(bayer, 4.0)
+    assert (bright.gain, bright.white, bright.black) == (4 * bayer.gain, 4095.0, bayer.black)
+    assert sensor.with_analog_gain(bayer, 0.5).white == pytest.approx(bayer.black + (bayer.white - bayer.black) / 2)
+
+
+# -------------------------------------------------------------------------------------------------------- light
+
+
+@pytest.mark.parametrize("observer", ["CIE 1931", "CIE 1964"])
+def test_targets_are_the_xyz_of_colour_science(fiveband: CameraModel, observer: str) -> None:
+    import colour
+
+    size = (96, 144)
+    chart = draw(WantedScene(ColorChecker(size=size)), 0, fiveband.wavelength)
+    target = make_target(observer, None, (), None, fiveband)
+    cmfs = colour.MSDS_CMFS[spectra.OBSERVERS[observer]]
+    for name in ("D65", "A", "FL2", "D50", "LED-B1"):
+        falling = light.make_light(name, {}, fiveband.wavelength).at(50.0)
+        frame = simulate(fiveband, chart, falling, 0.01, PLAIN, (0,), target)
+        patches = colour.SDS_COLOURCHECKERS["ISO 17321-1"].values()
+        scale = 50.0
+        if observer == "CIE 1964":  # luminance is that of the 2° observer
+            other = colour.MSDS_CMFS[spectra.OBSERVERS["CIE 1931"]]
+            light_values = colour.SDS_ILLUMINANTS[name].copy().align(cmfs.shape).values
+            scale *= (cmfs.values[:, 1] @ light_values) / (other.values[:, 1] @ light_values)
+        for patch, (rows, cols) in zip(patches, charts.colorchecker_patches(size), strict=True):
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # it tells that it interpolates
+                expected = colour.sd_to_XYZ(patch, cmfs, colour.SDS_ILLUMINANTS[name], method="Integration") / 100 * scale
+            assert np.allclose(frame.target[:, rows, cols].mean(axis=(1, 2)), expected, rtol=2e-5), name
+
+
+def test_spectral_lines_between_samples_count() -> None:
+    grid = np.arange(400.0, 701.0, 10.0)
+    fine = np.arange(380.0, 781.0)
+    line = np.where(fine == 435.0, 1.0, 0.0)
+    seen = spectra.sampling_matrix(fine, grid) @ line
+    assert (seen * spectra.bin_widths(grid)).sum() == pytest.approx(1.0)
+
+
+def test_automatic_exposure_brings_white_to_its_share(fiveband: CameraModel) -> None:
+    falling = light.make_light("3200K", {}, fiveband.wavelength).at(20.0)
+    exposure = light.automatic_exposure(fiveband, falling, 0.9)
+    frame = simulate(fiveband, grey_scene(fiveband, reflectance=1.0), falling, exposure, PLAIN, (0,))
+    assert frame.electrons.mean(axis=(1, 2)).max() == pytest.approx(0.9 * fiveband.full_scale, rel=1e-4)
+    assert frame.white[1] == pytest.approx(20.0, rel=1e-6)
+    assert np.allclose(frame.target.mean(axis=(1, 2)), frame.white, rtol=1e-5)
+
+
+def test_an_exposure_by_saturated_pixels_saturates_as_many(bayer: CameraModel) -> None:
+    cube = np.random.default_rng(0).random((100, 120, 31)).astype(np.float32)
+    falling = light.make_light("A", {}, bayer.wavelength).at(30.0)
+    scene = Scene("noise", np.arange(400.0, 701.0, 10.0), cube, None)
+    frame = simulate(bayer, scene, falling, Saturating(0.05), PLAIN, (0,))
+    assert (sensor.mosaic(frame.electrons, bayer.cfa) >= bayer.full_scale).mean() == pytest.approx(0.05, abs=2e-3)
+
+
+def test_daylight_and_mixtures_have_their_colours() -> None:
+    import colour
+
+    seen = np.arange(400.0, 701.0, 10.0)
+
+    def chromaticity(name: str, measured: dict | None = None) -> np.ndarray:
+        found = light.make_light(name, measured or {}, seen)
+        assert spectra.xyz_weights(found.wavelength)[1] @ found.radiance == pytest.approx(1.0)
+        xyz = spectra.xyz_weights(found.wavelength) @ found.radiance
+        return xyz / xyz.sum()
+
+    for kelvin in (4500, 6504, 10000):
+        expected = colour.temperature.CCT_to_xy_CIE_D(kelvin * 1.4388 / 1.438)
+        assert np.allclose(chromaticity(f"D{kelvin}K")[:2], expected, atol=2e-3)
+    assert np.array_equal(chromaticity("F11"), chromaticity("FL11"))
+    d65, a = (spectra.xyz_weights(np.arange(360.0, 831)) @ light.make_light(n, {}, seen).radiance for n in ("D65", "A"))
+    mixed = (3 * d65 + a) / 4
+    assert np.allclose(chromaticity("0.75 D65 + 0.25 A"), mixed / mixed.sum(), rtol=1e-9)
+    assert np.allclose(chromaticity("3 D65 + A"), mixed / mixed.sum(), rtol=1e-9)
+    grid = np.arange(380.0, 781.0, 5.0)
+    table = colour.SDS_ILLUMINANTS["D65"].copy().align(colour.SpectralShape(380, 780, 5)).values[None]
+    assert np.allclose(chromaticity("lamp.csv", {"lamp.csv": (grid, table)}), d65 / d65.sum(), atol=1e-4)
+
+
+def test_a_light_on_the_cameras_own_grid_stays_there(bayer: CameraModel) -> None:
+    spiky = np.random.default_rng(0).random((1, bayer.wavelength.size)) + 0.1
+    found = light.make_light("lamp.csv", {"lamp.csv": (bayer.wavelength, spiky)}, bayer.wavelength)
+    photons = spectra.photons_from_energy(bayer.wavelength, spiky[0])
+    assert np.allclose(light.white_rates(bayer, found) / (bayer.electron_weights @ photons), found.radiance[0] / photons[0])
+
+
+def test_targets_of_every_kind_are_of_one_scene(fiveband: CameraModel) -> None:
+    scene = grey_scene(fiveband, reflectance=0.25)
+    falling = light.make_light("A", {}, fiveband.wavelength).at(40.0)
+    d65 = light.make_light("D65", {}, fiveband.wavelength)
+    grid = np.arange(380.0, 781.0, 5.0)
+    functions = (grid, spectra.colour_matching_functions(grid))
+
+    def seen(*arguments: object) -> tuple[np.ndarray, np.ndarray]:
+        target = make_target(*arguments, fiveband)  # type: ignore[arg-type]
+        frame = simulate(fiveband, scene, falling, 0.01, PLAIN, (0,), target)
+        assert len(target.outputs) == len(frame.target)
+        assert np.allclose(frame.target[:, 3, 3], 0.25 * frame.white, rtol=1e-5)
+        share = frame.electrons[:, 3, 3] / fiveband.full_scale
+        return frame.target[:, 3, 3], share
+
+    xyz, share = seen("CIE 1931", None, (), None)
+    assert xyz[1] == pytest.approx(10.0, rel=1e-5)
+    assert seen("luminance", None, (), None)[0] == pytest.approx(xyz[1], rel=1e-5)
+    assert np.allclose(seen("a.csv", functions, ("X", "Y", "Z"), None)[0], xyz, rtol=1e-4)
+    assert np.allclose(seen("camera", None, (), None)[0] * 0.01 / fiveband.white_dose, share, rtol=1e-5)
+    corrected, _ = seen("CIE 1931", None, (), d65)
+    assert np.allclose(corrected / corrected[1], spectra.white_point("D65"), rtol=1e-3)
+
+
+# --------------------------------------------------------------------------------------------------------- lens
+
+
+@pytest.mark.parametrize(("pitch", "f_number"), [(5e-6, 2.8), (1e-6, 2.8), (3e-6, 16.0)])
+def test_low_rank_diffraction_stays_within_its_error(pitch: float, f_number: float) -> None:
+    wavelength = np.arange(400.0, 701.0, 10.0)
+    transfer = optics.low_rank_transfer(np.sqrt(0.5) / pitch, tuple(wavelength), f_number)
+    frequency = np.random.default_rng(0).uniform(0, np.sqrt(0.5) / pitch, 5000)
+    radial = np.array([np.interp(frequency, transfer.frequency, term) for term in transfer.radial])
+    exact = diffraction_transfer(frequency, wavelength, f_number)
+    assert abs(radial.T @ transfer.spectral - exact).max() < 1e-4
+    assert diffraction_transfer(np.array([0.0]), wavelength, f_number) == pytest.approx(1.0)
+
+
+def test_diffraction_blurs_each_band_by_its_own_transfer(bayer: CameraModel) -> None:
+    """Against a Fourier transform a band, on a periodic pattern that mirrors into itself."""
+    pitch, f_number, cycles = 2e-6, 4.0, 0.25
+    wavelength = procedural.grid(bayer.wavelength)
+    wave = np.cos(2 * np.pi * cycles * (np.arange(64) + 0.5))
+    cube = np.broadcast_to(0.5 + 0.4 * wave[:, None, None], (64, 64, wavelength.size)).astype(np.float32)
+    weights = np.random.default_rng(0).random((3, wavelength.size))
+    lens = optics.lens_transfer(Optics(0.05, f_number, 0.0), pitch, wavelength, True, 0.0)
+    assert lens is not None
+    planes = optics.project(cube, (weights[:, None] * lens.spectral).reshape(-1, wavelength.size))
+    got = optics.blurred_channels(planes.reshape(3, -1, 64, 64), lens, pitch)
+    transfer = diffraction_transfer(np.array([cycles / pitch]), wavelength, f_number)[0]
+    expected = 0.5 * weights.sum(axis=1)[:, None] + 0.4 * (weights @ transfer)[:, None] * wave
+    assert np.allclose(got[:, :, 32], expected, atol=1e-4 * weights.sum(axis=1).max())
+    assert transfer.max() - transfer.min() > 0.1
+
+
+@pytest.mark.parametrize("f_number", [4.0, 5.6, 8.0])
+@pytest.mark.parametrize("nanometres", [450.0, 650.0])
+def test_the_transfer_function_of_a_simulated_edge_is_that_of_the_method(f_number: float, nanometres: float) -> None:
+    """The edge's spread function, four samples a pixel across a 2° edge, blurred against sharp (ISO 12233)."""
+    pitch, band, angle = 1.5e-6, np.array([nanometres]), 2.0
+    edge = charts.slanted_edge((400, 400), band, angle, 0.05, 0.8).transpose(2, 0, 1)
+    lens = optics.lens_transfer(Optics(0.05, f_number, 0.0), pitch, band, True, 0.0)
+    assert lens is not None
+    blurred = optics.blurred_channels(edge[None].copy(), lens, pitch)
+    down, across = np.ogrid[-199.5:200, -199.5:200]
+    distance = across * np.cos(np.radians(angle)) + down * np.sin(np.radians(angle))
+    edges = np.arange(-640, 641) / 4
+    pixels, _ = np.histogram(distance, edges)
+    sharp, soft = (
+        np.diff(np.histogram(distance, edges, weights=image[0].astype(float))[0] / pixels) for image in (edge, blurred)
+    )
+    window = np.hanning(sharp.size)
+    measured = abs(np.fft.rfft(soft * window)) / abs(np.fft.rfft(sharp * window))
+    frequency = np.fft.rfftfreq(sharp.size, 0.25)
+    used = (frequency > 0.02) & (frequency < 0.45)
+    expected = diffraction_transfer(frequency / pitch, band, f_number)[:, 0]
+    assert abs(measured - expected)[used].max() < 1e-3
+
+
+def test_defocus_is_a_gaussian_of_its_width() -> None:
+    pitch, sigma = 4e-6, 6e-6
+    point = np.zeros((1, 1, 65, 65), np.float32)
+    point[0, 0, 32, 32] = 1
+    lens = optics.lens_transfer(Optics(0.05, 4.0, 0.0), pitch, np.array([550.0]), False, sigma)
+    assert lens is not None
+    got = optics.blurred_channels(point, lens, pitch)[0]
+    axis = np.arange(65) - 32
+    assert got.sum() == pytest.approx(1.0, rel=1e-5)
+    assert (got.sum(axis=0) * axis**2).sum() == pytest.approx((sigma / pitch) ** 2, rel=1e-3)
+    assert optics.lens_transfer(Optics(0.05, 4.0, 0.0), pitch, np.array([550.0]), False, 0.0) is None
+
+
+def test_off_axis_light_falls_as_the_fourth_power_of_the_cosine(fiveband: CameraModel) -> None:
+    fall = relative_illumination(fiveband.optics.image_distance, fiveband.pixel_pitch, (1164, 2048))
+    distance = fiveband.optics.image_distance
+    corner = np.hypot(581.5, 1023.5) * fiveband.pixel_pitch
+    assert fall[0, 0] == pytest.approx(np.cos(np.arctan(corner / distance)) ** 4, rel=1e-5)
+    assert fall[582, 1024] == pytest.approx(1.0, abs=1e-6)
+
+
+# ------------------------------------------------------------------------------------------------------ command
+
+
+def test_frames_are_scenes_times_lights_times_exposures(
+    l3: Callable[..., tuple[int, str, str]], bayer_recipe: Path, tmp_path: Path
+) -> None:
+    recipe = tmp_path / "scenes.toml"
+    recipe.write_text(
+        'illuminants = ["D65", "A"]\nluminances_cd_m2 = [10.0, 100.0]\nexposure_share = [0.9]\n'
+        '[[scene]]\nsource = "dead leaves"\nsize = [32, 48]\ncount = 2\n'
+        '[[scene]]\nsource = "colorchecker"\nsize = [64, 96]\n'
+    )
+    output, pictures = tmp_path / "new/training.h5", tmp_path / "new/pictures"
+    code, out, err = l3("simulate", recipe, "--camera", bayer_recipe, "-o", output, "--seed", 5, "--pictures", pictures)
+    assert (code, out) == (0, ""), err
+    with open_training_set(output) as reader:
+        frames = list(reader)
+        stage = reader.head.history[-1]
+    assert len(frames) == 3 * 2 * 2
+    assert [frame.illuminant for frame in frames[:4]] == ["D65", "D65", "A", "A"]
+    assert {frame.scene for frame in frames} == {"dead leaves 0.0", "dead leaves 0.1", "colorchecker 0.0"}
+    assert frames[7].seed.tolist() == [5, 7]
+    assert frames[1].luminance == pytest.approx(100.0)
+    assert np.allclose(frames[0].electrons, frames[1].electrons, rtol=1e-5)  # exposure makes up for luminance
+    assert np.allclose(10 * frames[0].target, frames[1].target, rtol=1e-5)
+    assert (stage.command, stage.options) == ("simulate", {"seed": 5})
+    assert "dead leaves" in stage.recipe
+    assert "small Bayer" in stage.recipe
+    assert str(tmp_path) not in json.dumps(dataclasses.asdict(stage))
+    assert len(list(pictures.glob("*_raw.tif"))) == len(list(pictures.glob("*_ideal.png"))) == len(frames)
+
+
+def test_pictures_hold_the_raw_frame_and_a_white_that_is_white(
+    l3: Callable[..., tuple[int, str, str]], bayer_recipe: Path, tmp_path: Path
+) -> None:
+    from l3cli.io.images import read_image
+
+    recipe = tmp_path / "chart.toml"
+    recipe.write_text('illuminants = ["A"]\nexposure_share = [0.9]\n[[scene]]\nsource = "colorchecker"\nsize = [128, 192]\n')
+    code, _, err = l3("simulate", recipe, "--camera", bayer_recipe, "-o", tmp_path / "t.h5", "--pictures", tmp_path / "p")
+    assert code == 0, err
+    with open_training_set(tmp_path / "t.h5") as reader:
+        raw = reader.frame(0).raw
+    stored, names = read_image(next((tmp_path / "p").glob("*_raw.tif")))
+    assert stored.dtype == np.uint16
+    assert len(names) == 1
+    assert np.array_equal(stored[..., 0], raw)
+    ideal, _ = read_image(next((tmp_path / "p").glob("*_ideal.png")))
+    rows, cols = charts.colorchecker_patches((128, 192))[21]  # neutral 5
+    patch = ideal[rows, cols].reshape(-1, 3).astype(int)
+    assert np.ptp(patch.mean(axis=0)) < 4
+    assert 110 < patch.mean() < 130
+
+
+def test_the_same_bytes_whatever_the_number_of_jobs(
+    l3: Callable[..., tuple[int, str, str]], bayer_recipe: Path, tmp_path: Path
+) -> None:
+    for jobs in (1, 2):
+        arguments = ("--camera", bayer_recipe, "-o", tmp_path / f"{jobs}.h5", "--jobs", jobs, "--quiet")
+        assert l3("simulate", CONFIGS / "scenes/small.toml", *arguments) == (0, "", "")
+    first = (tmp_path / "1.h5").read_bytes()
+    assert first == (tmp_path / "2.h5").read_bytes()
+    assert l3("simulate", CONFIGS / "scenes/small.toml", *arguments, "--force", "--seed", 1)[0] == 0
+    assert first != (tmp_path / "2.h5").read_bytes()
+
+
+def test_a_killed_run_goes_on_to_the_same_bytes(
+    l3: Callable[..., tuple[int, str, str]], refused: Callable[..., str], bayer_recipe: Path, tmp_path: Path
+) -> None:
+    small = CONFIGS / "scenes/small.toml"
+    arguments = ("simulate", small, "--camera", bayer_recipe, "--quiet", "-o")
+    assert l3(*arguments, tmp_path / "whole.h5")[0] == 0
+    assert not (tmp_path / "whole.h5.parts").exists()
+    command = [sys.executable, "-c", "from l3cli.cli import main; main()", *map(str, arguments), str(tmp_path / "cut.h5")]
+    parts = tmp_path / "cut.h5.parts"
+    with subprocess.Popen(command) as process:
+        while process.poll() is None and len(list(parts.glob("0*.h5"))) < 3:
+            time.sleep(0.01)
+        process.kill()
+    stored = sorted(parts.glob("0*.h5"))
+    assert 3 <= len(stored) < 9
+    assert not (tmp_path / "cut.h5").exists()
+    stored[1].write_bytes(stored[1].read_bytes()[:1000])  # as after a power cut
+    kept = stored[0].stat().st_mtime_ns
+    assert (tmp_path / ".cut.h5.l3lock").exists()
+    assert "another recipe" in l3(*arguments, tmp_path / "cut.h5", "--resume", "--seed", 4)[2]
+    assert not (tmp_path / ".cut.h5.l3lock").exists()
+    assert stored[0].stat().st_mtime_ns == kept
+    assert l3(*arguments, tmp_path / "cut.h5", "--resume") == (0, "", "")
+    assert (tmp_path / "cut.h5").read_bytes() == (tmp_path / "whole.h5").read_bytes()
+    assert not parts.exists()
+
+
+HEAD = 'illuminants = ["D65"]\nexposure_share = [0.9]\n'
+LEAVES = '[[scene]]\nsource = "dead leaves"\nsize = [32, 32]\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "code", "said"),
+    [
+        (HEAD + '[[scene]]\nsource = "live leaves"\nsize = [32, 32]\n', 2, "live leaves"),
+        (HEAD + LEAVES + "colour = 3\n", 2, "colour"),
+        (HEAD + '[[scene]]\nsource = "dead leaves"\n', 2, "size"),
+        (HEAD + '[[scene]]\nsource = "dead leaves"\nsize = [15, 32]\n', 2, "16×16"),
+        (HEAD + '[[scene]]\nsource = "dead leaves"\nsize = [32, 3200]\n', 2, "larger than the sensor"),
+        (HEAD + '[[scene]]\nsource = "iset"\nfile = "no/such/*.mat"\n', 3, "does not exist"),
+        (HEAD.replace("D65", "daylight") + LEAVES, 2, "daylight"),
+        (HEAD.replace("D65", "scene") + LEAVES, 2, "light of its own"),
+        (HEAD.replace("D65", "3K") + LEAVES, 2, "3 is not within 500…100000 K; the nearest is 500"),
+        (HEAD + "exposure_s = [0.1]\n" + LEAVES, 2, "give exactly one of exposure_share"),
+        (HEAD.replace("0.9", "-1") + LEAVES, 2, "above zero"),
+        ("exposure_s = [0.0]\n" + LEAVES, 2, "above zero"),
+        (HEAD.replace("D65", "D3000K") + LEAVES, 2, "the nearest is 4000"),
+        (HEAD.replace("D65", "0 D65 + 1 A") + LEAVES, 2, "shares"),
+        (HEAD.replace("D65", "no.csv") + LEAVES, 3, "no.csv"),
+        (HEAD + '[target]\noutputs = "RGB"\n' + LEAVES, 2, "RGB"),
+        (HEAD + '[target]\nilluminant = "D66"\n' + LEAVES, 2, "D66"),
+        (HEAD + "[lens]\ntransmittance = 1.5\n" + LEAVES, 2, "transmittance"),
+        (HEAD + "[lens]\nf_number = 0.0\n" + LEAVES, 2, "f-number"),
+        (HEAD + "[sensor]\nanalog_gain = 0.0\n" + LEAVES, 2, "analog_gain"),
+        (HEAD + '[sensor]\nnoise = "some"\n' + LEAVES, 2, "some"),
+        ("exposure_saturated = [1.0]\n" + LEAVES, 2, "below 1"),
+        (HEAD + '[[pair]]\nraw = "a.dng"\npicture = "a.png"\n', 3, "a.dng"),
+        (HEAD + LEAVES + "count = 0\n", 2, "the least is 1"),
+        (HEAD + "scene = []\n", 2, "an entry"),
+        (HEAD.replace('["D65"]', "[]") + LEAVES, 2, "an entry"),
+        (HEAD, 2, "scene or pair"),
+    ],
+)
+def test_a_wrong_recipe_is_one_line(
+    refused: Callable[..., str], bayer_recipe: Path, tmp_path: Path, text: str, code: int, said: str
+) -> None:
+    recipe = tmp_path / "scenes.toml"
+    recipe.write_text(text)
+    assert said in refused(code, "simulate", recipe, "--camera", bayer_recipe, "-o", tmp_path / "out.h5")
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        (["400,1", "450,1", "700,1"], "gap"),
+        (["400,1", "410,nan", "420,1"], "every value"),
+        (["400,1", "410,,", "420,1"], "row of numbers"),
+        (["420,1", "410,1", "430,1"], "increase"),
+        ([f"{nm},1" for nm in range(450, 620, 10)], "still shines"),
+        ([f"{nm},{500 - nm}" for nm in range(400, 710, 10)], "negative"),
+    ],
+)
+def test_a_wrong_lamp_is_one_line(
+    refused: Callable[..., str], bayer_recipe: Path, tmp_path: Path, lines: list[str], said: str
+) -> None:
+    (tmp_path / "lamp.csv").write_text("\n".join(["nm,W", *lines]))
+    (tmp_path / "scenes.toml").write_text(HEAD.replace("D65", "0.5 lamp.csv + 0.5 D65") + LEAVES)
+    line = refused(3, "simulate", tmp_path / "scenes.toml", "--camera", bayer_recipe, "-o", tmp_path / "out.h5")
+    assert said in line
+    assert "lamp.csv" in line
+
+
+def test_an_unknown_channel_in_the_colour_filter_array_is_one_line(refused: Callable[..., str], tmp_path: Path) -> None:
+    (tmp_path / "camera.toml").write_text(bayer_camera(pattern=("r g", "g w")))
+    arguments = ("--camera", tmp_path / "camera.toml", "-o", tmp_path / "out.h5")
+    assert '"w" is no channel; there are r, g, b' in refused(2, "simulate", CONFIGS / "scenes/small.toml", *arguments)
+
+
+def test_fixed_exposure_needs_an_absolute_camera(refused: Callable[..., str], bayer: CameraModel, tmp_path: Path) -> None:
+    from l3cli.artifacts.store import save
+
+    save(dataclasses.replace(bayer, absolute=False), tmp_path / "relative.h5")
+    (tmp_path / "scenes.toml").write_text("exposure_s = [0.01]\n" + LEAVES)
+    arguments = (tmp_path / "scenes.toml", "--camera", tmp_path / "relative.h5", "-o", tmp_path / "out.h5")
+    assert "exposure_share" in refused(2, "simulate", *arguments)
+
+
+def test_existing_output_and_filled_folder_are_refused(
+    refused: Callable[..., str], bayer_recipe: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "out.h5").write_text("mine")
+    recipe = CONFIGS / "scenes/small.toml"
+    assert "--force" in refused(1, "simulate", recipe, "--camera", bayer_recipe, "-o", tmp_path / "out.h5")
+    arguments = ("--camera", bayer_recipe, "-o", tmp_path / "new.h5", "--pictures", tmp_path)
+    assert "not empty" in refused(1, "simulate", recipe, *arguments)
+    assert (tmp_path / "out.h5").read_text() == "mine"

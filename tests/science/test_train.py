@@ -1,0 +1,331 @@
+"""Training: known truth is recovered, sums add, every class is filled."""
+
+import dataclasses
+import json
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from l3cli.artifacts.camera import CameraModel, Noise
+from l3cli.artifacts.partial_sums import ClassSums
+from l3cli.artifacts.store import load
+from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.training_set import TrainingSet, write_training_set
+from l3cli.classes.chroma import choose_chromas
+from l3cli.classes.decide import label_patches
+from l3cli.classes.names import kind_name
+from l3cli.classes.recipe import ClassRecipe
+from l3cli.classes.rule import make_rule
+from l3cli.classes.saturation import choose_cases
+from l3cli.classes.windows import neighbourhoods
+from l3cli.config import load_recipe
+from l3cli.errors import L3Error
+from l3cli.io.images import read_image
+from l3cli.training.accumulate import sum_sites
+from l3cli.training.lesson import LAST, Lesson
+from l3cli.training.patches import draw_levels, expose_patches, sample_patches
+from l3cli.training.recipe import LearningRecipe, TrainingRecipe
+from l3cli.training.sums import EXACT, STEP, add_rounded, grid_steps, moment_matrix
+from l3cli.training.symmetry import orientations, site_maps, stabilisers
+from l3cli.training.table import add_up
+from tests.helpers.paths import CONFIGS
+from tests.helpers.training_sets import MIX, a_frame, a_set
+
+SMALL = "[classes]\npatch = 5\nlevels = 6\n[learning]\npatches = 3000\ndraws = 4\n"
+XTRANS = np.array([[1, 0, 2, 1, 2, 0], [2, 1, 1, 0, 1, 1], [0, 1, 1, 2, 1, 1]], np.uint8)
+XTRANS = np.concatenate([XTRANS, np.roll(XTRANS, 3, axis=1)])
+
+
+def quiet_camera(camera: CameraModel) -> CameraModel:
+    return dataclasses.replace(camera, noise=Noise(0.01, 0.0, 0.0, 0.0, 15000.0), gain=camera.gain * 1.0)
+
+
+def test_symmetry_of_known_arrays(fiveband: CameraModel) -> None:
+    for cfa, canonical in ((fiveband.cfa, 5), (np.array([[0, 1], [1, 2]]), 3), (np.zeros((1, 1), int), 1), (XTRANS, 8)):
+        for patch in (5, 9):
+            near = neighbourhoods(cfa, patch, int(cfa.max()) + 1)
+            maps = site_maps(near.channel, patch)
+            if cfa is not XTRANS:
+                assert len({site_map.canonical for site_map in maps}) == canonical
+            for site, site_map in enumerate(maps):
+                assert (near.channel[site][site_map.permutation] == near.channel[site_map.canonical]).all()
+
+
+def test_orientations_are_the_eight_of_a_square() -> None:
+    seen = {tuple(permutation) for permutation in orientations(3)}
+    assert len(seen) == 8
+    assert all(permutation[4] == 4 for permutation in seen)
+    assert len(stabilisers(np.zeros(9, int), 3)) == 8
+
+
+def test_patches_are_windows_of_the_turned_mosaic(bayer: CameraModel) -> None:
+    camera, rng = bayer, np.random.default_rng(4)
+    frame = a_frame(camera, 1, smooth=False)
+    head = TrainingSet(camera=camera, outputs=("X", "Y", "Z"), target_description="")
+    near = neighbourhoods(camera.cfa, 5, 3)
+    sample = sample_patches(frame, head, camera.white_dose, near.channel[1], 64, orientations(5), rng)
+    # the centre tap is the site's own channel whatever the orientation, and the target belongs to the same pixel
+    share = frame.electrons / camera.full_scale
+    truth = np.einsum("oc,crk->ork", MIX, share)
+    for signal, target in zip(sample.signal, sample.target, strict=True):
+        row, col = np.argwhere(np.isclose(share[1], signal[12], rtol=1e-6))[0]
+        assert target == pytest.approx(truth[:, row, col], rel=1e-4)
+        around = share[:, row - 2 : row + 3, col - 2 : col + 3]
+        stack = np.take_along_axis(
+            np.stack([np.stack([side.ravel()[turn] for turn in orientations(5)]) for side in around]),
+            near.channel[1][None, None],
+            axis=0,
+        )[0]
+        assert np.isclose(stack, signal, rtol=1e-6).all(axis=1).any()
+
+
+def test_exposed_patches_have_the_noise_of_the_camera(bayer: CameraModel) -> None:
+    """Mean and variance at every signal, clipped at white, and neighbouring taps apart from each other."""
+    span = bayer.white - bayer.black
+    signal = np.repeat(np.array([0.0, 0.02, 0.3, 0.8, 2.0], np.float32)[:, None], 60000, axis=1)
+    values = expose_patches(signal, bayer, np.random.default_rng(1)).astype(np.float64)
+    expected = bayer.noise_variance(signal[:4, 0].astype(np.float64) * span)  # with that of quantisation
+    assert values[:4].mean(axis=1) == pytest.approx(bayer.black + signal[:4, 0] * span, abs=0.3)
+    assert values[:4].var(axis=1) == pytest.approx(expected, rel=0.03)
+    assert (values[4] == np.floor(bayer.white)).all()
+    assert abs(np.corrcoef(values[1:4])[np.triu_indices(3, 1)]).max() < 0.02
+    assert abs(np.corrcoef(values[2, :-1], values[2, 1:])[0, 1]) < 0.02
+    # more than there are deviates in store
+    many = expose_patches(np.full(3 << 19, 0.3, np.float32), bayer, np.random.default_rng(1))
+    assert many.astype(np.float64).var() == pytest.approx(expected[2], rel=0.03)
+
+
+def test_contributions_are_rounded_to_whole_steps() -> None:
+    rng = np.random.default_rng(0)
+    more, step = (rng.standard_normal(999) * 300).astype(np.float32), 2.0 ** rng.integers(-24, -10, 999)
+    total = np.zeros(999)
+    add_rounded(total, more, step)
+    assert (total == np.rint(more / step) * step).all()
+
+
+@settings(deadline=None)
+@given(st.integers(0, 1000))
+def test_levels_cover_the_declared_range(seed: int) -> None:
+    recipe = LearningRecipe()
+    levels = draw_levels(recipe, 4000, np.random.default_rng(seed))
+    assert levels.min() >= recipe.darkest
+    assert levels.max() <= recipe.brightest
+    uniform = np.log(recipe.brightest / recipe.highlight_from) / np.log(recipe.brightest / recipe.darkest)
+    expected = recipe.highlight_share + (1 - recipe.highlight_share) * uniform
+    assert (levels > recipe.highlight_from).mean() == pytest.approx(expected, abs=0.04)
+
+
+def test_rare_saturation_patterns_join_the_nearest_kept_one() -> None:
+    occurrences = np.array([10000, 1, 500, 0, 0, 0, 400, 300])  # kept: 0b000, 0b010, 0b110, 0b111
+    assert choose_cases(occurrences, 12).tolist() == [0, 3, 1, 3, 2, 3, 2, 3]
+    assert choose_cases(occurrences, 2).tolist() == [0, 1, 1, 1, 1, 1, 1, 1]
+    assert choose_cases(np.array([5, 0, 0, 0]), 12).tolist() == [0, 0, 0, 0]
+
+
+@pytest.mark.filterwarnings("error")
+def test_few_colours_are_their_own_chromas() -> None:
+    """Charts have few; there is nothing to be said of it, such as that clusters are empty."""
+    few = np.array([[0.5, 0.3, 0.2], [0.2, 0.3, 0.5], [0.1, 0.2, 0.7]])
+    shares = np.repeat(few, 40, axis=0)
+    np.testing.assert_array_equal(choose_chromas(shares, 8, 0), few[::-1])
+    assert choose_chromas(shares, 1, 0) is None
+    nearest = choose_chromas(np.random.default_rng(0).dirichlet([9, 9, 9], 400), 8, 0)
+    assert nearest is not None
+    assert nearest.shape == (8, 3)
+
+
+def test_flat_fields_give_their_true_output(bayer: CameraModel, tmp_path: Path, l3: Callable) -> None:
+    """Trained on flat fields of any colour, the table returns the known mix of the channels at every level and site."""
+    camera = quiet_camera(bayer)
+    training = a_set(tmp_path / "training.h5", camera, 40)
+    (tmp_path / "classes.toml").write_text(SMALL)
+    code, _, err = l3("train", training, "--classes", tmp_path / "classes.toml", "-o", tmp_path / "table.h5")
+    assert code == 0, err
+    table = load(TransformTable, tmp_path / "table.h5")
+    assert np.isfinite(table.weights).all()
+    assert (np.abs(table.weights).sum(axis=(1, 2)) > 0).all()  # no class is left empty
+    near = neighbourhoods(camera.cfa, 5, 3)
+    rng = np.random.default_rng(9)
+    for level in (0.01, 0.1, 0.5):
+        share = rng.random(3) * 0.5 + 0.5
+        share = level * share / share.mean()
+        truth = MIX @ share
+        for site in range(4):
+            patch = camera.black + share[near.channel[site]] * (camera.white - camera.black)
+            label = label_patches(np.rint(patch).astype(np.uint16)[None], table.rule, near, site)[0]
+            index = site * table.rule.classes_per_site + label
+            result = table.weights[index] @ share[near.channel[site]] + table.intercept[index]
+            assert result == pytest.approx(truth, rel=0.03, abs=0.002 * level)
+
+
+def test_sums_are_exact_in_any_order(bayer: CameraModel) -> None:
+    """Sums of parts are equal to the last bit however they are grouped, and equal a plain float64 computation."""
+    rule = make_rule(ClassRecipe(patch=3, levels=4), bayer, np.zeros(8, np.uint16))
+    near = neighbourhoods(bayer.cfa, 3, 3)
+    head = TrainingSet(camera=bayer, outputs=("X", "Y", "Z"), target_description="")
+    lesson = Lesson(head, (1000,) * 6, rule, LearningRecipe(patches=6000, draws=2), np.ones(3), 1, LAST)
+    frames = [a_frame(bayer, seed, smooth=False) for seed in range(6)]
+    parts = [sum_sites(lesson, [(index, (1,), iter([frame]))], {1: None})[1] for index, frame in enumerate(frames)]
+    forward, backward = add_up(lesson, parts), add_up(lesson, parts[::-1])
+    nested = add_up(lesson, [add_up(lesson, parts[1::2]), add_up(lesson, parts[::2])])
+    for name in ("moments", "noise", "count"):
+        assert (getattr(forward, name) == getattr(backward, name)).all()
+        assert (getattr(forward, name) == getattr(nested, name)).all()
+    steps = grid_steps(rule, bayer, 3)  # every sum is a whole number of steps, far from where float64 would round
+    whole = forward.moments.reshape(len(steps), -1, steps.shape[1]) / steps[:, None]
+    assert (whole == np.rint(whole)).all()
+    assert (forward.noise / STEP == np.rint(forward.noise / STEP)).all()
+    assert np.abs(whole).max() < EXACT / 1000
+    assert forward.count.sum() == 12000
+    patches = sample_patches(
+        frames[0], head, bayer.white_dose, near.channel[1], 1000, orientations(3), np.random.default_rng([1, 2, 0, 1])
+    )
+    matrix = sum(moment_matrix(row, 13) for row in parts[0].moments)
+    assert np.linalg.eigvalsh(matrix).min() > 0
+    ratio = matrix[10:, 10:].diagonal() / (patches.target.astype(np.float64) ** 2).sum(axis=0)
+    assert ratio == pytest.approx(ratio.mean(), rel=0.2)  # outputs are weighed alike
+    huge = ClassSums(forward.moments * 2.0**40, forward.noise, forward.count)
+    with pytest.raises(L3Error, match="more patches than can be added exactly"):
+        add_up(lesson, [huge])
+
+
+@pytest.mark.parametrize("outputs", [("Y",), ("b1", "b2", "b3", "b4", "b5"), ("R", "G", "B")])
+def test_other_outputs_than_xyz(
+    outputs: tuple[str, ...], bayer: CameraModel, tmp_path: Path, l3: Callable, refused: Callable
+) -> None:
+    """Any number of outputs trains in one pass, fills, renders to EXR, and says in its table what it gives."""
+    camera, mix = quiet_camera(bayer), np.random.default_rng(2).random((len(outputs), 3)) + 0.1
+    head = TrainingSet(camera=camera, outputs=outputs, target_description="made-up outputs")
+    with write_training_set(tmp_path / "training.h5", head) as writer:
+        for seed in range(40):
+            frame = a_frame(camera, seed, smooth=True)
+            share = frame.electrons / camera.full_scale
+            target = np.einsum("oc,crk->ork", mix, share) * camera.white_dose / frame.exposure
+            writer.append(dataclasses.replace(frame, target=target.astype(np.float32), white=mix.sum(axis=1) * 80))
+    (tmp_path / "classes.toml").write_text(SMALL)
+    arguments = ("train", tmp_path / "training.h5", "--classes", tmp_path / "classes.toml")
+    code, _, err = l3(*arguments, "-o", tmp_path / "table.h5")
+    assert code == 0, err
+    table = load(TransformTable, tmp_path / "table.h5")
+    assert table.outputs == outputs
+    assert table.target_description == "made-up outputs"
+    assert table.output_unit == camera.white_dose
+    white = mix.sum(axis=1)
+    assert table.white_point == pytest.approx(white / (white[0] if outputs == ("Y",) else white.mean()))
+    assert (np.abs(table.weights).sum(axis=(1, 2)) > 0).all()
+    share = np.array([0.3, 0.25, 0.2])
+    mosaic = camera.black + share[np.tile(camera.cfa, (16, 16))] * (camera.white - camera.black)
+    np.save(tmp_path / "raw.npy", np.rint(mosaic).astype(np.uint16))
+    raw, exr = tmp_path / "raw.npy", tmp_path / "linear.exr"
+    code, _, err = l3("render", tmp_path / "table.h5", raw, "-o", exr, "--backend", "reference")
+    assert code == 0, err
+    pixels, names = read_image(exr)
+    assert sorted(names) == sorted(outputs)
+    found = {name: pixels[..., index] for index, name in enumerate(names)}
+    for name, truth in zip(outputs, mix @ share, strict=True):
+        assert found[name] == pytest.approx(np.full((32, 32), truth), rel=0.03)
+    assert "this table has" in refused(2, "render", tmp_path / "table.h5", raw, "-o", tmp_path / "picture.png")
+    # one pass only: two steps
+    code, _, err = l3(*arguments, "--shard", "1/1", "-o", tmp_path / "shard.h5")
+    assert code == 0, err
+    assert l3("train", "--merge", tmp_path / "shard.h5", "-o", tmp_path / "merged.h5")[0] == 0
+    assert (tmp_path / "merged.h5").read_bytes() == (tmp_path / "table.h5").read_bytes()
+
+
+def test_info_tells_what_a_table_has_learned(bayer: CameraModel, tmp_path: Path, l3: Callable) -> None:
+    training = a_set(tmp_path / "training.h5", quiet_camera(bayer), 40)
+    (tmp_path / "classes.toml").write_text(SMALL)
+    assert l3("train", training, "--classes", tmp_path / "classes.toml", "-o", tmp_path / "table.h5")[0] == 0
+    code, out, _ = l3("info", tmp_path / "table.h5", "--json")
+    assert code == 0
+    table, found = load(TransformTable, tmp_path / "table.h5"), json.loads(out)["insight"]
+    assert found["classes"]["all"] == len(table.weights)
+    assert found["classes"]["filled"] == int((table.samples == 0).sum())
+    assert found["classes"]["trained"] + found["classes"]["filled"] == len(table.weights)
+    assert sum(kind["patches"] for kind in found["kinds"]) == table.samples.sum() == 4 * 3000 * 4
+    # trained on flat fields whose outputs are MIX of the channels, that is what a flat signal gives
+    gains = np.array([[found["dc_gain"][output][channel] for channel in "rgb"] for output in "XYZ"])
+    assert gains == pytest.approx(MIX, abs=0.03)
+    trained = table.samples > 0
+    noise = np.sqrt((table.weights[trained, 1].astype(np.float64) ** 2).sum(axis=1))
+    assert found["noise_gain"]["Y"] == pytest.approx({"median": np.median(noise), "worst": noise.max()})
+    assert found["worst"][0]["noise_gain"] == pytest.approx(noise.max())
+    assert found["worst"][0]["class"].startswith("site (")
+    assert 1 <= found["condition"]["median"] <= found["condition"]["worst"]
+    assert (table.condition[trained] >= 1).all()
+    code, out, _ = l3("info", tmp_path / "table.h5")
+    assert code == 0
+    assert "noisiest classes:" in out
+    assert found["worst"][0]["class"] in out
+
+
+def test_saturation_cases_are_named_by_their_pattern(fiveband: CameraModel) -> None:
+    occurrences = np.zeros(32, np.int64)
+    occurrences[[0, 0b00010, 0b10010, 0b11111]] = 1000, 100, 100, 300
+    rule = make_rule(ClassRecipe(), fiveband, choose_cases(occurrences, 12))
+    table = SimpleNamespace(rule=rule, channels=fiveband.channels, cfa=fiveband.cfa, black=100.0, white=4095.0)
+    names = [kind_name(table, kind) for kind in range(rule.kinds)]  # type: ignore[arg-type]
+    everything = "saturated " + "+".join(fiveband.channels)
+    c, g = fiveband.channels[4], fiveband.channels[1]
+    assert names == ["chroma 0", f"saturated {g}", f"saturated {g}+{c}", everything]
+
+
+def test_wrong_calls_are_one_line(bayer: CameraModel, fiveband: CameraModel, tmp_path: Path, refused: Callable) -> None:
+    good = a_set(tmp_path / "good.h5", bayer, 1)
+    other = a_set(tmp_path / "other.h5", quiet_camera(bayer), 1)
+    tiny = a_set(tmp_path / "tiny.h5", bayer, 1, size=(4, 30))
+    empty = a_set(tmp_path / "empty.h5", bayer, 0)
+    targets = a_set(tmp_path / "targets.h5", bayer, 1, target="something else")
+    out = tmp_path / "table.h5"
+    assert "different cameras or targets" in refused(3, "train", good, other, "-o", out)
+    assert "different cameras or targets" in refused(3, "train", good, targets, "-o", out)
+    assert "different cameras or targets" in refused(3, "train", good, targets, "--shard", "1/2", "-o", out)
+    assert "smaller than the 9×9 patch" in refused(3, "train", good, tiny, "--shard", "1/2", "-o", out)
+    assert "smaller than the 9×9 patch" in refused(3, "train", tiny, "-o", out)
+    assert "holds no frames" in refused(3, "train", empty, "-o", out)
+    assert "does not exist" in refused(3, "train", tmp_path / "no.h5", "-o", out)
+    assert "Missing option '-o'" in refused(2, "train", good)
+    (tmp_path / "classes.toml").write_text("[classes]\nlevel = 3\n")
+    assert "unknown key `level` in [classes]" in refused(2, "train", good, "--classes", tmp_path / "classes.toml", "-o", out)
+    (tmp_path / "few.toml").write_text("[classes]\nlevels = 50000\n")
+    assert "more levels than values" in refused(2, "train", good, "--classes", tmp_path / "few.toml", "-o", out)
+    assert "exists; add --force" in refused(1, "train", good, "-o", other)
+    camera = _camera_of(other, tmp_path)
+    assert "holds a camera model; give the file written by" in refused(3, "train", camera, "-o", out)
+
+
+def _camera_of(training: Path, tmp_path: Path) -> Path:
+    """A file of another kind: the training set's camera alone."""
+    from l3cli.artifacts.store import save
+    from l3cli.artifacts.training_set import open_training_set
+
+    with open_training_set(training) as reader:
+        save(reader.head.camera, tmp_path / "camera.h5")
+    return tmp_path / "camera.h5"
+
+
+def test_plain_areas_show_no_cfa_pattern(bayer: CameraModel, tmp_path: Path, l3: Callable) -> None:
+    """Trained on noise, where every site learns something else, flat patches of any colour come out alike at all sites."""
+    training = a_set(tmp_path / "training.h5", bayer, 3, smooth=False)
+    (tmp_path / "classes.toml").write_text(SMALL)
+    assert l3("train", training, "--classes", tmp_path / "classes.toml", "-o", tmp_path / "table.h5")[0] == 0
+    table = load(TransformTable, tmp_path / "table.h5")
+    near = neighbourhoods(bayer.cfa, 5, 3)
+    member = near.channel[:, :, None] == np.arange(3)
+    weights = table.weights.reshape(4, -1, 3, 25).astype(np.float64)
+    response = np.einsum("skot,stc->skoc", weights, member)
+    own = table.samples.reshape(4, -1).min(axis=0) > 0  # classes that every site has seen
+    assert own.sum() > 5
+    spread = np.ptp(response[:, own], axis=0)
+    assert spread.max() < 2e-3 * np.abs(response[:, own]).max()
+
+
+def test_the_default_recipe_file_spells_out_the_built_in_default() -> None:
+    assert load_recipe(CONFIGS / "classes/default.toml", TrainingRecipe) == TrainingRecipe()
+    for name in ("fast", "best"):
+        assert load_recipe(CONFIGS / f"classes/{name}.toml", TrainingRecipe) != TrainingRecipe()

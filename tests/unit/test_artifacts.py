@@ -1,0 +1,208 @@
+"""Artifacts: what is written is read back; what is broken is refused in one line that names the culprit and the cure."""
+
+import dataclasses
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.container import seal
+from l3cli.artifacts.partial_sums import PartialSums
+from l3cli.artifacts.schema import equal
+from l3cli.artifacts.store import load, save
+from l3cli.artifacts.training_set import TrainingSet, open_training_set, write_training_set
+from l3cli.errors import InputFileError
+from tests.helpers.artifacts import a_camera, a_frame, a_table
+
+
+def test_camera_and_table_come_back_as_they_went(fiveband: CameraModel, bayer: CameraModel, tmp_path: Path) -> None:
+    for artifact in (fiveband, a_camera(fiveband), a_table(bayer)):
+        path = tmp_path / "sub" / "artifact.h5"
+        save(artifact, path)
+        again = load(type(artifact), path)
+        assert equal(artifact, again)
+        assert again.history == artifact.history
+
+
+def test_partial_sums_take_a_calibrated_camera_beside_any_class_rule(bayer: CameraModel) -> None:
+    training = TrainingSet(camera=a_camera(bayer), outputs=("X", "Y", "Z"), target_description="XYZ")
+    rule = a_table(bayer).rule
+    assert rule.contrast_edges.shape[1] != len(training.camera.fit.noise.exposure)
+    sums = PartialSums(
+        shard=1, shards=2, pass_number=2, patches=np.array([9]), training=training, rule=rule,
+        white_point=np.array([0.95, 1.0, 1.09]), sites=np.array([0]),
+    )  # fmt: skip
+    assert sums.rule is rule
+
+
+def test_training_set_comes_back_frame_by_frame(fiveband: CameraModel, tmp_path: Path) -> None:
+    head = TrainingSet(camera=fiveband, outputs=("X", "Y", "Z"), target_description="XYZ")
+    path = tmp_path / "training.h5"
+    with write_training_set(path, head) as writer:
+        for seed in range(3):
+            writer.append(a_frame(seed))
+    with open_training_set(path) as reader:
+        assert len(reader) == 3
+        assert equal(reader.head, head)
+        for seed, frame in enumerate(reader):
+            assert equal(frame, a_frame(seed))
+
+
+def test_same_content_same_bytes(fiveband: CameraModel, tmp_path: Path) -> None:
+    save(a_camera(fiveband), tmp_path / "one.h5")
+    save(a_camera(fiveband), tmp_path / "two.h5")
+    assert (tmp_path / "one.h5").read_bytes() == (tmp_path / "two.h5").read_bytes()
+
+
+def test_a_failed_writer_leaves_nothing(fiveband: CameraModel, tmp_path: Path) -> None:
+    head = TrainingSet(camera=fiveband, outputs=("X", "Y", "Z"), target_description="XYZ")
+
+    def stopped_half_way() -> None:
+        with write_training_set(tmp_path / "training.h5", head) as writer:
+            writer.append(a_frame())
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        stopped_half_way()
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"responsivity": np.zeros((5, 3))}, "responsivity"),
+        ({"responsivity": np.full((5, 65), np.nan)}, "not finite"),
+        ({"channels": ("r", "g")}, "channel"),
+        ({"cfa": np.array([[9]], np.uint8)}, "cfa names channel 9"),
+        ({"gain": "high"}, "gain"),
+        ({"black": 5000.0}, "black 5000"),
+    ],
+)
+def test_a_constructor_refuses_what_cannot_be(fiveband: CameraModel, changes: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        dataclasses.replace(fiveband, **changes)
+
+
+def break_kind(path: Path) -> None:
+    with h5py.File(path, "r+") as root:
+        root.attrs["kind"] = "transform table"
+
+
+def break_version(path: Path) -> None:
+    with h5py.File(path, "r+") as root:
+        root.attrs["version"] = 99
+
+
+def break_dataset(path: Path) -> None:
+    with h5py.File(path, "r+") as root:
+        del root["gain"]
+
+
+def break_group(path: Path) -> None:
+    with h5py.File(path, "r+") as root:
+        del root["noise"]
+
+
+def break_type(path: Path) -> None:
+    with h5py.File(path, "r+") as root:
+        del root["gain"]
+        root["gain"] = "much"
+
+
+def break_link(path: Path) -> None:
+    with h5py.File(path, "r+") as root:
+        del root["gain"]
+        root["gain"] = h5py.ExternalLink("/etc/passwd", "/")
+
+
+def break_size(path: Path) -> None:
+    with h5py.File(path, "r+") as root:
+        del root["responsivity"]
+        root.create_dataset("responsivity", (100_000, 100_000), "f8", chunks=(100, 100), compression="gzip")
+
+
+def break_shape(path: Path) -> None:
+    with h5py.File(path, "r+") as root:
+        del root["wavelength"]
+        root["wavelength"] = np.arange(3.0)
+
+
+def break_history(path: Path) -> None:
+    with h5py.File(path, "r+") as root:
+        del root["history"]
+        root.create_dataset("history", data=np.bytes_(b"{"))
+
+
+def truncate(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def flip(path: Path) -> None:
+    with h5py.File(path) as root:
+        offset = root["responsivity"].id.get_chunk_info(0).byte_offset
+    content = bytearray(path.read_bytes())
+    content[offset + 20] ^= 0xFF
+    path.write_bytes(content)
+
+
+def garbage(path: Path) -> None:
+    path.write_text("not an artifact")
+
+
+def plain_hdf5(path: Path) -> None:
+    path.unlink()
+    with h5py.File(path, "w") as root:
+        root["gain"] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (break_kind, 'holds a transform table; give the file written by "l3 calibrate"'),
+        (break_version, "upgrade l3cli"),
+        (break_dataset, "lacks the dataset gain"),
+        (break_group, "lacks the group noise"),
+        (break_type, "dataset gain is"),
+        (break_link, "links away the dataset gain"),
+        (break_size, "claims more data than the file holds"),
+        (break_shape, "responsivity"),
+        (break_history, "history"),
+        (truncate, "truncated or damaged"),
+        (flip, "dataset responsivity is damaged (checksum)"),
+        (garbage, "is not an HDF5 file"),
+        (plain_hdf5, "no l3 artifact"),
+    ],
+)
+def test_a_broken_artifact_is_one_line(
+    fiveband: CameraModel, tmp_path: Path, damage: Callable[[Path], None], message: str
+) -> None:
+    path = tmp_path / "camera.h5"
+    save(fiveband, path)
+    damage(path)
+    if damage not in (truncate, garbage, plain_hdf5):
+        with pytest.raises(InputFileError, match="damaged"):
+            load(CameraModel, path)
+        seal(path)  # as who makes such a file on purpose
+    with pytest.raises(InputFileError) as caught:
+        load(CameraModel, path)
+    assert message in str(caught.value)
+    assert str(path) in str(caught.value)
+
+
+def test_info_lists_every_dataset_with_unit(fiveband: CameraModel, tmp_path: Path, l3: Callable, refused: Callable) -> None:
+    path = tmp_path / "camera.h5"
+    save(a_camera(fiveband), path)
+    code, out, err = l3("info", path)
+    assert (code, err) == (0, "")
+    assert "camera model, format version 2" in out
+    for word in ("responsivity (channel, wavelength) 5×65 float64 e-/photon", "gain", "DN/e-", "made by l3 calibrate"):
+        assert word in out
+    shutil.copy(path, tmp_path / "cut.h5")
+    truncate(tmp_path / "cut.h5")
+    assert "truncated" in refused(3, "info", tmp_path / "cut.h5")
+    assert "does not exist" in refused(3, "info", tmp_path / "nothing.h5")
+    assert "is a folder" in refused(3, "info", tmp_path)

@@ -1,0 +1,258 @@
+"""Processes: the same results in the same order; none left behind, whoever ends whom."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from l3cli.errors import L3Error
+from l3cli.parallel import alone, ordered_map, workers
+from tests.helpers.paths import CONFIGS
+from tests.helpers.tasks import PATIENCE, refusing, squared
+
+
+def dying(number: int) -> int:
+    if number == 2:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+def test_results_come_in_order_from_the_same_processes() -> None:
+    assert list(ordered_map(squared, range(7), 1)) == [number**2 for number in range(7)]
+    with workers(2) as crew:
+        for _ in range(2):
+            assert list(crew(squared, range(7))) == [number**2 for number in range(7)]
+    assert alone(squared, 3) == 9
+
+
+def test_what_a_worker_raises_is_raised_here() -> None:
+    with pytest.raises(L3Error, match="not 0"):
+        list(ordered_map(refusing, range(3), 2))
+
+
+def test_a_worker_that_is_killed_is_told_and_not_waited_for() -> None:
+    with pytest.raises(L3Error, match="ended from outside"):
+        list(ordered_map(dying, range(4), 2))
+
+
+@pytest.mark.parametrize(
+    ("number", "code", "word"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")]
+)
+def test_an_ended_run_leaves_one_line_and_nobody(tmp_path: Path, number: int, code: int, word: str) -> None:
+    run = _simulation(tmp_path)
+    (os.killpg if number == signal.SIGINT else os.kill)(run.pid, number)  # a terminal tells the whole group of Ctrl-C
+    out, err = run.communicate(timeout=PATIENCE)
+    assert (run.returncode, out, err.lstrip("\n")) == (code, "", f"l3: {word}\n")  # click ends the line of ^C
+    assert {path.name for path in tmp_path.iterdir()} == {"training.h5.parts"}  # what --resume goes on from
+    _wait_until(lambda: not _workers(run.pid))
+
+
+def test_a_signal_that_falls_into_a_finaliser_is_not_lost() -> None:
+    program = """
+import signal, time
+from l3cli import cli
+
+class Finalised:
+    def __del__(self):
+        signal.raise_signal(signal.SIGTERM)
+        time.sleep(0.01)
+
+def work(*_, **__):
+    Finalised()
+    time.sleep(60)
+
+cli.l3.main = work
+cli.main()
+"""
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=50)
+    assert (ended.returncode, ended.stderr) == (143, "l3: terminated\n")
+
+
+@pytest.mark.parametrize(
+    ("number", "code", "word"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")]
+)
+def test_a_signal_before_anything_is_imported_is_one_line(number: int, code: int, word: str) -> None:
+    program = f"""
+import signal, sys
+
+class Finder:
+    def find_spec(self, name, *_):
+        if name == "click":
+            signal.raise_signal({int(number)})
+
+sys.meta_path.insert(0, Finder())
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from l3cli.__main__ import main
+main()
+"""
+    env = {**os.environ, "PYTHONPATH": str(CONFIGS.parent)}
+    ended = subprocess.run([sys.executable, "-c", program], env=env, capture_output=True, text=True, timeout=50)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (code, "", f"l3: {word}\n")
+
+
+@pytest.mark.parametrize("call", ["pwrite", "ftruncate"])
+def test_a_signal_that_falls_into_hdf5_waits_until_it_has_written(tmp_path: Path, call: str) -> None:
+    """An exception out of what HDF5 calls would crash it, or be forgotten together with what was to be written."""
+    program = f"""
+import os, pathlib, signal, time
+import numpy as np
+from l3cli import cli
+from l3cli.artifacts import container
+
+path, system = pathlib.Path("whole.h5"), os.{call}
+
+def disturbed(*arguments):
+    os.{call} = system
+    signal.raise_signal(signal.SIGTERM)
+    return system(*arguments)
+
+def work(*_, **__):
+    os.{call} = disturbed
+    with container.new_file(path) as file:
+        file["data"] = np.arange(1000)
+    print(container.check(path, ""), flush=True)
+    time.sleep(60)
+
+cli.LATER = 2.0
+cli.l3.main = work
+cli.main()
+"""
+    env = {**os.environ, "PYTHONPATH": str(CONFIGS.parent)}
+    ended = subprocess.run(
+        [sys.executable, "-c", program], cwd=tmp_path, env=env, capture_output=True, text=True, timeout=50
+    )
+    assert (ended.returncode, ended.stdout, ended.stderr) == (143, "True\n", "l3: terminated\n")
+
+
+def test_a_signal_that_falls_into_the_start_of_a_worker_waits() -> None:
+    """A worker half started would wait for its beginning, the items for a worker, and the program for both."""
+    program = """
+import signal
+from multiprocessing import util
+from l3cli import cli
+from l3cli.parallel import ordered_map
+
+start = util.spawnv_passfds
+
+def disturbed(path, arguments, descriptors):
+    child = start(path, arguments, descriptors)
+    if b"--multiprocessing-fork" in arguments or "--multiprocessing-fork" in arguments:
+        signal.raise_signal(signal.SIGTERM)
+    return child
+
+def work(*_, **__):
+    util.spawnv_passfds = disturbed
+    list(ordered_map(len, (bytes(1 << 20) for _ in range(10_000)), 2))
+
+cli.l3.main = work
+if __name__ == "__main__":
+    cli.main()
+"""
+    env = {**os.environ, "PYTHONPATH": str(CONFIGS.parent)}
+    run = subprocess.Popen([sys.executable, "-c", program], env=env, stderr=subprocess.PIPE, text=True)
+    try:
+        assert run.communicate(timeout=50) == (None, "l3: terminated\n")
+    finally:
+        run.kill()
+    assert run.returncode == 143
+
+
+def test_workers_end_when_their_parent_is_killed(tmp_path: Path) -> None:
+    run = _simulation(tmp_path)
+    assert _workers(run.pid)
+    run.kill()
+    run.communicate(timeout=PATIENCE)
+    _wait_until(lambda: not _workers(run.pid))
+
+
+def _simulation(folder: Path) -> "subprocess.Popen[str]":
+    """A run of `l3 simulate` with two workers at work, in a process group of its own."""
+    scenes, camera = CONFIGS / "scenes/default.toml", CONFIGS / "cameras/fiveband.toml"
+    command = ["simulate", scenes, "--camera", camera, "-o", "training.h5", "--jobs", "2", "--quiet"]
+    run = subprocess.Popen(
+        [sys.executable, "-c", "from l3cli.cli import main; main()", *map(str, command)],
+        cwd=folder,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a background job's is ignored, and inherited
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(CONFIGS.parent)},
+    )
+    _wait_until(lambda: any(folder.glob("training.h5.parts/0*.h5")))
+    return run
+
+
+def _workers(group: int) -> list[str]:
+    """Command lines of the worker processes of a group that still run."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdecimal():
+            try:
+                fields = (entry / "stat").read_text().rpartition(")")[2].split()
+                line = (entry / "cmdline").read_text()
+            except OSError:  # it has ended meanwhile
+                continue
+            if int(fields[2]) == group and fields[0] != "Z" and "spawn_main" in line:
+                found.append(line)
+    return found
+
+
+def _wait_until(done: Callable[[], bool]) -> None:
+    end = time.monotonic() + PATIENCE
+    while not done():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+CUT_OFF = """
+import os, sys, threading, time
+from pathlib import Path
+from l3cli.errors import L3Error
+from l3cli.parallel import workers
+
+class Large:
+    def __reduce__(self):  # called when the worker begins to send it
+        Path("begun").touch()
+        return bytes, (bytes(150_000_000),)
+
+def large(number):
+    return Large()
+
+class Stopped(BaseException):
+    pass
+
+def take(results):
+    try:
+        next(results)
+    except L3Error:
+        pass  # its worker was ended
+
+if __name__ == "__main__":
+    for trial in range(6):
+        try:
+            with workers(2) as crew:
+                threading.Thread(target=take, args=(crew(large, [trial]),)).start()
+                while not Path("begun").exists():
+                    time.sleep(0.001)
+                time.sleep(0.03 + 0.03 * trial)
+                raise Stopped
+        except Stopped:
+            Path("begun").unlink()
+"""
+
+
+def test_an_end_while_a_worker_sends_a_large_result_is_an_end(tmp_path: Path) -> None:
+    """Half a result lies in the pipe: nobody waits for the rest."""
+    (tmp_path / "cut_off.py").write_text(CUT_OFF)
+    environment = {**os.environ, "PYTHONPATH": str(CONFIGS.parent)}
+    call = [sys.executable, "cut_off.py"]
+    ended = subprocess.run(
+        call, cwd=tmp_path, env=environment, timeout=PATIENCE, capture_output=True, text=True, check=False
+    )
+    assert ended.returncode == 0, ended.stderr

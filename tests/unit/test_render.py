@@ -1,0 +1,408 @@
+"""Rendering: the float64 reference against hand-made truths, the OpenCL kernels against the reference."""
+
+import dataclasses
+import os
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from l3cli.artifacts.table import TransformTable
+from l3cli.classes.windows import neighbourhoods
+from l3cli.errors import DeviceError, RecipeError
+from l3cli.frame import RawFrame, upright
+from l3cli.physics import spectra
+from l3cli.physics.display import (
+    automatic_exposure,
+    scene_white,
+    srgb_codes,
+    srgb_decoded,
+    srgb_from_xyz_matrix,
+    xyz_from_srgb_matrix,
+)
+from l3cli.rendering import opencl, opencl_devices
+from l3cli.rendering.display import Display, encode, make_display, require_xyz
+from l3cli.rendering.opencl import OpenCLRenderer
+from l3cli.rendering.opencl_devices import choose_device, devices
+from l3cli.rendering.reference import ReferenceRenderer
+from l3cli.rendering.renderer import BACKENDS, make_renderer
+from tests.helpers.cameras import BAYER, FIVE_BAND, X_TRANS
+from tests.helpers.tables import XYZ, random_table
+
+# float32 sums of at most 225 products, each term below 1 and rounded to 6e-8: 225 · 6e-8 at worst, a tenth of it in fact.
+OUTPUT_TOLERANCE = 1e-5
+# XYZ near 1 is off by 1e-7 in float32; the matrix (rows of up to 6 in sum) and the curve's slope of 12.92 make half a step
+# of 1/65535 of that, and rounding can add one.
+WORST_16_BIT = 2
+
+
+STRIPES = [[0, 1, 2, 0, 1], [1, 2, 0, 1, 2], [2, 0, 1, 2, 0]]
+SIXTEEN = np.arange(16).reshape(4, 4)
+TABLES = {
+    "bayer": lambda: random_table(BAYER, bits=10, black=64.0),
+    "five-band": lambda: random_table(FIVE_BAND, bits=12, black=108.93, patch=9, contrasts=(1.1, 2.0)),
+    "x-trans": lambda: random_table(X_TRANS, bits=16, black=2048.0, patch=7, contrasts=(1.2, 2.0, 5.0), wild=True),
+    "white": lambda: random_table([[0, 3, 1, 3], [3, 0, 3, 1], [1, 3, 2, 3], [3, 1, 3, 2]], bits=14, black=512.5, patch=9),
+    "stripes": lambda: random_table(STRIPES, bits=8, patch=3, outputs=XYZ + ("N", "U"), contrasts=()),
+    "sixteen": lambda: random_table(SIXTEEN, bits=13, patch=15, outputs=("a",), contrasts=(1.4, 3.0), wild=True),
+    "mono": lambda: random_table([[0]], bits=16, patch=11, outputs=tuple("abcdefghijklmnop"), wild=True),
+}
+
+
+KINDS = {  # how a table is rendered: arguments of OpenCLRenderer
+    "processor": {"variant": "processor"},
+    "8 lanes": {"variant": "processor", "lanes": 8},
+    "16 lanes": {"variant": "processor", "lanes": 16},
+    "graphics": {"variant": "graphics"},
+}
+RENDERED = [(name, "processor") for name in TABLES]
+RENDERED += [("five-band", "8 lanes"), ("five-band", "16 lanes")]
+RENDERED += [("five-band", "graphics"), ("x-trans", "graphics"), ("stripes", "graphics")]
+
+
+@pytest.fixture(scope="module", params=RENDERED, ids="-".join)
+def renderers(request) -> tuple[ReferenceRenderer, OpenCLRenderer]:
+    name, kind = request.param
+    table = TABLES[name]()
+    return ReferenceRenderer(table), OpenCLRenderer(table, **KINDS[kind])
+
+
+LENGTHS = st.integers(1, 24) | st.sampled_from([47, 48, 49, 66])
+WIDTHS = st.integers(1, 40) | st.sampled_from([255, 256, 257, 300])
+
+
+@st.composite
+def frames(draw, table: TransformTable) -> RawFrame:
+    """Mosaics of the table's depth and beyond: noise about any level, textures, areas of black and of saturation."""
+    rows, cols = draw(LENGTHS), draw(WIDTHS)
+    rng = np.random.default_rng(draw(st.integers(0, 2**32)))
+    top = 2 ** draw(st.sampled_from([table.bits, table.bits, 16])) - 1
+    level, spread = draw(st.floats(0, 1.1)), draw(st.sampled_from([0.0, 0.001, 0.05, 0.5, 2.0]))
+    values = table.black + top * level * rng.uniform(0.3, 1.0) * (1 + spread * rng.normal(size=(rows, cols)))
+    for value in draw(st.lists(st.sampled_from([0.0, table.black, float(table.rule.saturation), top]), max_size=3)):
+        row, col = rng.integers(0, rows), rng.integers(0, cols)
+        values[row : row + rng.integers(1, 9), col : col + rng.integers(1, 9)] = value
+    phase = (draw(st.integers(0, table.cfa.shape[0] - 1)), draw(st.integers(0, table.cfa.shape[1] - 1)))
+    return RawFrame("drawn", np.clip(values, 0, top).astype(np.uint16), table.black, table.white, phase)
+
+
+def assert_equal_to_reference(reference: ReferenceRenderer, device: OpenCLRenderer, frame: RawFrame) -> None:
+    np.testing.assert_array_equal(device.labels(frame), reference.labels(frame))
+    exact = reference.exact_outputs(frame)
+    rendered = device.outputs(frame)
+    assert rendered.dtype == np.float32
+    np.testing.assert_allclose(rendered, exact, rtol=0, atol=OUTPUT_TOLERANCE * max(1.0, np.abs(exact).max()))
+    if reference.table.outputs == XYZ:
+        display = make_display(reference.table.white_point, 1.0, 8)
+        shown, truth = device.picture(frame, display), encode(exact, display)
+        assert shown.dtype == truth.dtype == display.dtype
+        assert np.abs(shown.astype(int) - truth).max() <= 1
+
+
+@settings(max_examples=12, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@given(data=st.data())
+def test_opencl_meets_the_reference(renderers, data):
+    reference, device = renderers
+    assert_equal_to_reference(reference, device, data.draw(frames(reference.table)))
+
+
+def test_frames_of_one_value_and_of_one_line(renderers):
+    reference, device = renderers
+    table = reference.table
+    for shape in ((1, 1), (1, 70), (70, 1), (17, 33)):
+        for value in (0, int(table.black), table.rule.saturation, 2**table.bits - 1):
+            frame = RawFrame("f", np.full(shape, value, np.uint16), table.black, table.white)
+            np.testing.assert_array_equal(device.labels(frame), reference.labels(frame))
+            exact = reference.exact_outputs(frame)
+            np.testing.assert_allclose(
+                device.outputs(frame), exact, rtol=0, atol=OUTPUT_TOLERANCE * max(1, np.abs(exact).max())
+            )
+
+
+@settings(max_examples=4, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@given(data=st.data())
+def test_any_colour_filter_array(data):
+    """Whatever the array, patch, outputs and depth, for every way of rendering; few, since each is compiled."""
+    rows, cols = data.draw(st.integers(1, 8)), data.draw(st.integers(1, 8))
+    patch = data.draw(st.sampled_from([3, 5, 7, 9, 11, 13, 15]))
+    rng = np.random.default_rng(data.draw(st.integers(0, 2**32)))
+    channels = int(rng.integers(1, min(rows, patch) * min(cols, patch) // 2 + 2))
+    cfa = rng.integers(0, min(channels, 16), (rows, cols))
+    present, cfa = np.unique(cfa, return_inverse=True)
+    cfa = cfa.reshape(rows, cols)
+    try:
+        neighbourhoods(cfa.astype(np.uint8), patch, len(present))
+    except RecipeError:
+        cfa = np.zeros((rows, cols), int)
+    outputs = data.draw(st.sampled_from([XYZ, XYZ, ("Y",), tuple("abcdefg"), tuple("abcdefghijklmnop")]))
+    table = random_table(cfa, data.draw(st.integers(8, 16)), 30.0, patch, outputs, wild=True, seed=int(rng.integers(99)))
+    device = OpenCLRenderer(table, **KINDS[data.draw(st.sampled_from(list(KINDS)))])
+    for _ in range(2):
+        assert_equal_to_reference(ReferenceRenderer(table), device, data.draw(frames(table)))
+
+
+@pytest.mark.parametrize("kind", ["processor", "graphics"])
+def test_bands_change_nothing(monkeypatch, kind):
+    table = random_table(STRIPES, bits=12, black=100.0, patch=5)
+    frame = RawFrame("f", np.random.default_rng(0).integers(0, 4096, (61, 83)).astype(np.uint16), 100.0, table.white, (2, 1))
+    display = make_display(table.white_point, 1.0, 8)
+    whole = OpenCLRenderer(table, **KINDS[kind])
+    labels, planes, picture = whole.labels(frame), whole.outputs(frame), whole.picture(frame, display)
+    for rows in (1, 7, 30):
+        monkeypatch.setattr(opencl, "BAND_PIXELS", rows * 83)
+        banded = OpenCLRenderer(table, **KINDS[kind])
+        np.testing.assert_array_equal(banded.labels(frame), labels)
+        np.testing.assert_array_equal(banded.outputs(frame), planes)
+        np.testing.assert_array_equal(banded.picture(frame, display), picture)
+
+
+def test_sequences_are_rendered_in_order():
+    table = random_table(BAYER, patch=3)
+    rng = np.random.default_rng(0)
+    shapes = [(20, 30)] * 5 + [(31, 17), (20, 30)]
+    sequence = [RawFrame("f", rng.integers(0, 4096, shape).astype(np.uint16), 0.0, table.white) for shape in shapes]
+    displays = [make_display(table.white_point, 1.0 + index / 3, 8) for index in range(len(sequence))]
+    device = OpenCLRenderer(table)
+    pictures = list(device.pictures(zip(sequence, displays, strict=True)))
+    assert len(pictures) == len(sequence)
+    for frame, display, picture in zip(sequence, displays, pictures, strict=True):
+        np.testing.assert_array_equal(picture, device.picture(frame, display))
+    assert list(device.pictures([])) == []
+
+
+def test_other_threads_run_while_a_frame_is_rendered():
+    """As decoding and encoding do beside the rendering of a video."""
+    table = random_table(BAYER, patch=3)
+    device, display = OpenCLRenderer(table), make_display(table.white_point, 1.0, 8)
+    frame = RawFrame("f", np.zeros((2000, 4000), np.uint16), table.black, table.white)
+    device.picture(frame, display)
+    ticks, done = 0, threading.Event()
+
+    def tick() -> None:
+        nonlocal ticks
+        while not done.wait(0.001):
+            ticks += 1
+
+    thread = threading.Thread(target=tick)
+    thread.start()
+    start = time.perf_counter()
+    while time.perf_counter() - start < 0.2:
+        device.picture(frame, display)
+    done.set()
+    thread.join()
+    assert ticks > 20
+
+
+def test_a_value_on_an_edge_falls_on_the_same_side():
+    """Nine values of 0 or 1 with four ones have the variance 4 · round(512 / 9) and the level sum 4 · 7282 >> 8."""
+    table = random_table([[0]], patch=3)
+    level_edges = np.array([113, 200, 300], np.uint32)
+    rule = dataclasses.replace(table.rule, level_edges=level_edges, contrast_edges=np.full((1, 4), 4 * 57, np.uint32))
+    classes = rule.classes_per_site
+    table = dataclasses.replace(
+        table,
+        rule=rule,
+        weights=np.zeros((classes, 3, 9), np.float32),
+        intercept=np.zeros((classes, 3), np.float32),
+        samples=np.ones(classes),
+        condition=np.ones(classes, np.float32),
+    )
+    frame = RawFrame("f", np.random.default_rng(0).integers(0, 2, (50, 50)).astype(np.uint16), 0.0, 4095.0)
+    labels = ReferenceRenderer(table).labels(frame)
+    np.testing.assert_array_equal(OpenCLRenderer(table).labels(frame), labels)
+    four = np.zeros((3, 3), np.uint16)
+    four[0, :] = four[1, 1] = 1
+    frame = RawFrame("f", four, 0.0, 4095.0)
+    centre = OpenCLRenderer(table).labels(frame)[1, 1] // rule.kinds
+    assert centre == 1 * rule.contrasts + 0  # on the level edge: the level above; on the contrast edge: the contrast below
+
+
+# Bits, and the share of codes that may differ by one, where float32 falls on the other side of a rounding; 8 bits come by a
+# shorter polynomial.
+ENCODINGS = [(8, 0.01), (16, 0.05)]
+
+
+@pytest.mark.parametrize("kind", ["processor", "16 lanes", "graphics"])
+def test_encodings_on_the_device(kind):
+    """The whole range, below black and beyond white, in both depths."""
+    table = random_table([[0]], bits=16, patch=3)
+    centre = np.zeros_like(table.weights)
+    centre[:, :, 4] = 1.0
+    table = dataclasses.replace(table, weights=centre, intercept=np.full_like(table.intercept, -0.01))
+    frame = RawFrame("ramp", np.arange(65536, dtype=np.uint16).reshape(256, 256), table.black, table.white)
+    device, reference = OpenCLRenderer(table, **KINDS[kind]), ReferenceRenderer(table)
+    for bits, share in ENCODINGS:
+        display = Display(np.diag([1.0, 1.7, 0.01]), bits)
+        shown, truth = device.picture(frame, display), reference.picture(frame, display)
+        assert shown.dtype == truth.dtype == display.dtype
+        error = np.abs(shown.astype(int) - truth)
+        assert error.max() <= 1
+        assert error.mean() <= share
+        assert (shown[..., 1].ravel()[-1], shown[0, 0].tolist()) == (display.top, [0, 0, 0])
+
+
+def test_centre_tap_of_the_reference_gives_the_signal_back():
+    table = random_table(BAYER, bits=10, black=64.0)
+    centre = np.zeros_like(table.weights)
+    centre[:, 1, 12] = 1.0
+    table = dataclasses.replace(table, weights=centre, intercept=np.zeros_like(table.intercept))
+    values = np.random.default_rng(0).integers(0, 1024, (7, 9)).astype(np.uint16)
+    planes = ReferenceRenderer(table).exact_outputs(RawFrame("f", values, 64.0, 1023.0, (1, 0)))
+    np.testing.assert_allclose(planes[1], (values - 64.0) / 959.0, atol=1e-12)
+    assert not planes[[0, 2]].any()
+
+
+@pytest.mark.parametrize("backend", list(BACKENDS))
+def test_weights_follow_class_tap_and_phase(backend):
+    """Tap order, class order and the phase, seen through a table whose weights are 1 for one tap of one site."""
+    table = random_table(BAYER, bits=10)
+    weights = np.zeros_like(table.weights)
+    per_site = table.rule.classes_per_site
+    weights[3 * per_site :, 0, 5 * 1 + 4] = 1.0  # site (1, 1): one row up, two columns to the right
+    table = dataclasses.replace(table, weights=weights, intercept=np.zeros_like(table.intercept))
+    values = np.random.default_rng(0).integers(0, 1024, (6, 8)).astype(np.uint16)
+    plane = make_renderer(backend, table).outputs(RawFrame("f", values, 0.0, 1023.0, (0, 1)))[0]
+    expected = np.zeros((6, 8))
+    expected[1::2, 0:6:2] = values[0:5:2, 2::2]  # phase (0, 1): site (1, 1) lies at odd rows and even columns
+    expected[1::2, 6] = values[0:5:2, 6]  # column 8 mirrors to column 6
+    np.testing.assert_allclose(plane * 1023.0, expected, atol=1e-3)
+
+
+@pytest.mark.parametrize("backend", list(BACKENDS))
+def test_frames_on_other_levels_are_rescaled(backend):
+    table = random_table(BAYER, bits=10, black=64.0)
+    renderer = make_renderer(backend, table)
+    values = np.random.default_rng(0).integers(64, 1024, (6, 8)).astype(np.uint16)
+    wide = ((values.astype(int) - 64) * 16 + 2000).astype(np.uint16)
+    expected = renderer.outputs(RawFrame("f", values, 64.0, 1023.0))
+    np.testing.assert_array_equal(renderer.outputs(RawFrame("f", wide, 2000.0, 2000.0 + 959 * 16)), expected)
+
+
+def test_renderer_is_made_once_for_frames_of_changing_size():
+    table = random_table(BAYER)
+    device, reference = OpenCLRenderer(table), ReferenceRenderer(table)
+    rng = np.random.default_rng(0)
+    for shape in ((5, 300), (1, 1), (70, 3), (5, 300)):
+        frame = RawFrame("f", rng.integers(0, 4096, shape).astype(np.uint16), table.black, table.white)
+        np.testing.assert_array_equal(device.labels(frame), reference.labels(frame))
+    times = device.stage_times(frame, make_display(table.white_point, 1.0, 8))
+    assert list(times) == ["upload", "classes", "transforms", "encode", "download"]
+    assert all(time >= 0 for time in times.values())
+
+
+# ------------------------------------------------------------------------------------------------------- display
+
+
+def test_scene_white_is_shown_neutral_and_full():
+    white = spectra.white_point("A")
+    for bits in (8, 16):
+        picture = encode(white[:, None, None], make_display(white, 1.0, bits))
+        assert picture.tolist() == [[[2**bits - 1] * 3]]
+
+
+def test_srgb_curve_at_known_values():
+    linear = np.array([0.0, 0.002, 0.0031308, 0.18, 0.5, 1.0, 1.5, -1.0])
+    picture = encode(np.stack([linear[None]] * 3), Display(np.eye(3), 8))
+    assert picture[0, :, 0].tolist() == [0, 7, 10, 118, 188, 255, 255, 0]
+
+
+def test_srgb_both_ways():
+    codes = np.arange(256)
+    assert srgb_codes(srgb_decoded(codes / 255)).tolist() == codes.tolist()
+    np.testing.assert_allclose(xyz_from_srgb_matrix() @ srgb_from_xyz_matrix(), np.eye(3), atol=1e-12)
+
+
+def test_known_colour_in_srgb():
+    """CIE XYZ of sRGB red, IEC 61966-2-1."""
+    picture = encode(np.array([0.4124, 0.2126, 0.0193]).reshape(3, 1, 1), make_display(spectra.white_point("D65"), 1.0, 8))
+    assert np.abs(picture[0, 0].astype(int) - [255, 0, 0]).max() <= 1
+
+
+def test_automatic_exposure_maps_the_99th_percentile_to_white():
+    luminance = np.linspace(0, 2, 101)[None]
+    assert automatic_exposure(luminance) == pytest.approx(1 / 1.98)
+    assert automatic_exposure(np.zeros((2, 2))) == 1.0
+
+
+def test_scene_white_by_name_and_chromaticity():
+    np.testing.assert_allclose(scene_white("0.25,0.5"), [0.5, 1.0, 0.5])
+    np.testing.assert_allclose(scene_white("D65"), spectra.white_point("D65"))
+    for wrong in ("0.3,", "0.3,0.8", "0,0.3", "moonlight"):
+        with pytest.raises(RecipeError, match=r"white|illuminant"):
+            scene_white(wrong)
+
+
+def test_pictures_need_xyz():
+    with pytest.raises(RecipeError, match=r"\.exr"):
+        require_xyz(("r", "g", "b"))
+    table = random_table(BAYER, outputs=("Y",))
+    frame = RawFrame("f", np.zeros((2, 2), np.uint16), table.black, table.white)
+    for backend in BACKENDS:
+        with pytest.raises(RecipeError, match="X, Y, Z"):
+            make_renderer(backend, table).picture(frame, Display(np.eye(3), 8))
+
+
+def test_upright_turns_as_libraw_does():
+    pixels = np.array([[1, 2, 3], [4, 5, 6]])
+    assert upright(pixels, 3).tolist() == [[6, 5, 4], [3, 2, 1]]
+    assert upright(pixels, 5).tolist() == np.rot90(pixels).tolist() == [[3, 6], [2, 5], [1, 4]]
+    assert upright(pixels, 6).tolist() == np.rot90(pixels, -1).tolist() == [[4, 1], [5, 2], [6, 3]]
+
+
+# ------------------------------------------------------------------------------------------------------- devices
+
+
+def test_device_is_chosen_by_index_and_name():
+    first = devices()[0]
+    assert choose_device("0") == first
+    assert choose_device(first.name[2:8].lower()) == first
+    for wrong in ("99", "no such device"):
+        with pytest.raises(DeviceError, match="--device"):
+            choose_device(wrong)
+
+
+def test_no_device_says_what_to_install(monkeypatch):
+    monkeypatch.setattr(opencl_devices, "_platforms", list)
+    with pytest.raises(DeviceError, match=r'pip install "pyopencl\[pocl\]"'):
+        OpenCLRenderer(random_table(BAYER))
+
+
+def test_variant_follows_the_device_unless_chosen():
+    table = random_table(BAYER, patch=3)
+    gpu = OpenCLRenderer(table).device.type & 4
+    assert OpenCLRenderer(table).variant == ("graphics" if gpu else "processor")
+    assert make_renderer("opencl", table, device="0", variant="graphics").variant == "graphics"
+    with pytest.raises(RecipeError, match="processor, graphics"):
+        OpenCLRenderer(table, variant="vector")
+
+
+def test_survey_says_what_is_missing(monkeypatch):
+    assert opencl_devices.survey()[0].startswith("0: ")
+    monkeypatch.setattr(opencl_devices, "_platforms", list)
+    assert opencl_devices.survey() == [f"no OpenCL driver (ICD) is installed; {opencl_devices.INSTALL}"]
+
+
+def test_unknown_backend_is_refused():
+    with pytest.raises(RecipeError, match="opencl, reference"):
+        make_renderer("cuda", random_table(BAYER))
+
+
+def test_pocl_works_with_an_unwritable_home():
+    """PoCL without a folder for its cache finds no device at all."""
+    script = (
+        "import os; from l3cli.rendering.opencl_devices import choose_device\n"
+        "choose_device(''); print(os.environ['POCL_CACHE_DIR'])"
+    )
+    kept = {key: value for key, value in os.environ.items() if key not in ("POCL_CACHE_DIR", "XDG_CACHE_HOME")}
+    done = subprocess.run(
+        [sys.executable, "-c", script], env={**kept, "HOME": "/proc"}, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert "l3-kernels-" in done.stdout
+    assert not Path(done.stdout.strip()).exists()

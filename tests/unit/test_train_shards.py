@@ -1,0 +1,275 @@
+"""How training is divided: patches over training sets by their shares, work over processes and shards. The same bytes come
+out whatever made them."""
+
+import cProfile
+import dataclasses
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.store import load
+from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.training_set import TrainingSet, write_training_set
+from l3cli.classes.recipe import ClassRecipe
+from l3cli.classes.rule import make_rule
+from l3cli.errors import InputFileError
+from l3cli.parallel import workers
+from l3cli.stages.console import Silent
+from l3cli.stages.training.passes import Execution, first_pass
+from l3cli.stages.training.run import open_run
+from l3cli.training.benchmark import made_up_frame, stage_shares, train
+from l3cli.training.division import BATCH, SUM_BYTES, frame_blocks, portions
+from l3cli.training.lesson import LAST, Lesson, spread_patches
+from l3cli.training.recipe import LearningRecipe, TrainingRecipe
+from l3cli.training.sums import empty_sums
+from tests.helpers.training_sets import a_frame, a_set
+
+SMALL = "[classes]\npatch = 3\nlevels = 4\n[learning]\npatches = 2100\nfirst_draws = 1\ndraws = 2\n"
+
+
+def test_patches_are_spread_over_frames_or_by_shares() -> None:
+    assert spread_patches(100, [3, 1], None) == (25, 25, 25, 25)
+    assert spread_patches(101, [3, 1], None) == (26, 26, 26, 26)
+    by_share = spread_patches(210, [2, 7, 1], [Fraction(1), Fraction("0.7"), Fraction("0.4")])
+    assert by_share == (50, 50, *[10] * 7, 40)
+    assert spread_patches(1, [2, 1], [Fraction(1), Fraction(1, 10**6)]) == (1, 1, 1)  # no frame is idle
+
+
+@given(st.lists(st.tuples(st.integers(1, 50), st.fractions(0.01, 100)), min_size=1, max_size=5), st.integers(1, 10**6))
+def test_every_set_gets_its_share(sets: list[tuple[int, Fraction]], patches: int) -> None:
+    """At least its share of the patches, and less than one more a frame; the same on every frame of the set."""
+    frames, shares = zip(*sets, strict=True)
+    found, first = spread_patches(patches, frames, shares), 0
+    for count, share in sets:
+        own = found[first : first + count]
+        first += count
+        assert len(set(own)) == 1
+        assert 0 <= sum(own) - patches * share / sum(shares) < count
+    assert first == len(found)
+
+
+def a_lesson(bayer: CameraModel, patches: tuple[int, ...], **recipe: object) -> Lesson:
+    rule = make_rule(ClassRecipe(**{"patch": 3, "levels": 4, **recipe}), bayer, np.zeros(8, np.uint16))
+    head = TrainingSet(camera=bayer, outputs=("X", "Y", "Z"), target_description="")
+    return Lesson(head, patches, rule, LearningRecipe(), np.ones(3), 0, LAST)
+
+
+@given(st.lists(st.integers(1, 120_000), min_size=1, max_size=40))
+def test_blocks_hold_every_frame_once_and_bounded_patches(bayer: CameraModel, patches: list[int]) -> None:
+    blocks = frame_blocks(a_lesson(bayer, tuple(patches)))
+    assert [index for block in blocks for index in block] == list(range(len(patches)))
+    for block in blocks:
+        assert sum(patches[index] for index in block) <= BATCH + max(patches[index] for index in block)
+
+
+def test_blocks_are_nearly_equal(bayer: CameraModel) -> None:
+    assert frame_blocks(a_lesson(bayer, (1000,) * 60)) == [range(30), range(30, 60)]
+    assert [len(block) for block in frame_blocks(a_lesson(bayer, (100,) * 1030))] == [344, 343, 343]
+
+
+@given(st.integers(1, 9), st.integers(1, 12), st.integers(1, 9))
+def test_portions_hold_every_block_of_every_site_once(bayer: CameraModel, jobs: int, count: int, sites: int) -> None:
+    lesson, every = a_lesson(bayer, (100,) * count), list(range(0, 3 * sites, 3))
+    blocks = [range(index, index + 1) for index in range(count)]
+    parts = portions(lesson, every, blocks, jobs)
+    taken = [(site, block) for part in parts for block, own in part.blocks for site in own]
+    assert sorted(taken, key=str) == sorted(((site, block) for site in every for block in blocks), key=str)
+    sizes = [sum(len(own) for _, own in part.blocks) for part in parts]
+    assert max(sizes) - min(sizes) <= 1
+    assert len(parts) == min(jobs, len(taken))
+    for part in parts:
+        assert part.whole == tuple(
+            s for s in part.sites if not any(s in other.sites for other in parts if other is not part)
+        )
+        assert [block[0] for block, _ in part.blocks] == sorted(block[0] for block, _ in part.blocks)
+    assert portions(lesson, every, [], jobs) == []
+
+
+def test_portions_of_large_sums_have_few_sites(bayer: CameraModel) -> None:
+    lesson = a_lesson(bayer, (100,) * 12, patch=15, levels=40, chromas=1, contrasts=(1.1, 1.4, 2.0, 3.5, 7.0))
+    assert SUM_BYTES / empty_sums(lesson.rule, 3).moments.nbytes < 5
+    blocks = [range(index, index + 1) for index in range(12)]
+    for jobs in (1, 2, 3):
+        parts = portions(lesson, list(range(9)), blocks, jobs)
+        assert len(parts) % jobs == 0
+        assert max(len(part.sites) for part in parts) <= max(2, SUM_BYTES // empty_sums(lesson.rule, 3).moments.nbytes)
+
+
+def test_workers_stay_for_several_calls() -> None:
+    with workers(2) as crew:
+        seen = {pid for _ in range(3) for pid in crew(_process, range(8))}
+        assert list(crew(abs, range(-3, 3))) == [3, 2, 1, 0, 1, 2]
+    assert len(seen) <= 2
+    assert os.getpid() not in seen
+    with workers(1) as crew:
+        assert set(crew(_process, range(2))) == {os.getpid()}
+
+
+def _process(item: int) -> int:
+    return os.getpid()
+
+
+def lit_set(path: Path, camera: CameraModel, count: int, white: tuple[float, float, float]) -> Path:
+    """A training set under a light of its own."""
+    head = TrainingSet(camera=camera, outputs=("X", "Y", "Z"), target_description="a known mix of the channels")
+    with write_training_set(path, head) as writer:
+        for seed in range(count):
+            writer.append(dataclasses.replace(a_frame(camera, seed, smooth=False), white=np.array(white)))
+    return path
+
+
+def test_same_bytes_for_jobs_and_shards(bayer: CameraModel, tmp_path: Path, l3: Callable, refused: Callable) -> None:
+    """One process, two processes, three shards of each pass merged in any order: the same table to the last bit."""
+    training = a_set(tmp_path / "training.h5", bayer, 4, smooth=False)
+    more = a_set(tmp_path / "more.h5", bayer, 3, smooth=True)
+    # more patches than are sorted together, so that there are blocks to deal out: two, and the third shard is empty
+    small = "[classes]\npatch = 3\nlevels = 4\n[learning]\npatches = 52000\nfirst_draws = 1\ndraws = 1\n"
+    (tmp_path / "classes.toml").write_text(small)
+    run = (training, more, "--classes", tmp_path / "classes.toml", "--seed", 5)
+    for jobs in (1, 2):
+        assert l3("train", *run, "-o", tmp_path / f"{jobs}.h5", "--jobs", jobs)[0] == 0
+    assert (tmp_path / "1.h5").read_bytes() == (tmp_path / "2.h5").read_bytes()
+    a, b = ([tmp_path / f"{name}{index}.h5" for index in (1, 2, 3)] for name in "ab")
+    first, table = tmp_path / "first.h5", tmp_path / "table.h5"
+    for index, path in enumerate(a, start=1):
+        assert l3("train", *run, "--shard", f"{index}/3", "-o", path)[0] == 0
+    code, _, err = l3("train", "--merge", *a, "-o", first)
+    assert code == 0
+    assert f"go on with --shard I/N --first {first}" in err
+    for index, path in enumerate(b, start=1):
+        assert l3("train", *run, "--shard", f"{index}/3", "--first", first, "-o", path)[0] == 0
+    assert l3("train", "--merge", b[2], b[0], b[1], "-o", table)[0] == 0
+    assert table.read_bytes() == (tmp_path / "1.h5").read_bytes()
+    assert first.read_bytes() != table.read_bytes()
+    out = tmp_path / "no.h5"
+    assert "shards are missing: 2/3" in refused(3, "train", "--merge", a[0], a[2], "-o", out)
+    assert "are the same shard, 1 of 3" in refused(3, "train", "--merge", a[0], a[1], a[0], a[2], "-o", out)
+    assert "different runs or passes" in refused(3, "train", "--merge", a[0], a[1], b[2], "-o", out)
+    assert "holds a training set" in refused(3, "train", "--merge", training, "-o", out)
+    assert "holds a partial sums" in refused(3, "train", a[0], "-o", out)
+    other = (*run[:-1], 6, "--shard", "1/3", "--first")
+    assert "is not the first pass of this run" in refused(3, "train", *other, first, "-o", out)
+    assert "is not the first pass of this run" in refused(3, "train", *run, "--shard", "1/3", "--first", table, "-o", out)
+    assert l3("train", *run[:-1], 6, "--shard", "1/3", "-o", tmp_path / "foreign.h5")[0] == 0
+    assert "different runs or passes" in refused(3, "train", "--merge", tmp_path / "foreign.h5", a[1], a[2], "-o", out)
+    for wrong, why in (
+        ("0/3", "shards count from"),
+        ("4/3", "shards count from"),
+        ("3", "is not I/N"),
+        ("a/b", "is not I/N"),
+    ):
+        assert why in refused(2, "train", *run, "--shard", wrong, "-o", out)
+    assert "--merge takes shards alone" in refused(2, "train", "--merge", *a, "--shard", "1/3", "-o", out)
+    assert "--first goes with --shard" in refused(2, "train", *run, "--first", first, "-o", out)
+
+
+def test_a_training_set_that_is_replaced_meanwhile_is_noticed(bayer: CameraModel, tmp_path: Path) -> None:
+    training, other = a_set(tmp_path / "training.h5", bayer, 2), a_set(tmp_path / "other.h5", bayer, 3)
+    run = open_run((training,), None, None, seed=0)
+    with workers(1) as crew:
+        execution = Execution(crew, remote=False, console=Silent())
+        first_pass(run, execution)
+        other.rename(training)
+        with pytest.raises(InputFileError, match="replaced while it was trained on"):
+            first_pass(run, execution)
+
+
+def test_shares_weigh_training_sets(bayer: CameraModel, tmp_path: Path, l3: Callable) -> None:
+    """Patches follow the shares whatever the number of frames, and so does the white of the lights."""
+    many, one = lit_set(tmp_path / "a.h5", bayer, 6, (80, 100, 100)), lit_set(tmp_path / "b.h5", bayer, 1, (120, 100, 60))
+    (tmp_path / "classes.toml").write_text(SMALL)
+    run = (many, one, "--classes", tmp_path / "classes.toml")
+    whites = {}
+    for shares in ("1,2", "1,0"):
+        out = tmp_path / f"{shares}.h5"
+        code, _, err = l3("train", *run, "--shares", shares, "-o", out)
+        assert code == 0, err
+        table = load(TransformTable, out)
+        whites[shares] = table.white_point
+        assert table.samples.sum() == 2 * 4 * (6 * -(-700 // 6) + 1400 if shares == "1,2" else 2100)
+    assert whites["1,2"] == pytest.approx([(0.8 + 2 * 1.2) / 3, 1.0, (1.0 + 2 * 0.6) / 3], rel=2e-3)
+    assert table.history[-1].options == {"seed": 0, "shares": "1"}
+    # a set without a share is as if it had not been given
+    assert l3("train", many, *run[2:], "--shares", "3", "-o", tmp_path / "alone.h5")[0] == 0
+    alone = load(TransformTable, tmp_path / "alone.h5")
+    assert (alone.weights == table.weights).all()
+    assert alone.history[-1].inputs == table.history[-1].inputs
+
+
+def test_shares_give_the_same_bytes_in_shards(bayer: CameraModel, tmp_path: Path, l3: Callable, refused: Callable) -> None:
+    sets = [a_set(tmp_path / f"{count}.h5", bayer, count, smooth=False) for count in (3, 1)]
+    text = SMALL.replace("2100", "52000").replace("draws = 2", "draws = 1")  # more than are sorted together
+    (tmp_path / "classes.toml").write_text(text)
+    run = (*sets, "--classes", tmp_path / "classes.toml", "--shares", "1,0.7", "--seed", 5)
+    assert l3("train", *run, "-o", tmp_path / "whole.h5", "--jobs", 2)[0] == 0
+    first: tuple = ()
+    for name in ("first", "last"):
+        shards = [tmp_path / f"{name}{index}.h5" for index in (1, 2)]
+        for index, path in enumerate(shards, start=1):
+            code, _, err = l3("train", *run, "--shard", f"{index}/2", *first, "-o", path)
+            assert code == 0, err
+        assert l3("train", "--merge", *shards, "-o", tmp_path / f"{name}.h5")[0] == 0
+        first = ("--first", tmp_path / "first.h5")
+    assert (tmp_path / "last.h5").read_bytes() == (tmp_path / "whole.h5").read_bytes()
+    other = (*run[:-3], "1,0.8", "--seed", 5, "--shard", "1/2")
+    assert "is not the first pass of this run" in refused(3, "train", *other, *first, "-o", tmp_path / "no.h5")
+
+
+@pytest.mark.parametrize(
+    ("shares", "why"),
+    [
+        ("1", "--shares gives 1 shares for 2 training sets"),
+        ("1,2,3", "--shares gives 3 shares for 2 training sets"),
+        ("1,-2", "-2 is not within 0…1e+06; the nearest is 0"),
+        ("0,0", "one share must be above zero"),
+        ("1,x", "is no number"),
+        ("1,nan", "is no number"),
+        ("1,1e999", "the nearest is 1e+06"),
+        ("", "in a list such as 1,0.7,0.4"),
+    ],
+)
+def test_wrong_shares_are_one_line(shares: str, why: str, bayer: CameraModel, tmp_path: Path, refused: Callable) -> None:
+    training = a_set(tmp_path / "training.h5", bayer, 1)
+    assert why in refused(2, "train", training, training, "--shares", shares, "-o", tmp_path / "no.h5")
+
+
+def test_shares_do_not_go_with_merge(tmp_path: Path, refused: Callable) -> None:
+    assert "--merge takes shards alone" in refused(2, "train", "--merge", "a.h5", "--shares", "1", "-o", tmp_path / "no.h5")
+
+
+def test_the_benchmark_accounts_for_its_time(fiveband: CameraModel) -> None:
+    few = ClassRecipe(patch=5, levels=4, chromas=2)
+    frames = [made_up_frame(fiveband, seed) for seed in range(2)]
+    with cProfile.Profile() as profile:
+        rows = train(frames, fiveband, TrainingRecipe(classes=few, learning=LearningRecipe(patches=500)))
+    assert rows == 5 * 500 * (3 + 8)
+    shares = stage_shares(profile)
+    assert sum(shares.values()) == pytest.approx(1.0)
+    assert min(shares.values()) > 0
+
+
+@pytest.mark.slow
+def test_memory_does_not_grow_with_frames_or_jobs(tmp_path: Path, fiveband: CameraModel) -> None:
+    """Default rule, 60 and 600 frames, one and two workers: all processes together stay below 1.5 GB."""
+    head = TrainingSet(camera=fiveband, outputs=("X", "Y", "Z"), target_description="made up")
+    with write_training_set(tmp_path / "training.h5", head) as writer:
+        for seed in range(60):
+            writer.append(made_up_frame(fiveband, seed))
+    for jobs, times in ((1, 1), (1, 10), (2, 1), (2, 10)):
+        files = [str(tmp_path / "training.h5")] * times
+        command = [sys.executable, "-c", "from l3cli.cli import main; main()", "train", *files, "--jobs", str(jobs)]
+        run = subprocess.Popen([*command, "--quiet", "--force", "-o", str(tmp_path / "table.h5")])
+        _, status, usage = os.wait4(run.pid, 0)  # the largest of the process and its workers
+        run.returncode = os.waitstatus_to_exitcode(status)
+        assert run.returncode == 0
+        print(f"{60 * times} frames, {jobs} jobs: largest process {usage.ru_maxrss / 1e6:.2f} GB")
+        assert usage.ru_maxrss * 1024 * (1 if jobs == 1 else jobs + 1) < 1.5e9
