@@ -12,7 +12,7 @@ from l3cli.artifacts.store import save
 from l3cli.errors import InputFileError
 from l3cli.io.frames import read_frame
 from l3cli.io.images import read_image, write_mosaic, write_picture
-from l3cli.io.pages import count_pages, read_page
+from l3cli.io.raw.pages import count_pages, read_page
 from l3cli.limits import TRUST
 from tests.helpers.sequences import COUNT, FAST, RGGB, frames, pictures
 

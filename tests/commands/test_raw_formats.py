@@ -16,12 +16,12 @@ from hypothesis import strategies as st
 from l3cli.artifacts.store import save
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.frame import with_one_black
-from l3cli.io.cfa_codes import channel_codes, find_phase
-from l3cli.io.fits_files import INSTALL
 from l3cli.io.frames import read_frame
 from l3cli.io.images import read_image
-from l3cli.io.packed import PACKED, PACKINGS, make_layout, row_bytes
-from l3cli.io.raw_files import KnownBetter, read_raw
+from l3cli.io.raw.cfa_codes import channel_codes, find_phase
+from l3cli.io.raw.files import KnownBetter, read_raw
+from l3cli.io.raw.fits import INSTALL
+from l3cli.io.raw.packed import PACKED, PACKINGS, make_layout, row_bytes
 from l3cli.io.sequences import find_frames
 from tests.helpers.cameras import BAYER, FIVE_BAND
 from tests.helpers.dng_files import BYTE, LONG, RATIONAL, SHORT, SRATIONAL, lossless_jpeg, packed, write_dng

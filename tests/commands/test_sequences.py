@@ -24,8 +24,9 @@ from l3cli.artifacts.store import save
 from l3cli.errors import InputFileError
 from l3cli.frame import RawFrame
 from l3cli.io.images import read_image, write_mosaic
-from l3cli.io.raw_files import KnownBetter
-from l3cli.io.sequences import find_frames, numbered_files, numbered_name
+from l3cli.io.numbered import numbered_files, numbered_name
+from l3cli.io.raw.files import KnownBetter
+from l3cli.io.sequences import find_frames
 from l3cli.parallel import threads
 from l3cli.parallel.threads import Behind, ahead
 from l3cli.physics.display import automatic_exposure

@@ -9,11 +9,18 @@ from numpy.typing import NDArray
 from l3cli.artifacts.stored import datasets, require_within_file
 from l3cli.errors import InputFileError
 from l3cli.io.apart import apart
+from l3cli.io.raw.content import RawContent, Request, Stack
 from l3cli.limits import require_picture
 
 CHUNK_CACHE = 128 << 20  # bytes at most: chunks of many frames are unpacked once, not once a frame
 
 _opened: dict[tuple[Any, ...], Any] = {}  # the last file, by what would change if it were another one
+
+
+def stack(path: Path, request: Request) -> Stack:
+    """The frames of a dataset."""
+    name, count = find_stack(path, request.dataset)
+    return Stack(count, lambda number: RawContent(values=stack_frame(path, name, number)), numbered=False)
 
 
 @apart
