@@ -28,7 +28,7 @@ class NoiseFit:
     defects: NDArray[np.int64] = data(
         "int64", "defect", "coordinate", unit="pixel", doc="row, col of hot and dead pixels, left out of every figure"
     )
-    exposure: NDArray[np.float64] = data("float64", "white_exposure", unit="s", doc="of each white capture")
+    exposure: NDArray[np.float64] = data("float64", "white_exposure", unit="s", doc="of each white capture", coordinate=True)
     photon_transfer_mean: NDArray[np.float64] = data(
         "float64", "white_exposure", "channel", unit="DN", doc="mean signal above black of each white exposure"
     )
@@ -43,7 +43,7 @@ class SweepFit:
 
     residual: NDArray[np.float64] = data("float64", "channel", doc="RMS residual of Eq. 1 / largest value of the channel")
     left_out: tuple[str, ...] = data("str", "left_out", doc="captures that saturate, and in which channels")
-    smoothing: NDArray[np.float64] = data("float64", "trial", doc="values of delta tried")
+    smoothing: NDArray[np.float64] = data("float64", "trial", doc="values of delta tried", coordinate=True)
     smoothing_error: NDArray[np.float64] = data(
         "float64", "trial", doc="cross-validated relative RMSE of chart values for each delta"
     )
@@ -73,14 +73,14 @@ class ChartFit:
 class SeriesFit:
     """A chart under narrow bands at several exposures: each capture predicted from the other exposures of its band."""
 
-    lights: tuple[str, ...] = data("str", "light", doc="name of each band")
+    lights: tuple[str, ...] = data("str", "band", doc="name of each band")
     light: NDArray[np.int64] = data("int64", "capture", doc="band of each capture")
     exposure: NDArray[np.float64] = data("float64", "capture", unit="s", doc="of each capture")
     response: NDArray[np.float64] = data(
-        "float64", "light", "channel", doc="response per photon to each band, peak of all 1; mean over patches"
+        "float64", "band", "channel", doc="response per photon to each band, peak of all 1; mean over patches"
     )
     spread: NDArray[np.float64] = data(
-        "float64", "light", "channel", doc="relative standard deviation of the response over patches"
+        "float64", "band", "channel", doc="relative standard deviation of the response over patches"
     )
     linearity_error: NDArray[np.float64] = data(
         "float64", "channel", doc="mean relative deviation of the signal from proportionality over 5-95 % of saturation"

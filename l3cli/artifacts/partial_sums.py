@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.class_rule import ClassRule, check_rule
+from l3cli.artifacts.scales import name_axes
 from l3cli.artifacts.schema import Artifact, check, data, group
 from l3cli.artifacts.store import hard_group, members, new_artifact, open_artifact, read_fields, read_history, write_fields
 from l3cli.artifacts.training_set import TrainingSet
@@ -51,7 +52,9 @@ class PartialSums(Artifact):
     white_point: NDArray[np.float64] = data(
         "float64", "output", doc="output of a perfect white under the training light, Y = 1"
     )
-    sites: NDArray[np.int64] = data("int64", "canonical_site", doc="CFA sites that are trained, row · cfa columns + column")
+    sites: NDArray[np.int64] = data(
+        "int64", "canonical_site", doc="CFA sites that are trained, row · cfa columns + column", coordinate=True
+    )
     exposure: float = data("float64", unit="s", doc="mean exposure time of the simulated training frames", default=0.0)
 
     def __post_init__(self) -> None:
@@ -99,6 +102,9 @@ def write_partial_sums(path: Path, head: PartialSums, sums: Iterator[ClassSums])
     """Write `head` and the sums of each of its sites, taken one by one, whole or not at all."""
     with new_artifact(path, head.kind, head.version, head.history) as root:
         write_fields(root, head)
+        name_axes(root, type(head), {}, head)
         below = root.create_group("sums")
         for index, site in enumerate(sums):
-            write_fields(below.create_group(f"{index:05d}"), site)
+            group = below.create_group(f"{index:05d}")
+            write_fields(group, site)
+            name_axes(group, ClassSums, {})

@@ -26,12 +26,21 @@ class Spec:
     axes: tuple[str, ...]
     unit: str
     doc: str
+    coordinate: bool = False  # tells what stands where along its one axis: text does, and numbers that are declared so
 
 
-def data(dtype: str, *axes: str, unit: str = "1", doc: str = "", default: Any = dataclasses.MISSING) -> Any:
+def data(
+    dtype: str,
+    *axes: str,
+    unit: str = "1",
+    doc: str = "",
+    default: Any = dataclasses.MISSING,
+    coordinate: bool = False,
+) -> Any:
     """Declare one dataset: `dtype` ("float64", "uint16", "str"…), axis names (none: a scalar), unit and meaning; with a
-    default it may be absent, as it is from files of older versions."""
-    return field(metadata={"spec": Spec(dtype, axes, unit, doc)}, default=default)
+    default it may be absent, as it is from files of older versions. `coordinate`: numbers along an axis of another name."""
+    spec = Spec(dtype, axes, unit, doc, coordinate or (dtype == "str" and len(axes) == 1))
+    return field(metadata={"spec": spec}, default=default)
 
 
 def group(default: Any = dataclasses.MISSING, kw_only: bool = False) -> Any:
@@ -82,16 +91,21 @@ def declared(cls: type) -> Iterator[tuple[str, Spec | type, bool]]:
 
 
 def check(instance: Any) -> None:
-    """Dtypes, number of axes, equal length of equally named axes, finite numbers; ValueError names the field."""
-    _check(instance, {}, "")
+    """Dtypes, number of axes, equal length of equally named axes, finite numbers; ValueError names the field.
+
+    An axis whose values a group gives, in a dataset of its name, is an axis of that group and those below it alone.
+    """
+    _check(instance, {}, {}, "")
 
 
-def _check(instance: Any, lengths: dict[str, tuple[int, str]], prefix: str) -> None:
-    for name, spec, optional in declared(type(instance)):
+def _check(instance: Any, lengths: dict[str, tuple[int, str]], scopes: dict[str, str], prefix: str) -> None:
+    fields = list(declared(type(instance)))
+    scopes = scopes | {name: prefix for name, spec, _ in fields if isinstance(spec, Spec) and spec.axes == (name,)}
+    for name, spec, optional in fields:
         value = getattr(instance, name)
         if not isinstance(spec, Spec):
             if not (optional and value is None):
-                _check(value, lengths, f"{prefix}{name}/")
+                _check(value, lengths, scopes, f"{prefix}{name}/")
             continue
         array = np.asarray(value)
         label = f"{prefix}{name} ({', '.join(spec.axes)})"
@@ -106,7 +120,7 @@ def _check(instance: Any, lengths: dict[str, tuple[int, str]], prefix: str) -> N
                 told = f"beyond ±{MOST:g}" if np.isfinite(array).all() else "that are not finite"
                 raise ValueError(f"{label} holds values {told}")
         for axis, length in zip(spec.axes, array.shape, strict=True):
-            known, where = lengths.setdefault(axis, (length, prefix + name))
+            known, where = lengths.setdefault(scopes.get(axis, "") + axis, (length, prefix + name))
             if known != length:
                 raise ValueError(f"{label} has {length} along {axis}, but {where} has {known}")
 

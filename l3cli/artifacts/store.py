@@ -16,8 +16,9 @@ import msgspec
 import numpy as np
 
 from l3cli.artifacts import container
+from l3cli.artifacts.scales import name_axes
 from l3cli.artifacts.schema import Artifact, Spec, Stage, check, declared
-from l3cli.artifacts.stored import KNOWN_FILTERS, datasets, filters_of, require_readable
+from l3cli.artifacts.stored import ENCODING, KNOWN_FILTERS, datasets, encoded, filters_of, is_scale, require_readable
 from l3cli.errors import InputFileError
 from l3cli.files import require_regular
 
@@ -32,7 +33,7 @@ A = TypeVar("A", bound=Artifact)
 
 
 def write_fields(group: h5py.Group, instance: Any, filters: Mapping[str, Any] = COMPRESSION) -> None:
-    """Write every declared field of `instance` below `group`, arrays through `filters`."""
+    """Write every declared field of `instance` below `group`, arrays through `filters`; their axes get no scales."""
     for name, spec, optional in declared(type(instance)):
         value = getattr(instance, name)
         if isinstance(spec, Spec):
@@ -42,20 +43,17 @@ def write_fields(group: h5py.Group, instance: Any, filters: Mapping[str, Any] = 
 
 
 def _write_dataset(group: h5py.Group, name: str, spec: Spec, value: Any, filters: Mapping[str, Any] = COMPRESSION) -> None:
-    if spec.dtype == "str":
-        array = np.char.encode(np.asarray(value, dtype=str), "utf-8", "replace")  # names of files need not be text
-        if array.dtype.itemsize == 0:
-            array = array.astype("S1")
-        array = array.astype(h5py.string_dtype("utf-8", array.dtype.itemsize))
-    else:
-        array = np.asarray(value, dtype=spec.dtype)
+    is_text = spec.dtype == "str"
+    array = encoded(value) if is_text else np.asarray(value, dtype=spec.dtype)
     options: dict[str, Any] = {}
     if array.ndim and array.size:
         options = {**filters, "chunks": _chunk(array.shape, array.dtype.itemsize)}
     dataset = group.create_dataset(name, data=array, track_times=False, **options)
     dataset.attrs["axes"] = ", ".join(spec.axes)
-    dataset.attrs["unit"] = spec.unit
+    dataset.attrs["units"] = spec.unit
     dataset.attrs["doc"] = spec.doc
+    if is_text:
+        dataset.attrs["_Encoding"] = ENCODING  # by which xarray knows it from bytes
 
 
 def _chunk(shape: tuple[int, ...], itemsize: int) -> tuple[int, ...]:
@@ -82,6 +80,7 @@ def save(artifact: Artifact, path: Path) -> None:
     """Write `artifact` to `path` whole or not at all."""
     with new_artifact(path, artifact.kind, artifact.version, artifact.history) as root:
         write_fields(root, artifact)
+        name_axes(root, type(artifact), {}, artifact)
 
 
 # ------------------------------------------------------------------------------------------------------ reading
@@ -240,10 +239,11 @@ class Described:
 
 
 def describe(path: Path) -> dict[str, Any]:
-    """Kind, version, history and every dataset with axes and unit of any artifact."""
+    """Kind, version, history and every dataset with axes and unit of any artifact, without the scales of its axes."""
     with open_artifact(path) as root:
         with reading(path, "a dataset"):
-            found = [_described(path, name, dataset) for name, dataset in datasets(root) if name != "history"]
+            fields = [(name, dataset) for name, dataset in datasets(root) if name != "history" and not is_scale(dataset)]
+            found = [_described(path, name, dataset) for name, dataset in fields]
         return {
             "kind": str(root.attrs["kind"]),
             "version": int(root.attrs["version"]),
@@ -258,6 +258,7 @@ def _described(path: Path, name: str, dataset: h5py.Dataset) -> Described:
         require_readable(path, dataset)
         raw = dataset[()]
         value = np.char.decode(raw, "utf-8").tolist() if dataset.dtype.kind == "S" else raw.tolist()
-    attrs = {key: str(dataset.attrs.get(key, "")) for key in ("axes", "unit", "doc")}
+    unit = "units" if "units" in dataset.attrs else "unit"  # as older files call it
+    axes, unit, doc = (str(dataset.attrs.get(key, "")) for key in ("axes", unit, "doc"))
     dtype = "str" if dataset.dtype.kind == "S" else str(dataset.dtype)
-    return Described(name, dtype, dataset.shape or (), value=value, **attrs)
+    return Described(name, dtype, dataset.shape or (), axes, unit, doc, value)

@@ -5,8 +5,11 @@ Links that lead elsewhere, data in other files, virtual datasets and unknown fil
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import h5py
+import numpy as np
+from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
 from l3cli.limits import require_values
@@ -14,6 +17,15 @@ from l3cli.limits import require_values
 KNOWN_FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
 LARGEST_RATIO = 1100  # deflate cannot expand further than 1032 : 1
 SMALL = 4096  # bytes that are believed without looking at what is stored
+ENCODING = "utf-8"
+
+
+def encoded(text: Any) -> NDArray[np.bytes_]:
+    """Text, or an array of it, as it is stored: of one length. Along axes that is two bytes at least, for netCDF tools join
+    single bytes to one text."""
+    array = np.char.encode(np.asarray(text, dtype=str), ENCODING, "replace")  # names of files need not be text
+    length = max(array.dtype.itemsize, 2 if array.ndim else 1)
+    return array.astype(h5py.string_dtype(ENCODING, length))
 
 
 def datasets(root: h5py.Group) -> Iterator[tuple[str, h5py.Dataset]]:
@@ -32,6 +44,11 @@ def _below(group: h5py.Group, prefix: str, seen: set[h5py.Group]) -> Iterator[tu
         elif isinstance(member, h5py.Group) and member not in seen:
             seen.add(member)
             yield from _below(member, f"{prefix}{name}/", seen)
+
+
+def is_scale(dataset: h5py.Dataset) -> bool:
+    """Whether a dataset is there to name an axis of others, and declared by no artifact. No value or reference is read."""
+    return "CLASS" in dataset.attrs and "axes" not in dataset.attrs
 
 
 def filters_of(dataset: h5py.Dataset) -> set[int]:

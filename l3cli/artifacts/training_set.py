@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts import container
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.scales import coordinates_of, name_axes
 from l3cli.artifacts.schema import Artifact, check, data, group
 from l3cli.artifacts.store import (
     CHECKSUM,
@@ -32,9 +33,9 @@ LARGEST = 1e12  # electrons, cd/m², seconds: 32-bit floats hold its square
 class LightSpectrum:
     """What falls on a scene: the radiance of a perfect white of 1 cd/m²."""
 
-    wavelength: NDArray[np.float64] = data("float64", "light_wavelength", unit="nm", doc="where the light is tabulated")
+    wavelength: NDArray[np.float64] = data("float64", "wavelength", unit="nm", doc="where the light is tabulated")
     radiance: NDArray[np.float32] = data(
-        "float32", "light_wavelength", unit="photons/s/sr/m^2/nm", doc="of a perfect white of 1 cd/m^2"
+        "float32", "wavelength", unit="photons/s/sr/m^2/nm", doc="of a perfect white of 1 cd/m^2"
     )
 
     def __post_init__(self) -> None:
@@ -168,8 +169,9 @@ def open_training_set(path: Path, unchanged: bool = False) -> Iterator[TrainingS
 class TrainingSetWriter:
     """Appends frames and pairs to a training set being written."""
 
-    def __init__(self, root: h5py.File) -> None:
+    def __init__(self, root: h5py.File, head: TrainingSet) -> None:
         self._root = root
+        self._coordinates = {**coordinates_of(head.camera), **coordinates_of(head)}
 
     def _place(self, simulated: bool) -> tuple[h5py.Group, str]:
         group = self._root.require_group("frames" if simulated else "pairs")
@@ -178,13 +180,16 @@ class TrainingSetWriter:
     def append(self, frame: TrainingPair) -> None:
         group, name = self._place(isinstance(frame, TrainingFrame))
         write_fields(group.create_group(name), frame, CHECKSUM)
+        name_axes(group[name], type(frame), self._coordinates)
 
     def append_part(self, path: Path, run: str) -> "Part":
         """Append the frame that `write_part` stored for `run`, as it is stored; what else it told."""
         with container.open_file(path) as part:
             _require_run(part, path, run)
-            group, name = self._place(bool(part.attrs["simulated"]))
+            simulated = bool(part.attrs["simulated"])
+            group, name = self._place(simulated)
             part.copy("frame", group, name)
+            name_axes(group[name], TrainingFrame if simulated else TrainingPair, self._coordinates)
             return Part(str(part.attrs["scene"]), float(part.attrs["uncovered"]))
 
 
@@ -193,7 +198,8 @@ def write_training_set(path: Path, head: TrainingSet) -> Iterator[TrainingSetWri
     """A writer for a training set that appears at `path` when the block ends without an error."""
     with new_artifact(path, head.kind, head.version, head.history) as root:
         write_fields(root, head)
-        yield TrainingSetWriter(root)
+        name_axes(root, type(head), {}, head)
+        yield TrainingSetWriter(root, head)
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from l3cli import __version__
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingPair, TrainingSetReader, open_training_set
+from l3cli.errors import InputFileError
 from l3cli.evaluation.evaluation import Evaluation
 from l3cli.evaluation.pictures import frame_pictures
 from l3cli.files import sha256
@@ -63,5 +64,8 @@ def evaluate_frame(
 ) -> tuple[TrainingPair, dict[str, NDArray]]:
     """Count a frame of a training set; the frame and the planes of every pipeline, as `Evaluation.add` gives them."""
     frame, camera = reader.frame(index), reader.head.camera
-    raw = RawFrame(frame.scene, frame.raw, camera.black, camera.white, dark=camera.dark_signal(frame.dark_time))
+    try:
+        raw = RawFrame(frame.scene, frame.raw, camera.black, camera.white, dark=camera.dark_signal(frame.dark_time))
+    except ValueError as error:
+        raise InputFileError(f"frame {index} of the training set, {error}; make the training set again") from error
     return frame, evaluation.add(frame, renderer.outputs(raw), renderer.labels(raw))

@@ -8,9 +8,10 @@ import numpy as np
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.fit import ChartFit, Fit, NoiseFit, SeriesFit, SweepFit
+from l3cli.artifacts.partial_sums import ClassSums, PartialSums
 from l3cli.artifacts.schema import Stage
 from l3cli.artifacts.table import TransformTable
-from l3cli.artifacts.training_set import TrainingFrame
+from l3cli.artifacts.training_set import TrainingFrame, TrainingSet
 
 
 def a_fit(channels: int) -> Fit:
@@ -21,7 +22,7 @@ def a_fit(channels: int) -> Fit:
 
 def a_part(part: type, channels: int) -> Any:
     lengths = {"channel": channels, "patch": 24, "trial": 4, "white_exposure": 3, "chart": 2, "defect": 0, "coordinate": 2}
-    lengths |= {"left_out": 1, "odd": 1, "light": 2, "capture": 3}
+    lengths |= {"left_out": 1, "odd": 1, "band": 2, "capture": 3}
     values: dict = {}
     for field in dataclasses.fields(part):
         spec = field.metadata["spec"]
@@ -87,3 +88,19 @@ def a_table(camera: CameraModel) -> TransformTable:
         condition=np.ones(classes, np.float32),
         history=(Stage("train", {"seed": 0}),),
     )
+
+
+def some_sums(camera: CameraModel) -> tuple[PartialSums, ClassSums]:
+    rule = a_table(camera).rule
+    head = PartialSums(
+        shard=1,
+        shards=1,
+        pass_number=1,
+        patches=np.array([5]),
+        training=TrainingSet(camera=camera, outputs=("X", "Y", "Z"), target_description=""),
+        rule=rule,
+        white_point=np.ones(3),
+        sites=np.array([0]),
+        history=(Stage("train", {"seed": 0}),),
+    )
+    return head, ClassSums(*(np.ones(shape) for shape in head.shapes))
