@@ -31,8 +31,8 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.frame import RawFrame, upright
-from l3cli.io import raw_files
-from l3cli.io.raw_files import KnownBetter
+from l3cli.io.raw import files as raw_files
+from l3cli.io.raw.files import KnownBetter
 from l3cli.physics.display import scene_white
 from l3cli.recipes import find_recipe
 from l3cli.rendering.display import Display, require_xyz
@@ -264,4 +264,4 @@ class Renderer:
             return given
         if given.dtype not in (np.uint8, np.uint16):
             raise InputFileError(f"an array of {given.dtype} is no raw frame; give DN as uint16")
-        return raw_files.frame_of("the array", given, self.table, KnownBetter())
+        return raw_files.frame_of("the array", {"values": given}, self.table, KnownBetter())

@@ -231,7 +231,7 @@ def read_part(path: Path, run: str) -> TrainingPair:
 
 def _require_run(part: h5py.File, path: Path, run: str) -> None:
     if part.attrs.get("run") != run:
-        raise L3Error(f"{path} was replaced by another run; run again with --resume")
+        raise L3Error(f"{path} was replaced by another run; run again with ‹resume›")
 
 
 def whole_part(path: Path, run: str) -> bool:

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
 PRESETS = ("ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow")
 
-PLAIN = (".npy", ".pgm", ".raw", ".bin", ".raw10", ".raw12", "")  # inputs that need no decoder, or none that is known yet
-
 
 PHASE = options.Number(0, 65535, "rows or columns", whole=True)
 SIZE = options.Number(1, 1_000_000, "pixels", whole=True)
@@ -179,10 +177,11 @@ def render(
 
     one_blas_thread()  # the products of the light meter are small, and threads that wait for them take the encoder's time
     from l3cli.io.apart import start
+    from l3cli.io.raw.registry import needs_sandbox
 
-    if any(path.suffix.lower() not in PLAIN for path in inputs):
+    if any(needs_sandbox(path) for path in inputs):
         start()  # it takes a third of a second, like what follows
-    from l3cli.io.raw_files import KnownBetter
+    from l3cli.io.raw.files import KnownBetter
     from l3cli.stages.rendering.render import render as stage
 
     left_out = stage(

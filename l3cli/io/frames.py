@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from l3cli.errors import InputFileError
 from l3cli.io.apart import apart
 from l3cli.io.images import opened, pixels_of
-from l3cli.io.pgm import read_pgm
+from l3cli.io.raw.pgm import read_pgm
+from l3cli.io.raw.registry import PGM, format_of
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ def read_frame(path: Path, shape: tuple[int, int], bits: int) -> NDArray[np.uint
 
     InputFileError if it is none, not of `shape`, or beyond `bits`.
     """
-    values = read_pgm(path) if path.suffix.lower() == ".pgm" else _read_picture(path, *shape, bits)
+    values = read_pgm(path) if format_of(path) is PGM else _read_picture(path, *shape, bits)
     _check(path, str(values.dtype), 1, values.shape, shape, bits)
     if values.max() >= 2**bits:
         raise InputFileError(f"{path} holds {values.max()} DN, more than {bits} bits; check sensor.bits")

@@ -22,7 +22,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from l3cli.errors import DeviceError, L3Error
-from l3cli.files import sole_writer_of_folder, sweep, write_whole
+from l3cli.files import sweep, write_whole
+from l3cli.locks import sole_writer_of_folder
 
 PREFIX = "l3-kernels-"
 ROOM = 16 << 20  # bytes, several times what the kernels of a table need while they are compiled

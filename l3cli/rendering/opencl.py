@@ -5,12 +5,10 @@ band. Two tracks, each a queue with buffers of its own, take the bands in turn, 
 computes, the other may upload and download.
 """
 
-import contextlib
 import os
 import warnings
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,11 +17,12 @@ from numpy.typing import NDArray
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.planes import fixed_point
 from l3cli.classes.structure import REACH as STRUCTURE_REACH
-from l3cli.errors import DeviceError, RecipeError
+from l3cli.errors import RecipeError
 from l3cli.frame import RawFrame, mirrored_indices
 from l3cli.rendering import kernels, layout
 from l3cli.rendering.display import Display, require_xyz
-from l3cli.rendering.opencl_devices import choose_device, pyopencl
+from l3cli.rendering.opencl_devices import choose_device, pyopencl, refusals
+from l3cli.rendering.opencl_work import Band, Track, Work
 
 BAND_PIXELS = 1 << 22  # of a band, margins aside
 TRACKS = 2
@@ -52,7 +51,7 @@ class OpenCLRenderer:
         self.variant = variant or ("graphics" if self.device.type & cl.device_type.GPU else "processor")
         if self.variant not in layout.VARIANTS:
             raise RecipeError(f'variant "{self.variant}" is unknown; use one of {", ".join(layout.VARIANTS)}')
-        with self._refusals():
+        with refusals(self.device):
             self._context = cl.Context([self.device])
             variant_layout = layout.VARIANTS[self.variant]
             self._cut = variant_layout.cut(table, lanes or self._register_lanes())
@@ -71,8 +70,8 @@ class OpenCLRenderer:
                 self._structure_buffers = [self._constant(array) for array in layout.structure_arrays(table)]
                 self._weights = self._constant(variant_layout.pack(layout.later_weights(table), self._cut.lanes))
                 self._structures = cl.Kernel(self._build_last(layout.OUTPUTS_AS_THEY_ARE), "structures")
-            self._tracks = deque(_Track(self._context) for _ in range(TRACKS))
-            self._frame_bands: tuple[tuple[int, ...], tuple[_Band, ...]] | None = None
+            self._tracks = deque(Track(self._context) for _ in range(TRACKS))
+            self._frame_bands: tuple[tuple[int, ...], tuple[Band, ...]] | None = None
 
     @property
     def stages(self) -> tuple[str, ...]:
@@ -102,7 +101,7 @@ class OpenCLRenderer:
 
     def pictures(self, frames: Iterable[tuple[RawFrame, Display]]) -> Iterator[NDArray]:
         """The picture of each frame, in order. While the caller looks at one the next is at work."""
-        started: deque[tuple[NDArray, _Work]] = deque()
+        started: deque[tuple[NDArray, Work]] = deque()
         for frame, display in frames:
             started.append(self._start_picture(frame, display))
             if len(started) == TRACKS:
@@ -129,11 +128,11 @@ class OpenCLRenderer:
             times["transforms"] = bare
         return times
 
-    def _start_outputs(self, frame: RawFrame) -> tuple[NDArray[np.float32], "_Work"]:
+    def _start_outputs(self, frame: RawFrame) -> tuple[NDArray[np.float32], Work]:
         planes = np.empty((len(self.table.outputs), *frame.values.shape), np.float32)
         return planes, self._start(frame, list(planes), layout.OUTPUTS_AS_THEY_ARE)
 
-    def _start_picture(self, frame: RawFrame, display: Display) -> tuple[NDArray, "_Work"]:
+    def _start_picture(self, frame: RawFrame, display: Display) -> tuple[NDArray, Work]:
         require_xyz(self.table.outputs)
         picture = np.empty((*frame.values.shape, 3), display.dtype)
         return picture, self._start(frame, [picture], layout.display_macros(display), display.matrix * frame.light_share)
@@ -141,12 +140,12 @@ class OpenCLRenderer:
     def _start(
         self, frame: RawFrame, results: Sequence[NDArray], ending: layout.Macros | None, matrix: NDArray | None = None,
         layer: int = 0,
-    ) -> "_Work":  # fmt: skip
+    ) -> Work:  # fmt: skip
         """Start to fill `results`, one or several arrays (row, …) that follow one another on the device, with what the
         kernel `transform` with this ending writes, or without one with the labels of `layer`."""
-        levelled, work = frame.at_levels(self.table.black, self.table.white, self.table.bits), _Work(self.stages)
+        levelled, work = frame.at_levels(self.table.black, self.table.white, self.table.bits), Work(self.stages)
         values = np.ascontiguousarray(levelled.values)
-        with self._refusals():
+        with refusals(self.device):
             kernel = None if ending is None else self._transform_kernel(ending)
             encoding = self._constant(np.zeros(9) if matrix is None else matrix, np.float32)
             for band in self._bands(values.shape):
@@ -168,9 +167,9 @@ class OpenCLRenderer:
                     offset += size
         return work
 
-    def _wait(self, work: "_Work") -> dict[str, float]:
+    def _wait(self, work: Work) -> dict[str, float]:
         """Milliseconds of each stage, once the work is done. Other threads run on meanwhile."""
-        with self._refusals():
+        with refusals(self.device):
             for event in work.events["download"]:
                 event.wait()
             if not self._kept:  # only now that they have run all of them are compiled
@@ -178,7 +177,7 @@ class OpenCLRenderer:
                 self._kept = True
             return work.milliseconds()
 
-    def _classify(self, values: NDArray, phase: tuple[int, int], track: "_Track", band: "_Band", work: "_Work") -> None:
+    def _classify(self, values: NDArray, phase: tuple[int, int], track: Track, band: Band, work: Work) -> None:
         """Upload and classes of a band, with the rows beside it that a later layer looks at."""
         source, rows = values[band.raw_rows], band.wide.stop - band.wide.start
         track.raw = self._scratch(track.raw, source.nbytes)
@@ -189,7 +188,7 @@ class OpenCLRenderer:
         buffers = (track.raw, *band.mosaic_source, *self._class_buffers, track.labels)
         work.add("classes", self._run(self._classes, track, (rows, band.columns), *buffers, *map(np.int32, site)))
 
-    def _look_again(self, track: "_Track", band: "_Band", work: "_Work") -> None:
+    def _look_again(self, track: Track, band: Band, work: Work) -> None:
         """Planes of the first layer, and by their structure the classes of the one after it."""
         shape = (band.wide.stop - band.wide.start, band.columns)
         track.planes = self._scratch(track.planes, 2 * layout.PLANES * shape[0] * shape[1])
@@ -201,9 +200,7 @@ class OpenCLRenderer:
         buffers = (track.planes, track.labels, *band.structure_source, *self._structure_buffers, track.later_labels)
         work.add("structures", self._run(self._structures, track, inner, *buffers, np.int32(shape[0])))
 
-    def _transform(
-        self, kernel: Any, encoding: Any, track: "_Track", band: "_Band", size: int, black: float, work: "_Work"
-    ) -> None:
+    def _transform(self, kernel: Any, encoding: Any, track: Track, band: Band, size: int, black: float, work: Work) -> None:
         """Transforms of the last layer and encoding of a classified band into the track's result, `size` bytes."""
         track.result = self._scratch(track.result, size)
         if self.table.later:
@@ -214,7 +211,7 @@ class OpenCLRenderer:
         last = (self._weights, encoding, track.result, np.float32(black), np.int32(rows))
         work.add("transforms", self._run(kernel, track, shape, *reads, *last))
 
-    def _run(self, kernel: Any, track: "_Track", shape: tuple[int, int], *arguments: Any) -> Any:
+    def _run(self, kernel: Any, track: Track, shape: tuple[int, int], *arguments: Any) -> Any:
         """Enqueue a kernel over rows and columns, which are the last arguments of each."""
         rows, columns = shape
         cut = self._cut
@@ -258,14 +255,14 @@ class OpenCLRenderer:
         probe = "__kernel void\n#ifdef __AVX512F__\nwide\n#else\nnarrow\n#endif\n() {}"
         return 16 if self._compile(probe, list(BUILD_OPTIONS)).kernel_names == "wide" else 8
 
-    def _bands(self, shape: tuple[int, ...]) -> tuple["_Band", ...]:
+    def _bands(self, shape: tuple[int, ...]) -> tuple[Band, ...]:
         """The bands of frames of a shape (row, col), kept until a frame of another shape comes."""
         if self._frame_bands is None or self._frame_bands[0] != shape:
             self._frame_bands = shape, tuple(self._cut_into_bands(*shape))
             self._kept = False  # the driver may compile a kernel once more for grids of another size
         return self._frame_bands[1]
 
-    def _cut_into_bands(self, rows: int, columns: int) -> Iterator["_Band"]:
+    def _cut_into_bands(self, rows: int, columns: int) -> Iterator[Band]:
         radius, cfa = self.table.first.rule.radius, self.table.cfa
         row_source = mirrored_indices(rows, radius, cfa.shape[0])
         column_source = self._constant(mirrored_indices(columns, radius, cfa.shape[1]), np.int32)
@@ -278,7 +275,7 @@ class OpenCLRenderer:
             raw_rows = slice(int(seen.min()), int(seen.max()) + 1)
             mosaic_source = (self._constant(seen - raw_rows.start, np.int32), column_source)
             beside = [self._beside(rows, columns, first, last, wide.start, margin) for margin in margins]
-            yield _Band(slice(first, last), wide, raw_rows, columns, mosaic_source, beside[0], beside[-1])
+            yield Band(slice(first, last), wide, raw_rows, columns, mosaic_source, beside[0], beside[-1])
 
     def _beside(self, rows: int, columns: int, first: int, last: int, start: int, margin: int) -> tuple[Any, Any]:
         """Rows and columns of planes, whose first row is `start`, for rows `first` to `last` and `margin` more."""
@@ -295,67 +292,3 @@ class OpenCLRenderer:
         if buffer is None or buffer.size < size:
             buffer = pyopencl().Buffer(self._context, pyopencl().mem_flags.READ_WRITE, size)
         return buffer
-
-    @contextlib.contextmanager
-    def _refusals(self) -> Iterator[None]:
-        """What OpenCL refuses, as a DeviceError of one line."""
-        cl = pyopencl()
-        try:
-            yield
-        except cl.MemoryError as error:
-            raise DeviceError(f"{self.device.name.strip()} has too little memory for this table and frame") from error
-        except cl.Error as error:
-            reason = " ".join(str(error).split())[:300]
-            raise DeviceError(f"{self.device.name.strip()} failed: {reason}; choose another with --device") from error
-
-
-class _Track:
-    """A queue and the buffers of one band; buffers grow to what is asked of them."""
-
-    def __init__(self, context: Any) -> None:
-        cl = pyopencl()
-        self.queue = cl.CommandQueue(context, properties=cl.command_queue_properties.PROFILING_ENABLE)
-        self.raw: Any = None
-        self.labels: Any = None
-        self.planes: Any = None
-        self.later_labels: Any = None
-        self.result: Any = None
-
-    def download(self, buffer: Any, target: NDArray, offset: int) -> Any:
-        """Copy `buffer` from byte `offset` on to the contiguous array `target`, without waiting."""
-        copy = pyopencl().enqueue_copy(self.queue, target, buffer, src_offset=offset, is_blocking=False)
-        self.queue.flush()
-        return copy
-
-
-class _Work:
-    """What has been started for one frame: its events by stage, and the values that uploads may still be reading."""
-
-    def __init__(self, stages: tuple[str, ...]) -> None:
-        self.events: dict[str, list[Any]] = {stage: [] for stage in stages}
-        self.sources: list[NDArray] = []
-
-    def add(self, stage: str, event: Any) -> None:
-        self.events[stage].append(event)
-
-    def milliseconds(self) -> dict[str, float]:
-        """What the device spent in each stage, once all is done."""
-        return {
-            stage: sum((event.profile.end - event.profile.start) * 1e-6 for event in events)
-            for stage, events in self.events.items()
-        }
-
-
-@dataclass(frozen=True)
-class _Band:
-    """Rows of a frame, with those beside them that a later layer looks at, and the raw rows that the patches of all these
-    touch. Each source (padded row), (padded col) names which row and column each padded one repeats: of the raw rows, or of
-    the planes of the wide rows, as structures and as transforms see them."""
-
-    rows: slice
-    wide: slice
-    raw_rows: slice
-    columns: int
-    mosaic_source: tuple[Any, Any]
-    structure_source: tuple[Any, Any]
-    plane_source: tuple[Any, Any]

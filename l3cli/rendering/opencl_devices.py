@@ -1,5 +1,7 @@
 """Finding OpenCL devices, and saying why there are none."""
 
+import contextlib
+from collections.abc import Iterator
 from typing import Any
 
 from l3cli.errors import DeviceError, shortened
@@ -73,5 +75,18 @@ def choose_device(wanted: str) -> Any:
     named = [device for device in found if wanted.lower() in device.name.lower()]
     if not named or wanted.isdecimal():
         names = ", ".join(f"{index}: {device.name.strip()}" for index, device in enumerate(found))
-        raise DeviceError(f'no OpenCL device is called "{shortened(wanted)}"; --device or L3_DEVICE must be one of {names}')
+        raise DeviceError(f'no OpenCL device is called "{shortened(wanted)}"; ‹device› or L3_DEVICE must be one of {names}')
     return named[0]
+
+
+@contextlib.contextmanager
+def refusals(device: Any) -> Iterator[None]:
+    """What OpenCL refuses on a device, as a DeviceError of one line."""
+    cl = pyopencl()
+    try:
+        yield
+    except cl.MemoryError as error:
+        raise DeviceError(f"{device.name.strip()} has too little memory for this table and frame") from error
+    except cl.Error as error:
+        reason = " ".join(str(error).split())[:300]
+        raise DeviceError(f"{device.name.strip()} failed: {reason}; choose another with ‹device›") from error

@@ -3,7 +3,7 @@
 import numpy as np
 
 from l3cli.physics import spectra
-from l3cli.scene import Scene, SpectralCube
+from l3cli.scene import NO_ILLUMINANT, Scene, SpectralCube
 from l3cli.simulation.light import Light
 from l3cli.simulation.sources import Spectral
 
@@ -24,7 +24,7 @@ def scene_of(cube: SpectralCube, source: Spectral, name: str, light: Light | Non
     wavelength, values = _bands(cube, source)
     white = source.white or cube.white or (np.iinfo(values.dtype).max if values.dtype.kind in "iu" else 1.0)
     per_white = np.full(wavelength.size, 1.0 / white)
-    illuminant = None
+    illuminant = NO_ILLUMINANT
     if source.holds != "reflectance":
         per_white *= _photons(wavelength, source)
         illuminant = np.ones(wavelength.size)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.physics.spectra import COLORCHECKER_WAVELENGTH
-from l3cli.scene import Scene
+from l3cli.scene import NO_ILLUMINANT, Scene
 from l3cli.simulation import charts, procedural, sources
 
 Wavelength = NDArray[np.float64]
@@ -37,4 +37,4 @@ def draw(wanted: sources.WantedScene, seed: int, camera_wavelength: Wavelength) 
     measured = isinstance(source, sources.ColorChecker)
     wavelength = COLORCHECKER_WAVELENGTH if measured else procedural.grid(camera_wavelength)
     rng = np.random.default_rng([seed, getattr(source, "seed", 0), wanted.number])
-    return Scene(wanted.name, wavelength, PAINTERS[type(source)](source, rng, wavelength), None)
+    return Scene(wanted.name, wavelength, PAINTERS[type(source)](source, rng, wavelength), NO_ILLUMINANT)

@@ -11,7 +11,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import LightSpectrum
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.physics import spectra
-from l3cli.scene import Scene
+from l3cli.scene import NO_ILLUMINANT, Scene
 
 Array = NDArray[np.floating]
 Curve = tuple[Array, Array]  # wavelength (sample) nm, values (curve, sample)
@@ -106,7 +106,7 @@ def own_light(scene: Scene, luminance: float) -> Light:
 
     RecipeError if it has no light of its own, or none that an eye can see.
     """
-    if scene.illuminant is None or spectra.xyz_weights(scene.wavelength)[1] @ scene.illuminant <= 0:
+    if scene.illuminant is NO_ILLUMINANT or spectra.xyz_weights(scene.wavelength)[1] @ scene.illuminant <= 0:
         raise RecipeError(f'scene {scene.name} has no visible light of its own; leave "{OWN}" out of illuminants')
     return Light(OWN, luminance, scene.wavelength, spectra.at_luminance(scene.illuminant, scene.wavelength, luminance))
 

@@ -147,6 +147,11 @@ class WantedScene:
         return f"{self.source.__struct_config__.tag} {getattr(self.source, 'seed', 0)}.{self.number}"
 
 
+def name_of(source: Source) -> str:
+    """What a recipe calls a source."""
+    return str(source.__struct_config__.tag)
+
+
 def wanted_scenes(source: Source, files: list[Path]) -> list[WantedScene]:
     """The scenes of one source; `files` are those that its pattern names."""
     if isinstance(source, FileSource):

@@ -14,9 +14,10 @@ from l3cli.artifacts.training_set import TrainingPair, TrainingSetReader, open_t
 from l3cli.errors import InputFileError
 from l3cli.evaluation.evaluation import Evaluation
 from l3cli.evaluation.pictures import frame_pictures
-from l3cli.files import finished_together, sha256
+from l3cli.files import sha256
 from l3cli.frame import RawFrame
 from l3cli.io import images
+from l3cli.locks import finished_together
 from l3cli.rendering.display import require_xyz
 from l3cli.rendering.renderer import Renderer, make_renderer
 from l3cli.stages.claims import Claims

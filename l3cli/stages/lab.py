@@ -9,10 +9,11 @@ import numpy as np
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import camera_files, load_camera
 from l3cli.config import load_recipe
-from l3cli.files import refuse_existing, refuse_spared, sole_writer_of_folder
-from l3cli.io import measurements as files
+from l3cli.files import refuse_existing, refuse_spared
+from l3cli.io import measurement_recipe as files
 from l3cli.io.curves import write_curves
 from l3cli.io.images import write_mosaic
+from l3cli.locks import sole_writer_of_folder
 from l3cli.parallel import workers
 from l3cli.simulation.flaws import FlawRecipe
 from l3cli.simulation.lab import FOLDERS, LabCapture, chart_corners, plan, take

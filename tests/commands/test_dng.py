@@ -14,8 +14,8 @@ from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.store import save
 from l3cli.artifacts.training_set import open_training_set
 from l3cli.cli import run
-from l3cli.io.dng_writer import LIGHT_CODES, RawColour, write_dng
-from l3cli.io.raw_files import read_raw
+from l3cli.io.raw.dng_writer import LIGHT_CODES, RawColour, write_dng
+from l3cli.io.raw.files import read_raw
 from l3cli.physics import spectra
 from l3cli.physics.display import delta_e_2000, lab, srgb_from_xyz_matrix
 from l3cli.simulation.light import make_light

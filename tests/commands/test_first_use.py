@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
@@ -226,8 +227,9 @@ def test_headers_tell_the_size_that_reading_gives(tmp_path: Path, bayer: CameraM
     import h5py
     from scipy.io import savemat
 
-    from l3cli.io import cubes, scene_files
     from l3cli.io.images import picture_size
+    from l3cli.io.scenes import iset
+    from l3cli.io.scenes.registry import format_of
     from tests.helpers.cubes import a_cube, basis_file
 
     cube, path = a_cube(), tmp_path / "cube"
@@ -240,10 +242,12 @@ def test_headers_tell_the_size_that_reading_gives(tmp_path: Path, bayer: CameraM
         file["group/values"] = cube
     for name, variable in {"cube.npy": None, "cube.mat": None, "struct.mat": "s.cube", "cube.h5": "group/values"}.items():
         for axes in ("row col band", "col row band", "band row col"):
-            read = cubes.read_cube(tmp_path / name, variable, axes).values.shape[:2]
-            assert cubes.cube_size(tmp_path / name, variable, axes) == read, (name, axes)
+            stored = format_of("cube", tmp_path / name)
+            scene: Any = stored.read(tmp_path / name, variable=variable, axes=axes)
+            read = scene.values.shape[:2]
+            assert stored.size(tmp_path / name, variable=variable, axes=axes) == read, (name, axes)
     basis_file(tmp_path / "iset.mat", "photons")
-    read = scene_files.read_iset_scene(tmp_path / "iset.mat").reflectance.shape[:2]
-    assert scene_files.iset_size(tmp_path / "iset.mat") == read == (20, 24)
+    read = iset.read(tmp_path / "iset.mat").reflectance.shape[:2]
+    assert iset.size(tmp_path / "iset.mat") == read == (20, 24)
     savemat(tmp_path / "scene.mat", {"scene": {"data": {"photons": cube}, "spectrum": {"wave": np.arange(31)}}})
-    assert scene_files.iset_size(tmp_path / "scene.mat") == (20, 24)
+    assert iset.size(tmp_path / "scene.mat") == (20, 24)

@@ -12,7 +12,7 @@ from l3cli.artifacts.store import save
 from l3cli.errors import InputFileError
 from l3cli.io.frames import read_frame
 from l3cli.io.images import read_image, write_mosaic, write_picture
-from l3cli.io.pages import count_pages, read_page
+from l3cli.io.raw.pages import count_pages, read_page
 from l3cli.limits import TRUST
 from tests.helpers.calls import L3, Refused
 from tests.helpers.sequences import COUNT, FAST, RGGB, frames, pictures
@@ -198,11 +198,11 @@ def test_a_picture_of_several_parts_is_refused(tmp_path: Path) -> None:
 
 
 def test_bands_in_pages_are_still_read(tmp_path: Path) -> None:
-    from l3cli.io.cubes import read_channels
+    from l3cli.io.scenes import pages
 
     write_pages(tmp_path / "a.tif", frames())
-    np.testing.assert_array_equal(read_channels(tmp_path / "a.tif").values, np.moveaxis(frames(), 0, 2))
+    np.testing.assert_array_equal(pages.read(tmp_path / "a.tif").values, np.moveaxis(frames(), 0, 2))
     write_picture(tmp_path / "b.tif", np.zeros((20, 28, 3), np.uint8))
-    assert read_channels(tmp_path / "b.tif").values.shape == (20, 28, 3)
+    assert pages.read(tmp_path / "b.tif").values.shape == (20, 28, 3)
     tifffile.imwrite(tmp_path / "c.tif", frames(), photometric="minisblack", description=json.dumps({"shape": [5, 20, 28]}))
-    assert read_channels(tmp_path / "c.tif").values.shape == (20, 28, 5)
+    assert pages.read(tmp_path / "c.tif").values.shape == (20, 28, 5)

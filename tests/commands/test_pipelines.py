@@ -27,8 +27,8 @@ import pytest
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.cli import run
-from l3cli.files import sole_writer_of_file, sole_writer_of_folder
 from l3cli.io.images import read_image
+from l3cli.locks import sole_writer_of_file, sole_writer_of_folder
 from tests.helpers.cameras import bayer_camera
 from tests.helpers.paths import ROOT
 from tests.helpers.recipes import SMALL

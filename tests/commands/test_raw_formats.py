@@ -16,12 +16,12 @@ from hypothesis import strategies as st
 from l3cli.artifacts.store import save
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.frame import with_one_black
-from l3cli.io.cfa_codes import channel_codes, find_phase
-from l3cli.io.fits_files import INSTALL
 from l3cli.io.frames import read_frame
 from l3cli.io.images import read_image
-from l3cli.io.packed import PACKED, PACKINGS, make_layout, row_bytes
-from l3cli.io.raw_files import KnownBetter, read_raw
+from l3cli.io.raw.cfa_codes import channel_codes, find_phase
+from l3cli.io.raw.files import KnownBetter, read_raw
+from l3cli.io.raw.fits import INSTALL
+from l3cli.io.raw.packed import PACKED, PACKINGS, make_layout, row_bytes
 from l3cli.io.sequences import find_frames
 from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import BAYER, FIVE_BAND
@@ -293,12 +293,12 @@ def test_what_another_writer_calls_infrared() -> None:
 @pytest.mark.parametrize(
     ("channels", "cfa", "pattern", "word"),
     [
-        (RGB, PATTERN, QUAD, r"rrgg/rrgg/ggbb/ggbb, the table rg/gb.*--phase"),
+        (RGB, PATTERN, QUAD, r"rrgg/rrgg/ggbb/ggbb, the table rg/gb.*‹phase›"),
         (RGB, QUAD, PATTERN, r"rg/gb, the table rrgg"),
         (RGB, X_TRANS, PATTERN, r"rg/gb, the table gb"),
         (RGB, PATTERN, np.array([[0, 1], [2, 1]]), r"rg/bg"),
         (("r", "g", "b", "w"), np.array([[0, 1], [3, 2]]), PATTERN, r"the table rg/wb"),
-        (("one", "two"), np.array([[0, 1], [1, 0]]), np.array([[0, 1], [1, 0]]), r"several sites.*--phase"),
+        (("one", "two"), np.array([[0, 1], [1, 0]]), np.array([[0, 1], [1, 0]]), r"several sites.*‹phase›"),
         (RGB, PATTERN, np.zeros((17, 2), int), r"17×2"),
     ],
 )
@@ -443,7 +443,7 @@ def test_libraw_tells_the_phase_of_any_array_it_knows(tmp_path: Path, mosaic: np
     frame = read_raw(path, sensor(RGB, cfa))
     np.testing.assert_array_equal(frame.values, mosaic[4:30, 6:38])
     assert (frame.phase, frame.black, frame.white) == ((1, 1), 64, 4000)
-    with pytest.raises(InputFileError, match="--phase"):
+    with pytest.raises(InputFileError, match="‹phase›"):
         read_raw(path, sensor(RGB, QUAD))
     assert read_raw(path, sensor(RGB, QUAD), KnownBetter(phase=(2, 3))).phase == (2, 3)
 

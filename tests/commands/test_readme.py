@@ -19,7 +19,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import GROUPS, TrainingSet
 from l3cli.cli import COMMANDS, l3
 from l3cli.config import TELLING, Recipe, load_recipe
-from l3cli.io.measurements import MeasurementRecipe
+from l3cli.io.measurement_recipe import MeasurementRecipe
 from l3cli.simulation.lab_recipe import LabRecipe
 from l3cli.simulation.recipe import SceneRecipe
 from l3cli.training.recipe import TrainingRecipe

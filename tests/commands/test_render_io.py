@@ -16,9 +16,8 @@ from l3cli.artifacts.store import save
 from l3cli.errors import RecipeError
 from l3cli.files import sha256
 from l3cli.frame import RawFrame
-from l3cli.io import raw_files
 from l3cli.io.images import check_format, read_image, write_linear, write_picture
-from l3cli.io.raw_files import KnownBetter, read_raw
+from l3cli.io.raw.files import KnownBetter, read_raw
 from l3cli.physics import spectra
 from l3cli.physics.display import adaptation_matrix, scene_white, srgb_from_xyz_matrix
 from l3cli.rendering import opencl_devices
@@ -226,7 +225,7 @@ def test_picture_is_turned_upright(
     l3: L3, tmp_path: Path, table: Path, mosaic: np.ndarray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     frame = RawFrame("f", mosaic[:6, :10], RGGB.black, RGGB.white, orientation=6)
-    monkeypatch.setattr(raw_files, "read_raw", lambda *_: frame)
+    monkeypatch.setattr("l3cli.io.sequences.read_raw", lambda *_: frame)
     for name in ("a.png", "a.exr"):
         assert l3("render", table, "frame.dng", "-o", tmp_path / name)[0] == 0
         assert read_image(tmp_path / name)[0].shape == (10, 6, 3)

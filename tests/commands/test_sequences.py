@@ -18,8 +18,9 @@ import tifffile
 from l3cli.artifacts.store import save
 from l3cli.frame import RawFrame
 from l3cli.io.images import read_image, write_mosaic
-from l3cli.io.raw_files import KnownBetter
-from l3cli.io.sequences import find_frames, numbered_files, numbered_name
+from l3cli.io.numbered import numbered_files, numbered_name
+from l3cli.io.raw.files import KnownBetter
+from l3cli.io.sequences import find_frames
 from l3cli.physics.display import automatic_exposure
 from l3cli.rendering.exposure import TIME_CONSTANT, LightMeter, SteadyExposure
 from l3cli.rendering.reference import ReferenceRenderer

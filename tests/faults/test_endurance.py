@@ -19,8 +19,8 @@ import pytest
 
 from l3cli.artifacts.store import save
 from l3cli.io.images import write_mosaic
-from l3cli.io.stacks import chunks_of_a_frame
-from l3cli.io.video import _av
+from l3cli.io.raw.hdf5 import chunks_of_a_frame
+from l3cli.io.video import pyav
 from tests.helpers.paths import ROOT
 from tests.helpers.sequences import RGGB
 
@@ -242,9 +242,9 @@ def test_a_stack_keeps_no_more_than_the_next_frames(chunks: tuple[int, ...], fra
 
 def test_the_video_library_is_silenced_once() -> None:
     """It is asked for with every frame, and each handler of its log would be searched and kept."""
-    _av()
+    pyav()
     handlers = list(logging.getLogger("libav").handlers)
-    _av()
+    pyav()
     assert logging.getLogger("libav").handlers == handlers
 
 

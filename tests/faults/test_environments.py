@@ -14,8 +14,8 @@ import pytest
 
 from l3cli.config import Recipe, load_recipe
 from l3cli.errors import RecipeError
-from l3cli.io.camera_raws import read_camera_raw
 from l3cli.io.images import write_picture
+from l3cli.io.raw.libraw import read_camera_raw
 from l3cli.limits import TRUST, trusted
 from tests.helpers.dng_files import write_dng
 from tests.helpers.fuzz import Seeded

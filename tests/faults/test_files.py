@@ -13,8 +13,9 @@ import pytest
 from l3cli import files
 from l3cli.artifacts.container import new_file
 from l3cli.errors import L3Error
-from l3cli.files import atomic_output, sole_writer_of_file, sole_writer_of_folder, write_whole
+from l3cli.files import atomic_output, write_whole
 from l3cli.io.video import VideoChoice, new_video, new_y4m
+from l3cli.locks import sole_writer_of_file, sole_writer_of_folder
 
 DEAD = ".a.01234567.l3tmp.h5"
 

@@ -287,7 +287,7 @@ def test_trust_is_an_option(l3: Callable, tmp_path: Path, monkeypatch: pytest.Mo
     ],
 )
 def test_a_child_that_lies_is_not_believed(limited: None, monkeypatch: pytest.MonkeyPatch, answer: bytes) -> None:
-    monkeypatch.setattr(apart, "_receive", lambda *_: answer)
+    monkeypatch.setattr(apart, "receive", lambda *_: answer)
     with pytest.raises(InputFileError, match=r"^f makes its decoder talk nonsense"):
         echo(Path("f"), "", 0)
 

@@ -206,12 +206,12 @@ def test_a_rate_is_the_nearest_that_a_video_holds(
 def test_a_film_of_a_nonsense_rate_has_the_usual_one(l3: L3, tmp_path: Path) -> None:
     import tifffile
 
-    from l3cli.io.camera_raws import film_rate
+    from l3cli.io.raw import dng
 
     for told, rate in (((4294967295, 1), None), ((1, 4294967295), None), ((2997002997, 100000000), Fraction(30000, 1001))):
         path = tmp_path / "a.dng"
         tifffile.imwrite(path, frames()[0], photometric=32803, extratags=[(51044, 5, 1, told, True)])
-        assert film_rate(path) == rate
+        assert dng.rate(path) == rate
 
 
 # -------------------------------------------------------------------------------------------------------- frame numbers

@@ -671,7 +671,7 @@ def _audit(event: str, arguments: tuple[Any, ...]) -> None:
 
 
 def _is_decoder(arguments: tuple[Any, ...]) -> bool:
-    return "l3cli.io.apart" in str(arguments[1])
+    return "l3cli.io.decoder" in str(arguments[1])
 
 
 def with_command(subject: Subject, command: str) -> Subject:

@@ -371,7 +371,7 @@ def test_device_is_chosen_by_index_and_name() -> None:
     assert choose_device("0") == first
     assert choose_device(first.name[2:8].lower()) == first
     for wrong in ("99", "no such device"):
-        with pytest.raises(DeviceError, match="--device"):
+        with pytest.raises(DeviceError, match="‹device›"):
             choose_device(wrong)
 
 

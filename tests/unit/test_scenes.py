@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from l3cli.errors import InputFileError
-from l3cli.io.scene_files import find, read_iset_scene, read_rgb_picture
+from l3cli.io.scenes.files import find
+from l3cli.io.scenes.iset import read as read_iset_scene
+from l3cli.io.scenes.rgb import read as read_rgb_picture
 from l3cli.physics import spectra
 from l3cli.physics.display import srgb_curve, srgb_from_xyz_matrix
 from l3cli.scene import Scene

@@ -13,7 +13,7 @@ from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.calibration import responsivity, series
 from l3cli.curve_file import read_table
 from l3cli.errors import InputFileError
-from l3cli.io.scene_files import read_iset_scene
+from l3cli.io.scenes.iset import read as read_iset_scene
 from l3cli.measurement import BandCapture
 from l3cli.physics import spectra
 from l3cli.scene import Scene, SpectralCube

@@ -10,10 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from l3cli.errors import RecipeError
-from l3cli.files import atomic_output, refuse_existing, refuse_spared, sole_writer_of_folder
+from l3cli.files import atomic_output, refuse_existing, refuse_spared
 from l3cli.io import images
-from l3cli.io.sequences import PATTERN, Footage, Pending, last_number, numbered_files, numbered_name
+from l3cli.io.numbered import PATTERN, last_number, numbered_files, numbered_name
+from l3cli.io.sequences import Footage, Pending
 from l3cli.io.video import VideoChoice, check_video, is_video, new_video, new_y4m
+from l3cli.locks import sole_writer_of_folder
 from l3cli.stages.claims import Claims, refuse_unwritable
 from l3cli.stages.rendering.mark import Mark, Origins
 from l3cli.stages.rendering.rendition import file_of

@@ -12,7 +12,7 @@ from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import RecipeError
 from l3cli.files import sha256
-from l3cli.io.raw_files import KnownBetter
+from l3cli.io.raw.files import KnownBetter
 from l3cli.io.sequences import Footage, find_frames, read_dark
 from l3cli.io.video import VideoChoice
 from l3cli.physics.display import scene_white

@@ -12,11 +12,12 @@ from l3cli.config import read_text
 from l3cli.curve_file import read_table
 from l3cli.errors import InputFileError, RecipeError, listed
 from l3cli.files import sha256
-from l3cli.io.scene_files import find
+from l3cli.io.scenes.files import find
+from l3cli.io.scenes.registry import is_folder
 from l3cli.simulation import recipe as asked
 from l3cli.simulation.light import OWN, Curve, check_measured, make_light, recorded_under
 from l3cli.simulation.recipe import SceneRecipe
-from l3cli.simulation.sources import BandFolder, FileSource
+from l3cli.simulation.sources import FileSource, name_of
 from l3cli.simulation.targets import make_target
 from l3cli.stages.console import Console
 from l3cli.stages.simulation.run import SimulationRun
@@ -40,7 +41,7 @@ def prepare(recipe: SceneRecipe, path: Path, camera: CameraModel, seed: int) -> 
     names = _column_names(path.parent / outputs) if outputs in curves else ()
     target = make_target(outputs, curves.get(outputs), names, lights[other] if other else None, fitted)
     patterns = zip(recipe.scene, asked.patterns(recipe), strict=True)
-    files = [find(text, path.parent, isinstance(source, BandFolder)) if text else [] for source, text in patterns]
+    files = [find(text, path.parent, is_folder(name_of(source))) if text else [] for source, text in patterns]
     return SimulationRun(recipe, fitted, target, lights, recorded, seed, path.parent, "", Path()), files
 
 

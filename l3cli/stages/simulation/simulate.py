@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 from l3cli.artifacts.camera_recipe import camera_files, load_camera
 from l3cli.artifacts.training_set import TrainingSet, open_training_set, write_training_set
 from l3cli.config import load_recipe
-from l3cli.files import finished_together, refuse_existing
+from l3cli.files import refuse_existing
+from l3cli.locks import finished_together
 from l3cli.parallel import workers
 from l3cli.simulation.recipe import SceneRecipe, shots
 from l3cli.stages.claims import Claims

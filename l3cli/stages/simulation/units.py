@@ -126,8 +126,8 @@ def _frame(scene: "Scene", shot: Shot, run: SimulationRun) -> Any:
 
 def _pair(pair: Pair, run: SimulationRun) -> Any:
     from l3cli.io.images import read_image
-    from l3cli.io.raw_files import KnownBetter, read_raw
-    from l3cli.io.scene_files import read_rgb_picture
+    from l3cli.io.raw.files import KnownBetter, read_raw
+    from l3cli.io.scenes.rgb import read as read_rgb_picture
     from l3cli.physics.display import xyz_from_srgb_matrix
     from l3cli.simulation.pairs import make_pair
 

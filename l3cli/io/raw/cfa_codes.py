@@ -19,7 +19,7 @@ LETTERS = "RGBCMYW"  # codes 0…6 of CFAPattern: red, green, blue, cyan, magent
 NAMES = ("red", "green", "blue", "cyan", "magenta", "yellow", "white")
 OWN = len(LETTERS)  # the first code of what TIFF/EP has no name for
 LARGEST = 16  # rows and columns of a file's pattern
-CURE = "give the table of this camera, or the site of the first pixel with --phase ROW,COL"
+CURE = "give the table of this camera, or the site of the first pixel with ‹phase› ROW,COL"
 
 
 def code_of(name: str) -> int | None:
@@ -64,7 +64,7 @@ def find_phase(name: str, pattern: NDArray[np.integer], sensor: Sensor) -> tuple
     if any((ours[phase] != ours[fitting[0]]).any() for phase in fitting):
         raise InputFileError(
             f"{name}: its colour filter array {_written(pattern)} fits several sites of the table's; "
-            "give that of the first pixel with --phase ROW,COL"
+            "give that of the first pixel with ‹phase› ROW,COL"
         )
     return fitting[0]
 

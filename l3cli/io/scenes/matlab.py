@@ -13,8 +13,14 @@ from l3cli.io.apart import apart
 from l3cli.limits import require_values
 
 Content = dict[str, Any]
+MATLAB = ".mat"
 NUMBERS = ("double", "single", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)))  # in MATLAB
 DEEPEST = 16  # groups or structs within one another
+
+
+def read_content(path: Path) -> Content:
+    """What a file holds, MATLAB's by its suffix, HDF5's by any other."""
+    return read_matlab(path) if path.suffix == MATLAB else read_hdf5(path)
 
 
 @apart
@@ -61,8 +67,8 @@ def array_shapes(path: Path) -> dict[str, tuple[int, ...]]:
     taken from headers; only structs of MATLAB files before 7.3 must be read for theirs."""
     import h5py
 
-    if path.suffix != ".mat" or h5py.is_hdf5(path):
-        reverse = path.suffix == ".mat" or _is_matlab(path)
+    if path.suffix != MATLAB or h5py.is_hdf5(path):
+        reverse = path.suffix == MATLAB or _is_matlab(path)
         with _hdf5(path) as root:
             stored = {name: data.shape for name, data in datasets(root) if data.dtype.kind in "fiu" and name[0] != "#"}
         return {name: _squeezed(shape[::-1]) if reverse else shape for name, shape in stored.items()}

@@ -1,4 +1,5 @@
-"""TIFF files of several pages: the frames of a stack where they are alike, a reason to refuse the file where they are not.
+"""Raw frames as pictures. The pages of a TIFF are the frames of a stack where they are alike, a reason to refuse the file
+where they are not.
 
 Pages are the directories that follow one another in a file. OpenImageIO reads their pixels; how many there are, and what
 hangs below them, is read here: libraries take the end of a damaged chain for the end of the file. A smaller copy that hangs
@@ -15,15 +16,33 @@ from numpy.typing import NDArray
 from l3cli.errors import InputFileError
 from l3cli.files import stamp
 from l3cli.io.apart import apart
-from l3cli.io.images import mono_of, open_image, require_bearable, require_pages_told
+from l3cli.io.images import mono_of, open_image, read_mono, require_bearable, require_pages_told
 from l3cli.io.names import named_in_utf8
-from l3cli.io.tiff_tags import ONE_OF_MANY, REDUCED, TiffTag
+from l3cli.io.raw.content import RawContent, Request, Stack
+from l3cli.io.raw.tiff_tags import ONE_OF_MANY, REDUCED, TiffTag
 
 TIFF, BIG_TIFF = 42, 43  # versions
 MOST_PAGES = 1_000_000
 MOST_BELOW = 1000  # images below a page
 
 _opened: dict[tuple[Any, ...], Any] = {}  # the last file, by what would change if it were another one
+
+
+def read(path: Path, _: Request) -> RawContent:
+    """The frame that a picture of one channel holds."""
+    values, exposure = read_mono(path)
+    return RawContent(values=values, exposure=exposure)
+
+
+def stack(path: Path, _: Request) -> Stack | None:
+    """The frames of a TIFF of several pages."""
+    count = count_pages(path)
+
+    def frame(number: int) -> RawContent:
+        values, exposure = read_page(path, number)
+        return RawContent(values=values, exposure=exposure)
+
+    return Stack(count, frame, "page", 1) if count > 1 else None
 
 
 @apart

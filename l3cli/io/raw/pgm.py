@@ -11,11 +11,17 @@ from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
 from l3cli.files import open_regular
+from l3cli.io.raw.content import RawContent, Request
 from l3cli.limits import require_picture
 
 GAP = rb"(?:\s|#[^\n\r]*[\n\r])+"
 HEADER = re.compile(rb"P5" + GAP + rb"(\d{1,9})" + GAP + rb"(\d{1,9})" + GAP + rb"(\d{1,5})\s")
 LONGEST_HEADER = 65536  # bytes, comments included
+
+
+def read(path: Path, _: Request) -> RawContent:
+    """The values of a graymap."""
+    return RawContent(values=read_pgm(path))
 
 
 def read_pgm(path: Path) -> NDArray:

@@ -1,4 +1,4 @@
-"""Scenes from outside: which files a pattern names, ISET scene files (.mat) and RGB pictures. Other cubes: io/cubes.py."""
+"""ISET scene files (.mat)."""
 
 from pathlib import Path
 from typing import Any
@@ -7,32 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
-from l3cli.io.images import read_image
-from l3cli.io.matlab import Content, array_shapes, read_matlab
+from l3cli.io.scenes.matlab import Content, array_shapes, read_matlab
 from l3cli.physics import spectra
-from l3cli.physics.display import srgb_decoded
 from l3cli.scene import Scene
 
 Curve = tuple[NDArray[np.floating], NDArray[np.floating]]
 
 
-def find(pattern: str, folder: Path, folders: bool = False) -> list[Path]:
-    """The files (or `folders`) of a name or glob relative to `folder`, sorted; InputFileError if there is none."""
-    wanted = Path.is_dir if folders else Path.is_file
-    single = folder / pattern
-    if wanted(single):
-        return [single]
-    root = Path(single.anchor)  # "" for a relative folder
-    found = sorted(path for path in root.glob(str(single.relative_to(root))) if wanted(path))
-    if not found:
-        raise InputFileError(f"{single} does not exist; name a scene file or a glob relative to the recipe")
-    return found
-
-
-# ------------------------------------------------------------------------------------------------------ ISET
-
-
-def read_iset_scene(path: Path, light: Curve | None = None) -> Scene:
+def read(path: Path, light: Curve | None = None) -> Scene:
     """An ISET scene: photons (row, col, wave) in photons/s/sr/m²/nm with its illuminant, in any of ISET's storages:
     a scene struct with floats or integers between dmin and dmax; photons and wave; coefficients (mcCOEF) of a basis about a
     mean (imgMean). Small negatives are noise and become zero, speculars stay (docs/method.md#simulation).
@@ -70,13 +52,13 @@ def read_iset_scene(path: Path, light: Curve | None = None) -> Scene:
         raise InputFileError(f"{path}: {error}") from error
 
 
-def iset_size(path: Path, light: Curve | None = None) -> tuple[int, int]:
-    """(rows, cols) of an ISET scene, from headers where they tell it; InputFileError as `read_iset_scene`."""
+def size(path: Path, light: Curve | None = None) -> tuple[int, int]:
+    """(rows, cols) of an ISET scene, from headers where they tell it; InputFileError as `read`."""
     shapes = array_shapes(path)
     for name in (f"{scene}{array}" for scene in ("scene/", "") for array in ("mcCOEF", "photons", "data/photons")):
         if len(shapes.get(name, ())) in (2, 3):
             return shapes[name][0], shapes[name][1]
-    rows, cols, _ = read_iset_scene(path, light).reflectance.shape  # which says what is wrong
+    rows, cols, _ = read(path, light).reflectance.shape  # which says what is wrong
     return rows, cols
 
 
@@ -128,21 +110,3 @@ def _decoded(values: Any, holder: Content, low: str, high: str) -> NDArray[np.fl
         decoded *= np.float32((top - bottom) / np.iinfo(array.dtype).max)
         decoded += np.float32(bottom)
     return decoded
-
-
-# -------------------------------------------------------------------------------------------------- pictures
-
-
-def read_rgb_picture(path: Path) -> NDArray[np.float32]:
-    """Linear sRGB (row, col, 3) of a picture, 1 being white: integers are decoded from sRGB, floats are linear already.
-
-    InputFileError if the file is no colour picture.
-    """
-    pixels, names = read_image(path)
-    if len(names) < 3:
-        raise InputFileError(f"{path} has no red, green and blue; give a colour picture")
-    if pixels.dtype.kind == "f":
-        return np.maximum(np.nan_to_num(pixels[..., :3]), 0.0).astype(np.float32)
-    levels = np.arange(np.iinfo(pixels.dtype).max + 1) / np.iinfo(pixels.dtype).max
-    linear = srgb_decoded(levels).astype(np.float32)
-    return linear[pixels[..., :3]]

@@ -72,7 +72,7 @@ def make_layout(size: tuple[int, int], packing: str, stride: int | None) -> Layo
     rows, cols = size
     needed = row_bytes(cols, packing)
     if min(size) < 1:
-        raise RecipeError(f"--size {rows}x{cols} holds no pixels; give rows and columns above 0")
+        raise RecipeError(f"‹size› {rows}x{cols} holds no pixels; give rows and columns above 0")
     if stride is not None and stride < needed:
-        raise RecipeError(f"--stride {stride} is too short; a row of {cols} {packing} values has {needed} bytes")
+        raise RecipeError(f"‹stride› {stride} is too short; a row of {cols} {packing} values has {needed} bytes")
     return Layout(rows, cols, packing, stride or needed)

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from l3cli import __version__
 from l3cli.artifacts.camera import CameraModel
 from l3cli.files import atomic_output
-from l3cli.io.cfa_codes import channel_codes
-from l3cli.io.tiff_tags import (
+from l3cli.io.raw.cfa_codes import channel_codes
+from l3cli.io.raw.tiff_tags import (
     ASCII,
     BYTE,
     COLOUR_FILTER_ARRAY,

@@ -7,16 +7,20 @@ any CFA for 2 × 2 or 6 × 6 and black levels for four numbers. So all that pixe
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
 from l3cli.frame import with_one_black
-from l3cli.io.cfa_codes import LETTERS
-from l3cli.io.tiff_tags import (
+from l3cli.io.apart import apart
+from l3cli.io.raw.cfa_codes import LETTERS
+from l3cli.io.raw.content import RawContent, Request
+from l3cli.io.raw.libraw import opened
+from l3cli.io.raw.tiff_tags import (
     COLOUR_FILTER_ARRAY,
     FRACTIONS,
     LINEAR_RAW,
@@ -26,21 +30,12 @@ from l3cli.io.tiff_tags import (
     UPRIGHT,
     TiffTag,
 )
+from l3cli.io.video import storable_rate
 
 WHITE_CODE = LETTERS.index("W")
 LIBRAW_FLIP = (0, 0, 1, 3, 2, 4, 6, 7, 5)  # of the TIFF orientation 0…8
+FRAME_RATE = 51044  # the tag of CinemaDNG
 BROKEN = (ValueError, TypeError, KeyError, IndexError, AttributeError, ZeroDivisionError, OverflowError, struct.error)
-
-
-class CameraRaw(TypedDict):
-    """What the raw file of a camera tells."""
-
-    values: NDArray[np.uint16]  # (row, col) DN, without masked borders
-    black: float  # DN
-    white: float  # DN
-    pattern: NDArray[np.int64]  # (row, col) colour codes of the CFA, from pixel (0, 0) on
-    orientation: int  # LibRaw's flip code
-    exposure: float | None  # s, if it tells
 
 
 @dataclass(frozen=True)
@@ -58,7 +53,18 @@ class Mosaic:
     exposure: float | None  # s
 
 
-def described(path: Path, stored: NDArray[np.uint16]) -> CameraRaw:
+def read(path: Path, _: Request) -> RawContent:
+    """What a DNG holds within its default crop."""
+    return _read(path)
+
+
+@apart
+def _read(path: Path) -> RawContent:
+    with opened(path) as raw:
+        return described(path, raw.raw_image)
+
+
+def described(path: Path, stored: NDArray[np.uint16]) -> RawContent:
     """A DNG's linear pixels, `stored` (row, col) by LibRaw, as its tags describe them: the default crop of the active area,
     at one black level. InputFileError if the tags are broken or contradict the pixels.
     """
@@ -73,7 +79,7 @@ def described(path: Path, stored: NDArray[np.uint16]) -> CameraRaw:
     pixels = stored[top:bottom, left:right][shown].copy()  # LibRaw takes its memory back
     values, common, white = with_one_black(pixels, black, np.array(mosaic.white))
     pattern = np.roll(mosaic.pattern, (-row, -col), axis=(0, 1))
-    return CameraRaw(
+    return RawContent(
         values=values, black=common, white=white, pattern=pattern, orientation=mosaic.orientation, exposure=mosaic.exposure
     )
 
@@ -85,6 +91,25 @@ def _black_levels(mosaic: Mosaic, shape: tuple[int, int]) -> NDArray[np.float64]
     repeats = [-(-length // period) for length, period in zip(shape, mosaic.black.shape, strict=True)]
     tiled = np.tile(mosaic.black, repeats)[: shape[0], : shape[1]]
     return tiled + mosaic.black_of_row[:, None] + mosaic.black_of_col
+
+
+def rate(path: Path) -> Fraction | None:
+    """Frames a second that a CinemaDNG file tells."""
+    told = _rate(path)
+    return storable_rate(Fraction(*told)) if told else None
+
+
+@apart
+def _rate(path: Path) -> tuple[int, int] | None:
+    import tifffile
+
+    try:
+        with tifffile.TiffFile(path) as file:
+            tag = file.pages[0].tags.get(FRAME_RATE)
+            rate = Fraction(*tag.value) if tag else Fraction(0)
+    except (tifffile.TiffFileError, TypeError, ValueError, IndexError, ZeroDivisionError, OSError):
+        return None  # reading the frame tells what is wrong with it
+    return (rate.numerator, rate.denominator) if rate > 0 else None
 
 
 # ------------------------------------------------------------------------------------------------------------- tags

@@ -12,14 +12,26 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError, L3Error
 from l3cli.io.apart import apart
+from l3cli.io.raw.cfa_codes import codes_of
+from l3cli.io.raw.content import RawContent, Request, Stack
 from l3cli.limits import require_picture
 
 INSTALL = 'FITS files need astropy; install it with: pip install "l3cli[fits]"'
 BROKEN = (TypeError, ValueError, KeyError, IndexError, AttributeError)  # what astropy raises over a damaged file
+
+
+def read(path: Path, _: Request) -> RawContent:
+    """The frame of a file that holds one."""
+    return read_fits(path)
+
+
+def stack(path: Path, _: Request) -> Stack | None:
+    """The frames of an image of three axes."""
+    shape = fits_shape(path)
+    return Stack(shape[0], lambda number: read_fits(path, number)) if len(shape) == 3 else None
 
 
 @apart
@@ -30,9 +42,9 @@ def fits_shape(path: Path) -> tuple[int, ...]:
 
 
 @apart
-def read_fits(path: Path, number: int | None = None) -> tuple[NDArray[np.uint16], str | None, float | None]:
-    """Pixels (row, col) in DN, of frame `number` where there are several, the colours BAYERPAT names, row by row, and the
-    exposure time (s) of EXPTIME or EXPOSURE.
+def read_fits(path: Path, number: int | None = None) -> RawContent:
+    """Pixels (row, col) in DN, of frame `number` where there are several, the colours BAYERPAT names, and the exposure time
+    (s) of EXPTIME or EXPOSURE.
 
     InputFileError if the file holds anything but unsigned integers of at most 16 bits.
     """
@@ -48,12 +60,12 @@ def read_fits(path: Path, number: int | None = None) -> tuple[NDArray[np.uint16]
         raise InputFileError(f"{path} holds {values.min()} DN; give unsigned values, as BZERO = 32768 codes them")
     if order == "BOTTOM-UP":
         values = values[::-1]
-    letters = None
+    exposure = float(told) if isinstance(told, int | float) else None
+    content = RawContent(values=np.ascontiguousarray(values, np.uint16), exposure=exposure)
     if len(pattern) == 4:
         square = np.roll(np.array(list(pattern)).reshape(2, 2), (-offset[0], -offset[1]), axis=(0, 1))
-        letters = "".join(square.ravel())
-    exposure = float(told) if isinstance(told, int | float) else None
-    return np.ascontiguousarray(values, np.uint16), letters, exposure
+        content["pattern"] = codes_of("".join(square.ravel())).reshape(2, 2)
+    return content
 
 
 @contextlib.contextmanager

@@ -9,11 +9,18 @@ from numpy.typing import NDArray
 from l3cli.artifacts.stored import datasets, require_within_file
 from l3cli.errors import InputFileError
 from l3cli.io.apart import apart
+from l3cli.io.raw.content import RawContent, Request, Stack
 from l3cli.limits import require_picture
 
 CHUNK_CACHE = 128 << 20  # bytes at most: chunks of many frames are unpacked once, not once a frame
 
 _opened: dict[tuple[Any, ...], Any] = {}  # the last file, by what would change if it were another one
+
+
+def stack(path: Path, request: Request) -> Stack:
+    """The frames of a dataset."""
+    name, count = find_stack(path, request.dataset)
+    return Stack(count, lambda number: RawContent(values=stack_frame(path, name, number)), numbered=False)
 
 
 @apart
@@ -25,7 +32,7 @@ def find_stack(path: Path, dataset: str | None) -> tuple[str, int]:
     frames = held.get(name)
     if frames is None or not _is_stack(frames, (2, 3)):
         found = "no dataset" if frames is None else f"{frames.dtype} {frames.shape}"
-        raise InputFileError(f"{path}: {dataset} is {found}; name with --dataset one of uint16 (frame, row, col)")
+        raise InputFileError(f"{path}: {dataset} is {found}; name with ‹dataset› one of uint16 (frame, row, col)")
     _require_frames(path, frames)
     return name, len(frames) if frames.ndim == 3 else 1
 
@@ -76,7 +83,7 @@ def _only_stack(path: Path, held: dict[str, Any]) -> str:
         told = (
             f"{len(found)} datasets of frames ({', '.join(found[:4])})" if found else "no dataset uint16 (frame, row, col)"
         )
-        raise InputFileError(f"{path} holds {told}; name one with --dataset")
+        raise InputFileError(f"{path} holds {told}; name one with ‹dataset›")
     return found[0]
 
 
