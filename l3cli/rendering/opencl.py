@@ -20,7 +20,7 @@ from l3cli.classes.structure import REACH as STRUCTURE_REACH
 from l3cli.errors import RecipeError
 from l3cli.frame import RawFrame, mirrored_indices
 from l3cli.rendering import kernels, layout
-from l3cli.rendering.display import Display, require_xyz
+from l3cli.rendering.display import Display, require_known_layers, require_xyz
 from l3cli.rendering.opencl_devices import choose_device, pyopencl, refusals
 from l3cli.rendering.opencl_work import Band, Track, Work
 
@@ -44,6 +44,7 @@ class OpenCLRenderer:
     def __init__(
         self, table: TransformTable, device: str | None = None, variant: str | None = None, lanes: int | None = None
     ) -> None:
+        require_known_layers(table)
         self.table = table
         self.device = choose_device(os.environ.get("L3_DEVICE", "") if device is None else device)
         self._kept = True  # whether kernels.keep() has seen all that was compiled

@@ -10,7 +10,7 @@ from l3cli.classes.decide import label_mosaic
 from l3cli.classes.planes import fixed_point
 from l3cli.classes.windows import Integers
 from l3cli.frame import RawFrame, pad_mosaic
-from l3cli.rendering.display import Display, encode, require_xyz
+from l3cli.rendering.display import Display, encode, require_known_layers, require_xyz
 from l3cli.rendering.later import first_planes, later_labels, later_outputs
 
 
@@ -18,6 +18,7 @@ class ReferenceRenderer:
     """Renderer in numpy: slow, exact, without a device."""
 
     def __init__(self, table: TransformTable) -> None:
+        require_known_layers(table)
         self.table = table
 
     def labels(self, frame: RawFrame, layer: int = 0) -> Integers:

@@ -34,10 +34,10 @@ def with_later(table: TransformTable, *sides: int, seed: int = 1) -> TransformTa
     for step, side in enumerate(sides, 1):
         rule = StructureRule(
             level_step=step,
-            gradient_scale=np.full(below.levels, 256, np.uint16),
+            gradient_scale=rng.integers(8, 2048, below.levels).astype(np.uint16),
             strength_edges=np.arange(1, 3 + step, dtype=np.uint32) * 1000,
             coherence=24,
-            turns=np.ones((sites, 2), np.int8),
+            turns=rng.choice([-1, 1], (sites, 2)).astype(np.int8),
             cases=below.cases,
         )
         classes = sites * rule.classes_per_site

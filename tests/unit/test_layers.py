@@ -87,6 +87,6 @@ def test_info_describes_every_layer(l3: Callable, path: Path) -> None:
 
 
 @pytest.mark.parametrize("backend", list(BACKENDS))
-def test_renderers_of_one_layer_refuse_more(backend: str) -> None:
+def test_renderers_refuse_more_layers_than_two(backend: str) -> None:
     with pytest.raises(RecipeError, match="3 layers"):
         make_renderer(backend, TABLE)

@@ -35,7 +35,7 @@ from l3cli.rendering.opencl_devices import choose_device, devices
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.rendering.renderer import BACKENDS, make_renderer
 from tests.helpers.cameras import BAYER, FIVE_BAND, X_TRANS
-from tests.helpers.tables import XYZ, random_table, with_first
+from tests.helpers.tables import XYZ, random_table, with_first, with_later
 
 # float32 sums of at most 225 products, each term below 1 and rounded to 6e-8: 225 · 6e-8 at worst, a tenth of it in fact.
 OUTPUT_TOLERANCE = 1e-5
@@ -58,6 +58,9 @@ TABLES = {
     "8 directions": lambda: random_table(
         FIVE_BAND, black=100.0, direction=direction.Keys(orientations=8, strengths=(1.5, 6.0), coherence=0.4)
     ),
+    "two layers": lambda: with_later(random_table(FIVE_BAND, black=100.0, patch=9), 5),
+    "two layers of 16 bits": lambda: with_later(random_table(X_TRANS, bits=16, black=2048.0, patch=7), 3),
+    "two wide layers": lambda: with_later(random_table(BAYER, bits=8, patch=5), 7, seed=3),
 }
 
 
@@ -72,6 +75,7 @@ RENDERED += [("five-band", "8 lanes"), ("five-band", "16 lanes")]
 RENDERED += [("five-band", "graphics"), ("x-trans", "graphics"), ("stripes", "graphics")]
 RENDERED += [("8 directions", "8 lanes"), ("8 directions", "16 lanes")]
 RENDERED += [("directions", "graphics"), ("8 directions", "graphics")]
+RENDERED += [("two layers", "8 lanes"), ("two layers", "graphics"), ("two layers of 16 bits", "graphics")]
 
 
 @pytest.fixture(scope="module", params=RENDERED, ids="-".join)
@@ -101,7 +105,8 @@ def frames(draw: st.DrawFn, table: TransformTable) -> RawFrame:
 
 
 def assert_equal_to_reference(reference: ReferenceRenderer, device: OpenCLRenderer, frame: RawFrame) -> None:
-    np.testing.assert_array_equal(device.labels(frame), reference.labels(frame))
+    for layer in range(len(reference.table.layers)):
+        np.testing.assert_array_equal(device.labels(frame, layer), reference.labels(frame, layer))
     exact = reference.exact_outputs(frame)
     rendered = device.outputs(frame)
     assert rendered.dtype == np.float32
@@ -156,16 +161,19 @@ def test_any_colour_filter_array(data: st.DataObject) -> None:
 
 
 @pytest.mark.parametrize("kind", ["processor", "graphics"])
-def test_bands_change_nothing(monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
-    table = random_table(STRIPES, bits=12, black=100.0, patch=5)
+@pytest.mark.parametrize("sides", [(), (5,)], ids=["one layer", "two layers"])
+def test_bands_change_nothing(monkeypatch: pytest.MonkeyPatch, sides: tuple[int, ...], kind: str) -> None:
+    table = with_later(random_table(STRIPES, bits=12, black=100.0, patch=5), *sides)
     frame = RawFrame("f", np.random.default_rng(0).integers(0, 4096, (61, 83)).astype(np.uint16), 100.0, table.white, (2, 1))
     display = make_display(table.white_point, 1.0, 8)
     whole = OpenCLRenderer(table, **KINDS[kind])
-    labels, planes, picture = whole.labels(frame), whole.outputs(frame), whole.picture(frame, display)
+    labels = [whole.labels(frame, layer) for layer in range(len(table.layers))]
+    planes, picture = whole.outputs(frame), whole.picture(frame, display)
     for rows in (1, 7, 30):
         monkeypatch.setattr(opencl, "BAND_PIXELS", rows * 83)
         banded = OpenCLRenderer(table, **KINDS[kind])
-        np.testing.assert_array_equal(banded.labels(frame), labels)
+        for layer, expected in enumerate(labels):
+            np.testing.assert_array_equal(banded.labels(frame, layer), expected)
         np.testing.assert_array_equal(banded.outputs(frame), planes)
         np.testing.assert_array_equal(banded.picture(frame, display), picture)
 
