@@ -57,7 +57,8 @@ def _batches(
             while rest:
                 count = min(rest, BATCH)
                 rest -= count
-                waiting[site].append(patches_of(frame, lesson.head, near, site, count, rng, lesson.recipe.symmetry))
+                shared, achromatic = lesson.recipe.symmetry, lesson.recipe.achromatic
+                waiting[site].append(patches_of(frame, lesson.head, near, site, count, rng, shared, achromatic))
                 if rest:
                     yield site, waiting[site].pop()
     for site, patches in waiting.items():

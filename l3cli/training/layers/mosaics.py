@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import TrainingFrame, TrainingPair
-from l3cli.physics import spectra
-from l3cli.training.patches import expose_patches
+from l3cli.training.patches import expose_patches, white_signal
 from l3cli.training.recipe import LearningRecipe
 
 Floats = NDArray[np.float32]
@@ -59,14 +58,6 @@ def mosaics_of(frame: TrainingPair, count: int, exposed: Exposed, rng: np.random
         values = expose_patches(mosaic, camera, rng, dark=exposed.dark).astype(np.uint16)
         clean = np.minimum(mosaic, 1.0) * np.float32(camera.white - camera.black) + np.float32(camera.black)
         yield Mosaic(values, clean, wanted * scale)
-
-
-def white_signal(frame: TrainingPair, camera: CameraModel) -> NDArray[np.float64] | None:
-    """Signals (channel), as shares of full scale, of a white of Y = 1 under the light of a frame; None if it is unknown."""
-    if frame.light is None:
-        return None
-    light = spectra.resample(frame.light.radiance.astype(np.float64), frame.light.wavelength, camera.wavelength)
-    return np.asarray(camera.electron_weights @ light * (camera.white_dose / camera.full_scale))
 
 
 def _piece_of_pair(pair: TrainingPair, camera: CameraModel, rng: np.random.Generator) -> Mosaic:
