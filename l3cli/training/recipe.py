@@ -43,7 +43,7 @@ class LayerRecipe(Recipe):
     """How a layer is learned that reads the planes of the layer before (docs/method.md#layers)."""
 
     side: Annotated[int, msgspec.Meta(ge=1, le=9)] = 5  # pixels, odd, of the windows of each plane
-    level_step: Count = 2  # levels of the first layer that make one
+    level_step: Count = 1  # levels of the first layer that make one
     strengths: tuple[float, ...] = (1.7, 8.0)  # edges of the structure tensor's trace, relative to that of noise
     coherence: float = 0.48  # share of the trace along one direction from which an edge has one
     mosaics: Annotated[int, msgspec.Meta(ge=1, le=MOST_PATCHES)] = 900  # over all frames
@@ -57,7 +57,8 @@ class LayerRecipe(Recipe):
 
 
 class TrainingRecipe(Recipe):
-    """Classes and learning; every key has the default that configs/classes/default.toml spells out."""
+    """Classes and learning of the first layer, and layers after it. Keys that a recipe leaves out are those of one layer;
+    without any recipe configs/classes/default.toml is taken."""
 
     title: ClassVar[str] = "a class recipe"
 

@@ -97,7 +97,11 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "cameras/fiveband.toml": {r"rows = \d+": "rows = 192", r"cols = \d+": "cols = 256"},
         "scenes/default.toml": {r"size = \[160, 160\]": "size = [64, 64]", r"count = 60": "count = 8"},
         "scenes/demo_unseen.toml": {r"size = \[720, 1280\]": "size = [160, 240]"},
-        "classes/default.toml": {r"patches = 60000": "patches = 3000"},
+        "classes/default.toml": {
+            r"patches = 120000": "patches = 3000",
+            r"mosaics = 900": "mosaics = 20",
+            r"rows = 6000": "rows = 1000",
+        },
     }
     for name, changes in smaller.items():
         path = folder / "configs" / name

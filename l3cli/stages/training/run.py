@@ -11,6 +11,7 @@ from l3cli.artifacts.training_set import TrainingPair, TrainingSet, open_trainin
 from l3cli.config import load_recipe, read_text
 from l3cli.errors import InputFileError
 from l3cli.files import require_same, sha256, stamp
+from l3cli.recipes import known_recipes
 from l3cli.training.lesson import spread_patches
 from l3cli.training.recipe import TrainingRecipe
 
@@ -48,7 +49,8 @@ def open_run(
 ) -> TrainingRun:
     """The run of these training sets; InputFileError or RecipeError if they or the recipe cannot be used. A set whose share
     is zero is as if it were not given."""
-    recipe = load_recipe(classes, TrainingRecipe) if classes else TrainingRecipe()
+    classes = classes or known_recipes("classes")["default"]
+    recipe = load_recipe(classes, TrainingRecipe)
     stamps = {path: stamp(path) for path in training}
     head, frames = _common_head(training)
     chosen: dict[str, Any] = {"seed": seed}
@@ -59,7 +61,7 @@ def open_run(
         chosen["shares"] = ",".join(f"{float(share):.12g}" for share in shares)
     patches = spread_patches(recipe.learning.patches, frames, shares)
     inputs = {"training set": [sha256(path) for path in training]}
-    stage = Stage("train", chosen, read_text(classes) if classes else "", inputs)
+    stage = Stage("train", chosen, read_text(classes), inputs)
     sources = tuple(map(TrainingSource, training, frames, inputs["training set"], map(stamps.__getitem__, training)))
     return TrainingRun(sources, head, patches, recipe, shares, seed, stage)
 
