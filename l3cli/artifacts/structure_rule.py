@@ -81,6 +81,11 @@ class StructureRule:
         site, level = divmod(rest, self.levels)
         return StructurePlace(site, level, kind)
 
+    def within_site(self, index: Any) -> tuple[Any, Any]:
+        """Sites of the classes `index` of all sites, and their indices within them."""
+        site, within = divmod(index, self.classes_per_site)
+        return site, within
+
     def kind(self, structure: Any, case: Any) -> Any:
         """Kinds of pixels of a structure and a saturation case, which decides where it is not 0."""
         return np.where(np.greater(case, 0), self.structures - 1 + case, structure)

@@ -93,6 +93,6 @@ def test_an_interrupt_is_one_line_and_130(monkeypatch: pytest.MonkeyPatch, l3: C
     def interrupted(path: Path) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("l3cli.artifacts.store.describe", interrupted)
+    monkeypatch.setattr("l3cli.stages.information.describe", interrupted)
     code, out, err = l3("info", tmp_path / "x.h5")
     assert (code, out, err.strip()) == (130, "", "l3: interrupted")

@@ -92,7 +92,7 @@ def add_rows(
 ) -> None:  # fmt: skip
     """Add the rows of `pixels` with classes `label` (row, col) and weights `weight` (row, col) to the sums of their
     canonical sites."""
-    site, within = np.divmod(label.ravel(), rule.classes_per_site)
+    site, within = rule.within_site(label.ravel())
     weight = weight.ravel()
     target = seen.target.reshape(-1, seen.target.shape[-1]) @ basis.astype(np.float32)
     for one in np.unique(site[pixels]).tolist():
