@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
+from l3cli.artifacts.layer_sums import LayerSums
 from l3cli.artifacts.layers import PlaneLayer
 from l3cli.artifacts.structure_rule import MOST_SCALE, StructureRule
 from l3cli.artifacts.training_set import TrainingPair
@@ -17,7 +18,7 @@ from l3cli.classes.planes import LUMINANCE, FixedPoint
 from l3cli.classes.windows import neighbourhoods
 from l3cli.training.layers.first import FirstLayer
 from l3cli.training.layers.mosaics import Exposed, mosaics_of
-from l3cli.training.layers.rows import LayerSums, Reading, add_rows, empty_sums, inner_pixels, row_weights
+from l3cli.training.layers.rows import Reading, add_rows, empty_sums, inner_pixels, row_weights
 from l3cli.training.layers.solve import LayerGoal, solve_layer
 from l3cli.training.recipe import LayerRecipe, LearningRecipe
 from l3cli.training.symmetry import orientations, site_maps
@@ -109,11 +110,15 @@ def structure_rule(layer: LayerPass, noise: Iterable[NDArray[np.float64]]) -> St
     )
 
 
+def no_sums(layer: LayerPass, rule: StructureRule) -> dict[int, LayerSums]:
+    """Sums of every canonical site over no frames."""
+    side = layer.recipe.side
+    return {site: empty_sums(rule, 3 * side**2, 3) for site in np.unique(layer.reading(side).canonical).tolist()}
+
+
 def sum_layer(layer: LayerPass, rule: StructureRule, frames: Iterable[TrainingPair], first: int) -> dict[int, LayerSums]:
     """Sums of every canonical site over frames, `first` being the index of the first."""
-    side, see = layer.recipe.side, layer.first_layer.see
-    reading = layer.reading(side)
-    sums = {site: empty_sums(rule, 3 * side**2, 3) for site in np.unique(reading.canonical).tolist()}
+    see, reading, sums = layer.first_layer.see, layer.reading(layer.recipe.side), no_sums(layer, rule)
     for index, frame in enumerate(frames, first):
         rng = np.random.default_rng([layer.seed, PASS, index, 1])
         for mosaic in mosaics_of(frame, layer.mosaics[index], layer.exposed, rng):

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.layer_sums import LayerSums
 from l3cli.artifacts.layers import PLANE_STEP
 from l3cli.artifacts.structure_rule import StructureRule
 from l3cli.classes.later import mirrored
@@ -17,15 +18,6 @@ from l3cli.training.weighing import ERROR_FLOOR, lab_error
 
 BORDER = 12  # pixels at a mosaic's edge without rows: what they see is mirrored
 Y = 1
-
-
-@dataclass(frozen=True)
-class LayerSums:
-    """Sums of one canonical site over its rows. A column is a tap, the intercept or an output of the opponent basis."""
-
-    moments: NDArray[np.float64]  # (class, pair of columns) products without noise
-    noise: NDArray[np.float64]  # (class, pair of taps) products of what noise adds to the taps
-    count: NDArray[np.float64]  # (class)
 
 
 @dataclass(frozen=True)
