@@ -38,7 +38,9 @@ class FirstLayer:
         self.camera, self.rule, self.fixed = camera, rule, fixed
         self._near = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
         # contiguous: strides, which a way between processes changes, decide how products of float32 are rounded
-        self._weights = np.swapaxes(fixed.weights, 1, 2).astype(np.float64, order="C")  # integers, which float64 adds exactly
+        self._weights = np.swapaxes(fixed.weights, 1, 2).astype(
+            np.float64, order="C"
+        )  # integers, which float64 adds exactly
         self._light_weights = self._weights.astype(np.float32)
 
     def see(self, mosaic: Mosaic) -> Seen:
