@@ -36,7 +36,7 @@ TELLING = {  # keys at the top of a file by which its kind is known: no other ki
         "scene", "pair", "illuminants", "luminances_cd_m2", "exposure_share", "exposure_saturated", "exposure_mean",
         "exposure_s", "lens", "target",
     ),
-    "a class recipe": ("classes", "learning"),
+    "a class recipe": ("classes", "learning", "layer"),
 }  # fmt: skip
 
 

@@ -18,6 +18,8 @@ folder=slurm/$tasks
 shard=$(printf %04d "${SLURM_ARRAY_TASK_ID:-0}")
 jobs=${SLURM_CPUS_PER_TASK:-1}
 camera=${CAMERA:-camera.h5}
+last_pass=second
+if grep -Eq '^ *\[\[ *layer *\]\]' classes.toml; then last_pass=third; fi
 
 submit() { # STEP OPTIONS…: submit a step that waits for all tasks of the step before; after the first
   last=$(sbatch --parsable --job-name="l3-$1" --output="$folder/log/%x-%A-%a.txt" --kill-on-invalid-dep=yes \
@@ -46,8 +48,11 @@ case $step in
   first) learn first ;;
   merge) make_of "$folder/first.h5" l3 train --merge "$folder"/first_*.h5 ;;
   second) learn second --first "$folder/first.h5" ;;
+  # A second layer, if classes.toml asks for one, is learned in a third pass, on the table that the others make.
+  layer) make_of "$folder/one_layer.h5" l3 train --merge "$folder"/second_*.h5 ;;
+  third) learn third --first "$folder/one_layer.h5" ;;
   finish)
-    make_of "$folder/table.h5" l3 train --merge "$folder"/second_*.h5
+    make_of "$folder/table.h5" l3 train --merge "$folder/${last_pass}"_*.h5
     make_of "$folder/picture.png" l3 render "$folder/table.h5" unseen/00000_*_raw.tif
     shown=("$folder/table.h5" unseen.h5)
     [[ $camera == *.h5 ]] && shown+=("$camera")
@@ -61,6 +66,10 @@ case $step in
     submit first --array="1-$tasks"
     submit merge
     submit second --array="1-$tasks"
+    if [[ $last_pass == third ]]; then
+      submit layer
+      submit third --array="1-$tasks"
+    fi
     submit finish
     ;;
   *) echo "slurm.sh: no step $step" >&2; exit 2 ;;

@@ -89,10 +89,10 @@ def save(artifact: Artifact, path: Path) -> None:
 
 
 @contextlib.contextmanager
-def open_artifact(path: Path, expected: type[Artifact] | None = None, unchanged: bool = False) -> Iterator[h5py.File]:
-    """The file's root, after checking that not a byte has changed since it was written, that it is an artifact, of kind
-    `expected`, and of a version this l3 reads. `unchanged`: this run has compared the bytes before."""
-    made_by = expected.made_by if expected else "an l3 command"
+def open_artifact(path: Path, *expected: type[Artifact], unchanged: bool = False) -> Iterator[h5py.File]:
+    """The file's root, after checking that not a byte has changed since it was written, that it is an artifact, of one of
+    the kinds `expected`, and of a version this l3 reads. `unchanged`: this run has compared the bytes before."""
+    made_by = expected[0].made_by if expected else "an l3 command"
     if not path.exists() and not path.is_symlink():
         raise InputFileError(f"{path} does not exist; make it with {made_by}")
     require_regular(path, f"give the file written by {made_by}")
@@ -108,13 +108,13 @@ def open_artifact(path: Path, expected: type[Artifact] | None = None, unchanged:
             raise InputFileError(f"{path} is an HDF5 file but no l3 artifact; give the file written by {made_by}") from error
         if version >= SEALED and not sealed:
             raise InputFileError(f"{path} lacks the digest of its bytes; make it again with {made_by}")
-        if expected is not None:
-            if kind != expected.kind:
+        if expected:
+            newest = {each.kind: each.version for each in expected}
+            if kind not in newest:
                 raise InputFileError(f"{path} holds a {kind}; give the file written by {made_by}")
-            if version > expected.version:
+            if version > newest[kind]:
                 raise InputFileError(
-                    f"{path} has version {version} of the {kind} format, this l3 reads up to {expected.version}; "
-                    "upgrade l3cli"
+                    f"{path} has version {version} of the {kind} format, this l3 reads up to {newest[kind]}; upgrade l3cli"
                 )
         yield root
 
@@ -153,7 +153,7 @@ def read_fields(group: h5py.Group, cls: type, path: Path, **extra: Any) -> Any:
 
 def _read_group(group: h5py.Group, name: str, spec: Group, path: Path) -> Any:
     """The instance, or the tuple of instances, of a declared group."""
-    if spec.since and int(group.file.attrs["version"]) < spec.since:
+    if spec.since and group.name == "/" and int(group.file.attrs["version"]) < spec.since:
         return read_fields(group, spec.kind, path)
     if name not in members(group, path):
         raise InputFileError(f"{path} lacks the group {_inside(group, name)}; make the file again")

@@ -162,7 +162,7 @@ class TrainingSetReader:
 def open_training_set(path: Path, unchanged: bool = False) -> Iterator[TrainingSetReader]:
     """A reader of the training set at `path`; InputFileError if it is none or damaged. `unchanged`: its bytes have been
     compared with its digest before, by this run."""
-    with open_artifact(path, TrainingSet, unchanged) as root:
+    with open_artifact(path, TrainingSet, unchanged=unchanged) as root:
         yield TrainingSetReader(root, path)
 
 

@@ -58,7 +58,7 @@ def _shares(context: Any, parameter: Any, text: str | None) -> tuple[Fraction, .
 )
 @options.output("Transform table to write; with --shard the partial sums")
 @click.option("--shard", callback=_shard, metavar="I/N", help="Only sum up part I of N, from 1, to be merged later.")
-@click.option("--first", type=options.FILE, metavar="FIRST.h5", help="First-pass table, for the shards of the last pass.")
+@click.option("--first", type=options.FILE, metavar="FIRST.h5", help="Table of the pass before, for the shards of the next.")
 @click.option("--merge", is_flag=True, help="The files are all shards of a pass: make its table from them.")
 @options.seed
 @options.scheduler
@@ -88,7 +88,8 @@ def train(
       l3 train training.h5 --shard 1/4 --first first.h5 -o b1.h5   … 4/4
       l3 train --merge b1.h5 b2.h5 b3.h5 b4.h5 -o table.h5
 
-    With first_draws = 0 in the recipe, or other outputs than XYZ, there is one pass: two steps, without --first.
+    With first_draws = 0 in the recipe, or other outputs than XYZ, there is one pass: two steps, without --first. A recipe
+    with a [[layer]] needs a pass more, with --first and the table of the second. --merge says which pass comes next.
     """
     from l3cli.parallel import one_blas_thread
 

@@ -73,6 +73,7 @@ for task in range(int(first), int(last or first) + 1) if state == "done" else ()
 print(job)
 """
 needs_snakemake = pytest.mark.skipif(not shutil.which("snakemake", path=PATH), reason="snakemake is not installed")
+LAYER = "\n[[layer]]\nside = 3\nmosaics = 8\nrows = 300\n"
 CALL = re.compile(r"^ *l3 [a-z]+ ", re.MULTILINE)
 MADE = ("camera.h5", "training.h5", "table.h5", "unseen.h5", "picture.png", "quality.txt", "report.html")
 
@@ -364,6 +365,22 @@ def test_a_slurm_cluster_learns_in_arrays(workplace: Workplace, folder: Path) ->
     assert (folder / "slurm/2/table.h5").read_bytes() == whole.read_bytes()
 
 
+def test_a_slurm_cluster_learns_two_layers(workplace: Workplace, folder: Path) -> None:
+    with (folder / "classes.toml").open("a") as classes:
+        classes.write(LAYER)
+    out, calls = workplace.do(folder, "./slurm.sh 1")
+    assert [line.split(":")[0] for line in out.splitlines()][2:] == [
+        "first", "merge", "second", "layer", "third", "finish",
+    ]  # fmt: skip
+    passes = ["first_0001.h5", "first.h5", "second_0001.h5", "one_layer.h5", "third_0001.h5", "table.h5"]
+    assert [call.split("/")[-1] for call in calls][1:7] == passes
+    whole = ["train", "slurm/1/training_0001.h5", "--classes", "classes.toml", "-o", "whole.h5", "--quiet"]
+    with contextlib.chdir(folder):
+        assert run(whole) == 0
+    assert (folder / "slurm/1/table.h5").read_bytes() == (folder / "whole.h5").read_bytes()
+    assert load(TransformTable, folder / "slurm/1/table.h5").later[0].side == 3
+
+
 @pytest.mark.parametrize("call", ["./slurm.sh", "./slurm.sh many", "./slurm.sh simulat 2"])
 def test_a_wrong_call_of_the_slurm_script_is_told(call: str, workplace: Workplace, folder: Path) -> None:
     process = workplace.start(folder, call)
@@ -392,6 +409,17 @@ def test_snakemake_plans_what_depends_on_what(workplace: Workplace, folder: Path
     planned = dict(line.split() for line in out.splitlines() if len(line.split()) == 2 and line.split()[1].isdecimal())
     assert {rule: int(planned[rule]) for rule in RULES} == RULES
     assert int(planned["total"]) == sum(RULES.values()) + 1
+
+
+@needs_snakemake
+def test_snakemake_plans_a_third_pass_for_a_second_layer(workplace: Workplace, folder: Path) -> None:
+    with (folder / "classes.toml").open("a") as classes:
+        classes.write(LAYER)
+    out, _ = workplace.do(folder, f"{SNAKEMAKE} --dry-run --quiet rules")
+    planned = dict(line.split() for line in out.splitlines() if len(line.split()) == 2 and line.split()[1].isdecimal())
+    assert {rule: int(planned[rule]) for rule in ("second", "layer", "third", "table")} == {
+        "second": 2, "layer": 1, "third": 2, "table": 1,
+    }  # fmt: skip
 
 
 @needs_snakemake

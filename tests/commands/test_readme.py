@@ -13,6 +13,7 @@ import pytest
 from l3cli import recipes
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import CameraRecipe, load_camera
+from l3cli.artifacts.layer_sums import PartialLayerSums
 from l3cli.artifacts.partial_sums import PartialSums
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
@@ -164,7 +165,7 @@ def test_make_targets_named_exist() -> None:
 
 def test_the_trees_of_artifacts_name_what_there_is() -> None:
     known = {"frames", "pairs", "history"}
-    for kind in (CameraModel, TrainingSet, TransformTable, PartialSums, *GROUPS.values()):
+    for kind in (CameraModel, TrainingSet, TransformTable, PartialSums, PartialLayerSums, *GROUPS.values()):
         known |= fields(kind)
     block = [line for line in SHOWN if re.search("[├└]─", line)]
     cells = [cell for line in block for cell in re.findall(r"[├└]─ (.*?)(?:\s{2,}|$)", line)]

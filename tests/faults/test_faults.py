@@ -60,6 +60,7 @@ trials = 2
 illuminants = ["D65", "A"]
 """
 CLASSES = "[classes]\npatch = 3\nlevels = 4\n[learning]\npatches = 3000\n"
+LAYERS = f"{CLASSES}[[layer]]\nside = 3\nmosaics = 8\nrows = 300\n"
 FRAMES = 8
 ENDED = {signal.SIGINT: (130, "l3: interrupted\n"), signal.SIGTERM: (143, "l3: terminated\n"), signal.SIGKILL: (-9, "")}
 REMAINS = (".parts", ".l3-render", UNFINISHED)  # what the same run goes on from
@@ -93,6 +94,7 @@ STAGES = [
     Stage("simulate, pictures", f"{SIMULATE} --pictures out/pictures --dng out/dng", resumes=True),
     Stage("train", "train in/training.h5 --classes in/classes.toml -o out/table.h5 --quiet"),
     Stage("train, shard", "train in/training.h5 --classes in/classes.toml --shard 1/2 -o out/sums.h5 --quiet"),
+    Stage("train, two layers", "train in/training.h5 --classes in/layers.toml -o out/table.h5 --quiet"),
     Stage("still", "render in/table.h5 in/frames/f_0.tif -o out/still.png --backend reference --quiet"),
     Stage("sequence", f"{RENDER} -o out/pictures --bits 16", resumes=True),
     Stage("pattern", f"{RENDER} -o out/p_####.exr".replace("--exposure 0.8 ", ""), resumes=True),
@@ -126,7 +128,8 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder "in" of every stage's inputs, made by the stages before."""
     folder = tmp_path_factory.mktemp("faults") / "in"
     folder.mkdir()
-    for name, text in {"camera": bayer_camera(), "scenes": SCENES, "lab": LAB, "quick": QUICK, "classes": CLASSES}.items():
+    recipes = {"camera": bayer_camera(), "scenes": SCENES, "lab": LAB, "quick": QUICK, "classes": CLASSES, "layers": LAYERS}
+    for name, text in recipes.items():
         (folder / f"{name}.toml").write_text(text)
 
     def l3(*arguments: object) -> None:
@@ -243,7 +246,7 @@ def kill_once(stage: Stage, number: int, seed: int, server: ForkServer, truth: C
 
 @stages(
     *("lab", "calibrate", "simulate", "simulate, pictures", "train", "train, shard", "still", "sequence", "video"),
-    *("evaluate", "report"),
+    *("train, two layers", "evaluate", "report"),
 )
 def test_a_killed_run_leaves_nothing_that_the_next_does_not_mend(stage: Stage, server: ForkServer, truth: Callable) -> None:
     kill_once(stage, signal.SIGKILL, 0, server, truth)

@@ -21,7 +21,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet, open_training_set, write_training_set
 from l3cli.cli import run
 from l3cli.errors import InputFileError
-from tests.helpers.artifacts import a_camera, a_frame, a_table, some_sums
+from tests.helpers.artifacts import a_camera, a_frame, a_table, some_layer_sums, some_sums
 from tests.helpers.calls import L3, Refused
 from tests.helpers.paths import CONFIGS
 
@@ -32,6 +32,7 @@ READERS = {
     "training": ("train", "FILE", "-o", "OUT.h5"),
     "table": ("render", "FILE", "frame.tif", "-o", "OUT.png"),
     "sums": ("train", "--merge", "FILE", "-o", "OUT.h5"),
+    "layer_sums": ("train", "--merge", "FILE", "-o", "OUT.h5"),
 }
 
 
@@ -48,6 +49,8 @@ def artifacts(bayer: CameraModel, fiveband: CameraModel, tmp_path_factory: pytes
         writer.append(dataclasses.replace(a_frame(), target=a_frame().target[:1], white=np.ones(1)))
     head, sums = some_sums(bayer)
     write_partial_sums(paths["sums"], head, iter([sums]))
+    layer_head, layer_sums = some_layer_sums(bayer)
+    write_partial_sums(paths["layer_sums"], layer_head, [layer_sums])
     return paths
 
 

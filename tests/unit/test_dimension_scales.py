@@ -17,6 +17,7 @@ import xarray
 from l3cli.artifacts import container
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
+from l3cli.artifacts.layer_sums import LayerSums, PartialLayerSums
 from l3cli.artifacts.partial_sums import ClassSums, PartialSums, open_partial_sums, write_partial_sums
 from l3cli.artifacts.schema import Artifact, Spec, declared, equal, instances
 from l3cli.artifacts.store import describe, load, save
@@ -31,12 +32,22 @@ from l3cli.artifacts.training_set import (
     write_training_set,
 )
 from l3cli.errors import InputFileError
-from tests.helpers.artifacts import a_camera, a_frame, a_table, some_sums
+from tests.helpers.artifacts import a_camera, a_frame, a_table, some_layer_sums, some_sums
 from tests.helpers.paths import CONFIGS, ROOT
 from tests.helpers.readme import README
 
-KINDS = ("camera", "training", "table", "sums")
-STORED = (CameraModel, TrainingSet, TransformTable, PartialSums, TrainingFrame, TrainingPair, ClassSums)
+KINDS = ("camera", "training", "table", "sums", "layer_sums")
+STORED = (
+    CameraModel,
+    TrainingSet,
+    TransformTable,
+    PartialSums,
+    PartialLayerSums,
+    TrainingFrame,
+    TrainingPair,
+    ClassSums,
+    LayerSums,
+)
 
 
 def write_each(folder: Path) -> None:
@@ -56,6 +67,8 @@ def write_each(folder: Path) -> None:
         writer.append(TrainingPair(**pair))
     sums_head, sums = some_sums(bayer)
     write_partial_sums(folder / "sums.h5", sums_head, iter([sums]))
+    layer_head, layer_sums = some_layer_sums(bayer)
+    write_partial_sums(folder / "layer_sums.h5", layer_head, [layer_sums])
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +83,7 @@ def loaded(path: Path) -> dict[str, Any]:
     if path.stem == "training":
         with open_training_set(path) as reader:
             return {"/": reader.head, **dict(zip(("frames/00000", "frames/00001", "pairs/00000"), reader, strict=True))}
-    if path.stem == "sums":
+    if path.stem in ("sums", "layer_sums"):
         with open_partial_sums(path) as reader:
             return {"/": reader.head, "sums/00000": reader.site(0)}
     kind: type[Artifact] = CameraModel if path.stem == "camera" else TransformTable

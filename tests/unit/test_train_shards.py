@@ -36,6 +36,8 @@ from tests.helpers.training_sets import a_frame, a_set
 
 SMALL = "[classes]\npatch = 3\nlevels = 4\n[learning]\npatches = 2100\nfirst_draws = 1\ndraws = 2\n"
 
+TWO_LAYERS = SMALL + "[[layer]]\nside = 3\nmosaics = 12\nrows = 500\n"
+
 
 def test_patches_are_spread_over_frames_or_by_shares() -> None:
     assert spread_patches(100, [3, 1], None) == (25, 25, 25, 25)
@@ -171,6 +173,70 @@ def test_same_bytes_for_jobs_and_shards(bayer: CameraModel, tmp_path: Path, l3: 
         assert why in refused(2, "train", *run, "--shard", wrong, "-o", out)
     assert "--merge takes shards alone" in refused(2, "train", "--merge", *a, "--shard", "1/3", "-o", out)
     assert "--first goes with --shard" in refused(2, "train", *run, "--first", first, "-o", out)
+
+
+def in_shards(l3: Callable, run: tuple, shards: int, folder: Path, *first: object) -> tuple[list[Path], Path, str]:
+    """Shards of a pass, their table, and what is said of it."""
+    name = f"{len(list(folder.iterdir()))}"
+    paths, table = [folder / f"{name}_{index}.h5" for index in range(1, shards + 1)], folder / f"{name}.h5"
+    for index, path in enumerate(paths, start=1):
+        code, _, err = l3("train", *run, "--shard", f"{index}/{shards}", *first, "-o", path)
+        assert code == 0, err
+    code, _, err = l3("train", "--merge", *paths[::-1], "-o", table)
+    assert code == 0, err
+    return paths, table, err
+
+
+def test_a_second_layer_has_the_same_bytes_in_shards(
+    bayer: CameraModel, tmp_path: Path, l3: Callable, refused: Callable
+) -> None:
+    """One process, two processes, a third pass in two shards and in one: the same table to the last bit."""
+    training = a_set(tmp_path / "training.h5", bayer, 5, smooth=False)
+    more = a_set(tmp_path / "more.h5", bayer, 3, smooth=True)
+    (tmp_path / "classes.toml").write_text(TWO_LAYERS)
+    run = (training, more, "--classes", tmp_path / "classes.toml", "--seed", 5)
+    for jobs in (1, 2):
+        assert l3("train", *run, "-o", tmp_path / f"whole{jobs}.h5", "--jobs", jobs)[0] == 0
+    whole = (tmp_path / "whole1.h5").read_bytes()
+    assert whole == (tmp_path / "whole2.h5").read_bytes()
+    assert [layer.side for layer in load(TransformTable, tmp_path / "whole1.h5").later] == [3]
+
+    _, first, said = in_shards(l3, run, 2, tmp_path)
+    assert f"this is the first pass: go on with --shard I/N --first {first}" in said
+    second, one_layer, said = in_shards(l3, run, 2, tmp_path, "--first", first)
+    assert f"this is the first layer: go on with --shard I/N --first {one_layer}" in said
+    third, table, said = in_shards(l3, run, 3, tmp_path, "--first", one_layer)
+    assert "go on with" not in said
+    assert table.read_bytes() == whole
+    assert in_shards(l3, run, 1, tmp_path, "--first", one_layer, "--jobs", 2)[1].read_bytes() == whole
+    assert in_shards(l3, run, 9, tmp_path, "--first", one_layer)[1].read_bytes() == whole  # more shards than frames
+    code, out, _ = l3("info", third[0])
+    assert (code, "partial sums of a layer" in out) == (0, True)
+
+    out = tmp_path / "no.h5"
+    assert "shards are missing: 2/3" in refused(3, "train", "--merge", third[0], third[2], "-o", out)
+    assert "are the same shard, 1 of 3" in refused(3, "train", "--merge", third[0], *third, "-o", out)
+    assert "different runs or passes" in refused(3, "train", "--merge", third[0], second[1], "-o", out)
+    assert "different runs or passes" in refused(3, "train", "--merge", second[0], third[1], "-o", out)
+    for wrong in (table, tmp_path / "whole1.h5"):
+        told = refused(3, "train", *run, "--shard", "1/3", "--first", wrong, "-o", out)
+        assert "is not the first pass of this run, nor its first layer" in told
+    other = (*run[:-1], 6, "--shard", "1/3")
+    assert "nor its first layer" in refused(3, "train", *other, "--first", one_layer, "-o", out)
+    # the same sets and seed, another recipe
+    (tmp_path / "classes.toml").write_text(TWO_LAYERS.replace("mosaics = 12", "mosaics = 13"))
+    assert "nor its first layer" in refused(3, "train", *run, "--shard", "1/3", "--first", one_layer, "-o", out)
+
+
+def test_a_second_layer_follows_a_single_pass(bayer: CameraModel, tmp_path: Path, l3: Callable) -> None:
+    training = a_set(tmp_path / "training.h5", bayer, 3, smooth=False)
+    (tmp_path / "classes.toml").write_text(TWO_LAYERS.replace("first_draws = 1", "first_draws = 0"))
+    run = (training, "--classes", tmp_path / "classes.toml")
+    assert l3("train", *run, "-o", tmp_path / "whole.h5")[0] == 0
+    _, one_layer, said = in_shards(l3, run, 2, tmp_path)
+    assert "this is the first layer: go on with" in said
+    _, table, _ = in_shards(l3, run, 2, tmp_path, "--first", one_layer)
+    assert table.read_bytes() == (tmp_path / "whole.h5").read_bytes()
 
 
 def test_a_training_set_that_is_replaced_meanwhile_is_noticed(bayer: CameraModel, tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from l3cli.stages.training.run import TrainingRun, TrainingSource, frames_of
 from l3cli.training.accumulate import sum_sites
 from l3cli.training.division import Portion, portions
 from l3cli.training.lesson import FIRST, LAST, Lesson, has_two_passes
-from l3cli.training.recipe import TrainingRecipe, check_learning
+from l3cli.training.recipe import TrainingRecipe, check_layers, check_learning
 from l3cli.training.solve import Solution
 from l3cli.training.sums import add
 from l3cli.training.table import Pilot, canonical_sites, learn_site, look_at, pilot_patches, survey
@@ -37,6 +37,7 @@ def first_pass(run: TrainingRun, execution: Execution) -> Lesson:
     """The first pass, or the only one, with the class rule that a pilot over all frames finds."""
     learning = run.recipe.learning
     check_learning(learning)
+    check_layers(run.recipe.layer)
     patches = pilot_patches(run.patches)
     size = max(1, min(MOST_PILOTED, len(patches) // (4 * execution.crew.size)))
     chunks = (range(first, min(first + size, len(patches))) for first in range(0, len(patches), size))

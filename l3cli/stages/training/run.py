@@ -12,8 +12,10 @@ from l3cli.config import load_recipe, read_text
 from l3cli.errors import InputFileError
 from l3cli.files import require_same, sha256, stamp
 from l3cli.recipes import known_recipes
-from l3cli.training.lesson import spread_patches
+from l3cli.training.lesson import FIRST, spread_patches
 from l3cli.training.recipe import TrainingRecipe
+
+FIRST_PASS, FIRST_LAYER = "first", "first layer"  # whose tables are not the end of a run
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,15 @@ class TrainingRun:
     shares: tuple[Fraction, ...] | None  # (set)
     seed: int
     stage: Stage
+
+    @property
+    def has_later_layers(self) -> bool:
+        """Whether layers follow the first one: they read luminance and chroma, so for XYZ only."""
+        return bool(self.recipe.layer) and self.head.outputs == ("X", "Y", "Z")
+
+    def history_of_pass(self, number: int) -> tuple[Stage, ...]:
+        """History of what a pass of the first layer makes."""
+        return self.history(FIRST_PASS if number == FIRST else FIRST_LAYER if self.has_later_layers else "")
 
     def history(self, before: str = "") -> tuple[Stage, ...]:
         """History of what the run makes, or of what it makes `before` its end: the table of a pass, by the pass's name."""

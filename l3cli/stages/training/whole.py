@@ -14,11 +14,11 @@ from l3cli.errors import RecipeError
 from l3cli.parallel import workers
 from l3cli.stages.claims import Claims
 from l3cli.stages.console import Console
-from l3cli.stages.training.layers import learn_later
+from l3cli.stages.training.later_layers import learn_later
 from l3cli.stages.training.passes import Execution, first_pass, learn_unit, summed
 from l3cli.stages.training.run import TrainingRun, open_run
 from l3cli.training.division import frame_blocks
-from l3cli.training.lesson import FIRST, LAST
+from l3cli.training.lesson import LAST
 from l3cli.training.table import assemble, learn_site
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ def _learn(run: TrainingRun, execution: Execution) -> TransformTable:
         lesson = replace(lesson, number=number)
         sums = summed(learn_unit, run, lesson, table, frame_blocks(lesson), execution)
         solutions = {site: learn_site(lesson, [one], site) if isinstance(one, ClassSums) else one for site, one in sums}
-        table = assemble(lesson, solutions, run.history("first" if number == FIRST else ""))
+        table = assemble(lesson, solutions, run.history_of_pass(number))
     assert table is not None  # there is at least one pass
     return learn_later(run, table, execution)
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
+from l3cli.artifacts.layer_sums import LayerSums
 from l3cli.artifacts.layers import PlaneLayer
 from l3cli.artifacts.structure_rule import MOST_SCALE, StructureRule
 from l3cli.artifacts.training_set import TrainingPair
@@ -17,7 +18,7 @@ from l3cli.classes.planes import LUMINANCE, FixedPoint
 from l3cli.classes.windows import neighbourhoods
 from l3cli.training.layers.first import FirstLayer
 from l3cli.training.layers.mosaics import Exposed, mosaics_of
-from l3cli.training.layers.rows import LayerSums, Reading, add_rows, empty_sums, inner_pixels, row_weights
+from l3cli.training.layers.rows import Reading, add_rows, empty_sums, grid_steps, inner_pixels, require_exact, row_weights
 from l3cli.training.layers.solve import LayerGoal, solve_layer
 from l3cli.training.recipe import LayerRecipe, LearningRecipe
 from l3cli.training.symmetry import orientations, site_maps
@@ -56,6 +57,10 @@ class LayerPass:
         """How windows of `side` are read at every site."""
         maps, turns = self._turns()
         return Reading(np.array([one.canonical for one in maps]), np.array([orientations(side)[turn] for turn in turns]))
+
+    def grid_steps(self, rule: StructureRule) -> NDArray[np.float64]:
+        """Grid steps of the moments (level, pair)."""
+        return grid_steps(rule, self.rule, self.camera, 3 * self.recipe.side**2, 3)
 
     def signs(self) -> NDArray[np.int8]:
         """Signs (site, component) of the structure tensor in the orientation that a site is learned in."""
@@ -109,11 +114,16 @@ def structure_rule(layer: LayerPass, noise: Iterable[NDArray[np.float64]]) -> St
     )
 
 
+def no_sums(layer: LayerPass, rule: StructureRule) -> dict[int, LayerSums]:
+    """Sums of every canonical site over no frames."""
+    side = layer.recipe.side
+    return {site: empty_sums(rule, 3 * side**2, 3) for site in np.unique(layer.reading(side).canonical).tolist()}
+
+
 def sum_layer(layer: LayerPass, rule: StructureRule, frames: Iterable[TrainingPair], first: int) -> dict[int, LayerSums]:
     """Sums of every canonical site over frames, `first` being the index of the first."""
-    side, see = layer.recipe.side, layer.first_layer.see
-    reading = layer.reading(side)
-    sums = {site: empty_sums(rule, 3 * side**2, 3) for site in np.unique(reading.canonical).tolist()}
+    see, reading, sums = layer.first_layer.see, layer.reading(layer.recipe.side), no_sums(layer, rule)
+    steps = layer.grid_steps(rule)
     for index, frame in enumerate(frames, first):
         rng = np.random.default_rng([layer.seed, PASS, index, 1])
         for mosaic in mosaics_of(frame, layer.mosaics[index], layer.exposed, rng):
@@ -123,7 +133,7 @@ def sum_layer(layer: LayerPass, rule: StructureRule, frames: Iterable[TrainingPa
             pixels = rng.choice(inner, min(layer.recipe.rows, inner.size), replace=False)
             powers = (layer.learning.brightness_power, layer.learning.error_power)
             weight = row_weights(seen, layer.basis, layer.white_point, *powers)
-            add_rows(sums, seen, label, rule, reading, pixels, weight, layer.basis)
+            add_rows(sums, seen, label, rule, reading, pixels, weight, layer.basis, steps)
     return sums
 
 
@@ -136,7 +146,9 @@ def add_sums(sums: dict[int, LayerSums], more: dict[int, LayerSums]) -> None:
 
 
 def learn_layer(layer: LayerPass, rule: StructureRule, sums: dict[int, LayerSums]) -> PlaneLayer:
-    """The layer from the sums of all canonical sites."""
+    """The layer from the sums of all canonical sites; L3Error if they have become too large to be exact."""
+    for one in sums.values():
+        require_exact(one, rule, layer.grid_steps(rule))
     recipe, reading = layer.recipe, layer.reading(layer.recipe.side)
     copies = [int((reading.canonical == site).sum()) for site in sums]
     noise = (recipe.chroma_noise, recipe.luminance_noise, recipe.chroma_noise)

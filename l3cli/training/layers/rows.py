@@ -6,26 +6,21 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.class_rule import ClassRule
+from l3cli.artifacts.layer_sums import LayerSums
 from l3cli.artifacts.layers import PLANE_STEP
 from l3cli.artifacts.structure_rule import StructureRule
 from l3cli.classes.later import mirrored
 from l3cli.classes.windows import Integers
+from l3cli.errors import L3Error
 from l3cli.training.accumulate import TARGET_FLOOR
 from l3cli.training.layers.first import Floats, Seen, runs_of
-from l3cli.training.sums import STEP, add_rounded, pairs
+from l3cli.training.sums import EXACT, STEP, add_rounded, intercept_scale, pairs, steps_of_columns, width_of
 from l3cli.training.weighing import ERROR_FLOOR, lab_error
 
 BORDER = 12  # pixels at a mosaic's edge without rows: what they see is mirrored
 Y = 1
-
-
-@dataclass(frozen=True)
-class LayerSums:
-    """Sums of one canonical site over its rows. A column is a tap, the intercept or an output of the opponent basis."""
-
-    moments: NDArray[np.float64]  # (class, pair of columns) products without noise
-    noise: NDArray[np.float64]  # (class, pair of taps) products of what noise adds to the taps
-    count: NDArray[np.float64]  # (class)
 
 
 @dataclass(frozen=True)
@@ -46,6 +41,20 @@ def empty_sums(rule: StructureRule, taps: int, outputs: int) -> LayerSums:
     return LayerSums(
         np.zeros((classes, width * (width + 1) // 2)), np.zeros((classes, taps * (taps + 1) // 2)), np.zeros(classes)
     )
+
+
+def grid_steps(rule: StructureRule, first: ClassRule, camera: CameraModel, taps: int, outputs: int) -> NDArray[np.float64]:
+    """Grid steps of the moments (level, pair); the darkest of the first layer's levels tells for those made one."""
+    return steps_of_columns(intercept_scale(first, camera)[:: rule.level_step], taps, outputs)
+
+
+def require_exact(sums: LayerSums, rule: StructureRule, steps: NDArray[np.float64]) -> None:
+    """L3Error if sums have grown so large that additions may have been rounded, as that of the first layer."""
+    (row, col), (tap, other) = pairs(width_of(sums.moments)), pairs(width_of(sums.noise))
+    level = rule.split(np.arange(rule.classes_per_site)).level
+    squares = sums.moments[:, row == col] / steps[level][:, row == col]
+    if max(squares.max(), sums.noise[:, tap == other].max() / STEP) >= EXACT:
+        raise L3Error("a class has more rows than can be added exactly; lower layer.mosaics or layer.rows")
 
 
 def inner_pixels(shape: tuple[int, ...]) -> Integers:
@@ -88,10 +97,10 @@ def _averaged(values: Floats) -> Floats:
 
 def add_rows(
     sums: Mapping[int, LayerSums], seen: Seen, label: Integers, rule: StructureRule, reading: Reading, pixels: Integers,
-    weight: Floats, basis: NDArray[np.float64],
+    weight: Floats, basis: NDArray[np.float64], steps: NDArray[np.float64],
 ) -> None:  # fmt: skip
     """Add the rows of `pixels` with classes `label` (row, col) and weights `weight` (row, col) to the sums of their
-    canonical sites."""
+    canonical sites, on the grid of `steps` (level, pair)."""
     site, within = rule.within_site(label.ravel())
     weight = weight.ravel()
     target = seen.target.reshape(-1, seen.target.shape[-1]) @ basis.astype(np.float32)
@@ -101,13 +110,16 @@ def add_rows(
         clean = windows_of(seen.clean, here, reading.order[one])
         noise = windows_of(seen.noisy, here, reading.order[one]) - clean
         rows = np.concatenate([clean, np.ones((len(here), 1), np.float32), target[here]], axis=1)
-        _add_classes(sums[int(reading.canonical[one])], within[here], rows * weight[here, None], noise * weight[here, None])
+        weighted = rows * weight[here, None], noise * weight[here, None]
+        _add_classes(sums[int(reading.canonical[one])], rule, steps, within[here], *weighted)
 
 
-def _add_classes(sums: LayerSums, label: Integers, rows: Floats, noise: Floats) -> None:
+def _add_classes(
+    sums: LayerSums, rule: StructureRule, steps: NDArray[np.float64], label: Integers, rows: Floats, noise: Floats
+) -> None:
     places, noise_places = (np.ravel_multi_index(pairs(width), (width, width)) for width in (rows.shape[1], noise.shape[1]))
     for index, run in runs_of(label):
         block, spread = rows[run], noise[run]
-        add_rounded(sums.moments[index], (block.T @ block).ravel().take(places), np.float64(STEP))
+        add_rounded(sums.moments[index], (block.T @ block).ravel().take(places), steps[rule.split(index).level])
         add_rounded(sums.noise[index], (spread.T @ spread).ravel().take(noise_places), np.float64(STEP))
         sums.count[index] += len(block)

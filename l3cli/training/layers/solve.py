@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.layer_sums import LayerSums
 from l3cli.artifacts.structure_rule import StructureRule
-from l3cli.training.layers.rows import LayerSums
 from l3cli.training.solve import _solve_positive
 from l3cli.training.sums import moment_matrix
 
