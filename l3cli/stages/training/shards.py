@@ -64,6 +64,7 @@ def _write_shard(run: TrainingRun, shard: tuple[int, int], first: Path | None, o
         white_point=lesson.white_point,
         sites=np.array(sites),
         exposure=lesson.exposure,
+        light=lesson.light,
     )
     write_partial_sums(output, head, (add_up(lesson, [site_sums]) for _, site_sums in sums))
     name = "first" if lesson.number == FIRST else "last"
@@ -78,7 +79,7 @@ def _last_pass(run: TrainingRun, table: TransformTable, path: Path | None) -> Le
             'make it with "l3 train --merge" of the first pass\'s shards'
         )
     about = (run.head, run.patches, table.first.rule, run.recipe.learning, table.white_point, run.seed)
-    return Lesson(*about, LAST, table.exposure)
+    return Lesson(*about, LAST, table.exposure, table.light)
 
 
 def merge_shards(shards: tuple[Path, ...], output: Path, console: Console, *, force: bool = False) -> TransformTable:
@@ -118,7 +119,7 @@ def _lesson_of(head: PartialSums, path: Path) -> Lesson:
         raise InputFileError(f"{path} does not tell the run it is a shard of; make it again")
     recipe = parse_recipe(stage.recipe, TrainingRecipe, str(path)).learning
     about = (head.training, tuple(head.patches.tolist()), head.rule, recipe, head.white_point)
-    return Lesson(*about, seed, head.pass_number, head.exposure)
+    return Lesson(*about, seed, head.pass_number, head.exposure, head.light)
 
 
 def _require_all_shards(paths: tuple[Path, ...], heads: list[PartialSums]) -> None:
