@@ -15,7 +15,7 @@ from l3cli.artifacts.layer_sums import LayerSums, PartialLayerSums
 from l3cli.artifacts.scales import name_axes
 from l3cli.artifacts.schema import Artifact, check, data, group
 from l3cli.artifacts.store import hard_group, members, new_artifact, open_artifact, read_fields, read_history, write_fields
-from l3cli.artifacts.training_set import TrainingSet
+from l3cli.artifacts.training_set import LightSpectrum, TrainingSet
 from l3cli.errors import InputFileError
 
 
@@ -57,6 +57,7 @@ class PartialSums(Artifact):
         "int64", "canonical_site", doc="CFA sites that are trained, row · cfa columns + column", coordinate=True
     )
     exposure: float = data("float64", unit="s", doc="mean exposure time of the simulated training frames", default=0.0)
+    light: LightSpectrum | None = group(default=None)  # mean of those that fell on the training scenes
 
     def __post_init__(self) -> None:
         super().__post_init__()

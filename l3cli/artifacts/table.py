@@ -10,6 +10,7 @@ from l3cli.artifacts.camera import CameraModel, check_cfa, check_sensor
 from l3cli.artifacts.class_rule import check_rule
 from l3cli.artifacts.layers import MosaicLayer, PlaneLayer
 from l3cli.artifacts.schema import Artifact, data, group
+from l3cli.artifacts.training_set import LightSpectrum
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,7 @@ class TransformTable(Artifact):
     first: MosaicLayer = group(since=3)
     later: tuple[PlaneLayer, ...] = group(default=())
     exposure: float = data("float64", unit="s", doc="mean exposure time of the simulated training frames", default=0.0)
+    light: LightSpectrum | None = group(default=None)  # mean of those that fell on the training scenes
     camera: CameraModel | None = group(default=None)  # it was learned for, without its fit; None: an older file
 
     def __post_init__(self) -> None:

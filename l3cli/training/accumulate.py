@@ -57,8 +57,7 @@ def _batches(
             while rest:
                 count = min(rest, BATCH)
                 rest -= count
-                shared, achromatic = lesson.recipe.symmetry, lesson.recipe.achromatic
-                waiting[site].append(patches_of(frame, lesson.head, near, site, count, rng, shared, achromatic))
+                waiting[site].append(patches_of(frame, lesson.head, near, site, count, rng, lesson.recipe.symmetry))
                 if rest:
                     yield site, waiting[site].pop()
     for site, patches in waiting.items():

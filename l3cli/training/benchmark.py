@@ -70,7 +70,7 @@ def train(frames: list[TrainingFrame], camera: CameraModel, recipe: TrainingReci
     head = TrainingSet(camera=camera, outputs=("X", "Y", "Z"), target_description="made up")
     patches = spread_patches(recipe.learning.patches, [len(frames)], None)
     pilot = look_at(frames, 0, pilot_patches(patches), head, recipe, 0)
-    rule, white, exposure = survey([pilot], patches, head, recipe, 0)
+    rule, white, exposure, _ = survey([pilot], patches, head, recipe, 0)
     lesson, table, rows = Lesson(head, patches, rule, recipe.learning, white, 0, FIRST, exposure), None, 0
     for number in (FIRST, LAST):
         lesson = replace(lesson, number=number)

@@ -19,20 +19,25 @@ DARKEST, BRIGHTEST, STEP = 0.3, 1.0, 1.02  # greys, of those that just clip the 
 NEARLY = (0.94, 0.97, 1.0)  # of the saturation threshold: noise lets greys this bright clip
 ODDS = 4.0  # greys a patch of the class, times clipped channels per one that is not; 1 leaves seams between classes …
 SUREST = 30.0  # … and this many where every channel clips
+FARTHEST = 0.1  # white's signals from what patches make likely
 FAINTEST = 1e-6  # of the largest: directions in which the outputs vary less are not followed
 
 
 def grey_patches(
-    sums: ClassSums, rule: ClassRule, window: NDArray[np.int64], white: Array, black: float, top: float
+    sums: ClassSums,
+    rule: ClassRule,
+    window: NDArray[np.int64],
+    white: Array,
+    black: float,
+    top: float,
+    signal: Array | None,
 ) -> dict[int, Array]:
     """Moments (column, column) of flat greys for the classes near saturation in which greys come to lie: their mean
     times the number of greys a patch of the class (ODDS).
 
-    `window` (tap) names the channel of each tap, `white` (output) is that of the training light at Y = 1, `black` and `top`
-    are the camera's black and saturation level in DN.
+    `window` (tap) names the channel of each tap, `white` (output) is that of the training light at Y = 1 and `signal`
+    (channel) what the camera sees of it, `black` and `top` are the camera's black and saturation level in DN.
     """
-    flat = _flat_moments(sums, rule, window.size + 1 + white.size)
-    signal = _channels_of(flat, window, white)
     if signal is None:
         return {}
     rows: dict[int, list[Array]] = {}
@@ -53,6 +58,27 @@ def grey_patches(
                 for index in rule.join(near, *every, further=np.arange(rule.further)).ravel().tolist():
                     rows.setdefault(index, []).append(weight * row)
     return {index: np.array(own).T @ np.array(own) / len(own) for index, own in rows.items()}
+
+
+def white_channels(
+    sums: ClassSums, rule: ClassRule, window: NDArray[np.int64], white: Array, known: Array | None
+) -> Array | None:
+    """Signals (channel) of the training light's white at Y = 1: those `known`, unless the patches speak against it, as they
+    do of frames through another lens; else those that they make likely. None if there are no patches."""
+    likely = _channels_of(_flat_moments(sums, rule, window.size + 1 + white.size), window, white)
+    if known is None or likely is None or np.abs(known / likely - 1).max() > FARTHEST:
+        return likely
+    return known
+
+
+def plain_colours(sums: ClassSums, rule: ClassRule, window: NDArray[np.int64]) -> Array:
+    """Second moments (channel, channel) of the channels' means over all unsaturated patches of the lowest contrast, of
+    trace 1."""
+    width = int((np.sqrt(8 * sums.moments.shape[1] + 1) - 1) / 2)
+    means = (window == np.arange(window.max() + 1)[:, None]) / np.bincount(window)[:, None]
+    colours = means @ _flat_moments(sums, rule, width)[: window.size, : window.size] @ means.T
+    colours += 1e-9 * np.eye(len(means)) * max(float(np.trace(colours)), 1e-9)
+    return np.asarray(colours / np.trace(colours))
 
 
 def _flat_moments(sums: ClassSums, rule: ClassRule, width: int) -> Array:

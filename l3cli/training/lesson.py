@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.class_rule import ClassRule
-from l3cli.artifacts.training_set import TrainingSet
+from l3cli.artifacts.training_set import LightSpectrum, TrainingSet
 from l3cli.training.recipe import LearningRecipe
 
 FIRST, LAST = 1, 2  # the passes: errors of the first weigh the rows of the last (docs/method.md#second-pass)
@@ -27,6 +27,7 @@ class Lesson:
     seed: int
     number: int  # FIRST or LAST
     exposure: float = 0.0  # s, mean of the simulated frames
+    light: LightSpectrum | None = None  # mean of the frames' lights; None: that of some is not known
 
     @property
     def dark(self) -> float:

@@ -11,7 +11,6 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import TrainingFrame, TrainingPair, TrainingSet
 from l3cli.classes.windows import Neighbourhoods
 from l3cli.errors import InputFileError
-from l3cli.physics import spectra
 from l3cli.training.recipe import LearningRecipe
 from l3cli.training.symmetry import orientations, site_maps
 
@@ -54,16 +53,16 @@ def patches_of(
     count: int,
     rng: np.random.Generator,
     shared: bool = True,
-    achromatic: float = 0.0,
 ) -> Patches:
     """`count` patches of a simulated frame or a real pair, laid out like those of canonical `site`; whether sites share
-    their training, as in site_maps, matters to real pairs, what share of patches is `achromatic` to simulated frames."""
+    their training, as in site_maps, matters to real pairs."""
     side = int(np.sqrt(near.channel.shape[1]))
     if frame.raw.shape[0] < side or frame.raw.shape[1] < side:
         rows, cols = frame.raw.shape
         raise InputFileError(f"frame of scene {frame.scene} is {rows}×{cols}, smaller than the {side}×{side} patch")
     if isinstance(frame, TrainingFrame):
-        return sample_patches(frame, head, near.channel[site], count, orientations(side), rng, achromatic)
+        unit = head.camera.white_dose
+        return sample_patches(frame, head, unit, near.channel[site], count, orientations(side), rng)
     return sample_pair(frame, head.camera, near, site, count, rng, shared)
 
 
@@ -110,17 +109,15 @@ def sample_pair(
 def sample_patches(
     frame: TrainingFrame,
     head: TrainingSet,
+    unit: float,
     window: NDArray[np.int64],
     count: int,
     orientations: list[NDArray[np.int64]],
     rng: np.random.Generator,
-    achromatic: float = 0.0,
 ) -> Patches:
     """`count` patches at random places and orientations of a frame, seen through the CFA `window` (tap).
 
-    The mosaic is laid over the full-resolution electrons at any offset, after mirroring and turning the scene. A share
-    `achromatic` of the patches shows the scene's luminance alone, white under its light, so that neutral edges are learned
-    to be neutral; none where the light is unknown or the outputs are not X, Y, Z.
+    The mosaic is laid over the full-resolution electrons at any offset, after mirroring and turning the scene.
     """
     side = int(np.sqrt(window.size))
     radius = side // 2
@@ -133,32 +130,13 @@ def sample_patches(
     channel_start = window * (rows * cols)
     electrons = frame.electrons.reshape(-1)
     signal = np.empty((count, window.size), dtype=np.float32)
-    white = white_signal(frame, head.camera) if achromatic and head.outputs == ("X", "Y", "Z") else None
-    share = 0.0 if white is None else achromatic
-    grey = np.diff(np.floor(np.arange(count + 1) * share)) > 0
-    unit = np.float32(frame.exposure / head.camera.white_dose)
     for index, permutation in enumerate(orientations):
         chosen = np.flatnonzero(turn == index)
         place = (row[chosen] * cols + col[chosen])[:, None] + (offset[permutation] + channel_start)[None]
         signal[chosen] = electrons[place]
-        if white is not None:
-            these = chosen[grey[chosen]]
-            at = (row[these] * cols + col[these])[:, None] + offset[permutation]
-            luminance = frame.target[1].reshape(-1)[at] * (unit * np.float32(head.camera.full_scale))
-            signal[these] = luminance * white.astype(np.float32)[window]
     signal *= np.float32(1.0 / head.camera.full_scale)
-    target = frame.target[:, row, col].T * unit
-    if white is not None:
-        target[grey] = target[grey, 1:2] * (frame.white / frame.white[1]).astype(np.float32)
+    target = frame.target[:, row, col].T * np.float32(frame.exposure / unit)
     return Patches(signal, np.ascontiguousarray(target))
-
-
-def white_signal(frame: TrainingFrame, camera: CameraModel) -> NDArray[np.float64] | None:
-    """Signals (channel), as shares of full scale, of a white of Y = 1 under the light of a frame; None if it is unknown."""
-    if frame.light is None:
-        return None
-    light = spectra.resample(frame.light.radiance.astype(np.float64), frame.light.wavelength, camera.wavelength)
-    return np.asarray(camera.electron_weights @ light * (camera.white_dose / camera.full_scale))
 
 
 def draw_levels(recipe: LearningRecipe, count: int, rng: np.random.Generator) -> NDArray[np.float64]:

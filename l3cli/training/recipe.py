@@ -38,7 +38,6 @@ class LearningRecipe(Recipe):
     parent_patches: CountOrNone = (
         200  # pseudo-patches of the parent, all chromas of its level, contrast and case, added to every class
     )
-    achromatic: float = 0.0  # share of the patches that show their luminance alone, white (docs/method.md#patches)
     symmetry: bool = True  # rotated or mirrored CFA sites share their training (docs/method.md#symmetry)
     equal_response: bool = True  # all CFA sites answer a flat patch alike (docs/method.md#equal-response)
 
@@ -77,8 +76,6 @@ def check_learning(recipe: LearningRecipe) -> None:
         raise RecipeError("learning needs 0 < darkest < highlight_from < brightest")
     if not 0 <= recipe.highlight_share <= 1:
         raise RecipeError("learning.highlight_share must lie in 0…1")
-    if not 0 <= recipe.achromatic <= 1:
-        raise RecipeError("learning.achromatic must lie in 0…1")
     if recipe.ridge <= 0 or recipe.luminance_noise < 0 or recipe.chroma_noise < 0:
         raise RecipeError("learning.ridge must be positive, the noise weights not negative")
     if not (0 <= recipe.brightness_power <= 1 and 0 <= recipe.error_power <= 0.5):

@@ -12,13 +12,15 @@ from l3cli.artifacts.layers import MosaicLayer
 from l3cli.artifacts.partial_sums import ClassSums
 from l3cli.artifacts.schema import Stage
 from l3cli.artifacts.table import TransformTable
-from l3cli.artifacts.training_set import TrainingPair, TrainingSet
+from l3cli.artifacts.training_set import LightSpectrum, TrainingPair, TrainingSet
 from l3cli.classes.chroma import channel_shares, choose_chromas
 from l3cli.classes.decide import observe_patches
 from l3cli.classes.rule import make_rule
 from l3cli.classes.saturation import choose_cases, saturation_codes
 from l3cli.classes.windows import neighbourhoods
 from l3cli.errors import InputFileError
+from l3cli.physics import spectra
+from l3cli.training.layers.mosaics import white_signal
 from l3cli.training.lesson import Lesson, brightness_of
 from l3cli.training.patches import draw_levels, expose_patches, patches_of
 from l3cli.training.recipe import LearningRecipe, TrainingRecipe
@@ -36,6 +38,7 @@ class Pilot:
     occurrences: NDArray[np.int64]  # (code) of each saturation code
     shares: NDArray[np.float64]  # (patch, channel)
     whites: NDArray[np.float64]  # (frame, output) of their lights, each at Y = 1
+    lights: NDArray[np.float64]  # (frame, wavelength) of a white of 1 cd/m², where the camera is tabulated; NaN: not known
     exposures: NDArray[np.float64]  # (frame) s; real pairs, whose dark current is off already: 0
     observed: dict[str, NDArray[np.float64]]  # (patch, …) what each further feature asks for
 
@@ -50,9 +53,10 @@ def look_at(
     near = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
     canonical = canonical_sites(head, rule, recipe.learning)
     occurrences = np.zeros(codes, dtype=np.int64)
-    shares, whites, exposures, observed = [], [], [], []
+    shares, whites, lights, exposures, observed = [], [], [], [], []
     for index, (frame, count) in enumerate(zip(frames, patches, strict=True), first):
         whites.append(_unit_white(frame, head.outputs))
+        lights.append(_light_of(frame, camera))
         exposures.append(frame.dark_time)
         dark = _dark_signal(frame, camera)
         for site in canonical:
@@ -65,7 +69,8 @@ def look_at(
             occurrences += np.bincount(saturation_codes(values, rule, near, site), minlength=codes)
             shares.append(channel_shares(pilot.signal, near, site))
             observed.append(observe_patches(values, rule, near, site))
-    return Pilot(occurrences, np.concatenate(shares), np.array(whites), np.array(exposures), _together(observed))
+    about = np.array(whites), np.array(lights), np.array(exposures)
+    return Pilot(occurrences, np.concatenate(shares), *about, _together(observed))
 
 
 def pilot_patches(patches: Sequence[int]) -> list[int]:
@@ -76,10 +81,10 @@ def pilot_patches(patches: Sequence[int]) -> list[int]:
 
 def survey(
     pilots: Iterable[Pilot], patches: Sequence[int], head: TrainingSet, recipe: TrainingRecipe, seed: int
-) -> tuple[ClassRule, NDArray[np.float64], float]:
+) -> tuple[ClassRule, NDArray[np.float64], float, LightSpectrum | None]:
     """The class rule for `head.camera`, its saturation cases and chroma centres from the pilots of all frames in order, the
-    mean white point (output) of their lights and the mean exposure time (s) of those that are simulated; frames count as
-    they have `patches` (frame)."""
+    mean white point (output) of their lights, the mean exposure time (s) of those that are simulated and the mean light, if
+    all are known; frames count as they have `patches` (frame)."""
     every = list(pilots)
     case_of_code = choose_cases(np.sum([own.occurrences for own in every], axis=0), recipe.classes.max_cases)
     centres = choose_chromas(np.concatenate([own.shares for own in every]), recipe.classes.chromas, seed)
@@ -89,7 +94,9 @@ def survey(
     exposure = float(exposures @ counts / max(counts.sum(), 1))
     observed = _together([own.observed for own in every])
     rule = make_rule(recipe.classes, head.camera, case_of_code, centres, head.camera.dark_signal(exposure), observed)
-    return rule, np.average(whites, axis=0, weights=patches), exposure
+    mean = np.average(np.concatenate([own.lights for own in every]), axis=0, weights=patches)
+    light = LightSpectrum(head.camera.wavelength, mean.astype(np.float32)) if np.isfinite(mean).all() else None
+    return rule, np.average(whites, axis=0, weights=patches), exposure, light
 
 
 def _together(observed: list[dict[str, NDArray[np.float64]]]) -> dict[str, NDArray[np.float64]]:
@@ -161,13 +168,22 @@ def assemble(lesson: Lesson, solutions: dict[int, Solution], history: tuple[Stag
             np.concatenate(condition).astype(np.float32),
         ),
         exposure=lesson.exposure,
+        light=lesson.light,
         camera=replace(camera, fit=None),
     )
 
 
 def _goal(lesson: Lesson) -> Goal:
     camera = lesson.head.camera
-    return Goal(lesson.head.outputs, lesson.white_point, camera.black, camera.white)
+    signal = None if lesson.light is None else white_signal(lesson.light, camera)
+    return Goal(lesson.head.outputs, lesson.white_point, signal, camera.black, camera.white)
+
+
+def _light_of(frame: TrainingPair, camera: CameraModel) -> NDArray[np.float64]:
+    if frame.light is None:
+        return np.full(camera.wavelength.size, np.nan)
+    radiance = frame.light.radiance.astype(np.float64)
+    return np.asarray(spectra.resample(radiance, frame.light.wavelength, camera.wavelength), np.float64)
 
 
 def _dark_signal(frame: TrainingPair, camera: CameraModel) -> float:

@@ -22,7 +22,7 @@ from l3cli.physics.display import lab
 from l3cli.rendering.renderer import make_renderer
 from l3cli.simulation import sensor
 from l3cli.simulation.light import make_light, white_rates
-from l3cli.training.highlights import grey_patches
+from l3cli.training.highlights import grey_patches, white_channels
 from tests.helpers.paths import CONFIGS
 
 SCENES = """
@@ -141,6 +141,20 @@ def test_highlights_have_no_cast(learned: Learned) -> None:
     assert y == pytest.approx(np.full(y.size, white[1]), abs=0.003)
 
 
+def test_greys_are_grey_at_every_level(learned: Learned) -> None:
+    """C*ab of plain greys of the training light, from the dark to clipping, without noise. In the dark a DN is a colour."""
+    renderer, step = make_renderer("opencl", learned.table), learned.camera.white - learned.camera.black
+    exposures = EXPOSURES[EXPOSURES < 0.98]
+    ramp = np.array([renderer.outputs(learned.raw(each, 24, None))[:, 8:-8, 8:-8].mean(axis=(1, 2)) for each in exposures])
+    shown = lab(ramp / (learned.unit * exposures[:, None]), learned.white)  # each as bright as white
+    chroma = np.hypot(shown[:, 1], shown[:, 2])
+    rounding = 300.0 / (step * exposures * learned.rates.min() / learned.rates.max())  # half a DN in one channel
+    assert (chroma < 0.5 + rounding).all(), (
+        f"{(chroma - rounding).max():.2f} at {exposures[(chroma - rounding).argmax()]:.3f}"
+    )
+    assert chroma[exposures > 0.3].max() < 0.5
+
+
 def test_clipped_areas_of_a_picture_are_neither_black_nor_magenta(tmp_path: Path, l3: Callable, learned: Learned) -> None:
     """Bright neutral bars and patches beside dark ones at 1.5 times full exposure, with noise."""
     rows = np.arange(96)[:, None] // 24 % 2
@@ -172,16 +186,17 @@ def test_greys_are_taught_only_where_they_clip(bayer: CameraModel) -> None:
     sums = ClassSums(
         np.zeros((rule.classes_per_site, row.size)), np.zeros((rule.classes_per_site, 9)), np.ones(rule.classes_per_site)
     )
-    assert grey_patches(sums, rule, window, white, bayer.black, bayer.white) == {}
+    assert grey_patches(sums, rule, window, white, bayer.black, bayer.white, None) == {}
     sums.moments[0] = columns[row] * columns[col]
-    taught = grey_patches(sums, rule, window, white, bayer.black, bayer.white)
+    signal_found = white_channels(sums, rule, window, white, None)
+    taught = grey_patches(sums, rule, window, white, bayer.black, bayer.white, signal_found)
     assert taught
     for index, moments in taught.items():
         kind = index % rule.kinds
         assert kind >= rule.chromas
         saturated = [channel for channel in range(3) if kind - rule.chromas + 1 >> channel & 1]
         assert 1 in saturated  # green clips first
-        found = np.sqrt(np.diag(moments)[:9] / moments[9, 9])
-        assert found[np.isin(window, saturated)] == pytest.approx(1.0, abs=0.08)
+        taps = np.sqrt(np.diag(moments)[:9] / moments[9, 9])
+        assert taps[np.isin(window, saturated)] == pytest.approx(1.0, abs=0.08)
         outputs = moments[10:, 9] / moments[9, 9]
         assert outputs / outputs[1] == pytest.approx(white)

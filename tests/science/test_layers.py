@@ -156,7 +156,9 @@ def test_greys_get_no_further_tint(bayer_recipe: Path, tmp_path: Path, l3: Calla
     table = load(TransformTable, tmp_path / "table.h5")
     assert table.camera is not None
     with open_training_set(training) as reader:
-        signal = white_signal(reader.frame(0), table.camera)
+        light = reader.frame(0).light
+        assert light is not None
+        signal = white_signal(light, table.camera)
     assert signal is not None
     rng = np.random.default_rng(0)
     for level in (0.05, 0.2, 0.8):

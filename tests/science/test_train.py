@@ -15,7 +15,7 @@ from l3cli.artifacts.camera import CameraModel, Noise
 from l3cli.artifacts.partial_sums import ClassSums
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
-from l3cli.artifacts.training_set import LightSpectrum, TrainingSet, write_training_set
+from l3cli.artifacts.training_set import TrainingSet, write_training_set
 from l3cli.classes.chroma import choose_chromas
 from l3cli.classes.decide import label_patches
 from l3cli.classes.names import kind_name
@@ -26,7 +26,6 @@ from l3cli.classes.windows import neighbourhoods
 from l3cli.config import load_recipe
 from l3cli.errors import L3Error
 from l3cli.io.images import read_image
-from l3cli.physics import spectra
 from l3cli.training.accumulate import sum_sites
 from l3cli.training.lesson import LAST, Lesson
 from l3cli.training.patches import draw_levels, expose_patches, sample_patches
@@ -64,32 +63,12 @@ def test_orientations_are_the_eight_of_a_square() -> None:
     assert len(stabilisers(np.zeros(9, int), 3)) == 8
 
 
-def test_achromatic_patches_show_the_luminance_of_their_place_in_white(bayer: CameraModel) -> None:
-    grid = np.arange(380.0, 781.0)
-    white = spectra.at_luminance(spectra.illuminant("A", grid), grid, 1.0)
-    frame = dataclasses.replace(a_frame(bayer, 1, smooth=False), light=LightSpectrum(grid, white.astype(np.float32)))
-    head = TrainingSet(camera=bayer, outputs=("X", "Y", "Z"), target_description="")
-    window = neighbourhoods(bayer.cfa, 5, 3).channel[1]
-    plain, mixed = (
-        sample_patches(frame, head, window, 40, orientations(5), np.random.default_rng(4), share) for share in (0.0, 0.25)
-    )
-    grey = np.flatnonzero((mixed.signal != plain.signal).any(axis=1))
-    assert grey.tolist() == list(range(3, 40, 4))
-    np.testing.assert_allclose(
-        mixed.target[grey] / mixed.target[grey, 1:2], np.tile(frame.white / frame.white[1], (10, 1)), 1e-5
-    )
-    np.testing.assert_array_equal(mixed.target[grey, 1], plain.target[grey, 1])
-    expected = bayer.electron_weights @ np.interp(bayer.wavelength, grid, white) * bayer.white_dose / bayer.full_scale
-    centre = mixed.signal[grey, 12] / mixed.target[grey, 1]
-    assert centre == pytest.approx(expected[window[12]], rel=1e-3)
-
-
 def test_patches_are_windows_of_the_turned_mosaic(bayer: CameraModel) -> None:
     camera, rng = bayer, np.random.default_rng(4)
     frame = a_frame(camera, 1, smooth=False)
     head = TrainingSet(camera=camera, outputs=("X", "Y", "Z"), target_description="")
     near = neighbourhoods(camera.cfa, 5, 3)
-    sample = sample_patches(frame, head, near.channel[1], 64, orientations(5), rng)
+    sample = sample_patches(frame, head, camera.white_dose, near.channel[1], 64, orientations(5), rng)
     # the centre tap is the site's own channel whatever the orientation, and the target belongs to the same pixel
     share = frame.electrons / camera.full_scale
     truth = np.einsum("oc,crk->ork", MIX, share)
@@ -204,7 +183,9 @@ def test_sums_are_exact_in_any_order(bayer: CameraModel) -> None:
     assert (forward.noise / STEP == np.rint(forward.noise / STEP)).all()
     assert np.abs(whole).max() < EXACT / 1000
     assert forward.count.sum() == 12000
-    patches = sample_patches(frames[0], head, near.channel[1], 1000, orientations(3), np.random.default_rng([1, 2, 0, 1]))
+    patches = sample_patches(
+        frames[0], head, bayer.white_dose, near.channel[1], 1000, orientations(3), np.random.default_rng([1, 2, 0, 1])
+    )
     matrix = np.sum([moment_matrix(row, 13) for row in parts[0].moments], axis=0)
     assert np.linalg.eigvalsh(matrix).min() > 0
     ratio = matrix[10:, 10:].diagonal() / (patches.target.astype(np.float64) ** 2).sum(axis=0)

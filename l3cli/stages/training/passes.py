@@ -44,13 +44,13 @@ def first_pass(run: TrainingRun, execution: Execution) -> Lesson:
     about = (run.training, execution.remote, run.head, run.recipe, run.seed)
     units = [PilotUnit(*about, frames, patches[frames.start : frames.stop]) for frames in chunks]
     pilots = execution.console.progress(execution.crew(_pilot, units), len(units), "pilot")
-    rule, white, exposure = survey(pilots, run.patches, run.head, run.recipe, run.seed)
+    rule, white, exposure, light = survey(pilots, run.patches, run.head, run.recipe, run.seed)
     kinds = f"({rule.chromas} chromas + {rule.cases - 1} saturation cases)"
     further = "".join(f" × {axis.size} values of {axis.name}" for axis in rule.axes)
     classes = f"{rule.levels} levels × {rule.contrasts} contrasts{further} × {kinds}"
     execution.console.say(f"{len(run.patches)} frames, {classes} a site")
     number = FIRST if has_two_passes(run.head, learning) else LAST
-    return Lesson(run.head, run.patches, rule, learning, white, run.seed, number, exposure)
+    return Lesson(run.head, run.patches, rule, learning, white, run.seed, number, exposure, light)
 
 
 @dataclass(frozen=True)

@@ -77,6 +77,7 @@ def _write_shard(
         white_point=lesson.white_point,
         sites=np.array(sites),
         exposure=lesson.exposure,
+        light=lesson.light,
     )
     write_partial_sums(output, head, (add_up(lesson, [site_sums]) for _, site_sums in sums))
     name = "first" if lesson.number == FIRST else "last"
@@ -92,7 +93,7 @@ def _last_pass(run: TrainingRun, table: TransformTable, path: Path | None) -> Le
             'make it with "l3 train --merge" of the first pass\'s shards'
         )
     about = (run.head, run.patches, table.first.rule, run.recipe.learning, table.white_point, run.seed)
-    return Lesson(*about, LAST, table.exposure)
+    return Lesson(*about, LAST, table.exposure, table.light)
 
 
 def merge_shards(shards: tuple[Path, ...], output: Path, console: Console, *, force: bool = False) -> TransformTable:
@@ -124,7 +125,7 @@ def _merged(shards: tuple[Path, ...]) -> TransformTable:
 def _merged_pass(readers: list[PartialSumsReader], recipe: TrainingRecipe, seed: int, path: Path) -> TransformTable:
     head: PartialSums = readers[0].head
     about = (head.training, tuple(head.patches.tolist()), head.rule, recipe.learning, head.white_point)
-    lesson = Lesson(*about, seed, head.pass_number, head.exposure)
+    lesson = Lesson(*about, seed, head.pass_number, head.exposure, head.light)
     if head.sites.tolist() != canonical_sites(head.training, head.rule, lesson.recipe):
         raise InputFileError(f"{path} holds sums of other sites than its camera has; make it again")
     solutions = {

@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.training_set import TrainingFrame, TrainingPair
-from l3cli.training.patches import expose_patches, white_signal
+from l3cli.artifacts.training_set import LightSpectrum, TrainingFrame, TrainingPair
+from l3cli.physics import spectra
+from l3cli.training.patches import expose_patches
 from l3cli.training.recipe import LearningRecipe
 
 Floats = NDArray[np.float32]
@@ -44,7 +45,7 @@ def mosaics_of(frame: TrainingPair, count: int, exposed: Exposed, rng: np.random
     camera = exposed.camera
     signal = frame.electrons * np.float32(1 / camera.full_scale)
     target = frame.target * np.float32(frame.exposure / camera.white_dose)
-    white = white_signal(frame, camera)
+    white = None if frame.light is None else white_signal(frame.light, camera)
     coloured = count if white is None else count - round(exposed.achromatic * count)
     for number in range(count):
         turn = _drawn_turn(signal.shape[1:], rng)
@@ -58,6 +59,12 @@ def mosaics_of(frame: TrainingPair, count: int, exposed: Exposed, rng: np.random
         values = expose_patches(mosaic, camera, rng, dark=exposed.dark).astype(np.uint16)
         clean = np.minimum(mosaic, 1.0) * np.float32(camera.white - camera.black) + np.float32(camera.black)
         yield Mosaic(values, clean, wanted * scale)
+
+
+def white_signal(light: LightSpectrum, camera: CameraModel) -> NDArray[np.float64]:
+    """Signals (channel), as shares of full scale, of a white of Y = 1 under a light."""
+    radiance = spectra.resample(light.radiance.astype(np.float64), light.wavelength, camera.wavelength)
+    return np.asarray(camera.electron_weights @ radiance * (camera.white_dose / camera.full_scale))
 
 
 def _piece_of_pair(pair: TrainingPair, camera: CameraModel, rng: np.random.Generator) -> Mosaic:
