@@ -89,7 +89,8 @@ def develop(frame: TrainingPair, camera: CameraModel, colour: Colour, demosaic: 
 
 def develop_bands(frame: TrainingPair, camera: CameraModel, relit: bool, demosaic: Demosaic) -> Array:
     """The camera's bands (channel, row, col) in the target's unit of a frame's raw: black and dark off, white balance,
-    demosaic, white balance of the target (docs/method.md#baselines-for-bands). `relit`: the target is seen under another light than the frame.
+    demosaic, white balance of the target (docs/method.md#baselines-for-bands). `relit`: the target's light is another than
+    the frame's.
 
     InputFileError if the camera sees nothing of the light."""
     share = camera.white_dose / camera.full_scale  # of a target of the camera's bands, per electron a second

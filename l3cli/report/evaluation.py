@@ -32,8 +32,8 @@ MEANINGS = (
 )
 BAND_MEANINGS = (
     "ours is the table; the other pipelines learn nothing. The spectral angle is that between the outputs of a pixel and "
-    "its target's; PSNR is of 8-bit codes of which the frame's white is 255, linear PSNR of the outputs as they are, 1 being "
-    "the 99th percentile of the target's mean output; SSIM is the mean over the outputs."
+    "its target's; PSNR is of 8-bit codes of which the frame's white is 255, linear PSNR of the outputs as they are, 1 "
+    "being the 99th percentile of the target's mean output; SSIM is the mean over the outputs."
 )
 ERROR_KEY = (  # of the error map's colours, as evaluation draws them
     Key("error map: ΔE00 0", "#000000", "box"),
