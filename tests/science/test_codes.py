@@ -1,4 +1,4 @@
-"""Pictures whose codes are the camera's channels: the mosaic and the target are these codes, and no spectrum is looked up."""
+"""Pictures whose codes are the camera's channels: the mosaic and the target are these codes, without spectra."""
 
 from collections.abc import Callable
 from pathlib import Path
