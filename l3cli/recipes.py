@@ -20,6 +20,11 @@ def recipe_folder() -> Path:
     return inside if inside.is_dir() else package.parent / "configs"
 
 
+def known_benchmarks() -> dict[str, Path]:
+    """The folders of recipes of a whole benchmark that come with l3, by name."""
+    return {f"benchmark-{path.name}": path for path in sorted((recipe_folder() / "benchmarks").iterdir()) if path.is_dir()}
+
+
 def known_recipes(kind: str) -> dict[str, Path]:
     """The recipes of a kind (KINDS) that come with l3, by name."""
     return {path.stem: path for path in sorted((recipe_folder() / kind).glob("*.toml"))}

@@ -41,6 +41,18 @@ class Scene:
 
 
 @dataclass(frozen=True)
+class ChannelPicture:
+    """A picture of what the channels of a camera collect, without light, lens and spectra."""
+
+    name: str
+    signal: NDArray[np.float32]  # (row, col, channel) ≥ 0; 1: what a perfect white gives the brightest channel
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.signal).all() and float(np.max(self.signal, initial=0.0)) <= BRIGHTEST):
+            raise ValueError(f"scene {self.name}: holds values that are not finite, or above {BRIGHTEST:g}")
+
+
+@dataclass(frozen=True)
 class SpectralCube:
     """A cube as a file stores it, before anything is known about its scale and light."""
 

@@ -1,4 +1,4 @@
-"""l3 init: a folder with the recipes of one kind of camera and the pipelines that make pictures of them."""
+"""l3 init: a folder with the recipes of one kind of camera and the pipelines that make pictures of them, or a benchmark."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -8,7 +8,6 @@ import click
 from l3cli.cli import options, terminal
 from l3cli.cli.terminal import show
 from l3cli.errors import suggestion
-from l3cli.recipes import known_recipes
 
 if TYPE_CHECKING:
     from l3cli.stages.console import Console
@@ -16,7 +15,9 @@ if TYPE_CHECKING:
 
 def _completed(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
     """Names of recipes for the shell."""
-    return [name for name in known_recipes("cameras") if name.startswith(incomplete)]
+    from l3cli.stages.starting import starters
+
+    return [name for name in starters() if name.startswith(incomplete)]
 
 
 @click.command()
@@ -26,16 +27,17 @@ def _completed(context: click.Context, parameter: click.Parameter, incomplete: s
 @options.quiet
 def init(recipe: str | None, folder: Path | None, force: bool, console: "Console") -> None:
     """Make DIR with the recipes of one kind of camera and a Makefile that leads from them to a picture and a report. Beside
-    it lie the same pipeline for Snakemake and for job arrays of Slurm.
+    it lie the same pipeline for Snakemake and for job arrays of Slurm. A benchmark's Makefile learns from one folder of
+    your pictures and judges on another.
 
     Without arguments, list the recipes.
 
     \b
     Example: l3 init bayer demo && make -C demo
     """
-    from l3cli.stages.starting import start, summary
+    from l3cli.stages.starting import start, starters, summary
 
-    known = known_recipes("cameras")
+    known = starters()
     if recipe is None:
         wide = max(map(len, known))
         for name, path in known.items():

@@ -9,6 +9,7 @@ from l3cli.columns import figure as number
 
 WIDE = 110  # characters in a line from which every figure is shown; JSON holds all of them
 LESS_NEEDED = ("median_delta_e", "output_psnr", "ssim")
+BAND_FIGURES = ("psnr", "output_psnr", "ssim")
 HEADINGS = {
     "mean_delta_e": "ΔE00 mean",
     "median_delta_e": "median",
@@ -24,13 +25,14 @@ HEADINGS = {
 
 
 def print_tables(document: dict[str, Any]) -> None:
-    """Frames, means, light levels, illuminants, classes and the worst of them; beside ours the main figure of each rival."""
+    """Frames, means, light levels, illuminants, classes and the worst of them; beside ours the main figure of each
+    baseline."""
     width = terminal.width()
     wide = width is None or width >= WIDE
     figures = [figure for figure in document["frames"][0]["ours"] if wide or figure not in LESS_NEEDED]
-    rivals = document["pipelines"][1:]
+    baselines = document["pipelines"][1:]
     main = [figures[0]] + [figure for figure in figures if figure == "psnr" and wide]
-    shown = [("ours", figure) for figure in figures] + [(rival, figure) for rival in rivals for figure in main]
+    shown = [("ours", figure) for figure in figures] + [(baseline, figure) for baseline in baselines for figure in main]
     named = [HEADINGS[figure] if owner == "ours" else f"{owner}\n{HEADINGS[figure]}" for owner, figure in shown]
 
     def values(row: dict[str, Any]) -> list[str]:
@@ -44,10 +46,22 @@ def print_tables(document: dict[str, Any]) -> None:
     if len(document["by_illuminant"]) > 1:
         lights = [[g["illuminant"], str(g["frames"]), *values(g)] for g in document["by_illuminant"]]
         show_table(["", "by illuminant"], ["light", "frames", *named], lights)
+    _print_bands(document)
     _print_classes(document, figures[0])
-    for rival, counts in document["better"].items():
+    for baseline, counts in document["better"].items():
         shares = ", ".join(f"{HEADINGS[figure]} {counts[figure]}" for figure in main)
-        show(f"better than {rival} in so many of {len(document['frames'])} frames: {shares}")
+        show(f"better than {baseline} in so many of {len(document['frames'])} frames: {shares}")
+
+
+def _print_bands(document: dict[str, Any]) -> None:
+    """Outputs that are not XYZ, one by one."""
+    if not document["by_band"]:
+        return
+    owners = document["pipelines"]
+    shown = [("ours", figure) for figure in BAND_FIGURES] + [(owner, "psnr") for owner in owners[1:]]
+    named = [HEADINGS[figure] if owner == "ours" else f"{owner}\n{HEADINGS[figure]}" for owner, figure in shown]
+    rows = [[e["band"], *(_number(figure, e[owner][figure]) for owner, figure in shown)] for e in document["by_band"]]
+    show_table(["", "by band"], ["band", *named], rows)
 
 
 def _print_classes(document: dict[str, Any], figure: str) -> None:

@@ -54,7 +54,7 @@ class ClassErrors:
         pixels = np.maximum(self._pixels, 1)
         seen = self._pixels >= max(LEAST_SHARE * self._pixels.sum(), 1)
         mean = np.where(seen, self._sums[pipeline] / pixels, -1.0)
-        found = []
+        entries = []
         for flat in np.argsort(mean, axis=None, kind="stable")[::-1][: min(LISTED, int(seen.sum()))]:
             place = self._rule.split(int(flat))
             case = int(self._rule.case(place.kind))
@@ -63,8 +63,8 @@ class ClassErrors:
             values = self._rule.split_further(place.further)
             for (feature, _), value in zip(further_features(self._rule), values, strict=True):
                 about |= feature.entry(self._table, value)
-            found.append(self._entry(figure, about, place[1:]))
-        return found
+            entries.append(self._entry(figure, about, place[1:]))
+        return entries
 
     def _entry(self, figure: str, about: dict[str, Any], where: Any) -> dict[str, Any]:
         pixels = int(self._pixels[where].sum())

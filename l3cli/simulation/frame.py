@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import TrainingFrame
 from l3cli.physics.lens import relative_illumination
-from l3cli.scene import Scene
+from l3cli.scene import ChannelPicture, Scene
 from l3cli.simulation import optics, sensor
-from l3cli.simulation.light import Light, electron_weights
+from l3cli.simulation.light import Light, electron_weights, white_rates
 from l3cli.simulation.recipe import Lens
 from l3cli.simulation.targets import XYZ, Target, output_weights
 
@@ -31,7 +31,7 @@ class Averaging:
 
 def simulate(
     camera: CameraModel,
-    scene: Scene,
+    scene: Scene | ChannelPicture,
     light: Light,
     exposure: float | Saturating | Averaging,
     lens: Lens,
@@ -43,10 +43,14 @@ def simulate(
 
     One scene sample is one pixel: its average over the pixel's area, so that frame and target are registered. The chain is
     linear up to the noise, so the bands are first projected on outputs and channels in one product: a wavelength-dependent
-    blur needs the channels a few times (LOW_RANK_ERROR), nothing needs the bands again. ValueError if an automatic exposure
-    finds no light.
+    blur needs the channels a few times (LOW_RANK_ERROR), nothing needs the bands again. Of a picture of channel signals only
+    the sensor is simulated. ValueError if an automatic exposure finds no light.
     """
-    ideal, rates = _collected(camera, scene, light, lens, target)
+    if isinstance(scene, ChannelPicture):
+        ideal, rates, white = _signalled(camera, scene, light)
+    else:
+        ideal, rates = _collected(camera, scene, light, lens, target)
+        white = output_weights(target, camera, light, light.wavelength).sum(axis=1)
     seconds = _seconds(camera, rates, exposure)
     electrons = rates * np.float32(seconds)
     rng = np.random.default_rng(seed)
@@ -54,7 +58,7 @@ def simulate(
         electrons=electrons,
         raw=sensor.expose(camera, sensor.mosaic(electrons, camera.cfa), seconds, rng, noises),
         target=ideal,
-        white=output_weights(target, camera, light, light.wavelength).sum(axis=1),
+        white=white,
         scene=scene.name,
         illuminant=light.name,
         luminance=light.luminance,
@@ -88,6 +92,18 @@ def _collected(
         distance, shape = camera.optics.image_distance, (rates.shape[1], rates.shape[2])
         rates *= relative_illumination(distance, pitch, shape).astype(np.float32)
     return ideal, rates
+
+
+def _signalled(
+    camera: CameraModel, picture: ChannelPicture, light: Light
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
+    """Of a picture of channel signals the target (channel, row, col) in the unit of the camera's bands, what the channels
+    collect (channel, row, col) e-/s, and the target's white (channel)."""
+    full = white_rates(camera, light).max()
+    white = full * camera.white_dose / camera.full_scale
+    signal = np.moveaxis(picture.signal, -1, 0)
+    rates, ideal = (np.ascontiguousarray(signal * np.float32(unit)) for unit in (full, white))
+    return ideal, rates, np.full(len(signal), white)
 
 
 def _seconds(camera: CameraModel, rates: NDArray[np.float32], exposure: float | Saturating | Averaging) -> float:

@@ -24,6 +24,7 @@ from l3cli.simulation.sources import (
     can_be_relit,
     check_source,
     has_own_light,
+    holds_codes,
     wanted_scenes,
 )
 from l3cli.simulation.targets import CAMERA, OUTPUTS
@@ -145,6 +146,8 @@ def check(recipe: SceneRecipe, camera: CameraModel) -> None:
         if recipe.illuminants != [OWN] and not can_be_relit(source):
             raise RecipeError(f'scene {number} holds radiance without its light; give light, or illuminants = ["{OWN}"]')
     outputs = recipe.target.outputs
+    if any(map(holds_codes, recipe.scene)) and (outputs != CAMERA or recipe.target.illuminant is not None):
+        raise RecipeError(f'pictures of codes have no spectra; give target.outputs = "{CAMERA}" and no target.illuminant')
     if outputs not in (*OUTPUTS, CAMERA) and not outputs.endswith(MEASURED):
         known = suggestion(outputs, (*OUTPUTS, CAMERA))
         raise RecipeError(f'target.outputs "{outputs}" is unknown; {known} (or a CSV file)')

@@ -10,6 +10,7 @@ from l3cli.config import Count, Recipe, Seed
 from l3cli.curve_file import other_unit
 from l3cli.errors import L3Error, RecipeError
 
+CODED = ("r", "g", "b")  # channels of a camera that pictures of codes hold, in their order
 SMALLEST = 16  # pixels of a scene's shorter side
 
 
@@ -93,6 +94,9 @@ class IsetScenes(FileSource, tag_field="source", tag="iset", kw_only=True):
 
 
 class RgbPictures(FileSource, tag_field="source", tag="rgb", kw_only=True):
+    holds: Literal["sRGB", "codes"] = (
+        "sRGB"  # a picture of colours; or codes that are the camera's channels r, g, b, linearly
+    )
     shrink: Count = 1  # each shrink × shrink pixels are averaged to one, which also removes JPEG's and demosaicking's traces
 
 
@@ -174,6 +178,9 @@ def check_source(source: Source, camera: CameraModel, name: str) -> None:
         raise RecipeError(f'{name}: axes names row, col and band once each, such as "row col band"')
     if isinstance(source, Spectral):
         _check_spectral(source, name)
+    if holds_codes(source) and sorted(camera.channels) != sorted(CODED):
+        channels = ", ".join(camera.channels)
+        raise RecipeError(f'{name}: codes are channels r, g and b, but the camera has {channels}; leave out holds = "codes"')
 
 
 def _check_spectral(source: Spectral, name: str) -> None:
@@ -204,6 +211,11 @@ def _check_spectral(source: Spectral, name: str) -> None:
 def has_own_light(source: Source) -> bool:
     """Whether scenes of `source` come with the light they were seen under, if only as an unknown part of their radiance."""
     return isinstance(source, IsetScenes) or (isinstance(source, Spectral) and source.holds != "reflectance")
+
+
+def holds_codes(source: Source) -> bool:
+    """Whether scenes of `source` are channel signals, without light and spectra."""
+    return isinstance(source, RgbPictures) and source.holds == "codes"
 
 
 def can_be_relit(source: Source) -> bool:

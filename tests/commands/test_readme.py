@@ -31,6 +31,9 @@ ROOT = CONFIGS.parent
 RECIPES: dict[str, type[Recipe]] = {
     "cameras": CameraRecipe, "lab": LabRecipe, "scenes": SceneRecipe, "classes": TrainingRecipe,
 }  # fmt: skip
+OF_BENCHMARK: dict[str, type[Recipe]] = {
+    "camera": CameraRecipe, "training": SceneRecipe, "test": SceneRecipe, "classes": TrainingRecipe,
+}  # fmt: skip
 SHOWN = [line[4:] for line in README.splitlines() if line.startswith("    ")]  # what stands in blocks of commands
 LINES = [line.removeprefix("$ ") for line in SHOWN if re.match(r"(\$ )?(l3 |.*\| l3 )", line)]
 
@@ -196,7 +199,7 @@ def test_the_architecture_names_every_module_of_the_lower_floors() -> None:
 
 @pytest.mark.parametrize("path", sorted(CONFIGS.rglob("*.toml")), ids=lambda path: str(path.relative_to(CONFIGS)))
 def test_every_recipe_is_of_its_kind(path: Path) -> None:
-    kind = RECIPES[path.parent.name]
+    kind = OF_BENCHMARK[path.stem] if "benchmarks" in path.parts else RECIPES[path.parent.name]
     load_camera(path) if kind is CameraRecipe else load_recipe(path, kind)
 
 

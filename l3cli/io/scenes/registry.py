@@ -27,7 +27,7 @@ class SceneFormat:
     has_files: bool = False  # a scene is in several files
 
     def read(self, path: Path, **keys: Any) -> Scene | SpectralCube | NDArray[np.float32]:
-        """A scene, a cube of bands, or linear sRGB (row, col, 3); InputFileError if the file is none."""
+        """A scene, a cube of bands, or a linear picture (row, col, 3); InputFileError if the file is none."""
         content: Scene | SpectralCube | NDArray[np.float32] = self._reader.read(path, **keys)
         return content
 
@@ -47,7 +47,7 @@ class SceneFormat:
 
 FORMATS = (
     SceneFormat("iset", "iset", keys=("light",)),
-    SceneFormat("rgb", "rgb"),
+    SceneFormat("rgb", "rgb", keys=("holds",)),
     SceneFormat("bands", "bands", is_folder=True, has_files=True),
     SceneFormat("envi", "envi", has_files=True),
     SceneFormat("cube", "npy", (".npy",), keys=("variable", "axes")),

@@ -1,4 +1,4 @@
-"""RGB pictures, to be raised to spectra."""
+"""RGB pictures: colours to be raised to spectra, or codes that are channel signals."""
 
 from pathlib import Path
 
@@ -9,11 +9,15 @@ from l3cli.errors import InputFileError
 from l3cli.io.images import picture_size, read_image
 from l3cli.physics.display import srgb_decoded
 
-size = picture_size
+
+def size(path: Path, holds: str = "sRGB") -> tuple[int, int]:
+    """(rows, cols) of a picture."""
+    return picture_size(path)
 
 
-def read(path: Path) -> NDArray[np.float32]:
-    """Linear sRGB (row, col, 3) of a picture, 1 being white: integers are decoded from sRGB, floats are linear already.
+def read(path: Path, holds: str = "sRGB") -> NDArray[np.float32]:
+    """A picture (row, col, 3), 1 being white: linear sRGB, integers being decoded from it, floats linear already; or where
+    it `holds` "codes" these as shares of the integer type's largest.
 
     InputFileError if the file is no colour picture.
     """
@@ -23,5 +27,5 @@ def read(path: Path) -> NDArray[np.float32]:
     if pixels.dtype.kind == "f":
         return np.maximum(np.nan_to_num(pixels[..., :3]), 0.0).astype(np.float32)
     levels = np.arange(np.iinfo(pixels.dtype).max + 1) / np.iinfo(pixels.dtype).max
-    linear = srgb_decoded(levels).astype(np.float32)
+    linear = (levels if holds == "codes" else srgb_decoded(levels)).astype(np.float32)
     return linear[pixels[..., :3]]

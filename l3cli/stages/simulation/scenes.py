@@ -9,7 +9,7 @@ from l3cli.simulation import sources
 from l3cli.stages.simulation.run import SimulationRun
 
 if TYPE_CHECKING:
-    from l3cli.scene import Scene
+    from l3cli.scene import ChannelPicture, Scene
 
 
 def files_of(source: sources.Source, path: Path) -> list[Path]:
@@ -17,27 +17,33 @@ def files_of(source: sources.Source, path: Path) -> list[Path]:
     return format_of(sources.name_of(source), path).files(path)
 
 
-def read_scene(wanted: sources.WantedScene, run: SimulationRun) -> "Scene":
+def read_scene(wanted: sources.WantedScene, run: SimulationRun) -> "Scene | ChannelPicture":
     """The scene, read or drawn, as it lies on the sensor; InputFileError if it does not fit there."""
+    from l3cli.scene import ChannelPicture
     from l3cli.simulation import drawn
-    from l3cli.simulation.framing import framed
+    from l3cli.simulation.framing import framed, framed_picture
 
+    scene: Scene | ChannelPicture
     if wanted.path is None:
         scene = drawn.draw(wanted, run.seed, run.camera.wavelength)
     else:
         scene = _from_file(wanted, wanted.path, run)
     culprit = str(wanted.path or wanted.name)
     try:
-        scene = framed(scene, wanted.source, run.camera)
+        if isinstance(scene, ChannelPicture):
+            scene = framed_picture(scene, wanted.source, run.camera)
+        else:
+            scene = framed(scene, wanted.source, run.camera)
     except ValueError as error:
         raise (RecipeError if wanted.path is None else InputFileError)(f"{culprit}: {error}") from error
-    sources.check_size(scene.reflectance.shape[:2], run.camera, InputFileError, culprit)
+    samples = scene.signal if isinstance(scene, ChannelPicture) else scene.reflectance
+    sources.check_size(samples.shape[:2], run.camera, InputFileError, culprit)
     return scene
 
 
-def _from_file(wanted: sources.WantedScene, path: Path, run: SimulationRun) -> "Scene":
+def _from_file(wanted: sources.WantedScene, path: Path, run: SimulationRun) -> "Scene | ChannelPicture":
     """The scene of a file: read as such, or made of a picture or a cube."""
-    from l3cli.scene import Scene, SpectralCube
+    from l3cli.scene import ChannelPicture, Scene, SpectralCube
 
     source = wanted.source
     content = format_of(sources.name_of(source), path).read(path, **_keys(source, path, run))
@@ -54,7 +60,14 @@ def _from_file(wanted: sources.WantedScene, path: Path, run: SimulationRun) -> "
     from l3cli.simulation import procedural, rgb
 
     assert isinstance(source, sources.RgbPictures)
-    return rgb.raise_to_spectra(rgb.shrunk(content, source.shrink), procedural.grid(run.camera.wavelength), path.stem)
+    linear = rgb.shrunk(content, source.shrink)
+    if sources.holds_codes(source):
+        order = [sources.CODED.index(channel) for channel in run.camera.channels]
+        try:
+            return ChannelPicture(path.stem, linear[..., order])
+        except ValueError as error:
+            raise InputFileError(f"{path}: {error}") from error
+    return rgb.raise_to_spectra(linear, procedural.grid(run.camera.wavelength), path.stem)
 
 
 def _keys(source: sources.Source, path: Path, run: SimulationRun) -> dict[str, Any]:
