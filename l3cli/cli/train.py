@@ -82,8 +82,8 @@ def train(
     Patches are spread evenly over all frames. With --shares 1,0.7,0.4 three training sets get patches in that proportion,
     however many frames they have.
 
-    Over several machines, give every shard the same training sets, shares, recipe and seed. Training takes two passes, as the
-    errors of the first weigh the rows of the second, so there are four steps; the final table has the same bytes as
+    Over several machines, give every shard the same training sets, shares, recipe and seed. Training takes two passes, as
+    the errors of the first weigh the rows of the second, so there are four steps; the final table has the same bytes as
     without shards:
 
     \b
