@@ -72,11 +72,16 @@ import numpy as np
 from l3cli.scene import Scene
 
 
-def read_grey_text(path):
+def read(path):
     """The scene, of equal reflectance from 400 to 700 nm."""
     grey = np.loadtxt(path, dtype=np.float32)
     wavelength = np.arange(400.0, 701.0, 10.0)
     return Scene(path.stem, wavelength, np.repeat(grey[..., None], wavelength.size, axis=2), None)
+
+
+def size(path):
+    """(rows, cols)."""
+    return np.loadtxt(path).shape
 '''
 
 PEAK = '''
@@ -155,10 +160,12 @@ DECIMAL = '''
 
 import numpy as np
 
+from l3cli.io.raw.content import RawContent
 
-def read_decimal(path):
+
+def read(path, request):
     """Values (row, col) in DN."""
-    return np.loadtxt(path, dtype=np.uint16, ndmin=2)
+    return RawContent(values=np.loadtxt(path, dtype=np.uint16, ndmin=2))
 '''
 
 ADDITIONS: dict[str, dict[str, str | Edits]] = {
@@ -181,7 +188,7 @@ ADDITIONS: dict[str, dict[str, str | Edits]] = {
         ],
     },
     "file scene": {
-        "l3cli/io/grey_text.py": GREY_TEXT,
+        "l3cli/io/scenes/grey_text.py": GREY_TEXT,
         "l3cli/simulation/sources.py": [
             (
                 "class IsetScenes(",
@@ -189,22 +196,7 @@ ADDITIONS: dict[str, dict[str, str | Edits]] = {
             ),
             ("Source = (\n", "Source = (\n    GreyText |"),
         ],
-        "l3cli/stages/simulation/scenes.py": [
-            (
-                "READERS: ",
-                "def _grey_text(wanted, run):\n    from l3cli.io.grey_text import read_grey_text\n\n"
-                "    return read_grey_text(wanted.path)\n\n\nREADERS: ",
-            ),
-            (
-                '"Scene"]] = {\n',
-                '"Scene"]] = {\n    sources.GreyText: _grey_text,\n',
-            ),
-            (
-                "tuple[int, int]]] = {\n",
-                "tuple[int, int]]] = {\n    sources.GreyText: lambda wanted, run: "
-                "_grey_text(wanted, run).reflectance.shape[:2],\n",
-            ),
-        ],
+        "l3cli/io/scenes/registry.py": [("FORMATS = (\n", 'FORMATS = (\n    SceneFormat("grey text", "grey_text"),\n')],
     },
     "class feature": {
         "l3cli/classes/peak.py": PEAK,
@@ -215,14 +207,8 @@ ADDITIONS: dict[str, dict[str, str | Edits]] = {
         ],
     },
     "raw format": {
-        "l3cli/io/decimal.py": DECIMAL,
-        "l3cli/io/raw_files.py": [
-            ("from l3cli.io.fits_files", "from l3cli.io.decimal import read_decimal\nfrom l3cli.io.fits_files"),
-            (
-                '        elif suffix == ".pgm":\n',
-                '        elif suffix == ".txt":\n            values = read_decimal(path)\n        elif suffix == ".pgm":\n',
-            ),
-        ],
+        "l3cli/io/raw/decimal.py": DECIMAL,
+        "l3cli/io/raw/registry.py": [("FORMATS = (\n", 'FORMATS = (\n    RawFormat((".txt",), "decimal"),\n')],
     },
 }  # fmt: skip
 
