@@ -1,4 +1,4 @@
-"""The command line: a group that imports a command only when it is asked for, and the one door for errors."""
+"""The command line: a group that imports a command only when it is called, and reports every error in one place."""
 
 import errno
 import importlib
@@ -24,11 +24,11 @@ COMMANDS = {
     "render": "raw frames through a table → pictures",
     "evaluate": "quality of a table on frames it was not trained on",
     "report": "artifacts → one page with plots and pictures",
-    "compare": "evaluations of several cameras over the light on the scene",
+    "compare": "evaluations of several cameras over luminance",
     "info": "kind, version, axes, units, history of an artifact",
-    "bench": "frames per second here, stage by stage",
-    "lab": "a virtual lab: the measurements a camera would give",
-    "init": "a folder of recipes and pipelines for one kind of camera",
+    "bench": "frame times on this machine, stage by stage",
+    "lab": "virtual lab: simulated measurements of a camera",
+    "init": "folder of recipes and pipelines for one kind of camera",
 }
 
 CURES = {
@@ -57,7 +57,7 @@ class Pipeline(click.Group):
         return super().resolve_command(ctx, args)
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list["CompletionItem"]:
-        """Names and meanings from the list above: a key pressed must not import every command."""
+        """Names and meanings from the list above, as completion must not import every command."""
         from click.shell_completion import CompletionItem
 
         found = [CompletionItem(name, help=what) for name, what in COMMANDS.items() if name.startswith(incomplete)]
@@ -79,8 +79,8 @@ class Pipeline(click.Group):
 def l3(context: click.Context) -> None:
     """Give a camera with any colour filter array its image pipeline.
 
-    Measure the camera (calibrate), simulate it on scenes (simulate), learn a table of local linear transforms (train),
-    render raw frames through it (render). Every stage leaves one HDF5 file for the next.
+    Calibrate the camera from measurements (calibrate), simulate it on scenes (simulate), learn a table of local linear
+    transforms (train), render raw frames through it (render). Every stage writes one HDF5 file for the next.
     """
     require_address_space()
     if context.invoked_subcommand is None:  # a wrong call, such as of a script whose variable is empty
@@ -99,7 +99,7 @@ def main() -> None:
 
 
 def run(arguments: list[str]) -> int:
-    """Exit code of `l3 ARGUMENTS`, after printing what there is to print."""
+    """Exit code of `l3 ARGUMENTS`, after printing its results and messages."""
     Logged.current = None
     try:
         result: Any = l3.main(arguments, prog_name="l3", standalone_mode=False)
@@ -134,7 +134,7 @@ def run(arguments: list[str]) -> int:
 
 
 def _usage(error: click.ClickException) -> str:
-    """What is wrong with a call, and where the right ones are explained."""
+    """What is wrong with a call, and which help to read."""
     message = error.format_message().rstrip(".")
     if isinstance(error, click.NoSuchOption):
         near = [name for name in error.possibilities or () if name.startswith("--")]

@@ -1,4 +1,4 @@
-"""l3 bench: which devices there are, and how fast frames are rendered, simulated and learned from."""
+"""l3 bench: the OpenCL devices, and the times of rendering, simulation and training."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -14,15 +14,15 @@ if TYPE_CHECKING:
 @click.command()
 @options.device
 @options.variant
-@click.option("--list", "list_only", is_flag=True, help="List the OpenCL devices, or why there are none, and end.")
+@click.option("--list", "list_only", is_flag=True, help="Only list the OpenCL devices, or say why there are none.")
 @options.as_json
 @options.quiet
 def bench(device: str | None, variant: str | None, list_only: bool, as_json: bool, console: "Console") -> None:
-    """Time the rendering of made-up frames on an OpenCL device, uint16 in host memory to sRGB in host memory, and on
-    one core of the processor their simulation and training.
+    """Time the rendering of synthetic frames on an OpenCL device, uint16 in host memory to sRGB in host memory, and
+    simulation and training on one core of the processor.
 
     Rendering: medians of 20 frames. With a C compiler (CC or cc) each frame is timed in turn with the bare multiply-adds of
-    its transforms on all cores, hand-vectorised: "limit" is the median of their ratio. The variant that is not made for the
+    its transforms on all cores, hand-vectorised: "limit" is the median of their ratio. The variant for the other type of
     device and the numpy reference get small frames. Simulation: the fastest of 5 frames. Training: the faster
     of 2 runs, both passes.
 

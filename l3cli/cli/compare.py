@@ -1,4 +1,4 @@
-"""l3 compare: evaluations of several cameras beside each other, over the light on the scene."""
+"""l3 compare: evaluations of several cameras over luminance."""
 
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from l3cli.columns import printable
     default=("scielab",),
     show_default=True,
     metavar="NAME",
-    help="Which figure of the evaluations, such as mean_delta_e or psnr; several times for several.",
+    help="Figure of the evaluations, such as mean_delta_e or psnr. May be repeated.",
 )
 @options.output("HTML page with the curves", required=False)
 @options.force
@@ -26,7 +26,7 @@ from l3cli.columns import printable
 def compare(
     evaluations: tuple[Path, ...], figures: tuple[str, ...], output: Path | None, force: bool, as_json: bool
 ) -> None:
-    """Compare cameras by figures of their evaluations at each luminance, and tell where the better one changes.
+    """Compare cameras by figures of their evaluations at each luminance, and print where the ranking changes.
 
     \b
     Example: l3 compare bayer.json rgbw.json --figure psnr -o curves.html

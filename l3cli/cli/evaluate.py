@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     default=50.0,
     show_default=True,
     metavar="2…1000",
-    help="Samples a degree that S-CIELAB sees the pictures at.",
+    help="Samples a degree of visual angle, for S-CIELAB.",
 )
 @click.option(
     "--border",
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     "--pictures",
     type=options.FILE,
     metavar="DIR",
-    help="Write ours, ideal, basic and an error map (black: ΔE00 0, white: 10) of every frame as PNG.",
+    help="Write the table's, ideal and basic picture and an error map (black: ΔE00 0, white: 10) of every frame as PNG.",
 )
 @click.option("--force", is_flag=True, help="Write pictures into a folder that is not empty.")
 @options.as_json
@@ -53,8 +53,8 @@ def evaluate(
     """Render the raw frames of a training set that TABLE was not trained on and compare them with their targets.
 
     Pictures are compared as displayed: adapted to D65, the 99th percentile of the target's luminance shown as white.
-    The baseline is a basic pipeline that learns nothing (interpolation, white balance, colour matrix) and, for a Bayer
-    array where colour-demosaicing is installed, Malvar's and Menon's demosaicking with the same matrix.
+    Baselines are a basic pipeline that is not learned (interpolation, white balance, colour matrix) and, for a Bayer
+    array if colour-demosaicing is installed, Malvar's and Menon's demosaicking with the same matrix.
 
     Bands of the camera are compared as spectra (angle), linear values, and 8-bit codes of which white is 255. Baselines
     are bilinear interpolation, Malvar and Menon for Bayer, spectral differences (sd) and the pseudo-panchromatic image

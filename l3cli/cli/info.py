@@ -1,4 +1,4 @@
-"""l3 info: what an artifact holds, and what this l3 is made of."""
+"""l3 info: contents of an artifact, or versions of this installation."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,18 +17,18 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("file", type=options.FILE, required=False, metavar="FILE")
 @click.argument("inputs", type=options.FILE, nargs=-1, metavar="[INPUT…]")
-@click.option("--verify", "verifies", is_flag=True, help="Check every byte of FILE, and that it was made of the INPUTs.")
+@click.option("--verify", "verifies", is_flag=True, help="Verify every byte of FILE, and that it was made from the INPUTs.")
 @click.option(
     "--version", "versions", is_flag=True, help="Versions of l3, Python and libraries, and OpenCL devices; no FILE."
 )
 @options.as_json
 def info(file: Path | None, inputs: tuple[Path, ...], verifies: bool, versions: bool, as_json: bool) -> None:
     """Show kind, version, history and every dataset (axes, type, unit, meaning) of FILE; of a transform table also
-    what it has learned: classes, patches, noise gain, gain of flat areas, and its worst classes.
+    classes, patches, noise gain, gain of flat areas, and its noisiest classes.
 
-    With --verify tell whether FILE is as it was written, to the last byte, and which of the files that its history names
-    are given as INPUT: artifacts, recipes, frames, spectra. One that it does not name is another file, or has changed: exit
-    code 3.
+    With --verify check every byte of FILE against its digest, and say which of the files that its history names are given
+    as INPUT: artifacts, recipes, frames, spectra. An INPUT that the history does not name is another file, or has changed:
+    exit code 3.
 
     \b
     Example: l3 info camera.h5
@@ -62,7 +62,7 @@ def _versions() -> dict[str, Any]:
 
 
 def _verify(file: Path, inputs: tuple[Path, ...], as_json: bool) -> None:
-    """Show what is right and what is not given; InputFileError if something is not right."""
+    """Print what is verified and what is not given; InputFileError if something differs."""
     from l3cli.stages.information import verification
 
     result = verification(file, inputs)
@@ -93,7 +93,7 @@ def _lines(content: dict[str, Any]) -> list[str]:
 
 
 def _verified(file: Path, verification: "Verification") -> list[str]:
-    """What is right, and what the history names that is not given."""
+    """What is verified, and what the history names that is not given."""
     intact = verification.intact
     digest = "every byte is as written" if intact.digest else "without a digest of its bytes, which version 2 has"
     lines = [f"{file}: {intact.kind}, format version {intact.version}: {digest}; {intact.datasets} datasets are right"]
@@ -113,14 +113,14 @@ def _line(item: dict[str, Any]) -> str:
 
 
 def _short(value: Any) -> str:
-    """A number to six digits, text as it is; JSON tells all digits."""
+    """A number to six digits, text as it is; JSON has all digits."""
     if isinstance(value, list):
         return f"[{', '.join(map(_short, value))}]"
     return figure(value, ".6g") if isinstance(value, float) else str(value)
 
 
 def _learned(found: dict[str, Any]) -> list[str]:
-    """Lines that tell what a table has learned."""
+    """Lines about classes, patches and gains of a table."""
     classes = found["classes"]
     figures = " · ".join(
         f"{output} {gain['median']:.3g}, {gain['worst']:.3g}" for output, gain in found["noise_gain"].items()
@@ -149,7 +149,7 @@ def _learned(found: dict[str, Any]) -> list[str]:
 
 
 def _later(number: int, layer: dict[str, Any]) -> list[str]:
-    """Lines that tell what a layer after the first has learned."""
+    """Lines about a layer after the first."""
     classes, side = layer["classes"], layer["side"]
     gains = " · ".join(f"{output} {gain['median']:.3g}, {gain['worst']:.3g}" for output, gain in layer["noise_gain"].items())
     return [

@@ -1,4 +1,4 @@
-"""l3 init: a folder with the recipes of one kind of camera and the pipelines that make pictures of them, or a benchmark."""
+"""l3 init: a folder with the recipes of one kind of camera and pipelines from them to a picture, or with a benchmark."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -26,9 +26,9 @@ def _completed(context: click.Context, parameter: click.Parameter, incomplete: s
 @options.force
 @options.quiet
 def init(recipe: str | None, folder: Path | None, force: bool, console: "Console") -> None:
-    """Make DIR with the recipes of one kind of camera and a Makefile that leads from them to a picture and a report. Beside
-    it lie the same pipeline for Snakemake and for job arrays of Slurm. A benchmark's Makefile learns from one folder of
-    your pictures and judges on another.
+    """Make DIR with the recipes of one kind of camera and a Makefile that makes a picture and a report from them, and
+    the same pipeline for Snakemake and for job arrays of Slurm. A benchmark's Makefile learns from one folder of your
+    pictures and evaluates on another.
 
     Without arguments, list the recipes.
 

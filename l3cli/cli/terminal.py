@@ -1,5 +1,5 @@
-"""The one place that prints. Names and texts may come from anybody's file: nothing of them moves a cursor, hides what
-stands beside it or makes a line of its own."""
+"""The only place that prints. Names and texts may come from untrusted files: none of them can move the cursor, hide other
+text or add a line."""
 
 import contextlib
 import json
@@ -34,7 +34,7 @@ def show_table(title: Sequence[str], headings: Sequence[str], rows: Sequence[Seq
 
 
 def show_json(document: Any, console: "Console") -> None:
-    """A result as JSON on stdout: in ASCII, so that every encoding and every file name has its place there. JSON has no NaN:
+    """A result as JSON on stdout: in ASCII, so that it works in every encoding and with every file name. JSON has no NaN:
     a figure that cannot be computed is null, and named on the console."""
     missing: list[str] = []
     click.echo(json.dumps(_finite(document, "", missing), indent=2, allow_nan=False))
@@ -44,7 +44,7 @@ def show_json(document: Any, console: "Console") -> None:
 
 
 def _finite(value: Any, name: str, missing: list[str]) -> Any:
-    """`value` with null for numbers that are none; their names are added to `missing`."""
+    """`value` with null for NaN and infinity; their names are added to `missing`."""
     if isinstance(value, dict):
         return {key: _finite(each, f"{name}.{key}".lstrip("."), missing) for key, each in value.items()}
     if isinstance(value, list | tuple):
@@ -61,7 +61,7 @@ def with_options(message: str) -> str:
 
 
 def tell(message: str) -> None:
-    """One line of talk on stderr. Where it cannot be said, on a full disk or to a reader who has gone, the work goes on."""
+    """One message on stderr. If it cannot be written, on a full disk or to a closed pipe, the work continues."""
     try:
         click.echo(printable(with_options(message)), err=True)
     except OSError:
@@ -69,7 +69,7 @@ def tell(message: str) -> None:
 
 
 def prepare() -> None:
-    """What the encoding of stdout or stderr does not have becomes "?"; a size that is no number counts as none."""
+    """Characters that the encoding of stdout or stderr lacks become "?"; a COLUMNS or LINES that is no number is ignored."""
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
@@ -94,7 +94,7 @@ SELDOM, OFTEN = 600.0, 10.0  # seconds after which a log hears of the progress a
 
 
 def width() -> int | None:
-    """Characters in a line of stdout, as its terminal or the environment variable COLUMNS tells; None: any number."""
+    """Characters in a line of stdout, by its terminal or the environment variable COLUMNS; None: any number."""
     import shutil
 
     columns = os.environ.get("COLUMNS", "")
@@ -118,7 +118,7 @@ class Terminal:
     """The console of a command: everything on stderr."""
 
     def progress(self, items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
-        """As a bar on a terminal, elsewhere as plain lines, one every tenth; both tell rate and time left."""
+        """As a bar on a terminal, elsewhere as plain lines, one every tenth; both show rate and time left."""
         drawn = sys.stderr.isatty() and os.environ.get("TERM", "dumb") != "dumb"
         return (_with_bar if drawn else _with_lines)(items, total, what)
 
@@ -167,7 +167,7 @@ def _with_lines(items: Iterable[T], total: int | None, what: str) -> Iterator[T]
 
 
 def _pace(done: int, total: int | None, seconds: float) -> str:
-    """How fast it goes, and how long it will go on."""
+    """Rate and time left."""
     each = max(seconds, 1e-9) / done
     rate = f"{1 / each:.3g} a second" if each < 2 else f"{_span(each)} each"
     return rate if total is None else f"{rate}, {_span(max(total - done, 0) * each)} left"

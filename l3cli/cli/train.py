@@ -54,12 +54,14 @@ def _shares(context: Any, parameter: Any, text: str | None) -> tuple[Fraction, .
     help="Class recipe or its name, such as best; without it the built-in default.",
 )  # fmt: skip
 @click.option(
-    "--shares", callback=_shares, metavar="A,B…", help="Patches of each training set in this proportion, not by frames."
+    "--shares", callback=_shares, metavar="A,B…", help="Proportion of patches from each training set, not by frames."
 )
 @options.output("Transform table to write; with --shard the partial sums")
-@click.option("--shard", callback=_shard, metavar="I/N", help="Only sum up part I of N, from 1, to be merged later.")
+@click.option(
+    "--shard", callback=_shard, metavar="I/N", help="Only compute the partial sums of part I of N, from 1, for --merge."
+)
 @click.option("--first", type=options.FILE, metavar="FIRST.h5", help="Table of the pass before, for the shards of the next.")
-@click.option("--merge", is_flag=True, help="The files are all shards of a pass: make its table from them.")
+@click.option("--merge", is_flag=True, help="Make the table of a pass from its partial sums, all of which must be given.")
 @options.seed
 @options.scheduler
 @options.jobs
@@ -78,9 +80,9 @@ def train(
     Patches are spread evenly over all frames. With --shares 1,0.7,0.4 three training sets get patches in that proportion,
     however many frames they have.
 
-    Over several machines, give every shard the same training sets, shares, recipe and seed. Training takes two passes, the
-    errors of the first weigh the rows of the last, so there are four steps; the last table has the same bytes as without
-    shards:
+    Over several machines, give every shard the same training sets, shares, recipe and seed. Training takes two passes, as
+    the errors of the first weigh the rows of the second, so there are four steps; the final table has the same bytes as
+    without shards:
 
     \b
       l3 train training.h5 --shard 1/4 -o a1.h5                    … 4/4

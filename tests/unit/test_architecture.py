@@ -1,4 +1,4 @@
-"""Imports go down: never up, never across rooms; outside libraries enter by their one door (README, Architecture)."""
+"""Imports go down: never up, never across rooms; outside libraries enter by their one door (docs/architecture.md#floors)."""
 
 import ast
 import re

@@ -160,6 +160,7 @@ DECIMAL = '''
 
 import numpy as np
 
+from l3cli.io.raw.content import RawContent
 
 def read(path, request):
     """Values (row, col) in DN."""
