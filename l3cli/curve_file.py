@@ -41,15 +41,15 @@ def read_table(path: Path) -> CurveTable:
     if not (np.abs(table) <= LARGEST).all() or not _monotonic(wavelength):
         raise InputFileError(f"{path}: wavelengths must increase and every value be a number within ±{LARGEST:g}")
     if not (wavelength.min() > 0 and METRES < wavelength.max() <= LONGEST):
-        told = "" if scale is None or heading is None else f' ("{heading[at]}")'
-        raise InputFileError(f"{path}: give {MOST_ROWS} wavelengths at most, within 0…{LONGEST} nm{told}")
+        column = "" if scale is None or heading is None else f' ("{heading[at]}")'
+        raise InputFileError(f"{path}: give {MOST_ROWS} wavelengths at most, within 0…{LONGEST} nm{column}")
     if wavelength[0] > wavelength[-1]:
         wavelength, table = wavelength[::-1], table[::-1]
     values = np.ascontiguousarray(np.delete(table, at, axis=1).T)
     if heading is None:
         return CurveTable(path, wavelength, values, None, (None,) * len(values))
-    names, told_units = zip(*(units.split(name) for number, name in enumerate(heading) if number != at), strict=True)
-    return CurveTable(path, wavelength, values, names, told_units)
+    names, column_units = zip(*(units.split(name) for number, name in enumerate(heading) if number != at), strict=True)
+    return CurveTable(path, wavelength, values, names, column_units)
 
 
 def _monotonic(wavelength: Array) -> bool:

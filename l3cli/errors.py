@@ -53,6 +53,6 @@ def suggestion(name: str, known: Iterable[str]) -> str:
     spelled = {each.lower(): each for each in known}
     close = difflib.get_close_matches(name.lower(), spelled, n=3)
     if close:
-        return "did you mean " + " or ".join(f'"{spelled[found]}"' for found in close) + "?"
+        return "did you mean " + " or ".join(f'"{spelled[match]}"' for match in close) + "?"
     named = ", ".join(spelled.values())
     return f"there are {named}" if len(named) <= MOST else f"there are {named[:MOST].rpartition(',')[0]} …"

@@ -40,7 +40,7 @@ def is_wanted() -> bool:
     return _waiting is not None
 
 
-def give_way() -> None:
+def raise_pending() -> None:
     """Raise what the signal that waits would become, if one does: after it something has been left, nothing may go on."""
     global _waiting
     if _waiting is not None:

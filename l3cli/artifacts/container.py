@@ -43,10 +43,10 @@ class _Sink(io.RawIOBase):
 
     @uninterrupted
     def readinto(self, buffer: Any) -> int:
-        found = os.pread(self._descriptor, len(buffer), self._position)
-        buffer[: len(found)] = found
-        self._position += len(found)
-        return len(found)
+        content = os.pread(self._descriptor, len(buffer), self._position)
+        buffer[: len(content)] = content
+        self._position += len(content)
+        return len(content)
 
     @uninterrupted
     def write(self, content: Any) -> int:

@@ -258,12 +258,12 @@ def describe(path: Path) -> dict[str, Any]:
     with open_artifact(path) as root:
         with reading(path, "a dataset"):
             fields = [(name, dataset) for name, dataset in datasets(root) if name != "history" and not is_scale(dataset)]
-            found = [_described(path, name, dataset) for name, dataset in fields]
+            described = [_described(path, name, dataset) for name, dataset in fields]
         return {
             "kind": str(root.attrs["kind"]),
             "version": int(root.attrs["version"]),
             "history": [dataclasses.asdict(stage) for stage in read_history(root, path)],
-            "datasets": [dataclasses.asdict(item) for item in found],
+            "datasets": [dataclasses.asdict(item) for item in described],
         }
 
 

@@ -91,21 +91,21 @@ def chain(history: tuple[Stage, ...], inputs: Mapping[Path, str]) -> tuple[tuple
     for stage in stages:  # which grows
         named = {digest for digests in stage.inputs.values() for digest in digests}
         for path in (path for path, digest in inputs.items() if digest in named):
-            stages += [other for other in _own_history(path) if other not in stages]
-    links, found = [], set()
+            stages += [other for other in _history_of(path) if other not in stages]
+    links, named_inputs = [], set()
     for stage in stages:
         for role, digests in sorted(stage.inputs.items()):
             given = [path for path, digest in inputs.items() if digest in digests]
             links.append(Link(stage.command, role, len(set(digests)), tuple(str(path) for path in given)))
-            found.update(given)
+            named_inputs.update(given)
         if stage.recipe:
             given = [path for path in inputs if _is_recipe_of(path, stage)]
             links.append(Link(stage.command, "recipe", max(1, len(given)), tuple(str(path) for path in given)))
-            found.update(given)
-    return tuple(links), tuple(path for path in inputs if path not in found)
+            named_inputs.update(given)
+    return tuple(links), tuple(path for path in inputs if path not in named_inputs)
 
 
-def _own_history(path: Path) -> tuple[Stage, ...]:
+def _history_of(path: Path) -> tuple[Stage, ...]:
     """An artifact's history; nothing for another file."""
     try:
         with open_artifact(path) as root:

@@ -25,7 +25,7 @@ class Curves:
         peak = self.relative.max()
         return replace(self, relative=self.relative / peak, band=self.band / peak)
 
-    def to_own_peaks(self) -> "Curves":
+    def to_channel_peaks(self) -> "Curves":
         """Scaled so that every channel's largest value is 1."""
         peak = self.relative.max(axis=1, keepdims=True)
         return replace(self, relative=self.relative / peak, band=self.band / peak)

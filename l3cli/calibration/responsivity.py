@@ -71,11 +71,11 @@ def solve_channels(sweep: Sweep, delta: float) -> Array:
 
 def residuals(sweep: Sweep, responsivity: Array) -> Array:
     """(channel) RMS of what Eq. 1 leaves unexplained, over the channel's largest value."""
-    found = []
+    relative = []
     for values, valid, curve in zip(sweep.values.T, sweep.valid.T, responsivity, strict=True):
         rest = values[valid] - sweep.design[valid] @ curve
-        found.append(np.sqrt(np.mean(rest**2)) / values[valid].max())
-    return np.array(found)
+        relative.append(np.sqrt(np.mean(rest**2)) / values[valid].max())
+    return np.array(relative)
 
 
 def choose_smoothing(deltas: Array, errors: Array) -> float:

@@ -22,8 +22,8 @@ def _shard(context: Any, parameter: Any, text: str | None) -> tuple[int, int] | 
     """Reads "I/N" with 1 ≤ I ≤ N."""
     if text is None:
         return None
-    first, found, second = text.partition("/")
-    if not found:
+    first, has_separator, second = text.partition("/")
+    if not has_separator:
         raise click.BadParameter(f'"{shortened(text)}" is not I/N, such as 1/4')
     try:
         index, count = int(SHARD.read(first)), int(SHARD.read(second))

@@ -159,7 +159,7 @@ def opened(path: Path) -> Iterator[tuple[Any, Any]]:
     with named_in_utf8(path) as name, contextlib.closing(open_image(path, name)) as source:
         spec = source.spec()
         require_bearable(path, spec)
-        require_pages_told(path, spec, 1)
+        require_whole_stack(path, spec, 1)
         if source.seek_subimage(1, 0):
             what = "page" if source.format_name() == "tiff" else "part"
             raise InputFileError(f"{path} holds more than one {what}; give a file of one picture, or render it alone")
@@ -174,7 +174,7 @@ def open_image(path: Path, name: str) -> Any:
 
     source = oiio.ImageInput.open(name)
     if source is None:
-        raise InputFileError(f"{path} is not an image that can be read ({_told(oiio.geterror(), name)})")
+        raise InputFileError(f"{path} is not an image that can be read ({_reason(oiio.geterror(), name)})")
     return source
 
 
@@ -185,7 +185,7 @@ def require_bearable(path: Path, spec: Any) -> None:
         raise InputFileError(f"{path} holds a volume or samples in depth; give a flat picture")
 
 
-def require_pages_told(path: Path, spec: Any, pages: int) -> None:
+def require_whole_stack(path: Path, spec: Any, pages: int) -> None:
     """InputFileError if a picture's description tells of more frames than there are pages: ImageJ and tifffile may store a
     stack as a single page, the other frames somewhere behind it."""
     text = spec.get_string_attribute("ImageDescription")
@@ -204,11 +204,11 @@ def pixels_of(path: Path, source: Any, spec: Any) -> NDArray:
     """Pixels (row, col, channel) of an opened picture."""
     pixels = source.read_image(spec.format)
     if pixels is None:
-        raise InputFileError(f"{path} is truncated or damaged ({_told(source.geterror(), str(path))}); give a whole image")
+        raise InputFileError(f"{path} is truncated or damaged ({_reason(source.geterror(), str(path))}); give a whole image")
     return pixels.reshape(spec.height, spec.width, spec.nchannels)
 
 
-def _told(message: str, name: str) -> str:
+def _reason(message: str, name: str) -> str:
     """What OpenImageIO says, in one line and without the name that stands before it already."""
     line = message.strip().splitlines()[0] if message.strip() else "unknown format"
     return line.removeprefix(f"{name}: ")

@@ -44,8 +44,8 @@ class CaptureRecipe(Recipe, kw_only=True):
     @property
     def seconds(self) -> float | None:
         """The exposure, or None unless one key tells it."""
-        told = [(self.exposure_s, 1.0), (self.exposure_ms, 1e3), (self.exposure_us, 1e6)]
-        given = [value / parts for value, parts in told if value is not None]
+        exposures = [(self.exposure_s, 1.0), (self.exposure_ms, 1e3), (self.exposure_us, 1e6)]
+        given = [value / parts for value, parts in exposures if value is not None]
         return given[0] if len(given) == 1 else None
 
 

@@ -171,21 +171,21 @@ def _series(path: Path, table: TransformTable, known: KnownBetter, dataset: str 
 
 
 def _in_folder(folder: Path) -> list[Path]:
-    found = [path for path in folder.iterdir() if is_frame(path) and path.name[0] != "." and path.is_file()]
-    kinds = sorted({path.suffix.lower() for path in found})
+    files = [path for path in folder.iterdir() if is_frame(path) and path.name[0] != "." and path.is_file()]
+    kinds = sorted({path.suffix.lower() for path in files})
     if len(kinds) > 1:
         raise InputFileError(f'{folder} holds {" and ".join(kinds)} files; name one kind, such as "{folder}/*{kinds[0]}"')
-    if not found:
+    if not files:
         raise InputFileError(f"{folder} holds no raw frames; give a folder of .tif .tiff .png .npy .raw .dng …")
-    return sorted(found, key=natural_order)
+    return sorted(files, key=natural_order)
 
 
 def _globbed(path: Path) -> list[Path]:
     matches = Path(path.anchor or ".").glob(str(path.relative_to(path.anchor)))
-    found = [each for each in matches if each.name[0] != "." and each.is_file()]
-    if not found:
+    files = [each for each in matches if each.name[0] != "." and each.is_file()]
+    if not files:
         raise InputFileError(f"{path} matches no file; give the raw frames' names")
-    return sorted(found, key=natural_order)
+    return sorted(files, key=natural_order)
 
 
 def _of_files(what: str, paths: Iterable[Path], table: TransformTable, known: KnownBetter) -> _Series:
@@ -211,17 +211,17 @@ def _film_rate(path: Path) -> Fraction | None:
 
 
 def _of_pattern(pattern: Path, table: TransformTable, known: KnownBetter) -> _Series:
-    found = numbered_files(pattern)
-    if not found:
+    files = numbered_files(pattern)
+    if not files:
         raise InputFileError(f"{pattern} matches no file; give the raw frames' pattern, such as frame_%04d.tif")
     # A pattern says that the frames are numbered throughout: a number left out is a frame lost.
-    whole = range(min(found), max(found) + 1)
+    whole = range(min(files), max(files) + 1)
 
     def read(number: int) -> RawFrame:
-        return read_raw(found[number], table, known)
+        return read_raw(files[number], table, known)
 
-    rate = _film_rate(next(iter(found.values())))
-    return _Series(str(pattern), found, read, lambda number: numbered_name(pattern, number).stem, rate, found, whole)
+    rate = _film_rate(next(iter(files.values())))
+    return _Series(str(pattern), files, read, lambda number: numbered_name(pattern, number).stem, rate, files, whole)
 
 
 # ----------------------------------------------------------------------------------------------- stacks and streams

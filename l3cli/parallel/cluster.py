@@ -48,13 +48,13 @@ class Scheduler:
 
     def __post_init__(self) -> None:
         """RecipeError if that is no address, or files are missing or given in vain."""
-        found = re.fullmatch(r"(tcp|tls)://\S+:(\d{1,5})", self.address, re.ASCII)
-        if not found or not 0 < int(found[2]) < 65536:
+        match = re.fullmatch(r"(tcp|tls)://\S+:(\d{1,5})", self.address, re.ASCII)
+        if not match or not 0 < int(match[2]) < 65536:
             raise RecipeError(f'"{self.address}" is no scheduler\'s address; give tcp://HOST:PORT or tls://HOST:PORT')
         files = (self.ca, self.certificate, self.key)
-        if found[1] == "tls" and None in files:
+        if match[1] == "tls" and None in files:
             raise RecipeError(f"{self.address} needs ‹tls_ca›, ‹tls_cert› and ‹tls_key›")
-        if found[1] == "tcp" and files != (None, None, None):
+        if match[1] == "tcp" and files != (None, None, None):
             raise RecipeError(
                 f"{self.address} speaks no TLS; give tls://HOST:PORT, or leave ‹tls_ca›, ‹tls_cert›, ‹tls_key› out"
             )
@@ -122,7 +122,7 @@ class _Hands:
 
     def __init__(self, client: Any) -> None:
         self._client = client
-        self._looked = -PULSE
+        self._checked = -PULSE
         self._seen = time.monotonic()  # when there was a worker
         self._count = 0
 
@@ -134,14 +134,14 @@ class _Hands:
 
     def count(self) -> int:
         """Their number. L3Error if there has been none for longer than PATIENCE, or the scheduler is gone."""
-        if time.monotonic() - self._looked >= PULSE:
+        if time.monotonic() - self._checked >= PULSE:
             try:
                 self._count = len(self._client.nthreads())
             except (OSError, RuntimeError, CancelledError) as error:
                 raise L3Error(_GONE) from error
-            self._looked = time.monotonic()
+            self._checked = time.monotonic()
         if self._count:
-            self._seen = self._looked
+            self._seen = self._checked
         elif time.monotonic() - self._seen > PATIENCE:
             raise L3Error(
                 f"the scheduler has had no worker for {PATIENCE:.0f} s; start some with: dask worker ADDRESS --nthreads 1"

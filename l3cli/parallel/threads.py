@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, TypeVar
 
-from l3cli.interrupts import give_way, is_wanted, uninterrupted
+from l3cli.interrupts import is_wanted, raise_pending, uninterrupted
 
 T = TypeVar("T")
 READING, WRITING = 1.0, 25.0  # seconds after an interrupt in which an item that is being read, or written, is finished
@@ -100,7 +100,7 @@ class Behind:
                 thread.join(STEP)
                 left -= STEP if interrupted or is_wanted() else 0
         if error is None:
-            give_way()  # what waited has been dropped: nobody may take what is written for all
+            raise_pending()  # what waited has been dropped: nobody may take what is written for all
             if self._error is not None:
                 raise self._error
 

@@ -54,8 +54,8 @@ class _Cache:
     def keep(self) -> None:
         """Keep what has been compiled; where that cannot be, `unkept` says why."""
         for file, (programs, known) in self._built.items():
-            found = {path for program in programs for path in program.rglob("*") if path.is_file()}
-            names = {str(path.relative_to(self.folder)) for path in found}
+            files = {path for program in programs for path in program.rglob("*") if path.is_file()}
+            names = {str(path.relative_to(self.folder)) for path in files}
             if self.unkept or names <= known:
                 continue
             try:
@@ -145,8 +145,8 @@ def _remove_abandoned(place: Path) -> None:
     """Remove what processes left here that were killed."""
     for folder in place.glob(f"{PREFIX}*"):
         with contextlib.suppress(OSError, L3Error):
-            found = folder.lstat()
-            if stat.S_ISDIR(found.st_mode) and found.st_uid == os.geteuid() and time.time() - found.st_mtime > YOUNG:
+            state = folder.lstat()
+            if stat.S_ISDIR(state.st_mode) and state.st_uid == os.geteuid() and time.time() - state.st_mtime > YOUNG:
                 with sole_writer_of_folder(folder) as locked:
                     if locked:
                         shutil.rmtree(folder)

@@ -153,7 +153,7 @@ class OpenCLRenderer:
                 self._tracks.rotate()
                 self._classify(values, frame.phase, track, band, work)
                 if self.table.later and not (kernel is None and layer == 0):
-                    self._look_again(track, band, work)
+                    self._classify_later(track, band, work)
                 offset, sizes = 0, [result[band.rows].nbytes for result in results]
                 if kernel is not None:
                     self._transform(kernel, encoding, track, band, sum(sizes), levelled.black, work)
@@ -188,7 +188,7 @@ class OpenCLRenderer:
         buffers = (track.raw, *band.mosaic_source, *self._class_buffers, track.labels)
         work.add("classes", self._run(self._classes, track, (rows, band.columns), *buffers, *map(np.int32, site)))
 
-    def _look_again(self, track: Track, band: Band, work: Work) -> None:
+    def _classify_later(self, track: Track, band: Band, work: Work) -> None:
         """Planes of the first layer, and by their structure the classes of the one after it."""
         shape = (band.wide.stop - band.wide.start, band.columns)
         track.planes = self._scratch(track.planes, 2 * layout.PLANES * shape[0] * shape[1])

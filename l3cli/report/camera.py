@@ -73,7 +73,7 @@ def _array_figure(camera: CameraModel, light: Array) -> Figure:
     counts = np.bincount(camera.cfa.ravel(), minlength=len(camera.channels))
     shares = ", ".join(f"{name} on {count}" for name, count in zip(camera.channels, counts, strict=True))
     finding = f"Super-pixel of {rows} × {cols} sites: {shares}. Colours are those of daylight through each channel."
-    svg = sheet(cols * wide + 2, rows * CELL + 2, "".join(items), finding, own_size=True)
+    svg = sheet(cols * wide + 2, rows * CELL + 2, "".join(items), finding, fixed_size=True)
     return Figure("Colour filter array", svg, finding, narrow=True)
 
 
@@ -217,12 +217,12 @@ def _transfer_figure(camera: CameraModel, noise: NoiseFit, light: Array) -> Figu
 
 
 def _validation_blocks(camera: CameraModel, fit: Fit, figures: dict[str, Any], light: Array) -> tuple[Block, ...]:
-    drawn: list[Figure] = []
+    graphs: list[Figure] = []
     if fit.validation is not None:
-        drawn += _prediction_figures(camera, fit, light)
+        graphs += _prediction_figures(camera, fit, light)
     if fit.sweep is not None:
-        drawn += _smoothing_figure(fit.sweep)
-    blocks: list[Block] = [Figures(tuple(drawn))] if drawn else []
+        graphs += _smoothing_figure(fit.sweep)
+    blocks: list[Block] = [Figures(tuple(graphs))] if graphs else []
     if figures["lights"]:
         blocks.append(table_of("Prediction of each chart", "chart", figures["lights"]))
     if figures["bands"]:

@@ -162,10 +162,10 @@ class Plot:
         return "".join(items)
 
 
-def sheet(width: float, height: float, inside: str, finding: str, own_size: bool = False) -> Markup:
-    """A drawing of so many pixels, scaled to the page unless of its `own_size`; texts `inside` are escaped already."""
+def sheet(width: float, height: float, inside: str, finding: str, fixed_size: bool = False) -> Markup:
+    """A drawing of so many pixels, scaled to the page unless of its `fixed_size`; texts `inside` are escaped already."""
     label = escape(finding)
-    size = f' width="{width:g}" height="{height:g}"' if own_size else ""
+    size = f' width="{width:g}" height="{height:g}"' if fixed_size else ""
     return Markup(f'<svg viewBox="0 0 {width:g} {height:g}"{size} role="img" aria-label="{label}">{inside}</svg>')
 
 

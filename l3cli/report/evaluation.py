@@ -68,7 +68,7 @@ def evaluation_section(
 
 
 def luminance_section(
-    curves: dict[str, list[tuple[str, tuple[float, ...], tuple[float, ...]]]], told: dict[str, list[str]]
+    curves: dict[str, list[tuple[str, tuple[float, ...], tuple[float, ...]]]], sentences: dict[str, list[str]]
 ) -> Section:
     """Cameras over the light on the scene: for each figure the name, luminances (cd/m²) and values of every camera, and
     sentences on where the better one changes."""
@@ -81,7 +81,7 @@ def luminance_section(
         for colour, (name, luminance, value) in zip(itertools.cycle(SERIES), cameras, strict=False):
             plot.line(np.array(luminance), np.array(value), colour).dots(np.array(luminance), np.array(value), colour)
             keys.append(Key(name, colour))
-        finding = " ".join(told[figure]) or f"{heading} of {cameras[0][0]}."
+        finding = " ".join(sentences[figure]) or f"{heading} of {cameras[0][0]}."
         rows = tuple(
             (tidy(luminance), *(tidy(values[index]) for _, _, values in cameras))
             for index, luminance in enumerate(cameras[0][1])
@@ -95,12 +95,12 @@ def summary(document: dict[str, Any]) -> str:
     """The evaluation in a sentence."""
     figure = next(iter(document["frames"][0][OURS]))
     count = len(document["frames"])
-    means = ", ".join(f"{name} {_told(document['mean'][name], figure)}" for name in document["pipelines"])
+    means = ", ".join(f"{name} {_main_figures(document['mean'][name], figure)}" for name in document["pipelines"])
     name = NAMES[figure]
     return f"{name[0].upper()}{name[1:]} over {counted(count, 'frame')}: {means}."
 
 
-def _told(figures: dict[str, float], figure: str) -> str:
+def _main_figures(figures: dict[str, float], figure: str) -> str:
     """The main figure and, of pictures, the PSNR."""
     return _number(figure, figures[figure]) + (f" ({number(figures['psnr'], '.1f')} dB)" if "psnr" in figures else "")
 
@@ -177,12 +177,12 @@ def _curves(document: dict[str, Any], figure: str, entries: list, at: np.ndarray
         colour, mark = SERIES[index % len(SERIES)], ("line", "dashed", "dotted", "dashed")[index % 4]
         plot.line(at, curve, colour, mark).dots(at, curve, colour, size=6)
         keys.append(Key(name, colour, mark))
-    told = "; ".join(
+    ranges = "; ".join(
         f"{name} {_number(figure, curve[0])} at level {tidy(at[0], 2)}, {_number(figure, curve[-1])} at {tidy(at[-1], 2)}, "
         f"at most {_number(figure, curve.max())}"
         for name, curve in values.items()
     )
-    finding = f"{NAMES[figure]}: {told}."
+    finding = f"{NAMES[figure]}: {ranges}."
     return Figure(title, plot.svg(finding), finding, tuple(keys))
 
 
@@ -237,10 +237,10 @@ def _picture(frame: dict[str, Any], name: str, pixels: Pixels, figure: str, limi
     scale = pixels.shape[0] // rows
     reduced = f", shown at 1/{scale} of its size" if scale > 1 else ""
     if name == "ideal":
-        told = "the target"
+        what = "the target"
     elif name == "error":
-        told = f"ΔE00 of ours at every pixel, mean {_number(figure, frame[OURS][figure])}"
+        what = f"ΔE00 of ours at every pixel, mean {_number(figure, frame[OURS][figure])}"
     else:
-        told = f"{NAMES[figure]} {_told(frame[name], figure)}"
-    caption = f"{name}: {told}{reduced}"
+        what = f"{NAMES[figure]} {_main_figures(frame[name], figure)}"
+    caption = f"{name}: {what}{reduced}"
     return Picture(uri, rows, cols, caption, f"{frame['scene']}, {caption}")

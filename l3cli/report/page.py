@@ -34,7 +34,7 @@ def _stages(name: str, stages: tuple[Stage, ...]) -> Part:
     rows = []
     for number, stage in enumerate(stages, 1):
         chosen = " ".join(_option(*option) for option in sorted(stage.options.items()))
-        inputs = "; ".join(_digests(role, found) for role, found in sorted(stage.inputs.items()) if found)
+        inputs = "; ".join(_digests(role, digests) for role, digests in sorted(stage.inputs.items()) if digests)
         rows.append((f"{number}", f"l3 {stage.command}", chosen or "–", inputs or "–", stage.version))
     table = Table(f"Stages of {name}", ("stage", "command", "options", "inputs, SHA-256", "l3cli"), tuple(rows))
     recipes = [Details(f"Recipe of stage {n}, {s.command}", s.recipe) for n, s in enumerate(stages, 1) if s.recipe]
@@ -46,8 +46,10 @@ def _option(key: str, value: Any) -> str:
     return f"--{key.replace('_', '-')}" + ("" if value is True else f" {value}")
 
 
-def _digests(role: str, found: list[str]) -> str:
+def _digests(role: str, digests: list[str]) -> str:
     """A role and its files by the first digits of their SHA-256."""
     return (
-        f"{role} " + " ".join(digest[:12] for digest in found[:4]) + (f" … ({len(found)} files)" if len(found) > 4 else "")
+        f"{role} "
+        + " ".join(digest[:12] for digest in digests[:4])
+        + (f" … ({len(digests)} files)" if len(digests) > 4 else "")
     )

@@ -365,9 +365,9 @@ def test_what_listens_on_this_machine_alone_is_known(address: str, near: bool) -
 
 
 def test_a_scheduler_open_to_others_is_warned_of(cluster: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
-    told: list[str] = []
-    with workers(1, Scheduler(cluster.address, warn=told.append)):
-        assert told == []
+    warnings: list[str] = []
+    with workers(1, Scheduler(cluster.address, warn=warnings.append)):
+        assert warnings == []
     monkeypatch.setattr(elsewhere, "_is_loopback", lambda address: False)
-    with workers(1, Scheduler(cluster.address, warn=told.append)):
-        assert told == [elsewhere.WITHOUT_TLS]
+    with workers(1, Scheduler(cluster.address, warn=warnings.append)):
+        assert warnings == [elsewhere.WITHOUT_TLS]

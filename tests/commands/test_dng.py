@@ -96,8 +96,8 @@ def test_other_developers_make_a_true_picture(made: Path) -> None:
 
 def test_tags_are_those_of_the_specification(made: Path) -> None:
     with tifffile.TiffFile(files(made)[0]) as file:
-        found = file.pages[0].tags.values()
-        tags, kind = {tag.code: tag.value for tag in found}, {tag.code: (int(tag.dtype), tag.count) for tag in found}
+        written = file.pages[0].tags.values()
+        tags, kind = {tag.code: tag.value for tag in written}, {tag.code: (int(tag.dtype), tag.count) for tag in written}
     kinds = {
         254: (4, 1), 274: (3, 1), 33421: (3, 2), 33422: (1, 4), 50706: (1, 4), 50707: (1, 4), 50710: (1, 3), 50711: (3, 1),
         50713: (3, 2), 50714: (5, 1), 50717: (4, 1), 50718: (5, 2), 50719: (4, 2), 50720: (4, 2), 50721: (10, 9),

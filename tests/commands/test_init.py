@@ -93,9 +93,9 @@ def test_a_phase_comes_with_its_base(tmp_path: Path, l3: Callable) -> None:
 def test_every_recipe_that_is_shipped_can_be_read() -> None:
     kinds: dict[str, type[Recipe]] = {"scenes": SceneRecipe, "classes": TrainingRecipe, "lab": LabRecipe}
     for folder, kind in kinds.items():
-        found = sorted((CONFIGS / folder).glob("*.toml"))
-        assert found
-        for path in found:
+        paths = sorted((CONFIGS / folder).glob("*.toml"))
+        assert paths
+        for path in paths:
             load_recipe(path, kind)
 
 

@@ -210,9 +210,9 @@ def test_another_camera_makes_everything_again(workplace: Workplace, folder: Pat
 
 def test_another_camera_takes_its_own_unseen_frames(workplace: Workplace, folder: Path) -> None:
     shutil.copy(folder / "camera.toml", folder / "other.toml")
-    own = {"": "camera.toml", "CAMERA=other.toml": "other.toml", "MEASUREMENTS=mine.toml": "camera.h5"}
+    cameras = {"": "camera.toml", "CAMERA=other.toml": "other.toml", "MEASUREMENTS=mine.toml": "camera.h5"}
     (folder / "mine.toml").touch()
-    for asked, camera in own.items():
+    for asked, camera in cameras.items():
         assert f"simulate unseen.toml --camera {camera} " in workplace.do(folder, f"make -n -W unseen.toml {asked}")[0], (
             asked
         )

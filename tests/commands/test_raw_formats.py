@@ -235,9 +235,9 @@ def test_packed_fits_and_its_header(tmp_path: Path, mosaic: np.ndarray) -> None:
 def test_a_fits_cube_is_a_sequence(tmp_path: Path, mosaic: np.ndarray) -> None:
     fits.writeto(tmp_path / "a.fits", np.stack([mosaic, mosaic // 2, mosaic // 3]))
     footage = find_frames((tmp_path / "a.fits",), RGGB, KnownBetter())
-    found = [(each.stem, each.read()) for each in footage.frames]
-    assert [stem for stem, _ in found] == ["a_000000", "a_000001", "a_000002"]
-    for divisor, (_, frame) in enumerate(found, 1):
+    read = [(each.stem, each.read()) for each in footage.frames]
+    assert [stem for stem, _ in read] == ["a_000000", "a_000001", "a_000002"]
+    for divisor, (_, frame) in enumerate(read, 1):
         assert frame is not None
         np.testing.assert_array_equal(frame.values, mosaic // divisor)
 
@@ -277,8 +277,8 @@ def test_phase_of_our_own_codes(case: tuple[tuple[str, ...], np.ndarray], row: i
     channels, cfa = case
     ours = sensor(channels, np.asarray(cfa))
     seen = np.roll(channel_codes(channels)[cfa], (-row, -col), axis=(0, 1))
-    found = find_phase("f", seen, ours)
-    np.testing.assert_array_equal(np.roll(cfa, (-found[0], -found[1]), axis=(0, 1)), np.roll(cfa, (-row, -col), axis=(0, 1)))
+    phase = find_phase("f", seen, ours)
+    np.testing.assert_array_equal(np.roll(cfa, (-phase[0], -phase[1]), axis=(0, 1)), np.roll(cfa, (-row, -col), axis=(0, 1)))
 
 
 def test_codes_are_those_of_the_standard() -> None:

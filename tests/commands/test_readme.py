@@ -35,9 +35,9 @@ LINES = [line.removeprefix("$ ") for line in SHOWN if re.match(r"(\$ )?(l3 |.*\|
 
 
 def command(name: str) -> click.Command:
-    found = l3.get_command(click.Context(l3), name)
-    assert found is not None, f"l3 {name}"
-    return found
+    subcommand = l3.get_command(click.Context(l3), name)
+    assert subcommand is not None, f"l3 {name}"
+    return subcommand
 
 
 # ------------------------------------------------------------------------------------------------------- commands
@@ -45,9 +45,9 @@ def command(name: str) -> click.Command:
 
 @pytest.mark.parametrize("line", LINES)
 def test_every_command_shown_is_complete(line: str) -> None:
-    found = commands(line)
-    assert found, line
-    for name, *arguments in found:
+    calls = commands(line)
+    assert calls, line
+    for name, *arguments in calls:
         command(name).make_context(name, arguments)  # a click.UsageError tells what is wrong or missing
 
 
@@ -171,13 +171,13 @@ def test_the_trees_of_artifacts_name_what_there_is() -> None:
 
 def fields(kind: type) -> set[str]:
     """Names of a dataclass's fields, and of those of the groups below it."""
-    found = set()
+    names = set()
     for field in dataclasses.fields(kind):
-        found.add(field.name)
+        names.add(field.name)
         for each in (field.type, *getattr(field.type, "__args__", ())):
             if isinstance(each, type) and dataclasses.is_dataclass(each):
-                found |= fields(each)
-    return found
+                names |= fields(each)
+    return names
 
 
 def test_the_architecture_names_every_module_of_the_lower_floors() -> None:

@@ -177,12 +177,12 @@ def test_a_full_disk_names_the_output(tmp_path: Path) -> None:
         write_whole(Path("/dev/null/a.txt"), "")
     assert files.TEMPORARY.fullmatch(DEAD)
 
-    def in_the_way() -> None:
+    def block_disk() -> None:
         with atomic_output(tmp_path / "b.txt"):
             (tmp_path / "b.txt").mkdir()
 
     with pytest.raises(L3Error, match=r"b\.txt cannot be written: Is a directory; name another output"):
-        in_the_way()
+        block_disk()
     assert names(tmp_path) == ["b.txt"]
 
 
@@ -226,8 +226,8 @@ def test_modes_are_the_umasks_and_no_more_than_the_output_had(tmp_path: Path, um
         with sole_writer_of_file(path), atomic_output(path) as temporary:
             temporary.write_text("a")
             hidden = (tmp_path / ".a.h5.l3lock", temporary)
-            found = tuple(each.stat().st_mode & 0o777 for each in hidden)
-        return (*found, path.stat().st_mode & 0o777)
+            hidden_modes = tuple(each.stat().st_mode & 0o777 for each in hidden)
+        return (*hidden_modes, path.stat().st_mode & 0o777)
 
     before = os.umask(umask)
     try:

@@ -231,7 +231,7 @@ def test_values_come_back_as_they_went_and_one_child_decodes_all(limited: None) 
 
 
 @pytest.mark.parametrize(
-    ("decoder", "told"),
+    ("decoder", "message"),
     [
         (crash, "makes its decoder crash (SIGSEGV)"),
         (abort, "makes its decoder crash (SIGABRT)"),
@@ -241,10 +241,10 @@ def test_values_come_back_as_they_went_and_one_child_decodes_all(limited: None) 
         (write_much, "File too large"),
     ],
 )
-def test_a_file_at_worst_ends_its_decoder(limited: None, decoder: Callable[[Path], None], told: str) -> None:
+def test_a_file_at_worst_ends_its_decoder(limited: None, decoder: Callable[[Path], None], message: str) -> None:
     with pytest.raises(InputFileError, match=r"^bad.dng") as caught:
         decoder(Path("bad.dng"))
-    assert told in str(caught.value)
+    assert message in str(caught.value)
     assert echo(Path("f"), "still here", 0)["told"][0] == "still here"
 
 

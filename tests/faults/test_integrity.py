@@ -185,13 +185,13 @@ def test_the_history_is_compared_with_its_inputs(bayer_recipe: Path, tmp_path: P
     assert l3("train", *sets, "--classes", classes, "-o", table, "--quiet")[0] == 0
     code, out, err = l3("info", "--verify", table, *sets, scenes, classes, bayer_recipe, "--json")
     assert (code, err) == (0, "")
-    found = json.loads(out)
-    links = {(link["stage"], link["role"]): link for link in found["history"] if link["given"]}
+    document = json.loads(out)
+    links = {(link["stage"], link["role"]): link for link in document["history"] if link["given"]}
     assert links["train", "training set"]["given"] == [str(path) for path in sets]
     assert links["train", "recipe"]["given"] == [str(classes)]
     assert links["simulate", "camera"]["given"] == [str(bayer_recipe)]
     assert set(links["simulate", "recipe"]["given"]) == {str(scenes), str(bayer_recipe)}
-    assert found["different"] == []
+    assert document["different"] == []
     code, out, _ = l3("info", "--verify", table, sets[0])
     assert code == 0
     assert f"train training set: 1 verified ({sets[0]}), 1 not given" in out

@@ -274,7 +274,7 @@ def test_cross_validation_predicts_a_chart_from_the_others() -> None:
 
 def test_patches_are_found_in_a_turned_chart_in_perspective() -> None:
     corners = np.array([[30.0, 40.0], [280.0, 20.0], [260.0, 190.0], [50.0, 170.0]])
-    found = gain.patch_map(corners, 220, 320)
+    patches = gain.patch_map(corners, 220, 320)
 
     def along(x: float, y: float) -> tuple[int, int]:
         """Pixel of chart position 0…1 by intersecting lines through the corners' diagonals, patch by patch."""
@@ -294,9 +294,9 @@ def test_patches_are_found_in_a_turned_chart_in_perspective() -> None:
 
     for patch in range(24):
         y, x = divmod(patch, 6)
-        assert found[along((x + 0.5) / 6, (y + 0.5) / 4)] == patch
-        assert found[along((x + 0.02) / 6, (y + 0.5) / 4)] == 24
-    assert (found[:15] == 24).all()
+        assert patches[along((x + 0.5) / 6, (y + 0.5) / 4)] == patch
+        assert patches[along((x + 0.02) / 6, (y + 0.5) / 4)] == 24
+    assert (patches[:15] == 24).all()
 
 
 # ---------------------------------------------------------------------------------------------------------- noise
@@ -361,11 +361,11 @@ def test_photon_transfer_stops_where_the_well_is_full(body: Body) -> None:
 def test_prnu_of_uneven_light(body: Body) -> None:
     captures, response = white_levels(9000.0, [0.1, 0.25, 0.4, 0.55], trials=20)
     levels = [measure_level(capture, body, defects.none()) for capture in captures]
-    found, dead = noise.prnu(captures, levels, np.ones((4, 3), dtype=bool), body, defects.none())
+    measured, dead = noise.prnu(captures, levels, np.ones((4, 3), dtype=bool), body, defects.none())
     assert not dead.size
     sites = (response[0::2, 0::2], np.stack([response[0::2, 1::2], response[1::2, 0::2]]), response[1::2, 1::2])
     # Known to ~0.4 %; a local mean that shrinks what it is subtracted from would cost 1 %.
-    assert np.mean(found / [site.std() for site in sites]) == pytest.approx(1.0, abs=0.006)
+    assert np.mean(measured / [site.std() for site in sites]) == pytest.approx(1.0, abs=0.006)
 
 
 def test_single_frames_and_single_exposures_are_refused(body: Body) -> None:

@@ -79,7 +79,7 @@ def learned(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     camera, lamp = load_camera(path), make_light(light, {}, load_camera(path).wavelength)
     rates = white_rates(camera, lamp)
     seconds = camera.full_scale / rates.max()
-    unit = seconds / camera.white_dose
+    unit = seconds / camera.saturation_exposure
     return Learned(camera, load(TransformTable, Path(table)), rates * seconds, spectra.white_point(light), unit)
 
 
@@ -181,7 +181,7 @@ def test_greys_are_taught_only_where_they_clip(bayer: CameraModel) -> None:
         assert kind >= rule.chromas
         saturated = [channel for channel in range(3) if kind - rule.chromas + 1 >> channel & 1]
         assert 1 in saturated  # green clips first
-        found = np.sqrt(np.diag(moments)[:9] / moments[9, 9])
-        assert found[np.isin(window, saturated)] == pytest.approx(1.0, abs=0.08)
+        deviation = np.sqrt(np.diag(moments)[:9] / moments[9, 9])
+        assert deviation[np.isin(window, saturated)] == pytest.approx(1.0, abs=0.08)
         outputs = moments[10:, 9] / moments[9, 9]
         assert outputs / outputs[1] == pytest.approx(white)

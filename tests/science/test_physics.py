@@ -298,9 +298,9 @@ def test_inputs_replaced_meanwhile_are_refused(
 def test_figures_of_another_unit_are_refused(key: str, wrong: str, says: str, bayer_recipe: Path, tmp_path: Path) -> None:
     path = tmp_path / "camera.toml"
     path.write_text(re.sub(rf"{key} = \S+", f"{key} = {wrong}", bayer_recipe.read_text()))
-    with pytest.raises(RecipeError, match=re.escape(says)) as told:
+    with pytest.raises(RecipeError, match=re.escape(says)) as raised:
         load_camera(path)
-    assert key in str(told.value)
+    assert key in str(raised.value)
 
 
 def test_responsivities_are_known_by_their_names(bayer_recipe: Path, tmp_path: Path) -> None:

@@ -233,9 +233,9 @@ def test_daylight_and_mixtures_have_their_colours() -> None:
     seen = np.arange(400.0, 701.0, 10.0)
 
     def chromaticity(name: str, measured: dict | None = None) -> np.ndarray:
-        found = light.make_light(name, measured or {}, seen)
-        assert spectra.xyz_weights(found.wavelength)[1] @ found.radiance == pytest.approx(1.0)
-        xyz = spectra.xyz_weights(found.wavelength) @ found.radiance
+        made = light.make_light(name, measured or {}, seen)
+        assert spectra.xyz_weights(made.wavelength)[1] @ made.radiance == pytest.approx(1.0)
+        xyz = spectra.xyz_weights(made.wavelength) @ made.radiance
         return xyz / xyz.sum()
 
     for kelvin in (4500, 6504, 10000):
@@ -253,9 +253,9 @@ def test_daylight_and_mixtures_have_their_colours() -> None:
 
 def test_a_light_on_the_cameras_own_grid_stays_there(bayer: CameraModel) -> None:
     spiky = np.random.default_rng(0).random((1, bayer.wavelength.size)) + 0.1
-    found = light.make_light("lamp.csv", {"lamp.csv": (bayer.wavelength, spiky)}, bayer.wavelength)
+    made = light.make_light("lamp.csv", {"lamp.csv": (bayer.wavelength, spiky)}, bayer.wavelength)
     photons = spectra.photons_from_energy(bayer.wavelength, spiky[0])
-    assert np.allclose(light.white_rates(bayer, found) / (bayer.electron_weights @ photons), found.radiance[0] / photons[0])
+    assert np.allclose(light.white_rates(bayer, made) / (bayer.electron_weights @ photons), made.radiance[0] / photons[0])
 
 
 def test_targets_of_every_kind_are_of_one_scene(fiveband: CameraModel) -> None:
@@ -279,7 +279,7 @@ def test_targets_of_every_kind_are_of_one_scene(fiveband: CameraModel) -> None:
     assert xyz[1] == pytest.approx(10.0, rel=1e-5)
     assert seen("luminance")[0] == pytest.approx(xyz[1], rel=1e-5)
     assert np.allclose(seen("a.csv", functions, ("X", "Y", "Z"))[0], xyz, rtol=1e-4)
-    assert np.allclose(seen("camera")[0] * 0.01 / fiveband.white_dose, share, rtol=1e-5)
+    assert np.allclose(seen("camera")[0] * 0.01 / fiveband.saturation_exposure, share, rtol=1e-5)
     corrected, _ = seen("CIE 1931", wanted=d65)
     assert np.allclose(corrected / corrected[1], spectra.white_point("D65"), rtol=1e-3)
 

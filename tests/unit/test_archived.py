@@ -18,7 +18,7 @@ from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingFrame, open_training_set
 from l3cli.io.images import read_image
-from l3cli.io.raw_files import read_raw
+from l3cli.io.raw.files import read_raw
 from l3cli.rendering.reference import ReferenceRenderer
 from tests.helpers.paths import ROOT
 

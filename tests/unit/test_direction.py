@@ -84,8 +84,8 @@ def test_mosaic_and_patches_are_labelled_alike(fiveband: CameraModel, keys: dire
     site = sites(21, 26, fiveband.cfa.shape, (1, 2))
     assert len(np.unique(rule.split(labels).further)) > rule.further / 2
     for number in range(16):
-        own = rule.on_site(label_patches(patches[site == number], rule, near, number), number)
-        np.testing.assert_array_equal(own, labels[site == number])
+        of_site = rule.on_site(label_patches(patches[site == number], rule, near, number), number)
+        np.testing.assert_array_equal(of_site, labels[site == number])
 
 
 @pytest.mark.parametrize("keys", [FOUR, EIGHT], ids=["4", "8"])

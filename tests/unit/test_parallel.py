@@ -190,7 +190,7 @@ def _simulation(folder: Path) -> "subprocess.Popen[str]":
 
 def _workers(group: int) -> list[str]:
     """Command lines of the worker processes of a group that still run."""
-    found = []
+    workers_seen = []
     for entry in Path("/proc").iterdir():
         if entry.name.isdecimal():
             try:
@@ -199,8 +199,8 @@ def _workers(group: int) -> list[str]:
             except OSError:  # it has ended meanwhile
                 continue
             if int(fields[2]) == group and fields[0] != "Z" and "spawn_main" in line:
-                found.append(line)
-    return found
+                workers_seen.append(line)
+    return workers_seen
 
 
 def _wait_until(done: Callable[[], bool]) -> None:

@@ -95,8 +95,8 @@ def _black_levels(mosaic: Mosaic, shape: tuple[int, int]) -> NDArray[np.float64]
 
 def rate(path: Path) -> Fraction | None:
     """Frames a second that a CinemaDNG file tells."""
-    told = _rate(path)
-    return storable_rate(Fraction(*told)) if told else None
+    fraction = _rate(path)
+    return storable_rate(Fraction(*fraction)) if fraction else None
 
 
 @apart
@@ -131,7 +131,7 @@ def read_tags(path: Path, shape: tuple[int, ...]) -> Mosaic:
 
 def _raw_page(path: Path, file: Any) -> Any:
     """The full-size raw image among the file's pages and those below them."""
-    pages = [found for page in file.pages for found in (page, *(page.pages or ()))]
+    pages = [each for page in file.pages for each in (page, *(page.pages or ()))]
     kinds = (COLOUR_FILTER_ARRAY, LINEAR_RAW)
     raw = [page for page in pages if page.tags.valueof(TiffTag.PHOTOMETRIC_INTERPRETATION) in kinds]
     full = [page for page in raw if not page.tags.valueof(TiffTag.NEW_SUBFILE_TYPE, 0) & REDUCED]
@@ -179,10 +179,10 @@ def _mosaic(path: Path, first: Any, raw: Any, shape: tuple[int, ...]) -> Mosaic:
 
 def exposure_time(page: Any) -> float | None:
     """Exposure time (s) that the first page of a TIFF file or DNG tells, itself (TIFF/EP) or by its Exif tags."""
-    told = page.tags.valueof(TiffTag.EXPOSURE_TIME) or (page.tags.valueof(TiffTag.EXIF) or {}).get("ExposureTime")
-    if not (isinstance(told, tuple) and len(told) == 2 and told[1]):
+    seconds = page.tags.valueof(TiffTag.EXPOSURE_TIME) or (page.tags.valueof(TiffTag.EXIF) or {}).get("ExposureTime")
+    if not (isinstance(seconds, tuple) and len(seconds) == 2 and seconds[1]):
         return None  # not told, or no time
-    return float(told[0] / told[1])
+    return float(seconds[0] / seconds[1])
 
 
 def _contiguous(offsets: Sequence[int], lengths: Sequence[int]) -> bool:

@@ -95,8 +95,8 @@ def _corrected(frame: RawFrame, table: Sensor, known: KnownBetter) -> RawFrame:
             f"{frame.name}: black level {black:g} and white level {white:g} do not fit; give ‹black› and ‹white_level›"
         )
     rows, cols = table.cfa.shape
-    told = frame.exposure if frame.exposure is not None and 0 < frame.exposure <= LONGEST else None
-    exposure = told if known.exposure is None else known.exposure
+    recorded = frame.exposure if frame.exposure is not None and 0 < frame.exposure <= LONGEST else None
+    exposure = recorded if known.exposure is None else known.exposure
     dark = table.dark_signal(exposure) * (white - black) / (table.white - table.black)
     if not dark < white - black:
         raise InputFileError(

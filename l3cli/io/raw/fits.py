@@ -53,14 +53,14 @@ def read_fits(path: Path, number: int | None = None) -> RawContent:
         header = image.header
         pattern, order = str(header.get("BAYERPAT", "")).strip().upper(), str(header.get("ROWORDER", "")).strip().upper()
         offset = (int(header.get("YBAYROFF", 0)), int(header.get("XBAYROFF", 0)))
-        told = header.get("EXPTIME", header.get("EXPOSURE"))
+        seconds = header.get("EXPTIME", header.get("EXPOSURE"))
     if values.ndim != 2 or values.dtype.kind not in "ui" or values.dtype.itemsize > 2 or values.size == 0:
         raise InputFileError(f"{path} holds {values.dtype.name} {values.shape}; give unsigned 16-bit (rows, columns)")
     if values.min() < 0:
         raise InputFileError(f"{path} holds {values.min()} DN; give unsigned values, as BZERO = 32768 codes them")
     if order == "BOTTOM-UP":
         values = values[::-1]
-    exposure = float(told) if isinstance(told, int | float) else None
+    exposure = float(seconds) if isinstance(seconds, int | float) else None
     content = RawContent(values=np.ascontiguousarray(values, np.uint16), exposure=exposure)
     if len(pattern) == 4:
         square = np.roll(np.array(list(pattern)).reshape(2, 2), (-offset[0], -offset[1]), axis=(0, 1))

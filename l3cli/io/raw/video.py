@@ -31,8 +31,8 @@ def stack(path: Path, _: Request) -> Stack:
 def raw_video_rate(path: Path) -> Fraction | None:
     """Frames a second of a raw video, where it tells; InputFileError if it is no video, or not of one grey channel of 8 to
     16 bits, such as FFV1 in MKV."""
-    told = _raw_video_rate(path)
-    return storable_rate(Fraction(*told)) if told else None
+    fraction = _raw_video_rate(path)
+    return storable_rate(Fraction(*fraction)) if fraction else None
 
 
 @apart

@@ -105,7 +105,7 @@ def refuse_outputs(destination: Destination, footage: Footage, force: bool, mark
     if destination.kind not in ("pattern", "folder"):
         return
     if footage.is_stream:
-        files = _in_the_way(destination, footage)
+        files = _existing(destination, footage)
     else:
         files = [destination.file(pending.number, pending.stem) for pending in footage.frames]
     if len(set(files)) < len(files):
@@ -121,7 +121,7 @@ def refuse_missing(footage: Footage) -> None:
         raise footage.absent(footage.missing[0])
 
 
-def _in_the_way(destination: Destination, footage: Footage) -> list[Path]:
+def _existing(destination: Destination, footage: Footage) -> list[Path]:
     """Pictures that are there and that frames of a stream, which may be endless, would replace."""
     if footage.wanted is None:
         return _pictures(destination)

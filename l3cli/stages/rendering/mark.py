@@ -27,10 +27,10 @@ Dated = tuple[int, int]  # size in bytes, time of the last change in ns
 def _dated(path: Path) -> Dated | None:
     """Size and time of a regular file; None if there is none."""
     try:
-        found = path.stat()
+        state = path.stat()
     except OSError:
         return None
-    return (found.st_size, found.st_mtime_ns) if stat.S_ISREG(found.st_mode) else None
+    return (state.st_size, state.st_mtime_ns) if stat.S_ISREG(state.st_mode) else None
 
 
 class Mark:
@@ -52,7 +52,7 @@ class Mark:
             with contextlib.suppress(ValueError):  # a line that was cut off
                 name, dated, origin = json.loads(line)
                 self._made[name] = (tuple(dated), origin)
-        self._made = {name: own for name, own in self._made.items() if self.is_ours(self._path.with_name(name))}
+        self._made = {name: made for name, made in self._made.items() if self.is_ours(self._path.with_name(name))}
         self._unasked = set(self._made)
 
     def is_ours(self, file: Path) -> bool:
@@ -79,7 +79,7 @@ class Mark:
     def begin(self) -> None:
         """Write the mark; what is listed from now on goes behind it."""
         lines = [f"{self._key} force" if self.force else self._key]
-        lines += [json.dumps([name, *own]) for name, own in self._made.items()]
+        lines += [json.dumps([name, *origin]) for name, origin in self._made.items()]
         write_whole(self._path, "\n".join(lines))
         self._file = open(self._path, "ab", buffering=0)  # noqa: SIM115
 
@@ -111,16 +111,16 @@ class Origins:
         """The frame with its origin, if that can be told before it is read; ask before, lest it change in between."""
         source = pending.source or self._whole
         dated = _dated(source)
-        return pending if dated is None else self._told(pending, [os.path.realpath(source), pending.number, *dated])
+        return pending if dated is None else self._with_origin(pending, [os.path.realpath(source), pending.number, *dated])
 
     def of_read(self, pending: Pending, frame: RawFrame) -> Pending:
         """The frame with its origin."""
         if pending.origin is not None:
             return pending
-        return self._told(pending, [pending.number, hashlib.sha256(frame.values.tobytes()).hexdigest()])
+        return self._with_origin(pending, [pending.number, hashlib.sha256(frame.values.tobytes()).hexdigest()])
 
-    def _told(self, pending: Pending, own: list) -> Pending:
-        origin = hashlib.sha256(json.dumps([self._before, *own]).encode()).hexdigest()
+    def _with_origin(self, pending: Pending, identity: list) -> Pending:
+        origin = hashlib.sha256(json.dumps([self._before, *identity]).encode()).hexdigest()
         if self._all_before:
             self._before = origin
         return replace(pending, origin=origin)

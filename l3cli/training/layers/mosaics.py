@@ -44,7 +44,7 @@ def mosaics_of(frame: TrainingPair, count: int, exposed: Exposed, rng: np.random
         return
     camera = exposed.camera
     signal = frame.electrons * np.float32(1 / camera.full_scale)
-    target = frame.target * np.float32(frame.exposure / camera.white_dose)
+    target = frame.target * np.float32(frame.exposure / camera.saturation_exposure)
     white = white_signal(frame, camera)
     coloured = count if white is None else count - round(exposed.achromatic * count)
     for number in range(count):
@@ -66,7 +66,7 @@ def white_signal(frame: TrainingPair, camera: CameraModel) -> NDArray[np.float64
     if frame.light is None:
         return None
     light = spectra.resample(frame.light.radiance.astype(np.float64), frame.light.wavelength, camera.wavelength)
-    return np.asarray(camera.electron_weights @ light * (camera.white_dose / camera.full_scale))
+    return np.asarray(camera.electron_weights @ light * (camera.saturation_exposure / camera.full_scale))
 
 
 def _piece_of_pair(pair: TrainingPair, camera: CameraModel, rng: np.random.Generator) -> Mosaic:
@@ -76,7 +76,7 @@ def _piece_of_pair(pair: TrainingPair, camera: CameraModel, rng: np.random.Gener
     ]
     rows, cols = (slice(start, start + LARGEST_SIDE) for start in starts)
     values = pair.raw[rows, cols]
-    target = pair.target[:, rows, cols] * np.float32(pair.exposure / camera.white_dose)
+    target = pair.target[:, rows, cols] * np.float32(pair.exposure / camera.saturation_exposure)
     return Mosaic(values, np.minimum(values.astype(np.float32), np.float32(camera.white)), target)
 
 
