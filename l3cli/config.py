@@ -76,7 +76,7 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
     """Keys and tables of `text`; RecipeError, which calls it `name`, if it is not TOML."""
     try:
         return tomllib.loads(text)
-    except ValueError as error:  # of its own kind, or of a number too long to be one
+    except ValueError as error:  # of msgspec's kind, or of a number too long to be one
         raise RecipeError(f"{name} is not valid TOML: {error}") from error
     except RecursionError as error:
         raise RecipeError(f"{name} is not valid TOML: its lists or tables are too deep") from error

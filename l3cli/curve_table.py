@@ -26,7 +26,7 @@ class CurveTable:
     wavelength: Array  # (wavelength) nm
     values: Array  # (column, wavelength)
     names: tuple[str, ...] | None  # of the columns, without units; None: there is no heading
-    units: tuple[str | None, ...]  # of the columns, as the heading tells them
+    units: tuple[str | None, ...]  # of the columns, as the heading states them
 
     def counted(self, columns: int) -> "CurveTable":
         """The table itself; InputFileError unless it has so many columns."""
@@ -65,7 +65,7 @@ class CurveTable:
         return CurveTable(self.path, self.wavelength, self.values[one], self.names and self.names[one], self.units[one])
 
     def photons(self, unit: str | None, absolute: bool = True) -> Array:
-        """The columns as radiances in photons/s/sr/m²/nm, whichever unit `unit` or the heading tells; without one they are.
+        """The columns as radiances in photons/s/sr/m²/nm, whichever unit `unit` or the heading states; by default they are.
 
         InputFileError if the two differ, if a unit is none of radiance, or if the values cannot be in it (`absolute`)."""
         rows = []
@@ -101,7 +101,7 @@ class CurveTable:
         peak = peak if peak < DIMMEST else float(peaks.max())
         if not np.isfinite(peak):
             return  # dark, which is refused where it is asked for
-        cure = "correct the unit that is told" if stated else f'if they are watts, give unit = "{units.POWER_RADIANCE}"'
+        cure = "correct the unit that is stated" if stated else f'if they are watts, give unit = "{units.POWER_RADIANCE}"'
         raise InputFileError(
             f"{self.path}: a radiance peaks at {peak:.3g} {units.PHOTON_RADIANCE}, as no light does "
             f"({DIMMEST:.0e} to {BRIGHTEST:.0e}); {cure}"

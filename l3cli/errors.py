@@ -40,7 +40,7 @@ def shortened(text: str) -> str:
 
 
 def listed(lines: Iterable[str]) -> str:
-    """What is told of several things, as far as it can be read, and how many more there are."""
+    """Several names, as many as can be read, and how many more there are."""
     lines = list(lines)
     shown = [line for number, line in enumerate(lines) if number < 1 or sum(map(len, lines[: number + 1])) < 2 * MOST]
     return ", ".join(shown) + (f" and {len(lines) - len(shown)} more" if len(shown) < len(lines) else "")

@@ -126,7 +126,7 @@ def _put_in_place(temporary: Path, path: Path) -> None:
     try:
         _flush(path.parent)
     except OSError as error:
-        if error.errno not in (errno.EINVAL, errno.EACCES):  # storage that cannot, a folder that we may not look into
+        if error.errno not in (errno.EINVAL, errno.EACCES):  # storage that cannot, a folder that may not be read
             raise
 
 
@@ -221,7 +221,7 @@ def refuse_spared(output: Path | int) -> None:
 
 
 def identity(file: Path | int) -> Identity | None:
-    """Of what is there under a path or descriptor, symbolic links followed; None if it is no regular file."""
+    """Of what stands under a path or descriptor, symbolic links followed; None if it is no regular file."""
     try:
         state = os.stat(file)
     except OSError:
@@ -247,7 +247,7 @@ def _require_regular(path: Path, mode: int, cure: str) -> None:
 
 def open_regular(path: Path, cure: str = "give a file") -> io.BufferedReader:
     """A regular file open for reading; InputFileError, as by `require_regular`, if it is none, also if it has become none
-    since it was looked at."""
+    since it was checked."""
     require_regular(path, cure)
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY)
@@ -272,7 +272,7 @@ def sha256(path: Path) -> str:
 
 
 def stamp(path: Path) -> tuple[int, ...]:
-    """What tells a file from another that takes its name: number on the disk, size, time. Empty if it is not there."""
+    """What identifies a file among others of its name: number on the disk, size, time. Empty if it is not there."""
     try:
         state = path.stat()
     except OSError:

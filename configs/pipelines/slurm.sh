@@ -36,7 +36,7 @@ learn() { # PASS OPTIONS…: the partial sums of this task's share
 
 case $step in
   camera) make "$camera" unseen.h5 JOBS="$jobs" ;;
-  # Every task draws scenes of its own: the seed is its number.
+  # Every task draws other scenes: the seed is its number.
   simulate)
     make_of "$folder/training_$shard.h5" l3 simulate scenes.toml --camera "$camera" --seed "$SLURM_ARRAY_TASK_ID" \
       --resume --jobs "$jobs"

@@ -1,7 +1,7 @@
-"""HDF5 files that tell when a byte of them has changed.
+"""HDF5 files in which a changed byte is detected.
 
 The first 512 bytes, HDF5's user block, hold the SHA-256 of all that follows. A file is compared with it before HDF5 reads
-it: the library may crash on damaged metadata, and its own checksums cover only the values of datasets.
+it: the library may crash on damaged metadata, and its checksums cover only the values of datasets.
 """
 
 import contextlib

@@ -27,7 +27,7 @@ class Spec:
     axes: tuple[str, ...]
     unit: str
     doc: str
-    coordinate: bool = False  # tells what stands where along its one axis: text does, and numbers that are declared so
+    coordinate: bool = False  # the coordinate of its one axis: text does, and numbers that are declared so
 
 
 def data(

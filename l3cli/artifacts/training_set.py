@@ -183,7 +183,7 @@ class TrainingSetWriter:
         name_axes(group[name], type(frame), self._coordinates)
 
     def append_part(self, path: Path, run: str) -> "Part":
-        """Append the frame that `write_part` stored for `run`, as it is stored; what else it told."""
+        """Append the frame that `write_part` stored for `run`, as it is stored; what else is stored beside it."""
         with container.open_file(path) as part:
             _require_run(part, path, run)
             simulated = bool(part.attrs["simulated"])
@@ -211,7 +211,7 @@ class Part:
 
 
 def write_part(path: Path, frame: TrainingPair, uncovered: float, run: str) -> None:
-    """One frame of `run` in a file of its own, whole or not at all: what a killed run leaves, its successor goes on from."""
+    """One frame of `run` in a file, whole or not at all: what a killed run leaves, its successor goes on from."""
     with container.new_file(path) as root:
         root.attrs["simulated"] = isinstance(frame, TrainingFrame)
         root.attrs["scene"] = frame.scene.encode("utf-8", "replace").decode()  # named after a file, which need not be text

@@ -19,7 +19,7 @@ SLAB = 1 << 26  # bytes of a dataset that are read at a time
 
 @dataclass(frozen=True)
 class Intact:
-    """What was found in order in a file."""
+    """What is intact in a file."""
 
     kind: str
     version: int
@@ -85,7 +85,7 @@ class Link:
 def chain(history: tuple[Stage, ...], inputs: Mapping[Path, str]) -> tuple[tuple[Link, ...], tuple[Path, ...]]:
     """What a history names, compared with files by their SHA-256; and those files that it does not name.
 
-    The history of a file that is named is followed, too: of several training sets, an artifact's own tells only the first.
+    The history of a file that is named is followed, too: of several training sets, an artifact names only the first.
     """
     stages = list(history)
     for stage in stages:  # which grows

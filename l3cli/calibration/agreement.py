@@ -39,7 +39,7 @@ def check_whites(captures: Sequence[Capture], lit: Array, signal: Array) -> None
 
 
 def check_darks(captures: Sequence[Capture], signal: Array) -> None:
-    """InputFileError names the dark capture whose mean (capture) DN lies far off the line of all others over exposure; told
+    """InputFileError names the dark capture whose mean (capture) DN lies far off the line of all others over exposure;
     only where three others or more agree with each other."""
     exposure = np.array([capture.exposure for capture in captures])
     worst, outlier = 0.0, None

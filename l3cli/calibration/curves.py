@@ -32,7 +32,7 @@ class Curves:
 
 
 def from_sweep(table: SweepTable, body: Body) -> Array:
-    """Responsivity (channel, wavelength) per photon of a sweep beside a photodiode; nodes are the sweep's own.
+    """Responsivity (channel, wavelength) per photon of a sweep beside a photodiode; nodes are the sweep's.
 
     Camera and photodiode each lose the dark reading of the same step; what lies below zero is zero. InputFileError if the
     photodiode or a channel sees no light.

@@ -1,4 +1,4 @@
-"""Hot and dead pixels: found by what they do, listed, and left out of every figure."""
+"""Hot and dead pixels: detected by their values, listed, and left out of every figure."""
 
 import numpy as np
 from numpy.typing import NDArray

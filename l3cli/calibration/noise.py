@@ -1,7 +1,7 @@
 """Noise of a sensor from stacks of frames, as EMVA 1288 defines it (docs/method.md#dark-and-white-frames).
 
 Every temporal variance comes from differences of frames taken in pairs, in which the fixed pattern cancels; every spatial
-one has the variance of its own estimator subtracted. Hot and dead pixels stay out.
+one has the variance of its estimator subtracted. Hot and dead pixels stay out.
 """
 
 import functools
@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class DarkNoise:
-    """What lens-cap frames tell, each (channel)."""
+    """What lens-cap frames give, each (channel)."""
 
     black: Array  # DN at zero exposure
     slope: Array  # DN/s
@@ -206,9 +206,9 @@ def _over_local_mean(picture: Array, cfa: NDArray[np.uint8]) -> Array:
 
 
 def _local_spread(site: Array, temporal: float) -> float:
-    """Variance of site / local mean − 1, without the estimator's own variance `own` of each sample."""
+    """Variance of site / local mean − 1, without the temporal variance `temporal` of each sample."""
     inner = slice(WINDOW // 2, -(WINDOW // 2))
     local = _local_mean(site)[inner, inner]
     deviation = site[inner, inner] / local - 1.0
-    # A sample is part of its own local mean, which shrinks its deviation by 1 − 1/n.
+    # A sample is part of its local mean, which shrinks its deviation by 1 − 1/n.
     return float(np.mean(deviation**2) / (1.0 - 1.0 / WINDOW**2) - temporal * np.mean(1.0 / local**2))

@@ -64,7 +64,7 @@ def solve(design: Array, values: Array, delta: float) -> Array:
 
 
 def solve_channels(sweep: Sweep, delta: float) -> Array:
-    """Responsivities (channel, wavelength) DN/photon, each from its own unsaturated captures."""
+    """Responsivities (channel, wavelength) DN/photon, each from its unsaturated captures."""
     columns = zip(sweep.values.T, sweep.valid.T, strict=True)
     return np.array([solve(sweep.design[valid], values[valid], delta) for values, valid in columns])
 

@@ -41,7 +41,7 @@ NO_THREAD = "can't start new thread"  # what Python says
 
 
 class Pipeline(click.Group):
-    """Commands in the order of the pipeline, each in its own module."""
+    """Commands in the order of the pipeline, each in a module."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 @options.output("Camera model to write")
 @click.option("--truth", type=options.CAMERA, metavar="CAMERA", help="The camera behind a virtual lab, to compare with.")
 @click.option("--export", type=options.FILE, metavar="DIR", help="Also write the curves as CSV and as rawtoaces JSON there.")
-@click.option("--accept", is_flag=True, help="Write the model even if it predicts its own charts badly.")
+@click.option("--accept", is_flag=True, help="Write the model even if it predicts its charts badly.")
 @options.jobs
 @options.trust
 @options.force

@@ -26,7 +26,7 @@ from l3cli.columns import printable
 def compare(
     evaluations: tuple[Path, ...], figures: tuple[str, ...], output: Path | None, force: bool, as_json: bool
 ) -> None:
-    """Compare cameras by figures of their evaluations at each luminance, and tell where the better one changes.
+    """Compare cameras by figures of their evaluations at each luminance, and say where the better one changes.
 
     \b
     Example: l3 compare bayer.json rgbw.json --figure psnr -o curves.html

@@ -26,7 +26,7 @@ def info(file: Path | None, inputs: tuple[Path, ...], verifies: bool, versions: 
     """Show kind, version, history and every dataset (axes, type, unit, meaning) of FILE; of a transform table also
     what it has learned: classes, patches, noise gain, gain of flat areas, and its worst classes.
 
-    With --verify tell whether FILE is as it was written, to the last byte, and which of the files that its history names
+    With --verify say whether FILE is as it was written, to the last byte, and which of the files that its history names
     are given as INPUT: artifacts, recipes, frames, spectra. One that it does not name is another file, or has changed: exit
     code 3.
 
@@ -113,14 +113,14 @@ def _line(item: dict[str, Any]) -> str:
 
 
 def _short(value: Any) -> str:
-    """A number to six digits, text as it is; JSON tells all digits."""
+    """A number to six digits, text as it is; JSON has all digits."""
     if isinstance(value, list):
         return f"[{', '.join(map(_short, value))}]"
     return figure(value, ".6g") if isinstance(value, float) else str(value)
 
 
 def _learned(insight: dict[str, Any]) -> list[str]:
-    """Lines that tell what a table has learned."""
+    """Lines on what a table has learned."""
     classes = insight["classes"]
     figures = " · ".join(
         f"{output} {gain['median']:.3g}, {gain['worst']:.3g}" for output, gain in insight["noise_gain"].items()
@@ -149,7 +149,7 @@ def _learned(insight: dict[str, Any]) -> list[str]:
 
 
 def _later(number: int, layer: dict[str, Any]) -> list[str]:
-    """Lines that tell what a layer after the first has learned."""
+    """Lines on what a layer after the first has learned."""
     classes, side = layer["classes"], layer["side"]
     gains = " · ".join(f"{output} {gain['median']:.3g}, {gain['worst']:.3g}" for output, gain in layer["noise_gain"].items())
     return [

@@ -37,7 +37,7 @@ class RecipeFile(click.Path):
         return find_recipe(os.fspath(value), self.kind)
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list["CompletionItem"]:
-        """Names and, beside them, files: bash does not look for files where anything else is offered."""
+        """Names and, beside them, files: bash does not offer files where anything else is offered."""
         from click.shell_completion import CompletionItem
 
         from l3cli.recipes import known_recipes

@@ -1,5 +1,5 @@
 """The one place that prints. Names and texts may come from anybody's file: nothing of them moves a cursor, hides what
-stands beside it or makes a line of its own."""
+stands beside it or makes a separate line."""
 
 import contextlib
 import json
@@ -88,13 +88,13 @@ def drop(stream: IO[str]) -> None:
             os.dup2(nowhere.fileno(), stream.fileno())
 
 
-SIZES = ("COLUMNS", "LINES")  # environment variables that tell a terminal's size
+SIZES = ("COLUMNS", "LINES")  # environment variables of a terminal's size
 DIGITS = re.compile(r"[0-9]{1,6}")  # of a size
 SELDOM, OFTEN = 600.0, 10.0  # seconds after which a log hears of the progress at the latest, and before which it does not
 
 
 def width() -> int | None:
-    """Characters in a line of stdout, as its terminal or the environment variable COLUMNS tells; None: any number."""
+    """Characters in a line of stdout, by its terminal or the environment variable COLUMNS; None: any number."""
     import shutil
 
     columns = os.environ.get("COLUMNS", "")
@@ -118,7 +118,7 @@ class Terminal:
     """The console of a command: everything on stderr."""
 
     def progress(self, items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
-        """As a bar on a terminal, elsewhere as plain lines, one every tenth; both tell rate and time left."""
+        """As a bar on a terminal, elsewhere as plain lines, one every tenth; both with rate and time left."""
         interactive = sys.stderr.isatty() and os.environ.get("TERM", "dumb") != "dumb"
         return (_with_bar if interactive else _with_lines)(items, total, what)
 

@@ -97,7 +97,7 @@ def train(
     from l3cli.stages.training.whole import train as train_whole
 
     if merge and (classes or shares or shard or first or seed or scheduler):
-        raise click.UsageError("--merge takes shards alone: classes, shares and seed are told by them")
+        raise click.UsageError("--merge takes shards alone: classes, shares and seed are stored in them")
     if shares and len(shares) != len(files):
         raise click.UsageError(f"--shares gives {len(shares)} shares for {len(files)} training sets")
     if first and not shard:

@@ -1,6 +1,6 @@
 """Frames that belong together, in order and with numbers: folders, patterns, globs, stacks, headerless streams, raw videos.
 
-What is found here is not read yet, so that memory does not grow with the number of frames and reading can run ahead.
+What is listed here is not read yet, so that memory does not grow with the number of frames and reading can run ahead.
 """
 
 import functools
@@ -29,7 +29,7 @@ class Pending:
     stem: str  # of the file that is made of it
     read: Callable[[], RawFrame | None]  # None: there is no such frame, the stream ended before; InputFileError: broken
     source: Path | None = None  # the file that holds it alone
-    origin: str | None = None  # what tells it from another frame of its number, once somebody has asked
+    origin: str | None = None  # what distinguishes it from another frame of its number, once computed
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Footage:
     frames: "Frames"  # that there are; of a stream, that there may be
     count: int | None  # that there ought to be; None: as many as a stream has
     stills: bool  # files named one by one: no sequence in time
-    rate: Fraction | None = None  # frames a second, where the file tells
+    rate: Fraction | None = None  # frames a second, where the file states them
     missing: Sequence[range] = ()  # numbers of those that ought to be and are not, known before reading
     is_stream: bool = False
     wanted: range | None = None  # numbers chosen of a stream
@@ -103,7 +103,7 @@ def find_frames(
 
 
 def _divided(wanted: range, numbers: Collection[int]) -> tuple[Sequence[int], list[range]]:
-    """Those of the numbers wanted that there are, in order, and the others: either may be too many to be looked at."""
+    """Those of the numbers wanted that there are, in order, and the others: either may be too many to list."""
     if isinstance(numbers, range):  # of a stack: from 0 on
         there: Sequence[int] = range(wanted.start, min(wanted.stop, len(numbers)), wanted.step)
         return there, [wanted[len(there) :]] if len(there) < len(wanted) else []
@@ -206,7 +206,7 @@ def _of_files(what: str, paths: Iterable[Path], table: TransformTable, known: Kn
 
 
 def _film_rate(path: Path) -> Fraction | None:
-    """Frames a second that a file of one frame tells, as CinemaDNG does."""
+    """Frames a second that a file of one frame states, as CinemaDNG does."""
     return format_of(path).rate(path) if path.is_file() else None
 
 
@@ -244,5 +244,5 @@ def _of_stack(what: str, stem: str, stack: Stack, table: TransformTable, known: 
 
 def _stdin(table: TransformTable, known: KnownBetter) -> _Series:
     if known.size is None:
-        raise RecipeError("raw frames on stdin do not tell their size; give it with ‹size› ROWSxCOLS")
+        raise RecipeError("raw frames on stdin have no header with their size; give it with ‹size› ROWSxCOLS")
     return _of_stack("stdin", "", read_stdin(table, known), table, known)

@@ -30,7 +30,7 @@ R = TypeVar("R")
 
 ANSWER = 10.0  # seconds in which a scheduler must answer
 PATIENCE = 60.0  # seconds without any worker after which a run is given up
-PULSE = 1.0  # seconds between looks at the workers
+PULSE = 1.0  # seconds between checks of the workers
 INSTALL = '‹scheduler› needs dask; install it with: pip install "l3cli[cluster]"'
 WITHOUT_TLS = "the scheduler listens beyond this machine without TLS: who reaches it can run programs as you; see ‹tls_ca›"
 _one_at_a_time = threading.Lock()
@@ -44,7 +44,7 @@ class Scheduler:
     ca: Path | None = None  # the authority that both sides trust
     certificate: Path | None = None  # ours, and its key
     key: Path | None = None
-    warn: Callable[[str], None] = lambda message: None  # told that the scheduler is open to others
+    warn: Callable[[str], None] = lambda message: None  # called if the scheduler is open to others
 
     def __post_init__(self) -> None:
         """RecipeError if that is no address, or files are missing or given in vain."""
@@ -67,7 +67,7 @@ class Scheduler:
 def workers_of(scheduler: Scheduler) -> Iterator[Crew]:
     """The workers of a scheduler. L3Error if dask is missing, or the scheduler or every worker stays away.
 
-    What is under way when the block fails is dropped; a worker ends the item it is at.
+    What is being done when the block fails is dropped; a worker ends the item it is at.
     """
     try:
         import dask
@@ -75,7 +75,7 @@ def workers_of(scheduler: Scheduler) -> Iterator[Crew]:
     except ModuleNotFoundError as error:
         raise L3Error(INSTALL) from error
     for name in ("distributed", "tornado", "asyncio"):
-        logging.getLogger(name).setLevel(logging.CRITICAL)  # what goes wrong is told in one line
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # what goes wrong becomes one line
     settings = {
         "distributed.comm.timeouts.connect": f"{ANSWER} s",
         # An item holds what its worker needs; sent ahead, as dask advises, it would be lost with the worker that has it.
@@ -118,7 +118,7 @@ def _is_loopback(address: str) -> bool:
 
 
 class _Hands:
-    """How many workers a scheduler has; looked at once a PULSE."""
+    """How many workers a scheduler has; checked once a PULSE."""
 
     def __init__(self, client: Any) -> None:
         self._client = client

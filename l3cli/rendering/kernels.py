@@ -3,7 +3,7 @@
 PoCL keeps what it compiles in a folder and believes whatever it finds there: a damaged file or a full disk ends the process,
 or gives other pixels. So it gets a folder of this process alone, on a disk with room. What it puts there for a program is
 kept as one file with its SHA-256, and laid there again before a later run builds that program; a kept file that is not as it
-was written is as good as none. Other drivers keep their kernels themselves; pyopencl's own cache, which unpickles what it
+was written is as good as none. Other drivers keep their kernels themselves; pyopencl's cache, which unpickles what it
 finds, is not used.
 """
 
@@ -78,7 +78,7 @@ def prepare() -> None:
 
 
 def building(identity: str) -> contextlib.AbstractContextManager[None]:
-    """A block in which a program is built. `identity` tells all that its kernels depend on."""
+    """A block in which a program is built. `identity` holds all that its kernels depend on."""
     return _cache().building(identity)
 
 

@@ -1,7 +1,7 @@
 """Rendering on an OpenCL device: upload, two kernels a layer (opencl/*.cl), download (docs/method.md#rendering).
 
 A frame is taken in horizontal bands, so that the device's memory is bounded whatever the frame's size; a usual frame is one
-band. Two tracks, each a queue with buffers of its own, take the bands in turn, of this frame and the next: while one
+band. Two tracks, each a queue with its buffers, take the bands in turn, of this frame and the next: while one
 computes, the other may upload and download.
 """
 
@@ -75,7 +75,7 @@ class OpenCLRenderer:
 
     @property
     def stages(self) -> tuple[str, ...]:
-        """What `stage_times` tells apart."""
+        """The stages of `stage_times`."""
         return LATER_STAGES if self.table.later else STAGES
 
     def labels(self, frame: RawFrame, layer: int = 0) -> NDArray[np.uint32]:
@@ -100,7 +100,7 @@ class OpenCLRenderer:
         return picture
 
     def pictures(self, frames: Iterable[tuple[RawFrame, Display]]) -> Iterator[NDArray]:
-        """The picture of each frame, in order. While the caller looks at one the next is at work."""
+        """The picture of each frame, in order. While the caller uses one the next is computed."""
         started: deque[tuple[NDArray, Work]] = deque()
         for frame, display in frames:
             started.append(self._start_picture(frame, display))
@@ -178,7 +178,7 @@ class OpenCLRenderer:
             return work.milliseconds()
 
     def _classify(self, values: NDArray, phase: tuple[int, int], track: Track, band: Band, work: Work) -> None:
-        """Upload and classes of a band, with the rows beside it that a later layer looks at."""
+        """Upload and classes of a band, with the rows beside it that a later layer reads."""
         source, rows = values[band.raw_rows], band.wide.stop - band.wide.start
         track.raw = self._scratch(track.raw, source.nbytes)
         track.labels = self._scratch(track.labels, 4 * rows * band.columns)

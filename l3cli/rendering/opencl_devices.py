@@ -66,7 +66,7 @@ def choose_device(wanted: str) -> Any:
     """
     available = devices()
     if not available:
-        raise DeviceError(f"no OpenCL device was found: {'; '.join(survey())}")
+        raise DeviceError(f"there is no OpenCL device: {'; '.join(survey())}")
     if not wanted:
         gpu = pyopencl().device_type.GPU
         return next((device for device in available if device.type & gpu), available[0])

@@ -1,4 +1,4 @@
-"""A camera model as a section: its array, responsivities, noise, and how well it predicts its own charts."""
+"""A camera model as a section: its array, responsivities, noise, and how well it predicts its charts."""
 
 from typing import Any
 
@@ -19,7 +19,7 @@ LABELLED = 24  # letters of all channels' names that find room above the curves
 
 
 def camera_section(camera: CameraModel, figures: dict[str, Any], name: str) -> Section:
-    """`figures` is what `l3 calibrate --json` tells of the camera, and under "shortfall" why not to trust it, if so;
+    """`figures` is what `l3 calibrate --json` says of the camera, and under "shortfall" why not to trust it, if so;
     `name` is the file it comes from."""
     light = colours.channel_light(camera.responsivity, camera.wavelength)
     parts = [
@@ -118,7 +118,7 @@ def _responsivity_figures(camera: CameraModel, light: Array) -> tuple[Figure, ..
 
 
 def _band_figure(camera: CameraModel, strokes: tuple[str, ...]) -> Figure:
-    """Half widths on their own, since a good calibration's bands are thinner than its lines."""
+    """Half widths alone, since a good calibration's bands are thinner than its lines."""
     shares = 100 * camera.responsivity_band / camera.responsivity.max(axis=1, keepdims=True)
     plot = Plot(spanning("wavelength (nm)", camera.wavelength), spanning("half width (% of peak)", shares, zero=True))
     for channel in range(len(camera.channels)):
@@ -132,7 +132,7 @@ def _band_figure(camera: CameraModel, strokes: tuple[str, ...]) -> Figure:
 
 
 def mark_of(strokes: tuple[str, ...], channel: int) -> str:
-    """Marks tell apart channels whose colours are alike: the one least used by earlier channels of like colour."""
+    """Marks distinguish channels whose colours are alike: the one least used by earlier channels of like colour."""
     used: list[str] = []
     for index in range(channel + 1):
         alike = [mark for mark, stroke in zip(used, strokes, strict=False) if _distance(stroke, strokes[index]) < ALIKE]

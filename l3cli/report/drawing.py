@@ -1,4 +1,4 @@
-"""Plots as inline SVG, drawn here rather than by a plotting library: they take the page's own colours and font, so that one
+"""Plots as inline SVG, drawn here rather than by a plotting library: they take the page's colours and font, so that one
 drawing suits light, dark and paper, and the same numbers give the same bytes. Coordinates are pixels, sheets 440 px wide."""
 
 from collections.abc import Iterable, Sequence

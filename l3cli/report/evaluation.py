@@ -1,4 +1,4 @@
-"""An evaluation as a section: figures, curves over light level, and frames to look at."""
+"""An evaluation as a section: figures, curves over light level, and pictures of frames."""
 
 import itertools
 from typing import Any

@@ -27,7 +27,7 @@ def history_section(files: list[tuple[str, str, str, tuple[Stage, ...]]]) -> Sec
     given = tuple((name, kind, digest) for name, kind, digest, _ in files)
     parts = [Part("Files", (Table("Files of this report", ("file", "kind", "SHA-256"), given),))]
     parts += [_stages(name, stages) for name, _, _, stages in files if stages]
-    return Section("History", "What was run on what, as the artifacts tell it.", tuple(parts))
+    return Section("History", "What was run on what, as the artifacts record it.", tuple(parts))
 
 
 def _stages(name: str, stages: tuple[Stage, ...]) -> Part:

@@ -21,7 +21,7 @@ LEVEL_EDGES = np.geomspace(1e-3, 1.0, 37)  # of the raw signal, share of full sc
 SATURATED = 0.985  # share of full scale, as in docs/method.md#saturation-cases
 GRID = 0.01  # of the chromaticity diagram
 CELLS = 100
-DARKEST = 1e-4  # share of white's luminance below which a chromaticity is not told
+DARKEST = 1e-4  # share of white's luminance below which a chromaticity is not computed
 
 
 @dataclass

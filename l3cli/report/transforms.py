@@ -1,4 +1,4 @@
-"""A transform table as a section: how its classes are filled, what some transforms look like, how they treat noise."""
+"""A transform table as a section: how its classes are filled, pictures of some transforms, how they treat noise."""
 
 from collections.abc import Callable
 from typing import Any
@@ -22,8 +22,8 @@ MAPS = 3  # outputs drawn of a transform
 def transform_section(
     table: TransformTable, light: Array | None, insight: dict[str, Any], class_name: Callable[[int], str], name: str
 ) -> Section:
-    """`found` is what `l3 info --json` tells of the table, `class_name` says where a class applies, `light` (channel, 3) is
-    linear sRGB of the channels, None where no camera tells it; `name` is the file the table comes from."""
+    """`insight` is what `l3 info --json` says of the table, `class_name` says where a class applies, `light` (channel, 3) is
+    linear sRGB of the channels, None where no camera is given; `name` is the file the table comes from."""
     classes = insight["classes"]
     lead = (
         f"{classes['all']} classes of {table.first.rule.patch} × {table.first.rule.patch} patches; "
@@ -146,7 +146,7 @@ def _transform_blocks(table: TransformTable, light: Array | None, class_name: Ca
 
 
 def chosen_classes(table: TransformTable) -> list[int]:
-    """Classes worth a look: of the commonest channel's first site dark and bright, flat and textured; then a textured class
+    """Classes worth showing: of the commonest channel's first site dark and bright, flat and textured; then a textured class
     of middling level for each other channel. Of each the unsaturated kind of most patches."""
     rule = table.first.rule
     sites = table.cfa.ravel()

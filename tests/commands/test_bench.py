@@ -27,7 +27,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(training, "CASES", ())
 
 
-def test_json_tells_what_was_measured_how(l3: L3, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_json_says_what_was_measured_how(l3: L3, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(training, "CASES", (training.Case(300),))
     monkeypatch.setattr(training, "REPEATS", 1)
     monkeypatch.setattr(parallel, "alone", lambda function, case: function(case))

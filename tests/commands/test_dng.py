@@ -77,7 +77,7 @@ def test_other_developers_see_the_camera(made: Path, frames: list[np.ndarray]) -
 
 
 def test_other_developers_make_a_true_picture(made: Path) -> None:
-    """LibRaw's own picture, white balanced by AsShotNeutral, against the wanted one, patch by patch."""
+    """LibRaw's picture, white balanced by AsShotNeutral, against the wanted one, patch by patch."""
     wavelength = np.arange(380.0, 781.0, 5.0)
     _, reflectance = spectra.colorchecker(wavelength)
     weights = spectra.xyz_weights(wavelength) * spectra.illuminant("D65", wavelength)
@@ -163,7 +163,7 @@ def test_the_matrix_meets_white_and_surfaces(recipe: str) -> None:
         assert np.abs(xyz @ matrix.T - channels).mean() < 0.02
 
 
-def test_what_is_in_the_way_is_refused(refused: Callable, made: Path, tmp_path: Path) -> None:
+def test_what_exists_already_is_refused(refused: Callable, made: Path, tmp_path: Path) -> None:
     call = ("simulate", made / "scenes.toml", "--camera", made / "camera.toml", "-o", tmp_path / "t.h5", "--dng")
     (tmp_path / "file").write_bytes(b"")
     assert "name a folder" in refused(1, *call, tmp_path / "file")

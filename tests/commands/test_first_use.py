@@ -57,7 +57,7 @@ def test_l3_alone_explains_itself_and_is_a_wrong_call(l3: Callable) -> None:
 
 
 @places
-def test_a_recipe_is_found_by_its_name(place: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_recipe_is_opened_by_its_name(place: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     kind = ASKED[place][1]
     name = EXAMPLES[kind]
@@ -225,7 +225,7 @@ def test_a_size_is_that_of_the_framed_scene(bayer: CameraModel, tmp_path: Path) 
         assert framed_size((31, 45), framing, bayer) == framed(scene, framing, bayer).reflectance.shape[:2], text
 
 
-def test_headers_tell_the_size_that_reading_gives(tmp_path: Path, bayer: CameraModel) -> None:
+def test_headers_give_the_size_that_reading_gives(tmp_path: Path, bayer: CameraModel) -> None:
     import h5py
     from scipy.io import savemat
 

@@ -93,7 +93,7 @@ def test_versions_and_devices(l3: Callable, refused: Callable, monkeypatch: pyte
 
 
 def completed(words: str) -> list[str]:
-    """What the shell is offered for the last of `words`, by a process of its own that imports nothing heavy."""
+    """What the shell is offered for the last of `words`, by a process that imports nothing heavy."""
     code = (
         "import sys, atexit\n"
         "atexit.register(lambda: print('heavy', *({'numpy', 'h5py', 'colour', 'rich', 'msgspec'} & set(sys.modules))))\n"
@@ -273,7 +273,7 @@ def test_tables_fit_a_terminal_of_eighty_columns(
 # ------------------------------------------------------------------------------------------------------- cautions
 
 
-def test_frames_that_the_table_was_not_made_for_are_told(pipeline: Path, tmp_path: Path, l3: Callable) -> None:
+def test_frames_that_the_table_was_not_made_for_are_warned_of(pipeline: Path, tmp_path: Path, l3: Callable) -> None:
     raw = next((pipeline / "unseen").glob("*_raw.tif"))
     render = ("render", pipeline / "table.h5", raw, "--backend", "reference", "-o")
     assert l3(*render, tmp_path / "fine.png") == (0, "", "")

@@ -1,4 +1,4 @@
-"""Real pairs: a raw file and its picture enter a training set, and training takes them at their own CFA phase only."""
+"""Real pairs: a raw file and its picture enter a training set, and training takes them at their CFA phase only."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -128,7 +128,7 @@ def test_pairs_and_frames_train_one_table(
             assert np.array_equal(pair.raw, true.raw)
             shown = (true.target[1] < 0.95 * true.white[1]) & (true.target[1] > 0.05 * true.white[1])
             ratio = (pair.target[1] * pair.exposure)[shown] / (true.target[1] * true.exposure)[shown]
-            assert np.median(ratio) == pytest.approx(1.0, abs=0.2)  # a grey world tells the scale so well
+            assert np.median(ratio) == pytest.approx(1.0, abs=0.2)  # a grey world gives the scale so well
             assert ratio.std() < 0.05 * ratio.mean()
     (tmp_path / "classes.toml").write_text("[classes]\npatch = 5\nlevels = 4\n[learning]\npatches = 8000\n")
     error = {}

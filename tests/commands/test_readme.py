@@ -48,7 +48,7 @@ def test_every_command_shown_is_complete(line: str) -> None:
     calls = commands(line)
     assert calls, line
     for name, *arguments in calls:
-        command(name).make_context(name, arguments)  # a click.UsageError tells what is wrong or missing
+        command(name).make_context(name, arguments)  # a click.UsageError says what is wrong or missing
 
 
 def test_there_are_enough_of_them() -> None:
@@ -195,7 +195,7 @@ def test_every_recipe_is_of_its_kind(path: Path) -> None:
     load_camera(path) if kind is CameraRecipe else load_recipe(path, kind)
 
 
-def test_keys_that_tell_a_kind_of_recipe_belong_to_it_alone() -> None:
+def test_keys_that_identify_a_kind_of_recipe_belong_to_it_alone() -> None:
     kinds: tuple[type[Recipe], ...] = (*RECIPES.values(), MeasurementRecipe)
     assert {kind.title for kind in kinds} == set(TELLING)
     for title, keys in TELLING.items():

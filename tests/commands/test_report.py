@@ -440,5 +440,5 @@ def test_the_page_works_without_scripts_and_on_paper(tab: Browser, page: Path, t
     tab.call("Emulation.setEmulatedMedia", media="")
 
 
-def test_what_is_no_number_is_told_as_such() -> None:
+def test_what_is_no_number_is_named_as_such() -> None:
     assert [tidy(value) for value in (float("nan"), float("inf"), float("-inf"))] == ["–", "∞", "−∞"]

@@ -125,7 +125,7 @@ def test_camera_raws_of_a_folder_are_a_sequence(l3: L3, l3_data: Path, tmp_path:
     assert rendered["A001_000001.jpg"].shape == (1156, 1734, 3)
 
 
-def test_cinema_dng_tells_its_rate(tmp_path: Path) -> None:
+def test_cinema_dng_states_its_rate(tmp_path: Path) -> None:
     rate_tag = [(51044, "2i", 1, (24000, 1001), True)]
     for name, tags in (("a_1.dng", rate_tag), ("a_2.dng", rate_tag), ("b_1.dng", []), ("b_2.dng", [])):
         tifffile.imwrite(tmp_path / name, frames()[0], extratags=tags)
@@ -438,7 +438,7 @@ def test_the_meter_reads_what_the_table_would_show(cfa: list[list[int]]) -> None
     frame = RawFrame("f", values, 100.0, 4095.0, phase=(1, 1))
     exact = ReferenceRenderer(table).exact_outputs(frame)[1]
     period = table.cfa.shape
-    seen = exact[:: period[0], :: period[1]]  # the site that is looked at
+    seen = exact[:: period[0], :: period[1]]  # the site that is measured
     assert LightMeter(table).brightness(frame) == pytest.approx(1 / automatic_exposure(seen), rel=0.02)
     for shape in ((1, 1), (3, 50), (7, 2)):
         small = RawFrame("f", values[: shape[0], : shape[1]], 50.0, 4000.0)
@@ -472,7 +472,7 @@ def test_dark_frames_leave_the_exposure_where_it_was() -> None:
     np.testing.assert_allclose(scales([0.0, -1.0, 0.5, 0.0]), [1, 1, 2, 2])
 
 
-def test_files_named_one_by_one_have_their_own_exposure_a_sequence_has_a_common_one(
+def test_files_named_one_by_one_have_separate_exposures_a_sequence_has_a_common_one(
     l3: L3, tmp_path: Path, table: Path, folder: Path
 ) -> None:
     call = ("render", table, "--backend", "reference")

@@ -213,7 +213,7 @@ def test_without_pyav_the_cure_is_named(
 ) -> None:
     (tmp_path / "clip.mkv").touch()
     monkeypatch.setitem(sys.modules, "av", None)
-    monkeypatch.setenv("L3_TRUST", "1")  # the process that decodes has its own modules
+    monkeypatch.setenv("L3_TRUST", "1")  # the process that decodes has separate modules
     for source, output in ((stack, "a.mp4"), (stack, "a.y4m"), (tmp_path / "clip.mkv", "out")):
         assert 'pip install "l3cli[video]"' in refused(1, "render", table, source, "-o", tmp_path / output)
 

@@ -1,5 +1,5 @@
 """Endurance: over many small frames memory is flat, no file stays open and the rate is steady. A few hundred frames here;
-`make soak` has 20 000 through each way of l3 render and 2 000 through l3 simulate."""
+`make soak` has 20 000 through each mode of l3 render and 2 000 through l3 simulate."""
 
 import dataclasses
 import io
@@ -53,7 +53,7 @@ class Sample:
 
 
 def sample_of(run: int, frames: int) -> Sample | None:
-    """All processes of a run, which leads a group of its own; None if it has ended."""
+    """All processes of a run, which leads a process group; None if it has ended."""
     processor, memory, handles = 0.0, 0.0, 0
     for entry in Path("/proc").iterdir():
         if not entry.name.isdecimal():
@@ -72,7 +72,7 @@ def sample_of(run: int, frames: int) -> Sample | None:
 
 
 def watched(done: Callable[["subprocess.Popen[bytes]"], int], pulse: float, *command: object) -> list[Sample]:
-    """Looks at `l3 COMMAND`, every `pulse` seconds while it runs; `done` tells of its frames."""
+    """Samples of `l3 COMMAND`, every `pulse` seconds while it runs; `done` counts its frames."""
     env = {**os.environ, "PYTHONPATH": str(ROOT)}
     samples: list[Sample] = []
     with subprocess.Popen(
@@ -87,8 +87,8 @@ def watched(done: Callable[["subprocess.Popen[bytes]"], int], pulse: float, *com
 
 
 def sipped(frame_bytes: int) -> Callable[["subprocess.Popen[bytes]"], int]:
-    """Counts the frames of a y4m stream on stdout, a few of which are taken at each look: however fast they are made, there
-    are looks in between."""
+    """Counts the frames of a y4m stream on stdout, a few of which are read at each sample: however fast they are made, there
+    are samples in between."""
     got = [0]
 
     def done(run: "subprocess.Popen[bytes]") -> int:
@@ -137,8 +137,8 @@ def require_steady(what: str, samples: list[Sample], frames: int, capsys: pytest
     early, late = (0.2, 0.9) if lasting else (0.5, 0.5)
     first = [sample for sample in samples if frames / 10 <= sample.frames < frames * early]
     last = [sample for sample in samples if sample.frames >= frames * late]
-    assert len(first) > lasting, "too few looks; give more frames"
-    assert len(last) > lasting, "too few looks; give more frames"
+    assert len(first) > lasting, "too few samples; give more frames"
+    assert len(last) > lasting, "too few samples; give more frames"
     memory = [float(np.median([sample.memory for sample in part])) for part in (first, last)]
     handles = [max(sample.handles for sample in part) for part in (first, last)]
     seconds, processor = (

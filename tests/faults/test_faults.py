@@ -161,7 +161,7 @@ def compared(inputs: Path) -> None:
 
 @pytest.fixture(scope="module")
 def has_small_disks(inputs: Path) -> bool:
-    """Whether a folder may be given a disk of its own here."""
+    """Whether a folder may be given a disk of its own."""
     mount = ["unshare", "-rm", "mount", "-t", "tmpfs", "tmpfs", str(inputs)]
     return shutil.which("unshare") is not None and subprocess.run(mount, capture_output=True).returncode == 0
 
@@ -223,7 +223,7 @@ def kill_once(stage: Stage, number: int, seed: int, server: ForkServer, truth: C
     assert all(whole[name] == content for name, content in finished.items())  # nothing half-written
     if ended.code != 0:
         outcome = (ended.code, ended.err.lstrip("\n"))
-        if "--jobs" in stage.line and number == signal.SIGKILL:  # Python's keeper of semaphores, left alone, tells of them
+        if "--jobs" in stage.line and number == signal.SIGKILL:  # Python's keeper of semaphores, left alone, reports them
             outcome = (ended.code, "")
         elif "--jobs" in stage.line and ended.code > 0:  # a worker just starting may say, too, that nobody gives it work
             outcome = (ended.code, next(line for line in outcome[1].splitlines(keepends=True) if line.startswith("l3: ")))
@@ -283,7 +283,7 @@ def stopped_at_work(stage: Stage, server: ForkServer) -> Iterator[None]:
 
 
 def state_of(process: int) -> str:
-    """Letter of a process's state, as the kernel tells it; Z if there is none any more."""
+    """Letter of a process's state, by the kernel; Z if there is none any more."""
     try:
         return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
     except (FileNotFoundError, ProcessLookupError):

@@ -1,4 +1,4 @@
-"""A byte that has changed is found, wherever it lies; a history is compared with its inputs; older formats are read."""
+"""A byte that has changed is detected, wherever it lies; a history is compared with its inputs; older formats are read."""
 
 import dataclasses
 import json
@@ -53,7 +53,7 @@ def artifacts(bayer: CameraModel, fiveband: CameraModel, tmp_path_factory: pytes
 
 @settings(max_examples=400, deadline=None)
 @given(data=st.data(), kind=st.sampled_from(list(READERS)), bit=st.integers(0, 7), how=st.sampled_from(["--verify", "read"]))
-def test_a_flipped_bit_anywhere_is_found(
+def test_a_flipped_bit_anywhere_is_detected(
     data: st.DataObject, kind: str, bit: int, how: str, artifacts: dict[str, Path], tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     content = bytearray(artifacts[kind].read_bytes())
@@ -66,7 +66,7 @@ def test_a_flipped_bit_anywhere_is_found(
 
 
 @pytest.mark.parametrize("kind", list(READERS))
-def test_every_command_tells_of_a_changed_byte_in_one_line(
+def test_every_command_reports_a_changed_byte_in_one_line(
     kind: str, artifacts: dict[str, Path], refused: Refused, tmp_path: Path
 ) -> None:
     content = bytearray(artifacts[kind].read_bytes())
@@ -94,7 +94,7 @@ def test_whole_artifacts_are_right_and_read_by_any_hdf5(artifacts: dict[str, Pat
         assert path.read_bytes().startswith(container.TITLE)
 
 
-def test_a_changed_value_that_is_sealed_again_is_found_by_its_own_checksum(
+def test_a_changed_value_that_is_sealed_again_fails_its_checksum(
     artifacts: dict[str, Path], tmp_path: Path, refused: Refused
 ) -> None:
     path = tmp_path / "table.h5"

@@ -233,7 +233,7 @@ def test_a_pattern_is_no_wider_than_a_name(refused: Refused, tmp_path: Path, tab
 
 
 @pytest.mark.parametrize("kind", ["stack", "pattern", "stdin", "video"])
-def test_frames_that_are_far_away_are_told_at_once(l3: L3, tmp_path: Path, table: Path, kind: str) -> None:
+def test_frames_that_are_far_away_are_listed_at_once(l3: L3, tmp_path: Path, table: Path, kind: str) -> None:
     """Each gap in one line, whatever its length."""
     given = b""
     if kind == "stack":
@@ -265,7 +265,7 @@ def test_frames_that_are_far_away_are_told_at_once(l3: L3, tmp_path: Path, table
             path.unlink()
 
 
-def test_gaps_are_told_one_by_one(l3: L3, refused: Refused, tmp_path: Path, table: Path) -> None:
+def test_gaps_are_listed_one_by_one(l3: L3, refused: Refused, tmp_path: Path, table: Path) -> None:
     for number in (2, 3, 7, 9):
         write_mosaic(tmp_path / f"a_{number}.tif", frames()[0])
     call = ("render", table, tmp_path / "a_%d.tif", "-o", tmp_path / "out", *FAST)
@@ -319,7 +319,9 @@ def test_a_recipes_number_out_of_range_is_named(key: str, words: str) -> None:
 
 
 @pytest.mark.parametrize("kilobytes", [60_000, 140_000, 300_000])
-def test_too_little_address_space_is_told_before_any_work(tmp_path: Path, table: Path, stack: Path, kilobytes: int) -> None:
+def test_too_little_address_space_is_reported_before_any_work(
+    tmp_path: Path, table: Path, stack: Path, kilobytes: int
+) -> None:
     """Libraries end the program, hang or send it signals where they get no memory."""
     command = f"ulimit -v {kilobytes}; exec {sys.executable} -m l3cli render {table} {stack} -o {tmp_path}/out"
     run = subprocess.run(["bash", "-c", command], capture_output=True, timeout=20, text=True)

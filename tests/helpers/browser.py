@@ -27,7 +27,7 @@ FLAGS = (
 
 
 class Browser:
-    """One tab of a browser of its own, with an empty profile; `with Browser() as tab`."""
+    """One tab of a browser with an empty profile; `with Browser() as tab`."""
 
     def __enter__(self) -> "Browser":
         assert CHROMIUM

@@ -1,6 +1,6 @@
 """Runs of l3 without their start-up: a process that has imported what the commands need, and forks for each run.
 
-Run as a program it is that process: it takes one JSON object a line, tells the number of the process it forks, and how that
+Run as a program it is that process: it takes one JSON object a line, prints the number of the process it forks, and how that
 ended.
 """
 

@@ -1,4 +1,4 @@
-"""Hostile inputs: whole files, ways to spoil them, commands that read them, and what must hold whatever these make of it.
+"""Hostile inputs: whole files, changes to them, commands that read them, and what must hold whatever these make of it.
 
 Choices come from whoever drives: Hypothesis (test_hostile.py), a seed or a coverage-guided fuzzer (fuzz.py).
 """
@@ -24,7 +24,7 @@ from l3cli.artifacts import container
 from l3cli.cli import run
 from l3cli.limits import MEGAPIXELS
 
-CACHE = str(Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser(), "l3cli"))  # l3's own, of kernels
+CACHE = str(Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser(), "l3cli"))  # l3's cache of kernels
 SECONDS = 10  # of processor time: an input that takes longer hangs …
 PATIENCE = 12  # … as does one that takes so many times longer by the clock
 MEMORY = 1 << 30  # bytes that an input may take beside what the process had, which is far more than MOST_MEGAPIXELS asks for
@@ -425,7 +425,7 @@ def make_inputs(folder: Path) -> None:
     _make_frames(folder)
     _make_scenes(folder)
     import colour_demosaicing  # noqa: F401  asks git for its version
-    import distributed  # noqa: F401  both unpickle what is their own
+    import distributed  # noqa: F401  both unpickle what they wrote
 
     with contextlib.chdir(folder):
         for command in (
@@ -576,7 +576,7 @@ class Workshop:
         (self.inputs / "recipe.toml").write_text(subject.text or DRAWN)
         path.write_bytes(content)
         if content.startswith(container.TITLE):
-            container.seal(path)  # as who means harm would: else the digest alone tells
+            container.seal(path)  # as who means harm would: else the digest alone shows it
         arguments = [word.format(file=path, out=out) if "{" in word else word for word in subject.commands[command].split()]
         try:
             with contextlib.chdir(self.inputs):

@@ -116,7 +116,7 @@ class Identities:
         return f"{call}left {sorted(self._out.rglob('*'))}" if sorted(self._out.rglob("*")) != placed else None
 
     def _disguised(self, sentence: Sentence, written: str, source: Path, disguise: str) -> list[str]:
-        """The command, `written` being `source` in some way: by what is typed, where that names the very file; else by a
+        """The command, `written` being `source` in disguise: by what is typed, where that names the very file; else by a
         link that lies in its place."""
         words = sentence.command.format(out=self._out).split()
         place = self._out / written

@@ -142,7 +142,7 @@ def columns_swapped(folder: Folder, choices: Choices) -> Expected:
 
 
 def responsivities_swapped(folder: Folder, choices: Choices) -> Expected:
-    """A camera recipe's own curves in another order: told by the heading, or by a heading that fits no channel."""
+    """A camera recipe's curves in another order: named by the heading, or by a heading that fits no channel."""
     order = one_of(choices, ([0, 3, 2, 1], [0, 2, 3, 1], [1, 2, 3, 0]))
     rewritten(folder.path / "curves.csv", *permuted(order))
     if choices.integer(0, 2):
@@ -170,7 +170,7 @@ def rows_reversed(folder: Folder, choices: Choices) -> Expected:
 
 
 def decimal_commas(folder: Folder, choices: Choices) -> Expected:
-    """As a spreadsheet of half the world writes them; between commas nobody can tell them."""
+    """As a spreadsheet of half the world writes them; between commas they are ambiguous."""
     separator = one_of(choices, (";", "\t", ","))
     for path in folder.spectra(choices):
         heading, *lines = path.read_text().splitlines()

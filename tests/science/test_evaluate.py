@@ -1,4 +1,4 @@
-"""Quality figures: equal to ISETCam's own where it was run, zero for equal pictures, worse for worse ones; the basic
+"""Quality figures: equal to ISETCam's where it was run, zero for equal pictures, worse for worse ones; the basic
 pipeline exact where it must be; `l3 evaluate` with the keys it promises."""
 
 import dataclasses

@@ -51,7 +51,7 @@ def without_the_chart(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 def chart_errors(table: Path, chart: Path) -> np.ndarray:
-    """ΔE00 (frame, patch) within the patches of a chart's frames, relative to the light's own white, in no gamut."""
+    """ΔE00 (frame, patch) within the patches of a chart's frames, relative to the light's white, in no gamut."""
     transforms = load(TransformTable, table)
     renderer, errors = make_renderer("opencl", transforms), []
     with open_training_set(chart) as frames:

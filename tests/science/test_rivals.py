@@ -1,4 +1,4 @@
-"""What a table is compared with gets all that the table has: the camera's whole grid, the frame's own light, the light that
+"""What a table is compared with gets all that the table has: the camera's whole grid, the frame's light, the light that
 is wanted (docs/method.md#basic-pipeline)."""
 
 import json
@@ -57,4 +57,4 @@ def test_the_basic_matrix_is_fitted_for_the_very_light_of_the_frame(basic: Calla
 def test_the_basic_matrix_is_fitted_for_the_light_that_is_wanted(basic: Callable) -> None:
     head = 'exposure_share = [0.9]\nilluminants = ["A"]\n[target]\nilluminant = "lamp.csv"\n'
     (frames,) = basic("fiveband", head)
-    assert frames["median_delta_e"] < 6.5  # of a fit to the frame's own light come 8.0
+    assert frames["median_delta_e"] < 6.5  # of a fit to the frame's light come 8.0

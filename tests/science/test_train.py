@@ -69,7 +69,7 @@ def test_patches_are_windows_of_the_turned_mosaic(bayer: CameraModel) -> None:
     head = TrainingSet(camera=camera, outputs=("X", "Y", "Z"), target_description="")
     near = neighbourhoods(camera.cfa, 5, 3)
     sample = sample_patches(frame, head, camera.saturation_exposure, near.channel[1], 64, orientations(5), rng)
-    # the centre tap is the site's own channel whatever the orientation, and the target belongs to the same pixel
+    # the centre tap is the site's channel whatever the orientation, and the target belongs to the same pixel
     share = frame.electrons / camera.full_scale
     truth = np.einsum("oc,crk->ork", MIX, share)
     for signal, target in zip(sample.signal, sample.target, strict=True):
@@ -129,7 +129,7 @@ def test_rare_saturation_patterns_join_the_nearest_kept_one() -> None:
 
 
 @pytest.mark.filterwarnings("error")
-def test_few_colours_are_their_own_chromas() -> None:
+def test_few_colours_become_the_chromas() -> None:
     """Charts have few; there is nothing to be said of it, such as that clusters are empty."""
     few = np.array([[0.5, 0.3, 0.2], [0.2, 0.3, 0.5], [0.1, 0.2, 0.7]])
     shares = np.repeat(few, 40, axis=0)
@@ -244,7 +244,7 @@ def test_other_outputs_than_xyz(
     assert (tmp_path / "merged.h5").read_bytes() == (tmp_path / "table.h5").read_bytes()
 
 
-def test_info_tells_what_a_table_has_learned(bayer: CameraModel, tmp_path: Path, l3: Callable) -> None:
+def test_info_says_what_a_table_has_learned(bayer: CameraModel, tmp_path: Path, l3: Callable) -> None:
     training = a_set(tmp_path / "training.h5", quiet_camera(bayer), 40)
     (tmp_path / "classes.toml").write_text(SMALL)
     assert l3("train", training, "--classes", tmp_path / "classes.toml", "-o", tmp_path / "table.h5")[0] == 0

@@ -136,7 +136,7 @@ def test_frames_of_one_value_and_of_one_line(renderers: tuple[ReferenceRenderer,
 @settings(max_examples=4, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_any_colour_filter_array(data: st.DataObject) -> None:
-    """Whatever the array, patch, outputs and depth, for every way of rendering; few, since each is compiled."""
+    """Whatever the array, patch, outputs and depth, for every variant; few, since each is compiled."""
     rows, cols = data.draw(st.integers(1, 8)), data.draw(st.integers(1, 8))
     patch = data.draw(st.sampled_from([3, 5, 7, 9, 11, 13, 15]))
     rng = np.random.default_rng(data.draw(st.integers(0, 2**32)))
@@ -320,7 +320,7 @@ def test_srgb_curve_at_known_values() -> None:
     assert picture[0, :, 0].tolist() == [0, 7, 10, 118, 188, 255, 255, 0]
 
 
-def test_srgb_both_ways() -> None:
+def test_srgb_and_its_inverse() -> None:
     codes = np.arange(256)
     assert srgb_codes(srgb_decoded(codes / 255)).tolist() == codes.tolist()
     np.testing.assert_allclose(xyz_from_srgb_matrix() @ srgb_from_xyz_matrix(), np.eye(3), atol=1e-12)

@@ -40,7 +40,7 @@ def chromaticity(xyz: np.ndarray) -> np.ndarray:
 
 
 def summed_up(grid: np.ndarray, power: np.ndarray) -> np.ndarray:
-    """XYZ of a table, summed over its own samples."""
+    """XYZ of a table, summed over its samples."""
     return spectra.colour_matching_functions(grid) @ (power * spectra.bin_widths(grid))
 
 
@@ -63,7 +63,7 @@ def test_a_line_between_two_nanometres_counts(line: float, turned: int, tmp_path
 
 @st.composite
 def grids(draw: Callable, least: int = 1, within: tuple[float, float] = (400.0, 700.0)) -> np.ndarray:
-    """A grid in no step of its own, rising or falling, that may be far finer or coarser than another."""
+    """A grid of uneven steps, rising or falling, that may be far finer or coarser than another."""
     steps = np.array(draw(st.lists(st.floats(0.05, 60.0), min_size=least, max_size=40)))
     first, last = within
     grid = first + (last - first) * np.cumsum(steps) / (steps.sum() + steps[0])
@@ -113,7 +113,7 @@ def test_a_wavelength_twice_is_refused(grid: list[float]) -> None:
 
 
 def test_a_lamp_of_lines_gives_a_camera_all_its_light(bayer: CameraModel) -> None:
-    """Electrons and luminance against the sums over the table's own 0.1 nm."""
+    """Electrons and luminance against the sums over the table's 0.1 nm."""
     grid = np.arange(380.0, 780.05, 0.1)
     power = lamp(435.8, 546.1, 577.0, 579.1, 611.3, grid=grid, ground=0.01)
     made = light.make_light("lamp.csv", {"lamp.csv": (grid, power)}, bayer.wavelength)
@@ -137,7 +137,7 @@ def test_a_scene_of_finer_bands_than_the_cameras_has_electrons(bayer: CameraMode
 
 
 def test_a_cube_is_divided_by_all_of_its_light() -> None:
-    """A line between two bands lights both; a light on the cube's own bands leaves a white tile white."""
+    """A line between two bands lights both; a light on the cube's bands leaves a white tile white."""
     ramp = np.linspace(0.2, 0.8, 31)
     fine = lamp(546.5)
     bands = np.array([fine[0] @ np.maximum(0, 1 - abs(HALVES - x) / 10) / 20 for x in SEEN])  # of 10 nm half width
@@ -217,7 +217,7 @@ def test_coarse_spectra_light_every_node() -> None:
     radiance = np.ones(31)
     photons = responsivity.node_photons(SEEN, radiance, nodes)
     assert np.allclose(photons[1:-1], 5.0)
-    assert photons.sum() == pytest.approx(305.0)  # what lies within the nodes' own steps
+    assert photons.sum() == pytest.approx(305.0)  # what lies within the nodes' steps
 
 
 def test_a_bands_centre_does_not_depend_on_where_it_was_sampled_most() -> None:

@@ -39,7 +39,7 @@ def grating(angle: float, amplitude: float = 2000.0) -> np.ndarray:
 
 
 @pytest.mark.parametrize("number", range(DIRECTIONS))
-def test_each_direction_of_an_edge_is_a_class_of_its_own(number: int) -> None:
+def test_each_direction_of_an_edge_is_another_class(number: int) -> None:
     assert structure_at_centre(grating(np.pi * number / DIRECTIONS)) == 2 + number
 
 

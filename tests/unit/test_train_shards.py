@@ -120,7 +120,7 @@ def _process(item: int) -> int:
 
 
 def lit_set(path: Path, camera: CameraModel, count: int, white: tuple[float, float, float]) -> Path:
-    """A training set under a light of its own."""
+    """A training set under another light."""
     head = TrainingSet(camera=camera, outputs=("X", "Y", "Z"), target_description="a known mix of the channels")
     with write_training_set(path, head) as writer:
         for seed in range(count):

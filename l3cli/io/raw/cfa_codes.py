@@ -36,7 +36,7 @@ def codes_of(letters: str) -> NDArray[np.int64]:
 
 
 def channel_codes(channels: Sequence[str]) -> NDArray[np.uint8]:
-    """A code for each channel, all different: TIFF/EP's, or one of our own for names that it does not know."""
+    """A code for each channel, all different: TIFF/EP's, or a free one for names that it does not know."""
     codes: list[int] = []
     for index, name in enumerate(channels):
         code = code_of(name)

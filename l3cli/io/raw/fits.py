@@ -1,7 +1,7 @@
 """FITS: the first image of a file, a frame (row, col) or frames (frame, row, col) of unsigned integers, through astropy.
 
-astropy and no reader of our own: unsigned values are coded by BZERO, images may be packed (fpack), and headers run over
-blocks. Row order: the first row is the uppermost, unless ROWORDER says BOTTOM-UP; BAYERPAT tells the colours of the upper
+astropy and no reader of this package: unsigned values are coded by BZERO, images may be packed (fpack), and headers run over
+blocks. Row order: the first row is the uppermost, unless ROWORDER says BOTTOM-UP; BAYERPAT gives the colours of the upper
 left pixels, displaced by XBAYROFF and YBAYROFF.
 """
 

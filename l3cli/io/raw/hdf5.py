@@ -39,7 +39,7 @@ def find_stack(path: Path, dataset: str | None) -> tuple[str, int]:
 
 @apart
 def stack_frame(path: Path, name: str, number: int) -> NDArray:
-    """One frame (row, col) of a stack that `find_stack` has found."""
+    """One frame (row, col) of a stack whose name `find_stack` returned."""
     frames = _open(path, name)[name]
     _require_frames(path, frames)
     try:

@@ -12,7 +12,7 @@ size = picture_size
 
 
 def read(path: Path) -> SpectralCube:
-    """All channels as bands in increasing wavelength, which their names may tell ("450nm", "S0.450,5nm")."""
+    """All channels as bands in increasing wavelength, which their names may give ("450nm", "S0.450,5nm")."""
     pixels, names = read_image(path)
     matches = [re.search(r"(\d+(?:[.,]\d+)?)\s*nm", name) for name in names]
     keep = [index for index, match in enumerate(matches) if match]

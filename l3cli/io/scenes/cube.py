@@ -35,7 +35,7 @@ def cube_in(path: Path, content: Content, variable: str | None, axes: str) -> Sp
 
 
 def size(path: Path, variable: str | None, axes: str) -> tuple[int, int]:
-    """(rows, cols) of what `read` reads, from headers where they tell it; InputFileError as there."""
+    """(rows, cols) of what `read` reads, from headers where they hold it; InputFileError as there."""
     shape = size_in(array_shapes(path), variable, axes)
     if shape is None:
         rows, cols, _ = read(path, variable, axes).values.shape  # which says what is wrong
@@ -44,7 +44,7 @@ def size(path: Path, variable: str | None, axes: str) -> tuple[int, int]:
 
 
 def size_in(shapes: dict[str, tuple[int, ...]], variable: str | None, axes: str) -> tuple[int, int] | None:
-    """(rows, cols) of the cube among arrays of these shapes; None if that cannot be told."""
+    """(rows, cols) of the cube among arrays of these shapes; None if they do not say."""
     wanted = (variable or "").replace(".", "/").strip("/")
     candidates = [shape for name, shape in shapes.items() if len(shape) == 3 and (variable is None or name == wanted)]
     if len(candidates) != 1:

@@ -53,7 +53,7 @@ def read(path: Path, light: Curve | None = None) -> Scene:
 
 
 def size(path: Path, light: Curve | None = None) -> tuple[int, int]:
-    """(rows, cols) of an ISET scene, from headers where they tell it; InputFileError as `read`."""
+    """(rows, cols) of an ISET scene, from headers where they hold it; InputFileError as `read`."""
     shapes = array_shapes(path)
     for name in (f"{scene}{array}" for scene in ("scene/", "") for array in ("mcCOEF", "photons", "data/photons")):
         if len(shapes.get(name, ())) in (2, 3):

@@ -1,8 +1,8 @@
-"""The mark of a sequence of pictures: it lies beside them while a run is under way, tells `l3 render --resume` which run
+"""The mark of a sequence of pictures: it lies beside them while a run lasts, says to `l3 render --resume` which run
 that is, and lists what it has made, of what.
 
 A picture is listed before it gets its name, the list being on the disk by then. So a file that is not listed is none of the
-run's, however it ended; one that is listed, but not there, is made. Files are told by size and time: digests would take as
+run's, however it ended; one that is listed, but not there, is made. Size and time identify a file: digests would take as
 long as a tenth of the rendering.
 """
 
@@ -38,7 +38,7 @@ class Mark:
 
     def __init__(self, path: Path, key: str, force: bool) -> None:
         self._path, self._key, self.force = path, key, force
-        self._made: dict[str, tuple[Dated, str]] = {}  # picture → what tells its file, what it was made of
+        self._made: dict[str, tuple[Dated, str]] = {}  # picture → identity of its file, what it was made of
         self._unasked: set[str] = set()  # pictures whose frames have not come up yet
         self._file: BinaryIO | None = None
 
@@ -100,15 +100,15 @@ class Mark:
 
 
 class Origins:
-    """Tells what pictures are made of, frame after frame: by file, number, size and time; by content where there is no file
+    """Records what pictures are made of, frame by frame: by file, number, size and time; by content where there is no file
     to go by. `all_before`: the exposure of a frame depends on every one before it, and so does its picture."""
 
     def __init__(self, whole: Path, all_before: bool) -> None:
-        self._whole, self._all_before = whole, all_before  # `whole`: the file of frames that have none of their own
+        self._whole, self._all_before = whole, all_before  # `whole`: the file of frames that are no files
         self._before = ""
 
     def of(self, pending: Pending) -> Pending:
-        """The frame with its origin, if that can be told before it is read; ask before, lest it change in between."""
+        """The frame with its origin, if that is known before it is read; ask before, lest it change in between."""
         source = pending.source or self._whole
         dated = _dated(source)
         return pending if dated is None else self._with_origin(pending, [os.path.realpath(source), pending.number, *dated])

@@ -33,7 +33,7 @@ class Unread:
     digest: str  # SHA-256 of the file
 
 
-Exposed = tuple[Pending, Any, float]  # with the frame (RawFrame or Unread) and the scale of its exposure, 0: its own
+Exposed = tuple[Pending, Any, float]  # with the frame (RawFrame or Unread) and the scale of its exposure, 0: automatic
 
 
 def pixels_of(renderer: "Renderer", frame: RawFrame, rendition: Rendition, scale: float) -> Any:
@@ -49,7 +49,7 @@ def linear_of(renderer: "Renderer", frame: RawFrame) -> Any:
 
 
 def display_of(renderer: "Renderer", frame: RawFrame, rendition: Rendition, scale: float) -> Display:
-    """How the outputs of a frame are shown; `scale`: of its exposure, 0: its own."""
+    """How the outputs of a frame are shown; `scale`: of its exposure, 0: automatic."""
     # The exposure of one frame alone needs the whole frame's luminance before the first value is encoded: two runs.
     return make_display(rendition.white, scale or automatic_exposure(renderer.outputs(frame)[1]), rendition.bits)
 

@@ -153,7 +153,7 @@ def _exposed(
     tally: _Tally,
     console: Console,
 ) -> Iterator[Exposed]:
-    """The frames to render, each with its scale (0: its own exposure); what is broken is raised, or said and counted."""
+    """The frames to render, each with its scale (0: automatic exposure); what is broken is raised, or said and counted."""
     for each in reading:
         if each.error is not None:
             tally.leave_out(each.error, skip_bad, console, each.lost)

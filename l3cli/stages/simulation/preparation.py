@@ -1,4 +1,4 @@
-"""What is checked and looked up before any frame is simulated."""
+"""What is checked and resolved before any frame is simulated."""
 
 import dataclasses
 import re
@@ -25,7 +25,7 @@ from l3cli.stages.simulation.scenes import files_of, refusals
 
 
 def prepare(recipe: SceneRecipe, path: Path, camera: CameraModel, seed: int) -> tuple[SimulationRun, list[list[Path]]]:
-    """Everything checked and looked up before any work: the run, and the files of each source."""
+    """Everything checked and resolved before any work: the run, and the files of each source."""
     try:
         asked.check(recipe, camera)
         named = asked.curve_files(recipe)
