@@ -24,13 +24,13 @@ HEADINGS = {
 
 
 def print_tables(document: dict[str, Any]) -> None:
-    """Frames, means, light levels, illuminants, classes and the worst of them; beside ours the main figure of each rival."""
+    """Frames, means, light levels, illuminants, classes and the worst of them; beside ours the main figure of each baseline."""
     width = terminal.width()
     wide = width is None or width >= WIDE
     figures = [figure for figure in document["frames"][0]["ours"] if wide or figure not in LESS_NEEDED]
-    rivals = document["pipelines"][1:]
+    baselines = document["pipelines"][1:]
     main = [figures[0]] + [figure for figure in figures if figure == "psnr" and wide]
-    shown = [("ours", figure) for figure in figures] + [(rival, figure) for rival in rivals for figure in main]
+    shown = [("ours", figure) for figure in figures] + [(baseline, figure) for baseline in baselines for figure in main]
     named = [HEADINGS[figure] if owner == "ours" else f"{owner}\n{HEADINGS[figure]}" for owner, figure in shown]
 
     def values(row: dict[str, Any]) -> list[str]:
@@ -45,9 +45,9 @@ def print_tables(document: dict[str, Any]) -> None:
         lights = [[g["illuminant"], str(g["frames"]), *values(g)] for g in document["by_illuminant"]]
         show_table(["", "by illuminant"], ["light", "frames", *named], lights)
     _print_classes(document, figures[0])
-    for rival, counts in document["better"].items():
+    for baseline, counts in document["better"].items():
         shares = ", ".join(f"{HEADINGS[figure]} {counts[figure]}" for figure in main)
-        show(f"better than {rival} in so many of {len(document['frames'])} frames: {shares}")
+        show(f"better than {baseline} in so many of {len(document['frames'])} frames: {shares}")
 
 
 def _print_classes(document: dict[str, Any], figure: str) -> None:

@@ -47,7 +47,7 @@ def white_luminance(luminance: Array) -> float:
     return bright if bright > 0 else 1.0
 
 
-def automatic_exposure(luminance: Array) -> float:
+def exposure_scale(luminance: Array) -> float:
     """Scale that brings the 99th percentile of Y (row, col) to display white; 1 where all is dark."""
     return 1.0 / white_luminance(luminance)
 

@@ -9,7 +9,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.fit import ChartFit, Fit, NoiseFit, SweepFit
 from l3cli.report import colours
 from l3cli.report.drawing import GLYPH, Axis, Plot, box, escape, sheet, spanning
-from l3cli.report.parts import Block, Details, Figure, Figures, Key, Part, Section, Table, Text, counted, tidy, unit
+from l3cli.report.parts import Block, Details, Figure, Figures, Key, Section, Subsection, Table, Text, counted, tidy, unit
 
 Array = NDArray[np.floating]
 MARKS = {"line": "dot", "dashed": "plus", "dotted": "cross"}  # of a line → of a point
@@ -23,13 +23,13 @@ def camera_section(camera: CameraModel, figures: dict[str, Any], name: str) -> S
     `name` is the file it comes from."""
     light = colours.channel_light(camera.responsivity, camera.wavelength)
     parts = [
-        Part("Sensor and colour filter array", (Figures((_array_figure(camera, light),)), _facts(camera))),
-        Part("Responsivities", (Figures(_responsivity_figures(camera, light)),)),
-        Part("Noise", _noise_blocks(camera, figures, light)),
+        Subsection("Sensor and colour filter array", (Figures((_array_figure(camera, light),)), _facts(camera))),
+        Subsection("Responsivities", (Figures(_responsivity_figures(camera, light)),)),
+        Subsection("Noise", _noise_blocks(camera, figures, light)),
     ]
     if camera.fit is not None:
         blocks = _validation_blocks(camera, camera.fit, figures, light)
-        parts += [Part("Validation", blocks)] if blocks else []
+        parts += [Subsection("Validation", blocks)] if blocks else []
     doubt = f" It falls short: {figures['shortfall']}." if figures["shortfall"] else ""
     return Section(f"Camera: {camera.name}", f"{_lead(camera)}{doubt} From {name}.", tuple(parts))
 

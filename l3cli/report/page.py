@@ -3,7 +3,7 @@
 from typing import Any
 
 from l3cli.artifacts.schema import Stage
-from l3cli.report.parts import Details, Part, Section, Table
+from l3cli.report.parts import Details, Section, Subsection, Table
 
 LIMIT = 10_000_000  # bytes of a page
 
@@ -25,12 +25,12 @@ def render_page(title: str, lead: str, sections: list[Section]) -> str:
 def history_section(files: list[tuple[str, str, str, tuple[Stage, ...]]]) -> Section:
     """Where everything comes from: `files` are name, kind, SHA-256 and stages, oldest first."""
     given = tuple((name, kind, digest) for name, kind, digest, _ in files)
-    parts = [Part("Files", (Table("Files of this report", ("file", "kind", "SHA-256"), given),))]
+    parts = [Subsection("Files", (Table("Files of this report", ("file", "kind", "SHA-256"), given),))]
     parts += [_stages(name, stages) for name, _, _, stages in files if stages]
     return Section("History", "What was run on what, as the artifacts record it.", tuple(parts))
 
 
-def _stages(name: str, stages: tuple[Stage, ...]) -> Part:
+def _stages(name: str, stages: tuple[Stage, ...]) -> Subsection:
     rows = []
     for number, stage in enumerate(stages, 1):
         chosen = " ".join(_option(*option) for option in sorted(stage.options.items()))
@@ -38,7 +38,7 @@ def _stages(name: str, stages: tuple[Stage, ...]) -> Part:
         rows.append((f"{number}", f"l3 {stage.command}", chosen or "–", inputs or "–", stage.version))
     table = Table(f"Stages of {name}", ("stage", "command", "options", "inputs, SHA-256", "l3cli"), tuple(rows))
     recipes = [Details(f"Recipe of stage {n}, {s.command}", s.recipe) for n, s in enumerate(stages, 1) if s.recipe]
-    return Part(name, (table, *recipes))
+    return Subsection(name, (table, *recipes))
 
 
 def _option(key: str, value: Any) -> str:

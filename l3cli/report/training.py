@@ -11,7 +11,7 @@ from l3cli.artifacts.training_set import TrainingFrame, TrainingPair, TrainingSe
 from l3cli.report import colours
 from l3cli.report.camera import channel_keys, mark_of
 from l3cli.report.drawing import Axis, Plot, spanning
-from l3cli.report.parts import Block, Figure, Figures, Gallery, Key, Part, Picture, Section, Table, Text, counted, tidy
+from l3cli.report.parts import Block, Figure, Figures, Gallery, Key, Picture, Section, Subsection, Table, Text, counted, tidy
 from l3cli.report.pictures import Jpeg, fitted, thumbnail
 
 Array = NDArray[np.floating]
@@ -45,8 +45,8 @@ def training_section(reader: TrainingSetReader, name: str, role: str, limit: int
     survey = survey_of(reader)
     about = f"{counted(len(reader), 'frame')}, {survey.pixels / 1e6:.3g} million pixels, of {head.camera.name}."
     parts = [
-        Part("Scenes", _scene_blocks(reader, survey, limit, jpeg)),
-        Part("Light, levels and colours", _light_blocks(head, survey)),
+        Subsection("Scenes", _scene_blocks(reader, survey, limit, jpeg)),
+        Subsection("Light, levels and colours", _light_blocks(head, survey)),
     ]
     return Section(f"Training set: {name}", " ".join(filter(None, (about, role, f"From {name}."))), tuple(parts))
 

@@ -11,7 +11,7 @@ from l3cli.classes import level
 from l3cli.classes.windows import Integers, window_channels
 from l3cli.report import colours
 from l3cli.report.drawing import WIDTH, Plot, box, escape, heat, sheet, spanning
-from l3cli.report.parts import Block, Figure, Figures, Key, Part, Section, Table, Text, tidy
+from l3cli.report.parts import Block, Figure, Figures, Key, Section, Subsection, Table, Text, tidy
 
 Array = NDArray[np.floating]
 DECADES = (0.15, 0.3, 0.45, 0.6, 0.8, 1.0)  # opacity of 1–9, 10–99… patches
@@ -30,13 +30,13 @@ def transform_section(
         f"{classes['trained']} are trained on patches of their own, {classes['filled']} filled from their neighbours. "
         f"For {table.camera_name}. From {name}."
     )
-    parts: tuple[Part, ...] = (
-        Part("Class population", _population_blocks(table, insight)),
-        Part("Transforms", _transform_blocks(table, light, class_name)),
-        Part("Noise and flat areas", (_noise_figures(table), *_gain_tables(table, insight))),
+    parts: tuple[Subsection, ...] = (
+        Subsection("Class population", _population_blocks(table, insight)),
+        Subsection("Transforms", _transform_blocks(table, light, class_name)),
+        Subsection("Noise and flat areas", (_noise_figures(table), *_gain_tables(table, insight))),
     )
     if insight["later"]:
-        parts += (Part("Later layers", (_later_table(insight),)),)
+        parts += (Subsection("Later layers", (_later_table(insight),)),)
     return Section(f"Table: {name}", lead, parts)
 
 

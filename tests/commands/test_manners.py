@@ -1,4 +1,4 @@
-"""How the commands behave towards people: help, completion, progress, names suggested, tables that fit, cautions."""
+"""How the commands behave towards people: help, completion, progress, names suggested, tables that fit, input warnings."""
 
 import json
 import os
@@ -270,7 +270,7 @@ def test_tables_fit_a_terminal_of_eighty_columns(
     assert "95 %" in l3("evaluate", table, unseen)[1]
 
 
-# ------------------------------------------------------------------------------------------------------- cautions
+# ------------------------------------------------------------------------------------------------- input warnings
 
 
 def test_frames_that_the_table_was_not_made_for_are_warned_of(pipeline: Path, tmp_path: Path, l3: Callable) -> None:

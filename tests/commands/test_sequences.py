@@ -21,7 +21,7 @@ from l3cli.io.images import read_image, write_mosaic
 from l3cli.io.numbered import numbered_files, numbered_name
 from l3cli.io.raw.files import KnownBetter
 from l3cli.io.sequences import find_frames
-from l3cli.physics.display import automatic_exposure
+from l3cli.physics.display import exposure_scale
 from l3cli.rendering.exposure import TIME_CONSTANT, LightMeter, SteadyExposure
 from l3cli.rendering.reference import ReferenceRenderer
 from tests.helpers.calls import L3, Refused
@@ -439,7 +439,7 @@ def test_the_meter_reads_what_the_table_would_show(cfa: list[list[int]]) -> None
     exact = ReferenceRenderer(table).exact_outputs(frame)[1]
     period = table.cfa.shape
     seen = exact[:: period[0], :: period[1]]  # the site that is measured
-    assert LightMeter(table).brightness(frame) == pytest.approx(1 / automatic_exposure(seen), rel=0.02)
+    assert LightMeter(table).brightness(frame) == pytest.approx(1 / exposure_scale(seen), rel=0.02)
     for shape in ((1, 1), (3, 50), (7, 2)):
         small = RawFrame("f", values[: shape[0], : shape[1]], 50.0, 4000.0)
         assert np.isfinite(LightMeter(table).brightness(small))

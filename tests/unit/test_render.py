@@ -21,7 +21,7 @@ from l3cli.errors import DeviceError, RecipeError
 from l3cli.frame import RawFrame, upright
 from l3cli.physics import spectra
 from l3cli.physics.display import (
-    automatic_exposure,
+    exposure_scale,
     scene_white,
     srgb_codes,
     srgb_decoded,
@@ -334,8 +334,8 @@ def test_known_colour_in_srgb() -> None:
 
 def test_automatic_exposure_maps_the_99th_percentile_to_white() -> None:
     luminance = np.linspace(0, 2, 101)[None]
-    assert automatic_exposure(luminance) == pytest.approx(1 / 1.98)
-    assert automatic_exposure(np.zeros((2, 2))) == 1.0
+    assert exposure_scale(luminance) == pytest.approx(1 / 1.98)
+    assert exposure_scale(np.zeros((2, 2))) == 1.0
 
 
 def test_scene_white_by_name_and_chromaticity() -> None:
