@@ -86,7 +86,7 @@ def calibrate(
 ) -> CameraModel:  # fmt: skip
     """The camera model of a measurement file, also written to `output` (`l3 calibrate`).
 
-    `export`: folder for the curves as CSV and rawtoaces JSON. `accept`: take a model that predicts its own charts badly.
+    `export`: folder for the curves as CSV and rawtoaces JSON. `accept`: take a model that predicts its charts badly.
     `force`: replace what is there.
     """
     from l3cli.stages import calibration
@@ -238,7 +238,7 @@ class Renderer:
         self, frames: Iterable[RawFrame | NDArray[np.uint16]], *, exposure: float | None = None, white: str | None = None,
         bits: int = 8,
     ) -> Iterator[NDArray[np.unsignedinteger]]:  # fmt: skip
-        """`picture` of each frame, in order, as they are asked for; each automatic exposure is the frame's own."""
+        """`picture` of each frame, in order, as they are asked for; each has its automatic exposure."""
         require_xyz(self.table.outputs)
         rendition = Rendition(self.table.white_point if white is None else scene_white(white), exposure, bits)
         for each in frames:

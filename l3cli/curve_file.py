@@ -41,15 +41,15 @@ def read_table(path: Path) -> CurveTable:
     if not (np.abs(table) <= LARGEST).all() or not _monotonic(wavelength):
         raise InputFileError(f"{path}: wavelengths must increase and every value be a number within ±{LARGEST:g}")
     if not (wavelength.min() > 0 and METRES < wavelength.max() <= LONGEST):
-        told = "" if scale is None or heading is None else f' ("{heading[at]}")'
-        raise InputFileError(f"{path}: give {MOST_ROWS} wavelengths at most, within 0…{LONGEST} nm{told}")
+        column = "" if scale is None or heading is None else f' ("{heading[at]}")'
+        raise InputFileError(f"{path}: give {MOST_ROWS} wavelengths at most, within 0…{LONGEST} nm{column}")
     if wavelength[0] > wavelength[-1]:
         wavelength, table = wavelength[::-1], table[::-1]
     values = np.ascontiguousarray(np.delete(table, at, axis=1).T)
     if heading is None:
         return CurveTable(path, wavelength, values, None, (None,) * len(values))
-    names, told_units = zip(*(units.split(name) for number, name in enumerate(heading) if number != at), strict=True)
-    return CurveTable(path, wavelength, values, names, told_units)
+    names, column_units = zip(*(units.split(name) for number, name in enumerate(heading) if number != at), strict=True)
+    return CurveTable(path, wavelength, values, names, column_units)
 
 
 def _monotonic(wavelength: Array) -> bool:
@@ -121,7 +121,7 @@ def _is_number(cell: str, separator: str | None) -> bool:
 
 
 def _wavelength_column(heading: Sequence[str], path: Path) -> tuple[int, float | None]:
-    """Which column holds the wavelengths, and how many nm its unit has, if the heading tells it."""
+    """Which column holds the wavelengths, and how many nm its unit has, if the heading says it."""
     named = [number for number, cell in enumerate(heading) if _is_wavelength(cell)] or ([0] if not heading[0] else [])
     if len(named) != 1:
         which = " and ".join(f'"{heading[number][:40]}"' for number in named[:2]) or f'none of "{", ".join(heading)[:60]}"'
@@ -129,7 +129,7 @@ def _wavelength_column(heading: Sequence[str], path: Path) -> tuple[int, float |
     words = [word for word in re.split(SEPARATORS, heading[named[0]]) if word]
     scales = [scale for scale in map(units.length_nm, words) if scale is not None]
     if not scales and re.search(r"[(\[/]", heading[named[0]]):
-        raise InputFileError(f'{path}: "{heading[named[0]][:40]}" tells no unit of wavelength; give nm, um or A')
+        raise InputFileError(f'{path}: "{heading[named[0]][:40]}" has no unit of wavelength; give nm, um or A')
     return named[0], scales[0] if scales else None
 
 

@@ -26,7 +26,7 @@ class CurveTable:
     wavelength: Array  # (wavelength) nm
     values: Array  # (column, wavelength)
     names: tuple[str, ...] | None  # of the columns, without units; None: there is no heading
-    units: tuple[str | None, ...]  # of the columns, as the heading tells them
+    units: tuple[str | None, ...]  # of the columns, as the heading states them
 
     def counted(self, columns: int) -> "CurveTable":
         """The table itself; InputFileError unless it has so many columns."""
@@ -65,14 +65,16 @@ class CurveTable:
         return CurveTable(self.path, self.wavelength, self.values[one], self.names and self.names[one], self.units[one])
 
     def photons(self, unit: str | None, absolute: bool = True) -> Array:
-        """The columns as radiances in photons/s/sr/m²/nm, whichever unit `unit` or the heading tells; without one they are.
+        """The columns as radiances in photons/s/sr/m²/nm, whichever unit `unit` or the heading states; by default they are.
 
         InputFileError if the two differ, if a unit is none of radiance, or if the values cannot be in it (`absolute`)."""
         rows = []
-        for values, told in zip(self.values, self.units, strict=True):
-            if told is not None and unit is not None and _conversion(told) != _conversion(unit):
-                raise InputFileError(f'{self.path}: its heading says "{told}", the measurement file "{unit}"; correct one')
-            rows.append(self._to_photons(values, told or unit or units.PHOTON_RADIANCE))
+        for values, heading in zip(self.values, self.units, strict=True):
+            if heading is not None and unit is not None and _conversion(heading) != _conversion(unit):
+                raise InputFileError(
+                    f'{self.path}: its heading says "{heading}", the measurement file "{unit}"; correct one'
+                )
+            rows.append(self._to_photons(values, heading or unit or units.PHOTON_RADIANCE))
         photons = np.array(rows)
         if absolute and not {unit, *self.units} & set(RELATIVE):
             self._check_level(photons, unit is not None or any(self.units))
@@ -90,7 +92,7 @@ class CurveTable:
         photons = spectra.photons_from_energy(self.wavelength, scaled) if of == "J" else scaled
         return np.asarray(photons, dtype=np.float64)
 
-    def _check_level(self, photons: Array, told: bool) -> None:
+    def _check_level(self, photons: Array, stated: bool) -> None:
         """InputFileError if what ought to be photons/s/sr/m²/nm is none by its size."""
         peaks = photons.max(axis=1)
         peak = float(peaks[peaks > 0].min(initial=np.inf))
@@ -99,7 +101,7 @@ class CurveTable:
         peak = peak if peak < DIMMEST else float(peaks.max())
         if not np.isfinite(peak):
             return  # dark, which is refused where it is asked for
-        cure = "correct the unit that is told" if told else f'if they are watts, give unit = "{units.POWER_RADIANCE}"'
+        cure = "correct the unit that is stated" if stated else f'if they are watts, give unit = "{units.POWER_RADIANCE}"'
         raise InputFileError(
             f"{self.path}: a radiance peaks at {peak:.3g} {units.PHOTON_RADIANCE}, as no light does "
             f"({DIMMEST:.0e} to {BRIGHTEST:.0e}); {cure}"
@@ -108,17 +110,17 @@ class CurveTable:
     def powers(self) -> Array:
         """The columns per power, in any unit: those that the heading gives in photons become power."""
         rows = []
-        for values, told in zip(self.values, self.units, strict=True):
-            unit = units.parse(told) if told is not None else None
-            if told is not None and unit is None and told not in PLAIN:
-                raise InputFileError(f'{self.path}: "{told}" is no unit of power per nm; give "W/nm", or photons')
+        for values, heading in zip(self.values, self.units, strict=True):
+            unit = units.parse(heading) if heading is not None else None
+            if heading is not None and unit is None and heading not in PLAIN:
+                raise InputFileError(f'{self.path}: "{heading}" is no unit of power per nm; give "W/nm", or photons')
             photons = unit is not None and "photon" in unit.powers
             rows.append(values / self.wavelength if photons else values)
         return np.array(rows)
 
     def shares(self) -> Array:
         """The columns as shares, 0…1; InputFileError if they are none, which a heading "(%)" converts."""
-        rows = [values * (0.01 if told == "%" else 1.0) for values, told in zip(self.values, self.units, strict=True)]
+        rows = [values * (0.01 if heading == "%" else 1.0) for values, heading in zip(self.values, self.units, strict=True)]
         shares = np.array(rows)
         if shares.min() < 0 or shares.max() > 1:
             percent = '; if they are percent, write "(%)" after the column\'s name' if 1 < shares.max() <= 100 else ""
@@ -128,23 +130,23 @@ class CurveTable:
     def responses(self, per_energy: bool, key: str) -> Array:
         """The columns as responsivities per energy or per photon, as the recipe's `key` says; InputFileError if the heading
         says otherwise."""
-        for told in filter(None, self.units):
-            unit = units.parse(told)
-            if told in PLAIN or (unit is not None and not unit.powers):
+        for heading in filter(None, self.units):
+            unit = units.parse(heading)
+            if heading in PLAIN or (unit is not None and not unit.powers):
                 continue
-            heading = None if unit is None else _energy_response(unit)
-            if heading is None:
-                raise InputFileError(f'{self.path}: "{told}" is no unit of responsivity; give "A/W", "e-/photon" or "%"')
-            if heading != per_energy:
-                wanted = str(heading).lower()
-                raise InputFileError(f'{self.path}: its heading says "{told}", which is {key} = {wanted}; correct one')
-        return self.values * np.array([[0.01 if told == "%" else 1.0] for told in self.units])
+            by_energy = None if unit is None else _energy_response(unit)
+            if by_energy is None:
+                raise InputFileError(f'{self.path}: "{heading}" is no unit of responsivity; give "A/W", "e-/photon" or "%"')
+            if by_energy != per_energy:
+                wanted = str(by_energy).lower()
+                raise InputFileError(f'{self.path}: its heading says "{heading}", which is {key} = {wanted}; correct one')
+        return self.values * np.array([[0.01 if heading == "%" else 1.0] for heading in self.units])
 
     def per_energy(self) -> Array:
         """The columns as responses per energy, in any unit: those that the heading gives per photon are divided."""
         rows = []
-        for values, told in zip(self.values, self.units, strict=True):
-            unit = units.parse(told) if told is not None else None
+        for values, heading in zip(self.values, self.units, strict=True):
+            unit = units.parse(heading) if heading is not None else None
             rows.append(values * self.wavelength if unit is not None and _energy_response(unit) is False else values)
         return np.array(rows)
 

@@ -70,7 +70,7 @@ def average_dark(frames: Iterable[RawFrame]) -> DarkFrame:
 
 
 def without_dark(frame: RawFrame, dark: DarkFrame) -> RawFrame:
-    """The frame without what its pixels differ by in the dark; the mean of that is told by `RawFrame.dark`. Clipped pixels
+    """The frame without what its pixels differ by in the dark; the mean of that is `RawFrame.dark`. Clipped pixels
     stay clipped. InputFileError if the dark frame is of another size or kind."""
     if dark.offset.shape != frame.values.shape or (dark.phase, dark.orientation) != (frame.phase, frame.orientation):
         raise InputFileError(

@@ -126,7 +126,7 @@ def _put_in_place(temporary: Path, path: Path) -> None:
     try:
         _flush(path.parent)
     except OSError as error:
-        if error.errno not in (errno.EINVAL, errno.EACCES):  # storage that cannot, a folder that we may not look into
+        if error.errno not in (errno.EINVAL, errno.EACCES):  # storage that cannot, a folder that may not be read
             raise
 
 
@@ -158,21 +158,21 @@ def open_quietly(path: Path) -> int:
     """A descriptor of a regular file, for its lock; OSError if it is another kind of file. To write is wanted for locks
     over NFS alone: another user's file may be readable only."""
     try:
-        found = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK)
+        descriptor = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK)
     except PermissionError:
-        found = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
-    if not stat.S_ISREG(os.fstat(found).st_mode):
-        os.close(found)
+        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
         raise OSError(errno.EINVAL, os.strerror(errno.EINVAL))
-    return found
+    return descriptor
 
 
 def sweep(folder: Path, output: Path | None = None) -> None:
     """Remove the temporary files in `folder` (those of `output`, if given) whose writer is dead."""
     wanted = None if output is None else _hidden_name(output)
     for name in os.listdir(folder) if folder.is_dir() else ():
-        found = TEMPORARY.fullmatch(name)
-        if not found or wanted not in (None, (found[1], found[2] or "")):
+        match = TEMPORARY.fullmatch(name)
+        if not match or wanted not in (None, (match[1], match[2] or "")):
             continue
         if identity(folder / name) in _spared:
             continue
@@ -200,33 +200,33 @@ _spared: dict[Identity, Path] = {}  # files that the command reads, each with a 
 def sparing(paths: Iterable[Path]) -> Iterator[None]:
     """While the block lasts, no output of this process takes the place of these files, under whatever name; "-": stdin."""
     named = ((identity(0 if path == STDIN else path), path) for path in paths)
-    added = {found: path for found, path in named if found is not None and found not in _spared}
+    added = {key: path for key, path in named if key is not None and key not in _spared}
     _spared.update(added)
     try:
         yield
     finally:
-        for found in added:
-            del _spared[found]
+        for key in added:
+            del _spared[key]
 
 
 def refuse_spared(output: Path | int) -> None:
     """RecipeError if an output, a path or a descriptor, is a file that is spared."""
-    found = identity(output) if _spared else None
-    if found is None or found not in _spared:
+    key = identity(output) if _spared else None
+    if key is None or key not in _spared:
         return
-    source = _spared[found]
+    source = _spared[key]
     name = "stdout" if isinstance(output, int) else str(output)
     other = "stdin" if source == STDIN else str(source)
     raise RecipeError(f"{name} is an input{'' if name == other else f', {other}'}; name another output")
 
 
 def identity(file: Path | int) -> Identity | None:
-    """Of what is there under a path or descriptor, symbolic links followed; None if it is no regular file."""
+    """Of what stands under a path or descriptor, symbolic links followed; None if it is no regular file."""
     try:
-        found = os.stat(file)
+        state = os.stat(file)
     except OSError:
         return None
-    return (found.st_dev, found.st_ino) if stat.S_ISREG(found.st_mode) else None
+    return (state.st_dev, state.st_ino) if stat.S_ISREG(state.st_mode) else None
 
 
 def require_regular(path: Path, cure: str = "give a file") -> None:
@@ -247,7 +247,7 @@ def _require_regular(path: Path, mode: int, cure: str) -> None:
 
 def open_regular(path: Path, cure: str = "give a file") -> io.BufferedReader:
     """A regular file open for reading; InputFileError, as by `require_regular`, if it is none, also if it has become none
-    since it was looked at."""
+    since it was checked."""
     require_regular(path, cure)
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY)
@@ -272,7 +272,7 @@ def sha256(path: Path) -> str:
 
 
 def stamp(path: Path) -> tuple[int, ...]:
-    """What tells a file from another that takes its name: number on the disk, size, time. Empty if it is not there."""
+    """What identifies a file among others of its name: number on the disk, size, time. Empty if it is not there."""
     try:
         state = path.stat()
     except OSError:

@@ -19,7 +19,7 @@ class RawFrame:
     orientation: int = 0  # how the camera was held: LibRaw's flip code (see `upright`)
     exposure: float | None = None  # s; None: unknown
     dark: float = 0.0  # DN above black, the mean signal of dark current …
-    dark_measured: bool = False  # … as a dark frame tells, not the exposure time
+    dark_measured: bool = False  # … by a dark frame, not by the exposure time
 
     def __post_init__(self) -> None:
         if self.values.ndim != 2 or self.values.dtype != np.uint16 or self.values.size == 0:
@@ -40,8 +40,8 @@ class RawFrame:
         """The light alone on another scale: DN mapped linearly so that black and dark current become `black`, white becomes
         `white`, within `bits`. Full scale then stands for `light_share` of what it stood for.
 
-        Values are shifted by whole DN, so that no level is lost; what is left of the dark current, below half a DN, is told
-        by the black level of the frame that is returned.
+        Values are shifted by whole DN, so that no level is lost; what is left of the dark current, below half a DN, is in
+        the black level of the frame that is returned.
         """
         whole = round(self.dark)
         scale = (white - black) / (self.white - self.black - self.dark)

@@ -21,7 +21,7 @@ _waiting: type[BaseException] | None = None  # what a signal that waits will be
 
 
 def uninterrupted(function: F) -> F:
-    """Have signals wait until `function`, and what it calls, has returned; if that may take long it looks at `is_wanted`."""
+    """Have signals wait until `function`, and what it calls, has returned; if that may take long it checks `is_wanted`."""
     _uninterrupted.add(function.__code__)
     return function
 
@@ -40,7 +40,7 @@ def is_wanted() -> bool:
     return _waiting is not None
 
 
-def give_way() -> None:
+def raise_pending() -> None:
     """Raise what the signal that waits would become, if one does: after it something has been left, nothing may go on."""
     global _waiting
     if _waiting is not None:
@@ -55,7 +55,7 @@ def ignore() -> None:
         signal.signal(each, signal.SIG_IGN)
 
 
-# Queues, semaphores and futures are made of conditions. An exception on the way into or out of the "with" of one would leave
+# Queues, semaphores and futures are made of conditions. An exception on entering or leaving the "with" of one would leave
 # it acquired, or let it go twice; in the middle of a notification it would have the next one go to nobody.
 for _step in ("__enter__", "__exit__", "_release_save", "_acquire_restore", "notify"):
     uninterrupted(getattr(threading.Condition, _step))
@@ -77,7 +77,7 @@ def heed() -> None:
 
 
 def leave_to_python() -> None:
-    """All is done, but for Python's own end, where an exception would be caught by nothing."""
+    """All is done, but for the end of Python, where an exception would be caught by nothing."""
     for each in SIGNALS:
         if signal.getsignal(each) is end:
             signal.signal(each, signal.SIG_DFL)

@@ -1,4 +1,4 @@
-"""The recipes that come with l3, found by name: configs/ of a checkout or of an installed wheel."""
+"""The recipes that come with l3, by name: configs/ of a checkout or of an installed wheel."""
 
 import os
 from pathlib import Path

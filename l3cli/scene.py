@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 BRIGHTEST = 1e6  # times a perfect white: the sun on a sheet of paper, seen beside it
 BRIGHTEST_UNLIT = 1e26  # of a scene without illuminant: a linear picture may hold values of any scale
-NO_ILLUMINANT: Final = None  # of a scene that came as reflectance: it was seen under no light of its own
+NO_ILLUMINANT: Final = None  # of a scene that came as reflectance: it was seen under no light that is known
 
 
 @dataclass(frozen=True)
@@ -16,7 +16,7 @@ class Scene:
     """A picture of spectral reflectances with the light it was seen under, if there is one.
 
     `reflectance` is radiance / that of a perfect white: ≥ 0, above 1 in speculars (docs/method.md#simulation). Drawn scenes,
-    raised RGB pictures and cubes of reflectance have NO_ILLUMINANT: every light may be laid on them, but none is their own.
+    raised RGB pictures and cubes of reflectance have NO_ILLUMINANT: every light may be laid on them.
     Radiance whose light is not known has that of equal photons as its illuminant: it may be seen as it is, not relit.
     """
 
@@ -57,5 +57,5 @@ class SpectralCube:
     """A cube as a file stores it, before anything is known about its scale and light."""
 
     values: NDArray  # (row, col, band)
-    wavelength: NDArray[np.float64] | None  # (band) nm; None: the file does not tell
-    white: float | None = None  # stored value of a perfect white, where the file tells
+    wavelength: NDArray[np.float64] | None  # (band) nm; None: the file does not say
+    white: float | None = None  # stored value of a perfect white, where the file states it

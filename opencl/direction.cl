@@ -5,7 +5,7 @@ INLINE uints direction_of(const ints *sum, uints level, __global const int *cons
     #pragma unroll
     for (int k = 0; k < 4; k++) size[k] = (sum[k] < 0 ? -sum[k] : sum[k]) * (k % 2 ? DIRECTION_DIAGONAL : DIRECTION_STRAIGHT);
     ints largest = size[0], across = size[2], after = size[1], before = size[3];
-    uints way = 0;
+    uints steepest = 0;
     #pragma unroll
     for (int k = 1; k < 4; k++) {
         const ints larger = size[k] > largest;
@@ -13,7 +13,7 @@ INLINE uints direction_of(const ints *sum, uints level, __global const int *cons
         after = larger ? size[(k + 1) % 4] : after;
         before = larger ? size[(k + 3) % 4] : before;
         largest = larger ? size[k] : largest;
-        way = larger ? (uints)k : way;
+        steepest = larger ? (uints)k : steepest;
     }
     uints strength = 0;
     for (int s = 0; s < DIRECTION_STRENGTHS; s++) {
@@ -28,8 +28,8 @@ INLINE uints direction_of(const ints *sum, uints level, __global const int *cons
     group = across * DIRECTION_SHARES <= largest * DIRECTION_COHERENCE ? 2 * group + 1 : 2 * group;
 #endif
 #if DIRECTION_ORIENTATIONS == 8
-    way = after > before ? 2 * way + 1 : 2 * way;
+    steepest = after > before ? 2 * steepest + 1 : 2 * steepest;
 #endif
-    const uints direction = 1 + group * DIRECTION_ORIENTATIONS + way;
+    const uints direction = 1 + group * DIRECTION_ORIENTATIONS + steepest;
     return strength > 0 ? direction : (uints)0;
 }

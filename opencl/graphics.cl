@@ -51,10 +51,10 @@ void classes(__global const ushort *restrict raw,                // (row, col) D
     barrier(CLK_LOCAL_MEM_FENCE);
     for (int i = item; i < BAND * TILE_COLUMNS; i += ITEMS) {
         const int row = i / TILE_COLUMNS, p = i % TILE_COLUMNS;
-        uint found = 0;
+        uint channels = 0;
         for (int j = row + RADIUS - SATURATION_RADIUS; j <= row + RADIUS + SATURATION_RADIUS; j++)
-            found |= value[j][p] >= SATURATION ? bit[j][p] : 0;
-        saturated[row][p] = found;
+            channels |= value[j][p] >= SATURATION ? bit[j][p] : 0;
+        saturated[row][p] = channels;
     }
     const int site_row = (y + phase_row) % CFA_ROWS, site = (x + phase_column) % CFA_COLUMNS;
     Evidence evidence;

@@ -50,7 +50,7 @@ INLINE uints kind_of(const Evidence *e, patterns code, RULE_CONSTANTS) {
 }
 
 // The class of pixels of `site` near whose centres the channels of `code` are saturated. Comparing with every level edge
-// needs no look-up, which vectors are slow at; contrast edges follow the level in the same loop.
+// needs no table, which vectors are slow at; contrast edges follow the level in the same loop.
 INLINE uints class_of(const Evidence *e, uints site, patterns code, RULE_CONSTANTS) {
     const uints kind = kind_of(e, code, RULE);
     uints level = 0, edge[CONTRASTS];

@@ -9,7 +9,7 @@
 #define SCALE_BITS 0x3fff
 #define TURN_A 14
 #define TURN_B 15
-#define STRUCTURE_REACH 3  // pixels on each side that a structure looks at
+#define STRUCTURE_REACH 3  // pixels on each side that a structure reads
 
 // A difference of luminance in units of what noise makes of it.
 INLINE ints gradient(ints difference, ints scale) {

@@ -24,12 +24,12 @@ INLINE void read_row(int *luminance, uint *turned, __global const short *plane, 
 
 INLINE void multiply(Products *products, const int *above, const int *here, const int *below, const uint *turned, int span) {
     for (int p = 1; p < span; p += LANES) {
-        const ints scale = SAME_BITS(NEAR(uints, turned + p) & SCALE_BITS, ints);
-        const ints gx = gradient(NEAR(ints, here + p + 1) - NEAR(ints, here + p - 1), scale);
-        const ints gy = gradient(NEAR(ints, below + p) - NEAR(ints, above + p), scale);
-        NEAR(ints, products->xx + p) = gx * gx;
-        NEAR(ints, products->yy + p) = gy * gy;
-        NEAR(ints, products->xy + p) = gx * gy;
+        const ints scale = SAME_BITS(LOAD_PRIVATE(uints, turned + p) & SCALE_BITS, ints);
+        const ints gx = gradient(LOAD_PRIVATE(ints, here + p + 1) - LOAD_PRIVATE(ints, here + p - 1), scale);
+        const ints gy = gradient(LOAD_PRIVATE(ints, below + p) - LOAD_PRIVATE(ints, above + p), scale);
+        STORE_PRIVATE(ints, products->xx + p) = gx * gx;
+        STORE_PRIVATE(ints, products->yy + p) = gy * gy;
+        STORE_PRIVATE(ints, products->xy + p) = gx * gy;
     }
 }
 
@@ -37,18 +37,20 @@ INLINE void multiply(Products *products, const int *above, const int *here, cons
 INLINE void weigh_rows(Products *sum, const Products *rows, int first, int span) {
     const Products *r[WINDOW];
     for (int i = 0; i < WINDOW; i++) r[i] = rows + (first + i) % WINDOW;
-#define DOWN(name, p) (NEAR(ints, r[0]->name + p) + 2 * NEAR(ints, r[1]->name + p) + 3 * NEAR(ints, r[2]->name + p) \
-                       + 2 * NEAR(ints, r[3]->name + p) + NEAR(ints, r[4]->name + p))
+#define DOWN(name, p) (LOAD_PRIVATE(ints, r[0]->name + p) + 2 * LOAD_PRIVATE(ints, r[1]->name + p) \
+                       + 3 * LOAD_PRIVATE(ints, r[2]->name + p) \
+                       + 2 * LOAD_PRIVATE(ints, r[3]->name + p) + LOAD_PRIVATE(ints, r[4]->name + p))
     for (int p = 1; p < span; p += LANES) {
-        NEAR(ints, sum->xx + p) = DOWN(xx, p);
-        NEAR(ints, sum->yy + p) = DOWN(yy, p);
-        NEAR(ints, sum->xy + p) = DOWN(xy, p);
+        STORE_PRIVATE(ints, sum->xx + p) = DOWN(xx, p);
+        STORE_PRIVATE(ints, sum->yy + p) = DOWN(yy, p);
+        STORE_PRIVATE(ints, sum->xy + p) = DOWN(xy, p);
     }
 }
 
 // Weighed sums over the five columns from `at` on.
 INLINE ints across(const int *at) {
-    return NEAR(ints, at) + 2 * NEAR(ints, at + 1) + 3 * NEAR(ints, at + 2) + 2 * NEAR(ints, at + 3) + NEAR(ints, at + 4);
+    return LOAD_PRIVATE(ints, at) + 2 * LOAD_PRIVATE(ints, at + 1) + 3 * LOAD_PRIVATE(ints, at + 2)
+           + 2 * LOAD_PRIVATE(ints, at + 3) + LOAD_PRIVATE(ints, at + 4);
 }
 
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
@@ -88,10 +90,10 @@ void structures(__global const short *restrict planes,       // (plane, source r
                 start[i] = label_start[label];
             }
             const uints xx = SAME_BITS(across(sum.xx + x + 1), uints), yy = SAME_BITS(across(sum.yy + x + 1), uints);
-            const uints structure = structure_of(xx, yy, across(sum.xy + x + 1), NEAR(uints, turns), strength_edges);
-            const uints first = NEAR(uints, start);
+            const uints structure = structure_of(xx, yy, across(sum.xy + x + 1), LOAD_PRIVATE(uints, turns), strength_edges);
+            const uints first = LOAD_PRIVATE(uints, start);
             const uints label = (first >> 31) != 0 ? first & 0x7fffffff : first + structure;
-            if (x + LANES <= width) FAR(uints, label_row + x) = label;
+            if (x + LANES <= width) STORE_GLOBAL(uints, label_row + x) = label;
             else for (int i = 0; x + i < width; i++) label_row[x + i] = label[i];
         }
     }

@@ -68,7 +68,7 @@ INLINE taps fold_all(const taps v[LANES / 4]) {
 
 // Where the sums of a pixel begin: output o's last tap and intercept, in lane o.
 INLINE four_taps last_taps(const tap *patch, __global const tap *weights) {
-    return FIXED(four_taps, weights + LAST_TAP) * patch[TAPS - 1] + FIXED(four_taps, weights + LAST_TAP + 4);
+    return LOAD_GLOBAL(four_taps, weights + LAST_TAP) * patch[TAPS - 1] + LOAD_GLOBAL(four_taps, weights + LAST_TAP + 4);
 }
 
 // A pair's products with the weights of their classes, summed as far as a pair goes.
@@ -84,11 +84,11 @@ INLINE void apply_pair(taps sum[GROUP], const tap *first, const tap *second, __g
     }
     #pragma unroll
     for (int j = 0; j < VECTORS; j++) {
-        const taps u = NEAR(taps, first + j * LANES), v = NEAR(taps, second + j * LANES);
+        const taps u = LOAD_PRIVATE(taps, first + j * LANES), v = LOAD_PRIVATE(taps, second + j * LANES);
         #pragma unroll
         for (int o = 0; o < GROUP; o++) {
-            one[o] += u * FIXED(taps, first_weights + (j * GROUP + o) * LANES);
-            other[o] += v * FIXED(taps, second_weights + (j * GROUP + o) * LANES);
+            one[o] += u * LOAD_GLOBAL(taps, first_weights + (j * GROUP + o) * LANES);
+            other[o] += v * LOAD_GLOBAL(taps, second_weights + (j * GROUP + o) * LANES);
         }
     }
     #pragma unroll
@@ -120,7 +120,7 @@ INLINE void apply(tap *planes, const tap *patches, const uint *label, __global c
         #pragma unroll
         for (int o = 0; o < GROUP; o++) {
             const taps in_pairs = fold_all(folded[o]);
-            NEAR(taps, planes + (g * GROUP + o) * TILE + x) =
+            STORE_PRIVATE(taps, planes + (g * GROUP + o) * TILE + x) =
                 __builtin_shufflevector(in_pairs, in_pairs, ALL_LANES(PAIR_PLACE));
         }
     }
@@ -137,9 +137,9 @@ INLINE void into_ring(tap *to, __global const ushort *raw, __global const int *c
     tap signal[SPAN];
     for (int p = 0; p < span; p += LANES)
 #ifdef FIXED_POINT
-        NEAR(ints, signal + p) = CONVERT(NEAR(shorts, row + p), ints);
+        STORE_PRIVATE(ints, signal + p) = CONVERT(LOAD_PRIVATE(shorts, row + p), ints);
 #else
-        NEAR(floats, signal + p) = CONVERT(CONVERT(NEAR(shorts, row + p), ints), floats) - black;
+        STORE_PRIVATE(floats, signal + p) = CONVERT(CONVERT(LOAD_PRIVATE(shorts, row + p), ints), floats) - black;
 #endif
     #pragma clang loop vectorize(disable) unroll_count(8)
     for (int p = 0; p < span; p++) to[p * COLUMN] = signal[p];

@@ -31,9 +31,11 @@ VECTOR(ushort, full_shorts, 2 * LANES);  // a whole register
 #define CONVERT(value, type) __builtin_convertvector(value, type)
 #define SAME_BITS(value, type) __builtin_astype(value, type)
 
-#define NEAR(type, p) (*(type##_unaligned *)(p))                  // the vector at p in private memory
-#define FAR(type, p) (*(__global type##_unaligned *)(p))          // the vector at p in the device's memory
-#define FIXED(type, p) (*(__global const type##_unaligned *)(p))  // a constant one there
+// The vector of a type that starts at p: read, or on the left of an assignment written.
+#define LOAD_PRIVATE(type, p) (*(const type##_unaligned *)(p))
+#define STORE_PRIVATE(type, p) (*(type##_unaligned *)(p))
+#define LOAD_GLOBAL(type, p) (*(__global const type##_unaligned *)(p))
+#define STORE_GLOBAL(type, p) (*(__global type##_unaligned *)(p))
 #endif
 
 // What a layer reads and sums up: values of a mosaic, or planes, in floating point or, so that planes are the same on every

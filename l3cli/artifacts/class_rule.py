@@ -277,7 +277,7 @@ class ClassRule:
         return self.chromas - 1 + case if case else slice(0, self.chromas)
 
     def join_cases(self, level: Any, contrast: Any, case: Any) -> Any:
-        """Indices within a site of the coarser classes that tell saturation cases but not chromas apart."""
+        """Indices within a site of the coarser classes that distinguish saturation cases but not chromas."""
         return (level * self.contrasts + contrast) * self.cases + case
 
 

@@ -21,7 +21,7 @@ REFERENCES = np.dtype([("dataset", h5py.ref_dtype), ("dimension", "<i4")])
 
 
 def coordinates_of(content: Any) -> Coordinates:
-    """What stands along the axes of an instance of a dataclass, as far as it tells."""
+    """What stands along the axes of an instance of a dataclass, where its fields say it."""
     kind: type = type(content)
     fields = {name: spec for name, spec in _layout(kind)[0].items() if spec.coordinate}
     return {spec.axes[0]: (getattr(content, name), spec) for name, spec in fields.items()}

@@ -27,7 +27,7 @@ class Spec:
     axes: tuple[str, ...]
     unit: str
     doc: str
-    coordinate: bool = False  # tells what stands where along its one axis: text does, and numbers that are declared so
+    coordinate: bool = False  # the coordinate of its one axis: text does, and numbers that are declared so
 
 
 def data(
@@ -138,8 +138,8 @@ def _check(instance: Any, lengths: dict[str, tuple[int, str]], scopes: dict[str,
             if array.size and array.dtype.kind == "u" and int(array.max()) > np.iinfo(np.int64).max:
                 raise ValueError(f"{label} holds {array.max()}, more than 63 bits")
             if array.dtype.kind == "f" and array.size and not (array.min() >= -MOST and array.max() <= MOST):
-                told = f"beyond ±{MOST:g}" if np.isfinite(array).all() else "that are not finite"
-                raise ValueError(f"{label} holds values {told}")
+                fault = f"beyond ±{MOST:g}" if np.isfinite(array).all() else "that are not finite"
+                raise ValueError(f"{label} holds values {fault}")
         for axis, length in zip(spec.axes, array.shape, strict=True):
             known, where = lengths.setdefault(scopes.get(axis, "") + axis, (length, prefix + name))
             if known != length:

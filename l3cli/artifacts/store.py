@@ -1,6 +1,6 @@
 """Artifacts in files: HDF5 after the declarations of their dataclasses, whole or not at all, with their history.
 
-README.md#artifacts tells what the files promise.
+README.md#artifacts says what the files promise.
 """
 
 import contextlib
@@ -138,7 +138,7 @@ def read_fields(group: h5py.Group, cls: type, path: Path, **extra: Any) -> Any:
     values = dict(extra)
     for name, spec, optional in declared(cls):
         if optional and name not in members(group, path):
-            continue  # what files of older versions do not tell
+            continue  # what files of older versions do not hold
         if isinstance(spec, Spec):
             values[name] = _read_dataset(group, name, spec, path)
         else:
@@ -204,10 +204,10 @@ def _hard(group: h5py.Group, name: str, kind: type, path: Path) -> Any:
 
 
 def require_plain(dataset: h5py.Dataset, where: str, path: Path) -> None:
-    """InputFileError if a dataset is stored in a way l3 never writes, or would be larger in memory than can be."""
+    """InputFileError if a dataset is stored as l3 never stores one, or would be larger in memory than can be."""
     require_readable(path, dataset)
     if not filters_of(dataset) <= KNOWN_FILTERS:
-        raise InputFileError(f"{path}: dataset {where} is stored in a way l3 never writes; make the file again")
+        raise InputFileError(f"{path}: dataset {where} is stored as l3 never stores one; make the file again")
 
 
 def _read_dataset(group: h5py.Group, name: str, spec: Spec, path: Path) -> Any:
@@ -258,12 +258,12 @@ def describe(path: Path) -> dict[str, Any]:
     with open_artifact(path) as root:
         with reading(path, "a dataset"):
             fields = [(name, dataset) for name, dataset in datasets(root) if name != "history" and not is_scale(dataset)]
-            found = [_described(path, name, dataset) for name, dataset in fields]
+            described = [_described(path, name, dataset) for name, dataset in fields]
         return {
             "kind": str(root.attrs["kind"]),
             "version": int(root.attrs["version"]),
             "history": [dataclasses.asdict(stage) for stage in read_history(root, path)],
-            "datasets": [dataclasses.asdict(item) for item in found],
+            "datasets": [dataclasses.asdict(item) for item in described],
         }
 
 

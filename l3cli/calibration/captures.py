@@ -1,4 +1,4 @@
-"""What captures tell: dark and white frames of the sensor, monochromatic ones of its responsivity, charts of its gain
+"""What captures give: dark and white frames of the sensor, monochromatic ones of its responsivity, charts of its gain
 (docs/method.md#calibration)."""
 
 import functools
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Sensor:
-    """What dark and white frames tell."""
+    """What dark and white frames give."""
 
     dark: noise.DarkNoise
     transfer: noise.PhotonTransfer

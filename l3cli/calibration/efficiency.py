@@ -19,7 +19,7 @@ MISTAKES = {  # and by what each multiplies a quantum efficiency
     'radiances were in milliwatts (unit = "mW/(sr m² nm)")': 1e-3 * PHOTONS_PER_JOULE,
     "radiances were per cm²": 1e4,
     "radiances were per µm": 1e-3,
-    "exposures were in s where ms are told": 1e3,
+    "exposures were in s where ms are stated": 1e3,
 }
 Array = NDArray[np.float64]
 

@@ -40,7 +40,7 @@ def calibrate(measurements: Measurements, each: Each = map) -> CameraModel:
     else:
         curves = finished.without_fit(measurements.curve, body, drift, measurements.wavelength_uncertainty)
         if measurements.charts:
-            curves = curves.to_own_peaks()
+            curves = curves.to_channel_peaks()
             charts = measure_charts(measurements.charts, curves.wavelength, body, sensor, each)
     odd = sweep_fit.odd if sweep_fit else ()
     chart_fit = fit_charts(charts, curves.relative, sensor.dark.black, drift, body, odd) if measurements.charts else None
@@ -71,7 +71,7 @@ def fit_curves(
     band = responsivity.confidence_bands(sweep, curves, delta, drift, shift)
     odd = agreement.odd_steps(measurements.mono, sweep)
     fit = SweepFit(responsivity.residuals(sweep, curves), left_out, DELTAS, errors, delta, odd)
-    return Curves(sweep.nodes, curves, band).to_own_peaks(), fit
+    return Curves(sweep.nodes, curves, band).to_channel_peaks(), fit
 
 
 def _validation_error(sweep: responsivity.Sweep, charts: Charts, delta: float, black: Array) -> float:

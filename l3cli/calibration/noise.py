@@ -1,7 +1,7 @@
 """Noise of a sensor from stacks of frames, as EMVA 1288 defines it (docs/method.md#dark-and-white-frames).
 
 Every temporal variance comes from differences of frames taken in pairs, in which the fixed pattern cancels; every spatial
-one has the variance of its own estimator subtracted. Hot and dead pixels stay out.
+one has the variance of its estimator subtracted. Hot and dead pixels stay out.
 """
 
 import functools
@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class DarkNoise:
-    """What lens-cap frames tell, each (channel)."""
+    """What lens-cap frames give, each (channel)."""
 
     black: Array  # DN at zero exposure
     slope: Array  # DN/s
@@ -84,13 +84,13 @@ def dark_noise(captures: Sequence[Capture], body: Body, each: Each = map) -> Dar
     mean = np.array([mean_value(level.counts) for level in levels])
     agreement.check_darks(captures, mean.mean(axis=1))
     variance = np.array([level.variance for level in levels])
-    own = (intercept**2 / [level.trials for level in levels]) @ variance
+    temporal = (intercept**2 / [level.trials for level in levels]) @ variance
     spatial = pooled([_pixel_variance(site) for _, site in by_site(offsets, body.cfa)], body.cfa)
     return DarkNoise(
         black=intercept @ mean,
         slope=slope @ mean,
         variance=np.maximum(intercept @ variance - QUANTISATION, 0.0),
-        dsnu=np.sqrt(np.maximum(spatial - own, 0.0)),
+        dsnu=np.sqrt(np.maximum(spatial - temporal, 0.0)),
         hot=hot,
     )
 
@@ -183,11 +183,11 @@ def prnu(
         weights[chosen, channel] = line_weights(np.array([level.lit for level in levels])[chosen])[1]
     variance = np.array([level.variance for level in levels])
     trials = np.array([level.trials for level in levels])
-    own = (weights**2 * variance / trials[:, None]).sum(axis=0)
+    temporal = (weights**2 * variance / trials[:, None]).sum(axis=0)
     slopes = defective.patched(weighted_sums(captures, weights[None], body, each)[0], body.cfa, hot)
     dead = defective.outliers(_over_local_mean(slopes, body.cfa), body.cfa, defective.LEAST_LOSS)
     slopes = defective.patched(slopes, body.cfa, dead)
-    spread = [_local_spread(site, own[channel]) for channel, site in by_site(slopes, body.cfa)]
+    spread = [_local_spread(site, temporal[channel]) for channel, site in by_site(slopes, body.cfa)]
     return np.sqrt(np.maximum(pooled(spread, body.cfa), 0.0)), dead
 
 
@@ -205,10 +205,10 @@ def _over_local_mean(picture: Array, cfa: NDArray[np.uint8]) -> Array:
     return deviation
 
 
-def _local_spread(site: Array, own: float) -> float:
-    """Variance of site / local mean − 1, without the estimator's own variance `own` of each sample."""
+def _local_spread(site: Array, temporal: float) -> float:
+    """Variance of site / local mean − 1, without the temporal variance `temporal` of each sample."""
     inner = slice(WINDOW // 2, -(WINDOW // 2))
     local = _local_mean(site)[inner, inner]
     deviation = site[inner, inner] / local - 1.0
-    # A sample is part of its own local mean, which shrinks its deviation by 1 − 1/n.
-    return float(np.mean(deviation**2) / (1.0 - 1.0 / WINDOW**2) - own * np.mean(1.0 / local**2))
+    # A sample is part of its local mean, which shrinks its deviation by 1 − 1/n.
+    return float(np.mean(deviation**2) / (1.0 - 1.0 / WINDOW**2) - temporal * np.mean(1.0 / local**2))

@@ -139,7 +139,7 @@ def linearity_errors(series: Series, span: float) -> Array:
             usable = chosen[:, patch, channel] & (series.light == band)
             if usable.sum() > 2:
                 errors[channel].append(noise.linearity_error(series.lit[usable], series.values[usable, patch, channel]))
-    return np.array([np.mean(found) if found else 0.0 for found in errors])
+    return np.array([np.mean(deviations) if deviations else 0.0 for deviations in errors])
 
 
 def named(captures: Sequence[BandCapture], series: Series, body: Body) -> tuple[str, ...]:

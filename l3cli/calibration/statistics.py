@@ -31,7 +31,7 @@ class Level:
 
 
 def by_site(values: NDArray, cfa: NDArray[np.uint8]) -> Iterator[tuple[int, NDArray]]:
-    """(channel, the pixels of one site of the super-pixel as a picture of their own), site by site."""
+    """(channel, the pixels of one site of the super-pixel as a picture), site by site."""
     rows, cols = cfa.shape
     for row in range(rows):
         for col in range(cols):

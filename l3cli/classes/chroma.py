@@ -28,7 +28,7 @@ class Keys(Recipe):
     """Of the [classes] of a recipe."""
 
     chromas: Annotated[int, msgspec.Meta(ge=0, le=MAX_CHROMAS)] = (
-        8  # colours told apart where nothing is saturated; 0 or 1: none (docs/method.md#chroma)
+        8  # colours distinguished where nothing is saturated; 0 or 1: none (docs/method.md#chroma)
     )
 
 

@@ -1,19 +1,19 @@
-"""Direction: along which way a neighbourhood varies, how strongly, and whether it varies along that way alone
+"""Direction: along which axis a neighbourhood varies, how strongly, and whether it varies along that axis alone
 (docs/method.md#direction).
 
 Differences D of sums over boxes of one CFA period, which hold every channel equally often wherever they lie, so that no
 difference shows the CFA: right − left (0), lower right − upper left (1), lower − upper (2), lower left − upper right (3).
-With their sizes G = |D| · m, where m makes all four answer a ramp along their way alike, in integers:
+With their sizes G = |D| · m, where m makes all four answer a ramp along their axis alike, in integers:
 
-    way         first k of largest G[k]; of eight orientations its half towards the larger of its neighbours' G
-    strength    number of strength edges (of the pixel's level) < G[way]
-    coherent    16 G[way + 2] ≤ coherence · G[way], the way across it
+    steepest    first k of largest G[k]; of eight orientations its half towards the larger of its neighbours' G
+    strength    number of strength edges (of the pixel's level) < G[steepest]
+    coherent    16 G[steepest + 2] ≤ coherence · G[steepest], across it
     direction   0 where strength is 0, else 1 + ((strength − 1) · 2 + coherent) · orientations + orientation
 
-without "· 2 + coherent" where a recipe does not ask for coherence. Whether brightness grows or falls along its way does not
+without "· 2 + coherent" where a recipe does not ask for coherence. Whether brightness grows or falls along its axis does not
 matter: transforms are linear.
 
-A patch that is mirrored or turned varies along another way: a quarter turn exchanges ways 0 and 2, and 1 and 3;
+A patch that is mirrored or turned varies along another axis: a quarter turn exchanges axes 0 and 2, and 1 and 3;
 transposition exchanges 0 and 2; strength and coherence stay (`turned`). This holds to the last bit, since boxes lie
 symmetrically, but for ties. Sites that share their training as mirror images therefore read one another's classes at the
 turned direction (training/symmetry), and sums are averaged over those orientations only that leave every direction as it is.
@@ -36,7 +36,7 @@ from l3cli.errors import RecipeError
 SNIPPET = "direction.cl"
 SCALE = 64  # of the larger of the multipliers m
 SHARES = 16  # parts in which coherence is stored
-HEAD = 5  # constants before the strength edges: m of ways 0 and 2, m of 1 and 3, orientations, strengths, coherence
+HEAD = 5  # constants before the strength edges: m of axes 0 and 2, m of 1 and 3, orientations, strengths, coherence
 
 
 class Keys(Recipe):
@@ -44,7 +44,7 @@ class Keys(Recipe):
 
     orientations: Literal[4, 8] = 4
     strengths: tuple[float, ...] = (4.0,)  # edges of the largest difference over its noise
-    coherence: Share | None = None  # the way across may vary by this share of the largest difference; none: not asked
+    coherence: Share | None = None  # the axis across may vary by this share of the largest difference; none: not asked
 
 
 def axis(keys: Keys, camera: CameraModel, rule: ClassRule, dark: float, observed: NDArray[np.float64] | None) -> Axis:
@@ -81,8 +81,8 @@ def _windows(patch: int, period: int, inner: int) -> tuple[Window, ...]:
     pairs = [(0, at, span, at, 0) for at in middle] + [(2, span, at, 0, at) for at in middle]
     pairs += [(1, far, far, near, near), (3, far, near, near, far)]
     return tuple(
-        Window(way, top, left, period, period, sign)
-        for way, *boxes in pairs
+        Window(difference, top, left, period, period, sign)
+        for difference, *boxes in pairs
         for top, left, sign in ((boxes[0], boxes[1], 1), (boxes[2], boxes[3], -1))
     )
 
@@ -121,20 +121,20 @@ def observe(axis: Axis, rule: ClassRule, sums: Integers, level: Integers) -> NDA
 
 
 def values(axis: Axis, rule: ClassRule, sums: Integers, level: Integers) -> Integers:
-    """Direction (…) by the four differences (…, way) at `level` (…)."""
+    """Direction (…) by the four differences (…, axis) at `level` (…)."""
     straight, diagonal, orientations, strengths, coherence = axis.constants[:HEAD].tolist()
     size = np.abs(sums) * np.array([straight, diagonal, straight, diagonal])
-    way = size.argmax(axis=-1)
+    steepest = size.argmax(axis=-1)
 
     def at(places: Integers) -> Integers:
         return np.take_along_axis(size, places[..., None] % 4, axis=-1)[..., 0]
 
     edges = axis.constants[HEAD:].astype(np.int64).reshape(strengths, rule.levels)
-    strength = (at(way) > edges[:, level]).sum(axis=0)
-    orientation = way if orientations == 4 else 2 * way + (at(way + 1) > at(way + 3))
+    strength = (at(steepest) > edges[:, level]).sum(axis=0)
+    orientation = steepest if orientations == 4 else 2 * steepest + (at(steepest + 1) > at(steepest + 3))
     group = strength - 1
     if coherence:
-        group = 2 * group + (SHARES * at(way + 2) <= coherence * at(way))
+        group = 2 * group + (SHARES * at(steepest + 2) <= coherence * at(steepest))
     return np.where(strength > 0, 1 + group * orientations + orientation, 0)
 
 

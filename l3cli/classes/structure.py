@@ -24,7 +24,7 @@ from l3cli.classes.windows import Integers
 SIGMA = 16  # gradient units a standard deviation of noise
 WINDOW = (1, 2, 3, 2, 1)
 NOISE_TRACE = 2 * 81 * SIGMA**2  # trace of the tensor that noise alone makes on average
-REACH = 3  # pixels beyond a plane that the structure of its edge looks at
+REACH = 3  # pixels beyond a plane that the structure of its edge reads
 
 
 def structures(luminance: Integers, level: Integers, site: Integers, rule: StructureRule) -> Integers:

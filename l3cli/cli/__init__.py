@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from l3cli import __version__
-from l3cli.cli.terminal import drop, prepare, tell
+from l3cli.cli.terminal import drop, prepare, to_stderr
 from l3cli.errors import L3Error, suggestion
 from l3cli.interrupts import Terminated, heed, leave_to_python
 from l3cli.limits import require_address_space
@@ -41,7 +41,7 @@ NO_THREAD = "can't start new thread"  # what Python says
 
 
 class Pipeline(click.Group):
-    """Commands in the order of the pipeline, each in its own module."""
+    """Commands in the order of the pipeline, each in a module."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
@@ -60,8 +60,8 @@ class Pipeline(click.Group):
         """Names and meanings from the list above, as completion must not import every command."""
         from click.shell_completion import CompletionItem
 
-        found = [CompletionItem(name, help=what) for name, what in COMMANDS.items() if name.startswith(incomplete)]
-        return found + click.Command.shell_complete(self, ctx, incomplete)
+        commands = [CompletionItem(name, help=what) for name, what in COMMANDS.items() if name.startswith(incomplete)]
+        return commands + click.Command.shell_complete(self, ctx, incomplete)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
@@ -85,7 +85,7 @@ def l3(context: click.Context) -> None:
     require_address_space()
     if context.invoked_subcommand is None:  # a wrong call, such as of a script whose variable is empty
         for line in context.get_help().splitlines():
-            tell(line)
+            to_stderr(line)
         context.exit(2)
 
 
@@ -150,7 +150,7 @@ def _usage(error: click.ClickException) -> str:
 
 def _fail(message: str, code: int) -> int:
     line = " ".join(message.split())
-    tell(f"l3: {line}")
+    to_stderr(f"l3: {line}")
     if Logged.current is not None:
         Logged.current.record("error", line)
     return code

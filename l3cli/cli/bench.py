@@ -54,7 +54,7 @@ def _rendering(results: list[dict[str, Any]]) -> None:
         times = [f"{result['stages_ms'][stage]:.2f}" for stage in stages]
         limit = f"{result['limit_ratio']:.2f}" if "limit_ratio" in result else ""
         what = [
-            str(number),  # tells rows apart where the table is divided
+            str(number),  # identifies rows where the table is divided
             f"{result['width']}×{result['height']}",
             *(str(result[key]) for key in ("patch", "classes", "outputs", "variant")),
         ]

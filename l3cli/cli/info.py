@@ -119,31 +119,31 @@ def _short(value: Any) -> str:
     return figure(value, ".6g") if isinstance(value, float) else str(value)
 
 
-def _learned(found: dict[str, Any]) -> list[str]:
+def _learned(insight: dict[str, Any]) -> list[str]:
     """Lines about classes, patches and gains of a table."""
-    classes = found["classes"]
+    classes = insight["classes"]
     figures = " · ".join(
-        f"{output} {gain['median']:.3g}, {gain['worst']:.3g}" for output, gain in found["noise_gain"].items()
+        f"{output} {gain['median']:.3g}, {gain['worst']:.3g}" for output, gain in insight["noise_gain"].items()
     )
     lines = [
         f"{classes['all']} classes: {classes['trained']} trained, {classes['thin']} of them on fewer patches than taps; "
         f"{classes['filled']} without patches of their own",
         *(
             "patches: " + " · ".join(f"{value['name']} {value['patches']:.0f}" for value in values)
-            for values in (found["kinds"], *found.get("further", {}).values())
+            for values in (insight["kinds"], *insight.get("further", {}).values())
         ),
         f"noise gain √Σw² (median, worst class): {figures}",
-        f"condition (median, worst class): {found['condition']['median']:.2g}, {found['condition']['worst']:.2g}",
+        f"condition (median, worst class): {insight['condition']['median']:.2g}, {insight['condition']['worst']:.2g}",
         "gain of a flat signal (median of unsaturated classes):",
     ]
-    for output, gains in found["dc_gain"].items():
+    for output, gains in insight["dc_gain"].items():
         lines.append(f"  {output}: " + "  ".join(f"{channel} {gain:+.3f}" for channel, gain in gains.items()))
     lines.append("noisiest classes:")
     lines += [
         f"  {worst['noise_gain']:8.3g}  {worst['class']}: {worst['patches']:.0f} patches, condition {worst['condition']:.2g}"
-        for worst in found["worst"]
+        for worst in insight["worst"]
     ]
-    for number, layer in enumerate(found["later"], 2):
+    for number, layer in enumerate(insight["later"], 2):
         lines += _later(number, layer)
     return lines
 
@@ -161,7 +161,13 @@ def _later(number: int, layer: dict[str, Any]) -> list[str]:
     ]
 
 
-def _version_lines(found: dict[str, Any]) -> list[str]:
-    libraries = [f"  {name} {version or 'is not installed'}" for name, version in found["libraries"].items()]
-    devices = [f"  {device}" for device in found["devices"]]
-    return [f"l3 {found['l3']}", f"Python {found['python']} on {found['system']}", *libraries, "OpenCL devices:", *devices]
+def _version_lines(versions: dict[str, Any]) -> list[str]:
+    libraries = [f"  {name} {version or 'is not installed'}" for name, version in versions["libraries"].items()]
+    devices = [f"  {device}" for device in versions["devices"]]
+    return [
+        f"l3 {versions['l3']}",
+        f"Python {versions['python']} on {versions['system']}",
+        *libraries,
+        "OpenCL devices:",
+        *devices,
+    ]

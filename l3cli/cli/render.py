@@ -35,8 +35,8 @@ def _pair(separator: str, number: options.Number) -> Callable[[Any, Any, str | N
     def read(context: Any, parameter: Any, text: str | None) -> tuple[int, int] | None:
         if text is None:
             return None
-        first, found, second = text.partition(separator)
-        if not found:
+        first, has_separator, second = text.partition(separator)
+        if not has_separator:
             raise click.BadParameter(f'"{shortened(text)}" is not {parameter.metavar}')
         try:
             return int(number.read(first)), int(number.read(second))
@@ -58,11 +58,11 @@ def _frames(context: Any, parameter: Any, text: str | None) -> range | None:
     """Reads FROM-TO[xSTEP]."""
     if text is None:
         return None
-    found = re.fullmatch(r"(\d+)(?:-(\d+))?(?:x(\d+))?", text, re.ASCII)
-    if not found:
+    match = re.fullmatch(r"(\d+)(?:-(\d+))?(?:x(\d+))?", text, re.ASCII)
+    if not match:
         raise click.BadParameter(f'"{shortened(text)}" is not {parameter.metavar}, such as 1-500 or 1-500x2')
-    first, last = int(FRAME.read(found[1])), int(FRAME.read(found[2] or found[1]))
-    step = int(STEP.read(found[3] or "1"))
+    first, last = int(FRAME.read(match[1])), int(FRAME.read(match[2] or match[1]))
+    step = int(STEP.read(match[3] or "1"))
     if last < first:
         raise click.BadParameter(f"{text} holds no frame; give the lower number first")
     return range(first, last + 1, step)

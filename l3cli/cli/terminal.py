@@ -57,10 +57,10 @@ def _finite(value: Any, name: str, missing: list[str]) -> Any:
 
 def with_options(message: str) -> str:
     """A message that may come from below the command line, with an option for each parameter it names (‹skip_bad›)."""
-    return PARAMETER.sub(lambda found: f"--{found[1].replace('_', '-')}", message)
+    return PARAMETER.sub(lambda match: f"--{match[1].replace('_', '-')}", message)
 
 
-def tell(message: str) -> None:
+def to_stderr(message: str) -> None:
     """One message on stderr. If it cannot be written, on a full disk or to a closed pipe, the work continues."""
     try:
         click.echo(printable(with_options(message)), err=True)
@@ -88,7 +88,7 @@ def drop(stream: IO[str]) -> None:
             os.dup2(nowhere.fileno(), stream.fileno())
 
 
-SIZES = ("COLUMNS", "LINES")  # environment variables that tell a terminal's size
+SIZES = ("COLUMNS", "LINES")  # environment variables of a terminal's size
 DIGITS = re.compile(r"[0-9]{1,6}")  # of a size
 SELDOM, OFTEN = 600.0, 10.0  # seconds after which a log hears of the progress at the latest, and before which it does not
 
@@ -118,39 +118,39 @@ class Terminal:
     """The console of a command: everything on stderr."""
 
     def progress(self, items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
-        """As a bar on a terminal, elsewhere as plain lines, one every tenth; both show rate and time left."""
-        drawn = sys.stderr.isatty() and os.environ.get("TERM", "dumb") != "dumb"
-        return (_with_bar if drawn else _with_lines)(items, total, what)
+        """As a bar on a terminal, elsewhere as plain lines, one every tenth; both with rate and time left."""
+        interactive = sys.stderr.isatty() and os.environ.get("TERM", "dumb") != "dumb"
+        return (_with_bar if interactive else _with_lines)(items, total, what)
 
     def say(self, message: str) -> None:
-        tell(message)
+        to_stderr(message)
 
     def warn(self, message: str) -> None:
-        tell(f"warning: {message}")
+        to_stderr(f"warning: {message}")
 
     def alert(self, message: str) -> None:
-        tell(message)
+        to_stderr(message)
 
 
 class ErrorsOnly(Silent):
     """The console of a command with --quiet: on stderr what is left out, and nothing else."""
 
     def alert(self, message: str) -> None:
-        tell(message)
+        to_stderr(message)
 
 
 def _with_bar(items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
     from rich import console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-    told = TextColumn("{task.fields[told]}")
-    columns = (TextColumn(what), BarColumn(bar_width=16), MofNCompleteColumn(), told, TimeElapsedColumn())
-    tells = {name: os.environ[name] for name in os.environ if name not in SIZES or DIGITS.fullmatch(os.environ[name])}
-    with Progress(*columns, console=console.Console(stderr=True, _environ=tells), transient=True) as bar:
-        task, start = bar.add_task(what, total=total, told=""), time.monotonic()
+    pace = TextColumn("{task.fields[pace]}")
+    columns = (TextColumn(what), BarColumn(bar_width=16), MofNCompleteColumn(), pace, TimeElapsedColumn())
+    environment = {name: os.environ[name] for name in os.environ if name not in SIZES or DIGITS.fullmatch(os.environ[name])}
+    with Progress(*columns, console=console.Console(stderr=True, _environ=environment), transient=True) as bar:
+        task, start = bar.add_task(what, total=total, pace=""), time.monotonic()
         for done, item in enumerate(items, 1):
             yield item
-            bar.update(task, advance=1, told=_pace(done, total, time.monotonic() - start))
+            bar.update(task, advance=1, pace=_pace(done, total, time.monotonic() - start))
 
 
 def _with_lines(items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
@@ -162,7 +162,7 @@ def _with_lines(items: Iterable[T], total: int | None, what: str) -> Iterator[T]
         reached = 10 * done // total if total else 0
         if done != total and ((reached > tenth and now - last >= OFTEN) or now - last >= SELDOM):
             of = f" of {total}" if total else ""
-            tell(f"{what}: {done}{of}, {_pace(done, total, now - start)}")
+            to_stderr(f"{what}: {done}{of}, {_pace(done, total, now - start)}")
             last, tenth = now, reached
 
 

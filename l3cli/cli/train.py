@@ -22,8 +22,8 @@ def _shard(context: Any, parameter: Any, text: str | None) -> tuple[int, int] | 
     """Reads "I/N" with 1 ≤ I ≤ N."""
     if text is None:
         return None
-    first, found, second = text.partition("/")
-    if not found:
+    first, has_separator, second = text.partition("/")
+    if not has_separator:
         raise click.BadParameter(f'"{shortened(text)}" is not I/N, such as 1/4')
     try:
         index, count = int(SHARD.read(first)), int(SHARD.read(second))
@@ -100,7 +100,7 @@ def train(
     from l3cli.stages.training.whole import train as train_whole
 
     if merge and (classes or shares or shard or first or seed or scheduler):
-        raise click.UsageError("--merge takes shards alone: classes, shares and seed are told by them")
+        raise click.UsageError("--merge takes shards alone: classes, shares and seed are stored in them")
     if shares and len(shares) != len(files):
         raise click.UsageError(f"--shares gives {len(shares)} shares for {len(files)} training sets")
     if first and not shard:

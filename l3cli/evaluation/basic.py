@@ -93,7 +93,7 @@ def develop_bands(frame: TrainingPair, camera: CameraModel, relit: bool, demosai
     the frame's.
 
     InputFileError if the camera sees nothing of the light."""
-    share = camera.white_dose / camera.full_scale  # of a target of the camera's bands, per electron a second
+    share = camera.saturation_exposure / camera.full_scale  # of a target of the camera's bands, per electron a second
     white = frame.white
     if relit:
         light = light_of(frame, camera)

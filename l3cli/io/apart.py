@@ -4,7 +4,7 @@ can end that process, never this one.
 A child is started when the first file is read and decodes one after the other; when it has died the next file gets a new
 one. Requests and answers are JSON; arrays come through a file in memory, checked against its size and copied, so that
 nothing that a child says is executed or believed here. Who trusts his files (`--trust`, or L3_TRUST=1) has them
-decoded in his own process.
+decoded in the caller's process.
 """
 
 import atexit
@@ -43,7 +43,7 @@ def apart(function: F) -> F:
     """Make a decoder of foreign files run apart.
 
     `function` stands in a module and takes a path, then plain values (text, numbers, None); it returns arrays of numbers,
-    plain values, and tuples, lists and dictionaries of these. What it raises, but for errors of this package's own, becomes
+    plain values, and tuples, lists and dictionaries of these. What it raises, but for this package's errors, becomes
     an InputFileError that names the file.
     """
 
@@ -90,7 +90,7 @@ def too_much(path: Path) -> str:
 
 
 class _Child:
-    """The process that decodes, and the way to it."""
+    """The process that decodes, and the socket to it."""
 
     def __init__(self, limits: tuple[float, int]) -> None:
         self.limits = limits

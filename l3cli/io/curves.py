@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 
 def write_curves(path: Path, wavelength: NDArray, columns: NDArray, names: Sequence[str], unit: str = "") -> None:
-    """Write columns (column, wavelength) as CSV below a heading that tells the `unit` of all columns, if there is one."""
+    """Write columns (column, wavelength) as CSV below a heading with the `unit` of all columns, if there is one."""
     lines = [",".join(["wavelength_nm", *(f"{name} ({unit})" if unit else name for name in names)])]
     lines += [",".join(f"{value:.8g}" for value in row) for row in np.vstack([wavelength, columns]).T]
     write_whole(path, "\n".join(lines) + "\n")
@@ -91,7 +91,7 @@ def export_paths(folder: Path) -> tuple[Path, Path]:
 
 
 def export_curves(camera: CameraModel, folder: Path) -> None:
-    """Write the responsivities per energy, the peak of the set 1: CSV on their own grid, JSON as rawtoaces reads it."""
+    """Write the responsivities per energy, the peak of the set 1: CSV on their grid, JSON as rawtoaces reads it."""
     csv, rawtoaces = export_paths(folder)
     curves = camera.responsivity * camera.wavelength
     curves = curves / curves.max()

@@ -46,11 +46,11 @@ def _read_picture(path: Path, rows: int, cols: int, bits: int) -> NDArray:
         return pixels_of(path, picture, spec)[..., 0]
 
 
-def _check(path: Path, depth: str, channels: int, found: tuple[int, ...], shape: tuple[int, int], bits: int) -> None:
+def _check(path: Path, depth: str, channels: int, size: tuple[int, ...], shape: tuple[int, int], bits: int) -> None:
     depths = ("uint16", "uint8") if bits <= 8 else ("uint16",)
     if depth not in depths or channels != 1:
         raise InputFileError(f"{path} holds {channels} channels of {depth}; give raw frames of one channel and 16 bits")
-    if found != shape:
+    if size != shape:
         raise InputFileError(
-            f"{path} has {found[0]}×{found[1]} pixels, the sensor {shape[0]}×{shape[1]}; give whole raw frames"
+            f"{path} has {size[0]}×{size[1]} pixels, the sensor {shape[0]}×{shape[1]}; give whole raw frames"
         )

@@ -29,9 +29,9 @@ def arrays_back(answer: Any, file: int) -> Any:
     return {str(key): arrays_back(value, file) for key, value in answer["dict"].items()}
 
 
-def _array(told: list[Any], file: int) -> np.ndarray:
+def _array(description: list[Any], file: int) -> np.ndarray:
     """The array that an answer describes."""
-    kind, shape, order, offset = told
+    kind, shape, order, offset = description
     dtype = np.dtype(kind)
     if dtype.kind not in "biuf" or order not in ("C", "F") or any(type(n) is not int or n < 0 for n in (*shape, offset)):
         raise ValueError("no array of numbers")

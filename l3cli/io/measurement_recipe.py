@@ -8,7 +8,7 @@
       sensor            [[dark]] and [[white]] frames; without [[white]] a [datasheet] of declared figures
     frames              single-channel 16-bit pictures (TIFF, PNG, PGM) of the whole sensor, raw DN, CFA phase (0, 0)
     spectra             CSV: wavelength in nm, then radiances in photons/s/sr/m²/nm, one column a light or a patch; other
-                        units as a heading or the key `unit` tells
+                        units as a heading or the key `unit` states
 
 Names of files are relative to the folder of the measurement file.
 """
@@ -43,9 +43,9 @@ class CaptureRecipe(Recipe, kw_only=True):
 
     @property
     def seconds(self) -> float | None:
-        """The exposure, or None unless one key tells it."""
-        told = [(self.exposure_s, 1.0), (self.exposure_ms, 1e3), (self.exposure_us, 1e6)]
-        given = [value / parts for value, parts in told if value is not None]
+        """The exposure, or None unless exactly one key gives it."""
+        exposures = [(self.exposure_s, 1.0), (self.exposure_ms, 1e3), (self.exposure_us, 1e6)]
+        given = [value / parts for value, parts in exposures if value is not None]
         return given[0] if len(given) == 1 else None
 
 
@@ -54,7 +54,7 @@ class MonoRecipe(CaptureRecipe, kw_only=True):
 
     spectrum: str  # CSV of measured radiances, bandwidth and stray light included
     column: int | str = 1  # which of its columns: its name, or its number from 1, the wavelength not counted
-    unit: str | None = None  # of these radiances, where the heading does not tell; default: photons/s/sr/m²/nm
+    unit: str | None = None  # of these radiances, where the heading states none; default: photons/s/sr/m²/nm
 
 
 class ChartRecipe(CaptureRecipe, kw_only=True):

@@ -79,8 +79,8 @@ def _check_sources(recipe: MeasurementRecipe, path: Path) -> None:
     sources = {"mono": recipe.mono, "sweep": recipe.sweep, "curves": recipe.curves, "band": recipe.band}
     given = [name for name, source in sources.items() if source]
     if len(given) != 1:
-        found = " and ".join(given) or "none"
-        raise RecipeError(f"{path}: give one source of responsivity, [[mono]] [sweep] [curves] or [[band]]; found {found}")
+        named = " and ".join(given) or "none"
+        raise RecipeError(f"{path}: give one source of responsivity, [[mono]] [sweep] [curves] or [[band]]; given: {named}")
     if bool(recipe.white) == (recipe.datasheet is not None):
         raise RecipeError(f"{path}: give either [[white]] frames, and measure the sensor, or its [datasheet]")
     if recipe.white and not recipe.dark:
@@ -94,7 +94,7 @@ def _check_sources(recipe: MeasurementRecipe, path: Path) -> None:
             f"{path}: [[chart]] captures need [[white]] and [[dark]] frames; take them or leave the charts out"
         )
     if len(recipe.chart) == 1 or (recipe.mono and not recipe.chart):
-        raise RecipeError(f"{path}: one [[chart]] cannot tell gain from light; give charts under two illuminants or more")
+        raise RecipeError(f"{path}: one [[chart]] does not separate gain from light; give charts under two illuminants")
 
 
 def _common(capture: CaptureRecipe, table: str, body: Body, path: Path) -> dict[str, Any]:

@@ -16,15 +16,15 @@ def natural_order(path: Path) -> tuple[Any, ...]:
 
 def last_number(path: Path) -> int | None:
     """The last number in a file's name."""
-    found = DIGITS.findall(path.stem)
-    return int(found[-1]) if found and len(found[-1]) <= MOST_DIGITS else None
+    numbers = DIGITS.findall(path.stem)
+    return int(numbers[-1]) if numbers and len(numbers[-1]) <= MOST_DIGITS else None
 
 
 def numbered_name(pattern: Path, number: int) -> Path:
     """The pattern's file of a number: %d, %04d or a run of # in its name stands for it."""
 
-    def digits(found: re.Match[str]) -> str:
-        width = len(found[0]) if found[0][0] == "#" else int(found[1] or 0)
+    def digits(field: re.Match[str]) -> str:
+        width = len(field[0]) if field[0][0] == "#" else int(field[1] or 0)
         return f"{number:0{width}d}"
 
     return pattern.with_name(PATTERN.sub(digits, pattern.name, count=1))
@@ -38,9 +38,9 @@ def numbered_files(pattern: Path) -> dict[int, Path]:
     spelled = re.compile(
         f"{re.escape(pattern.name[: where.start()])}([0-9]{{1,{MOST_DIGITS}}}){re.escape(pattern.name[where.end() :])}"
     )
-    found = {}
+    files = {}
     for path in pattern.parent.iterdir():
         match = spelled.fullmatch(path.name)
         if match and numbered_name(pattern, int(match[1])).name == path.name:
-            found[int(match[1])] = path
-    return dict(sorted(found.items()))
+            files[int(match[1])] = path
+    return dict(sorted(files.items()))

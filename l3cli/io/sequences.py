@@ -1,6 +1,6 @@
 """Frames that belong together, in order and with numbers: folders, patterns, globs, stacks, headerless streams, raw videos.
 
-What is found here is not read yet, so that memory does not grow with the number of frames and reading can run ahead.
+What is listed here is not read yet, so that memory does not grow with the number of frames and reading can run ahead.
 """
 
 import functools
@@ -29,7 +29,7 @@ class Pending:
     stem: str  # of the file that is made of it
     read: Callable[[], RawFrame | None]  # None: there is no such frame, the stream ended before; InputFileError: broken
     source: Path | None = None  # the file that holds it alone
-    origin: str | None = None  # what tells it from another frame of its number, once somebody has asked
+    origin: str | None = None  # what distinguishes it from another frame of its number, once computed
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Footage:
     frames: "Frames"  # that there are; of a stream, that there may be
     count: int | None  # that there ought to be; None: as many as a stream has
     stills: bool  # files named one by one: no sequence in time
-    rate: Fraction | None = None  # frames a second, where the file tells
+    rate: Fraction | None = None  # frames a second, where the file states them
     missing: Sequence[range] = ()  # numbers of those that ought to be and are not, known before reading
     is_stream: bool = False
     wanted: range | None = None  # numbers chosen of a stream
@@ -103,7 +103,7 @@ def find_frames(
 
 
 def _divided(wanted: range, numbers: Collection[int]) -> tuple[Sequence[int], list[range]]:
-    """Those of the numbers wanted that there are, in order, and the others: either may be too many to be looked at."""
+    """Those of the numbers wanted that there are, in order, and the others: either may be too many to list."""
     if isinstance(numbers, range):  # of a stack: from 0 on
         there: Sequence[int] = range(wanted.start, min(wanted.stop, len(numbers)), wanted.step)
         return there, [wanted[len(there) :]] if len(there) < len(wanted) else []
@@ -171,21 +171,21 @@ def _series(path: Path, table: TransformTable, known: KnownBetter, dataset: str 
 
 
 def _in_folder(folder: Path) -> list[Path]:
-    found = [path for path in folder.iterdir() if is_frame(path) and path.name[0] != "." and path.is_file()]
-    kinds = sorted({path.suffix.lower() for path in found})
+    files = [path for path in folder.iterdir() if is_frame(path) and path.name[0] != "." and path.is_file()]
+    kinds = sorted({path.suffix.lower() for path in files})
     if len(kinds) > 1:
         raise InputFileError(f'{folder} holds {" and ".join(kinds)} files; name one kind, such as "{folder}/*{kinds[0]}"')
-    if not found:
+    if not files:
         raise InputFileError(f"{folder} holds no raw frames; give a folder of .tif .tiff .png .npy .raw .dng …")
-    return sorted(found, key=natural_order)
+    return sorted(files, key=natural_order)
 
 
 def _globbed(path: Path) -> list[Path]:
     matches = Path(path.anchor or ".").glob(str(path.relative_to(path.anchor)))
-    found = [each for each in matches if each.name[0] != "." and each.is_file()]
-    if not found:
+    files = [each for each in matches if each.name[0] != "." and each.is_file()]
+    if not files:
         raise InputFileError(f"{path} matches no file; give the raw frames' names")
-    return sorted(found, key=natural_order)
+    return sorted(files, key=natural_order)
 
 
 def _of_files(what: str, paths: Iterable[Path], table: TransformTable, known: KnownBetter) -> _Series:
@@ -206,22 +206,22 @@ def _of_files(what: str, paths: Iterable[Path], table: TransformTable, known: Kn
 
 
 def _film_rate(path: Path) -> Fraction | None:
-    """Frames a second that a file of one frame tells, as CinemaDNG does."""
+    """Frames a second that a file of one frame states, as CinemaDNG does."""
     return format_of(path).rate(path) if path.is_file() else None
 
 
 def _of_pattern(pattern: Path, table: TransformTable, known: KnownBetter) -> _Series:
-    found = numbered_files(pattern)
-    if not found:
+    files = numbered_files(pattern)
+    if not files:
         raise InputFileError(f"{pattern} matches no file; give the raw frames' pattern, such as frame_%04d.tif")
     # A pattern says that the frames are numbered throughout: a number left out is a frame lost.
-    whole = range(min(found), max(found) + 1)
+    whole = range(min(files), max(files) + 1)
 
     def read(number: int) -> RawFrame:
-        return read_raw(found[number], table, known)
+        return read_raw(files[number], table, known)
 
-    rate = _film_rate(next(iter(found.values())))
-    return _Series(str(pattern), found, read, lambda number: numbered_name(pattern, number).stem, rate, found, whole)
+    rate = _film_rate(next(iter(files.values())))
+    return _Series(str(pattern), files, read, lambda number: numbered_name(pattern, number).stem, rate, files, whole)
 
 
 # ----------------------------------------------------------------------------------------------- stacks and streams
@@ -244,5 +244,5 @@ def _of_stack(what: str, stem: str, stack: Stack, table: TransformTable, known: 
 
 def _stdin(table: TransformTable, known: KnownBetter) -> _Series:
     if known.size is None:
-        raise RecipeError("raw frames on stdin do not tell their size; give it with ‹size› ROWSxCOLS")
+        raise RecipeError("raw frames on stdin have no header with their size; give it with ‹size› ROWSxCOLS")
     return _of_stack("stdin", "", read_stdin(table, known), table, known)

@@ -35,7 +35,7 @@ def pyav() -> Any:
         import av
     except ModuleNotFoundError as error:
         raise L3Error(INSTALL) from error
-    av.logging.set_level(av.logging.ERROR)  # for RawVideo; what goes wrong is told in one line, not in FFmpeg's own
+    av.logging.set_level(av.logging.ERROR)  # for RawVideo; what goes wrong becomes one line, not FFmpeg's lines
     log = logging.getLogger("libav")
     if not log.handlers:  # this is called for every frame
         log.addHandler(logging.NullHandler())

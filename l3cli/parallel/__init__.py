@@ -70,7 +70,7 @@ def workers(jobs: int, scheduler: "Scheduler | None" = None) -> Iterator[Crew]:
 
 
 def alone(function: Callable[[T], R], item: T) -> R:
-    """function(item) by a process of its own, whose memory nothing else has used."""
+    """function(item) by a separate process, whose memory nothing else has used."""
     with _pool(1) as pool:
         return _result(_submit(pool, function, item))
 

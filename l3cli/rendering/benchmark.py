@@ -150,7 +150,7 @@ def _result(case: Case, backend: str, variant: str, device: str, waits: list[flo
 
 @contextlib.contextmanager
 def _limit(case: Case) -> Iterator[Callable[[], float] | None]:
-    """A function that runs the bare multiply-adds of a case once and tells the milliseconds; None without a compiler, or
+    """A function that runs the bare multiply-adds of a case once and returns the milliseconds; None without a compiler, or
     where limit.c does not compute the like."""
     compiler = shutil.which(os.environ.get("CC", "cc"))
     if compiler is None or case.outputs != LIMIT_OUTPUTS:

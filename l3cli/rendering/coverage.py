@@ -41,7 +41,7 @@ class CoverageMeter:
         darker, brighter = place.level < lowest, place.level > highest
         untrained = (self._table.first.samples[rule.on_site(labels, site)] == 0) & ~darker & ~brighter
         saturated = rule.case(place.kind) > 0
-        return Coverage(*(float(np.mean(found)) for found in (darker, brighter, untrained, saturated)))
+        return Coverage(*(float(np.mean(mask)) for mask in (darker, brighter, untrained, saturated)))
 
     def learned_range(self) -> tuple[float, float]:
         """The darkest and brightest level that the table has patches of, as shares of full scale."""

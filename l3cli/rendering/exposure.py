@@ -12,8 +12,8 @@ from l3cli.classes.windows import neighbourhoods
 from l3cli.frame import RawFrame, mirrored_indices
 from l3cli.physics.display import WHITE_PERCENTILE
 
-GRID = (32, 48)  # rows and columns of pixels that are looked at, at most
-TIME_CONSTANT = 1.0  # s, in which log exposure goes 63 % of the way to that of a light that has changed
+GRID = (32, 48)  # rows and columns of pixels that are measured, at most
+TIME_CONSTANT = 1.0  # s, in which log exposure goes 63 % of the difference to that of a light that has changed
 
 
 class LightMeter:
@@ -62,8 +62,8 @@ def _spread(length: int, period: int, count: int, patch: int) -> np.ndarray:
 class SteadyExposure:
     """Exposure scale of each frame of a sequence in its order.
 
-    The first frame is shown as its own light asks, later ones follow exponentially in log exposure: noise in the
-    measurement is averaged away, a change of light is followed without overshoot. It looks only back.
+    The first frame is shown as its light asks, later ones follow exponentially in log exposure: noise in the
+    measurement is averaged away, a change of light is followed without overshoot. Only past frames count.
     """
 
     def __init__(self, rate: Fraction) -> None:

@@ -1,7 +1,7 @@
 """Rendering on an OpenCL device: upload, two kernels a layer (opencl/*.cl), download (docs/method.md#rendering).
 
 A frame is taken in horizontal bands, so that the device's memory is bounded whatever the frame's size; a usual frame is one
-band. Two tracks, each a queue with buffers of its own, take the bands in turn, of this frame and the next: while one
+band. Two tracks, each a queue with its buffers, take the bands in turn, of this frame and the next: while one
 computes, the other may upload and download.
 """
 
@@ -76,7 +76,7 @@ class OpenCLRenderer:
 
     @property
     def stages(self) -> tuple[str, ...]:
-        """What `stage_times` tells apart."""
+        """The stages of `stage_times`."""
         return LATER_STAGES if self.table.later else STAGES
 
     def labels(self, frame: RawFrame, layer: int = 0) -> NDArray[np.uint32]:
@@ -101,7 +101,7 @@ class OpenCLRenderer:
         return picture
 
     def pictures(self, frames: Iterable[tuple[RawFrame, Display]]) -> Iterator[NDArray]:
-        """The picture of each frame, in order. While the caller looks at one the next is at work."""
+        """The picture of each frame, in order. While the caller uses one the next is computed."""
         started: deque[tuple[NDArray, Work]] = deque()
         for frame, display in frames:
             started.append(self._start_picture(frame, display))
@@ -154,7 +154,7 @@ class OpenCLRenderer:
                 self._tracks.rotate()
                 self._classify(values, frame.phase, track, band, work)
                 if self.table.later and not (kernel is None and layer == 0):
-                    self._look_again(track, band, work)
+                    self._classify_later(track, band, work)
                 offset, sizes = 0, [result[band.rows].nbytes for result in results]
                 if kernel is not None:
                     self._transform(kernel, encoding, track, band, sum(sizes), levelled.black, work)
@@ -179,7 +179,7 @@ class OpenCLRenderer:
             return work.milliseconds()
 
     def _classify(self, values: NDArray, phase: tuple[int, int], track: Track, band: Band, work: Work) -> None:
-        """Upload and classes of a band, with the rows beside it that a later layer looks at."""
+        """Upload and classes of a band, with the rows beside it that a later layer reads."""
         source, rows = values[band.raw_rows], band.wide.stop - band.wide.start
         track.raw = self._scratch(track.raw, source.nbytes)
         track.labels = self._scratch(track.labels, 4 * rows * band.columns)
@@ -189,7 +189,7 @@ class OpenCLRenderer:
         buffers = (track.raw, *band.mosaic_source, *self._class_buffers, track.labels)
         work.add("classes", self._run(self._classes, track, (rows, band.columns), *buffers, *map(np.int32, site)))
 
-    def _look_again(self, track: Track, band: Band, work: Work) -> None:
+    def _classify_later(self, track: Track, band: Band, work: Work) -> None:
         """Planes of the first layer, and by their structure the classes of the one after it."""
         shape = (band.wide.stop - band.wide.start, band.columns)
         track.planes = self._scratch(track.planes, 2 * layout.PLANES * shape[0] * shape[1])

@@ -1,4 +1,4 @@
-"""What is under way on an OpenCL device: queues with their buffers, events, bands of frames."""
+"""What is queued on an OpenCL device: queues with their buffers, events, bands of frames."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -47,7 +47,7 @@ class Work:
 
 @dataclass(frozen=True)
 class Band:
-    """Rows of a frame, with those beside them that a later layer looks at, and the raw rows that the patches of all these
+    """Rows of a frame, with those beside them that a later layer reads, and the raw rows that the patches of all these
     touch. Each source (padded row), (padded col) names which row and column each padded one repeats: of the raw rows, or of
     the planes of the wide rows, as structures and as transforms see them."""
 

@@ -9,7 +9,20 @@ from l3cli.classes.names import heading
 from l3cli.columns import figure as number
 from l3cli.report.colours import SERIES
 from l3cli.report.drawing import Plot, spanning
-from l3cli.report.parts import Block, Comparison, Figure, Figures, Key, Part, Picture, Section, Table, Text, counted, tidy
+from l3cli.report.parts import (
+    Block,
+    Comparison,
+    Figure,
+    Figures,
+    Key,
+    Picture,
+    Section,
+    Subsection,
+    Table,
+    Text,
+    counted,
+    tidy,
+)
 from l3cli.report.pictures import Jpeg, Pixels, fitted
 
 OURS = "ours"
@@ -64,10 +77,13 @@ def evaluation_section(
     """`document` is that of `l3 evaluate --json`, `pictures` those of some frames by index, `names` the files of table and
     frames; `limit` bytes is what the pictures of this section may take."""
     figure = next(iter(document["frames"][0][OURS]))
-    parts = [Part("Quality", _quality_blocks(document, figure)), Part("Over light level", _level_blocks(document, figure))]
-    parts.append(Part("By class", _class_blocks(document, figure)))
+    parts = [
+        Subsection("Quality", _quality_blocks(document, figure)),
+        Subsection("Over light level", _level_blocks(document, figure)),
+    ]
+    parts.append(Subsection("By class", _class_blocks(document, figure)))
     if pictures:
-        parts.append(Part("Pictures", _picture_blocks(document, pictures, figure, anchor, limit, jpeg)))
+        parts.append(Subsection("Pictures", _picture_blocks(document, pictures, figure, anchor, limit, jpeg)))
     title = f"Evaluation: {names[0]} on {names[1]}" if all(names) else f"Evaluation: {names[0] or names[1]}"
     return Section(title, summary(document), tuple(parts))
 
@@ -92,7 +108,7 @@ def luminance_section(
             for index, luminance in enumerate(cameras[0][1])
         )
         table = Table(heading, ("cd/m²", *(name for name, _, _ in cameras)), rows)
-        parts.append(Part(heading, (Figures((Figure(heading, plot.svg(finding), finding, tuple(keys)),)), table)))
+        parts.append(Subsection(heading, (Figures((Figure(heading, plot.svg(finding), finding, tuple(keys)),)), table)))
     return Section("Over the light on the scene", "Means over all frames of one luminance.", tuple(parts))
 
 

@@ -100,7 +100,7 @@ def _signalled(
     """Of a picture of channel signals the target (channel, row, col) in the unit of the camera's bands, what the channels
     collect (channel, row, col) e-/s, and the target's white (channel)."""
     full = white_rates(camera, light).max()
-    white = full * camera.white_dose / camera.full_scale
+    white = full * camera.saturation_exposure / camera.full_scale
     signal = np.moveaxis(picture.signal, -1, 0)
     rates, ideal = (np.ascontiguousarray(signal * np.float32(unit)) for unit in (full, white))
     return ideal, rates, np.full(len(signal), white)

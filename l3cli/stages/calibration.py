@@ -25,7 +25,7 @@ def calibrate(
     """Write the camera model of a measurement file; the model, and its figures, ready for JSON.
 
     `truth`: camera (model or recipe) behind a virtual lab, to compare with. `export`: folder for the curves as CSV and as
-    rawtoaces JSON. `accept`: write a model that predicts its own charts badly, which else is an L3Error.
+    rawtoaces JSON. `accept`: write a model that predicts its charts badly, which else is an L3Error.
     InputFileError or RecipeError if the measurements cannot be used, L3Error if an output cannot be written.
     """
     with Claims(console) as claims:

@@ -50,14 +50,14 @@ class FrameWarnings:
     def watched(
         self, frames: "Iterator[tuple[Pending, RawFrame, float]]", stills: bool
     ) -> "Iterator[tuple[Pending, RawFrame, float]]":
-        """Pass frames on, after a look at every still, or at the first frame of a sequence, unless others are to read it."""
+        """Pass frames on, after a check of every still, or the first frame of a sequence, unless others are to read it."""
         for pending, frame, scale in frames:
             if isinstance(frame, RawFrame) and (stills or not self._seen):
                 self.measure(frame)
             yield pending, frame, scale
 
     def report(self, console: Console) -> None:
-        """One line for each thing found."""
+        """One line for each warning."""
         darkest, brightest = self._meter.learned_range()
         texts = {
             "darker": f"are darker than anything the table was trained on ({darkest:.2g} of full scale); lower "

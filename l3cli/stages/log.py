@@ -12,7 +12,7 @@ from l3cli.errors import L3Error, RecipeError
 from l3cli.stages.console import Console
 
 T = TypeVar("T")
-HEADING = b"# l3 log\n"  # by which a log is told from any other file: nothing else is ever written to
+HEADING = b"# l3 log\n"  # which distinguishes a log from any other file: nothing else is ever written to
 
 
 class Logged:

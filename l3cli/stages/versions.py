@@ -11,7 +11,7 @@ from l3cli.rendering.opencl_devices import survey
 
 
 def versions() -> dict[str, Any]:
-    """What a report of a fault should tell: l3, Python, libraries (None: an extra not installed), OpenCL devices."""
+    """What a report of a fault should hold: l3, Python, libraries (None: an extra not installed), OpenCL devices."""
     try:
         required = metadata.requires("l3cli") or []
     except metadata.PackageNotFoundError:  # sources on a path, not installed

@@ -105,7 +105,7 @@ def made_up_frame(camera: CameraModel, seed: int) -> TrainingFrame:
         row, col = rng.integers(0, SIDE - size, 2)
         share[:, row : row + size, col : col + size] = rng.random((len(share), 1, 1))
     share *= np.linspace(0.3, 1.0, SIDE)
-    target = np.einsum("oc,crk->ork", rng.random((3, len(share))), share) * camera.white_dose / 0.01
+    target = np.einsum("oc,crk->ork", rng.random((3, len(share))), share) * camera.saturation_exposure / 0.01
     return TrainingFrame(
         raw=np.zeros((SIDE, SIDE), np.uint16),
         electrons=(share * camera.full_scale).astype(np.float32),

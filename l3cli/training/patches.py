@@ -61,7 +61,7 @@ def patches_of(
         rows, cols = frame.raw.shape
         raise InputFileError(f"frame of scene {frame.scene} is {rows}×{cols}, smaller than the {side}×{side} patch")
     if isinstance(frame, TrainingFrame):
-        unit = head.camera.white_dose
+        unit = head.camera.saturation_exposure
         return sample_patches(frame, head, unit, near.channel[site], count, orientations(side), rng)
     return sample_pair(frame, head.camera, near, site, count, rng, shared)
 
@@ -102,7 +102,7 @@ def sample_pair(
     carried = (camera.noise_variance(signal * span) / span**2).astype(np.float32)
     signal[values >= np.floor(camera.white)] = 1.0
     target = pair.target.reshape(len(pair.target), -1)[:, np.concatenate(places)].T
-    scaled = target * np.float32(pair.exposure / camera.white_dose)
+    scaled = target * np.float32(pair.exposure / camera.saturation_exposure)
     return Patches(signal, np.ascontiguousarray(scaled, np.float32), carried)
 
 

@@ -157,7 +157,7 @@ def assemble(lesson: Lesson, solutions: dict[int, Solution], history: tuple[Stag
         black=camera.black,
         white=camera.white,
         outputs=head.outputs,
-        output_unit=camera.white_dose,
+        output_unit=camera.saturation_exposure,
         target_description=head.target_description,
         white_point=lesson.white_point,
         first=MosaicLayer(

@@ -27,28 +27,28 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(training, "CASES", ())
 
 
-def test_json_tells_what_was_measured_how(l3: L3, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_json_says_what_was_measured_how(l3: L3, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(training, "CASES", (training.Case(300),))
     monkeypatch.setattr(training, "REPEATS", 1)
     monkeypatch.setattr(parallel, "alone", lambda function, case: function(case))
     code, out, err = l3("bench", "--json", "--quiet")
     assert (code, err) == (0, "")
-    told = json.loads(out)
-    assert told["devices"][0].startswith("0: ")
-    assert [(result["backend"], result["width"]) for result in told["results"]] == [
+    document = json.loads(out)
+    assert document["devices"][0].startswith("0: ")
+    assert [(result["backend"], result["width"]) for result in document["results"]] == [
         ("opencl", 80), ("opencl", 40), ("reference", 20),
     ]  # fmt: skip
-    assert {result["variant"] for result in told["results"]} == {"processor", "graphics", "reference"}
-    for result in told["results"]:
+    assert {result["variant"] for result in document["results"]} == {"processor", "graphics", "reference"}
+    for result in document["results"]:
         assert set(result) >= FIELDS
         assert list(result["stages_ms"]) == STAGES
         assert all(time >= 0 for time in result["stages_ms"].values())
         assert result["mp_per_s"] == pytest.approx(result["width"] * result["height"] / result["frame_ms"] / 1e3)
-    (learned,) = told["train"]
+    (learned,) = document["train"]
     assert learned["rows_per_s"] == pytest.approx(learned["rows"] / learned["cpu_s"])
     assert sum(learned["stages_ns"].values()) == pytest.approx(1e9 / learned["rows_per_s"])
-    assert ("limit_ratio" in told["results"][0]) == (shutil.which("cc") is not None)
-    assert "limit_ratio" not in told["results"][1]  # limit.c has three outputs
+    assert ("limit_ratio" in document["results"][0]) == (shutil.which("cc") is not None)
+    assert "limit_ratio" not in document["results"][1]  # limit.c has three outputs
 
 
 def test_table_of_one_variant_without_a_compiler(l3: L3, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -58,7 +58,7 @@ def edit(folder: Path, old: str, new: str, count: int = 1) -> None:
         ("exposure_s = ", "exposure_s = nan #", "mono.exposure_s is nan"),
         ("monitor = ", "monitor = inf #", "mono.monitor is inf"),
         ("[sensor]", "[datasheet]\nwell_capacity_e = 1\nblack_dn = 0\nwhite_dn = 1\n[sensor]", "or its [datasheet]"),
-        ("[sensor]", '[curves]\nfile = "x.csv"\n[sensor]', "found mono and curves"),
+        ("[sensor]", '[curves]\nfile = "x.csv"\n[sensor]', "given: mono and curves"),
         ("lamp_drift = ", "lamp_drift = -", "lamp_drift in 0…1"),
     ],
 )

@@ -77,7 +77,7 @@ def test_other_developers_see_the_camera(made: Path, frames: list[np.ndarray]) -
 
 
 def test_other_developers_make_a_true_picture(made: Path) -> None:
-    """LibRaw's own picture, white balanced by AsShotNeutral, against the wanted one, patch by patch."""
+    """LibRaw's picture, white balanced by AsShotNeutral, against the wanted one, patch by patch."""
     wavelength = np.arange(380.0, 781.0, 5.0)
     _, reflectance = spectra.colorchecker(wavelength)
     weights = spectra.xyz_weights(wavelength) * spectra.illuminant("D65", wavelength)
@@ -96,8 +96,8 @@ def test_other_developers_make_a_true_picture(made: Path) -> None:
 
 def test_tags_are_those_of_the_specification(made: Path) -> None:
     with tifffile.TiffFile(files(made)[0]) as file:
-        found = file.pages[0].tags.values()
-        tags, kind = {tag.code: tag.value for tag in found}, {tag.code: (int(tag.dtype), tag.count) for tag in found}
+        written = file.pages[0].tags.values()
+        tags, kind = {tag.code: tag.value for tag in written}, {tag.code: (int(tag.dtype), tag.count) for tag in written}
     kinds = {
         254: (4, 1), 274: (3, 1), 33421: (3, 2), 33422: (1, 4), 50706: (1, 4), 50707: (1, 4), 50710: (1, 3), 50711: (3, 1),
         50713: (3, 2), 50714: (5, 1), 50717: (4, 1), 50718: (5, 2), 50719: (4, 2), 50720: (4, 2), 50721: (10, 9),
@@ -163,7 +163,7 @@ def test_the_matrix_meets_white_and_surfaces(recipe: str) -> None:
         assert np.abs(xyz @ matrix.T - channels).mean() < 0.02
 
 
-def test_what_is_in_the_way_is_refused(refused: Callable, made: Path, tmp_path: Path) -> None:
+def test_what_exists_already_is_refused(refused: Callable, made: Path, tmp_path: Path) -> None:
     call = ("simulate", made / "scenes.toml", "--camera", made / "camera.toml", "-o", tmp_path / "t.h5", "--dng")
     (tmp_path / "file").write_bytes(b"")
     assert "name a folder" in refused(1, *call, tmp_path / "file")

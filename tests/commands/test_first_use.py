@@ -57,7 +57,7 @@ def test_l3_alone_explains_itself_and_is_a_wrong_call(l3: Callable) -> None:
 
 
 @places
-def test_a_recipe_is_found_by_its_name(place: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_recipe_is_opened_by_its_name(place: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     kind = ASKED[place][1]
     name = EXAMPLES[kind]
@@ -108,8 +108,8 @@ def test_the_worked_example_finds_its_recipes_in_an_installed_wheel(tmp_path: Pa
     run = subprocess.run(
         [sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60, check=True
     )
-    found = {Path(line) for line in run.stdout.split()} - {Path("lab/MEASUREMENTS.toml")}
-    assert found == {
+    recipes = {Path(line) for line in run.stdout.split()} - {Path("lab/MEASUREMENTS.toml")}
+    assert recipes == {
         package / "configs" / name
         for name in ("cameras/fiveband.toml", "scenes/default.toml", "classes/default.toml", "scenes/demo_unseen.toml")
     }
@@ -149,9 +149,11 @@ def test_no_message_cites_what_users_do_not_have() -> None:
 
     for path in (CONFIGS.parent / "l3cli").rglob("*.py"):
         tree = ast.parse(path.read_text(encoding="utf-8"))
-        told = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}  # docstrings are for programmers
+        docstrings = {
+            id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)
+        }  # docstrings are for programmers
         for node in ast.walk(tree):
-            if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in told:
+            if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docstrings:
                 assert "METHOD" not in node.value, (path, node.lineno)
 
 
@@ -179,8 +181,8 @@ def test_all_pictures_that_do_not_fit_are_named_before_any_work(
 
     monkeypatch.setattr(stage, "simulate_unit", lambda unit: pytest.fail("work has begun"))
     line = refused(3, "simulate", pictures, "--camera", bayer_recipe, "-o", pictures.parent / "out.h5")
-    for told in ("4 of 6 scenes", "b.png is 300×400", "d.png is 193×60", "192×256", "e.png is 10×90", "16×16", "f.png"):
-        assert told in line
+    for part in ("4 of 6 scenes", "b.png is 300×400", "d.png is 193×60", "192×256", "e.png is 10×90", "16×16", "f.png"):
+        assert part in line
     assert all(cure in line for cure in ("scale", "shrink", "--skip-bad"))
     many = pictures.parent / "many"
     many.mkdir()
@@ -223,7 +225,7 @@ def test_a_size_is_that_of_the_framed_scene(bayer: CameraModel, tmp_path: Path) 
         assert framed_size((31, 45), framing, bayer) == framed(scene, framing, bayer).reflectance.shape[:2], text
 
 
-def test_headers_tell_the_size_that_reading_gives(tmp_path: Path, bayer: CameraModel) -> None:
+def test_headers_give_the_size_that_reading_gives(tmp_path: Path, bayer: CameraModel) -> None:
     import h5py
     from scipy.io import savemat
 

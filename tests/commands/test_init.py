@@ -131,9 +131,9 @@ def test_a_benchmark_learns_from_pictures_and_judges_on_others(tmp_path: Path, l
 def test_every_recipe_that_is_shipped_can_be_read() -> None:
     kinds: dict[str, type[Recipe]] = {"scenes": SceneRecipe, "classes": TrainingRecipe, "lab": LabRecipe}
     for folder, kind in kinds.items():
-        found = sorted((CONFIGS / folder).glob("*.toml"))
-        assert found
-        for path in found:
+        paths = sorted((CONFIGS / folder).glob("*.toml"))
+        assert paths
+        for path in paths:
             load_recipe(path, kind)
     for folder in ("training", "test"):
         load_recipe(CONFIGS / f"benchmarks/bayer/{folder}.toml", SceneRecipe)

@@ -182,7 +182,7 @@ def test_a_sensor_too_small_for_a_chart_is_refused(bayer_recipe: Path, tmp_path:
     assert "too small" in refused(2, "lab", tiny, "-o", tmp_path / "lab")
 
 
-def test_hot_and_dead_pixels_and_dust_are_where_the_flaws_say(bayer: CameraModel) -> None:
+def test_hot_and_dead_pixels_and_dust_are_where_the_recipe_says(bayer: CameraModel) -> None:
     recipe = FlawRecipe(hot_pixels_per_million=200.0, dead_pixels_per_million=200.0, dust_specks_per_million=60.0)
     flaws = flaws_of(bayer, recipe)
     assert len(flaws.hot) == len(flaws.dead) == 10

@@ -1,4 +1,4 @@
-"""How the commands behave towards people: help, completion, progress, names suggested, tables that fit, cautions."""
+"""How the commands behave towards people: help, completion, progress, names suggested, tables that fit, input warnings."""
 
 import json
 import os
@@ -29,9 +29,9 @@ UNITS = re.compile(r"\b(DN|nm|pixels?|seconds?|a second|a degree|Number|numbers|
 
 
 def command(name: str) -> click.Command:
-    found = l3.get_command(click.Context(l3), name)
-    assert found is not None
-    return found
+    subcommand = l3.get_command(click.Context(l3), name)
+    assert subcommand is not None
+    return subcommand
 
 
 def called(line: str) -> click.Context:
@@ -65,23 +65,23 @@ def test_help_has_an_example_and_units_and_fits_eighty_columns(
 
 
 def test_results_can_be_had_as_json_and_talk_be_silenced() -> None:
-    told = {name: {option.name for option in command(name).params} for name in COMMANDS}
+    options = {name: {option.name for option in command(name).params} for name in COMMANDS}
     for name in ("calibrate", "evaluate", "compare", "info", "bench"):
-        assert "as_json" in told[name]
-    assert [name for name in COMMANDS if "console" not in told[name]] == ["compare", "info"]  # they do not talk
-    assert [name for name in COMMANDS if "seed" in told[name]] == ["simulate", "train", "lab"]
+        assert "as_json" in options[name]
+    assert [name for name in COMMANDS if "console" not in options[name]] == ["compare", "info"]  # they do not talk
+    assert [name for name in COMMANDS if "seed" in options[name]] == ["simulate", "train", "lab"]
 
 
 def test_versions_and_devices(l3: Callable, refused: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     assert l3("--version")[1].split() == ["l3,", "version", __version__]
     code, out, err = l3("info", "--version", "--json")
     assert (code, err) == (0, "")
-    found = json.loads(out)
-    assert found["l3"] == __version__
-    assert found["python"] == ".".join(map(str, sys.version_info[:3]))
-    assert found["devices"][0].startswith("0: ")
+    document = json.loads(out)
+    assert document["l3"] == __version__
+    assert document["python"] == ".".join(map(str, sys.version_info[:3]))
+    assert document["devices"][0].startswith("0: ")
     plain = l3("info", "--version")[1]
-    for name, version in found["libraries"].items():
+    for name, version in document["libraries"].items():
         assert f"  {name} {version or 'is not installed'}\n" in plain
     monkeypatch.setitem(sys.modules, "pyopencl", None)
     assert 'pip install "pyopencl[pocl]"' in l3("info", "--version")[1]
@@ -93,7 +93,7 @@ def test_versions_and_devices(l3: Callable, refused: Callable, monkeypatch: pyte
 
 
 def completed(words: str) -> list[str]:
-    """What the shell is offered for the last of `words`, by a process of its own that imports nothing heavy."""
+    """What the shell is offered for the last of `words`, by a process that imports nothing heavy."""
     code = (
         "import sys, atexit\n"
         "atexit.register(lambda: print('heavy', *({'numpy', 'h5py', 'colour', 'rich', 'msgspec'} & set(sys.modules))))\n"
@@ -270,10 +270,10 @@ def test_tables_fit_a_terminal_of_eighty_columns(
     assert "95 %" in l3("evaluate", table, unseen)[1]
 
 
-# ------------------------------------------------------------------------------------------------------- cautions
+# ------------------------------------------------------------------------------------------------- input warnings
 
 
-def test_frames_that_the_table_was_not_made_for_are_told(pipeline: Path, tmp_path: Path, l3: Callable) -> None:
+def test_frames_that_the_table_was_not_made_for_are_warned_of(pipeline: Path, tmp_path: Path, l3: Callable) -> None:
     raw = next((pipeline / "unseen").glob("*_raw.tif"))
     render = ("render", pipeline / "table.h5", raw, "--backend", "reference", "-o")
     assert l3(*render, tmp_path / "fine.png") == (0, "", "")

@@ -29,7 +29,7 @@ def test_an_unseen_scene_comes_out_better_than_by_the_basic_pipeline(pipeline: P
     assert np.corrcoef(picture.ravel().astype(float), ideal.ravel().astype(float))[0, 1] > 0.95
 
 
-def test_the_history_tells_every_stage(pipeline: Path) -> None:
+def test_the_history_names_every_stage(pipeline: Path) -> None:
     table = load(TransformTable, pipeline / "table.h5")
     camera = load(CameraModel, pipeline / "camera.h5")
     assert [stage.command for stage in table.history] == ["calibrate", "simulate", "train"]

@@ -33,7 +33,7 @@ from tests.helpers.cameras import bayer_camera
 from tests.helpers.paths import ROOT
 from tests.helpers.recipes import SMALL
 
-PATH = f"{Path(sys.executable).parent}:{os.environ['PATH']}"  # programs of the environment that runs the tests are found
+PATH = f"{Path(sys.executable).parent}:{os.environ['PATH']}"  # programs of the environment that runs the tests
 CLIENT = """#!{python} -IS
 import os, sys
 from multiprocessing.connection import Client
@@ -209,11 +209,11 @@ def test_another_camera_makes_everything_again(workplace: Workplace, folder: Pat
         assert len(CALL.findall(out)) == calls, out
 
 
-def test_another_camera_takes_its_own_unseen_frames(workplace: Workplace, folder: Path) -> None:
+def test_another_camera_takes_its_unseen_frames(workplace: Workplace, folder: Path) -> None:
     shutil.copy(folder / "camera.toml", folder / "other.toml")
-    own = {"": "camera.toml", "CAMERA=other.toml": "other.toml", "MEASUREMENTS=mine.toml": "camera.h5"}
+    cameras = {"": "camera.toml", "CAMERA=other.toml": "other.toml", "MEASUREMENTS=mine.toml": "camera.h5"}
     (folder / "mine.toml").touch()
-    for asked, camera in own.items():
+    for asked, camera in cameras.items():
         assert f"simulate unseen.toml --camera {camera} " in workplace.do(folder, f"make -n -W unseen.toml {asked}")[0], (
             asked
         )
@@ -382,7 +382,7 @@ def test_a_slurm_cluster_learns_two_layers(workplace: Workplace, folder: Path) -
 
 
 @pytest.mark.parametrize("call", ["./slurm.sh", "./slurm.sh many", "./slurm.sh simulat 2"])
-def test_a_wrong_call_of_the_slurm_script_is_told(call: str, workplace: Workplace, folder: Path) -> None:
+def test_a_wrong_call_of_the_slurm_script_is_refused(call: str, workplace: Workplace, folder: Path) -> None:
     process = workplace.start(folder, call)
     assert process.communicate()[1].count("\n") == 1
     assert process.returncode in (1, 2)

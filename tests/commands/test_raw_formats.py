@@ -235,9 +235,9 @@ def test_packed_fits_and_its_header(tmp_path: Path, mosaic: np.ndarray) -> None:
 def test_a_fits_cube_is_a_sequence(tmp_path: Path, mosaic: np.ndarray) -> None:
     fits.writeto(tmp_path / "a.fits", np.stack([mosaic, mosaic // 2, mosaic // 3]))
     footage = find_frames((tmp_path / "a.fits",), RGGB, KnownBetter())
-    found = [(each.stem, each.read()) for each in footage.frames]
-    assert [stem for stem, _ in found] == ["a_000000", "a_000001", "a_000002"]
-    for divisor, (_, frame) in enumerate(found, 1):
+    read = [(each.stem, each.read()) for each in footage.frames]
+    assert [stem for stem, _ in read] == ["a_000000", "a_000001", "a_000002"]
+    for divisor, (_, frame) in enumerate(read, 1):
         assert frame is not None
         np.testing.assert_array_equal(frame.values, mosaic // divisor)
 
@@ -261,7 +261,7 @@ def test_broken_fits_is_refused(
     fits.HDUList([fits.PrimaryHDU()]).writeto(path, overwrite=True)
     assert "no image" in refused(3, "render", table, path, "-o", output)
     monkeypatch.setitem(sys.modules, "astropy.io", None)
-    monkeypatch.setenv("L3_TRUST", "1")  # the process that decodes has its own modules
+    monkeypatch.setenv("L3_TRUST", "1")  # the process that decodes has separate modules
     assert INSTALL in refused(1, "render", table, path, "-o", output)
 
 
@@ -273,12 +273,12 @@ def test_broken_fits_is_refused(
                      (tuple("abcdefghijklmnop"), np.arange(16).reshape(4, 4)), (("r", "g", "b", "o", "c"), FIVE_BAND)]),
     st.integers(0, 20), st.integers(0, 20),
 )  # fmt: skip
-def test_phase_of_our_own_codes(case: tuple[tuple[str, ...], np.ndarray], row: int, col: int) -> None:
+def test_phase_of_free_codes(case: tuple[tuple[str, ...], np.ndarray], row: int, col: int) -> None:
     channels, cfa = case
     ours = sensor(channels, np.asarray(cfa))
     seen = np.roll(channel_codes(channels)[cfa], (-row, -col), axis=(0, 1))
-    found = find_phase("f", seen, ours)
-    np.testing.assert_array_equal(np.roll(cfa, (-found[0], -found[1]), axis=(0, 1)), np.roll(cfa, (-row, -col), axis=(0, 1)))
+    phase = find_phase("f", seen, ours)
+    np.testing.assert_array_equal(np.roll(cfa, (-phase[0], -phase[1]), axis=(0, 1)), np.roll(cfa, (-row, -col), axis=(0, 1)))
 
 
 def test_codes_are_those_of_the_standard() -> None:
@@ -435,8 +435,8 @@ def test_a_dng_that_does_not_fit_is_refused(
 
 
 @pytest.mark.parametrize("name", ["a.raf", "a.nef"])
-def test_libraw_tells_the_phase_of_any_array_it_knows(tmp_path: Path, mosaic: np.ndarray, name: str) -> None:
-    """LibRaw goes by a file's content, so that a DNG under a camera's suffix takes the way of the camera's raws."""
+def test_libraw_gives_the_phase_of_any_array_it_knows(tmp_path: Path, mosaic: np.ndarray, name: str) -> None:
+    """LibRaw goes by a file's content, so that a DNG under a camera's suffix is read as the camera's raws are."""
     tags = {50829: (SHORT, [4, 6, 30, 38])}
     cfa = X_TRANS if name == "a.raf" else PATTERN
     path = write_dng(tmp_path / name, mosaic, np.roll(cfa, (-1, -1), axis=(0, 1)), tags=tags)

@@ -40,9 +40,9 @@ LINES = [line.removeprefix("$ ") for line in SHOWN if re.match(r"(\$ )?(l3 |.*\|
 
 
 def command(name: str) -> click.Command:
-    found = l3.get_command(click.Context(l3), name)
-    assert found is not None, f"l3 {name}"
-    return found
+    subcommand = l3.get_command(click.Context(l3), name)
+    assert subcommand is not None, f"l3 {name}"
+    return subcommand
 
 
 # ------------------------------------------------------------------------------------------------------- commands
@@ -50,10 +50,10 @@ def command(name: str) -> click.Command:
 
 @pytest.mark.parametrize("line", LINES)
 def test_every_command_shown_is_complete(line: str) -> None:
-    found = commands(line)
-    assert found, line
-    for name, *arguments in found:
-        command(name).make_context(name, arguments)  # a click.UsageError tells what is wrong or missing
+    calls = commands(line)
+    assert calls, line
+    for name, *arguments in calls:
+        command(name).make_context(name, arguments)  # a click.UsageError says what is wrong or missing
 
 
 def test_there_are_enough_of_them() -> None:
@@ -180,13 +180,13 @@ def test_the_trees_of_artifacts_name_what_there_is() -> None:
 
 def fields(kind: type) -> set[str]:
     """Names of a dataclass's fields, and of those of the groups below it."""
-    found = set()
+    names = set()
     for field in dataclasses.fields(kind):
-        found.add(field.name)
+        names.add(field.name)
         for each in (field.type, *getattr(field.type, "__args__", ())):
             if isinstance(each, type) and dataclasses.is_dataclass(each):
-                found |= fields(each)
-    return found
+                names |= fields(each)
+    return names
 
 
 def test_the_architecture_names_every_module_of_the_lower_floors() -> None:
@@ -204,7 +204,7 @@ def test_every_recipe_is_of_its_kind(path: Path) -> None:
     load_camera(path) if kind is CameraRecipe else load_recipe(path, kind)
 
 
-def test_keys_that_tell_a_kind_of_recipe_belong_to_it_alone() -> None:
+def test_keys_that_identify_a_kind_of_recipe_belong_to_it_alone() -> None:
     kinds: tuple[type[Recipe], ...] = (*RECIPES.values(), MeasurementRecipe)
     assert {kind.title for kind in kinds} == set(TELLING)
     for title, keys in TELLING.items():

@@ -94,7 +94,7 @@ def test_pictures_say_that_they_are_srgb(tmp_path: Path) -> None:
 
 
 def test_an_interrupted_picture_leaves_no_complaints(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    """A signal at any moment: the PNG library would tell stderr that half a picture is one."""
+    """A signal at any moment: the PNG library would print on stderr that half a picture is one."""
     picture, before = np.zeros((2, 2, 3), np.uint8), {each: signal.getsignal(each) for each in ENDING}
     ends = 0
     try:

@@ -21,7 +21,7 @@ from l3cli.io.images import read_image, write_mosaic
 from l3cli.io.numbered import numbered_files, numbered_name
 from l3cli.io.raw.files import KnownBetter
 from l3cli.io.sequences import find_frames
-from l3cli.physics.display import automatic_exposure
+from l3cli.physics.display import exposure_scale
 from l3cli.rendering.exposure import TIME_CONSTANT, LightMeter, SteadyExposure
 from l3cli.rendering.reference import ReferenceRenderer
 from tests.helpers.calls import L3, Refused
@@ -48,11 +48,11 @@ def folder(tmp_path: Path) -> Path:
 @pytest.fixture
 def truth(l3: Callable, tmp_path: Path, table: Path, folder: Path) -> list[np.ndarray]:
     """Each frame rendered alone, at one exposure."""
-    found = []
+    rendered = []
     for path in sorted(folder.iterdir()):
         assert l3("render", table, path, "-o", tmp_path / "alone.png", "--exposure", 0.8, "--force", *FAST) == (0, "", "")
-        found.append(read_image(tmp_path / "alone.png")[0])
-    return found
+        rendered.append(read_image(tmp_path / "alone.png")[0])
+    return rendered
 
 
 # ------------------------------------------------------------------------------------------------------------ inputs
@@ -76,9 +76,9 @@ def test_a_stack_gives_the_pictures_of_its_frames(
 ) -> None:
     source = write_stack(tmp_path / stack)
     assert l3("render", table, source, "-o", tmp_path / "out", "--exposure", 0.8, *FAST) == (0, "", "")
-    found = pictures(tmp_path / "out")
-    assert list(found) == [f"a_{number:06d}.png" for number in range(COUNT)]
-    np.testing.assert_array_equal(list(found.values()), truth)
+    rendered = pictures(tmp_path / "out")
+    assert list(rendered) == [f"a_{number:06d}.png" for number in range(COUNT)]
+    np.testing.assert_array_equal(list(rendered.values()), truth)
 
 
 @pytest.mark.parametrize("name", ["", "frame_%02d.tif", "frame_##.tif", "frame_*.tif", "frame_[01]?.tif"])
@@ -86,9 +86,9 @@ def test_files_of_a_folder_keep_names_and_numbers(
     l3: L3, tmp_path: Path, table: Path, folder: Path, truth: list[np.ndarray], name: str
 ) -> None:
     assert l3("render", table, folder / name, "-o", tmp_path / "out", "--exposure", 0.8, *FAST) == (0, "", "")
-    found = pictures(tmp_path / "out")
-    assert list(found) == [f"frame_{number:02d}.png" for number in range(7, 12)]
-    np.testing.assert_array_equal(list(found.values()), truth)
+    rendered = pictures(tmp_path / "out")
+    assert list(rendered) == [f"frame_{number:02d}.png" for number in range(7, 12)]
+    np.testing.assert_array_equal(list(rendered.values()), truth)
     assert l3("render", table, folder / name, "-o", tmp_path / "new/p_%04d.png", "--exposure", 0.8, *FAST)[0] == 0
     assert list(pictures(tmp_path / "new")) == [f"p_{number:04d}.png" for number in range(7, 12)]
 
@@ -98,9 +98,9 @@ def test_stdin_is_a_stream_of_frames(tmp_path: Path, table: Path, folder: Path, 
     given = frames().astype("<u2").tobytes()
     command = [sys.executable, "-c", RUN, *(str(part) for part in render)]
     subprocess.run([*command, "--frames", "1-4x3"], input=given, check=True)
-    found = pictures(tmp_path / "out")
-    assert list(found) == ["0001.png", "0004.png"]
-    np.testing.assert_array_equal(list(found.values()), [truth[1], truth[4]])
+    rendered = pictures(tmp_path / "out")
+    assert list(rendered) == ["0001.png", "0004.png"]
+    np.testing.assert_array_equal(list(rendered.values()), [truth[1], truth[4]])
     cut = subprocess.run([*command, "--force"], input=given[:-1], capture_output=True)
     assert (cut.returncode, cut.stderr.count(b"\n")) == (3, 1)
     assert b"frame 4: stdin ends within the frame" in cut.stderr
@@ -120,14 +120,14 @@ def test_camera_raws_of_a_folder_are_a_sequence(l3: L3, l3_data: Path, tmp_path:
     (tmp_path / "clip/A001.wav").write_bytes(b"sound")
     save(random_table(BAYER, bits=14, patch=3), tmp_path / "camera.h5")
     assert l3("render", tmp_path / "camera.h5", tmp_path / "clip", "-o", tmp_path / "out", "--format", "jpg")[0] == 0
-    found = pictures(tmp_path / "out", "*.jpg")
-    assert list(found) == ["A001_000001.jpg", "A001_000002.jpg"]
-    assert found["A001_000001.jpg"].shape == (1156, 1734, 3)
+    rendered = pictures(tmp_path / "out", "*.jpg")
+    assert list(rendered) == ["A001_000001.jpg", "A001_000002.jpg"]
+    assert rendered["A001_000001.jpg"].shape == (1156, 1734, 3)
 
 
-def test_cinema_dng_tells_its_rate(tmp_path: Path) -> None:
-    told = [(51044, "2i", 1, (24000, 1001), True)]
-    for name, tags in (("a_1.dng", told), ("a_2.dng", told), ("b_1.dng", []), ("b_2.dng", [])):
+def test_cinema_dng_states_its_rate(tmp_path: Path) -> None:
+    rate_tag = [(51044, "2i", 1, (24000, 1001), True)]
+    for name, tags in (("a_1.dng", rate_tag), ("a_2.dng", rate_tag), ("b_1.dng", []), ("b_2.dng", [])):
         tifffile.imwrite(tmp_path / name, frames()[0], extratags=tags)
     known = KnownBetter()
     assert find_frames((tmp_path / "a_*.dng",), RGGB, known).rate == Fraction(24000, 1001)
@@ -325,9 +325,9 @@ def other_frame(path: Path) -> None:
     assert path.stat().st_size == size
 
 
-@pytest.mark.parametrize("way", ["folder", "pattern", "glob", "names", "stack"])
+@pytest.mark.parametrize("source", ["folder", "pattern", "glob", "names", "stack"])
 def test_resuming_notices_inputs_that_changed(
-    l3: L3, refused: Refused, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, table: Path, folder: Path, way: str
+    l3: L3, refused: Refused, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, table: Path, folder: Path, source: str
 ) -> None:
     inputs = {
         "folder": (folder,),
@@ -335,10 +335,10 @@ def test_resuming_notices_inputs_that_changed(
         "glob": (folder / "*.tif",),
         "names": sorted(folder.iterdir()),
         "stack": (write_stack(tmp_path / "long.npy"),),
-    }[way]
+    }[source]
     call = ("render", table, *inputs, "--exposure", 0.8, *FAST, "-o", tmp_path / "out")
     stopped(l3, monkeypatch, 2, *call)
-    if way == "stack":
+    if source == "stack":
         np.save(tmp_path / "long.npy", frames()[::-1])
     else:
         other_frame(folder / "frame_08.tif")
@@ -438,8 +438,8 @@ def test_the_meter_reads_what_the_table_would_show(cfa: list[list[int]]) -> None
     frame = RawFrame("f", values, 100.0, 4095.0, phase=(1, 1))
     exact = ReferenceRenderer(table).exact_outputs(frame)[1]
     period = table.cfa.shape
-    seen = exact[:: period[0], :: period[1]]  # the site that is looked at
-    assert LightMeter(table).brightness(frame) == pytest.approx(1 / automatic_exposure(seen), rel=0.02)
+    seen = exact[:: period[0], :: period[1]]  # the site that is measured
+    assert LightMeter(table).brightness(frame) == pytest.approx(1 / exposure_scale(seen), rel=0.02)
     for shape in ((1, 1), (3, 50), (7, 2)):
         small = RawFrame("f", values[: shape[0], : shape[1]], 50.0, 4000.0)
         assert np.isfinite(LightMeter(table).brightness(small))
@@ -451,18 +451,18 @@ def scales(brightness: list[float], rate: int = 30) -> np.ndarray:
 
 
 def test_noise_does_not_flicker() -> None:
-    found = scales([0.5 * (1.1 if number % 2 else 1 / 1.1) for number in range(200)])
-    change = np.abs(np.diff(np.log(found)))
+    exposures = scales([0.5 * (1.1 if number % 2 else 1 / 1.1) for number in range(200)])
+    change = np.abs(np.diff(np.log(exposures)))
     assert change[1:].max() < 0.01  # ±10 % from frame to frame becomes less than 1 %
-    assert np.ptp(np.log(found[100:])) < 0.01
+    assert np.ptp(np.log(exposures[100:])) < 0.01
 
 
 def test_a_change_of_light_is_followed_without_overshoot() -> None:
-    found = scales([0.2] * 30 + [0.8] * 150)
-    np.testing.assert_allclose(found[:30], 5.0)
-    assert (np.diff(found[29:]) < 0).all()
-    assert found[-1] == pytest.approx(1 / 0.8, rel=0.02)
-    after = np.log(found[30 + int(TIME_CONSTANT * 30) - 1] / 5.0) / np.log(0.2 / 0.8)
+    exposures = scales([0.2] * 30 + [0.8] * 150)
+    np.testing.assert_allclose(exposures[:30], 5.0)
+    assert (np.diff(exposures[29:]) < 0).all()
+    assert exposures[-1] == pytest.approx(1 / 0.8, rel=0.02)
+    after = np.log(exposures[30 + int(TIME_CONSTANT * 30) - 1] / 5.0) / np.log(0.2 / 0.8)
     assert after == pytest.approx(1 - np.exp(-1))
     # as many seconds at any rate
     assert scales([0.2] * 60 + [0.8] * 60, 60)[-1] == pytest.approx(scales([0.2] * 30 + [0.8] * 30, 30)[-1])
@@ -472,7 +472,7 @@ def test_dark_frames_leave_the_exposure_where_it_was() -> None:
     np.testing.assert_allclose(scales([0.0, -1.0, 0.5, 0.0]), [1, 1, 2, 2])
 
 
-def test_files_named_one_by_one_have_their_own_exposure_a_sequence_has_a_common_one(
+def test_files_named_one_by_one_have_separate_exposures_a_sequence_has_a_common_one(
     l3: L3, tmp_path: Path, table: Path, folder: Path
 ) -> None:
     call = ("render", table, "--backend", "reference")

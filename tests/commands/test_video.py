@@ -63,12 +63,12 @@ def test_videos_say_what_they_hold(
     with av.open(str(tmp_path / name)) as video:
         stream = video.streams.video[0]
         times = [float(frame.time) for frame in video.decode(video=0)]
-        found = stream.codec_context  # after decoding, since frames may say otherwise than the container
-        tags = (found.name, found.pix_fmt, int(found.color_trc), int(found.colorspace), int(found.color_range))
+        context = stream.codec_context  # after decoding, since frames may say otherwise than the container
+        tags = (context.name, context.pix_fmt, int(context.color_trc), int(context.colorspace), int(context.color_range))
         assert tags == OUTPUTS[arguments]
-        assert int(found.color_primaries) == 1
+        assert int(context.color_primaries) == 1
         assert stream.average_rate == Fraction(24000, 1001)
-        assert (found.width, found.height) == (RGGB.cols, RGGB.rows)
+        assert (context.width, context.height) == (RGGB.cols, RGGB.rows)
     np.testing.assert_allclose(times, np.arange(COUNT) * 1001 / 24000, atol=1e-3)
 
 
@@ -213,7 +213,7 @@ def test_without_pyav_the_cure_is_named(
 ) -> None:
     (tmp_path / "clip.mkv").touch()
     monkeypatch.setitem(sys.modules, "av", None)
-    monkeypatch.setenv("L3_TRUST", "1")  # the process that decodes has its own modules
+    monkeypatch.setenv("L3_TRUST", "1")  # the process that decodes has separate modules
     for source, output in ((stack, "a.mp4"), (stack, "a.y4m"), (tmp_path / "clip.mkv", "out")):
         assert 'pip install "l3cli[video]"' in refused(1, "render", table, source, "-o", tmp_path / output)
 

@@ -114,7 +114,7 @@ def test_camera_raws_and_scenes_are_named_by_any_bytes(tmp_path: Path, l3: Calla
     assert "scene str = b?" in l3("info", folder / "t\udcff.h5")[1]
 
 
-def test_json_tells_names_of_any_bytes(desk: Path, tmp_path: Path, capfdbinary: Any) -> None:
+def test_json_holds_names_of_any_bytes(desk: Path, tmp_path: Path, capfdbinary: Any) -> None:
     from l3cli.cli.terminal import Terminal, show_json
 
     show_json({"name": "f\udcff\x1b\x9b\u202e"}, Terminal())

@@ -129,18 +129,18 @@ KEPT_NUMBERS = [
 
 
 @pytest.mark.parametrize("call", KEPT_NUMBERS, ids=str)
-def test_numbers_that_were_found_stay_mended(shop: Workshop, call: Call) -> None:
+def test_numbers_that_once_failed_stay_mended(shop: Workshop, call: Call) -> None:
     assert hostile_numbers.judge(shop, call) is None
 
 
-# What the long runs have found, each mended at its cause: a subject, a command, what is replaced in the whole file.
+# Failures of the long runs, each mended at its cause: a subject, a command, what is replaced in the whole file.
 KEPT: list[tuple[str, int, bytes, bytes]] = [
     ("frame.npy", 0, b"(20, 24)", b"(20, 24\n"),  # Python's tokenizer fails on the header
     ("lab.toml", 0, b"step_nm = 30.0", b"step_nm = 1e-30"),  # more wavelengths than there is memory
     ("lab.toml", 0, b"hot_pixels_per_million = 400", b"hot_pixels_per_million = 1e20"),
     ("classes.toml", 0, b"draws = 2", b"draws = 100000"),  # years
     ("classes.toml", 0, b"patches = 300", b"patches = 4294967296"),
-    ("classes.toml", 0, b"chromas = 2", b"chromas = 1000"),  # k-means of minutes before the limit was looked at
+    ("classes.toml", 0, b"chromas = 2", b"chromas = 1000"),  # k-means of minutes before the limit was checked
     ("curves.toml", 0, b"fixed_pattern_seed = 3", b"fixed_pattern_seed = 9223372036854775808"),
     ("camera.toml", 0, b"bits = 12", b"bits = 2147483647"),
     ("camera.toml", 0, b"[400, 700, 10]", b"[400, 1e20, 1e-9]"),
@@ -159,7 +159,7 @@ KEPT: list[tuple[str, int, bytes, bytes]] = [
 
 
 @pytest.mark.parametrize(("name", "command", "old", "new"), KEPT)
-def test_what_was_found_stays_mended(shop: Workshop, name: str, command: int, old: bytes, new: bytes) -> None:
+def test_files_that_once_failed_stay_mended(shop: Workshop, name: str, command: int, old: bytes, new: bytes) -> None:
     subject = next(subject for subject in SUBJECTS if subject.name == name)
     assert old in shop.whole[name]
     assert shop.judge_content(subject, shop.whole[name].replace(old, new), command) is None
@@ -180,7 +180,7 @@ KEPT_VALUES: list[tuple[str, int, str, Any]] = [
 
 
 @pytest.mark.parametrize(("name", "command", "dataset", "value"), KEPT_VALUES)
-def test_values_that_were_found_stay_refused(shop: Workshop, name: str, command: int, dataset: str, value: Any) -> None:
+def test_values_that_once_passed_stay_refused(shop: Workshop, name: str, command: int, dataset: str, value: Any) -> None:
     subject = next(subject for subject in SUBJECTS if subject.name == name)
     image = io.BytesIO(shop.whole[name])
     with h5py.File(image, "r+") as root:
@@ -231,7 +231,7 @@ def test_values_come_back_as_they_went_and_one_child_decodes_all(limited: None) 
 
 
 @pytest.mark.parametrize(
-    ("decoder", "told"),
+    ("decoder", "message"),
     [
         (crash, "makes its decoder crash (SIGSEGV)"),
         (abort, "makes its decoder crash (SIGABRT)"),
@@ -241,10 +241,10 @@ def test_values_come_back_as_they_went_and_one_child_decodes_all(limited: None) 
         (write_much, "File too large"),
     ],
 )
-def test_a_file_at_worst_ends_its_decoder(limited: None, decoder: Callable[[Path], None], told: str) -> None:
+def test_a_file_at_worst_ends_its_decoder(limited: None, decoder: Callable[[Path], None], message: str) -> None:
     with pytest.raises(InputFileError, match=r"^bad.dng") as caught:
         decoder(Path("bad.dng"))
-    assert told in str(caught.value)
+    assert message in str(caught.value)
     assert echo(Path("f"), "still here", 0)["told"][0] == "still here"
 
 
@@ -535,7 +535,7 @@ def test_one_place_prints() -> None:
             )
 
 
-def test_a_picture_is_read_alike_by_both_ways(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_picture_is_read_alike_by_both_readers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_mosaic(tmp_path / "a.tif", np.arange(480, dtype=np.uint16).reshape(20, 24))
     away = read_image(tmp_path / "a.tif")
     monkeypatch.setenv(TRUST, "1")

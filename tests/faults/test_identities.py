@@ -79,7 +79,9 @@ def test_stored_frames_are_not_removed_where_they_are_what_is_read(desk: Path, s
     spared("simulate cube.toml --camera camera.toml -o t.h5")
 
 
-def test_what_looks_like_ours_is_not_removed_where_it_is_read(desk: Path, spared: Callable[..., str], l3: Callable) -> None:
+def test_what_is_named_like_ours_is_not_removed_where_it_is_read(
+    desk: Path, spared: Callable[..., str], l3: Callable
+) -> None:
     spared_name = desk / ".a.0123abcd.l3tmp.npy"
     np.save(spared_name, frames()[0])
     held = spared_name.read_bytes()

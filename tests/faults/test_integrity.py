@@ -1,4 +1,4 @@
-"""A byte that has changed is found, wherever it lies; a history is compared with its inputs; older formats are read."""
+"""A byte that has changed is detected, wherever it lies; a history is compared with its inputs; older formats are read."""
 
 import dataclasses
 import json
@@ -56,7 +56,7 @@ def artifacts(bayer: CameraModel, fiveband: CameraModel, tmp_path_factory: pytes
 
 @settings(max_examples=400, deadline=None)
 @given(data=st.data(), kind=st.sampled_from(list(READERS)), bit=st.integers(0, 7), how=st.sampled_from(["--verify", "read"]))
-def test_a_flipped_bit_anywhere_is_found(
+def test_a_flipped_bit_anywhere_is_detected(
     data: st.DataObject, kind: str, bit: int, how: str, artifacts: dict[str, Path], tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     content = bytearray(artifacts[kind].read_bytes())
@@ -69,7 +69,7 @@ def test_a_flipped_bit_anywhere_is_found(
 
 
 @pytest.mark.parametrize("kind", list(READERS))
-def test_every_command_tells_of_a_changed_byte_in_one_line(
+def test_every_command_reports_a_changed_byte_in_one_line(
     kind: str, artifacts: dict[str, Path], refused: Refused, tmp_path: Path
 ) -> None:
     content = bytearray(artifacts[kind].read_bytes())
@@ -97,7 +97,7 @@ def test_whole_artifacts_are_right_and_read_by_any_hdf5(artifacts: dict[str, Pat
         assert path.read_bytes().startswith(container.TITLE)
 
 
-def test_a_changed_value_that_is_sealed_again_is_found_by_its_own_checksum(
+def test_a_changed_value_that_is_sealed_again_fails_its_checksum(
     artifacts: dict[str, Path], tmp_path: Path, refused: Refused
 ) -> None:
     path = tmp_path / "table.h5"
@@ -188,13 +188,13 @@ def test_the_history_is_compared_with_its_inputs(bayer_recipe: Path, tmp_path: P
     assert l3("train", *sets, "--classes", classes, "-o", table, "--quiet")[0] == 0
     code, out, err = l3("info", "--verify", table, *sets, scenes, classes, bayer_recipe, "--json")
     assert (code, err) == (0, "")
-    found = json.loads(out)
-    links = {(link["stage"], link["role"]): link for link in found["history"] if link["given"]}
+    document = json.loads(out)
+    links = {(link["stage"], link["role"]): link for link in document["history"] if link["given"]}
     assert links["train", "training set"]["given"] == [str(path) for path in sets]
     assert links["train", "recipe"]["given"] == [str(classes)]
     assert links["simulate", "camera"]["given"] == [str(bayer_recipe)]
     assert set(links["simulate", "recipe"]["given"]) == {str(scenes), str(bayer_recipe)}
-    assert found["different"] == []
+    assert document["different"] == []
     code, out, _ = l3("info", "--verify", table, sets[0])
     assert code == 0
     assert f"train training set: 1 verified ({sets[0]}), 1 not given" in out

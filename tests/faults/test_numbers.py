@@ -189,17 +189,17 @@ def test_a_terminal_of_odd_width_gets_its_bar() -> None:
 
 
 @pytest.mark.parametrize(
-    ("told", "rate"),
+    ("given", "rate"),
     [("29.97002997", Fraction(30000, 1001)), ("23.976", Fraction(2997, 125)), ("0.001", Fraction(1, 1000))],
 )
 def test_a_rate_is_the_nearest_that_a_video_holds(
-    l3: L3, tmp_path: Path, table: Path, stack: Path, told: str, rate: Fraction
+    l3: L3, tmp_path: Path, table: Path, stack: Path, given: str, rate: Fraction
 ) -> None:
     for name in ("a.mp4", "a.mkv", "a.mov"):
-        assert l3("render", table, stack, "-o", tmp_path / name, "--fps", told, *FAST) == (0, "", "")
+        assert l3("render", table, stack, "-o", tmp_path / name, "--fps", given, *FAST) == (0, "", "")
     with av.open(str(tmp_path / "a.mp4")) as video:
         assert video.streams.video[0].average_rate == rate
-    assert l3("render", table, stack, "-o", tmp_path / "a.y4m", "--fps", told, *FAST) == (0, "", "")
+    assert l3("render", table, stack, "-o", tmp_path / "a.y4m", "--fps", given, *FAST) == (0, "", "")
     assert f" F{rate.numerator}:{rate.denominator} ".encode() in (tmp_path / "a.y4m").read_bytes()[:80]
 
 
@@ -208,9 +208,9 @@ def test_a_film_of_a_nonsense_rate_has_the_usual_one(l3: L3, tmp_path: Path) -> 
 
     from l3cli.io.raw import dng
 
-    for told, rate in (((4294967295, 1), None), ((1, 4294967295), None), ((2997002997, 100000000), Fraction(30000, 1001))):
+    for stored, rate in (((4294967295, 1), None), ((1, 4294967295), None), ((2997002997, 100000000), Fraction(30000, 1001))):
         path = tmp_path / "a.dng"
-        tifffile.imwrite(path, frames()[0], photometric=32803, extratags=[(51044, 5, 1, told, True)])
+        tifffile.imwrite(path, frames()[0], photometric=32803, extratags=[(51044, 5, 1, stored, True)])
         assert dng.rate(path) == rate
 
 
@@ -233,7 +233,7 @@ def test_a_pattern_is_no_wider_than_a_name(refused: Refused, tmp_path: Path, tab
 
 
 @pytest.mark.parametrize("kind", ["stack", "pattern", "stdin", "video"])
-def test_frames_that_are_far_away_are_told_at_once(l3: L3, tmp_path: Path, table: Path, kind: str) -> None:
+def test_frames_that_are_far_away_are_listed_at_once(l3: L3, tmp_path: Path, table: Path, kind: str) -> None:
     """Each gap in one line, whatever its length."""
     given = b""
     if kind == "stack":
@@ -252,20 +252,20 @@ def test_frames_that_are_far_away_are_told_at_once(l3: L3, tmp_path: Path, table
         words = [*map(str, call), "-o", str(tmp_path / output), "--force"]
         if kind == "stdin":
             run = subprocess.run([sys.executable, "-c", RUN, *words], input=given, capture_output=True, timeout=20)
-            code, told = run.returncode, run.stderr.decode()
+            code, message = run.returncode, run.stderr.decode()
         else:
             with timed(20):
-                code, _, told = l3(*words)
-        assert code == 1, told
-        assert told.count("\n") == 2, told
-        assert f"frames {COUNT}-9999999999 are not in " in told
-        assert f"{9999999999 - COUNT + 1} of 9999999999 frames left out" in told
+                code, _, message = l3(*words)
+        assert code == 1, message
+        assert message.count("\n") == 2, message
+        assert f"frames {COUNT}-9999999999 are not in " in message
+        assert f"{9999999999 - COUNT + 1} of 9999999999 frames left out" in message
         assert len(pictures(tmp_path / "out")) == COUNT - 1
         for path in (tmp_path / "out").iterdir():
             path.unlink()
 
 
-def test_gaps_are_told_one_by_one(l3: L3, refused: Refused, tmp_path: Path, table: Path) -> None:
+def test_gaps_are_listed_one_by_one(l3: L3, refused: Refused, tmp_path: Path, table: Path) -> None:
     for number in (2, 3, 7, 9):
         write_mosaic(tmp_path / f"a_{number}.tif", frames()[0])
     call = ("render", table, tmp_path / "a_%d.tif", "-o", tmp_path / "out", *FAST)
@@ -319,7 +319,9 @@ def test_a_recipes_number_out_of_range_is_named(key: str, words: str) -> None:
 
 
 @pytest.mark.parametrize("kilobytes", [60_000, 140_000, 300_000])
-def test_too_little_address_space_is_told_before_any_work(tmp_path: Path, table: Path, stack: Path, kilobytes: int) -> None:
+def test_too_little_address_space_is_reported_before_any_work(
+    tmp_path: Path, table: Path, stack: Path, kilobytes: int
+) -> None:
     """Libraries end the program, hang or send it signals where they get no memory."""
     command = f"ulimit -v {kilobytes}; exec {sys.executable} -m l3cli render {table} {stack} -o {tmp_path}/out"
     run = subprocess.run(["bash", "-c", command], capture_output=True, timeout=20, text=True)

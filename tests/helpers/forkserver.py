@@ -1,6 +1,6 @@
 """Runs of l3 without their start-up: a process that has imported what the commands need, and forks for each run.
 
-Run as a program it is that process: it takes one JSON object a line, tells the number of the process it forks, and how that
+Run as a program it is that process: it takes one JSON object a line, prints the number of the process it forks, and how that
 ended.
 """
 
@@ -40,11 +40,11 @@ class Ended:
 
 
 class ForkServer:
-    """Starts runs in `folder`, one at a time. With `own_disks` in a mount namespace, which may mount small disks."""
+    """Starts runs in `folder`, one at a time. With `private_disks` in a mount namespace, which may mount small disks."""
 
-    def __init__(self, folder: Path, own_disks: bool = False) -> None:
+    def __init__(self, folder: Path, private_disks: bool = False) -> None:
         self.folder, self._child = folder, 0
-        prefix = ["unshare", "-rm"] if own_disks else []
+        prefix = ["unshare", "-rm"] if private_disks else []
         self._server = subprocess.Popen(
             [*prefix, sys.executable, "-m", "tests.helpers.forkserver"],
             stdin=subprocess.PIPE,
@@ -103,7 +103,7 @@ def serve() -> None:
         child = os.fork()
         if child == 0:
             _become(asked["arguments"])
-        _tell(child)
+        _send(child)
         seconds, number = asked["kill"]
         if number:
             time.sleep(seconds)
@@ -114,10 +114,10 @@ def serve() -> None:
             subprocess.run(["umount", "out"], check=True)
         words = {name: Path(f"{os.getpid()}.{name}") for name in ("out", "err")}
         said = {name: file.read_text() if file.exists() else "" for name, file in words.items()}  # killed before it had any
-        _tell({"code": code, **said, "left": left})
+        _send({"code": code, **said, "left": left})
 
 
-def _tell(answer: Any) -> None:
+def _send(answer: Any) -> None:
     print(json.dumps(answer), flush=True)
 
 

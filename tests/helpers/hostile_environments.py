@@ -183,10 +183,10 @@ def _judge_text(place: Place, ended: "subprocess.CompletedProcess[bytes]", code:
     """What is wrong with what was said."""
     said = ended.stderr.decode("utf-8", "replace")
     lines = said.splitlines()
-    told = [each for each in lines if each.startswith("l3: ")]
-    if "Traceback" in said or len(lines) - len(told) > 1 or len(told) != (bool(code) and "2" not in place.closed):
+    messages = [each for each in lines if each.startswith("l3: ")]
+    if "Traceback" in said or len(lines) - len(messages) > 1 or len(messages) != (bool(code) and "2" not in place.closed):
         return "said too much or too little"
-    if any(each.startswith("warning: ") is False for each in lines if each not in told):
+    if any(each.startswith("warning: ") is False for each in lines if each not in messages):
         return "no warning"
     text = (ended.stdout + ended.stderr).decode("latin-1" if "latin" in str(place.locale) else "utf-8")
     if any(not (letter.isprintable() or letter == "\n") for letter in text):

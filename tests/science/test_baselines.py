@@ -1,4 +1,4 @@
-"""What a table is compared with gets all that the table has: the camera's whole grid, the frame's own light, the light that
+"""What a table is compared with gets all that the table has: the camera's whole grid, the frame's light, the light that
 is wanted (docs/method.md#basic-pipeline)."""
 
 import json
@@ -43,18 +43,18 @@ def basic(tmp_path: Path, l3: Callable) -> Callable[[str, str], list[dict]]:
 
 
 def test_the_basic_matrix_is_fitted_over_all_that_the_camera_sees(basic: Callable) -> None:
-    (found,) = basic("rgbir", "exposure_share = [0.9]\n")  # sees to 830 nm; of a fit up to 780 nm alone comes 14.1, not 4.8
-    assert found["median_delta_e"] < 7
+    (frames,) = basic("rgbir", "exposure_share = [0.9]\n")  # sees to 830 nm; of a fit up to 780 nm alone comes 14.1, not 4.8
+    assert frames["median_delta_e"] < 7
 
 
 def test_the_basic_matrix_is_fitted_for_the_very_light_of_the_frame(basic: Callable) -> None:
     lights = '["D65", "lamp.csv", "0.6 A + 0.4 lamp.csv"]'
-    found = basic("fiveband", f"exposure_share = [0.9]\nluminances_cd_m2 = [7.0]\nilluminants = {lights}\n")
-    assert len(found) == 3
-    assert max(frame["median_delta_e"] for frame in found) < 5  # of the nearest CIE lights come 3.4, 8.5 and 8.6
+    frames = basic("fiveband", f"exposure_share = [0.9]\nluminances_cd_m2 = [7.0]\nilluminants = {lights}\n")
+    assert len(frames) == 3
+    assert max(frame["median_delta_e"] for frame in frames) < 5  # of the nearest CIE lights come 3.4, 8.5 and 8.6
 
 
 def test_the_basic_matrix_is_fitted_for_the_light_that_is_wanted(basic: Callable) -> None:
     head = 'exposure_share = [0.9]\nilluminants = ["A"]\n[target]\nilluminant = "lamp.csv"\n'
-    (found,) = basic("fiveband", head)
-    assert found["median_delta_e"] < 6.5  # of a fit to the frame's own light come 8.0
+    (frames,) = basic("fiveband", head)
+    assert frames["median_delta_e"] < 6.5  # of a fit to the frame's light come 8.0

@@ -87,7 +87,7 @@ def test_the_truth_comes_back(folder: Path, bayer: CameraModel, bayer_recipe: Pa
     camera = load(CameraModel, tmp_path / "camera.h5")
     true = np.array([np.interp(camera.wavelength, bayer.wavelength, curve) for curve in bayer.responsivity])
     error = np.abs(camera.responsivity - true) / true.max(axis=1, keepdims=True)
-    assert np.sqrt((error**2).mean(axis=1)).max() < 0.01  # the command's own figure, computed anew
+    assert np.sqrt((error**2).mean(axis=1)).max() < 0.01  # the command's figure, computed anew
     assert (camera.responsivity_band > 0).all()
     assert np.mean(np.abs(camera.responsivity - true) <= camera.responsivity_band) > 0.75  # 95 %, but neighbours go together
     assert camera.responsivity_band.max() < 0.02 * true.max()
@@ -181,7 +181,7 @@ def test_eq1_sees_through_the_bandwidth_of_the_lights() -> None:
     np.testing.assert_allclose(scaled, 1e-3 * recovered, atol=1e-9)  # smoothing does not depend on the unit
 
 
-def test_eq1_is_never_negative_and_smooth_when_told() -> None:
+def test_eq1_is_never_negative_and_smooth_when_asked() -> None:
     rng = np.random.default_rng(1)
     design = np.eye(40)
     values = np.maximum(0.0, np.sin(np.arange(40) / 6.0)) + rng.normal(0, 0.05, 40)
@@ -272,9 +272,9 @@ def test_cross_validation_predicts_a_chart_from_the_others() -> None:
     assert 0.03 < gain.cross_validate(photons, values, 64.0) < 0.15
 
 
-def test_patches_are_found_in_a_turned_chart_in_perspective() -> None:
+def test_patches_are_located_in_a_turned_chart_in_perspective() -> None:
     corners = np.array([[30.0, 40.0], [280.0, 20.0], [260.0, 190.0], [50.0, 170.0]])
-    found = gain.patch_map(corners, 220, 320)
+    patches = gain.patch_map(corners, 220, 320)
 
     def along(x: float, y: float) -> tuple[int, int]:
         """Pixel of chart position 0…1 by intersecting lines through the corners' diagonals, patch by patch."""
@@ -294,9 +294,9 @@ def test_patches_are_found_in_a_turned_chart_in_perspective() -> None:
 
     for patch in range(24):
         y, x = divmod(patch, 6)
-        assert found[along((x + 0.5) / 6, (y + 0.5) / 4)] == patch
-        assert found[along((x + 0.02) / 6, (y + 0.5) / 4)] == 24
-    assert (found[:15] == 24).all()
+        assert patches[along((x + 0.5) / 6, (y + 0.5) / 4)] == patch
+        assert patches[along((x + 0.02) / 6, (y + 0.5) / 4)] == 24
+    assert (patches[:15] == 24).all()
 
 
 # ---------------------------------------------------------------------------------------------------------- noise
@@ -317,7 +317,7 @@ def test_temporal_variance_knows_no_fixed_pattern_and_no_drift(body: Body) -> No
 
 
 def test_dark_frames_give_read_noise_dark_current_and_dsnu(body: Body) -> None:
-    """Few trials and a small DSNU: forgetting the estimator's own variance would add 40 %, row and column noise more."""
+    """Few trials and a small DSNU: forgetting the estimator's variance would add 40 %, row and column noise more."""
     rng = np.random.default_rng(1)
     offsets = 64.0 + rng.normal(0, 1.0, (192, 256)) + rng.normal(0, 3.0, 256) + rng.normal(0, 3.0, (192, 1))
     offsets[100, 50], offsets[101, 51] = 900.0, 20.0  # stuck pixels alone would make the DSNU 4 DN
@@ -361,11 +361,11 @@ def test_photon_transfer_stops_where_the_well_is_full(body: Body) -> None:
 def test_prnu_of_uneven_light(body: Body) -> None:
     captures, response = white_levels(9000.0, [0.1, 0.25, 0.4, 0.55], trials=20)
     levels = [measure_level(capture, body, defects.none()) for capture in captures]
-    found, dead = noise.prnu(captures, levels, np.ones((4, 3), dtype=bool), body, defects.none())
+    measured, dead = noise.prnu(captures, levels, np.ones((4, 3), dtype=bool), body, defects.none())
     assert not dead.size
     sites = (response[0::2, 0::2], np.stack([response[0::2, 1::2], response[1::2, 0::2]]), response[1::2, 1::2])
     # Known to ~0.4 %; a local mean that shrinks what it is subtracted from would cost 1 %.
-    assert np.mean(found / [site.std() for site in sites]) == pytest.approx(1.0, abs=0.006)
+    assert np.mean(measured / [site.std() for site in sites]) == pytest.approx(1.0, abs=0.006)
 
 
 def test_single_frames_and_single_exposures_are_refused(body: Body) -> None:

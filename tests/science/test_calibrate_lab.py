@@ -93,7 +93,7 @@ def test_the_monitor_and_stray_light_count(mean_lab: Path, fine_bayer_recipe: Pa
     (mean_lab / "CLEAN.toml").write_text(text.replace("spectra/mono.csv", "spectra/clean.csv"))
     result = compared(mean_lab, "CLEAN.toml", fine_bayer_recipe, tmp_path / "camera.h5", l3)
     assert worst(result, RMS) > 0.6
-    assert min(channel["R²"] for channel in result["channels"].values()) > 0.99  # which hardly tells
+    assert min(channel["R²"] for channel in result["channels"].values()) > 0.99  # which hardly shows it
 
 
 def test_processes_change_nothing(lab_folder: Path, tmp_path: Path, l3: L3) -> None:
@@ -134,7 +134,7 @@ def test_the_error_of_alpha_comes_from_the_charts() -> None:
     assert gain.gain_error(photons, 64.0 + 20.0 * photons, 64.0, 20.0, 64.0, 0.02) == pytest.approx(0.2)
 
 
-def test_defects_are_patched_by_their_own_channel() -> None:
+def test_defects_are_patched_by_their_channel() -> None:
     cfa = np.array([[0, 1], [1, 2]], dtype=np.uint8)
     picture = np.tile([[10.0, 20.0], [20.0, 30.0]], (8, 8))
     spoilt = picture.copy()

@@ -182,7 +182,7 @@ def picture(folder: Path, l3: L3, *options: object) -> tuple[bytes, str]:
     return (folder / "out.exr").read_bytes(), err
 
 
-def test_exposure_time_or_dark_frame_or_training_tell_what_is_taken_off(leaky: Path, l3: L3) -> None:
+def test_exposure_time_or_dark_frame_or_training_says_what_is_subtracted(leaky: Path, l3: L3) -> None:
     by_time, said = picture(leaky, l3, "--exposure-time", 3)
     assert "dark current" not in said
     by_frame, said = picture(leaky, l3, "--dark", leaky / "dark.npy")
@@ -227,7 +227,7 @@ def test_a_table_of_before_has_no_dark_current(leaky: Path, l3: L3) -> None:
     assert "dark" not in picture(leaky, l3)[1]
 
 
-def test_frames_of_simulate_tell_their_exposure_time(pipeline: Path, l3: L3, tmp_path: Path) -> None:
+def test_frames_of_simulate_state_their_exposure_time(pipeline: Path, l3: L3, tmp_path: Path) -> None:
     options = ("--camera", pipeline / "camera.toml", "-o", tmp_path / "u.h5")
     l3("simulate", pipeline / "unseen.toml", *options, "--pictures", tmp_path / "tif", "--dng", tmp_path / "dng", "--quiet")
     rendered = []

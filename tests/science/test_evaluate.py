@@ -1,4 +1,4 @@
-"""Quality figures: equal to ISETCam's own where it was run, zero for equal pictures, worse for worse ones; the basic
+"""Quality figures: equal to ISETCam's where it was run, zero for equal pictures, worse for worse ones; the basic
 pipeline exact where it must be; `l3 evaluate` with the keys it promises."""
 
 import dataclasses
@@ -43,11 +43,11 @@ def a_picture(seed: int) -> np.ndarray:
 
 
 def test_equal_pictures_are_perfect() -> None:
-    found = quality(a_picture(0), a_picture(0), spectra.white_point("A"))
-    errors = (found.mean_delta_e, found.median_delta_e, found.p95_delta_e, found.scielab)
+    figures = quality(a_picture(0), a_picture(0), spectra.white_point("A"))
+    errors = (figures.mean_delta_e, figures.median_delta_e, figures.p95_delta_e, figures.scielab)
     assert errors == pytest.approx((0, 0, 0, 0), abs=1e-9)
-    assert (found.psnr, found.output_psnr) == pytest.approx((120, 120))
-    assert found.ssim == pytest.approx(1)
+    assert (figures.psnr, figures.output_psnr) == pytest.approx((120, 120))
+    assert figures.ssim == pytest.approx(1)
     bands = band_quality(a_picture(0), a_picture(0), np.ones(3))
     assert (bands.mean_angle, bands.p95_angle, bands.output_psnr) == pytest.approx((0, 0, 120), abs=1e-6)
 

@@ -79,7 +79,7 @@ def learned(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     camera, lamp = load_camera(path), make_light(light, {}, load_camera(path).wavelength)
     rates = white_rates(camera, lamp)
     seconds = camera.full_scale / rates.max()
-    unit = seconds / camera.white_dose
+    unit = seconds / camera.saturation_exposure
     return Learned(camera, load(TransformTable, Path(table)), rates * seconds, spectra.white_point(light), unit)
 
 
@@ -176,7 +176,7 @@ def test_clipped_areas_of_a_picture_are_neither_black_nor_magenta(tmp_path: Path
 
 
 def test_greys_are_taught_only_where_they_clip(bayer: CameraModel) -> None:
-    """Sums of grey patches alone: white's channels are found in them, and every taught row is a clipped grey."""
+    """Sums of grey patches alone: white's channels follow from them, and every taught row is a clipped grey."""
     cases = np.arange(8).astype(np.uint16)
     rule = make_rule(ClassRecipe(patch=3, levels=6), bayer, cases)
     window = neighbourhoods(bayer.cfa, 3, 3).channel[0]

@@ -119,7 +119,7 @@ def test_electrons_and_noise_meet_isetcam(isetcam: Path, off_axis: str) -> None:
     assert np.abs(deviations).max() < 2e-3
     assert abs(np.mean(deviations)) < 2e-4  # the dark current would add 3.6e-4
     assert np.average(darks, weights=known) == pytest.approx(dark, abs=3 / np.sqrt(np.sum(known)))
-    assert 3 / np.sqrt(np.sum(known)) < dark  # so few electrons are told from none
+    assert 3 / np.sqrt(np.sum(known)) < dark  # so few electrons are distinguished from none
     # A quarter of 61 × 61 pixels a patch and channel know their variance to 4.6 %, all 72 together to 0.6 %.
     assert np.mean(variances) == pytest.approx(1.0, abs=0.02)
     assert np.std(variances) == pytest.approx(0.046, abs=0.02)
@@ -197,7 +197,7 @@ def test_targets_are_the_xyz_of_colour_science(fiveband: CameraModel, observer: 
             scale *= (cmfs.values[:, 1] @ light_values) / (other.values[:, 1] @ light_values)
         for patch, (rows, cols) in zip(patches, charts.colorchecker_patches(size), strict=True):
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # it tells that it interpolates
+                warnings.simplefilter("ignore")  # it warns that it interpolates
                 expected = colour.sd_to_XYZ(patch, cmfs, colour.SDS_ILLUMINANTS[name], method="Integration") / 100 * scale
             assert np.allclose(frame.target[:, rows, cols].mean(axis=(1, 2)), expected, rtol=2e-5), name
 
@@ -233,9 +233,9 @@ def test_daylight_and_mixtures_have_their_colours() -> None:
     seen = np.arange(400.0, 701.0, 10.0)
 
     def chromaticity(name: str, measured: dict | None = None) -> np.ndarray:
-        found = light.make_light(name, measured or {}, seen)
-        assert spectra.xyz_weights(found.wavelength)[1] @ found.radiance == pytest.approx(1.0)
-        xyz = spectra.xyz_weights(found.wavelength) @ found.radiance
+        made = light.make_light(name, measured or {}, seen)
+        assert spectra.xyz_weights(made.wavelength)[1] @ made.radiance == pytest.approx(1.0)
+        xyz = spectra.xyz_weights(made.wavelength) @ made.radiance
         return xyz / xyz.sum()
 
     for kelvin in (4500, 6504, 10000):
@@ -251,11 +251,11 @@ def test_daylight_and_mixtures_have_their_colours() -> None:
     assert np.allclose(chromaticity("lamp.csv", {"lamp.csv": (grid, table)}), d65 / d65.sum(), atol=1e-4)
 
 
-def test_a_light_on_the_cameras_own_grid_stays_there(bayer: CameraModel) -> None:
+def test_a_light_on_the_cameras_grid_stays_there(bayer: CameraModel) -> None:
     spiky = np.random.default_rng(0).random((1, bayer.wavelength.size)) + 0.1
-    found = light.make_light("lamp.csv", {"lamp.csv": (bayer.wavelength, spiky)}, bayer.wavelength)
+    made = light.make_light("lamp.csv", {"lamp.csv": (bayer.wavelength, spiky)}, bayer.wavelength)
     photons = spectra.photons_from_energy(bayer.wavelength, spiky[0])
-    assert np.allclose(light.white_rates(bayer, found) / (bayer.electron_weights @ photons), found.radiance[0] / photons[0])
+    assert np.allclose(light.white_rates(bayer, made) / (bayer.electron_weights @ photons), made.radiance[0] / photons[0])
 
 
 def test_targets_of_every_kind_are_of_one_scene(fiveband: CameraModel) -> None:
@@ -279,7 +279,7 @@ def test_targets_of_every_kind_are_of_one_scene(fiveband: CameraModel) -> None:
     assert xyz[1] == pytest.approx(10.0, rel=1e-5)
     assert seen("luminance")[0] == pytest.approx(xyz[1], rel=1e-5)
     assert np.allclose(seen("a.csv", functions, ("X", "Y", "Z"))[0], xyz, rtol=1e-4)
-    assert np.allclose(seen("camera")[0] * 0.01 / fiveband.white_dose, share, rtol=1e-5)
+    assert np.allclose(seen("camera")[0] * 0.01 / fiveband.saturation_exposure, share, rtol=1e-5)
     corrected, _ = seen("CIE 1931", wanted=d65)
     assert np.allclose(corrected / corrected[1], spectra.white_point("D65"), rtol=1e-3)
 
@@ -298,7 +298,7 @@ def test_low_rank_diffraction_stays_within_its_error(pitch: float, f_number: flo
     assert diffraction_transfer(np.array([0.0]), wavelength, f_number) == pytest.approx(1.0)
 
 
-def test_diffraction_blurs_each_band_by_its_own_transfer(bayer: CameraModel) -> None:
+def test_diffraction_blurs_each_band_by_its_transfer(bayer: CameraModel) -> None:
     """Against a Fourier transform a band, on a periodic pattern that mirrors into itself."""
     pitch, f_number, cycles = 2e-6, 4.0, 0.25
     wavelength = procedural.grid(bayer.wavelength)

@@ -68,8 +68,8 @@ def test_patches_are_windows_of_the_turned_mosaic(bayer: CameraModel) -> None:
     frame = a_frame(camera, 1, smooth=False)
     head = TrainingSet(camera=camera, outputs=("X", "Y", "Z"), target_description="")
     near = neighbourhoods(camera.cfa, 5, 3)
-    sample = sample_patches(frame, head, camera.white_dose, near.channel[1], 64, orientations(5), rng)
-    # the centre tap is the site's own channel whatever the orientation, and the target belongs to the same pixel
+    sample = sample_patches(frame, head, camera.saturation_exposure, near.channel[1], 64, orientations(5), rng)
+    # the centre tap is the site's channel whatever the orientation, and the target belongs to the same pixel
     share = frame.electrons / camera.full_scale
     truth = np.einsum("oc,crk->ork", MIX, share)
     for signal, target in zip(sample.signal, sample.target, strict=True):
@@ -129,7 +129,7 @@ def test_rare_saturation_patterns_join_the_nearest_kept_one() -> None:
 
 
 @pytest.mark.filterwarnings("error")
-def test_few_colours_are_their_own_chromas() -> None:
+def test_few_colours_become_the_chromas() -> None:
     """Charts have few; there is nothing to be said of it, such as that clusters are empty."""
     few = np.array([[0.5, 0.3, 0.2], [0.2, 0.3, 0.5], [0.1, 0.2, 0.7]])
     shares = np.repeat(few, 40, axis=0)
@@ -184,7 +184,13 @@ def test_sums_are_exact_in_any_order(bayer: CameraModel) -> None:
     assert np.abs(whole).max() < EXACT / 1000
     assert forward.count.sum() == 12000
     patches = sample_patches(
-        frames[0], head, bayer.white_dose, near.channel[1], 1000, orientations(3), np.random.default_rng([1, 2, 0, 1])
+        frames[0],
+        head,
+        bayer.saturation_exposure,
+        near.channel[1],
+        1000,
+        orientations(3),
+        np.random.default_rng([1, 2, 0, 1]),
     )
     matrix = np.sum([moment_matrix(row, 13) for row in parts[0].moments], axis=0)
     assert np.linalg.eigvalsh(matrix).min() > 0
@@ -206,7 +212,7 @@ def test_other_outputs_than_xyz(
         for seed in range(40):
             frame = a_frame(camera, seed, smooth=True)
             share = frame.electrons / camera.full_scale
-            target = np.einsum("oc,crk->ork", mix, share) * camera.white_dose / frame.exposure
+            target = np.einsum("oc,crk->ork", mix, share) * camera.saturation_exposure / frame.exposure
             writer.append(dataclasses.replace(frame, target=target.astype(np.float32), white=mix.sum(axis=1) * 80))
     (tmp_path / "classes.toml").write_text(SMALL)
     arguments = ("train", tmp_path / "training.h5", "--classes", tmp_path / "classes.toml")
@@ -215,7 +221,7 @@ def test_other_outputs_than_xyz(
     table = load(TransformTable, tmp_path / "table.h5")
     assert table.outputs == outputs
     assert table.target_description == "made-up outputs"
-    assert table.output_unit == camera.white_dose
+    assert table.output_unit == camera.saturation_exposure
     white = mix.sum(axis=1)
     assert table.white_point == pytest.approx(white / (white[0] if outputs == ("Y",) else white.mean()))
     assert (np.abs(table.first.weights).sum(axis=(1, 2)) > 0).all()
@@ -227,9 +233,9 @@ def test_other_outputs_than_xyz(
     assert code == 0, err
     pixels, names = read_image(exr)
     assert sorted(names) == sorted(outputs)
-    found = {name: pixels[..., index] for index, name in enumerate(names)}
+    planes = {name: pixels[..., index] for index, name in enumerate(names)}
     for name, truth in zip(outputs, mix @ share, strict=True):
-        assert found[name] == pytest.approx(np.full((32, 32), truth), rel=0.03)
+        assert planes[name] == pytest.approx(np.full((32, 32), truth), rel=0.03)
     assert "this table has" in refused(2, "render", tmp_path / "table.h5", raw, "-o", tmp_path / "picture.png")
     # one pass only: two steps
     code, _, err = l3(*arguments, "--shard", "1/1", "-o", tmp_path / "shard.h5")
@@ -238,31 +244,31 @@ def test_other_outputs_than_xyz(
     assert (tmp_path / "merged.h5").read_bytes() == (tmp_path / "table.h5").read_bytes()
 
 
-def test_info_tells_what_a_table_has_learned(bayer: CameraModel, tmp_path: Path, l3: Callable) -> None:
+def test_info_says_what_a_table_has_learned(bayer: CameraModel, tmp_path: Path, l3: Callable) -> None:
     training = a_set(tmp_path / "training.h5", quiet_camera(bayer), 40)
     (tmp_path / "classes.toml").write_text(SMALL)
     assert l3("train", training, "--classes", tmp_path / "classes.toml", "-o", tmp_path / "table.h5")[0] == 0
     code, out, _ = l3("info", tmp_path / "table.h5", "--json")
     assert code == 0
-    table, found = load(TransformTable, tmp_path / "table.h5"), json.loads(out)["insight"]
-    assert found["classes"]["all"] == len(table.first.weights)
-    assert found["classes"]["filled"] == int((table.first.samples == 0).sum())
-    assert found["classes"]["trained"] + found["classes"]["filled"] == len(table.first.weights)
-    assert sum(kind["patches"] for kind in found["kinds"]) == table.first.samples.sum() == 4 * 3000 * 4
+    table, insight = load(TransformTable, tmp_path / "table.h5"), json.loads(out)["insight"]
+    assert insight["classes"]["all"] == len(table.first.weights)
+    assert insight["classes"]["filled"] == int((table.first.samples == 0).sum())
+    assert insight["classes"]["trained"] + insight["classes"]["filled"] == len(table.first.weights)
+    assert sum(kind["patches"] for kind in insight["kinds"]) == table.first.samples.sum() == 4 * 3000 * 4
     # trained on flat fields whose outputs are MIX of the channels, that is what a flat signal gives
-    gains = np.array([[found["dc_gain"][output][channel] for channel in "rgb"] for output in "XYZ"])
+    gains = np.array([[insight["dc_gain"][output][channel] for channel in "rgb"] for output in "XYZ"])
     assert gains == pytest.approx(MIX, abs=0.03)
     trained = table.first.samples > 0
     noise = np.sqrt((table.first.weights[trained, 1].astype(np.float64) ** 2).sum(axis=1))
-    assert found["noise_gain"]["Y"] == pytest.approx({"median": np.median(noise), "worst": noise.max()})
-    assert found["worst"][0]["noise_gain"] == pytest.approx(noise.max())
-    assert found["worst"][0]["class"].startswith("site (")
-    assert 1 <= found["condition"]["median"] <= found["condition"]["worst"]
+    assert insight["noise_gain"]["Y"] == pytest.approx({"median": np.median(noise), "worst": noise.max()})
+    assert insight["worst"][0]["noise_gain"] == pytest.approx(noise.max())
+    assert insight["worst"][0]["class"].startswith("site (")
+    assert 1 <= insight["condition"]["median"] <= insight["condition"]["worst"]
     assert (table.first.condition[trained] >= 1).all()
     code, out, _ = l3("info", tmp_path / "table.h5")
     assert code == 0
     assert "noisiest classes:" in out
-    assert found["worst"][0]["class"] in out
+    assert insight["worst"][0]["class"] in out
 
 
 def test_saturation_cases_are_named_by_their_pattern(fiveband: CameraModel) -> None:
@@ -321,10 +327,10 @@ def test_plain_areas_show_no_cfa_pattern(bayer: CameraModel, tmp_path: Path, l3:
     member = near.channel[:, :, None] == np.arange(3)
     weights = table.first.weights.reshape(4, -1, 3, 25).astype(np.float64)
     response = np.einsum("skot,stc->skoc", weights, member)
-    own = table.first.samples.reshape(4, -1).min(axis=0) > 0  # classes that every site has seen
-    assert own.sum() > 5
-    spread = np.ptp(response[:, own], axis=0)
-    assert spread.max() < 2e-3 * np.abs(response[:, own]).max()
+    trained = table.first.samples.reshape(4, -1).min(axis=0) > 0  # classes that every site has seen
+    assert trained.sum() > 5
+    spread = np.ptp(response[:, trained], axis=0)
+    assert spread.max() < 2e-3 * np.abs(response[:, trained]).max()
 
 
 def test_the_default_recipe_file_spells_out_the_built_in_default() -> None:

@@ -44,16 +44,16 @@ LONGEST = 300  # lines of a module
 
 
 def imports(path: Path) -> set[str]:
-    found = set()
+    modules = set()
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
+            modules |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: relative import"
-            found.add(node.module or "")
+            modules.add(node.module or "")
             if node.module in ("l3cli", "tests"):
-                found |= {f"{node.module}.{alias.name}" for alias in node.names}
-    return found
+                modules |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return modules
 
 
 def floor(room: str) -> int:

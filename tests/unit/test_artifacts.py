@@ -64,13 +64,13 @@ def test_same_content_same_bytes(fiveband: CameraModel, tmp_path: Path) -> None:
 def test_a_failed_writer_leaves_nothing(fiveband: CameraModel, tmp_path: Path) -> None:
     head = TrainingSet(camera=fiveband, outputs=("X", "Y", "Z"), target_description="XYZ")
 
-    def stopped_half_way() -> None:
+    def write_and_fail() -> None:
         with write_training_set(tmp_path / "training.h5", head) as writer:
             writer.append(a_frame())
             raise RuntimeError
 
     with pytest.raises(RuntimeError):
-        stopped_half_way()
+        write_and_fail()
     assert list(tmp_path.iterdir()) == []
 
 

@@ -41,8 +41,8 @@ def test_mosaic_and_patches_are_labelled_alike(
     site = sites(rows, cols, fiveband.cfa.shape, (row_phase, col_phase))
     patches = windows(values, rule.patch, fiveband.cfa.shape)
     for number in np.unique(site):
-        own = label_patches(patches[site == number], rule, near, number) + number * rule.classes_per_site
-        assert (own == labels[site == number]).all()
+        of_site = label_patches(patches[site == number], rule, near, number) + number * rule.classes_per_site
+        assert (of_site == labels[site == number]).all()
 
 
 @pytest.mark.parametrize(("rows", "cols"), [(1, 1), (1, 23), (3, 2), (23, 3)])
@@ -77,8 +77,8 @@ def test_the_sums_fit_32_bits(fiveband: CameraModel, patch: int) -> None:
         score = np.zeros((len(rule.chroma_weights), len(patches)), np.int32)
         contrast_sum = np.zeros(len(patches), np.uint32)
         for channel in range(5):
-            own = values[:, member[:, channel]]
-            total, square = own.sum(axis=1, dtype=np.uint32), (own * own).sum(axis=1, dtype=np.uint32)
+            of_channel = values[:, member[:, channel]]
+            total, square = of_channel.sum(axis=1, dtype=np.uint32), (of_channel * of_channel).sum(axis=1, dtype=np.uint32)
             scaled = total * np.uint32(near.mean_reciprocal[site, channel])
             mean = scaled >> np.uint32(16)
             deviation = square - mean * (total + total - np.uint32(near.count[site, channel]) * mean)

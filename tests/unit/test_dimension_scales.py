@@ -164,7 +164,7 @@ def test_the_example_of_the_readme_runs(folder: Path, monkeypatch: pytest.Monkey
     ]  # fmt: skip
 
 
-def test_h5py_follows_dims_both_ways(folder: Path) -> None:
+def test_h5py_follows_dims_in_both_directions(folder: Path) -> None:
     with h5py.File(folder / "camera.h5") as root:
         responsivity = root["responsivity"]
         assert [dim.keys() for dim in responsivity.dims] == [["channel"], ["wavelength"]]

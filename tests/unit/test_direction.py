@@ -43,7 +43,7 @@ def directions(values: np.ndarray, rule: ClassRule, camera: CameraModel) -> np.n
 @pytest.mark.parametrize("name", ["bayer", "fiveband"])
 @pytest.mark.parametrize("degrees", range(0, 180, 5))
 def test_a_ramp_varies_along_its_angle(name: str, degrees: int, request: pytest.FixtureRequest) -> None:
-    """Of both signs; the share of the way that is off is at most half a step of the orientations."""
+    """Of both signs; the share of the angle that is off is at most half a step of the orientations."""
     camera = request.getfixturevalue(name)
     row, col = np.mgrid[:40, :40] - 20
     along = col * np.cos(np.radians(degrees)) + row * np.sin(np.radians(degrees))
@@ -84,8 +84,8 @@ def test_mosaic_and_patches_are_labelled_alike(fiveband: CameraModel, keys: dire
     site = sites(21, 26, fiveband.cfa.shape, (1, 2))
     assert len(np.unique(rule.split(labels).further)) > rule.further / 2
     for number in range(16):
-        own = rule.on_site(label_patches(patches[site == number], rule, near, number), number)
-        np.testing.assert_array_equal(own, labels[site == number])
+        of_site = rule.on_site(label_patches(patches[site == number], rule, near, number), number)
+        np.testing.assert_array_equal(of_site, labels[site == number])
 
 
 @pytest.mark.parametrize("keys", [FOUR, EIGHT], ids=["4", "8"])
@@ -106,7 +106,7 @@ def test_a_turned_patch_has_the_turned_direction(bayer: CameraModel, keys: direc
         before = label_patches(patches, rule, near, 0)
         for turn in orientations(patch):
             wrong = label_patches(patches[:, turn], rule, near, 0) != turned_classes(rule, turn)[before]
-            assert wrong.mean() < 0.01  # ties, in which the first way wins
+            assert wrong.mean() < 0.01  # ties, in which the first axis wins
 
 
 def test_only_turns_that_keep_every_direction_average_sums(bayer: CameraModel) -> None:

@@ -21,7 +21,7 @@ from l3cli.errors import DeviceError, RecipeError
 from l3cli.frame import RawFrame, upright
 from l3cli.physics import spectra
 from l3cli.physics.display import (
-    automatic_exposure,
+    exposure_scale,
     scene_white,
     srgb_codes,
     srgb_decoded,
@@ -141,7 +141,7 @@ def test_frames_of_one_value_and_of_one_line(renderers: tuple[ReferenceRenderer,
 @settings(max_examples=4, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_any_colour_filter_array(data: st.DataObject) -> None:
-    """Whatever the array, patch, outputs and depth, for every way of rendering; few, since each is compiled."""
+    """Whatever the array, patch, outputs and depth, for every variant; few, since each is compiled."""
     rows, cols = data.draw(st.integers(1, 8)), data.draw(st.integers(1, 8))
     patch = data.draw(st.sampled_from([3, 5, 7, 9, 11, 13, 15]))
     rng = np.random.default_rng(data.draw(st.integers(0, 2**32)))
@@ -328,7 +328,7 @@ def test_srgb_curve_at_known_values() -> None:
     assert picture[0, :, 0].tolist() == [0, 7, 10, 118, 188, 255, 255, 0]
 
 
-def test_srgb_both_ways() -> None:
+def test_srgb_and_its_inverse() -> None:
     codes = np.arange(256)
     assert srgb_codes(srgb_decoded(codes / 255)).tolist() == codes.tolist()
     np.testing.assert_allclose(xyz_from_srgb_matrix() @ srgb_from_xyz_matrix(), np.eye(3), atol=1e-12)
@@ -342,8 +342,8 @@ def test_known_colour_in_srgb() -> None:
 
 def test_automatic_exposure_maps_the_99th_percentile_to_white() -> None:
     luminance = np.linspace(0, 2, 101)[None]
-    assert automatic_exposure(luminance) == pytest.approx(1 / 1.98)
-    assert automatic_exposure(np.zeros((2, 2))) == 1.0
+    assert exposure_scale(luminance) == pytest.approx(1 / 1.98)
+    assert exposure_scale(np.zeros((2, 2))) == 1.0
 
 
 def test_scene_white_by_name_and_chromaticity() -> None:

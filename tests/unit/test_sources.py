@@ -132,10 +132,10 @@ def test_cubes_of_matlab_hdf5_and_numpy(tmp_path: Path) -> None:
     with open(tmp_path / "c.mat", "r+b") as stream:
         stream.write(b"MATLAB 7.3 MAT-file")
     assert np.array_equal(npy.read(tmp_path / "a.npy", None, "band row col").values, a_cube())
-    told = cube.read(tmp_path / "b.mat", None, "row col band")
-    assert np.array_equal(told.values, a_cube())
-    assert told.wavelength is not None
-    assert np.array_equal(told.wavelength, WAVELENGTH)
+    ordered = cube.read(tmp_path / "b.mat", None, "row col band")
+    assert np.array_equal(ordered.values, a_cube())
+    assert ordered.wavelength is not None
+    assert np.array_equal(ordered.wavelength, WAVELENGTH)
     assert np.array_equal(cube.read(tmp_path / "c.mat", "cube", "row col band").values, a_cube())
     assert np.array_equal(cube.read(tmp_path / "d.h5", "a/cube", "row col band").values, a_cube())
     with pytest.raises(InputFileError, match="a/cube, mask"):
@@ -149,10 +149,10 @@ def test_exr_channels_and_tiff_pages(tmp_path: Path) -> None:
 
     shuffled = np.random.default_rng(0).permutation(31)
     write_linear(tmp_path / "a.exr", a_cube()[..., shuffled], tuple(f"S0.{WAVELENGTH[i]:.0f},5nm" for i in shuffled))
-    told = channels.read(tmp_path / "a.exr")
-    assert np.array_equal(told.values, a_cube())
-    assert told.wavelength is not None
-    assert np.allclose(told.wavelength, WAVELENGTH + 0.5)
+    scene = channels.read(tmp_path / "a.exr")
+    assert np.array_equal(scene.values, a_cube())
+    assert scene.wavelength is not None
+    assert np.allclose(scene.wavelength, WAVELENGTH + 0.5)
     tifffile.imwrite(tmp_path / "b.tif", a_cube().transpose(2, 0, 1), photometric="minisblack")
     assert np.array_equal(pages.read(tmp_path / "b.tif").values, a_cube())
 
@@ -166,8 +166,8 @@ def test_radiance_divided_by_its_light_is_reflectance(simulated: Callable[[str],
     (relit,) = simulated(f'illuminants = ["D50"]\n{text}light = "A"\n')
     grey = relit.target[:, 0, -1] / relit.white
     assert np.ptp(grey) < 2e-3 * grey.mean()
-    (own,) = simulated(f'illuminants = ["scene"]\n{text}')
-    colour = own.target[:, 0, -1] / own.target[1, 0, -1]
+    (frame,) = simulated(f'illuminants = ["scene"]\n{text}')
+    colour = frame.target[:, 0, -1] / frame.target[1, 0, -1]
     expected = spectra.xyz_weights(WAVELENGTH) @ spectra.illuminant("A", WAVELENGTH)
     assert np.allclose(colour, expected / expected[1], rtol=1e-3)
 

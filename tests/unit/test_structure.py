@@ -26,8 +26,10 @@ def rule_of(signs: list[tuple[int, int]]) -> StructureRule:
 def structure_at_centre(picture: np.ndarray, signs: tuple[int, int] = (1, 1)) -> int:
     rows, cols = picture.shape
     level = np.zeros((rows - 2, cols - 2), np.int64)
-    found = structure.structures(picture.astype(np.int64), level, np.zeros((rows - 6, cols - 6), np.int64), rule_of([signs]))
-    return int(found[rows // 2 - 3, cols // 2 - 3])
+    labels = structure.structures(
+        picture.astype(np.int64), level, np.zeros((rows - 6, cols - 6), np.int64), rule_of([signs])
+    )
+    return int(labels[rows // 2 - 3, cols // 2 - 3])
 
 
 def grating(angle: float, amplitude: float = 2000.0) -> np.ndarray:
@@ -37,7 +39,7 @@ def grating(angle: float, amplitude: float = 2000.0) -> np.ndarray:
 
 
 @pytest.mark.parametrize("number", range(DIRECTIONS))
-def test_each_direction_of_an_edge_is_a_class_of_its_own(number: int) -> None:
+def test_each_direction_of_an_edge_is_another_class(number: int) -> None:
     assert structure_at_centre(grating(np.pi * number / DIRECTIONS)) == 2 + number
 
 
@@ -45,8 +47,8 @@ def test_noise_of_its_level_is_flat_and_corners_have_no_direction() -> None:
     rng = np.random.default_rng(0)
     noise = rng.standard_normal((200, 200)) * structure.SIGMA / np.sqrt(2)  # differences have twice the variance
     level, site = np.zeros((198, 198), np.int64), np.zeros((194, 194), np.int64)
-    found = structure.structures(np.rint(noise).astype(np.int64), level, site, rule_of([(1, 1)]))
-    assert np.mean(found == 0) > 0.97
+    labels = structure.structures(np.rint(noise).astype(np.int64), level, site, rule_of([(1, 1)]))
+    assert np.mean(labels == 0) > 0.97
     dot = np.zeros((SIZE, SIZE))
     dot[SIZE // 2, SIZE // 2] = 30000
     assert structure_at_centre(dot) == 1

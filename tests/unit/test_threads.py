@@ -162,7 +162,7 @@ def test_what_never_ends_is_not_waited_for_after_an_interrupt(monkeypatch: pytes
 
 
 def test_no_interrupt_makes_threads_wait_for_ever() -> None:
-    """At any moment of what is handed from thread to thread: half-way through a notification the next would be lost."""
+    """At any moment of what is handed from thread to thread: half through a notification the next would be lost."""
     program = """
 import random, signal, sys, time
 from l3cli import interrupts

@@ -303,13 +303,13 @@ def test_all_five_work_together(copy: Path, tmp_path: Path) -> None:
     l3 = ("-m", "l3cli")
     run(copy, tmp_path, *l3, "simulate", "scenes.toml", "--camera", "diagonal", "-o", "training.h5", "--quiet")
     assert "3 frames" in run(copy, tmp_path, *l3, "info", "training.h5")
-    told = run(copy, tmp_path, *l3, "train", "training.h5", "--classes", "classes.toml", "-o", "table.h5")
-    assert "× 5 values of direction × 3 values of peak ×" in told
+    output = run(copy, tmp_path, *l3, "train", "training.h5", "--classes", "classes.toml", "-o", "table.h5")
+    assert "× 5 values of direction × 3 values of peak ×" in output
     run(copy, tmp_path, "-c", COMPARED)
     run(copy, tmp_path, *l3, "render", "table.h5", "frame.txt", "-o", "picture.png", "--quiet")
     assert (tmp_path / "picture.png").stat().st_size > 1000
-    told = run(copy, tmp_path, *l3, "info", "table.h5")
-    assert "peak 2" in told
+    output = run(copy, tmp_path, *l3, "info", "table.h5")
+    assert "peak 2" in output
     run(copy, tmp_path, *l3, "evaluate", "table.h5", "training.h5", "--quiet")
     run(copy, tmp_path, *l3, "report", "table.h5", "-o", "page.html", "--quiet")
 

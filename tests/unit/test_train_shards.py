@@ -51,13 +51,13 @@ def test_patches_are_spread_over_frames_or_by_shares() -> None:
 def test_every_set_gets_its_share(sets: list[tuple[int, Fraction]], patches: int) -> None:
     """At least its share of the patches, and less than one more a frame; the same on every frame of the set."""
     frames, shares = zip(*sets, strict=True)
-    found, first = spread_patches(patches, frames, shares), 0
+    counts, first = spread_patches(patches, frames, shares), 0
     for count, share in sets:
-        own = found[first : first + count]
+        of_set = counts[first : first + count]
         first += count
-        assert len(set(own)) == 1
-        assert 0 <= sum(own) - patches * share / sum(shares) < count
-    assert first == len(found)
+        assert len(set(of_set)) == 1
+        assert 0 <= sum(of_set) - patches * share / sum(shares) < count
+    assert first == len(counts)
 
 
 def a_lesson(bayer: CameraModel, patches: tuple[int, ...], **recipe: Any) -> Lesson:
@@ -84,9 +84,9 @@ def test_portions_hold_every_block_of_every_site_once(bayer: CameraModel, jobs: 
     lesson, every = a_lesson(bayer, (100,) * count), list(range(0, 3 * sites, 3))
     blocks = [range(index, index + 1) for index in range(count)]
     parts = portions(lesson, every, blocks, jobs)
-    taken = [(site, block) for part in parts for block, own in part.blocks for site in own]
+    taken = [(site, block) for part in parts for block, of_block in part.blocks for site in of_block]
     assert sorted(taken, key=str) == sorted(((site, block) for site in every for block in blocks), key=str)
-    sizes = [sum(len(own) for _, own in part.blocks) for part in parts]
+    sizes = [sum(len(of_block) for _, of_block in part.blocks) for part in parts]
     assert max(sizes) - min(sizes) <= 1
     assert len(parts) == min(jobs, len(taken))
     for part in parts:
@@ -122,7 +122,7 @@ def _process(item: int) -> int:
 
 
 def lit_set(path: Path, camera: CameraModel, count: int, white: tuple[float, float, float]) -> Path:
-    """A training set under a light of its own."""
+    """A training set under another light."""
     head = TrainingSet(camera=camera, outputs=("X", "Y", "Z"), target_description="a known mix of the channels")
     with write_training_set(path, head) as writer:
         for seed in range(count):

@@ -17,7 +17,7 @@ if TYPE_CHECKING:  # the process that decodes starts without them
 Sensor: TypeAlias = "TransformTable | CameraModel"  # whose size, levels and colour filter array raw files have
 LETTERS = "RGBCMYW"  # codes 0…6 of CFAPattern: red, green, blue, cyan, magenta, yellow, white
 NAMES = ("red", "green", "blue", "cyan", "magenta", "yellow", "white")
-OWN = len(LETTERS)  # the first code of what TIFF/EP has no name for
+FREE_CODE = len(LETTERS)  # the first code of what TIFF/EP has no name for
 LARGEST = 16  # rows and columns of a file's pattern
 CURE = "give the table of this camera, or the site of the first pixel with ‹phase› ROW,COL"
 
@@ -25,20 +25,22 @@ CURE = "give the table of this camera, or the site of the first pixel with ‹ph
 def code_of(name: str) -> int | None:
     """The TIFF/EP code of a channel's name, "r" or "red"; None where it has none."""
     known = [*LETTERS.lower(), *NAMES]
-    return known.index(name.lower()) % OWN if name.lower() in known else None
+    return known.index(name.lower()) % FREE_CODE if name.lower() in known else None
 
 
 def codes_of(letters: str) -> NDArray[np.int64]:
     """The code of each of the letters of a decoder; one that TIFF/EP has not is coded by its place."""
-    return np.array([LETTERS.index(each) if each in LETTERS else OWN + index for index, each in enumerate(letters.upper())])
+    return np.array(
+        [LETTERS.index(each) if each in LETTERS else FREE_CODE + index for index, each in enumerate(letters.upper())]
+    )
 
 
 def channel_codes(channels: Sequence[str]) -> NDArray[np.uint8]:
-    """A code for each channel, all different: TIFF/EP's, or one of our own for names that it does not know."""
+    """A code for each channel, all different: TIFF/EP's, or a free one for names that it does not know."""
     codes: list[int] = []
     for index, name in enumerate(channels):
         code = code_of(name)
-        codes.append(OWN + index if code is None or code in codes else code)
+        codes.append(FREE_CODE + index if code is None or code in codes else code)
     return np.array(codes, np.uint8)
 
 
@@ -81,5 +83,5 @@ def _tiled(pattern: NDArray, size: NDArray[np.integer]) -> NDArray:
 
 def _written(pattern: NDArray[np.integer]) -> str:
     """As rg/gb; codes without a letter as numbers."""
-    rows = [[LETTERS[code].lower() if code < OWN else f"({code})" for code in row] for row in pattern.tolist()]
+    rows = [[LETTERS[code].lower() if code < FREE_CODE else f"({code})" for code in row] for row in pattern.tolist()]
     return "/".join("".join(row) for row in rows)

@@ -39,7 +39,7 @@ class Stack:
     read: Callable[[int], RawContent | None]  # by number, from 0; None: the stream ended before
     unit: str = "frame"  # what messages call one …
     first: int = 0  # … and the number that they give the first
-    rate: Fraction | None = None  # frames a second, where the file tells
+    rate: Fraction | None = None  # frames a second, where the file states them
     numbered: bool = True  # whether a picture's name has the frame's number even where there is one alone
 
     def name(self, number: int) -> str:

@@ -94,9 +94,9 @@ def _black_levels(mosaic: Mosaic, shape: tuple[int, int]) -> NDArray[np.float64]
 
 
 def rate(path: Path) -> Fraction | None:
-    """Frames a second that a CinemaDNG file tells."""
-    told = _rate(path)
-    return storable_rate(Fraction(*told)) if told else None
+    """Frames a second of a CinemaDNG file."""
+    fraction = _rate(path)
+    return storable_rate(Fraction(*fraction)) if fraction else None
 
 
 @apart
@@ -108,7 +108,7 @@ def _rate(path: Path) -> tuple[int, int] | None:
             tag = file.pages[0].tags.get(FRAME_RATE)
             rate = Fraction(*tag.value) if tag else Fraction(0)
     except (tifffile.TiffFileError, TypeError, ValueError, IndexError, ZeroDivisionError, OSError):
-        return None  # reading the frame tells what is wrong with it
+        return None  # reading the frame raises what is wrong with it
     return (rate.numerator, rate.denominator) if rate > 0 else None
 
 
@@ -118,7 +118,7 @@ def _rate(path: Path) -> tuple[int, int] | None:
 def read_tags(path: Path, shape: tuple[int, ...]) -> Mosaic:
     """What the tags say of the file's raw image, of `shape` with its masked borders.
 
-    InputFileError if they are broken, tell of no mosaic or of one of another shape.
+    InputFileError if they are broken, describe no mosaic or one of another shape.
     """
     import tifffile
 
@@ -131,7 +131,7 @@ def read_tags(path: Path, shape: tuple[int, ...]) -> Mosaic:
 
 def _raw_page(path: Path, file: Any) -> Any:
     """The full-size raw image among the file's pages and those below them."""
-    pages = [found for page in file.pages for found in (page, *(page.pages or ()))]
+    pages = [each for page in file.pages for each in (page, *(page.pages or ()))]
     kinds = (COLOUR_FILTER_ARRAY, LINEAR_RAW)
     raw = [page for page in pages if page.tags.valueof(TiffTag.PHOTOMETRIC_INTERPRETATION) in kinds]
     full = [page for page in raw if not page.tags.valueof(TiffTag.NEW_SUBFILE_TYPE, 0) & REDUCED]
@@ -178,11 +178,11 @@ def _mosaic(path: Path, first: Any, raw: Any, shape: tuple[int, ...]) -> Mosaic:
 
 
 def exposure_time(page: Any) -> float | None:
-    """Exposure time (s) that the first page of a TIFF file or DNG tells, itself (TIFF/EP) or by its Exif tags."""
-    told = page.tags.valueof(TiffTag.EXPOSURE_TIME) or (page.tags.valueof(TiffTag.EXIF) or {}).get("ExposureTime")
-    if not (isinstance(told, tuple) and len(told) == 2 and told[1]):
-        return None  # not told, or no time
-    return float(told[0] / told[1])
+    """Exposure time (s) of the first page of a TIFF file or DNG, by its tags (TIFF/EP) or by its Exif tags."""
+    seconds = page.tags.valueof(TiffTag.EXPOSURE_TIME) or (page.tags.valueof(TiffTag.EXIF) or {}).get("ExposureTime")
+    if not (isinstance(seconds, tuple) and len(seconds) == 2 and seconds[1]):
+        return None  # not stated, or no time
+    return float(seconds[0] / seconds[1])
 
 
 def _contiguous(offsets: Sequence[int], lengths: Sequence[int]) -> bool:
@@ -194,7 +194,7 @@ def _pattern(path: Path, raw: Any) -> NDArray[np.int64]:
         return np.array([[WHITE_CODE]])
     codes, shape = raw.tags.valueof(TiffTag.CFA_PATTERN), raw.tags.valueof(TiffTag.CFA_REPEAT_PATTERN_DIM)
     if codes is None or shape is None:
-        raise InputFileError(f"{path} does not tell its colour filter array; convert the camera's own file to DNG again")
+        raise InputFileError(f"{path} does not state its colour filter array; convert the camera's own file to DNG again")
     return _repeating(list(codes), shape).astype(np.int64)
 
 

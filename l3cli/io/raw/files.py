@@ -1,6 +1,6 @@
 """Raw files → RawFrame. How each format is read: registry.py.
 
-The colour filter array comes from the table. From the file come pixels, black, white, crop, orientation, and where it tells
+The colour filter array comes from the table. From the file come pixels, black, white, crop, orientation, and where it states
 of its array the phase; an array that is not the table's is refused.
 """
 
@@ -26,7 +26,7 @@ LONGEST = 1e5  # s, the longest exposure that is believed
 
 @dataclass(frozen=True)
 class KnownBetter:
-    """What the caller knows about a raw file; None: as the file or, where it does not tell, the table says."""
+    """What the caller knows about a raw file; None: as the file or else the table says."""
 
     black: float | None = None  # DN
     white: float | None = None  # DN
@@ -39,7 +39,7 @@ class KnownBetter:
 
 
 def read_raw(path: Path, table: Sensor, known: KnownBetter | None = None) -> RawFrame:
-    """The frame in `path`, read as its suffix tells; InputFileError names file and cure."""
+    """The frame in `path`, read by its suffix; InputFileError names file and cure."""
     known = known or KnownBetter()
     require_regular(path, RAW_FILE)
     kind = format_of(path)
@@ -95,8 +95,8 @@ def _corrected(frame: RawFrame, table: Sensor, known: KnownBetter) -> RawFrame:
             f"{frame.name}: black level {black:g} and white level {white:g} do not fit; give ‹black› and ‹white_level›"
         )
     rows, cols = table.cfa.shape
-    told = frame.exposure if frame.exposure is not None and 0 < frame.exposure <= LONGEST else None
-    exposure = told if known.exposure is None else known.exposure
+    recorded = frame.exposure if frame.exposure is not None and 0 < frame.exposure <= LONGEST else None
+    exposure = recorded if known.exposure is None else known.exposure
     dark = table.dark_signal(exposure) * (white - black) / (table.white - table.black)
     if not dark < white - black:
         raise InputFileError(

@@ -1,7 +1,7 @@
 """FITS: the first image of a file, a frame (row, col) or frames (frame, row, col) of unsigned integers, through astropy.
 
-astropy and no reader of our own: unsigned values are coded by BZERO, images may be packed (fpack), and headers run over
-blocks. Row order: the first row is the uppermost, unless ROWORDER says BOTTOM-UP; BAYERPAT tells the colours of the upper
+astropy and no reader of this package: unsigned values are coded by BZERO, images may be packed (fpack), and headers run over
+blocks. Row order: the first row is the uppermost, unless ROWORDER says BOTTOM-UP; BAYERPAT gives the colours of the upper
 left pixels, displaced by XBAYROFF and YBAYROFF.
 """
 
@@ -53,14 +53,14 @@ def read_fits(path: Path, number: int | None = None) -> RawContent:
         header = image.header
         pattern, order = str(header.get("BAYERPAT", "")).strip().upper(), str(header.get("ROWORDER", "")).strip().upper()
         offset = (int(header.get("YBAYROFF", 0)), int(header.get("XBAYROFF", 0)))
-        told = header.get("EXPTIME", header.get("EXPOSURE"))
+        seconds = header.get("EXPTIME", header.get("EXPOSURE"))
     if values.ndim != 2 or values.dtype.kind not in "ui" or values.dtype.itemsize > 2 or values.size == 0:
         raise InputFileError(f"{path} holds {values.dtype.name} {values.shape}; give unsigned 16-bit (rows, columns)")
     if values.min() < 0:
         raise InputFileError(f"{path} holds {values.min()} DN; give unsigned values, as BZERO = 32768 codes them")
     if order == "BOTTOM-UP":
         values = values[::-1]
-    exposure = float(told) if isinstance(told, int | float) else None
+    exposure = float(seconds) if isinstance(seconds, int | float) else None
     content = RawContent(values=np.ascontiguousarray(values, np.uint16), exposure=exposure)
     if len(pattern) == 4:
         square = np.roll(np.array(list(pattern)).reshape(2, 2), (-offset[0], -offset[1]), axis=(0, 1))

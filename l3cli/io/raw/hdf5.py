@@ -31,15 +31,15 @@ def find_stack(path: Path, dataset: str | None) -> tuple[str, int]:
     name = _only_stack(path, held) if dataset is None else dataset.strip("/")
     frames = held.get(name)
     if frames is None or not _is_stack(frames, (2, 3)):
-        found = "no dataset" if frames is None else f"{frames.dtype} {frames.shape}"
-        raise InputFileError(f"{path}: {dataset} is {found}; name with ‹dataset› one of uint16 (frame, row, col)")
+        content = "no dataset" if frames is None else f"{frames.dtype} {frames.shape}"
+        raise InputFileError(f"{path}: {dataset} is {content}; name with ‹dataset› one of uint16 (frame, row, col)")
     _require_frames(path, frames)
     return name, len(frames) if frames.ndim == 3 else 1
 
 
 @apart
 def stack_frame(path: Path, name: str, number: int) -> NDArray:
-    """One frame (row, col) of a stack that `find_stack` has found."""
+    """One frame (row, col) of a stack whose name `find_stack` returned."""
     frames = _open(path, name)[name]
     _require_frames(path, frames)
     try:
@@ -78,13 +78,15 @@ def chunks_of_a_frame(frames: Any) -> int:
 
 
 def _only_stack(path: Path, held: dict[str, Any]) -> str:
-    found = sorted(name for name, member in held.items() if _is_stack(member, (3,)))
-    if len(found) != 1:
-        told = (
-            f"{len(found)} datasets of frames ({', '.join(found[:4])})" if found else "no dataset uint16 (frame, row, col)"
+    stacks = sorted(name for name, member in held.items() if _is_stack(member, (3,)))
+    if len(stacks) != 1:
+        content = (
+            f"{len(stacks)} datasets of frames ({', '.join(stacks[:4])})"
+            if stacks
+            else "no dataset uint16 (frame, row, col)"
         )
-        raise InputFileError(f"{path} holds {told}; name one with ‹dataset›")
-    return found[0]
+        raise InputFileError(f"{path} holds {content}; name one with ‹dataset›")
+    return stacks[0]
 
 
 def _is_stack(member: Any, axes: tuple[int, ...]) -> bool:

@@ -1,4 +1,4 @@
-"""Camera raws through LibRaw: pixels, levels and colours as the file tells them."""
+"""Camera raws through LibRaw: pixels, levels and colours as the file states them."""
 
 import contextlib
 from collections.abc import Iterator

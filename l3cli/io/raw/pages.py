@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from l3cli.errors import InputFileError
 from l3cli.files import stamp
 from l3cli.io.apart import apart
-from l3cli.io.images import mono_of, open_image, read_mono, require_bearable, require_pages_told
+from l3cli.io.images import mono_of, open_image, read_mono, require_bearable, require_whole_stack
 from l3cli.io.names import named_in_utf8
 from l3cli.io.raw.content import RawContent, Request, Stack
 from l3cli.io.raw.tiff_tags import ONE_OF_MANY, REDUCED, TiffTag
@@ -50,12 +50,12 @@ def count_pages(path: Path) -> int:
     """Number of pages of a TIFF. InputFileError if there are several that differ in size or kind, as a thumbnail behind a
     picture does, or if there are images that are no page."""
     first = _page(path, 0).spec()
-    told, count = _kind(first), _count(path)
-    require_pages_told(path, first, count)
+    usual, count = _kind(first), _count(path)
+    require_whole_stack(path, first, count)
     for number in range(1, count):
-        if (kind := _kind(_page(path, number).spec())) != told:
+        if (kind := _kind(_page(path, number).spec())) != usual:
             raise InputFileError(
-                f"{path}: page {number + 1} holds {kind}, page 1 {told}; give a file whose pages are frames of one kind"
+                f"{path}: page {number + 1} holds {kind}, page 1 {usual}; give a file whose pages are frames of one kind"
             )
     return count
 

@@ -36,11 +36,11 @@ def read_pgm(path: Path) -> NDArray:
     if not (rows and cols and 0 < top < 65536):
         raise InputFileError(f"{path} says it has {rows}×{cols} values up to {top}; it is damaged")
     dtype = np.dtype(np.uint8 if top < 256 else ">u2")
-    wanted, found = rows * cols * dtype.itemsize, path.stat().st_size - header.end()
-    if found != wanted:
-        held = "is truncated" if found < wanted else "holds more than one graymap"
+    wanted, size = rows * cols * dtype.itemsize, path.stat().st_size - header.end()
+    if size != wanted:
+        held = "is truncated" if size < wanted else "holds more than one graymap"
         raise InputFileError(
-            f"{path} {held}: {found} bytes, {rows}×{cols} values have {wanted}; give whole files of one frame"
+            f"{path} {held}: {size} bytes, {rows}×{cols} values have {wanted}; give whole files of one frame"
         )
     require_picture(str(path), rows, cols)
     values = np.fromfile(path, dtype, offset=header.end()).reshape(rows, cols)

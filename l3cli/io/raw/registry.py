@@ -25,7 +25,7 @@ class RawFormat:
     sandboxed: bool = True  # decoded in a process apart
     wants_geometry: bool = False  # Request.layout
     wants_dataset: bool = False  # Request.dataset
-    has_rate: bool = False  # a file of one frame may tell the frames a second of its sequence
+    has_rate: bool = False  # a file of one frame may state the frames a second of its sequence
 
     def read(self, path: Path, request: Request) -> RawContent:
         """The frame of a file that holds one; InputFileError if it does not."""
@@ -37,7 +37,7 @@ class RawFormat:
         return self._reader.stack(path, request) if self.stackable else None
 
     def rate(self, path: Path) -> Fraction | None:
-        """Frames a second that a file of one frame tells."""
+        """Frames a second that a file of one frame states."""
         return self._reader.rate(path) if self.has_rate else None
 
     @property

@@ -23,16 +23,16 @@ _videos: dict[Path, "_RawVideo"] = {}  # the one that is being read
 
 
 def stack(path: Path, _: Request) -> Stack:
-    """The frames of a video, of which none tells how many they are."""
+    """The frames of a video, whose number is not known beforehand."""
     rate, numbers = raw_video_rate(path), itertools.count()
     return Stack(None, InOrder(lambda: raw_video_frame(path, next(numbers))).read, rate=rate)
 
 
 def raw_video_rate(path: Path) -> Fraction | None:
-    """Frames a second of a raw video, where it tells; InputFileError if it is no video, or not of one grey channel of 8 to
+    """Frames a second of a raw video, or None; InputFileError if it is no video, or not of one grey channel of 8 to
     16 bits, such as FFV1 in MKV."""
-    told = _raw_video_rate(path)
-    return storable_rate(Fraction(*told)) if told else None
+    fraction = _raw_video_rate(path)
+    return storable_rate(Fraction(*fraction)) if fraction else None
 
 
 @apart

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
-from l3cli.io.scenes.matlab import Content, array_shapes, look_up, read_content
+from l3cli.io.scenes.matlab import Content, array_shapes, read_content, variable_of
 from l3cli.scene import SpectralCube
 
 WAVELENGTH_NAMES = ("wave", "wavelength", "wavelengths", "wavelength_nm", "wavelengths_nm", "lambda", "wl", "bands", "wlens")
@@ -26,7 +26,7 @@ def cube_in(path: Path, content: Content, variable: str | None, axes: str) -> Sp
             raise InputFileError(f"{path} must hold one cube of three axes or variable name it (there: {names})")
         values = next(iter(cubes.values()))
     else:
-        values = look_up(content, variable)
+        values = variable_of(content, variable)
     if not isinstance(values, np.ndarray) or values.ndim != 3 or values.dtype.kind not in "fiu":
         raise InputFileError(f'{path} holds no cube "{variable}" of three axes; name another variable')
     order = axes.split()
@@ -35,7 +35,7 @@ def cube_in(path: Path, content: Content, variable: str | None, axes: str) -> Sp
 
 
 def size(path: Path, variable: str | None, axes: str) -> tuple[int, int]:
-    """(rows, cols) of what `read` reads, from headers where they tell it; InputFileError as there."""
+    """(rows, cols) of what `read` reads, from headers where they hold it; InputFileError as there."""
     shape = size_in(array_shapes(path), variable, axes)
     if shape is None:
         rows, cols, _ = read(path, variable, axes).values.shape  # which says what is wrong
@@ -44,23 +44,23 @@ def size(path: Path, variable: str | None, axes: str) -> tuple[int, int]:
 
 
 def size_in(shapes: dict[str, tuple[int, ...]], variable: str | None, axes: str) -> tuple[int, int] | None:
-    """(rows, cols) of the cube among arrays of these shapes; None if that cannot be told."""
+    """(rows, cols) of the cube among arrays of these shapes; None if they do not say."""
     wanted = (variable or "").replace(".", "/").strip("/")
-    found = [shape for name, shape in shapes.items() if len(shape) == 3 and (variable is None or name == wanted)]
-    if len(found) != 1:
+    candidates = [shape for name, shape in shapes.items() if len(shape) == 3 and (variable is None or name == wanted)]
+    if len(candidates) != 1:
         return None
     order = axes.split()
-    return found[0][order.index("row")], found[0][order.index("col")]
+    return candidates[0][order.index("row")], candidates[0][order.index("col")]
 
 
 def _cubes(content: Content, prefix: str = "") -> dict[str, NDArray]:
-    found: dict[str, NDArray] = {}
+    cubes: dict[str, NDArray] = {}
     for name, value in content.items():
         if isinstance(value, dict):
-            found |= _cubes(value, f"{prefix}{name}/")
+            cubes |= _cubes(value, f"{prefix}{name}/")
         elif isinstance(value, np.ndarray) and value.ndim == 3 and value.dtype.kind in "fiu":
-            found[prefix + name] = value
-    return found
+            cubes[prefix + name] = value
+    return cubes
 
 
 def _wavelengths(content: Content) -> NDArray[np.float64] | None:

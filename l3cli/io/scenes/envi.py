@@ -88,6 +88,6 @@ def _data(path: Path) -> Path:
 
 
 def _unit(header: dict[str, str], listed: list[float]) -> float:
-    """nm a unit of the listed wavelengths; where the header does not tell, their size does."""
+    """nm a unit of the listed wavelengths; by the header or else by their size."""
     named = header.get("wavelength units", "").lower()
     return UNITS.get(named, 1e3 if max(listed) < 100 else 1.0)

@@ -12,7 +12,7 @@ def find(pattern: str, folder: Path, folders: bool = False) -> list[Path]:
     if wanted(single):
         return [single]
     root = Path(single.anchor)  # "" for a relative folder
-    found = sorted(path for path in root.glob(str(single.relative_to(root))) if wanted(path))
-    if not found:
+    paths = sorted(path for path in root.glob(str(single.relative_to(root))) if wanted(path))
+    if not paths:
         raise InputFileError(f"{single} does not exist; name a scene file or a glob relative to the recipe")
-    return found
+    return paths

@@ -53,7 +53,7 @@ def read(path: Path, light: Curve | None = None) -> Scene:
 
 
 def size(path: Path, light: Curve | None = None) -> tuple[int, int]:
-    """(rows, cols) of an ISET scene, from headers where they tell it; InputFileError as `read`."""
+    """(rows, cols) of an ISET scene, from headers where they hold it; InputFileError as `read`."""
     shapes = array_shapes(path)
     for name in (f"{scene}{array}" for scene in ("scene/", "") for array in ("mcCOEF", "photons", "data/photons")):
         if len(shapes.get(name, ())) in (2, 3):
@@ -79,21 +79,21 @@ def _photons(content: Content) -> tuple[NDArray[np.float64], NDArray[np.float32]
     return _numbers(content["spectrum"]["wave"]), _decoded(content["data"]["photons"], content["data"], "dmin", "dmax")
 
 
-def _illuminant(found: Any, wavelength: NDArray[np.float64], light: Curve | None) -> NDArray[np.float64]:
+def _illuminant(stored: Any, wavelength: NDArray[np.float64], light: Curve | None) -> NDArray[np.float64]:
     """Photons of a perfect white at `wavelength`, from ISET's newer struct (photons), its older one (energy) or `light`."""
-    if not isinstance(found, dict):
+    if not isinstance(stored, dict):
         if light is None:
             raise KeyError('illuminant (or give "light" in the recipe)')
         return spectra.average(light[1].ravel(), light[0], wavelength)
-    if isinstance(found.get("data"), dict):
-        data = found["data"]
+    if isinstance(stored.get("data"), dict):
+        data = stored["data"]
         photons = np.asarray(_decoded(data["photons"], data, "min", "max"), float).ravel()
-        grid = _numbers(found["spectrum"]["wave"]) if isinstance(found.get("spectrum"), dict) else wavelength
-    elif "data" not in found:
+        grid = _numbers(stored["spectrum"]["wave"]) if isinstance(stored.get("spectrum"), dict) else wavelength
+    elif "data" not in stored:
         raise KeyError("data in its illuminant")
     else:
-        grid = _numbers(found["wavelength"])
-        photons = spectra.photons_from_energy(grid, np.asarray(found["data"], float).ravel())
+        grid = _numbers(stored["wavelength"])
+        photons = spectra.photons_from_energy(grid, np.asarray(stored["data"], float).ravel())
     return spectra.average(photons, grid, wavelength) if grid.size == photons.size else photons
 
 

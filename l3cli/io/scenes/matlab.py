@@ -44,8 +44,8 @@ def _load(path: Path, names: list[str] | None = None) -> Content:
     with _matlab(path):
         for name, shape, _ in whosmat(path):
             require_values(f"{path}: {name}", shape)
-        found = loadmat(path, variable_names=names, simplify_cells=True)
-    return _plain({name: value for name, value in found.items() if not name.startswith("__")})
+        variables = loadmat(path, variable_names=names, simplify_cells=True)
+    return _plain({name: value for name, value in variables.items() if not name.startswith("__")})
 
 
 @contextlib.contextmanager
@@ -75,9 +75,9 @@ def array_shapes(path: Path) -> dict[str, tuple[int, ...]]:
     from scipy.io import whosmat
 
     with _matlab(path):
-        told = whosmat(path)
-    shapes = {name: _squeezed(shape) for name, shape, kind in told if kind in NUMBERS}
-    structs = [name for name, _, kind in told if kind == "struct"]
+        variables = whosmat(path)
+    shapes = {name: _squeezed(shape) for name, shape, kind in variables if kind in NUMBERS}
+    structs = [name for name, _, kind in variables if kind == "struct"]
     return shapes | (dict(_shapes(_load(path, structs))) if structs else {})
 
 
@@ -143,9 +143,9 @@ def _read(path: Path, reverse: bool) -> Content:
     return content
 
 
-def look_up(content: Content, name: str) -> Any:
+def variable_of(content: Content, name: str) -> Any:
     """The member that `name` ("a", "a/b" or "a.b") leads to, or None."""
-    found: Any = content
+    value: Any = content
     for step in name.replace(".", "/").strip("/").split("/"):
-        found = found.get(step) if isinstance(found, dict) else None
-    return found
+        value = value.get(step) if isinstance(value, dict) else None
+    return value

@@ -1,4 +1,4 @@
-"""Where pictures go, what stands in their way there, and the mark that lets a sequence of them go on."""
+"""Where pictures go, which files stand there already, and the mark that lets a sequence of them go on."""
 
 import contextlib
 import hashlib
@@ -34,7 +34,7 @@ class Destination:
 
     @property
     def one_by_one(self) -> bool:
-        """Whether every frame becomes a file of its own."""
+        """Whether every frame becomes a file."""
         return self.kind in ("pattern", "folder", "file")
 
     @property
@@ -55,7 +55,7 @@ class Destination:
 
     @property
     def mark(self) -> Path:
-        """Lies beside the pictures while a run is under way, and tells `--resume` which run it was."""
+        """Lies beside the pictures while a run lasts, and identifies it to `--resume`."""
         return self.path / ".l3-render" if self.kind == "folder" else self.path.with_name(f".{self.path.name}.l3-render")
 
 
@@ -105,7 +105,7 @@ def refuse_outputs(destination: Destination, footage: Footage, force: bool, mark
     if destination.kind not in ("pattern", "folder"):
         return
     if footage.is_stream:
-        files = _in_the_way(destination, footage)
+        files = _existing(destination, footage)
     else:
         files = [destination.file(pending.number, pending.stem) for pending in footage.frames]
     if len(set(files)) < len(files):
@@ -121,7 +121,7 @@ def refuse_missing(footage: Footage) -> None:
         raise footage.absent(footage.missing[0])
 
 
-def _in_the_way(destination: Destination, footage: Footage) -> list[Path]:
+def _existing(destination: Destination, footage: Footage) -> list[Path]:
     """Pictures that are there and that frames of a stream, which may be endless, would replace."""
     if footage.wanted is None:
         return _pictures(destination)
@@ -145,7 +145,7 @@ def marked(
 ) -> Iterator[Mark | None]:
     """Refuse what cannot be written, then keep the run's mark, for a sequence of pictures, until all is done.
 
-    `key` tells all that the pictures' bytes depend on beside the inputs, which `origins` tell.
+    `key` holds all that the pictures' bytes depend on beside the inputs, which `origins` hold.
     """
     if destination.kind not in ("pattern", "folder"):
         if resume:

@@ -72,7 +72,7 @@ class RenderJob:
 
     setup: RenderSetup
     frame: RawFrame | Unread
-    scale: float  # of exposure; 0: the frame's own
+    scale: float  # of exposure; 0: automatic
 
 
 class Remote:

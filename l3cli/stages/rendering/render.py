@@ -48,7 +48,7 @@ def render(
     numbers of those to take. `dataset`: of an HDF5 input. `known`: what is known better of the inputs than they say; `dark`:
     frames without light, whose mean is taken off. `exposure`: factor of Y, None: automatic. `white`: name or chromaticity of
     the scene's white, None: the table's. `skip_bad`: leave out broken frames. `resume`: go on where a run was stopped.
-    RecipeError, InputFileError, DeviceError or L3Error before anything is written where that can be told.
+    RecipeError, InputFileError, DeviceError or L3Error before anything is written where that is known.
     """
     # One long sequence: in this order a refusal comes before any work, and no output takes the place of what is read.
     choice = VideoChoice(rate or USUAL_RATE, bits, codec, crf, preset)

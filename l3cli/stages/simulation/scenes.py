@@ -71,7 +71,7 @@ def _from_file(wanted: sources.WantedScene, path: Path, run: SimulationRun) -> "
 
 
 def _keys(source: sources.Source, path: Path, run: SimulationRun) -> dict[str, Any]:
-    """What the reader of a file is told of the recipe; a light by its wavelengths in nm and photons, None without one."""
+    """What the reader of a file gets of the recipe; a light by its wavelengths in nm and photons, None without one."""
     keys = {key: getattr(source, key) for key in format_of(sources.name_of(source), path).keys}
     if keys.get("light"):
         light = run.recorded[keys["light"]]

@@ -56,7 +56,7 @@ def simulate(
         for folder in folders:
             claims.hold_folder(folder, *WRITTEN)
         if scheduler:
-            scenes = scenes.absolute()  # its files are looked for by workers elsewhere
+            scenes = scenes.absolute()  # its files are searched for by workers elsewhere
         model, recipe = load_camera(camera), load_recipe(scenes, SceneRecipe)
         run, files = prepare(recipe, scenes, model, seed)
         files, bad = fitting(run, files, scenes, skip_bad, console)

@@ -1,4 +1,4 @@
-"""What the processes of a simulation do: read or draw a scene, simulate its frames, store each in a file of its own."""
+"""What the processes of a simulation do: read or draw a scene, simulate its frames, store each in a file."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace

@@ -44,7 +44,7 @@ def mosaics_of(frame: TrainingPair, count: int, exposed: Exposed, rng: np.random
         return
     camera = exposed.camera
     signal = frame.electrons * np.float32(1 / camera.full_scale)
-    target = frame.target * np.float32(frame.exposure / camera.white_dose)
+    target = frame.target * np.float32(frame.exposure / camera.saturation_exposure)
     white = None if frame.light is None else white_signal(frame.light, camera)
     coloured = count if white is None else count - round(exposed.achromatic * count)
     for number in range(count):
@@ -64,7 +64,7 @@ def mosaics_of(frame: TrainingPair, count: int, exposed: Exposed, rng: np.random
 def white_signal(light: LightSpectrum, camera: CameraModel) -> NDArray[np.float64]:
     """Signals (channel), as shares of full scale, of a white of Y = 1 under a light."""
     radiance = spectra.resample(light.radiance.astype(np.float64), light.wavelength, camera.wavelength)
-    return np.asarray(camera.electron_weights @ radiance * (camera.white_dose / camera.full_scale))
+    return np.asarray(camera.electron_weights @ radiance * (camera.saturation_exposure / camera.full_scale))
 
 
 def _piece_of_pair(pair: TrainingPair, camera: CameraModel, rng: np.random.Generator) -> Mosaic:
@@ -74,7 +74,7 @@ def _piece_of_pair(pair: TrainingPair, camera: CameraModel, rng: np.random.Gener
     ]
     rows, cols = (slice(start, start + LARGEST_SIDE) for start in starts)
     values = pair.raw[rows, cols]
-    target = pair.target[:, rows, cols] * np.float32(pair.exposure / camera.white_dose)
+    target = pair.target[:, rows, cols] * np.float32(pair.exposure / camera.saturation_exposure)
     return Mosaic(values, np.minimum(values.astype(np.float32), np.float32(camera.white)), target)
 
 
