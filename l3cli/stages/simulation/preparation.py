@@ -61,8 +61,8 @@ def fitting(
         cure = "give scale, crop or (rgb) shrink, mend the files, or leave them out with ‹skip_bad›"
         raise InputFileError(f"{total}{listed(why)}; {cure}")
     kept = [[path for path in paths if path not in errors] for paths, errors in zip(files, refused, strict=True)]
-    drawn = any(not isinstance(source, FileSource) for source in run.recipe.scene)
-    if not (any(kept) or drawn or run.recipe.pair):
+    synthetic = any(not isinstance(source, FileSource) for source in run.recipe.scene)
+    if not (any(kept) or synthetic or run.recipe.pair):
         raise InputFileError(f"{path}: no scene is left of {len(bad)}: {listed(map(str, bad))}")
     for error in bad:
         console.alert(f"l3: {error}")
