@@ -80,12 +80,12 @@ def _bands(cube: SpectralCube, source: Spectral) -> tuple[np.ndarray, np.ndarray
         raise ValueError("holds no wavelengths; give wavelengths_nm or wavelength_range_nm in the recipe")
     shape = cube.values.shape
     if shape[2] != wavelength.size:
-        found = f"its {' × '.join(map(str, shape))} values (row × col × band) do not fit {wavelength.size} wavelengths"
+        described = f"its {' × '.join(map(str, shape))} values (row × col × band) do not fit {wavelength.size} wavelengths"
         if wavelength.size in shape[:2]:
             raise ValueError(
-                f"{found}: the bands lie along its {AXES[shape.index(wavelength.size)]} axis; turn the cube (axes)"
+                f"{described}: the bands lie along its {AXES[shape.index(wavelength.size)]} axis; turn the cube (axes)"
             )
-        raise ValueError(f"{found}; correct wavelengths_nm")
+        raise ValueError(f"{described}; correct wavelengths_nm")
     wavelength, values = spectra.ascending(wavelength, cube.values)
     if not np.isfinite(wavelength).all() or (np.diff(wavelength) <= 0).any():
         raise ValueError("its wavelengths do not increase; sort the bands or give wavelengths_nm in the recipe")

@@ -10,9 +10,9 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.measurement import CHART_COLS, CHART_ROWS, PATCHES
 from l3cli.physics import spectra
 from l3cli.physics.lens import relative_illumination
-from l3cli.simulation.flaws import FlawRecipe, flaws_of
 from l3cli.simulation.lab_recipe import SPARE, LabRecipe, MonoRecipe, check, slit_centres
 from l3cli.simulation.sensor import FixedPattern, fixed_pattern, read_out
+from l3cli.simulation.sensor_defects import DefectRecipe, defects_of
 
 FOLDERS = ("mono", "chart", "white", "dark", "spectra")  # of captures by kind, and of what the spectrometer saw
 PATCH_SIDE = 0.8  # of a chart cell; the rest is black mount
@@ -174,21 +174,21 @@ def chart_regions(camera: CameraModel) -> NDArray[np.int64]:
     return np.where(in_y[:, None] & in_x, index, PATCHES)
 
 
-def take(camera: CameraModel, capture: LabCapture, trial: int, seed: int, recipe: FlawRecipe) -> NDArray[np.uint16]:
+def take(camera: CameraModel, capture: LabCapture, trial: int, seed: int, recipe: DefectRecipe) -> NDArray[np.uint16]:
     """Frame number `trial` of a capture, (row, col) DN: the same for the same seed whoever takes it."""
     rng = np.random.default_rng([seed, 1 + capture.first + trial])
-    flaws, pattern = flaws_of(camera, recipe), fixed_pattern(camera)
+    defects, pattern = defects_of(camera, recipe), fixed_pattern(camera)
     rows, cols = camera.cfa.shape
     channel = camera.cfa[np.ix_(np.arange(camera.rows) % rows, np.arange(camera.cols) % cols)]
     region = chart_regions(camera) if capture.kind == "chart" else 0
     y, x = np.linspace(-1.0, 1.0, camera.rows), np.linspace(-1.0, 1.0, camera.cols)
-    light = falloff(y[:, None], x, capture.falloff) * flaws.shade
+    light = falloff(y[:, None], x, capture.falloff) * defects.shade
     shape = (camera.rows, camera.cols)
     light *= relative_illumination(camera.optics.image_distance, camera.pixel_pitch, shape).astype(np.float32)
-    light[flaws.dead[:, 0], flaws.dead[:, 1]] = 0.0
+    light[defects.dead[:, 0], defects.dead[:, 1]] = 0.0
     electrons = capture.electrons[region, channel] * light
-    electrons[flaws.hot[:, 0], flaws.hot[:, 1]] += recipe.hot_current_e_per_s * capture.exposure
-    return read_out(camera, FixedPattern(pattern.prnu, pattern.dsnu + flaws.columns), electrons, capture.exposure, rng)
+    electrons[defects.hot[:, 0], defects.hot[:, 1]] += recipe.hot_current_e_per_s * capture.exposure
+    return read_out(camera, FixedPattern(pattern.prnu, pattern.dsnu + defects.columns), electrons, capture.exposure, rng)
 
 
 def falloff(y: Array, x: Array, missing: float) -> Array:

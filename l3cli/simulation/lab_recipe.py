@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import LONGEST, MOST_WAVELENGTHS, CameraModel
 from l3cli.config import Count, CountOrNone, Positive, Recipe
 from l3cli.errors import RecipeError
-from l3cli.simulation.flaws import FlawRecipe, check_flaws
+from l3cli.simulation.sensor_defects import DefectRecipe, check_defects
 
 SPARE = 5.0  # nm that the spectrometer sees beyond camera and slits
 MOST_STRAY, MOST_DRIFT = 0.01, 0.2  # beyond, a slit is no slit and a lamp no lamp
@@ -67,7 +67,7 @@ class LabRecipe(Recipe):
     chart: ChartRecipe = msgspec.field(default_factory=ChartRecipe)
     white: WhiteRecipe = msgspec.field(default_factory=WhiteRecipe)
     dark: DarkRecipe = msgspec.field(default_factory=DarkRecipe)
-    flaws: FlawRecipe = msgspec.field(default_factory=FlawRecipe)
+    flaws: DefectRecipe = msgspec.field(default_factory=DefectRecipe)
     spectrometer_step_nm: float = 1.0  # sampling of the measured spectra
     wavelength_error_nm: float = 0.1  # standard deviation of the spectrometer's scale, one error a session
     lamp_drift: float = 0.01  # relative standard deviation of the lamps, slow
@@ -93,7 +93,7 @@ def check(recipe: LabRecipe, camera: CameraModel) -> None:
         raise RecipeError(f"stray_light must lie in 0…{MOST_STRAY}, falloff in 0…1, lamp_drift in 0…{MOST_DRIFT}")
     if min(recipe.monitor_error, recipe.wavelength_error_nm, *msgspec.structs.astuple(recipe.flaws)) < 0:
         raise RecipeError("monitor_error, wavelength_error_nm and the figures of flaws must not be negative")
-    check_flaws(recipe.flaws)
+    check_defects(recipe.flaws)
     if camera.rows < 64 or camera.cols < 96:
         raise RecipeError(f"a sensor of {camera.rows}×{camera.cols} is too small for a chart; the lab needs 64×96 pixels")
     if not camera.absolute:

@@ -43,13 +43,13 @@ class Light:
 
 def parts(text: str) -> list[tuple[float, str]]:
     """A recipe's light "0.7 D65 + 0.3 lamp.csv" as shares of luminance and names; RecipeError if a share is not above 0."""
-    found = []
+    weighted_parts = []
     for term in re.split(r"\s+\+\s+", text.strip()):
         weighted = re.fullmatch(r"(\d*\.?\d+)\s+(?!K$)(.+)", term)
-        found.append((float(weighted[1]), weighted[2]) if weighted else (1.0, term))
-    if min(share for share, _ in found) <= 0:
+        weighted_parts.append((float(weighted[1]), weighted[2]) if weighted else (1.0, term))
+    if min(share for share, _ in weighted_parts) <= 0:
         raise RecipeError(f'illuminant "{text}": shares must be above zero')
-    return found
+    return weighted_parts
 
 
 def make_light(text: str, measured: Mapping[str, Curve], seen: Array) -> Light:

@@ -103,7 +103,7 @@ class _Batch:
         """Factors (patch) that take patches from their own level to one that is drawn."""
         if not self.lesson.recipe.rescale:
             return np.ones(own_level.size)
-        return draw_levels(self.lesson.recipe, own_level.size, rng) / own_level
+        return draw_levels(self.lesson.recipe, self.lesson.head.camera, own_level.size, rng) / own_level
 
     def _seen(
         self, here: slice, scale: Floats, order: TapOrder, rng: np.random.Generator

@@ -17,7 +17,7 @@ from l3cli.cli import run
 from l3cli.curve_file import read_table
 from l3cli.io.curves import write_curves
 from l3cli.measurement import Body
-from l3cli.simulation.flaws import FlawRecipe, flaws_of
+from l3cli.simulation.sensor_defects import DefectRecipe, defects_of
 from tests.helpers.calls import L3
 
 MEAN = """
@@ -59,7 +59,8 @@ RMS = "responsivity RMS error (% of peak)"
 
 def test_flawed_pixels_are_listed_and_left_out(mean_lab: Path, fine_bayer_recipe: Path, tmp_path: Path, l3: L3) -> None:
     result = compared(mean_lab, "MEASUREMENTS.toml", fine_bayer_recipe, tmp_path / "camera.h5", l3)
-    flaws = flaws_of(load_camera(fine_bayer_recipe), FlawRecipe(hot_pixels_per_million=400.0, dead_pixels_per_million=400.0))
+    recipe = DefectRecipe(hot_pixels_per_million=400.0, dead_pixels_per_million=400.0)
+    flaws = defects_of(load_camera(fine_bayer_recipe), recipe)
     known = defects.join(flaws.hot, flaws.dead)
     assert len(known) == 40
     assert result["defects"] == known.tolist()

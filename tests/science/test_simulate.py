@@ -18,11 +18,11 @@ from l3cli.artifacts.training_set import TrainingFrame, open_training_set
 from l3cli.physics import spectra
 from l3cli.physics.lens import diffraction_transfer, relative_illumination
 from l3cli.scene import Scene
-from l3cli.simulation import charts, light, optics, procedural, sensor
-from l3cli.simulation.drawn import draw
+from l3cli.simulation import charts, light, optics, patterns, procedural, sensor
 from l3cli.simulation.frame import Saturating, simulate
 from l3cli.simulation.recipe import Lens
 from l3cli.simulation.sources import ColorChecker, WantedScene
+from l3cli.simulation.synthetic import draw
 from l3cli.simulation.targets import make_target
 from tests.helpers.cameras import bayer_camera
 from tests.helpers.paths import CONFIGS
@@ -208,6 +208,40 @@ def test_spectral_lines_between_samples_count() -> None:
     line = np.where(fine == 435.0, 1.0, 0.0)
     seen = spectra.sampling_matrix(fine, grid) @ line
     assert (seen * spectra.bin_widths(grid)).sum() == pytest.approx(1.0)
+
+
+def test_patterns_lie_on_their_share_of_the_leaves_and_change_nothing_else() -> None:
+    nm = procedural.grid(np.array([400.0, 700.0]))
+    plain, none, half, every = (
+        procedural.dead_leaves(np.random.default_rng(3), (64, 64), nm, *share) for share in ((), (0.0,), (0.5,), (1.0,))
+    )
+    assert (plain == none).all()
+    changed = [float((abs(cube - plain).max(axis=2) > 1e-6).mean()) for cube in (half, every)]
+    assert 0.05 < changed[0] < changed[1]
+    for cube in (half, every):
+        assert cube.min() >= 0
+        assert cube.max() <= procedural.BRIGHTEST
+
+
+def test_a_grating_covers_its_duty_at_two_pixels_a_period() -> None:
+    one = {name: np.array([value], np.float32) for name, value in (("angle", 0.7), ("kind", 0), ("present", 1))}
+    both = {name: np.full((2, 1), value, np.float32) for name, value in (("period", 4.0), ("width", 1.6), ("phase", 0.3))}
+    colour = np.ones((1, 31), np.float32)
+    grating = patterns.Patterns(
+        one["present"] > 0,
+        colour,
+        colour,
+        one["kind"].astype(int),
+        one["angle"],
+        both["period"],
+        both["width"],
+        both["phase"],
+    )
+    down, across = np.ogrid[:200, :200]
+    share = patterns.coverage(grating, np.zeros((200, 200), int), down, across)
+    assert share.mean() == pytest.approx(0.4, abs=0.01)
+    assert share.max() == pytest.approx(1.0)
+    assert share.min() == 0.0
 
 
 def test_automatic_exposure_brings_white_to_its_share(fiveband: CameraModel) -> None:

@@ -15,8 +15,8 @@ from l3cli.physics import spectra
 from l3cli.physics.display import lab
 from l3cli.scene import Scene
 from l3cli.simulation import charts, sources
-from l3cli.simulation.drawn import draw
 from l3cli.simulation.framing import framed
+from l3cli.simulation.synthetic import draw
 from tests.helpers.cubes import WAVELENGTH, a_cube, basis_file
 
 RANGE = "wavelength_range_nm = [400, 700, 10]\n"
@@ -199,11 +199,11 @@ def test_every_real_scene_opens(
 # ------------------------------------------------------------------------------------------------------- charts
 
 
-def a_drawing(source: sources.Drawn, camera: CameraModel) -> Scene:
+def a_drawing(source: sources.Synthetic, camera: CameraModel) -> Scene:
     return draw(sources.WantedScene(source), 0, camera.wavelength)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("kind", [kind for kind in sources.Drawn.__subclasses__() if kind is not sources.Random])
+@pytest.mark.parametrize("kind", [kind for kind in sources.Synthetic.__subclasses__() if kind is not sources.Random])
 def test_every_chart_of_any_size_is_a_scene(bayer: CameraModel, kind: type) -> None:
     for size in ((16, 16), (50, 97)):
         cube = a_drawing(kind(size=size), bayer).reflectance

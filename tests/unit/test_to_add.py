@@ -169,7 +169,7 @@ def read(path, request):
 
 ADDITIONS: dict[str, dict[str, str | Edits]] = {
     "camera array": {"configs/cameras/diagonal.toml": CAMERA},
-    "drawn scene": {
+    "synthetic scene": {
         "l3cli/simulation/rings.py": RINGS,
         "l3cli/simulation/sources.py": [
             (
@@ -178,7 +178,7 @@ ADDITIONS: dict[str, dict[str, str | Edits]] = {
             ),
             ("Source = (\n", "Source = (\n    Rings |"),
         ],
-        "l3cli/simulation/drawn.py": [
+        "l3cli/simulation/synthetic.py": [
             ("import charts, procedural, sources", "import charts, procedural, rings, sources"),
             (
                 "= {\n    sources.DeadLeaves:",

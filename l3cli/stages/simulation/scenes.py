@@ -1,4 +1,4 @@
-"""Scenes of a simulation: their files, read or drawn, as they lie on the sensor; which of them do not fit there."""
+"""Scenes of a simulation: their files, read or synthetic, as they lie on the sensor; which of them do not fit there."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,14 +18,14 @@ def files_of(source: sources.Source, path: Path) -> list[Path]:
 
 
 def read_scene(wanted: sources.WantedScene, run: SimulationRun) -> "Scene | ChannelPicture":
-    """The scene, read or drawn, as it lies on the sensor; InputFileError if it does not fit there."""
+    """The scene, read or synthetic, as it lies on the sensor; InputFileError if it does not fit there."""
     from l3cli.scene import ChannelPicture
-    from l3cli.simulation import drawn
+    from l3cli.simulation import synthetic
     from l3cli.simulation.framing import framed, framed_picture
 
     scene: Scene | ChannelPicture
     if wanted.path is None:
-        scene = drawn.draw(wanted, run.seed, run.camera.wavelength)
+        scene = synthetic.draw(wanted, run.seed, run.camera.wavelength)
     else:
         scene = _from_file(wanted, wanted.path, run)
     culprit = str(wanted.path or wanted.name)
@@ -84,7 +84,7 @@ def _keys(source: sources.Source, path: Path, run: SimulationRun) -> dict[str, A
 
 def refusals(run: SimulationRun, files: list[list[Path]]) -> list[dict[Path, InputFileError]]:
     """Of the files of each source those that cannot be read or do not fit on the sensor, and why, from their headers.
-    RecipeError if a drawn scene does not fit."""
+    RecipeError if a synthetic scene does not fit."""
     bad: list[dict[Path, InputFileError]] = []
     for source, paths in zip(run.recipe.scene, files, strict=True):
         bad.append({})
@@ -98,11 +98,11 @@ def refusals(run: SimulationRun, files: list[list[Path]]) -> list[dict[Path, Inp
 
 
 def _check_size(wanted: sources.WantedScene, run: SimulationRun) -> None:
-    """RecipeError for a drawn scene, InputFileError for a file, if it does not fit on the sensor."""
+    """RecipeError for a synthetic scene, InputFileError for a file, if it does not fit on the sensor."""
     from l3cli.simulation.framing import framed_size
 
     source, error = wanted.source, RecipeError if wanted.path is None else InputFileError
-    size = source.size if isinstance(source, sources.Drawn) else _file_size(wanted, run)
+    size = source.size if isinstance(source, sources.Synthetic) else _file_size(wanted, run)
     name = str(wanted.path or wanted.name)
     try:
         sources.check_size(framed_size(size, source, run.camera), run.camera, error, name)

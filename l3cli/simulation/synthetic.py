@@ -14,7 +14,7 @@ Wavelength = NDArray[np.float64]
 Painter = Callable[[Any, np.random.Generator, Wavelength], NDArray[np.float32]]
 
 PAINTERS: dict[type, Painter] = {
-    sources.DeadLeaves: lambda s, rng, nm: procedural.dead_leaves(rng, s.size, nm),
+    sources.DeadLeaves: lambda s, rng, nm: procedural.dead_leaves(rng, s.size, nm, s.patterned),
     sources.Composition: lambda s, rng, nm: procedural.composition(rng, s.size, nm),
     sources.Skin: lambda s, rng, nm: charts.material_patches("skin", rng, s.patches, s.size, nm),
     sources.Foliage: lambda s, rng, nm: charts.material_patches("leaf", rng, s.patches, s.size, nm),

@@ -14,8 +14,8 @@ from l3cli.errors import RecipeError
 MOST_SPECKS, LARGEST_SPECK = 10_000, 1000  # per million pixels; pixels in radius
 
 
-class FlawRecipe(Recipe):
-    """How flawed the virtual lab's sensor is."""
+class DefectRecipe(Recipe):
+    """The defects of the virtual lab's sensor."""
 
     hot_pixels_per_million: float = 25.0
     hot_current_e_per_s: float = 4000.0  # dark current of a hot pixel
@@ -26,8 +26,8 @@ class FlawRecipe(Recipe):
     column_noise_e: float = 2.0  # standard deviation of the columns' offsets
 
 
-def check_flaws(recipe: FlawRecipe) -> None:
-    """RecipeError if flaws are more than pixels, or dust is nothing that a frame could be cleaned of."""
+def check_defects(recipe: DefectRecipe) -> None:
+    """RecipeError if defects are more than pixels, or dust is nothing that a frame could be cleaned of."""
     if max(recipe.hot_pixels_per_million, recipe.dead_pixels_per_million) > 1e6:
         raise RecipeError("flaws: of a million pixels no more than a million can be hot or dead")
     if not (recipe.dust_specks_per_million <= MOST_SPECKS and 0 < recipe.dust_radius_px <= LARGEST_SPECK):
@@ -37,8 +37,8 @@ def check_flaws(recipe: FlawRecipe) -> None:
 
 
 @dataclass(frozen=True)
-class Flaws:
-    """The flaws of one sensor, the same in every frame."""
+class SensorDefects:
+    """The defects of one sensor, the same in every frame."""
 
     hot: NDArray[np.int64]  # (pixel, 2) row, col
     dead: NDArray[np.int64]  # (pixel, 2) row, col
@@ -46,14 +46,14 @@ class Flaws:
     columns: NDArray[np.float32]  # (col) e-, offset
 
 
-def flaws_of(camera: CameraModel, recipe: FlawRecipe) -> Flaws:
-    """The flaws of a camera, drawn from its fixed-pattern seed."""
+def defects_of(camera: CameraModel, recipe: DefectRecipe) -> SensorDefects:
+    """The defects of a camera, drawn from its fixed-pattern seed."""
     return _draw(camera.fixed_pattern_seed, camera.rows, camera.cols, msgspec.structs.astuple(recipe))
 
 
 @functools.lru_cache(maxsize=1)
-def _draw(seed: int, rows: int, cols: int, figures: tuple[float, ...]) -> Flaws:
-    recipe = FlawRecipe(*figures)
+def _draw(seed: int, rows: int, cols: int, figures: tuple[float, ...]) -> SensorDefects:
+    recipe = DefectRecipe(*figures)
     rng = np.random.default_rng([seed, 1])
 
     def scattered(per_million: float) -> NDArray[np.int64]:
@@ -69,4 +69,4 @@ def _draw(seed: int, rows: int, cols: int, figures: tuple[float, ...]) -> Flaws:
         y, x = np.arange(part.shape[0]) + top - row, np.arange(part.shape[1]) + left - col
         part -= (recipe.dust_depth * np.exp(-0.5 * (y[:, None] ** 2 + x**2) / recipe.dust_radius_px**2)).astype(np.float32)
     columns = (recipe.column_noise_e * rng.standard_normal(cols)).astype(np.float32)
-    return Flaws(hot, dead, shade, columns)
+    return SensorDefects(hot, dead, shade, columns)
