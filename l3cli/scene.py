@@ -16,7 +16,8 @@ class Scene:
     """A picture of spectral reflectances with the light it was seen under, if there is one.
 
     `reflectance` is radiance / that of a perfect white: ≥ 0, above 1 in speculars (docs/method.md#simulation). Synthetic
-    scenes, raised RGB pictures and cubes of reflectance have NO_ILLUMINANT: every light may be laid on them. Radiance whose light is not known has that of equal photons as its illuminant: it may be seen as it is, not relit.
+    scenes, raised RGB pictures and cubes of reflectance have NO_ILLUMINANT: every light may be laid on them. Radiance whose
+    light is not known has that of equal photons as its illuminant: it may be seen as it is, not relit.
     """
 
     name: str
