@@ -24,7 +24,7 @@ HEADINGS = {
 
 
 def print_tables(document: dict[str, Any]) -> None:
-    """Frames, means, light levels, illuminants, classes and the worst of them; beside ours the main figure of each baseline."""
+    """Frames, means, light levels, illuminants, classes and the worst of them; beside ours each baseline's main figure."""
     width = terminal.width()
     wide = width is None or width >= WIDE
     figures = [figure for figure in document["frames"][0]["ours"] if wide or figure not in LESS_NEEDED]
