@@ -33,7 +33,9 @@ class LightMeter:
         table = self.table
         patches, site = spread_patches(frame, table)
         classes = table.first.rule.on_site(label_patches(patches.values, table.first.rule, self._near, site), site)
-        signal = (patches.values.astype(np.float32) - np.float32(patches.black)) / np.float32(table.white - table.black)
+        signal = (patches.values.astype(np.float32) - np.float32(patches.black_level)) / np.float32(
+            table.white - table.black
+        )
         luminance = np.einsum("nt,nt->n", self._weights[classes], signal) + self._intercept[classes]
         return frame.light_share * float(np.percentile(luminance, WHITE_PERCENTILE))
 

@@ -157,7 +157,7 @@ class OpenCLRenderer:
                     self._classify_later(track, band, work)
                 offset, sizes = 0, [result[band.rows].nbytes for result in results]
                 if kernel is not None:
-                    self._transform(kernel, encoding, track, band, sum(sizes), levelled.black, work)
+                    self._transform(kernel, encoding, track, band, sum(sizes), levelled.black_level, work)
                     source = track.result
                 elif layer:
                     source = track.later_labels

@@ -69,7 +69,7 @@ def output_planes(frame: RawFrame, labels: Integers, table: TransformTable) -> N
     classes (row, col)."""
     rows, cols = frame.values.shape
     patch, outputs = table.first.rule.patch, len(table.outputs)
-    signal = (frame.values - frame.black) / (table.white - table.black)
+    signal = (frame.values - frame.black_level) / (table.white - table.black)
     padded = pad_mosaic(signal, table.first.rule.radius, (table.cfa.shape[0], table.cfa.shape[1]))
     windows = np.lib.stride_tricks.sliding_window_view(padded, (patch, patch))
     planes = np.empty((outputs, rows, cols))

@@ -127,7 +127,7 @@ def test_any_array_comes_back(tmp_path: Path, recipe: str) -> None:
     write_dng(tmp_path / "a.dng", values, camera, _colour(camera), None, 1e-5)
     frame = read_raw(tmp_path / "a.dng", camera)
     np.testing.assert_array_equal(frame.values, values)
-    assert (frame.black, frame.white, frame.phase, frame.orientation) == (camera.black, camera.white, (0, 0), 0)
+    assert (frame.black_level, frame.white_level, frame.phase, frame.orientation) == (camera.black, camera.white, (0, 0), 0)
     with rawpy.imread(str(tmp_path / "a.dng")) as raw:
         np.testing.assert_array_equal(raw.raw_image, values)
 

@@ -214,7 +214,7 @@ def test_fits_keeps_unsigned_values(tmp_path: Path, mosaic: np.ndarray, name: st
     fits.writeto(tmp_path / name, mosaic)
     frame = read_raw(tmp_path / name, RGGB)
     np.testing.assert_array_equal(frame.values, mosaic)
-    assert (frame.black, frame.white, frame.phase) == (RGGB.black, RGGB.white, (0, 0))
+    assert (frame.black_level, frame.white_level, frame.phase) == (RGGB.black, RGGB.white, (0, 0))
     fits.writeto(tmp_path / name, (mosaic >> 8).astype(np.uint8), overwrite=True)
     np.testing.assert_array_equal(read_raw(tmp_path / name, RGGB).values, mosaic >> 8)
 
@@ -329,7 +329,7 @@ def test_packed_dng(tmp_path: Path, bits: int, order: str) -> None:
     known = {50714: (SHORT, [7]), 50717: (LONG, [200])}
     frame = read_raw(write_dng(tmp_path / "a.dng", values, cfa, bits, order, tags=known), random_table(FIVE_BAND, patch=9))
     np.testing.assert_array_equal(frame.values, values)
-    assert (frame.black, frame.white, frame.phase) == (7, 200, (0, 0))
+    assert (frame.black_level, frame.white_level, frame.phase) == (7, 200, (0, 0))
 
 
 def test_compressed_and_divided_dng(tmp_path: Path, mosaic: np.ndarray) -> None:
@@ -389,9 +389,9 @@ def test_black_levels_that_differ_become_one(tmp_path: Path) -> None:
     }
     frame = read_bayer(write_dng(tmp_path / "a.dng", values, PATTERN, tags=tags))
     black = np.tile([[60, 64], [68, 64]], (14, 18)) + np.array(columns) + np.array(rows)[:, None]
-    np.testing.assert_array_equal(frame.values - frame.black, 1000 - black)
-    assert frame.black == round(black.mean())
-    assert frame.white - frame.black == 4000 - black.max()  # the pixel that saturates first
+    np.testing.assert_array_equal(frame.values - frame.black_level, 1000 - black)
+    assert frame.black_level == round(black.mean())
+    assert frame.white_level - frame.black_level == 4000 - black.max()  # the pixel that saturates first
 
 
 def test_saturation_survives_levelling() -> None:
@@ -442,7 +442,7 @@ def test_libraw_gives_the_phase_of_any_array_it_knows(tmp_path: Path, mosaic: np
     path = write_dng(tmp_path / name, mosaic, np.roll(cfa, (-1, -1), axis=(0, 1)), tags=tags)
     frame = read_raw(path, sensor(RGB, cfa))
     np.testing.assert_array_equal(frame.values, mosaic[4:30, 6:38])
-    assert (frame.phase, frame.black, frame.white) == ((1, 1), 64, 4000)
+    assert (frame.phase, frame.black_level, frame.white_level) == ((1, 1), 64, 4000)
     with pytest.raises(InputFileError, match="‹phase›"):
         read_raw(path, sensor(RGB, QUAD))
     assert read_raw(path, sensor(RGB, QUAD), KnownBetter(phase=(2, 3))).phase == (2, 3)
@@ -463,5 +463,5 @@ def test_libraw_black_levels_of_the_colours_become_one(tmp_path: Path, mosaic: n
     mosaic = np.maximum(mosaic, 100)
     frame = read_bayer(write_dng(tmp_path / "a.nef", mosaic, PATTERN, tags=tags))
     black = np.tile([[60, 64], [66, 70]], (16, 20))
-    np.testing.assert_array_equal(frame.values - frame.black, mosaic - black)
-    assert frame.white - frame.black == 3930
+    np.testing.assert_array_equal(frame.values - frame.black_level, mosaic - black)
+    assert frame.white_level - frame.black_level == 3930

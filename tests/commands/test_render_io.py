@@ -143,7 +143,7 @@ def test_plain_files_hold_the_same_frame(tmp_path: Path, mosaic: np.ndarray, raw
     for path in paths:
         frame = read_raw(path, RGGB)
         np.testing.assert_array_equal(frame.values, mosaic)
-        assert (frame.black, frame.white, frame.phase) == (RGGB.black, RGGB.white, (0, 0))
+        assert (frame.black_level, frame.white_level, frame.phase) == (RGGB.black, RGGB.white, (0, 0))
 
 
 def test_narrow_files_keep_their_values(tmp_path: Path, mosaic: np.ndarray) -> None:
@@ -159,8 +159,8 @@ def test_narrow_files_keep_their_values(tmp_path: Path, mosaic: np.ndarray) -> N
 
 def test_what_the_caller_knows_better_wins(tmp_path: Path, mosaic: np.ndarray) -> None:
     mosaic[:10, :6].tofile(tmp_path / "a.raw")
-    frame = read_raw(tmp_path / "a.raw", RGGB, KnownBetter(black=7.0, white=99.0, phase=(1, 3), size=(10, 6)))
-    assert (frame.values.shape, frame.black, frame.white, frame.phase) == ((10, 6), 7.0, 99.0, (1, 1))
+    frame = read_raw(tmp_path / "a.raw", RGGB, KnownBetter(black_level=7.0, white_level=99.0, phase=(1, 3), size=(10, 6)))
+    assert (frame.values.shape, frame.black_level, frame.white_level, frame.phase) == ((10, 6), 7.0, 99.0, (1, 1))
 
 
 # --------------------------------------------------------------------------------------------------------- l3 render
@@ -368,7 +368,7 @@ def test_real_raws_keep_size_levels_and_phase(l3: L3, l3_data: Path, tmp_path: P
     facts = {"colorchart.dng": ((1156, 1734), 2056, 15000, (0, 0)), "kodak_dc50.kdc": ((512, 768), 0, 16383, (0, 1))}
     for name, (shape, black, white, phase) in facts.items():
         frame = read_raw(l3_data / "raw" / name, RGGB)
-        assert (frame.values.shape, frame.black, frame.white, frame.phase) == (shape, black, white, phase)
+        assert (frame.values.shape, frame.black_level, frame.white_level, frame.phase) == (shape, black, white, phase)
         assert frame.orientation == 0
         output = tmp_path / name.replace(name[-3:], "png")
         assert l3("render", table, l3_data / "raw" / name, "-o", output)[0] == 0

@@ -51,10 +51,12 @@ def test_a_frame_is_rendered_as_if_there_were_no_dark_current(cfa: list, dark: f
     # The same light, were white nearer by what dark current takes, without dark current: levels alone are another scale.
     light = RawFrame("f", values, 100.0, table.white - whole, (1, 0), dark=dark - whole)
     np.testing.assert_allclose(
-        reference.exact_outputs(frame) * (table.white - 100), reference.exact_outputs(light) * (light.white - 100), rtol=1e-9
+        reference.exact_outputs(frame) * (table.white - 100),
+        reference.exact_outputs(light) * (light.white_level - 100),
+        rtol=1e-9,
     )
     assert LightMeter(table).brightness(frame) * (table.white - 100) == pytest.approx(
-        LightMeter(table).brightness(light) * (light.white - 100)
+        LightMeter(table).brightness(light) * (light.white_level - 100)
     )
 
 
@@ -63,7 +65,7 @@ def test_no_level_is_lost_and_less_than_a_dn_stays_in_the_black_level() -> None:
     frame = RawFrame("f", values, 64.0, 4095.0, dark=0.4)
     levelled = frame.at_levels(64.0, 4095.0, 12)
     np.testing.assert_array_equal(levelled.values, values)
-    assert levelled.black == pytest.approx(64.4, abs=1e-4)
+    assert levelled.black_level == pytest.approx(64.4, abs=1e-4)
     far = replace(frame, dark=1000.3).at_levels(64.0, 4095.0, 12)
     assert far.values[0, 64 + 1000] == 64
     assert far.values[0, 4095] in (4094, 4095, 4096 - 1)
@@ -80,7 +82,7 @@ def test_noise_of_dark_electrons_is_in_the_noise_model(bayer: CameraModel) -> No
     for electrons in (0.0, 500.0, 5000.0):
         raw = sensor.expose(camera, np.full((400, 400), electrons), exposure, rng)
         levelled = RawFrame("f", raw, camera.black, camera.white, dark=dark).at_levels(camera.black, camera.white, 12)
-        signal = levelled.values - levelled.black
+        signal = levelled.values - levelled.black_level
         share = 1 - dark / (camera.white - camera.black)
         assert signal.mean() * share == pytest.approx(camera.gain * electrons, abs=2.0)
         assert signal.var() == pytest.approx(camera.noise_variance(signal.mean(), dark), rel=0.03)

@@ -16,8 +16,8 @@ class RawContent(TypedDict):
     """One frame; the table says what its file does not."""
 
     values: NDArray[np.unsignedinteger]  # (row, col) DN of at most 16 bits, without masked borders
-    black: NotRequired[float]  # DN
-    white: NotRequired[float]  # DN
+    black_level: NotRequired[float]  # DN
+    white_level: NotRequired[float]  # DN
     pattern: NotRequired[NDArray[np.int64]]  # (row, col) colour codes of the CFA, from pixel (0, 0) on
     orientation: NotRequired[int]  # LibRaw's flip code
     exposure: NotRequired[float | None]  # s

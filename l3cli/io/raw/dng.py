@@ -80,7 +80,12 @@ def described(path: Path, stored: NDArray[np.uint16]) -> RawContent:
     values, common, white = with_one_black(pixels, black, np.array(mosaic.white))
     pattern = np.roll(mosaic.pattern, (-row, -col), axis=(0, 1))
     return RawContent(
-        values=values, black=common, white=white, pattern=pattern, orientation=mosaic.orientation, exposure=mosaic.exposure
+        values=values,
+        black_level=common,
+        white_level=white,
+        pattern=pattern,
+        orientation=mosaic.orientation,
+        exposure=mosaic.exposure,
     )
 
 

@@ -28,8 +28,8 @@ LONGEST = 1e5  # s, the longest exposure that is believed
 class KnownBetter:
     """What the caller knows about a raw file; None: as the file or else the table says."""
 
-    black: float | None = None  # DN
-    white: float | None = None  # DN
+    black_level: float | None = None  # DN
+    white_level: float | None = None  # DN
     phase: tuple[int, int] | None = None  # CFA row and column of pixel (0, 0)
     size: tuple[int, int] | None = None  # rows, columns of a headerless file
     packing: str | None = None  # one of packed.PACKINGS, of a headerless file
@@ -76,8 +76,8 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: KnownBetter) 
     frame = RawFrame(
         name,
         np.ascontiguousarray(values, np.uint16),
-        content.get("black", table.black),
-        content.get("white", table.white),
+        content.get("black_level", table.black),
+        content.get("white_level", table.white),
         find_phase(name, pattern, table) if pattern is not None and known.phase is None else (0, 0),
         content.get("orientation", 0),
         content.get("exposure"),
@@ -87,8 +87,8 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: KnownBetter) 
 
 def _corrected(frame: RawFrame, table: Sensor, known: KnownBetter) -> RawFrame:
     """The frame with what the caller knows better in place of what the file says, and what dark current adds to it."""
-    black = frame.black if known.black is None else known.black
-    white = frame.white if known.white is None else known.white
+    black = frame.black_level if known.black_level is None else known.black_level
+    white = frame.white_level if known.white_level is None else known.white_level
     phase = frame.phase if known.phase is None else known.phase
     if not 0 <= black < white <= TOP:
         raise InputFileError(
@@ -104,6 +104,6 @@ def _corrected(frame: RawFrame, table: Sensor, known: KnownBetter) -> RawFrame:
             "is its exposure time in seconds?"
         )
     corrected = replace(
-        frame, black=black, white=white, phase=(phase[0] % rows, phase[1] % cols), exposure=exposure, dark=dark
+        frame, black_level=black, white_level=white, phase=(phase[0] % rows, phase[1] % cols), exposure=exposure, dark=dark
     )
     return corrected if known.dark is None else without_dark(corrected, known.dark)

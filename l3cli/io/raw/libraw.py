@@ -70,7 +70,12 @@ def _visible(path: Path, raw: Any) -> RawContent:
     shot = getattr(raw, "other", None)  # rawpy has it since 0.26
     exposure = float(shot.shutter_speed) if shot is not None else None
     return RawContent(
-        values=values, black=common, white=top, pattern=pattern, orientation=int(raw.sizes.flip), exposure=exposure
+        values=values,
+        black_level=common,
+        white_level=top,
+        pattern=pattern,
+        orientation=int(raw.sizes.flip),
+        exposure=exposure,
     )
 
 
