@@ -57,7 +57,7 @@ def grey_patches(
                 every = np.arange(rule.contrasts)[:, None], rule.kinds_of(case)
                 for index in rule.join(near, *every, further=np.arange(rule.further)).ravel().tolist():
                     rows.setdefault(index, []).append(weight * row)
-    return {index: np.array(own).T @ np.array(own) / len(own) for index, own in rows.items()}
+    return {index: np.array(greys).T @ np.array(greys) / len(greys) for index, greys in rows.items()}
 
 
 def white_channels(

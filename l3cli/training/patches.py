@@ -84,11 +84,11 @@ def sample_pair(
     radius, period = side // 2, camera.cfa.shape
     rows, cols = pair.raw.shape
     every = enumerate(site_maps(near.channel, side, shared))
-    maps = [(other, found) for other, found in every if found.canonical == site]
+    maps = [(other, site_map) for other, site_map in every if site_map.canonical == site]
     reach = np.arange(side) - radius
     offset = (reach[:, None] * cols + reach[None]).ravel()
     places, takes = [], []
-    for part, (other, found) in enumerate(maps):
+    for part, (other, site_map) in enumerate(maps):
         number = (part + 1) * count // len(maps) - part * count // len(maps)
         down = np.arange(radius + (other // period[1] - radius) % period[0], rows - radius, period[0])
         across = np.arange(radius + (other % period[1] - radius) % period[1], cols - radius, period[1])
@@ -96,7 +96,7 @@ def sample_pair(
             continue
         place = rng.choice(down, number) * cols + rng.choice(across, number)
         places.append(place)
-        takes.append(place[:, None] + offset[found.permutation])
+        takes.append(place[:, None] + offset[site_map.permutation])
     if not places:
         raise InputFileError(f"pair {pair.scene} is too small for a patch of every site; give a larger picture")
     values = pair.raw.reshape(-1)[np.concatenate(takes)].astype(np.float32)

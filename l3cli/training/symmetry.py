@@ -31,7 +31,7 @@ def site_maps(channel: Indices, patch: int, shared: bool = True) -> list[SiteMap
     maps: list[SiteMap] = []
     canonical: list[int] = []
     for site, window in enumerate(channel):
-        found = next(
+        site_map = next(
             (
                 SiteMap(known, permutation)
                 for known in (canonical if shared else ())
@@ -40,10 +40,10 @@ def site_maps(channel: Indices, patch: int, shared: bool = True) -> list[SiteMap
             ),
             None,
         )
-        if found is None:
+        if site_map is None:
             canonical.append(site)
-            found = SiteMap(site, orientations(patch)[0])
-        maps.append(found)
+            site_map = SiteMap(site, orientations(patch)[0])
+        maps.append(site_map)
     return maps
 
 

@@ -21,12 +21,12 @@ from l3cli.classes.windows import neighbourhoods
 from l3cli.errors import InputFileError
 from l3cli.physics import spectra
 from l3cli.training.layers.mosaics import white_signal
-from l3cli.training.lesson import Lesson, brightness_of
 from l3cli.training.patches import draw_levels, expose_patches, patches_of
 from l3cli.training.recipe import LearningRecipe, TrainingRecipe
 from l3cli.training.solve import Goal, Solution, equal_responses, solve
 from l3cli.training.sums import add, empty_sums, grid_steps, require_exact
 from l3cli.training.symmetry import class_stabilisers, orientations, site_maps, turned_classes
+from l3cli.training.training_pass import TrainingPass, brightness_of
 
 PILOT_PATCHES = 4000  # patches a site over all frames that decide which saturation cases are kept
 
@@ -43,7 +43,7 @@ class Pilot:
     observed: dict[str, NDArray[np.float64]]  # (patch, …) what each further feature asks for
 
 
-def look_at(
+def take_pilot(
     frames: Iterable[TrainingPair], first: int, patches: Sequence[int], head: TrainingSet, recipe: TrainingRecipe, seed: int
 ) -> Pilot:
     """A pilot sample of `frames`, the first of which has the index `first` and which give so many `patches` (frame)."""
@@ -62,8 +62,8 @@ def look_at(
         for site in canonical:
             rng = np.random.default_rng([seed, 0, index, site])
             pilot = patches_of(frame, head, near, site, count, rng, recipe.learning.symmetry)
-            own_level = np.maximum(pilot.signal.mean(axis=1), 1e-3)
-            scale = pilot.possible(draw_levels(recipe.learning, head.camera, len(own_level), rng) / own_level)[:, None]
+            patch_level = np.maximum(pilot.signal.mean(axis=1), 1e-3)
+            scale = pilot.possible(draw_levels(recipe.learning, head.camera, len(patch_level), rng) / patch_level)[:, None]
             carried = None if pilot.carried is None else (pilot.carried * scale**2).astype(np.float32)
             values = expose_patches((pilot.signal * scale).astype(np.float32), camera, rng, carried, dark)
             occurrences += np.bincount(saturation_codes(values, rule, near, site), minlength=codes)
@@ -86,13 +86,13 @@ def survey(
     mean white point (output) of their lights, the mean exposure time (s) of those that are simulated and the mean light, if
     all are known; frames count as they have `patches` (frame)."""
     every = list(pilots)
-    case_of_code = choose_cases(np.sum([own.occurrences for own in every], axis=0), recipe.classes.max_cases)
-    centres = choose_chromas(np.concatenate([own.shares for own in every]), recipe.classes.chromas, seed)
-    whites = np.concatenate([own.whites for own in every])
-    exposures = np.concatenate([own.exposures for own in every])
+    case_of_code = choose_cases(np.sum([pilot.occurrences for pilot in every], axis=0), recipe.classes.max_cases)
+    centres = choose_chromas(np.concatenate([pilot.shares for pilot in every]), recipe.classes.chromas, seed)
+    whites = np.concatenate([pilot.whites for pilot in every])
+    exposures = np.concatenate([pilot.exposures for pilot in every])
     counts = np.where(exposures > 0, patches, 0)
     exposure = float(exposures @ counts / max(counts.sum(), 1))
-    observed = _together([own.observed for own in every])
+    observed = _together([pilot.observed for pilot in every])
     rule = make_rule(recipe.classes, head.camera, case_of_code, centres, head.camera.dark_signal(exposure), observed)
     mean = np.average(np.concatenate([own.lights for own in every]), axis=0, weights=patches)
     light = LightSpectrum(head.camera.wavelength, mean.astype(np.float32)) if np.isfinite(mean).all() else None
@@ -100,7 +100,7 @@ def survey(
 
 
 def _together(observed: list[dict[str, NDArray[np.float64]]]) -> dict[str, NDArray[np.float64]]:
-    return {name: np.concatenate([own[name] for own in observed]) for name in observed[0]}
+    return {name: np.concatenate([part[name] for part in observed]) for name in observed[0]}
 
 
 def canonical_sites(head: TrainingSet, rule: ClassRule, recipe: LearningRecipe) -> list[int]:
@@ -109,32 +109,32 @@ def canonical_sites(head: TrainingSet, rule: ClassRule, recipe: LearningRecipe) 
     return sorted({site_map.canonical for site_map in site_maps(near.channel, rule.patch, recipe.symmetry)})
 
 
-def add_up(lesson: Lesson, parts: Iterable[ClassSums]) -> ClassSums:
+def add_up(pass_: TrainingPass, parts: Iterable[ClassSums]) -> ClassSums:
     """The sums of all parts; L3Error if a class has more patches than can be added exactly."""
-    outputs = len(lesson.head.outputs)
-    sums = empty_sums(lesson.rule, outputs)
+    outputs = len(pass_.head.outputs)
+    sums = empty_sums(pass_.rule, outputs)
     for part in parts:
         add(sums, part)
-    require_exact(sums, lesson.rule, grid_steps(lesson.rule, lesson.head.camera, outputs))
+    require_exact(sums, pass_.rule, grid_steps(pass_.rule, pass_.head.camera, outputs))
     return sums
 
 
-def learn_site(lesson: Lesson, parts: Iterable[ClassSums], site: int) -> Solution:
+def learn_site(pass_: TrainingPass, parts: Iterable[ClassSums], site: int) -> Solution:
     """Solutions of one canonical site from the sums of all parts of a pass, in whatever order; L3Error as add_up."""
-    sums = add_up(lesson, parts)
-    camera, rule = lesson.head.camera, lesson.rule
+    sums = add_up(pass_, parts)
+    camera, rule = pass_.head.camera, pass_.rule
     window = neighbourhoods(camera.cfa, rule.patch, len(camera.channels)).channel[site]
-    alike = class_stabilisers(rule, window) if lesson.recipe.symmetry else orientations(rule.patch)[:1]
-    return solve(sums, rule, window, alike, lesson.recipe, _goal(lesson))
+    alike = class_stabilisers(rule, window) if pass_.recipe.symmetry else orientations(rule.patch)[:1]
+    return solve(sums, rule, window, alike, pass_.recipe, _goal(pass_))
 
 
-def assemble(lesson: Lesson, solutions: dict[int, Solution], history: tuple[Stage, ...]) -> TransformTable:
+def assemble(pass_: TrainingPass, solutions: dict[int, Solution], history: tuple[Stage, ...]) -> TransformTable:
     """The table of all sites from the solutions of the canonical ones."""
-    head, rule, camera = lesson.head, lesson.rule, lesson.head.camera
+    head, rule, camera = pass_.head, pass_.rule, pass_.head.camera
     near = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
-    maps = site_maps(near.channel, rule.patch, lesson.recipe.symmetry)
+    maps = site_maps(near.channel, rule.patch, pass_.recipe.symmetry)
     copies = [sum(site_map.canonical == site for site_map in maps) for site in solutions]
-    equal = equal_responses(list(solutions.values()), copies, rule, lesson.recipe, _goal(lesson))
+    equal = equal_responses(list(solutions.values()), copies, rule, pass_.recipe, _goal(pass_))
     transforms = dict(zip(solutions, equal, strict=True))
     weights, intercept, samples, condition = [], [], [], []
     for site_map in maps:
@@ -159,7 +159,7 @@ def assemble(lesson: Lesson, solutions: dict[int, Solution], history: tuple[Stag
         outputs=head.outputs,
         output_unit=camera.saturation_exposure,
         target_description=head.target_description,
-        white_point=lesson.white_point,
+        white_point=pass_.white_point,
         first=MosaicLayer(
             rule,
             np.concatenate(weights).astype(np.float32),
@@ -167,16 +167,16 @@ def assemble(lesson: Lesson, solutions: dict[int, Solution], history: tuple[Stag
             np.concatenate(samples),
             np.concatenate(condition).astype(np.float32),
         ),
-        exposure=lesson.exposure,
-        light=lesson.light,
+        exposure=pass_.exposure,
+        light=pass_.light,
         camera=replace(camera, fit=None),
     )
 
 
-def _goal(lesson: Lesson) -> Goal:
-    camera = lesson.head.camera
-    signal = None if lesson.light is None else white_signal(lesson.light, camera)
-    return Goal(lesson.head.outputs, lesson.white_point, signal, camera.black, camera.white)
+def _goal(pass_: TrainingPass) -> Goal:
+    camera = pass_.head.camera
+    signal = None if pass_.light is None else white_signal(pass_.light, camera)
+    return Goal(pass_.head.outputs, pass_.white_point, signal, camera.black, camera.white)
 
 
 def _light_of(frame: TrainingPair, camera: CameraModel) -> NDArray[np.float64]:

@@ -27,12 +27,12 @@ from l3cli.config import load_recipe
 from l3cli.errors import L3Error
 from l3cli.io.images import read_image
 from l3cli.training.accumulate import sum_sites
-from l3cli.training.lesson import LAST, Lesson
 from l3cli.training.patches import darkest_level, draw_levels, expose_patches, sample_patches
 from l3cli.training.recipe import LayerRecipe, LearningRecipe, TrainingRecipe
 from l3cli.training.sums import EXACT, STEP, add_rounded, grid_steps, moment_matrix
 from l3cli.training.symmetry import orientations, site_maps, stabilisers
 from l3cli.training.table import add_up
+from l3cli.training.training_pass import LAST, TrainingPass
 from tests.helpers.paths import CONFIGS
 from tests.helpers.training_sets import MIX, a_frame, a_set
 
@@ -180,11 +180,11 @@ def test_sums_are_exact_in_any_order(bayer: CameraModel) -> None:
     rule = make_rule(ClassRecipe(patch=3, levels=4), bayer, np.zeros(8, np.uint16))
     near = neighbourhoods(bayer.cfa, 3, 3)
     head = TrainingSet(camera=bayer, outputs=("X", "Y", "Z"), target_description="")
-    lesson = Lesson(head, (1000,) * 6, rule, LearningRecipe(patches=6000, draws=2), np.ones(3), 1, LAST)
+    pass_ = TrainingPass(head, (1000,) * 6, rule, LearningRecipe(patches=6000, draws=2), np.ones(3), 1, LAST)
     frames = [a_frame(bayer, seed, smooth=False) for seed in range(6)]
-    parts = [sum_sites(lesson, [(index, (1,), iter([frame]))], {1: None})[1] for index, frame in enumerate(frames)]
-    forward, backward = add_up(lesson, parts), add_up(lesson, parts[::-1])
-    nested = add_up(lesson, [add_up(lesson, parts[1::2]), add_up(lesson, parts[::2])])
+    parts = [sum_sites(pass_, [(index, (1,), iter([frame]))], {1: None})[1] for index, frame in enumerate(frames)]
+    forward, backward = add_up(pass_, parts), add_up(pass_, parts[::-1])
+    nested = add_up(pass_, [add_up(pass_, parts[1::2]), add_up(pass_, parts[::2])])
     for name in ("moments", "noise", "count"):
         assert (getattr(forward, name) == getattr(backward, name)).all()
         assert (getattr(forward, name) == getattr(nested, name)).all()
@@ -209,7 +209,7 @@ def test_sums_are_exact_in_any_order(bayer: CameraModel) -> None:
     assert ratio == pytest.approx(ratio.mean(), rel=0.2)  # outputs are weighed alike
     huge = ClassSums(forward.moments * 2.0**40, forward.noise, forward.count)
     with pytest.raises(L3Error, match="more patches than can be added exactly"):
-        add_up(lesson, [huge])
+        add_up(pass_, [huge])
 
 
 @pytest.mark.parametrize("outputs", [("Y",), ("b1", "b2", "b3", "b4", "b5"), ("R", "G", "B")])

@@ -28,10 +28,10 @@ from l3cli.stages.console import Silent
 from l3cli.stages.training.passes import Execution, first_pass
 from l3cli.stages.training.run import open_run
 from l3cli.training.benchmark import made_up_frame, stage_shares, train
-from l3cli.training.division import BATCH, SUM_BYTES, frame_blocks, portions
-from l3cli.training.lesson import LAST, Lesson, spread_patches
+from l3cli.training.division import BATCH, SUM_BYTES, frame_blocks, work_shares
 from l3cli.training.recipe import LearningRecipe, TrainingRecipe
 from l3cli.training.sums import empty_sums
+from l3cli.training.training_pass import LAST, TrainingPass, spread_patches
 from tests.helpers.training_sets import a_frame, a_set
 
 SMALL = "[classes]\npatch = 3\nlevels = 4\n[learning]\npatches = 2100\nfirst_draws = 1\ndraws = 2\n"
@@ -60,30 +60,30 @@ def test_every_set_gets_its_share(sets: list[tuple[int, Fraction]], patches: int
     assert first == len(counts)
 
 
-def a_lesson(bayer: CameraModel, patches: tuple[int, ...], **recipe: Any) -> Lesson:
+def a_pass(bayer: CameraModel, patches: tuple[int, ...], **recipe: Any) -> TrainingPass:
     rule = make_rule(ClassRecipe(**{"patch": 3, "levels": 4, **recipe}), bayer, np.zeros(8, np.uint16))
     head = TrainingSet(camera=bayer, outputs=("X", "Y", "Z"), target_description="")
-    return Lesson(head, patches, rule, LearningRecipe(), np.ones(3), 0, LAST)
+    return TrainingPass(head, patches, rule, LearningRecipe(), np.ones(3), 0, LAST)
 
 
 @given(st.lists(st.integers(1, 120_000), min_size=1, max_size=40))
 def test_blocks_hold_every_frame_once_and_bounded_patches(bayer: CameraModel, patches: list[int]) -> None:
-    blocks = frame_blocks(a_lesson(bayer, tuple(patches)))
+    blocks = frame_blocks(a_pass(bayer, tuple(patches)))
     assert [index for block in blocks for index in block] == list(range(len(patches)))
     for block in blocks:
         assert sum(patches[index] for index in block) <= BATCH + max(patches[index] for index in block)
 
 
 def test_blocks_are_nearly_equal(bayer: CameraModel) -> None:
-    assert frame_blocks(a_lesson(bayer, (1000,) * 60)) == [range(30), range(30, 60)]
-    assert [len(block) for block in frame_blocks(a_lesson(bayer, (100,) * 1030))] == [344, 343, 343]
+    assert frame_blocks(a_pass(bayer, (1000,) * 60)) == [range(30), range(30, 60)]
+    assert [len(block) for block in frame_blocks(a_pass(bayer, (100,) * 1030))] == [344, 343, 343]
 
 
 @given(st.integers(1, 9), st.integers(1, 12), st.integers(1, 9))
-def test_portions_hold_every_block_of_every_site_once(bayer: CameraModel, jobs: int, count: int, sites: int) -> None:
-    lesson, every = a_lesson(bayer, (100,) * count), list(range(0, 3 * sites, 3))
+def test_work_shares_hold_every_block_of_every_site_once(bayer: CameraModel, jobs: int, count: int, sites: int) -> None:
+    pass_, every = a_pass(bayer, (100,) * count), list(range(0, 3 * sites, 3))
     blocks = [range(index, index + 1) for index in range(count)]
-    parts = portions(lesson, every, blocks, jobs)
+    parts = work_shares(pass_, every, blocks, jobs)
     taken = [(site, block) for part in parts for block, of_block in part.blocks for site in of_block]
     assert sorted(taken, key=str) == sorted(((site, block) for site in every for block in blocks), key=str)
     sizes = [sum(len(of_block) for _, of_block in part.blocks) for part in parts]
@@ -94,17 +94,17 @@ def test_portions_hold_every_block_of_every_site_once(bayer: CameraModel, jobs: 
             s for s in part.sites if not any(s in other.sites for other in parts if other is not part)
         )
         assert [block[0] for block, _ in part.blocks] == sorted(block[0] for block, _ in part.blocks)
-    assert portions(lesson, every, [], jobs) == []
+    assert work_shares(pass_, every, [], jobs) == []
 
 
-def test_portions_of_large_sums_have_few_sites(bayer: CameraModel) -> None:
-    lesson = a_lesson(bayer, (100,) * 12, patch=15, levels=40, chromas=1, contrasts=(1.1, 1.4, 2.0, 3.5, 7.0))
-    assert SUM_BYTES / empty_sums(lesson.rule, 3).moments.nbytes < 5
+def test_work_shares_of_large_sums_have_few_sites(bayer: CameraModel) -> None:
+    pass_ = a_pass(bayer, (100,) * 12, patch=15, levels=40, chromas=1, contrasts=(1.1, 1.4, 2.0, 3.5, 7.0))
+    assert SUM_BYTES / empty_sums(pass_.rule, 3).moments.nbytes < 5
     blocks = [range(index, index + 1) for index in range(12)]
     for jobs in (1, 2, 3):
-        parts = portions(lesson, list(range(9)), blocks, jobs)
+        parts = work_shares(pass_, list(range(9)), blocks, jobs)
         assert len(parts) % jobs == 0
-        assert max(len(part.sites) for part in parts) <= max(2, SUM_BYTES // empty_sums(lesson.rule, 3).moments.nbytes)
+        assert max(len(part.sites) for part in parts) <= max(2, SUM_BYTES // empty_sums(pass_.rule, 3).moments.nbytes)
 
 
 def test_workers_stay_for_several_calls() -> None:

@@ -24,8 +24,8 @@ from l3cli.training.layers.learn import (
     structure_rule,
     sum_layer,
 )
-from l3cli.training.lesson import spread_patches
 from l3cli.training.recipe import TrainingRecipe
+from l3cli.training.training_pass import spread_patches
 
 UNITS = 8  # a process: more tell progress better, but every one hands on its own sums
 

@@ -12,8 +12,8 @@ from l3cli.config import load_recipe, read_text
 from l3cli.errors import InputFileError
 from l3cli.files import require_same, sha256, stamp
 from l3cli.recipes import known_recipes
-from l3cli.training.lesson import FIRST, spread_patches
 from l3cli.training.recipe import TrainingRecipe
+from l3cli.training.training_pass import FIRST, spread_patches
 
 FIRST_PASS, FIRST_LAYER = "first", "first layer"  # whose tables are not the end of a run
 
@@ -88,7 +88,7 @@ def frames_of(training: tuple[TrainingSource, ...], wanted: range, remote: bool)
             continue
         if remote:
             require_same(source.path, source.digest)
-        with open_training_set(source.path, unchanged=True) as reader:  # since _common_head looked at it
+        with open_training_set(source.path, unchanged=True) as reader:  # since _common_head read it
             if not remote and stamp(source.path) != source.stamp:
                 raise InputFileError(f"{source.path} has been replaced while it was trained on; train again")
             yield from map(reader.frame, here)

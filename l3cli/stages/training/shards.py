@@ -23,10 +23,10 @@ from l3cli.stages.training.passes import Execution, first_pass, sum_unit, summed
 from l3cli.stages.training.run import FIRST_LAYER, FIRST_PASS, TrainingRun
 from l3cli.stages.training.whole import executed, say_table
 from l3cli.training.division import frame_blocks
-from l3cli.training.lesson import FIRST, LAST, Lesson
 from l3cli.training.recipe import TrainingRecipe, check_layers
 from l3cli.training.sums import empty_sums
 from l3cli.training.table import add_up, assemble, canonical_sites, learn_site
+from l3cli.training.training_pass import FIRST, LAST, TrainingPass
 
 if TYPE_CHECKING:
     from l3cli.parallel.cluster import Scheduler
@@ -52,39 +52,39 @@ def train_shard(
                 check_layers(run.recipe.layer)
                 write_layer_shard(run, shard, table, output, execution)
             else:
-                lesson = _last_pass(run, table, first) if table else first_pass(run, execution)
-                _write_shard(run, shard, lesson, table, output, execution)
+                pass_ = _last_pass(run, table, first) if table else first_pass(run, execution)
+                _write_shard(run, shard, pass_, table, output, execution)
 
 
 def _write_shard(
-    run: TrainingRun, shard: tuple[int, int], lesson: Lesson, table: TransformTable | None, output: Path,
+    run: TrainingRun, shard: tuple[int, int], pass_: TrainingPass, table: TransformTable | None, output: Path,
     execution: Execution,
 ) -> None:  # fmt: skip
     index, count = shard
-    blocks = frame_blocks(lesson)[index - 1 :: count]
-    sites = canonical_sites(run.head, lesson.rule, lesson.recipe)
-    sums = summed(sum_unit, run, lesson, table, blocks, execution)
+    blocks = frame_blocks(pass_)[index - 1 :: count]
+    sites = canonical_sites(run.head, pass_.rule, pass_.recipe)
+    sums = summed(sum_unit, run, pass_, table, blocks, execution)
     if not blocks:  # more shards than blocks
-        sums = ((site, empty_sums(lesson.rule, len(run.head.outputs))) for site in sites)
+        sums = ((site, empty_sums(pass_.rule, len(run.head.outputs))) for site in sites)
     head = PartialSums(
-        history=run.history_of_pass(lesson.number),
+        history=run.history_of_pass(pass_.number),
         shard=index,
         shards=count,
-        pass_number=lesson.number,
+        pass_number=pass_.number,
         patches=np.array(run.patches),
         training=run.head,
-        rule=lesson.rule,
-        white_point=lesson.white_point,
+        rule=pass_.rule,
+        white_point=pass_.white_point,
         sites=np.array(sites),
-        exposure=lesson.exposure,
-        light=lesson.light,
+        exposure=pass_.exposure,
+        light=pass_.light,
     )
-    write_partial_sums(output, head, (add_up(lesson, [site_sums]) for _, site_sums in sums))
-    name = "first" if lesson.number == FIRST else "last"
+    write_partial_sums(output, head, (add_up(pass_, [site_sums]) for _, site_sums in sums))
+    name = "first" if pass_.number == FIRST else "last"
     execution.console.say(f"{output}: shard {index} of {count}, {name} pass")
 
 
-def _last_pass(run: TrainingRun, table: TransformTable, path: Path | None) -> Lesson:
+def _last_pass(run: TrainingRun, table: TransformTable, path: Path | None) -> TrainingPass:
     """The pass after the one that made the table; InputFileError if that is of another run."""
     if table.history != run.history(FIRST_PASS):
         layer = ", nor its first layer" if run.has_later_layers else ""
@@ -93,7 +93,7 @@ def _last_pass(run: TrainingRun, table: TransformTable, path: Path | None) -> Le
             'make it with "l3 train --merge" of the first pass\'s shards'
         )
     about = (run.head, run.patches, table.first.rule, run.recipe.learning, table.white_point, run.seed)
-    return Lesson(*about, LAST, table.exposure, table.light)
+    return TrainingPass(*about, LAST, table.exposure, table.light)
 
 
 def merge_shards(shards: tuple[Path, ...], output: Path, console: Console, *, force: bool = False) -> TransformTable:
@@ -125,14 +125,14 @@ def _merged(shards: tuple[Path, ...]) -> TransformTable:
 def _merged_pass(readers: list[PartialSumsReader], recipe: TrainingRecipe, seed: int, path: Path) -> TransformTable:
     head: PartialSums = readers[0].head
     about = (head.training, tuple(head.patches.tolist()), head.rule, recipe.learning, head.white_point)
-    lesson = Lesson(*about, seed, head.pass_number, head.exposure, head.light)
-    if head.sites.tolist() != canonical_sites(head.training, head.rule, lesson.recipe):
+    pass_ = TrainingPass(*about, seed, head.pass_number, head.exposure, head.light)
+    if head.sites.tolist() != canonical_sites(head.training, head.rule, pass_.recipe):
         raise InputFileError(f"{path} holds sums of other sites than its camera has; make it again")
     solutions = {
-        int(site): learn_site(lesson, (reader.site(index) for reader in readers), int(site))
+        int(site): learn_site(pass_, (reader.site(index) for reader in readers), int(site))
         for index, site in enumerate(head.sites)
     }
-    return assemble(lesson, solutions, head.history)
+    return assemble(pass_, solutions, head.history)
 
 
 def _recipe_and_seed(head: Head, path: Path) -> tuple[TrainingRecipe, int]:

@@ -18,8 +18,8 @@ from l3cli.stages.training.later_layers import learn_later
 from l3cli.stages.training.passes import Execution, first_pass, learn_unit, summed
 from l3cli.stages.training.run import TrainingRun, open_run
 from l3cli.training.division import frame_blocks
-from l3cli.training.lesson import LAST
 from l3cli.training.table import assemble, learn_site
+from l3cli.training.training_pass import LAST
 
 if TYPE_CHECKING:
     from l3cli.parallel.cluster import Scheduler
@@ -64,12 +64,12 @@ def executed(
 
 def _learn(run: TrainingRun, execution: Execution) -> TransformTable:
     """All passes."""
-    lesson, table = first_pass(run, execution), None
-    for number in range(lesson.number, LAST + 1):
-        lesson = replace(lesson, number=number)
-        sums = summed(learn_unit, run, lesson, table, frame_blocks(lesson), execution)
-        solutions = {site: learn_site(lesson, [one], site) if isinstance(one, ClassSums) else one for site, one in sums}
-        table = assemble(lesson, solutions, run.history_of_pass(number))
+    pass_, table = first_pass(run, execution), None
+    for number in range(pass_.number, LAST + 1):
+        pass_ = replace(pass_, number=number)
+        sums = summed(learn_unit, run, pass_, table, frame_blocks(pass_), execution)
+        solutions = {site: learn_site(pass_, [one], site) if isinstance(one, ClassSums) else one for site, one in sums}
+        table = assemble(pass_, solutions, run.history_of_pass(number))
     assert table is not None  # there is at least one pass
     return learn_later(run, table, execution)
 

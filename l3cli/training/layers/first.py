@@ -37,10 +37,9 @@ class FirstLayer:
     def __init__(self, camera: CameraModel, rule: ClassRule, fixed: FixedPoint) -> None:
         self.camera, self.rule, self.fixed = camera, rule, fixed
         self._near = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
-        # contiguous: strides, which a way between processes changes, decide how products of float32 are rounded
-        self._weights = np.swapaxes(fixed.weights, 1, 2).astype(
-            np.float64, order="C"
-        )  # integers, which float64 adds exactly
+        # Integers, which float64 adds exactly. Contiguous in every process: strides, which pickling does not always keep,
+        # decide how products of float32 are rounded.
+        self._weights = np.ascontiguousarray(np.swapaxes(fixed.weights, 1, 2), np.float64)
         self._light_weights = self._weights.astype(np.float32)
 
     def see(self, mosaic: Mosaic) -> Seen:

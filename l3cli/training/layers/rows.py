@@ -16,8 +16,8 @@ from l3cli.classes.windows import Integers
 from l3cli.errors import L3Error
 from l3cli.training.accumulate import TARGET_FLOOR
 from l3cli.training.layers.first import Floats, Seen, runs_of
+from l3cli.training.row_weighting import ERROR_FLOOR, lab_error
 from l3cli.training.sums import EXACT, STEP, add_rounded, intercept_scale, pairs, steps_of_columns, width_of
-from l3cli.training.weighing import ERROR_FLOOR, lab_error
 
 BORDER = 12  # pixels at a mosaic's edge without rows: what they see is mirrored
 Y = 1

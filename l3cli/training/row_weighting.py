@@ -15,7 +15,7 @@ LIGHTNESS, RED_GREEN, YELLOW_BLUE = 116.0, 250.0, 150.0
 
 
 @dataclass(frozen=True)
-class Judge:
+class RowWeighting:
     """Transforms of one site's classes from the first pass, in XYZ."""
 
     weights: Floats  # (class, tap, output)
@@ -48,13 +48,13 @@ class Judge:
         return (error + ERROR_FLOOR) ** np.float32(-self.power)
 
 
-def judge_of(table: TransformTable, site: int, power: float) -> Judge:
-    """The judge of a canonical site from the first pass's table; its weights go with `power` of the squared error."""
-    own = table.first.rule.of_site(site)
-    x, y, z = np.moveaxis(table.first.weights[own], 1, 0)
+def row_weighting(table: TransformTable, site: int, power: float) -> RowWeighting:
+    """The weighting of a canonical site from the first pass's table; its weights go with `power` of the squared error."""
+    classes = table.first.rule.of_site(site)
+    x, y, z = np.moveaxis(table.first.weights[classes], 1, 0)
     products = np.stack([x * x, y * y, z * z, x * y, y * z], axis=-1)
-    weights = np.ascontiguousarray(np.swapaxes(table.first.weights[own], 1, 2))
-    return Judge(weights, products, table.first.intercept[own], table.white_point.astype(np.float32), power)
+    weights = np.ascontiguousarray(np.swapaxes(table.first.weights[classes], 1, 2))
+    return RowWeighting(weights, products, table.first.intercept[classes], table.white_point.astype(np.float32), power)
 
 
 def lab_error(error: Floats, target: Floats, level: Floats, white: NDArray[np.floating]) -> Floats:

@@ -16,7 +16,7 @@ FIRST, LAST = 1, 2  # the passes: errors of the first weigh the rows of the last
 
 
 @dataclass(frozen=True)
-class Lesson:
+class TrainingPass:
     """A pass: what is learned, from how many patches of which frames, by which rule and recipe."""
 
     head: TrainingSet
@@ -49,7 +49,7 @@ def spread_patches(patches: int, frames: Sequence[int], shares: Sequence[Fractio
     their proportion over the sets and evenly over the frames of each, rounded up (docs/method.md#patches)."""
     parts = shares if shares is not None else [Fraction(count) for count in frames]
     each = [math.ceil(patches * part / sum(parts) / count) for part, count in zip(parts, frames, strict=True)]
-    return tuple(own for own, count in zip(each, frames, strict=True) for _ in range(count))
+    return tuple(here for here, count in zip(each, frames, strict=True) for _ in range(count))
 
 
 def brightness_of(target: NDArray, outputs: tuple[str, ...]) -> NDArray:
