@@ -2,7 +2,8 @@
 
 Where channels clip, the colour of a surface is lost with them, and the mean colour of all training surfaces that clip alike
 is no good guess: it gives highlights a cast. Highlights are mostly neutral, and a neutral error is the one that nobody sees.
-So every class near saturation is taught, beside its patches, flat greys of the training light that clip as its patches do.
+So every plain class near saturation is taught, beside its patches, flat greys of the training light that clip as its patches
+do; among textures, where other pixels tell the colour, they would only cost detail.
 """
 
 import numpy as np
@@ -15,7 +16,7 @@ from l3cli.training.sums import moment_matrix
 
 Array = NDArray[np.float64]
 
-DARKEST, BRIGHTEST, STEP = 0.3, 1.0, 1.02  # greys, of those that just clip the first and the last channel
+DARKEST, BRIGHTEST, STEP = 0.3, 1.6, 1.02  # greys, of those that just clip the first and the last channel: paper is brighter
 NEARLY = (0.94, 0.97, 1.0)  # of the saturation threshold: noise lets greys this bright clip
 ODDS = 4.0  # greys a patch of the class, times clipped channels per one that is not; 1 leaves seams between classes …
 SUREST = 30.0  # … and this many where every channel clips
@@ -54,8 +55,8 @@ def grey_patches(
             share = saturated.mean()
             weight = np.sqrt(min(ODDS * share / max(1.0 - share, 1e-9), SUREST))
             for near in {max(at - 1, 0), at, min(at + 1, rule.levels - 1)}:
-                every = np.arange(rule.contrasts)[:, None], rule.kinds_of(case)
-                for index in rule.join(near, *every, further=np.arange(rule.further)).ravel().tolist():
+                plain = 0, rule.kinds_of(case)
+                for index in rule.join(near, *plain, further=np.arange(rule.further)).ravel().tolist():
                     rows.setdefault(index, []).append(weight * row)
     return {index: np.array(greys).T @ np.array(greys) / len(greys) for index, greys in rows.items()}
 

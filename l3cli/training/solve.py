@@ -110,16 +110,36 @@ def solve(
 def equal_responses(
     solutions: list[Solution], copies: list[int], rule: ClassRule, recipe: LearningRecipe, goal: Goal
 ) -> list[Transforms]:
-    """Transforms of the canonical sites, each of which stands for `copies` sites, bent so that every class answers a flat
-    patch alike at all sites; else the CFA shows on plain areas (docs/method.md#equal-response). Of all common responses the
-    one of least total squared error is taken. Classes that some site has no solution for are filled from the nearest, at all
-    sites from the same one. L3Error if there is no class that all sites have a solution for.
+    """Transforms of the canonical sites, each of which stands for `copies` sites, bent so that sites answer a flat patch
+    alike, textures as far as that pays, and white with white (docs/method.md#equal-response). Classes that some site has no
+    solution for are filled from the nearest, at all sites from the same one. L3Error if there is no class that all sites
+    have a solution for.
     """
     factors = _noise_factors(recipe, goal)
-    bent = [solution.rows.copy() for solution in solutions]
     solved = np.all([solution.solved for solution in solutions], axis=0)
     if not solved.any():
         raise L3Error("no class has training patches at every CFA site; simulate more frames")
+    bent = [solution.rows for solution in solutions]
+    if recipe.equal_response:
+        bent = _bent(solutions, copies, rule, solved, goal, factors)
+    back = np.linalg.inv(_opponent_basis(goal))
+    transforms = []
+    for solution, rows in zip(solutions, bent, strict=True):
+        filled = np.swapaxes(rows @ back, 1, 2)[_nearest(solved, rule)]
+        transforms.append(Transforms(filled[..., :-1], filled[..., -1], solution.samples, solution.condition))
+    return transforms
+
+
+def _bent(
+    solutions: list[Solution],
+    copies: list[int],
+    rule: ClassRule,
+    solved: NDArray[np.bool_],
+    goal: Goal,
+    factors: list[float],
+) -> list[Array]:
+    """Rows (class, tap + 1, output) of the sites. Of all common responses the one of least total squared error is taken."""
+    bent = [solution.rows.copy() for solution in solutions]
     saturated = rule.case(rule.split(np.arange(solved.size)).kind) > 0
     white = _exact_white(solutions, goal)
     of_white = (_opponent_basis(goal).T @ goal.white).tolist()
@@ -128,7 +148,7 @@ def equal_responses(
     for kind in (False, True):
         used = slice(None) if kind else slice(0, -1)  # without an intercept there is none to equalise
         here = np.flatnonzero(solved & (saturated == kind))
-        for output, factor in enumerate(factors if recipe.equal_response else ()):
+        for output, factor in enumerate(factors):
             number = sorted(set(factors)).index(factor)
             stiffness = []
             for solution in solutions:
@@ -147,12 +167,7 @@ def equal_responses(
             for site, (stiff, own) in enumerate(zip(stiffness, response, strict=True)):
                 change = solutions[site].compliance[here, number][:, :, used] @ (stiff @ (common - own))
                 bent[site][here, :, output] += change[..., 0]
-    back = np.linalg.inv(_opponent_basis(goal))
-    transforms = []
-    for solution, rows in zip(solutions, bent, strict=True):
-        filled = np.swapaxes(rows @ back, 1, 2)[_nearest(solved, rule)]
-        transforms.append(Transforms(filled[..., :-1], filled[..., -1], solution.samples, solution.condition))
-    return transforms
+    return bent
 
 
 def _exact_white(solutions: list[Solution], goal: Goal) -> Array | None:
@@ -247,7 +262,7 @@ def _noise_factors(recipe: LearningRecipe, goal: Goal) -> list[float]:
     """How much each row of the opponent basis weighs noise against bias (docs/method.md#noise-weights)."""
     if goal.outputs == XYZ:
         return [recipe.chroma_noise, recipe.luminance_noise, recipe.chroma_noise]
-    return [min(recipe.luminance_noise, 1.0)] * len(goal.outputs)  # more of it has no one's eyes for a reason
+    return [min(recipe.luminance_noise, 1.0)] * len(goal.outputs)  # what is no picture has no eyes to please
 
 
 def _opponent_basis(goal: Goal) -> Array:
