@@ -159,12 +159,13 @@ def render(
 
 
 def evaluate(
-    table: Name | TransformTable, frames: Name, *, viewing: float = 50.0, pictures: Name | None = None,
-    backend: str = "opencl", force: bool = False, console: Console | None = None,
+    table: Name | TransformTable, frames: Name, *, viewing: float = 50.0, border: int | None = None,
+    pictures: Name | None = None, backend: str = "opencl", force: bool = False, console: Console | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """The document of `l3 evaluate --json`: figures of a table on the frames of a training set that it has not seen.
 
-    `viewing`: samples a degree of S-CIELAB. `pictures`: folder for ours, ideal, basic and error pictures.
+    `viewing`: samples a degree of S-CIELAB. `border`: pixels left out at each edge of a frame; None: those whose patch is
+    not inside it. `pictures`: folder for ours, ideal, basic and error pictures.
     """
     from l3cli.stages import evaluation
 
@@ -175,6 +176,7 @@ def evaluate(
             console or Silent(),
             backend=backend,
             viewing=viewing,
+            border=border,
             pictures=_optional(pictures),
             force=force,
         )
