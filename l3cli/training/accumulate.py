@@ -109,7 +109,7 @@ class _Batch:
         """Factors (patch) that take patches from the level they have to a random one."""
         if not self.pass_.recipe.rescale:
             return np.ones(patch_level.size)
-        return draw_levels(self.pass_.recipe, self.pass_.head.camera, patch_level.size, rng) / patch_level
+        return draw_levels(self.pass_.recipe, patch_level.size, rng) / patch_level
 
     def _seen(
         self, here: slice, scale: Floats, order: TapOrder, rng: np.random.Generator

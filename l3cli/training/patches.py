@@ -16,9 +16,6 @@ from l3cli.training.symmetry import orientations, site_maps
 
 Floats = NDArray[np.float32]
 QUANTISATION = 1 / 12  # DN², of rounding to whole DN
-# Without a darkest level in the recipe, this share of the draws lies below USUAL_DARKEST of full scale, down to where a
-# pixel's signal is DARK_SNR of its noise: as dense as above, they cost brighter classes what they give to dark ones.
-DARK_SHARE, USUAL_DARKEST, DARK_SNR = 0.1, 0.003, 0.1
 
 
 @dataclass(frozen=True)
@@ -142,35 +139,10 @@ def sample_patches(
     return Patches(signal, np.ascontiguousarray(target))
 
 
-def darkest_level(recipe: LearningRecipe, camera: CameraModel) -> float:
-    """The lowest level that is drawn, share of full scale: the recipe's, or where a pixel's signal is DARK_SNR of its noise,
-    but no higher than the usual one."""
-    if recipe.darkest is not None:
-        return recipe.darkest
-    constant, linear, quadratic = camera.noise_terms()
-    share = DARK_SNR**2  # signal² = share · (constant + linear · signal + quadratic · signal²)
-    square, half = 1.0 - share * quadratic, 0.5 * share * linear
-    signal = (half + math.sqrt(half**2 + square * share * constant)) / square if square > 0 else math.inf
-    return min(signal / (camera.white - camera.black), usual_darkest(recipe))
-
-
-def usual_darkest(recipe: LearningRecipe) -> float:
-    """The level, share of full scale, from which on levels are drawn log-uniformly: the recipe's, or USUAL_DARKEST, but no
-    more than half of where the highlights begin."""
-    return min(USUAL_DARKEST, 0.5 * recipe.highlight_from) if recipe.darkest is None else recipe.darkest
-
-
-def draw_levels(recipe: LearningRecipe, camera: CameraModel, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
-    """`count` levels, share of full scale: log-uniform over the whole range, a share of them over the highlights, and one in
-    the dark where that follows the camera."""
-    usual = usual_darkest(recipe)
-    low = np.where(rng.random(count) < recipe.highlight_share, recipe.highlight_from, usual)
-    level = low * (recipe.brightest / low) ** rng.random(count)
-    if recipe.darkest is None:
-        darkest = darkest_level(recipe, camera)
-        dark = rng.random(count) < DARK_SHARE
-        level[dark] = darkest * (usual / darkest) ** rng.random(np.count_nonzero(dark))
-    return level
+def draw_levels(recipe: LearningRecipe, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    """`count` levels, share of full scale: log-uniform over the whole range, a share of them over the highlights."""
+    low = np.where(rng.random(count) < recipe.highlight_share, recipe.highlight_from, recipe.darkest)
+    return low * (recipe.brightest / low) ** rng.random(count)
 
 
 @functools.cache

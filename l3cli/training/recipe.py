@@ -23,7 +23,7 @@ class LearningRecipe(Recipe):
     draws: Annotated[int, msgspec.Meta(ge=1, le=MOST_DRAWS)] = 8  # levels drawn a patch (docs/method.md#level-rescaling)
     # levels drawn a patch in the pass whose errors weigh the rows of the second; 0: one pass only
     first_draws: Annotated[int, msgspec.Meta(ge=0, le=MOST_DRAWS)] = 3
-    darkest: float | None = None  # levels are drawn log-uniformly from here (None: as the camera's noise allows) …
+    darkest: float = 0.003  # levels are drawn log-uniformly from here …
     brightest: float = 2.5  # … to here, clipped at white
     highlight_share: float = 0.25  # this share of the draws …
     highlight_from: float = 0.15  # … lies between here and the brightest
@@ -72,8 +72,7 @@ class TrainingRecipe(Recipe):
 
 def check_learning(recipe: LearningRecipe) -> None:
     """RecipeError if a number of the learning recipe cannot be."""
-    edges = [edge for edge in (recipe.darkest, recipe.highlight_from, recipe.brightest) if edge is not None]
-    if not all(lower < higher for lower, higher in itertools.pairwise([0.0, *edges])):
+    if not 0 < recipe.darkest < recipe.highlight_from < recipe.brightest:
         raise RecipeError("learning needs 0 < darkest < highlight_from < brightest")
     if not 0 <= recipe.highlight_share <= 1:
         raise RecipeError("learning.highlight_share must lie in 0…1")

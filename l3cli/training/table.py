@@ -63,7 +63,7 @@ def take_pilot(
             rng = np.random.default_rng([seed, 0, index, site])
             pilot = patches_of(frame, head, near, site, count, rng, recipe.learning.symmetry)
             patch_level = np.maximum(pilot.signal.mean(axis=1), 1e-3)
-            scale = pilot.possible(draw_levels(recipe.learning, head.camera, len(patch_level), rng) / patch_level)[:, None]
+            scale = pilot.possible(draw_levels(recipe.learning, len(patch_level), rng) / patch_level)[:, None]
             carried = None if pilot.carried is None else (pilot.carried * scale**2).astype(np.float32)
             values = expose_patches((pilot.signal * scale).astype(np.float32), camera, rng, carried, dark)
             occurrences += np.bincount(saturation_codes(values, rule, near, site), minlength=codes)

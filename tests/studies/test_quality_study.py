@@ -25,7 +25,7 @@ LEVELS = (0.4, 0.2, 0.02)
 DRAWS = 3  # of the dead leaves
 NOISE_DIFFERENCE = 0.05  # ΔE00: smaller differences are chance (docs/method.md#ablation)
 
-# Every ingredient, and how the default recipe is written without it.
+# Every ingredient of one layer, and how its recipe is written without it.
 WITHOUT = {
     "saturation cases": {"max_cases = 12": "max_cases = 1"},
     "contrast": {"contrasts = [1.4]": "contrasts = []"},
@@ -152,7 +152,7 @@ def _must_hold(cells: list[dict[str, Any]], delta_e: float, psnr: float) -> None
 
 
 def test_faces_from_procedural_scenes_alone(studio: Studio) -> None:
-    for name in ("fast", "default", "best"):
+    for name in ("fast", "single", "default", "best"):
         cells = studio.judge_draws((CONFIGS / f"classes/{name}.toml").read_text())
         print(_line(f"procedural scenes alone, {name}", cells), flush=True)
         if name != "fast":
@@ -176,12 +176,12 @@ def test_faces_left_out_one_by_one(studio: Studio) -> None:
 
 
 def test_each_ingredient_is_worth_its_place(studio: Studio) -> None:
-    """Default recipe on procedural scenes, one ingredient left out at a time; none may be better left out."""
-    default = (CONFIGS / "classes/default.toml").read_text()
-    whole = studio.judge_draws(default)
-    print(_line("default", whole), flush=True)
+    """One layer on procedural scenes, one ingredient left out at a time; none may be better left out."""
+    single = (CONFIGS / "classes/single.toml").read_text()
+    whole = studio.judge_draws(single)
+    print(_line("single", whole), flush=True)
     for ingredient, changes in WITHOUT.items():
-        recipe = default
+        recipe = single
         for words, instead in changes.items():
             assert recipe.count(words) == 1, words
             recipe = recipe.replace(words, instead)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import LightSpectrum, TrainingFrame, TrainingPair
 from l3cli.physics import spectra
-from l3cli.training.patches import expose_patches, usual_darkest
+from l3cli.training.patches import expose_patches
 from l3cli.training.recipe import LearningRecipe
 
 Floats = NDArray[np.float32]
@@ -94,8 +94,7 @@ def _turned(planes: Floats, turn: tuple[int, bool, slice, slice]) -> Floats:
 
 
 def _drawn_level(recipe: LearningRecipe, rng: np.random.Generator) -> float:
-    """The mean level of a mosaic; its shadows are darker yet."""
-    low = recipe.highlight_from if rng.random() < recipe.highlight_share else usual_darkest(recipe)
+    low = recipe.highlight_from if rng.random() < recipe.highlight_share else recipe.darkest
     return float(low * (recipe.brightest / low) ** rng.random())
 
 
