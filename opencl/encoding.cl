@@ -6,11 +6,11 @@
 #ifdef FIXED_POINT
 
 // A fixed-point sum as a plane keeps it (l3cli/classes/planes.py).
-INLINE short plane_value(int sum) {
+INLINE int plane_value(int sum) {
 #if FRACTION > 0
     sum = (sum + (1 << (FRACTION - 1))) >> FRACTION;
 #endif
-    return (short)clamp(sum, -PLANE_TOP, PLANE_TOP);
+    return clamp(sum, -PLANE_TOP, PLANE_TOP);
 }
 
 #endif

@@ -100,11 +100,11 @@ void classes(__global const ushort *restrict raw,                // (row, col) D
 #if SOURCES == 1
 #define SOURCE ushort
 #else
-#define SOURCE short
+#define SOURCE int
 #endif
 
 #if defined(FIXED_POINT)
-INLINE void write(__global short *picture, const int *output, __global const float *matrix, size_t at, size_t pixels) {
+INLINE void write(__global int *picture, const int *output, __global const float *matrix, size_t at, size_t pixels) {
     for (int o = 0; o < OUTPUTS; o++) picture[o * pixels + at] = plane_value(output[o]);
 }
 #elif defined(PLANES)
@@ -176,7 +176,7 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
 #if SOURCES > 1
 
 __kernel __attribute__((reqd_work_group_size(TILE, BAND, 1)))
-void structures(__global const short *restrict planes,       // (plane, source row, col)
+void structures(__global const int *restrict planes,       // (plane, source row, col)
                 __global const uint *restrict first_labels,  // (source row, col) of the layer before
                 __global const int *restrict row_source,     // (padded row)
                 __global const int *restrict column_source,  // (padded col)
@@ -185,7 +185,7 @@ void structures(__global const short *restrict planes,       // (plane, source r
                 int source_rows, int rows, int columns) {
     const int x = get_group_id(0) * TILE + get_local_id(0), y = get_group_id(1) * BAND + get_local_id(1);
     if (x >= columns || y >= rows) return;
-    __global const short *luminance = planes + (size_t)LUMINANCE * source_rows * columns;
+    __global const int *luminance = planes + (size_t)LUMINANCE * source_rows * columns;
     uint xx = 0, yy = 0;
     int xy = 0;
     for (int i = 1; i < 2 * STRUCTURE_REACH; i++) {
@@ -193,7 +193,7 @@ void structures(__global const short *restrict planes,       // (plane, source r
         const size_t below = (size_t)row_source[y + i + 1] * columns;
         for (int j = 1; j < 2 * STRUCTURE_REACH; j++) {
             const int left = column_source[x + j - 1], at = column_source[x + j], right = column_source[x + j + 1];
-            const int scale = label_gradient[first_labels[here + at]] & SCALE_BITS;
+            const uint scale = label_gradient[first_labels[here + at]];
             const int gx = gradient(luminance[here + right] - luminance[here + left], scale);
             const int gy = gradient(luminance[below + at] - luminance[above + at], scale);
             const int weight = (3 - abs(i - STRUCTURE_REACH)) * (3 - abs(j - STRUCTURE_REACH));

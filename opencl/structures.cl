@@ -11,7 +11,7 @@ typedef struct {
 } Products;
 
 // A padded row of luminance and of what its pixels' classes say of gradients.
-INLINE void read_row(int *luminance, uint *turned, __global const short *plane, __global const uint *labels,
+INLINE void read_row(int *luminance, uint *turned, __global const int *plane, __global const uint *labels,
                      __global const int *column_source, __global const uint *label_gradient, int x0, int columns) {
     const int end = min(TILE, columns - x0) + 2 * STRUCTURE_REACH;
     #pragma clang loop vectorize(disable) unroll_count(4)
@@ -24,7 +24,7 @@ INLINE void read_row(int *luminance, uint *turned, __global const short *plane, 
 
 INLINE void multiply(Products *products, const int *above, const int *here, const int *below, const uint *turned, int span) {
     for (int p = 1; p < span; p += LANES) {
-        const ints scale = SAME_BITS(LOAD_PRIVATE(uints, turned + p) & SCALE_BITS, ints);
+        const uints scale = LOAD_PRIVATE(uints, turned + p);
         const ints gx = gradient(LOAD_PRIVATE(ints, here + p + 1) - LOAD_PRIVATE(ints, here + p - 1), scale);
         const ints gy = gradient(LOAD_PRIVATE(ints, below + p) - LOAD_PRIVATE(ints, above + p), scale);
         STORE_PRIVATE(ints, products->xx + p) = gx * gx;
@@ -54,7 +54,7 @@ INLINE ints across(const int *at) {
 }
 
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
-void structures(__global const short *restrict planes,       // (plane, source row, col)
+void structures(__global const int *restrict planes,       // (plane, source row, col)
                 __global const uint *restrict first_labels,  // (source row, col) of the layer before
                 __global const int *restrict row_source,     // (padded row)
                 __global const int *restrict column_source,  // (padded col)
@@ -64,7 +64,7 @@ void structures(__global const short *restrict planes,       // (plane, source r
     const int x0 = get_group_id(0) * TILE, y0 = get_group_id(1) * BAND;
     const int y1 = min(y0 + BAND, rows), width = min(TILE, columns - x0);
     const int span = width + 2 * STRUCTURE_REACH;
-    __global const short *luminance_plane = planes + (size_t)LUMINANCE * source_rows * columns;
+    __global const int *luminance_plane = planes + (size_t)LUMINANCE * source_rows * columns;
     int luminance[3][REACHED];
     uint turned[3][REACHED];
     Products ring[WINDOW], sum;

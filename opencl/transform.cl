@@ -145,10 +145,10 @@ INLINE void into_ring(tap *to, __global const ushort *raw, __global const int *c
     for (int p = 0; p < span; p++) to[p * COLUMN] = signal[p];
 }
 #else
-#define SOURCE short
+#define SOURCE int
 
 // The newest row of every plane into the ring.
-INLINE void into_ring(tap *to, __global const short *planes, __global const int *column_source, float black, int x0,
+INLINE void into_ring(tap *to, __global const int *planes, __global const int *column_source, float black, int x0,
                       int columns, size_t stride, ushort *row, int span) {
     const int first = max(0, RADIUS - x0), last = min(TILE + 2 * RADIUS, columns - x0 + RADIUS);
     const int end = min(TILE + 2 * RADIUS, columns - x0 + 2 * RADIUS);

@@ -10,8 +10,8 @@ from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.schema import check, data, group
 from l3cli.artifacts.structure_rule import StructureRule
 
-PLANE_STEP = 2.0**-13  # of the output unit: what a plane's integers count
-PLANE_TOP = 2**15 - 1  # planes are signed 16-bit integers
+PLANE_STEP = 2.0**-18  # of the output unit: what a plane's integers count, far below the noise of any sensor
+PLANE_TOP = 2**22 - 1  # 16 times a full scale: differences times a factor of 7 bits stay within 32 bits
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.schema import check, data
 
 GRADIENT = 4095  # largest gradient, in units of SIGMA per standard deviation of noise: sums of 81 squares stay below 2^31
-MOST_SCALE = 1 << 13  # a difference of two 16-bit values times it stays within 32 bits
+FACTORS, MOST_SHIFT = (64, 127), 24  # of gradients
 DIRECTIONS = 8  # of edges, half a turn in all
 
 
@@ -27,9 +27,10 @@ class StructureRule:
     """class = (site · levels + level) · kinds + kind. Level and saturation case are those of the first layer."""
 
     level_step: int = data("int64", doc="levels of the first layer that make one here")
-    gradient_scale: NDArray[np.uint16] = data(
-        "uint16", "mosaic_level", unit="1/256", doc="factor of the luminance differences of each level of the first layer"
+    gradient_factor: NDArray[np.uint8] = data(
+        "uint8", "mosaic_level", doc="what luminance differences are multiplied by, at each level of the first layer …"
     )
+    gradient_shift: NDArray[np.uint8] = data("uint8", "mosaic_level", unit="bit", doc="… and then shifted right by")
     strength_edges: NDArray[np.uint32] = data(
         "uint32", "strength_edge", doc="trace of the structure tensor above which the next strength begins"
     )
@@ -47,12 +48,12 @@ class StructureRule:
             raise ValueError("turns must be two signs a site")
         if (np.diff(self.strength_edges.astype(np.int64)) <= 0).any():
             raise ValueError("strength_edges do not increase")
-        if self.gradient_scale.size and int(self.gradient_scale.max()) > MOST_SCALE:
-            raise ValueError(f"gradient_scale exceeds {MOST_SCALE}")
+        if self.gradient_factor.max(initial=0) > FACTORS[1] or self.gradient_shift.max(initial=0) > MOST_SHIFT:
+            raise ValueError(f"gradient_factor exceeds {FACTORS[1]}, or gradient_shift {MOST_SHIFT}")
 
     @property
     def levels(self) -> int:
-        return -(-len(self.gradient_scale) // self.level_step)
+        return -(-len(self.gradient_factor) // self.level_step)
 
     @property
     def strengths(self) -> int:

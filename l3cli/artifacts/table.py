@@ -66,9 +66,9 @@ class TransformTable(Artifact):
         rule, below = layer.rule, self.first.rule
         if len(rule.turns) != self.cfa.size:
             raise ValueError(f"turns holds {len(rule.turns)} sites, the CFA {self.cfa.size}")
-        if (len(rule.gradient_scale), rule.cases) != (below.levels, below.cases):
+        if (len(rule.gradient_factor), rule.cases) != (below.levels, below.cases):
             raise ValueError(
-                f"a later layer is for {len(rule.gradient_scale)} levels and {rule.cases} saturation cases, "
+                f"a later layer is for {len(rule.gradient_factor)} levels and {rule.cases} saturation cases, "
                 f"the first has {below.levels} and {below.cases}"
             )
         taps = layer.side**2 * len(self.outputs)

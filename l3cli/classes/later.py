@@ -11,7 +11,7 @@ from l3cli.classes.windows import Integers
 from l3cli.frame import mirrored_indices
 
 
-def label_planes(planes: NDArray[np.int16], first: Integers, rule: StructureRule, first_rule: ClassRule) -> Integers:
+def label_planes(planes: NDArray[np.int32], first: Integers, rule: StructureRule, first_rule: ClassRule) -> Integers:
     """Class (row, col) of every pixel, among those of all sites, from the first layer's planes (plane, row, col) and classes
     (row, col)."""
     place = first_rule.split(first)
@@ -28,12 +28,13 @@ def mirrored(planes: NDArray, margin: int) -> NDArray:
 
 
 def first_label_words(rule: StructureRule, first: ClassRule) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-    """What a kernel reads of each class (class) of the first layer: the scale of gradients, with bits 14 and 15 set where
-    the tensor's components change their signs; and the first class of its site and level, with bit 31 set where saturation
-    decides and it is the class itself (opencl/structure.cl)."""
+    """What a kernel reads of each class (class) of the first layer: the factor of gradients and from bit 8 on their shift,
+    with bits 14 and 15 set where the tensor's components change their signs; and the first class of its site and level, with
+    bit 31 set where saturation decides and it is the class itself (opencl/structure.cl)."""
     place = first.split(np.arange(len(rule.turns) * first.classes_per_site))
     turned = (rule.turns[place.site] < 0).astype(np.uint32)
-    gradient = rule.gradient_scale[place.level].astype(np.uint32) | turned[:, 0] << 14 | turned[:, 1] << 15
+    factor, shift = (values[place.level].astype(np.uint32) for values in (rule.gradient_factor, rule.gradient_shift))
+    gradient = factor | shift << 8 | turned[:, 0] << 14 | turned[:, 1] << 15
     case = first.case(place.kind)
     start = rule.join(place.level // rule.level_step, rule.kind(0, case), place.site).astype(np.uint32)
     return gradient, start | (case > 0).astype(np.uint32) << 31

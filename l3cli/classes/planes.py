@@ -1,6 +1,6 @@
 """The first layer in fixed point: planes whose integers are the same wherever they are computed (docs/method.md#layers).
 
-    plane = clamp(Σ W · DN + B + 2^(F − 1) >> F, ±32767)
+    plane = clamp(Σ W · DN + B + 2^(F − 1) >> F, ±4194303)
 
 The planes are X − aY, Y and Z − bY, with (a, 1, b) the white under the training light, so that greys have no chroma. W and
 B are the layer's weights and intercept per DN and PLANE_STEP, times 2^F, rounded; F is the largest for which no sum of any
@@ -29,10 +29,10 @@ class FixedPoint:
     intercept: NDArray[np.int32]  # (class, plane)
     fraction: int  # F
 
-    def planes(self, sums: Integers) -> NDArray[np.int16]:
+    def planes(self, sums: Integers) -> NDArray[np.int32]:
         """Planes of sums Σ W · DN + B."""
         rounded = (sums + (1 << self.fraction >> 1)) >> self.fraction
-        return np.clip(rounded, -PLANE_TOP, PLANE_TOP).astype(np.int16)
+        return np.clip(rounded, -PLANE_TOP, PLANE_TOP).astype(np.int32)
 
 
 def opponent_basis(white_point: NDArray[np.floating]) -> NDArray[np.float64]:

@@ -1,10 +1,10 @@
 """Structure: strength and direction of the edge at a pixel, from the luminance that the layer before has made
 (docs/method.md#structure).
 
-With Y that luminance in fixed point and s the gradient scale of the pixel's level, so that noise alone has a standard
-deviation of about SIGMA:
+With Y that luminance in fixed point, f and s the factor and shift of gradients at the pixel's level, so that noise alone
+has a standard deviation of about SIGMA:
 
-    g_x = clamp((Y[r, c + 1] − Y[r, c − 1]) · s >> 8, ±4095)     g_y alike down a column
+    g_x = clamp((Y[r, c + 1] − Y[r, c − 1]) · f >> s, ±4095)     g_y alike down a column
     xx, yy, xy = Σ w · (g_x², g_y², g_x g_y) over 5 × 5, w the products of 1 2 3 2 1
     strength = number of strength edges < xx + yy
     a = ±(xx − yy >> 6)   b = ±(xy >> 5)   t = xx + yy >> 6       the signs turn the site's axes to those it is learned in
@@ -30,7 +30,7 @@ REACH = 3  # pixels beyond a plane that the structure of its edge reads
 def structures(luminance: Integers, level: Integers, site: Integers, rule: StructureRule) -> Integers:
     """Structure (row, col) from luminance (row + 2 REACH, col + 2 REACH) and levels of the first layer (row + 4, col + 4),
     both with a margin of mirrored pixels, and CFA sites (row, col)."""
-    xx, yy, xy = tensor(luminance, np.asarray(rule.gradient_scale, np.int64)[level])
+    xx, yy, xy = tensor(luminance, rule.gradient_factor.astype(np.int64)[level], rule.gradient_shift.astype(np.int64)[level])
     trace = xx + yy
     strength = np.searchsorted(rule.strength_edges.astype(np.int64), trace, side="left")
     turn = rule.turns.astype(np.int64)[site]
@@ -39,10 +39,10 @@ def structures(luminance: Integers, level: Integers, site: Integers, rule: Struc
     return np.where(strength > 0, 1 + (strength - 1) * (1 + DIRECTIONS) + within, 0)
 
 
-def tensor(luminance: Integers, scale: Integers) -> tuple[Integers, Integers, Integers]:
-    """Weighted sums (row, col) of the products of gradients, each scaled by its pixel's `scale` (row + 4, col + 4)."""
-    across = np.clip((luminance[1:-1, 2:] - luminance[1:-1, :-2]) * scale >> 8, -GRADIENT, GRADIENT)
-    down = np.clip((luminance[2:, 1:-1] - luminance[:-2, 1:-1]) * scale >> 8, -GRADIENT, GRADIENT)
+def tensor(luminance: Integers, factor: Integers, shift: Integers) -> tuple[Integers, Integers, Integers]:
+    """Weighted sums (row, col) of the products of gradients, each scaled by `factor` and `shift` (row + 4, col + 4)."""
+    across = np.clip((luminance[1:-1, 2:] - luminance[1:-1, :-2]) * factor >> shift, -GRADIENT, GRADIENT)
+    down = np.clip((luminance[2:, 1:-1] - luminance[:-2, 1:-1]) * factor >> shift, -GRADIENT, GRADIENT)
     return _windowed(across * across), _windowed(down * down), _windowed(across * down)
 
 

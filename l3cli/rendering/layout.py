@@ -85,7 +85,7 @@ def table_macros(table: TransformTable) -> Macros:
 
 def fixed_macros(fixed: FixedPoint) -> Macros:
     """What the first layer writes for the next to read."""
-    return {"FIXED_POINT": 1, "FRACTION": fixed.fraction, "PLANE_TOP": PLANE_TOP, "CODE": "short"}
+    return {"FIXED_POINT": 1, "FRACTION": fixed.fraction, "PLANE_TOP": PLANE_TOP, "CODE": "int"}
 
 
 def later_macros(table: TransformTable) -> Macros:

@@ -192,7 +192,7 @@ class OpenCLRenderer:
     def _classify_later(self, track: Track, band: Band, work: Work) -> None:
         """Planes of the first layer, and by their structure the classes of the one after it."""
         shape = (band.wide.stop - band.wide.start, band.columns)
-        track.planes = self._scratch(track.planes, 2 * layout.PLANES * shape[0] * shape[1])
+        track.planes = self._scratch(track.planes, 4 * layout.PLANES * shape[0] * shape[1])
         nothing = self._constant(np.zeros(9), np.float32)
         buffers = (track.raw, *band.mosaic_source, track.labels, self._plane_weights, nothing, track.planes)
         work.add("planes", self._run(self._planes, track, shape, *buffers, np.float32(0), np.int32(0)))

@@ -49,7 +49,7 @@ class ReferenceRenderer:
         planes = self._planes(levelled, labels)
         return frame.light_share * later_outputs(planes, later_labels(planes, labels, self.table), self.table.later[0])
 
-    def _planes(self, levelled: RawFrame, labels: Integers) -> NDArray[np.int16]:
+    def _planes(self, levelled: RawFrame, labels: Integers) -> NDArray[np.int32]:
         """What the first of several layers makes of a frame at the table's levels."""
         return first_planes(levelled, labels, self.table, fixed_point(self.table))
 

@@ -99,7 +99,8 @@ def some_layer_sums(camera: CameraModel) -> tuple[PartialLayerSums, LayerSums]:
     table = dataclasses.replace(a_table(camera), camera=camera)
     rule = StructureRule(
         level_step=1,
-        gradient_scale=np.full(table.first.rule.levels, 256, np.uint16),
+        gradient_factor=np.full(table.first.rule.levels, 64, np.uint8),
+        gradient_shift=np.full(table.first.rule.levels, 6, np.uint8),
         strength_edges=np.array([1000, 5000], np.uint32),
         coherence=31,
         turns=np.ones((camera.cfa.size, 2), np.int8),

@@ -34,7 +34,8 @@ def with_later(table: TransformTable, *sides: int, seed: int = 1) -> TransformTa
     for step, side in enumerate(sides, 1):
         rule = StructureRule(
             level_step=step,
-            gradient_scale=rng.integers(8, 2048, below.levels).astype(np.uint16),
+            gradient_factor=rng.integers(64, 128, below.levels).astype(np.uint8),
+            gradient_shift=rng.integers(4, 16, below.levels).astype(np.uint8),
             strength_edges=np.arange(1, 3 + step, dtype=np.uint32) * 1000,
             coherence=24,
             turns=rng.choice([-1, 1], (sites, 2)).astype(np.int8),

@@ -65,7 +65,7 @@ def known_sums(layer: LayerPass, rule: StructureRule, noise: float) -> dict[int,
     rng = np.random.default_rng(7)
     shape = (240, 260)
     clean = rng.normal(0, 2000, (3, *shape)).round().astype(np.float32)
-    noisy = (clean + noise * rng.standard_normal(clean.shape)).round().astype(np.int16)
+    noisy = (clean + noise * rng.standard_normal(clean.shape)).round().astype(np.int32)
     target = filtered(clean) @ np.linalg.inv(layer.basis).astype(np.float32)
     site = np.arange(shape[0])[:, None] % 2 * 2 + np.arange(shape[1]) % 2
     label = rule.join(rng.integers(0, rule.levels, shape), rng.integers(0, rule.kinds, shape), site)

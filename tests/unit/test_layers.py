@@ -4,6 +4,7 @@ import dataclasses
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -47,11 +48,9 @@ def test_layers_agree_in_what_they_share() -> None:
         )
     with pytest.raises(ValueError, match="taps"):
         dataclasses.replace(TABLE, later=(dataclasses.replace(one, side=5), two))
-    scale = np.full(8, 256, np.uint16)
+    longer: dict[str, Any] = {"gradient_factor": np.full(8, 64, np.uint8), "gradient_shift": np.full(8, 6, np.uint8)}
     with pytest.raises(ValueError, match="for 8 levels"):
-        dataclasses.replace(
-            TABLE, later=(dataclasses.replace(two, rule=dataclasses.replace(two.rule, gradient_scale=scale)),)
-        )
+        dataclasses.replace(TABLE, later=(dataclasses.replace(two, rule=dataclasses.replace(two.rule, **longer)),))
 
 
 @pytest.mark.parametrize("lost", ["first", "later/0"])

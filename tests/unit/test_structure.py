@@ -15,7 +15,8 @@ SIZE = 33
 def rule_of(signs: list[tuple[int, int]]) -> StructureRule:
     return StructureRule(
         level_step=1,
-        gradient_scale=np.array([256], np.uint16),
+        gradient_factor=np.array([64], np.uint8),
+        gradient_shift=np.array([6], np.uint8),
         strength_edges=np.array([2 * structure.NOISE_TRACE], np.uint32),
         coherence=31,
         turns=np.array(signs, np.int8),

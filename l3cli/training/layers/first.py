@@ -27,7 +27,7 @@ class Seen:
     target: Floats  # (row, col, output)
     label: Integers  # (row, col) class of the first layer
     brightness: Floats  # (row, col) mean over the channels of their means, share of full scale
-    noisy: NDArray[np.int16]  # (plane, row, col) what the next layer reads, in steps
+    noisy: NDArray[np.int32]  # (plane, row, col) what the next layer reads, in steps
     clean: Floats  # (plane, row, col) the same without noise, by the classes of the noisy one
 
 

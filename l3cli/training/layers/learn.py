@@ -10,7 +10,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.layer_sums import LayerSums
 from l3cli.artifacts.layers import PlaneLayer
-from l3cli.artifacts.structure_rule import MOST_SCALE, StructureRule
+from l3cli.artifacts.structure_rule import FACTORS, MOST_SHIFT, StructureRule
 from l3cli.artifacts.training_set import TrainingPair
 from l3cli.classes import structure
 from l3cli.classes.later import label_planes
@@ -103,10 +103,13 @@ def structure_rule(layer: LayerPass, noise: Iterable[NDArray[np.float64]]) -> St
     if known.size:
         spread = np.log(squares[known] / count[known]) / 2
         deviation = np.exp(np.interp(np.arange(layer.rule.levels), known, spread))
-    scale = np.clip(np.rint(256 * structure.SIGMA / deviation), 1, MOST_SCALE)
+    scale = structure.SIGMA / deviation  # = factor / 2^shift, with a factor of 7 bits
+    shift = np.clip(np.ceil(np.log2(FACTORS[0] / scale)), 0, MOST_SHIFT)
+    factor = np.clip(np.rint(scale * 2**shift), 1, FACTORS[1])
     return StructureRule(
         level_step=layer.recipe.level_step,
-        gradient_scale=scale.astype(np.uint16),
+        gradient_factor=factor.astype(np.uint8),
+        gradient_shift=shift.astype(np.uint8),
         strength_edges=np.rint(np.array(layer.recipe.strengths) * structure.NOISE_TRACE).astype(np.uint32),
         coherence=round(64 * layer.recipe.coherence),
         turns=layer.signs(),
