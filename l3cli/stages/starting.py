@@ -18,6 +18,7 @@ COMMON = {
     "bands_scenes.toml": "scenes/bands.toml",
     "unseen.toml": "scenes/demo_unseen.toml",
     "classes.toml": "classes/default.toml",
+    "bands_classes.toml": "classes/bands.toml",
     "Makefile": "pipelines/Makefile",
     "Snakefile": "pipelines/Snakefile",
     "slurm.sh": "pipelines/slurm.sh",

@@ -144,7 +144,8 @@ def _bent(
     white = _exact_white(solutions, goal)
     of_white = (_opponent_basis(goal).T @ goal.white).tolist()
     slack = np.pad(_slack(solutions, copies), (0, 1))
-    textured = rule.split(np.arange(solved.size)).contrast > 0
+    # Among textures of many bands, each measured by few pixels, sites do better apart; colours show the least difference.
+    free = (rule.split(np.arange(solved.size)).contrast > 0) & (goal.outputs != XYZ)
     for kind in (False, True):
         used = slice(None) if kind else slice(0, -1)  # without an intercept there is none to equalise
         here = np.flatnonzero(solved & (saturated == kind))
@@ -153,7 +154,7 @@ def _bent(
             stiffness = []
             for solution in solutions:
                 softness = solution.softness[here, number][:, used, used]
-                wide = np.where(textured[here], 1 / (PLAIN * np.maximum(solution.power[here], 1e-12)), 0.0)
+                wide = np.where(free[here], 1 / (PLAIN * np.maximum(solution.power[here], 1e-12)), 0.0)
                 softness = softness + wide[:, None, None] * slack[used, used]
                 stiffness.append(np.linalg.inv(softness))
             response = [solution.response[here][:, used, output, None] for solution in solutions]

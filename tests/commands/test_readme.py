@@ -100,7 +100,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copytree(CONFIGS, folder / "configs")
     smaller = {
         "cameras/fiveband.toml": {r"rows = \d+": "rows = 192", r"cols = \d+": "cols = 256"},
-        "scenes/default.toml": {r"size = \[160, 160\]": "size = [64, 64]", r"count = 60": "count = 8"},
+        "scenes/default.toml": {r"(?s)size = \[160, 160\]\ncount = 60.*": "size = [64, 64]\ncount = 8\n"},
         "scenes/demo_unseen.toml": {r"size = \[720, 1280\]": "size = [160, 240]"},
         "classes/default.toml": {
             r"patches = 120000": "patches = 3000",

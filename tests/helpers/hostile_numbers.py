@@ -25,7 +25,8 @@ BARE = "render table.h5 frame.raw -o {out}/a.png --backend reference"
 TRAIN = "train training.h5 --classes classes.toml -o {out}/t.h5"
 SIMULATE = "simulate drawn.toml --camera camera.toml -o {out}/t.h5"
 OPTIONS = (  # {n} is the number; "=" holds on to what begins with a minus
-    MOVIE + " --fps={n}", MOVIE + " --crf={n}", "render table.h5 stack.npy -o {out}/a.y4m --backend reference --fps={n}",
+    "evaluate table.h5 training.h5 --backend reference --border={n}", MOVIE + " --fps={n}", MOVIE + " --crf={n}",
+    "render table.h5 stack.npy -o {out}/a.y4m --backend reference --fps={n}",
     RENDER + " --exposure={n}", RENDER + " --white={n},0.33", RENDER + " --white=0.31,{n}", RENDER + " --white={n}K",
     RENDER + " --white=D{n}K", RENDER + " --black={n}", RENDER + " --white-level={n}", RENDER + " --phase={n},0",
     RENDER + " --exposure-time={n}",

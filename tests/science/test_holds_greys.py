@@ -33,14 +33,15 @@ source = "dead leaves"
 size = [128, 128]
 count = 12
 """
-SMALLER = {"patches": "4000", "draws": "6", "patch": "{patch}"}
+SMALLER = {"patches": "4000", "draws": "6", "patch": "{patch}", "mosaics": "60", "rows": "3000"}
 EXPOSURES = np.geomspace(0.001, 3.0, 160)  # of that at which a perfect white fills its brightest channel
 EVERY = [
-    ("fiveband", "default", "D65", 5),
+    ("fiveband", "single", "D65", 5),
     ("fiveband", "fast", "A", 5),
-    ("fiveband", "default", "A", 9),
-    ("bayer", "default", "A", 5),
+    ("fiveband", "single", "A", 9),
+    ("bayer", "single", "A", 5),
     ("bayer", "fast", "D65", 5),
+    ("bayer", "default", "D65", 5),
 ]
 
 

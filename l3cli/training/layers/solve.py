@@ -29,48 +29,48 @@ def solve_layer(
     sums: list[LayerSums], copies: list[int], rule: StructureRule, goal: LayerGoal, equal: bool = True
 ) -> list[Array]:
     """Rows (class, tap + 1, output) of the canonical sites, each of which stands for `copies`, bent so that all answer flat
-    areas alike and, where nothing is saturated, white with white."""
+    areas alike, and white with white: what the layer before makes of greys, also of those that clip, stays as grey as it is.
+    """
     taps = int((np.sqrt(8 * sums[0].noise.shape[1] + 1) - 1) / 2)
     outputs, planes = len(goal.noise), len(goal.white)
-    plane = np.repeat(np.arange(planes), taps // planes)
+    member = np.asarray(np.kron(np.eye(planes), np.ones((taps // planes, 1))), np.float64)  # (tap, plane)
     rows = [np.zeros((rule.classes_per_site, taps + 1, outputs)) for _ in sums]
     solved = np.zeros(rule.classes_per_site, bool)
     parents = [_Parents(one, rule) for one in sums]
     for index in range(rule.classes_per_site):
         shrunk = [_shrunk(one, parent, index, rule, goal) for one, parent in zip(sums, parents, strict=True)]
-        if any(one is None for one in shrunk):
+        whole = [(moment_matrix(one[0], taps + 1 + outputs), moment_matrix(one[1], taps)) for one in shrunk if one]
+        if len(whole) < len(sums):
             continue
         solved[index] = True
-        saturated = int(rule.case(rule.split(index).kind) > 0)
-        used, groups = taps + saturated, planes + saturated
-        member = (np.append(plane, planes)[:used, None] == np.arange(groups)).astype(np.float64)
         for output, factor in enumerate(goal.noise):
-            found = []
-            for packed, noise in shrunk:  # type: ignore[misc]
-                moments = moment_matrix(packed, taps + 1 + outputs)
-                system = moments[:used, :used].copy()
-                system[:taps, :taps] += factor * moment_matrix(noise, taps)
-                diagonal = system.reshape(-1)[:: used + 1]
-                diagonal[:taps] += goal.ridge * diagonal[:taps].mean() + 1e-12
-                diagonal[taps:] += 1e-9
-                found.append(_solve_positive(system, np.column_stack([moments[:used, taps + 1 + output], member]))[0])
-            if not equal:
-                for site, one in enumerate(found):
-                    rows[site][index, :used, output] = one[:, 0]
-                continue
-            stiff = [np.linalg.pinv(member.T @ one[:, 1:]) for one in found]
-            response = [member.T @ one[:, 0] for one in found]
-            total = sum(copy * k for copy, k in zip(copies, stiff, strict=True))
-            total = total + 1e-9 * np.trace(total) / groups * np.eye(groups)
-            pull = sum(copy * k @ r for copy, k, r in zip(copies, stiff, response, strict=True))
-            common = np.linalg.solve(total, pull)
-            if not saturated:
-                bend = np.linalg.solve(total, goal.white)
-                common = common + bend * (goal.white[output] - goal.white @ common) / (goal.white @ bend)
-            for site, (one, k, r) in enumerate(zip(found, stiff, response, strict=True)):
-                rows[site][index, :used, output] = one[:, 0] + one[:, 1:] @ (k @ (common - r))
+            found = [_solution(moments, noise, factor, goal.ridge, output, member) for moments, noise in whole]
+            bent = _bent(found, member, copies, goal.white, output) if equal else [one[:, 0] for one in found]
+            for site, row in enumerate(bent):
+                rows[site][index, :taps, output] = row
     source = _nearest(solved, rule)
     return [one[source] for one in rows]
+
+
+def _solution(moments: Array, noise: Array, factor: float, ridge: float, output: int, member: Array) -> Array:
+    """The Wiener solution (tap) of an output, and behind it how it gives way to a change of the flat response
+    (tap, 1 + plane). Moments are of taps, intercept and outputs. There is no intercept: no light is answered with none."""
+    taps = len(noise)
+    system = moments[:taps, :taps] + factor * noise
+    system.reshape(-1)[:: taps + 1] += ridge * np.trace(system) / taps + 1e-12
+    return _solve_positive(system, np.column_stack([moments[:taps, taps + 1 + output], member]))[0]
+
+
+def _bent(found: list[Array], member: Array, copies: list[int], white: Array, output: int) -> list[Array]:
+    """Rows (tap) of the sites with one flat response, of all that answer white with white the one of least squared error."""
+    stiff = [np.linalg.pinv(member.T @ one[:, 1:]) for one in found]
+    response = [member.T @ one[:, 0] for one in found]
+    total = sum((copy * k for copy, k in zip(copies, stiff, strict=True)), np.zeros((len(white), len(white))))
+    total += 1e-9 * np.trace(total) / len(white) * np.eye(len(white))
+    pull = sum((copy * k @ r for copy, k, r in zip(copies, stiff, response, strict=True)), np.zeros(len(white)))
+    common, bend = np.linalg.solve(total, pull), np.linalg.solve(total, white)
+    common += bend * (white[output] - white @ common) / (white @ bend)
+    return [one[:, 0] + one[:, 1:] @ (k @ (common - r)) for one, k, r in zip(found, stiff, response, strict=True)]
 
 
 class _Parents:
