@@ -148,6 +148,7 @@ def made(workplace: Workplace, tmp_path_factory: pytest.TempPathFactory) -> tupl
         **SMALL,
         "classes": SMALL["classes"].replace("first_draws = 0", "first_draws = 2"),
         "bands_scenes": SMALL["scenes"] + '[target]\noutputs = "camera"\n',
+        "bands_classes": SMALL["classes"],
         "camera": bayer_camera().replace("[400, 700, 10]", "[400, 700, 5]"),
     }
     for recipe, text in recipes.items():
