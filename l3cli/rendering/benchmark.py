@@ -53,14 +53,14 @@ CFAS = {
     "five-band": np.array([[2, 1, 4, 1], [1, 3, 1, 0], [4, 1, 2, 1], [1, 0, 1, 3]], np.uint8),
     "bayer": np.array([[0, 1], [1, 2]], np.uint8),
 }
-CLASSES = {"fast": (10, 1), "default": (20, 8)}  # levels and chromas of the recipes in configs/classes
+CLASSES = {"fast": (10, 1), "single": (20, 8)}  # levels and chromas of recipes of one layer in configs/classes
 FULL = (
     Case(1280, 720, 9, "five-band", "fast"),
-    Case(1280, 720, 9, "five-band", "default"),
+    Case(1280, 720, 9, "five-band", "single"),
     Case(2048, 1164, 9, "five-band", "fast"),
-    Case(2048, 1164, 9, "five-band", "default"),
+    Case(2048, 1164, 9, "five-band", "single"),
     Case(1280, 720, 5, "bayer", "fast"),
-    Case(1280, 720, 5, "bayer", "default"),
+    Case(1280, 720, 5, "bayer", "single"),
     Case(1280, 720, 9, "five-band", "fast", 1),
     Case(1280, 720, 9, "five-band", "fast", 8),
 )

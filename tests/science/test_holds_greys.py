@@ -34,7 +34,7 @@ size = [128, 128]
 count = 12
 """
 SMALLER = {"patches": "4000", "draws": "6", "patch": "{patch}", "mosaics": "60", "rows": "3000"}
-PLANES_ROUNDED = 2.0**-15  # of full scale: what integer weights of the first of two layers may round off
+PLANES_ROUNDED = 2.0**-14  # of full scale: what integer weights of the first of two layers may round off
 EXPOSURES = np.geomspace(0.001, 3.0, 160)  # of that at which a perfect white fills its brightest channel
 EVERY = [
     ("fiveband", "single", "D65", 5),
