@@ -1,4 +1,4 @@
-# l3cli: every target sets up what it needs (Python ≥ 3.11; no compiler).
+# l3cli: every target installs what it needs into .venv (Python ≥ 3.11; no compiler).
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -22,7 +22,7 @@ $(VENV)/installed: pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[dev]"
 	touch $@
 
-install: $(VENV)/installed ## own .venv with l3, PoCL and the development tools
+install: $(VENV)/installed ## a .venv with l3, PoCL and the development tools
 
 demo: $(VENV)/installed ## a five-band camera from virtual lab to rendered picture
 	$(MAKE) --no-print-directory demo-steps
@@ -43,7 +43,7 @@ demo-steps:
 test: $(VENV)/installed ## the test suite
 	$(BIN)/python -m pytest
 
-study: $(VENV)/installed ## calibration over 21 seeds and a whole session's time and memory (ten minutes)
+study: $(VENV)/installed ## calibration over 21 seeds, quality, time and memory of large inputs (ten minutes)
 	$(BIN)/python -m pytest -m slow -s --ignore tests/studies/test_video_rate.py
 
 soak: $(VENV)/installed ## every stage killed forty times, full disks, endurance (half an hour)
@@ -52,13 +52,13 @@ soak: $(VENV)/installed ## every stage killed forty times, full disks, endurance
 video: $(VENV)/installed ## rate and memory of 1800 raw frames to video, beside the encoder alone (six minutes)
 	$(BIN)/python -m pytest -m slow -s tests/studies/test_video_rate.py
 
-fuzz: $(VENV)/installed ## 20 000 spoilt inputs, 2 000 led by coverage, 500 environments (a quarter of an hour); what fails stays in build/fuzz
+fuzz: $(VENV)/installed ## 20 000 corrupted inputs, 2 000 guided by coverage, 500 environments (a quarter of an hour); failures are kept in build/fuzz
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[fuzz]"
 	PYTHONPATH=$(CURDIR) nice $(BIN)/python -m tests.helpers.fuzz --inputs $(INPUTS) --jobs $(JOBS)
 	PYTHONPATH=$(CURDIR) nice $(BIN)/python -m tests.helpers.fuzz --inputs 2000 --guided
 	PYTHONPATH=$(CURDIR) nice $(BIN)/python -m tests.helpers.fuzz --environments $(PLACES) --jobs $(JOBS)
 
-curve: $(VENV)/installed ## Bayer and RGBW over the light on the scene: which is better from where (ten minutes)
+curve: $(VENV)/installed ## Bayer and RGBW over luminance: which is better where (ten minutes)
 	rm -rf $(CURVE) && mkdir -p $(CURVE)
 	for camera in bayer rgbw; do \
 	  $(L3) simulate configs/scenes/default.toml --camera configs/cameras/$$camera.toml -o $(CURVE)/$$camera.training.h5 \
@@ -75,7 +75,7 @@ lint: $(VENV)/installed ## ruff format and check, mypy
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 
-format: $(VENV)/installed ## rewrite the sources in the house's format
+format: $(VENV)/installed ## format the sources, fix what ruff can
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 

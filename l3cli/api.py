@@ -31,8 +31,8 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.frame import RawFrame, upright
-from l3cli.io import raw_files
-from l3cli.io.raw_files import KnownBetter
+from l3cli.io.raw import files as raw_files
+from l3cli.io.raw.files import KnownBetter
 from l3cli.physics.display import scene_white
 from l3cli.recipes import find_recipe
 from l3cli.rendering.display import Display, require_xyz
@@ -86,7 +86,7 @@ def calibrate(
 ) -> CameraModel:  # fmt: skip
     """The camera model of a measurement file, also written to `output` (`l3 calibrate`).
 
-    `export`: folder for the curves as CSV and rawtoaces JSON. `accept`: take a model that predicts its own charts badly.
+    `export`: folder for the curves as CSV and rawtoaces JSON. `accept`: take a model that predicts its charts badly.
     `force`: replace what is there.
     """
     from l3cli.stages import calibration
@@ -159,12 +159,13 @@ def render(
 
 
 def evaluate(
-    table: Name | TransformTable, frames: Name, *, viewing: float = 50.0, pictures: Name | None = None,
-    backend: str = "opencl", force: bool = False, console: Console | None = None,
+    table: Name | TransformTable, frames: Name, *, viewing: float = 50.0, border: int | None = None,
+    pictures: Name | None = None, backend: str = "opencl", force: bool = False, console: Console | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """The document of `l3 evaluate --json`: figures of a table on the frames of a training set that it has not seen.
 
-    `viewing`: samples a degree of S-CIELAB. `pictures`: folder for ours, ideal, basic and error pictures.
+    `viewing`: samples a degree of S-CIELAB. `border`: pixels left out at each edge of a frame; None: those whose patch is
+    not inside it. `pictures`: folder for ours, ideal, basic and error pictures.
     """
     from l3cli.stages import evaluation
 
@@ -175,6 +176,7 @@ def evaluate(
             console or Silent(),
             backend=backend,
             viewing=viewing,
+            border=border,
             pictures=_optional(pictures),
             force=force,
         )
@@ -238,7 +240,7 @@ class Renderer:
         self, frames: Iterable[RawFrame | NDArray[np.uint16]], *, exposure: float | None = None, white: str | None = None,
         bits: int = 8,
     ) -> Iterator[NDArray[np.unsignedinteger]]:  # fmt: skip
-        """`picture` of each frame, in order, as they are asked for; each automatic exposure is the frame's own."""
+        """`picture` of each frame, in order, as they are asked for; each has its automatic exposure."""
         require_xyz(self.table.outputs)
         rendition = Rendition(self.table.white_point if white is None else scene_white(white), exposure, bits)
         for each in frames:
@@ -264,4 +266,4 @@ class Renderer:
             return given
         if given.dtype not in (np.uint8, np.uint16):
             raise InputFileError(f"an array of {given.dtype} is no raw frame; give DN as uint16")
-        return raw_files.frame_of("the array", given, self.table, KnownBetter())
+        return raw_files.frame_of("the array", {"values": given}, self.table, KnownBetter())

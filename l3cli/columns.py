@@ -36,8 +36,8 @@ def columns(headings: Sequence[str], rows: Sequence[Sequence[str]], width: int |
             used = wide[0]
         parts[-1].append(index)
         used += len(GAP) + wide[index]
-    told = [[_line(line, part, wide) for line in lines] for part in parts]
-    return [line for number, part in enumerate(told) for line in ([""] if number else []) + part]
+    blocks = [[_line(line, part, wide) for line in lines] for part in parts]
+    return [line for number, part in enumerate(blocks) for line in ([""] if number else []) + part]
 
 
 def _line(cells: Sequence[str], part: Sequence[int], wide: Sequence[int]) -> str:

@@ -36,7 +36,7 @@ TELLING = {  # keys at the top of a file by which its kind is known: no other ki
         "scene", "pair", "illuminants", "luminances_cd_m2", "exposure_share", "exposure_saturated", "exposure_mean",
         "exposure_s", "lens", "target",
     ),
-    "a class recipe": ("classes", "learning"),
+    "a class recipe": ("classes", "learning", "layer"),
 }  # fmt: skip
 
 
@@ -76,7 +76,7 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
     """Keys and tables of `text`; RecipeError, which calls it `name`, if it is not TOML."""
     try:
         return tomllib.loads(text)
-    except ValueError as error:  # of its own kind, or of a number too long to be one
+    except ValueError as error:  # of msgspec's kind, or of a number too long to be one
         raise RecipeError(f"{name} is not valid TOML: {error}") from error
     except RecursionError as error:
         raise RecipeError(f"{name} is not valid TOML: its lists or tables are too deep") from error
@@ -102,7 +102,7 @@ def _plain(message: str, recipe: type[Recipe], content: Any) -> str:
     """msgspec's message in the words of a recipe: keys and tables instead of fields and objects, and what was meant."""
     what, _, where = message.partition(" - at ")
     if bound := re.fullmatch(r"Expected `(?:int|float)` (<=|>=|<|>) (\S+)", what):
-        return f"{_place(where)} is {_found(content, where)}; {BOUNDS[bound[1]]} {bound[2]}"
+        return f"{_place(where)} is {_value_at(content, where)}; {BOUNDS[bound[1]]} {bound[2]}"
     table = _place(where)
     what = what.replace("Object missing required field", "missing key").replace(
         "Object contains unknown field", "unknown key"
@@ -120,7 +120,7 @@ def _place(where: str) -> str:
     return re.sub(r"\[(\d+)\]", lambda number: f"[{int(number[1]) + 1}]", inner)
 
 
-def _found(content: Any, where: str) -> Any:
+def _value_at(content: Any, where: str) -> Any:
     """What stands where msgspec says."""
     for key, number in re.findall(r"\.([^.[\]`]+)|\[(\d+)\]", where):
         content = content[int(number)] if number else content[key]
@@ -148,12 +148,12 @@ def _values(recipe: type[Recipe], key: str) -> tuple[str, ...]:
 
 def _tables(recipe: type[Recipe], where: str) -> list[type[Recipe]]:
     """The structures that a table of a recipe may be: several where a tag chooses among them."""
-    found = [recipe]
+    tables = [recipe]
     for name in filter(None, re.sub(r"\[[^]]*\]", "", where).split(".")):
-        fields = [field for each in found for field in msgspec.structs.fields(each) if field.encode_name == name]
+        fields = [field for each in tables for field in msgspec.structs.fields(each) if field.encode_name == name]
         kinds = [kind for field in fields for kind in _parts(field.type)]
-        found = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Recipe)]
-    return found
+        tables = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Recipe)]
+    return tables
 
 
 def _parts(kind: Any) -> Iterator[Any]:

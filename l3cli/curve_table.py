@@ -1,12 +1,5 @@
-"""CSV files of spectra, as spectrometers, spreadsheets and l3 itself write them.
+"""Columns of spectra over their wavelengths, as CSV files hold them: by their names, in the units that are asked for."""
 
-A row is a wavelength and equally many values. Commas, semicolons, tabs or blanks separate them; between semicolons or tabs
-a comma is a decimal point. A heading, the first line or the last comment (#) before the numbers, names the columns: the
-wavelengths are where it says, other columns are known by their names whatever their order, and units in brackets are
-converted. Without a heading the wavelengths, in nm, come first and the columns are in the order that is asked for.
-"""
-
-import itertools
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,22 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli import units
-from l3cli.artifacts.camera import LONGEST
-from l3cli.config import LARGEST
 from l3cli.errors import InputFileError, suggestion
-from l3cli.limits import read_bounded
 from l3cli.physics import spectra
 
-MOST_ROWS = 100_000
-WAVELENGTH = ("wavelength", "wavelengths", "lambda", "λ", "wl", "wave", "wvl")
-METRES, MICROMETRES, ANGSTROMS = (
-    1e-3,
-    5.0,
-    2000.0,
-)  # what ends below the first or second, or begins above the third, is not nm
 DIMMEST, BRIGHTEST = 1e6, 1e24  # photons/s/sr/m²/nm: no pixel sees less, no lamp gives more
 RELATIVE = ("relative", "relative photons", "relative power")  # units of radiances whose scale is not known
-SEPARATORS = r"[\s_()\[\]/,]+"
 PLAIN = ("a.u.", "au", "arb. units", "relative", "rel.", "rel")  # said of numbers without a unit
 Array = NDArray[np.float64]
 
@@ -44,7 +26,7 @@ class CurveTable:
     wavelength: Array  # (wavelength) nm
     values: Array  # (column, wavelength)
     names: tuple[str, ...] | None  # of the columns, without units; None: there is no heading
-    units: tuple[str | None, ...]  # of the columns, as the heading tells them
+    units: tuple[str | None, ...]  # of the columns, as the heading states them
 
     def counted(self, columns: int) -> "CurveTable":
         """The table itself; InputFileError unless it has so many columns."""
@@ -83,14 +65,16 @@ class CurveTable:
         return CurveTable(self.path, self.wavelength, self.values[one], self.names and self.names[one], self.units[one])
 
     def photons(self, unit: str | None, absolute: bool = True) -> Array:
-        """The columns as radiances in photons/s/sr/m²/nm, whichever unit `unit` or the heading tells; without one they are.
+        """The columns as radiances in photons/s/sr/m²/nm, whichever unit `unit` or the heading states; by default they are.
 
         InputFileError if the two differ, if a unit is none of radiance, or if the values cannot be in it (`absolute`)."""
         rows = []
-        for values, told in zip(self.values, self.units, strict=True):
-            if told is not None and unit is not None and _conversion(told) != _conversion(unit):
-                raise InputFileError(f'{self.path}: its heading says "{told}", the measurement file "{unit}"; correct one')
-            rows.append(self._to_photons(values, told or unit or units.PHOTON_RADIANCE))
+        for values, heading in zip(self.values, self.units, strict=True):
+            if heading is not None and unit is not None and _conversion(heading) != _conversion(unit):
+                raise InputFileError(
+                    f'{self.path}: its heading says "{heading}", the measurement file "{unit}"; correct one'
+                )
+            rows.append(self._to_photons(values, heading or unit or units.PHOTON_RADIANCE))
         photons = np.array(rows)
         if absolute and not {unit, *self.units} & set(RELATIVE):
             self._check_level(photons, unit is not None or any(self.units))
@@ -108,7 +92,7 @@ class CurveTable:
         photons = spectra.photons_from_energy(self.wavelength, scaled) if of == "J" else scaled
         return np.asarray(photons, dtype=np.float64)
 
-    def _check_level(self, photons: Array, told: bool) -> None:
+    def _check_level(self, photons: Array, stated: bool) -> None:
         """InputFileError if what ought to be photons/s/sr/m²/nm is none by its size."""
         peaks = photons.max(axis=1)
         peak = float(peaks[peaks > 0].min(initial=np.inf))
@@ -117,7 +101,7 @@ class CurveTable:
         peak = peak if peak < DIMMEST else float(peaks.max())
         if not np.isfinite(peak):
             return  # dark, which is refused where it is asked for
-        cure = "correct the unit that is told" if told else f'if they are watts, give unit = "{units.POWER_RADIANCE}"'
+        cure = "correct the unit that is stated" if stated else f'if they are watts, give unit = "{units.POWER_RADIANCE}"'
         raise InputFileError(
             f"{self.path}: a radiance peaks at {peak:.3g} {units.PHOTON_RADIANCE}, as no light does "
             f"({DIMMEST:.0e} to {BRIGHTEST:.0e}); {cure}"
@@ -126,17 +110,17 @@ class CurveTable:
     def powers(self) -> Array:
         """The columns per power, in any unit: those that the heading gives in photons become power."""
         rows = []
-        for values, told in zip(self.values, self.units, strict=True):
-            unit = units.parse(told) if told is not None else None
-            if told is not None and unit is None and told not in PLAIN:
-                raise InputFileError(f'{self.path}: "{told}" is no unit of power per nm; give "W/nm", or photons')
+        for values, heading in zip(self.values, self.units, strict=True):
+            unit = units.parse(heading) if heading is not None else None
+            if heading is not None and unit is None and heading not in PLAIN:
+                raise InputFileError(f'{self.path}: "{heading}" is no unit of power per nm; give "W/nm", or photons')
             photons = unit is not None and "photon" in unit.powers
             rows.append(values / self.wavelength if photons else values)
         return np.array(rows)
 
     def shares(self) -> Array:
         """The columns as shares, 0…1; InputFileError if they are none, which a heading "(%)" converts."""
-        rows = [values * (0.01 if told == "%" else 1.0) for values, told in zip(self.values, self.units, strict=True)]
+        rows = [values * (0.01 if heading == "%" else 1.0) for values, heading in zip(self.values, self.units, strict=True)]
         shares = np.array(rows)
         if shares.min() < 0 or shares.max() > 1:
             percent = '; if they are percent, write "(%)" after the column\'s name' if 1 < shares.max() <= 100 else ""
@@ -146,23 +130,23 @@ class CurveTable:
     def responses(self, per_energy: bool, key: str) -> Array:
         """The columns as responsivities per energy or per photon, as the recipe's `key` says; InputFileError if the heading
         says otherwise."""
-        for told in filter(None, self.units):
-            unit = units.parse(told)
-            if told in PLAIN or (unit is not None and not unit.powers):
+        for heading in filter(None, self.units):
+            unit = units.parse(heading)
+            if heading in PLAIN or (unit is not None and not unit.powers):
                 continue
-            heading = None if unit is None else _energy_response(unit)
-            if heading is None:
-                raise InputFileError(f'{self.path}: "{told}" is no unit of responsivity; give "A/W", "e-/photon" or "%"')
-            if heading != per_energy:
-                wanted = str(heading).lower()
-                raise InputFileError(f'{self.path}: its heading says "{told}", which is {key} = {wanted}; correct one')
-        return self.values * np.array([[0.01 if told == "%" else 1.0] for told in self.units])
+            by_energy = None if unit is None else _energy_response(unit)
+            if by_energy is None:
+                raise InputFileError(f'{self.path}: "{heading}" is no unit of responsivity; give "A/W", "e-/photon" or "%"')
+            if by_energy != per_energy:
+                wanted = str(by_energy).lower()
+                raise InputFileError(f'{self.path}: its heading says "{heading}", which is {key} = {wanted}; correct one')
+        return self.values * np.array([[0.01 if heading == "%" else 1.0] for heading in self.units])
 
     def per_energy(self) -> Array:
         """The columns as responses per energy, in any unit: those that the heading gives per photon are divided."""
         rows = []
-        for values, told in zip(self.values, self.units, strict=True):
-            unit = units.parse(told) if told is not None else None
+        for values, heading in zip(self.values, self.units, strict=True):
+            unit = units.parse(heading) if heading is not None else None
             rows.append(values * self.wavelength if unit is not None and _energy_response(unit) is False else values)
         return np.array(rows)
 
@@ -197,117 +181,3 @@ def _difference(given: Sequence[str], asked: Sequence[str]) -> str:
         twice = next(name for name in given if given.count(name) > 1)
         return f'two columns are called "{twice}"; name each once'
     return f'column "{odd[:40]}" is none of those wanted; {suggestion(odd, asked)} (or leave the heading out)'
-
-
-# ------------------------------------------------------------------------------------------------------- reading
-
-
-def read_table(path: Path) -> CurveTable:
-    """A CSV file of spectra; InputFileError if it is none, or if its wavelengths are not light's, in nm or as it says."""
-    heading, rows = _rows(path)
-    if len(rows) > MOST_ROWS:
-        raise InputFileError(f"{path}: give {MOST_ROWS} wavelengths at most, within 0…{LONGEST} nm")
-    table = np.array(rows)
-    at, scale = (0, None) if heading is None else _wavelength_column(heading, path)
-    wavelength = table[:, at] * (scale or 1.0)
-    if scale in (None, 1.0) and (other := other_unit(float(wavelength.min()), float(wavelength.max()))):
-        raise InputFileError(f'{path}: {other[0]}; name that column "wavelength_{other[1]}"')
-    if not (np.abs(table) <= LARGEST).all() or not _monotonic(wavelength):
-        raise InputFileError(f"{path}: wavelengths must increase and every value be a number within ±{LARGEST:g}")
-    if not (wavelength.min() > 0 and METRES < wavelength.max() <= LONGEST):
-        told = "" if scale is None or heading is None else f' ("{heading[at]}")'
-        raise InputFileError(f"{path}: give {MOST_ROWS} wavelengths at most, within 0…{LONGEST} nm{told}")
-    if wavelength[0] > wavelength[-1]:
-        wavelength, table = wavelength[::-1], table[::-1]
-    values = np.ascontiguousarray(np.delete(table, at, axis=1).T)
-    if heading is None:
-        return CurveTable(path, wavelength, values, None, (None,) * len(values))
-    names, told_units = zip(*(units.split(name) for number, name in enumerate(heading) if number != at), strict=True)
-    return CurveTable(path, wavelength, values, names, told_units)
-
-
-def _monotonic(wavelength: Array) -> bool:
-    steps = np.diff(wavelength)
-    return bool((steps > 0).all() or (steps < 0).all())
-
-
-def other_unit(first: float, last: float) -> tuple[str, str] | None:
-    """What is wrong with a grid of wavelengths from `first` to `last` that ought to be in nm, and the unit they seem to be
-    in; None if they may be in nm."""
-    if first <= 0 or (last >= MICROMETRES and first <= ANGSTROMS):
-        return None
-    unit, nm = ("m", 1e9) if last < METRES else ("um", 1e3) if last < MICROMETRES else ("A", 0.1)
-    return f"wavelengths {first:g}…{last:g} are no nm, but perhaps {first * nm:g}…{last * nm:g} nm in {unit}", unit
-
-
-def _rows(path: Path) -> tuple[list[str] | None, list[list[float]]]:
-    """The heading, if there is one, and the rows of numbers, all of one length."""
-    try:
-        lines = [
-            line.strip(" \r")
-            for line in read_bounded(path, "give a CSV file of spectra").decode("utf-8-sig").splitlines()
-            if line.strip()
-        ]
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not a text file"
-        raise InputFileError(f"{path}: {reason}; give a CSV file of spectra") from error
-    comments = list(itertools.takewhile(lambda line: line.startswith("#"), lines))
-    lines = [line for line in lines if not line.startswith("#")]
-    separator = next((each for each in ";\t," if any(each in line for line in lines)), None)
-    cells = [[cell.strip() for cell in line.split(separator)] for line in lines]
-    heading = cells.pop(0) if cells and not _is_number(cells[0][0], separator) else None
-    rows = [_numbers(row, separator, path) for row in cells]
-    if separator in (";", "\t") and {",", "."} <= {
-        letter for row in cells for cell in row for letter in cell if letter in ",."
-    }:
-        raise InputFileError(f"{path}: numbers have commas and points; write decimals with one of them, thousands with none")
-    if not rows or len({len(row) for row in rows}) != 1 or len(rows[0]) < 2:
-        raise InputFileError(f"{path}: rows must be a wavelength in nm and equally many values each")
-    if heading is None and comments:  # as numpy writes a heading
-        names = [cell.strip() for cell in comments[-1].lstrip("# ").split(separator)]
-        heading = names if len(names) == len(rows[0]) and any(map(_is_wavelength, names)) else None
-    if heading is not None and len(heading) != len(rows[0]):
-        raise InputFileError(
-            f"{path}: its heading names {len(heading)} columns, its rows have {len(rows[0])}; "
-            "name each, and with decimal commas separate columns by semicolons"
-        )
-    return heading, rows
-
-
-def _numbers(row: list[str], separator: str | None, path: Path) -> list[float]:
-    """The cells of a row, between semicolons or tabs with decimal commas or points."""
-    try:
-        return [float(_with_point(cell, separator)) for cell in row]
-    except ValueError:
-        raise InputFileError(f'{path}: "{(separator or " ").join(row)[:40]}" is not a row of numbers') from None
-
-
-def _with_point(cell: str, separator: str | None) -> str:
-    return cell.replace(",", ".") if separator in (";", "\t") else cell
-
-
-def _is_number(cell: str, separator: str | None) -> bool:
-    try:
-        float(_with_point(cell, separator))
-    except ValueError:
-        return False
-    return True
-
-
-def _wavelength_column(heading: Sequence[str], path: Path) -> tuple[int, float | None]:
-    """Which column holds the wavelengths, and how many nm its unit has, if the heading tells it."""
-    named = [number for number, cell in enumerate(heading) if _is_wavelength(cell)] or ([0] if not heading[0] else [])
-    if len(named) != 1:
-        which = " and ".join(f'"{heading[number][:40]}"' for number in named[:2]) or f'none of "{", ".join(heading)[:60]}"'
-        raise InputFileError(f'{path}: {which} names the wavelengths; call one column "wavelength_nm"')
-    words = [word for word in re.split(SEPARATORS, heading[named[0]]) if word]
-    scales = [scale for scale in map(units.length_nm, words) if scale is not None]
-    if not scales and re.search(r"[(\[/]", heading[named[0]]):
-        raise InputFileError(f'{path}: "{heading[named[0]][:40]}" tells no unit of wavelength; give nm, um or A')
-    return named[0], scales[0] if scales else None
-
-
-def _is_wavelength(heading: str) -> bool:
-    words = [word for word in re.split(SEPARATORS, heading) if word]
-    lone = len(words) == 1 and words[0] not in ("m", "A") and units.length_nm(words[0]) is not None
-    return bool(words) and (words[0].lower() in WAVELENGTH or lone)

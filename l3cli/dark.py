@@ -59,8 +59,8 @@ def average_dark(frames: Iterable[RawFrame]) -> DarkFrame:
     mean = total / count
     middle, spread = float(np.median(mean)), _spread(mean)
     level = float(mean[np.abs(mean - middle) <= HOT * spread + 0.5].mean())
-    if not level < first.black + CLIPPED * (first.white - first.black):
-        raise InputFileError(f"{first.name} is clipped nearly everywhere; give frames without light as --dark")
+    if not level < first.black_level + CLIPPED * (first.white_level - first.black_level):
+        raise InputFileError(f"{first.name} is clipped nearly everywhere; give frames without light as ‹dark›")
     variance = squares / (count - 1) / count if count > 1 else spread**2
     deviation = mean - level
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -70,7 +70,7 @@ def average_dark(frames: Iterable[RawFrame]) -> DarkFrame:
 
 
 def without_dark(frame: RawFrame, dark: DarkFrame) -> RawFrame:
-    """The frame without what its pixels differ by in the dark; the mean of that is told by `RawFrame.dark`. Clipped pixels
+    """The frame without what its pixels differ by in the dark; the mean of that is `RawFrame.dark`. Clipped pixels
     stay clipped. InputFileError if the dark frame is of another size or kind."""
     if dark.offset.shape != frame.values.shape or (dark.phase, dark.orientation) != (frame.phase, frame.orientation):
         raise InputFileError(
@@ -82,13 +82,13 @@ def without_dark(frame: RawFrame, dark: DarkFrame) -> RawFrame:
             f"{dark.name} was exposed for {dark.exposure:.4g} s, {frame.name} for {frame.exposure:.4g} s; "
             "give dark frames of the same exposure time"
         )
-    span = frame.white - frame.black
-    mean = dark.level - frame.black
+    span = frame.white_level - frame.black_level
+    mean = dark.level - frame.black_level
     if not mean < span:
         raise InputFileError(
-            f"{dark.name} leaves no room below white level {frame.white:g}; are its levels those of the frame?"
+            f"{dark.name} leaves no room below white level {frame.white_level:g}; are its levels those of the frame?"
         )
-    clipped = frame.values >= frame.black + CLIPPED * span
+    clipped = frame.values >= frame.black_level + CLIPPED * span
     values = np.clip(frame.values.astype(np.int32) - dark.offset, 0, np.iinfo(np.uint16).max).astype(np.uint16)
     return replace(frame, values=np.where(clipped, frame.values, values), dark=mean, dark_measured=True)
 

@@ -1,4 +1,7 @@
-"""What can go wrong, and the exit code each kind of failure gives (README, "Exit codes")."""
+"""What can go wrong, and the exit code each kind of failure gives (README, "Exit codes").
+
+A message that names a parameter marks it ‹force›, by its name in Python; the command line writes its option there, --force.
+"""
 
 from collections.abc import Iterable
 
@@ -37,7 +40,7 @@ def shortened(text: str) -> str:
 
 
 def listed(lines: Iterable[str]) -> str:
-    """What is told of several things, as far as it can be read, and how many more there are."""
+    """Several names, as many as can be read, and how many more there are."""
     lines = list(lines)
     shown = [line for number, line in enumerate(lines) if number < 1 or sum(map(len, lines[: number + 1])) < 2 * MOST]
     return ", ".join(shown) + (f" and {len(lines) - len(shown)} more" if len(shown) < len(lines) else "")
@@ -50,6 +53,6 @@ def suggestion(name: str, known: Iterable[str]) -> str:
     spelled = {each.lower(): each for each in known}
     close = difflib.get_close_matches(name.lower(), spelled, n=3)
     if close:
-        return "did you mean " + " or ".join(f'"{spelled[found]}"' for found in close) + "?"
+        return "did you mean " + " or ".join(f'"{spelled[match]}"' for match in close) + "?"
     named = ", ".join(spelled.values())
     return f"there are {named}" if len(named) <= MOST else f"there are {named[:MOST].rpartition(',')[0]} …"

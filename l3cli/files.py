@@ -1,9 +1,7 @@
-"""Files as every command treats them: outputs appear whole or not at all, one run at a time writes them, and inputs are
-known by their SHA-256.
+"""Files as every command treats them: outputs appear whole or not at all, and inputs are known by their SHA-256.
 
-Whoever writes holds a lock (flock) that the kernel lets go of however the process ends, be it SIGKILL: on a hidden file
-beside the output for as long as the run lasts, and on each temporary file. A temporary file that nobody holds is what a
-killed run left.
+Whoever writes a temporary file holds a lock (flock) on it that the kernel lets go of however the process ends, be it
+SIGKILL: a temporary file that nobody holds is what a killed run left. Locks on outputs: locks.py.
 """
 
 import contextlib
@@ -41,7 +39,7 @@ def refuse_existing(path: Path, force: bool) -> None:
     if path.exists() and not path.is_file():
         raise L3Error(f"{path} is a device or pipe, which cannot be replaced by a whole file; name a file as the output")
     if path.exists() and not force:
-        raise L3Error(f"{path} exists; add --force to replace it or name another output")
+        raise L3Error(f"{path} exists; add ‹force› to replace it or name another output")
 
 
 def refuse_filled_folder(path: Path, force: bool) -> None:
@@ -49,7 +47,7 @@ def refuse_filled_folder(path: Path, force: bool) -> None:
     if path.exists() and not path.is_dir():
         raise L3Error(f"{path} is a file; name a folder")
     if path.is_dir() and not force and any(not is_ours(each.name) for each in path.iterdir()):
-        raise L3Error(f"{path} is not empty; add --force to write into it or name another folder")
+        raise L3Error(f"{path} is not empty; add ‹force› to write into it or name another folder")
 
 
 @contextlib.contextmanager
@@ -63,12 +61,12 @@ def atomic_output(path: Path) -> Iterator[Path]:
     refuse_spared(path)
     temporary, held = None, None
     try:
-        with _blamed_on(path):
+        with blamed_on(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             temporary, held = _new_temporary(path)
-        with _blamed_on(path, FULL):  # of what goes wrong inside: inputs may be read there
+        with blamed_on(path, FULL):  # of what goes wrong inside: inputs may be read there
             yield temporary
-        with _blamed_on(path):
+        with blamed_on(path):
             _put_in_place(temporary, path)
     finally:
         if temporary is not None:
@@ -89,7 +87,7 @@ def _new_temporary(path: Path) -> tuple[Path, int]:
     stem, suffix = _hidden_name(path)
     while True:
         temporary = path.with_name(f".{stem}.{os.urandom(4).hex()}.l3tmp{suffix}")
-        held = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL, _mode(path))
+        held = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL, initial_mode(path))
         with contextlib.suppress(OSError):  # storage without locks: nobody can take it for a dead run's
             fcntl.flock(held, fcntl.LOCK_EX)
         if os.fstat(held).st_nlink:
@@ -100,10 +98,10 @@ def _new_temporary(path: Path) -> tuple[Path, int]:
 def _hidden_name(path: Path) -> tuple[str, str]:
     """Stem and suffix of temporary files of `path`."""
     stem, suffix = (path.stem, path.suffix) if len(os.fsencode(path.suffix)) <= LONGEST_SUFFIX else (path.name, "")
-    return _fitting(stem, len(f"..01234567.l3tmp{suffix}")), suffix
+    return shortened(stem, len(f"..01234567.l3tmp{suffix}")), suffix
 
 
-def _fitting(name: str, more: int) -> str:
+def shortened(name: str, more: int) -> str:
     """`name`, or where it is too long for `more` bytes beside it, its beginning and a digest of it."""
     coded, room = os.fsencode(name), LONGEST - more
     if len(coded) <= room:
@@ -112,7 +110,7 @@ def _fitting(name: str, more: int) -> str:
     return coded[: room - len(digest)].decode(errors="ignore") + digest
 
 
-def _mode(output: Path) -> int:
+def initial_mode(output: Path) -> int:
     """Mode, before the umask, of what is created for an output: whoever may not read the one that is replaced may not
     read these."""
     try:
@@ -128,7 +126,7 @@ def _put_in_place(temporary: Path, path: Path) -> None:
     try:
         _flush(path.parent)
     except OSError as error:
-        if error.errno not in (errno.EINVAL, errno.EACCES):  # storage that cannot, a folder that we may not look into
+        if error.errno not in (errno.EINVAL, errno.EACCES):  # storage that cannot, a folder that may not be read
             raise
 
 
@@ -142,7 +140,7 @@ def _flush(path: Path) -> None:
 
 
 @contextlib.contextmanager
-def _blamed_on(path: Path, numbers: tuple[int, ...] | None = None) -> Iterator[None]:
+def blamed_on(path: Path, numbers: tuple[int, ...] | None = None) -> Iterator[None]:
     """Errors of the system (those `numbers`, if given) as L3Error that says that `path` cannot be written."""
     try:
         yield
@@ -153,150 +151,33 @@ def _blamed_on(path: Path, numbers: tuple[int, ...] | None = None) -> Iterator[N
         raise L3Error(f"{path} cannot be written: {error.strerror}; {cure}") from error
 
 
-# --------------------------------------------------------------------------------------------------- one run at a time
+# ----------------------------------------------------------------------------------------------- temporary files
 
 
-@contextlib.contextmanager
-def sole_writer_of_file(path: Path) -> Iterator[bool]:
-    """Keep other runs off the file `path` while the block lasts, and remove what a killed run left half-written of it.
-
-    Yields whether the storage knows locks at all. L3Error if another run writes the file, or its folder cannot be written.
-    """
-    with _claim(path, path.with_name(_lock_name(path.name))) as locked:
-        if locked:
-            sweep(path.parent, path)
-        yield locked
-
-
-@contextlib.contextmanager
-def sole_writer_of_folder(folder: Path, name: str = "", inside: tuple[str, ...] = ()) -> Iterator[bool]:
-    """`sole_writer_of_file` for the files of a folder and of those `inside` it; with `name` (of a pattern) for those files
-    alone that it stands for.
-
-    The folder is made; it is removed again if it is empty in the end. What worker processes left that were ended goes, too.
-    """
-    with _claim(folder / name, folder / (_lock_name(name) if name else LOCK)) as locked:
-        swept = [folder, *(folder / each for each in inside)] if locked else []
-        for each in swept:
-            sweep(each)
-        try:
-            yield locked
-        finally:
-            for each in swept:
-                sweep(each)
-
-
-def _lock_name(name: str) -> str:
-    return f".{_fitting(name, len(f'.{LOCK}'))}{LOCK}"
-
-
-@contextlib.contextmanager
-def finished_together(folder: Path, run: str, force: bool) -> Iterator[None]:
-    """Mark `folder` as of the run called `run` until the block ends without an error: if it is stopped, the same run may go
-    on there. L3Error if the folder holds something else, unless `force`."""
-    mark = folder / UNFINISHED
-    goes_on = mark.is_file() and mark.read_bytes() == run.encode()
-    refuse_filled_folder(folder, force or goes_on)
-    write_whole(mark, run)
-    try:
-        yield
-    except BaseException:
-        sweep(folder)
-        if all(is_ours(each.name) for each in folder.iterdir()):
-            mark.unlink(missing_ok=True)
-        raise
-    mark.unlink(missing_ok=True)
-
-
-@contextlib.contextmanager
-def _claim(output: Path, lock: Path) -> Iterator[bool]:
-    """Hold `lock` while the block lasts; folders that had to be made for it go again if they stay empty."""
-    refuse_spared(lock)  # it is removed in the end
-    made = [folder for folder in (lock.parent, *lock.parent.parents) if not folder.exists()]
-    try:
-        held = _take(lock, output)
-        try:
-            yield held is not None
-        finally:
-            if held is not None:
-                _let_go(lock, held)
-    finally:
-        for folder in made:
-            with contextlib.suppress(OSError):
-                folder.rmdir()
-
-
-@uninterrupted
-def _take(lock: Path, output: Path) -> int | None:
-    """The descriptor that holds the lock; None where the storage knows no locks."""
-    while True:
-        with _blamed_on(output):
-            lock.parent.mkdir(parents=True, exist_ok=True)
-            held: int | None
-            try:
-                held = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_EXCL, _mode(output))
-            except FileExistsError:
-                held = _existing(lock)
-        if held is None:
-            continue  # its holder has just removed it
-        try:
-            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            os.close(held)
-            raise L3Error(f"{output} is being written by another run; wait until it ends or name another output") from error
-        except OSError:
-            _let_go(lock, held)
-            return None
-        with contextlib.suppress(FileNotFoundError):
-            if os.path.samestat(os.lstat(lock), os.fstat(held)):
-                return held
-        os.close(held)  # its holder has ended and removed it between the two calls
-
-
-def _existing(lock: Path) -> int | None:
-    """A descriptor of the lock file that is there already; None if it is there no more. L3Error if it is none of l3's or
-    may not be opened. Nothing is followed, created or waited for: in a folder that others share, anything may lie here."""
-    try:
-        return _open_quietly(lock)
-    except FileNotFoundError:
-        return None
-    except PermissionError as error:
-        raise L3Error(f"{lock} is another user's; remove it if no run of theirs goes on, or name another output") from error
-    except OSError as error:
-        raise L3Error(f"{lock} is no lock file of l3's; remove it or name another output") from error
-
-
-def _open_quietly(path: Path) -> int:
+def open_quietly(path: Path) -> int:
     """A descriptor of a regular file, for its lock; OSError if it is another kind of file. To write is wanted for locks
     over NFS alone: another user's file may be readable only."""
     try:
-        found = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK)
+        descriptor = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK)
     except PermissionError:
-        found = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
-    if not stat.S_ISREG(os.fstat(found).st_mode):
-        os.close(found)
+        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
         raise OSError(errno.EINVAL, os.strerror(errno.EINVAL))
-    return found
-
-
-@uninterrupted
-def _let_go(lock: Path, held: int) -> None:
-    with contextlib.suppress(FileNotFoundError, PermissionError):  # another user's, where only they may remove it
-        lock.unlink()
-    os.close(held)
+    return descriptor
 
 
 def sweep(folder: Path, output: Path | None = None) -> None:
     """Remove the temporary files in `folder` (those of `output`, if given) whose writer is dead."""
     wanted = None if output is None else _hidden_name(output)
     for name in os.listdir(folder) if folder.is_dir() else ():
-        found = TEMPORARY.fullmatch(name)
-        if not found or wanted not in (None, (found[1], found[2] or "")):
+        match = TEMPORARY.fullmatch(name)
+        if not match or wanted not in (None, (match[1], match[2] or "")):
             continue
         if identity(folder / name) in _spared:
             continue
         with contextlib.suppress(OSError):  # a living writer's, or gone already, or none of l3's
-            held = _open_quietly(folder / name)
+            held = open_quietly(folder / name)
             try:
                 fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 os.unlink(folder / name)
@@ -319,33 +200,33 @@ _spared: dict[Identity, Path] = {}  # files that the command reads, each with a 
 def sparing(paths: Iterable[Path]) -> Iterator[None]:
     """While the block lasts, no output of this process takes the place of these files, under whatever name; "-": stdin."""
     named = ((identity(0 if path == STDIN else path), path) for path in paths)
-    added = {found: path for found, path in named if found is not None and found not in _spared}
+    added = {key: path for key, path in named if key is not None and key not in _spared}
     _spared.update(added)
     try:
         yield
     finally:
-        for found in added:
-            del _spared[found]
+        for key in added:
+            del _spared[key]
 
 
 def refuse_spared(output: Path | int) -> None:
     """RecipeError if an output, a path or a descriptor, is a file that is spared."""
-    found = identity(output) if _spared else None
-    if found is None or found not in _spared:
+    key = identity(output) if _spared else None
+    if key is None or key not in _spared:
         return
-    source = _spared[found]
+    source = _spared[key]
     name = "stdout" if isinstance(output, int) else str(output)
     other = "stdin" if source == STDIN else str(source)
     raise RecipeError(f"{name} is an input{'' if name == other else f', {other}'}; name another output")
 
 
 def identity(file: Path | int) -> Identity | None:
-    """Of what is there under a path or descriptor, symbolic links followed; None if it is no regular file."""
+    """Of what stands under a path or descriptor, symbolic links followed; None if it is no regular file."""
     try:
-        found = os.stat(file)
+        state = os.stat(file)
     except OSError:
         return None
-    return (found.st_dev, found.st_ino) if stat.S_ISREG(found.st_mode) else None
+    return (state.st_dev, state.st_ino) if stat.S_ISREG(state.st_mode) else None
 
 
 def require_regular(path: Path, cure: str = "give a file") -> None:
@@ -366,7 +247,7 @@ def _require_regular(path: Path, mode: int, cure: str) -> None:
 
 def open_regular(path: Path, cure: str = "give a file") -> io.BufferedReader:
     """A regular file open for reading; InputFileError, as by `require_regular`, if it is none, also if it has become none
-    since it was looked at."""
+    since it was checked."""
     require_regular(path, cure)
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY)
@@ -391,7 +272,7 @@ def sha256(path: Path) -> str:
 
 
 def stamp(path: Path) -> tuple[int, ...]:
-    """What tells a file from another that takes its name: number on the disk, size, time. Empty if it is not there."""
+    """What identifies a file among others of its name: number on the disk, size, time. Empty if it is not there."""
     try:
         state = path.stat()
     except OSError:

@@ -13,46 +13,46 @@ class RawFrame:
 
     name: str
     values: NDArray[np.uint16]  # (row, col) DN
-    black: float  # DN
-    white: float  # DN at which a pixel saturates
+    black_level: float  # DN
+    white_level: float  # DN at which a pixel saturates
     phase: tuple[int, int] = (0, 0)  # CFA row and column of pixel (0, 0)
     orientation: int = 0  # how the camera was held: LibRaw's flip code (see `upright`)
     exposure: float | None = None  # s; None: unknown
     dark: float = 0.0  # DN above black, the mean signal of dark current …
-    dark_measured: bool = False  # … as a dark frame tells, not the exposure time
+    dark_measured: bool = False  # … by a dark frame, not by the exposure time
 
     def __post_init__(self) -> None:
         if self.values.ndim != 2 or self.values.dtype != np.uint16 or self.values.size == 0:
             raise ValueError(f"{self.name}: a raw frame is rows × columns of 16-bit values")
-        if not self.black < self.white:
-            raise ValueError(f"{self.name}: black level {self.black:g} is not below white level {self.white:g}")
-        if not self.black + self.dark < self.white:
+        if not self.black_level < self.white_level:
+            raise ValueError(f"{self.name}: black level {self.black_level:g} is not below white level {self.white_level:g}")
+        if not self.black_level + self.dark < self.white_level:
             raise ValueError(
-                f"{self.name}: dark current of {self.dark:g} DN leaves no room below white level {self.white:g}"
+                f"{self.name}: dark current of {self.dark:g} DN leaves no room below white level {self.white_level:g}"
             )
 
     @property
     def light_share(self) -> float:
         """Share of full scale that dark current leaves to light."""
-        return 1.0 - self.dark / (self.white - self.black)
+        return 1.0 - self.dark / (self.white_level - self.black_level)
 
     def at_levels(self, black: float, white: float, bits: int) -> "RawFrame":
         """The light alone on another scale: DN mapped linearly so that black and dark current become `black`, white becomes
         `white`, within `bits`. Full scale then stands for `light_share` of what it stood for.
 
-        Values are shifted by whole DN, so that no level is lost; what is left of the dark current, below half a DN, is told
-        by the black level of the frame that is returned.
+        Values are shifted by whole DN, so that no level is lost; what is left of the dark current, below half a DN, is in
+        the black level of the frame that is returned.
         """
         whole = round(self.dark)
-        scale = (white - black) / (self.white - self.black - self.dark)
+        scale = (white - black) / (self.white_level - self.black_level - self.dark)
         values = self.values
-        table = _level_table(self.black + whole, black, scale, 2**bits - 1)
+        table = _level_table(self.black_level + whole, black, scale, 2**bits - 1)
         if table is not None:
             values = table.take(values)
         elif values.max() >= 2**bits:
             values = np.minimum(values, np.uint16(2**bits - 1))
         black += (self.dark - whole) * scale
-        return replace(self, values=values, black=black, white=white, dark=0.0)
+        return replace(self, values=values, black_level=black, white_level=white, dark=0.0)
 
 
 @functools.lru_cache(maxsize=8)

@@ -29,7 +29,7 @@ def most_pixels() -> int:
 
 
 def setting(name: str, range_: Quantity, usual: float) -> float:
-    """The number that an environment variable tells, `usual` where it tells none; RecipeError if it is none in its range."""
+    """The number in an environment variable, `usual` where it is not set; RecipeError if it is none in its range."""
     text = os.environ.get(name, "")
     try:
         return range_.read(text) if text else usual

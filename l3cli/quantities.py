@@ -45,9 +45,9 @@ class Quantity:
 
 def _whole(text: str) -> float:
     """An int, or an infinity where it has more digits than Python reads."""
-    found = WHOLE.fullmatch(text)
-    assert found is not None
-    sign, digits = found.groups()
+    match = WHOLE.fullmatch(text)
+    assert match is not None
+    sign, digits = match.groups()
     return int(sign + digits) if len(digits) <= MOST_DIGITS else float(f"{sign}inf")
 
 

@@ -1,4 +1,4 @@
-"""The recipes that come with l3, found by name: configs/ of a checkout or of an installed wheel."""
+"""The recipes that come with l3, by name: configs/ of a checkout or of an installed wheel."""
 
 import os
 from pathlib import Path
@@ -18,6 +18,11 @@ def recipe_folder() -> Path:
     package = Path(__file__).parent
     inside = package / "configs"
     return inside if inside.is_dir() else package.parent / "configs"
+
+
+def known_benchmarks() -> dict[str, Path]:
+    """The folders of recipes of a whole benchmark that come with l3, by name."""
+    return {f"benchmark-{path.name}": path for path in sorted((recipe_folder() / "benchmarks").iterdir()) if path.is_dir()}
 
 
 def known_recipes(kind: str) -> dict[str, Path]:

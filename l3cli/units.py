@@ -96,7 +96,7 @@ def length_nm(text: str) -> float | None:
 
 def split(heading: str) -> tuple[str, str | None]:
     """A heading "name (unit)", "name [unit]" or "name / unit" as name and unit; without one, or with something in brackets
-    that is no unit and does not look like one, the whole heading and None."""
+    that is no unit and does not resemble one, the whole heading and None."""
     heading = heading.strip()
     name, slash, rest = heading.partition(" / ")
     if slash and parse(rest):

@@ -34,7 +34,7 @@ void classes(__global const ushort *restrict raw,                // (row, col) D
         const int row_phase = PADDED_PHASE(y0 + k, phase_row, CFA_ROWS);
         const int leaving_phase = PADDED_PHASE(y0 + k + (CFA_ROWS - 1) * PATCH, phase_row, CFA_ROWS);
         slide(&near, entering, member + row_phase * PERIOD, leaving, member + leaving_phase * PERIOD, padded_phase, span);
-        const int late = k - (RADIUS - SATURATION_RADIUS);  // saturation looks at fewer rows: the lowest came earlier
+        const int late = k - (RADIUS - SATURATION_RADIUS);  // saturation counts in fewer rows: the lowest came earlier
         if (late >= 0)
             saturated_row(near.saturated[late % SPREAD], ring[late % (PATCH + 1)],
                           channel_bit + PADDED_PHASE(y0 + late, phase_row, CFA_ROWS) * PERIOD, padded_phase, span);
@@ -48,14 +48,19 @@ void classes(__global const ushort *restrict raw,                // (row, col) D
             #pragma unroll
             for (int c = 0; c < CHANNELS; c++) {
                 const int at = (c * CFA_ROWS + site_row) * PERIOD + phase;
-                add_evidence(&evidence, c, FIXED(uints, count + at), patch_sum(&runs, &near, c, x),
-                             patch_square(&runs, &near, c, x), FIXED(uints, mean_reciprocal + at),
-                             FIXED(uints, variance_reciprocal + at), RULE);
+                add_evidence(&evidence, c, LOAD_GLOBAL(uints, count + at), patch_sum(&runs, &near, c, x),
+                             patch_square(&runs, &near, c, x), LOAD_GLOBAL(uints, mean_reciprocal + at),
+                             LOAD_GLOBAL(uints, variance_reciprocal + at), RULE);
             }
+#ifdef EACH_WINDOW
+#define ADD_WINDOW(s, top, left, rows, columns, sign) \
+    evidence.window_sum[s] = evidence.window_sum[s] sign window_sum(ring, k - 2 * RADIUS, top, left, rows, columns, x);
+            EACH_WINDOW(ADD_WINDOW)
+#endif
             const shorts code = patch_saturated(&runs, x);
-            const uints site = FIXED(uints, site_column + phase) + site_row * CFA_COLUMNS;
+            const uints site = LOAD_GLOBAL(uints, site_column + phase) + site_row * CFA_COLUMNS;
             const uints label = class_of(&evidence, site, code, RULE);
-            if (x + LANES <= width) FAR(uints, label_row + x) = label;
+            if (x + LANES <= width) STORE_GLOBAL(uints, label_row + x) = label;
             else for (int i = 0; x + i < width; i++) label_row[x + i] = label[i];
         }
     }

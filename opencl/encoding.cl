@@ -3,6 +3,17 @@
 // The host chooses by macros: PLANES: the outputs as they are; else X, Y, Z by a matrix and the sRGB curve to three values a
 // pixel, each a CODE up to TOP.
 
+#ifdef FIXED_POINT
+
+// A fixed-point sum as a plane keeps it (l3cli/classes/planes.py).
+INLINE int plane_value(int sum) {
+#if FRACTION > 0
+    sum = (sum + (1 << (FRACTION - 1))) >> FRACTION;
+#endif
+    return clamp(sum, -PLANE_TOP, PLANE_TOP);
+}
+
+#endif
 #ifdef TOP
 
 // Library functions are calls and would end the vectors. So with y = x^(-1/4) by CURVE_STEPS of Newton's iteration, whose

@@ -21,6 +21,8 @@ INLINE size_t source_of(int i, int y0, int x0, __global const int *row_source, _
     return (size_t)row_source[row] * columns + column_source[column];
 }
 
+#if SOURCES == 1
+
 __kernel __attribute__((reqd_work_group_size(TILE, BAND, 1)))
 void classes(__global const ushort *restrict raw,                // (row, col) DN
              __global const int *restrict row_source,            // (padded row)
@@ -49,10 +51,10 @@ void classes(__global const ushort *restrict raw,                // (row, col) D
     barrier(CLK_LOCAL_MEM_FENCE);
     for (int i = item; i < BAND * TILE_COLUMNS; i += ITEMS) {
         const int row = i / TILE_COLUMNS, p = i % TILE_COLUMNS;
-        uint found = 0;
+        uint channels = 0;
         for (int j = row + RADIUS - SATURATION_RADIUS; j <= row + RADIUS + SATURATION_RADIUS; j++)
-            found |= value[j][p] >= SATURATION ? bit[j][p] : 0;
-        saturated[row][p] = found;
+            channels |= value[j][p] >= SATURATION ? bit[j][p] : 0;
+        saturated[row][p] = channels;
     }
     const int site_row = (y + phase_row) % CFA_ROWS, site = (x + phase_column) % CFA_COLUMNS;
     Evidence evidence;
@@ -79,16 +81,33 @@ void classes(__global const ushort *restrict raw,                // (row, col) D
         add_evidence(&evidence, c, count[at], s, q, mean_reciprocal[at], variance_reciprocal[at], RULE);
         barrier(CLK_LOCAL_MEM_FENCE);
     }
+#ifdef EACH_WINDOW
+#define ADD_WINDOW(s, top, left, rows, columns, sign) \
+    for (int j = line + top; j < line + top + rows; j++) \
+        for (int p = column + left; p < column + left + columns; p++) evidence.window_sum[s] sign##= value[j][p] >> SHIFT;
+    EACH_WINDOW(ADD_WINDOW)
+#endif
     uint code = 0;
     for (int p = column + RADIUS - SATURATION_RADIUS; p <= column + RADIUS + SATURATION_RADIUS; p++) code |= saturated[line][p];
     const uint label = class_of(&evidence, site_row * CFA_COLUMNS + site, code, RULE);
     if (x < columns && y < rows) labels[(size_t)y * columns + x] = label;
 }
 
-#define FOURS ((OUTPUTS + 3) / 4)  // vectors of four that hold the outputs
-#define CLASS_STRIDE ((PATCH * PATCH + 1) * FOURS)
+#endif
 
-#ifdef PLANES
+#define FOURS ((OUTPUTS + 3) / 4)  // vectors of four that hold the outputs
+#define CLASS_STRIDE ((PATCH * PATCH * SOURCES + 1) * FOURS)
+#if SOURCES == 1
+#define SOURCE ushort
+#else
+#define SOURCE int
+#endif
+
+#if defined(FIXED_POINT)
+INLINE void write(__global int *picture, const int *output, __global const float *matrix, size_t at, size_t pixels) {
+    for (int o = 0; o < OUTPUTS; o++) picture[o * pixels + at] = plane_value(output[o]);
+}
+#elif defined(PLANES)
 INLINE void write(__global float *picture, const float *output, __global const float *matrix, size_t at, size_t pixels) {
     for (int o = 0; o < OUTPUTS; o++) picture[o * pixels + at] = output[o];
 }
@@ -105,36 +124,46 @@ INLINE void write(__global CODE *picture, const float *output, __global const fl
 #endif
 
 __kernel __attribute__((reqd_work_group_size(TILE, BAND, 1)))
-void transform(__global const ushort *restrict raw,         // (row, col) DN
+void transform(__global const SOURCE *restrict source,      // (source, row, col) DN of the mosaic, or planes
                __global const int *restrict row_source,     // (padded row)
                __global const int *restrict column_source,  // (padded col)
                __global const uint *restrict labels,        // (row, col)
-               __global const float4 *restrict weights,     // (class, intercept and taps column by column, output) per DN
+               __global const tap4 *restrict weights,       // (class, intercept and taps column by column, output)
                __global const float *restrict matrix,       // (3, 3) encoded values from X, Y, Z, before the curve
                __global CODE *restrict picture,             // (output, row, col), or (row, col, 3)
-               float black, int rows, int columns) {
-    __local float signal[TILE_ROWS][TILE_COLUMNS];
+               float black, int source_rows, int rows, int columns) {
+    __local tap signal[TILE_ROWS][TILE_COLUMNS][SOURCES];
     const int x0 = get_group_id(0) * TILE, y0 = get_group_id(1) * BAND;
     const int column = column_of(get_local_id(0)), line = get_local_id(1), x = x0 + column, y = y0 + line;
     for (int i = line * TILE + get_local_id(0); i < TILE_ROWS * TILE_COLUMNS; i += ITEMS) {
-        const size_t source = source_of(i, y0, x0, row_source, column_source, rows, columns);
-        signal[i / TILE_COLUMNS][i % TILE_COLUMNS] = min(raw[source], (ushort)WHITE_TOP) - black;
+        const size_t place = source_of(i, y0, x0, row_source, column_source, rows, columns);
+        __local tap *to = signal[i / TILE_COLUMNS][i % TILE_COLUMNS];
+#if SOURCES > 1
+        for (int s = 0; s < SOURCES; s++) to[s] = source[place + (size_t)s * source_rows * columns];
+#elif defined(FIXED_POINT)
+        to[0] = min(source[place], (ushort)WHITE_TOP);
+#else
+        to[0] = min(source[place], (ushort)WHITE_TOP) - black;
+#endif
     }
     barrier(CLK_LOCAL_MEM_FENCE);
     if (x >= columns || y >= rows) return;
     const size_t at = (size_t)y * columns + x;
-    __global const float4 *weight = weights + (size_t)labels[at] * CLASS_STRIDE;
-    float4 total[FOURS];
+    __global const tap4 *weight = weights + (size_t)labels[at] * CLASS_STRIDE;
+    tap4 total[FOURS];
     for (int f = 0; f < FOURS; f++) total[f] = *weight++;
     for (int i = 0; i < PATCH; i++) {
         #pragma unroll
         for (int j = 0; j < PATCH; j++) {
-            const float tap = signal[line + j][column + i];
             #pragma unroll
-            for (int f = 0; f < FOURS; f++) total[f] += tap * *weight++;
+            for (int s = 0; s < SOURCES; s++) {
+                const tap value = signal[line + j][column + i][s];
+                #pragma unroll
+                for (int f = 0; f < FOURS; f++) total[f] += value * *weight++;
+            }
         }
     }
-    float output[4 * FOURS];
+    tap output[4 * FOURS];
     for (int f = 0; f < FOURS; f++) {
         output[4 * f] = total[f].x;
         output[4 * f + 1] = total[f].y;
@@ -143,3 +172,40 @@ void transform(__global const ushort *restrict raw,         // (row, col) DN
     }
     write(picture, output, matrix, at, (size_t)rows * columns);
 }
+
+#if SOURCES > 1
+
+__kernel __attribute__((reqd_work_group_size(TILE, BAND, 1)))
+void structures(__global const int *restrict planes,       // (plane, source row, col)
+                __global const uint *restrict first_labels,  // (source row, col) of the layer before
+                __global const int *restrict row_source,     // (padded row)
+                __global const int *restrict column_source,  // (padded col)
+                STRUCTURE_CONSTANTS,
+                __global uint *restrict labels,              // (row, col)
+                int source_rows, int rows, int columns) {
+    const int x = get_group_id(0) * TILE + get_local_id(0), y = get_group_id(1) * BAND + get_local_id(1);
+    if (x >= columns || y >= rows) return;
+    __global const int *luminance = planes + (size_t)LUMINANCE * source_rows * columns;
+    uint xx = 0, yy = 0;
+    int xy = 0;
+    for (int i = 1; i < 2 * STRUCTURE_REACH; i++) {
+        const size_t above = (size_t)row_source[y + i - 1] * columns, here = (size_t)row_source[y + i] * columns;
+        const size_t below = (size_t)row_source[y + i + 1] * columns;
+        for (int j = 1; j < 2 * STRUCTURE_REACH; j++) {
+            const int left = column_source[x + j - 1], at = column_source[x + j], right = column_source[x + j + 1];
+            const uint scale = label_gradient[first_labels[here + at]];
+            const int gx = gradient(luminance[here + right] - luminance[here + left], scale);
+            const int gy = gradient(luminance[below + at] - luminance[above + at], scale);
+            const int weight = (3 - abs(i - STRUCTURE_REACH)) * (3 - abs(j - STRUCTURE_REACH));
+            xx += weight * gx * gx;
+            yy += weight * gy * gy;
+            xy += weight * gx * gy;
+        }
+    }
+    const uint label = first_labels[(size_t)row_source[y + STRUCTURE_REACH] * columns + column_source[x + STRUCTURE_REACH]];
+    const uint first = label_start[label];
+    const uint structure = structure_of(xx, yy, xy, label_gradient[label], strength_edges);
+    labels[(size_t)y * columns + x] = first >> 31 ? first & 0x7fffffff : first + structure;
+}
+
+#endif

@@ -1,6 +1,6 @@
 // Processor variant: raw rows → rows of a tile.
 //
-// A tile is TILE columns wide; with the margins of its patches it looks at SPAN columns, numbered p, the first of which lies
+// A tile is TILE columns wide; with the margins of its patches it reads SPAN columns, numbered p, the first of which lies
 // RADIUS to the left of the tile. Padded rows and columns are those of the frame with RADIUS more on every side:
 // row_source and column_source name the raw one that each repeats (frame.mirrored_indices), so that padding never breaks
 // the phase of the CFA.
@@ -23,8 +23,8 @@ INLINE void ingest(ushort *row, __global const ushort *raw_row, __global const i
     __global const ushort *inside = raw_row + x0 - RADIUS;
     int p = first;
     for (; p + 2 * LANES <= last; p += 2 * LANES) {
-        const full_shorts v = FIXED(full_shorts, inside + p), top = (ushort)WHITE_TOP;
-        NEAR(full_shorts, row + p) = v < top ? v : top;
+        const full_shorts v = LOAD_GLOBAL(full_shorts, inside + p), top = (ushort)WHITE_TOP;
+        STORE_PRIVATE(full_shorts, row + p) = v < top ? v : top;
     }
     for (; p < last; p++) row[p] = min(inside[p], (ushort)WHITE_TOP);
     for (p = 0; p < first; p++) row[p] = min(raw_row[column_source[x0 + p]], (ushort)WHITE_TOP);

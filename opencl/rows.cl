@@ -1,6 +1,15 @@
 // Processor variant: a row of outputs → what is written of it.
 
-#if defined(PLANES)
+#if defined(FIXED_POINT)
+
+// Sums planes[o * TILE + x] → what the next layer reads (output, pixel), in its steps
+INLINE void write_row(__global int *picture, const int *planes, __global const float *matrix, size_t at, int width,
+                      size_t pixels) {
+    for (int o = 0; o < OUTPUTS; o++)
+        for (int x = 0; x < width; x++) picture[o * pixels + at + x] = plane_value(planes[o * TILE + x]);
+}
+
+#elif defined(PLANES)
 
 // planes[o * TILE + x] → picture (output, pixel)
 INLINE void write_row(__global float *picture, const float *planes, __global const float *matrix, size_t at, int width,
@@ -57,7 +66,8 @@ INLINE void write_row(__global CODE *picture, const float *planes, __global cons
                       size_t pixels) {
     __global CODE *to = picture + 3 * at;
     for (int x = 0; x < width; x += LANES) {
-        const floats X = NEAR(floats, planes + x), Y = NEAR(floats, planes + TILE + x), Z = NEAR(floats, planes + 2 * TILE + x);
+        const floats X = LOAD_PRIVATE(floats, planes + x), Y = LOAD_PRIVATE(floats, planes + TILE + x);
+        const floats Z = LOAD_PRIVATE(floats, planes + 2 * TILE + x);
         uints value[3];
         #pragma unroll
         for (int p = 0; p < 3; p++) value[p] = encode(matrix[3 * p] * X + matrix[3 * p + 1] * Y + matrix[3 * p + 2] * Z);
@@ -65,12 +75,12 @@ INLINE void write_row(__global CODE *picture, const float *planes, __global cons
         codes high;
         interleave(&low, &high, value[0], value[1], value[2]);
         if (x + LANES <= width) {
-            FAR(two_codes, to + 3 * x) = low;
-            FAR(codes, to + 3 * x + 2 * LANES) = high;
+            STORE_GLOBAL(two_codes, to + 3 * x) = low;
+            STORE_GLOBAL(codes, to + 3 * x + 2 * LANES) = high;
         } else {
             CODE rest[3 * LANES];
-            NEAR(two_codes, rest) = low;
-            NEAR(codes, rest + 2 * LANES) = high;
+            STORE_PRIVATE(two_codes, rest) = low;
+            STORE_PRIVATE(codes, rest + 2 * LANES) = high;
             for (int i = 0; x + i / 3 < width; i++) to[3 * x + i] = rest[i];
         }
     }

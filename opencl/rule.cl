@@ -4,19 +4,32 @@
 // CFA phase of padded row or column p, whose frame begins at phase `start`: that of p - RADIUS.
 #define PADDED_PHASE(p, start, period) (((p) + (start) + ((period) - 1) * RADIUS) % (period))
 
-// What the features read, in the order of FEATURES (l3cli/classes/rule.py): as parameters, and handed on.
-#define RULE_CONSTANTS LEVEL_CONSTANTS, CONTRAST_CONSTANTS, SATURATION_CONSTANTS, CHROMA_CONSTANTS
-#define RULE level_tops, contrast_edges, case_of_code, chroma_weights
+// What the features read, in the order of l3cli/classes/kernel.py: as parameters, and handed on.
+#define BASIC_CONSTANTS LEVEL_CONSTANTS, CONTRAST_CONSTANTS, SATURATION_CONSTANTS, CHROMA_CONSTANTS
+#define BASIC level_tops, contrast_edges, case_of_code, chroma_weights
+#ifdef EACH_WINDOW
+#define RULE_CONSTANTS BASIC_CONSTANTS, __global const int *restrict further_constants
+#define RULE BASIC, further_constants
+#else
+#define RULE_CONSTANTS BASIC_CONSTANTS
+#define RULE BASIC
+#endif
 
 typedef struct {
     uints level_sum, variance_sum;  // over the channels seen so far
     ints score[CHROMAS];            // of each chroma; the lowest wins
+#ifdef EACH_WINDOW
+    ints window_sum[WINDOW_SUMS];   // of the further features
+#endif
 } Evidence;
 
 INLINE void no_evidence(Evidence *e) {
     e->level_sum = e->variance_sum = (uints)0;
     #pragma unroll
     for (int k = 0; k < CHROMAS; k++) e->score[k] = (ints)0;
+#ifdef EACH_WINDOW
+    for (int s = 0; s < WINDOW_SUMS; s++) e->window_sum[s] = (ints)0;
+#endif
 }
 
 // What channel c says: `count`, `sum` and `square` of its pixels in the patch, and the reciprocals that go with the count.
@@ -37,7 +50,7 @@ INLINE uints kind_of(const Evidence *e, patterns code, RULE_CONSTANTS) {
 }
 
 // The class of pixels of `site` near whose centres the channels of `code` are saturated. Comparing with every level edge
-// needs no look-up, which vectors are slow at; contrast edges follow the level in the same loop.
+// needs no table, which vectors are slow at; contrast edges follow the level in the same loop.
 INLINE uints class_of(const Evidence *e, uints site, patterns code, RULE_CONSTANTS) {
     const uints kind = kind_of(e, code, RULE);
     uints level = 0, edge[CONTRASTS];
@@ -48,6 +61,9 @@ INLINE uints class_of(const Evidence *e, uints site, patterns code, RULE_CONSTAN
         level = reached ? level + 1 : level;
         next_contrast_edges(edge, reached, l, contrast_edges);
     }
-    const uints within = level * CONTRASTS + contrast_of(e->variance_sum, edge);
-    return (site * (LEVELS * CONTRASTS) + within) * KINDS + kind;
+    uints within = level * CONTRASTS + contrast_of(e->variance_sum, edge);
+#ifdef EACH_WINDOW
+    within = within * FURTHER + further_of(e->window_sum, level, further_constants);
+#endif
+    return (site * (LEVELS * CONTRASTS * FURTHER) + within) * KINDS + kind;
 }

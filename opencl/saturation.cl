@@ -9,17 +9,17 @@ INLINE bool any_case(patterns code, __global const ushort *case_of_code) { retur
 #else
 typedef shorts patterns;
 
-// Cases of LANES pixels: a look-up, pixel by pixel.
+// Cases of LANES pixels: read from a table, pixel by pixel.
 INLINE uints case_of(patterns code, __global const ushort *case_of_code) {
     uint saturation[LANES];
     ushort pattern[LANES];
-    NEAR(shorts, pattern) = code;
+    STORE_PRIVATE(shorts, pattern) = code;
     #pragma clang loop vectorize(disable) unroll(disable)
     for (int i = 0; i < LANES; i++) saturation[i] = case_of_code[pattern[i]];
-    return NEAR(uints, saturation);
+    return LOAD_PRIVATE(uints, saturation);
 }
 
-// Whether any of LANES pixels may have a case other than 0: few have, and the look-up is slow.
+// Whether any of LANES pixels may have a case other than 0: few have, and reading the table is slow.
 INLINE bool any_case(patterns code, __global const ushort *case_of_code) {
     ulong word[LANES / 4], all = 0;
     *(shorts_unaligned *)word = code;

@@ -18,39 +18,45 @@ typedef struct {
 } Runs;
 
 // The masks of one CFA row: all bits where a pixel is of channel c.
-#define MEMBER(member, c, phase) FIXED(full_shorts, (member) + (c) * CFA_ROWS * PERIOD + (phase))
+#define MEMBER(member, c, phase) LOAD_GLOBAL(full_shorts, (member) + (c) * CFA_ROWS * PERIOD + (phase))
 #define WIDE_MEMBER(member, c, phase) \
-    SAME_BITS(CONVERT(FIXED(signed_shorts, (member) + (c) * CFA_ROWS * PERIOD + (phase)), ints), uints)
+    SAME_BITS(CONVERT(LOAD_GLOBAL(signed_shorts, (member) + (c) * CFA_ROWS * PERIOD + (phase)), ints), uints)
 
 // Let row `entering` into the columns and row `leaving` out.
 INLINE void slide(Columns *columns, const ushort *entering, __global const ushort *entering_member, const ushort *leaving,
                   __global const ushort *leaving_member, int phase, int span) {
     for (int p = 0, at = phase; p < span; p += 2 * LANES, at = PHASE_AFTER(at, 2 * LANES)) {
-        const full_shorts in = NEAR(full_shorts, entering + p) >> SHIFT, out = NEAR(full_shorts, leaving + p) >> SHIFT;
+        const full_shorts in = LOAD_PRIVATE(full_shorts, entering + p) >> SHIFT;
+        const full_shorts out = LOAD_PRIVATE(full_shorts, leaving + p) >> SHIFT;
         #pragma unroll
-        for (int c = 0; c < CHANNELS; c++)
-            NEAR(full_shorts, columns->sum[c] + p) += (in & MEMBER(entering_member, c, at))
-                                                    - (out & MEMBER(leaving_member, c, at));
+        for (int c = 0; c < CHANNELS; c++) {
+            const full_shorts change = (in & MEMBER(entering_member, c, at)) - (out & MEMBER(leaving_member, c, at));
+            ushort *sum = columns->sum[c] + p;
+            STORE_PRIVATE(full_shorts, sum) = LOAD_PRIVATE(full_shorts, sum) + change;
+        }
     }
     for (int p = 0, at = phase; p < span; p += LANES, at = PHASE_AFTER(at, LANES)) {
-        const uints in = CONVERT(NEAR(shorts, entering + p) >> SHIFT, uints);
-        const uints out = CONVERT(NEAR(shorts, leaving + p) >> SHIFT, uints);
+        const uints in = CONVERT(LOAD_PRIVATE(shorts, entering + p) >> SHIFT, uints);
+        const uints out = CONVERT(LOAD_PRIVATE(shorts, leaving + p) >> SHIFT, uints);
         const uints in_square = in * in, out_square = out * out;
         #pragma unroll
-        for (int c = 0; c < CHANNELS; c++)
-            NEAR(uints, columns->square[c] + p) += (in_square & WIDE_MEMBER(entering_member, c, at))
-                                                 - (out_square & WIDE_MEMBER(leaving_member, c, at));
+        for (int c = 0; c < CHANNELS; c++) {
+            const uints change = (in_square & WIDE_MEMBER(entering_member, c, at))
+                                 - (out_square & WIDE_MEMBER(leaving_member, c, at));
+            uint *square = columns->square[c] + p;
+            STORE_PRIVATE(uints, square) = LOAD_PRIVATE(uints, square) + change;
+        }
     }
 }
 
 // Saturated channels of one row's pixels; channel_bit is 1 << channel along its CFA row.
 INLINE void saturated_row(ushort *saturated, const ushort *row, __global const ushort *channel_bit, int phase, int span) {
     for (int p = 0, at = phase; p < span; p += 2 * LANES, at = PHASE_AFTER(at, 2 * LANES)) {
-        const full_shorts v = NEAR(full_shorts, row + p), bit = FIXED(full_shorts, channel_bit + at);
+        const full_shorts v = LOAD_PRIVATE(full_shorts, row + p), bit = LOAD_GLOBAL(full_shorts, channel_bit + at);
 #if SATURATION > 0xffff  // no value is that high
-        NEAR(full_shorts, saturated + p) = 0;
+        STORE_PRIVATE(full_shorts, saturated + p) = 0;
 #else
-        NEAR(full_shorts, saturated + p) = v >= (ushort)SATURATION ? bit : (full_shorts)0;
+        STORE_PRIVATE(full_shorts, saturated + p) = v >= (ushort)SATURATION ? bit : (full_shorts)0;
 #endif
     }
 }
@@ -62,44 +68,60 @@ INLINE void add_runs(Runs *runs, const Columns *columns, int span) {
             uints sum = 0, square = 0;
             #pragma unroll
             for (int j = 0; j < RUN; j++) {
-                sum += CONVERT(NEAR(shorts, columns->sum[c] + p + j), uints);
-                square += NEAR(uints, columns->square[c] + p + j);
+                sum += CONVERT(LOAD_PRIVATE(shorts, columns->sum[c] + p + j), uints);
+                square += LOAD_PRIVATE(uints, columns->square[c] + p + j);
             }
-            NEAR(uints, runs->sum[c] + p) = sum;
-            NEAR(uints, runs->square[c] + p) = square;
+            STORE_PRIVATE(uints, runs->sum[c] + p) = sum;
+            STORE_PRIVATE(uints, runs->square[c] + p) = square;
         }
     }
     for (int p = 0; p < span; p += 2 * LANES) {
-        full_shorts found = 0;
+        full_shorts channels = 0;
         #pragma unroll
-        for (int j = 0; j < SPREAD; j++) found |= NEAR(full_shorts, columns->saturated[j] + p);
-        NEAR(full_shorts, runs->saturated + p) = found;
+        for (int j = 0; j < SPREAD; j++) channels |= LOAD_PRIVATE(full_shorts, columns->saturated[j] + p);
+        STORE_PRIVATE(full_shorts, runs->saturated + p) = channels;
     }
 }
 
 // Sums of one channel over the patches whose first column is p: whole runs, then the columns that are left.
 INLINE uints patch_sum(const Runs *runs, const Columns *columns, int c, int p) {
-    uints total = NEAR(uints, runs->sum[c] + p);
+    uints total = LOAD_PRIVATE(uints, runs->sum[c] + p);
     #pragma unroll
-    for (int j = RUN; j + RUN <= PATCH; j += RUN) total += NEAR(uints, runs->sum[c] + p + j);
+    for (int j = RUN; j + RUN <= PATCH; j += RUN) total += LOAD_PRIVATE(uints, runs->sum[c] + p + j);
     #pragma unroll
-    for (int j = PATCH / RUN * RUN; j < PATCH; j++) total += CONVERT(NEAR(shorts, columns->sum[c] + p + j), uints);
+    for (int j = PATCH / RUN * RUN; j < PATCH; j++) total += CONVERT(LOAD_PRIVATE(shorts, columns->sum[c] + p + j), uints);
     return total;
 }
 
 INLINE uints patch_square(const Runs *runs, const Columns *columns, int c, int p) {
-    uints total = NEAR(uints, runs->square[c] + p);
+    uints total = LOAD_PRIVATE(uints, runs->square[c] + p);
     #pragma unroll
-    for (int j = RUN; j + RUN <= PATCH; j += RUN) total += NEAR(uints, runs->square[c] + p + j);
+    for (int j = RUN; j + RUN <= PATCH; j += RUN) total += LOAD_PRIVATE(uints, runs->square[c] + p + j);
     #pragma unroll
-    for (int j = PATCH / RUN * RUN; j < PATCH; j++) total += NEAR(uints, columns->square[c] + p + j);
+    for (int j = PATCH / RUN * RUN; j < PATCH; j++) total += LOAD_PRIVATE(uints, columns->square[c] + p + j);
     return total;
 }
 
+#ifdef EACH_WINDOW
+// Values of a window of those patches, whose rows lie in the ring from slot `first` on. A row's sum fits 16 bits.
+INLINE ints window_sum(ushort ring[PATCH + 1][SPAN], int first, int top, int left, int rows, int columns, int p) {
+    ints total = (ints)0;
+    for (int j = 0; j < rows; j++) {
+        const ushort *row = ring[(first + top + j) % (PATCH + 1)] + p + left;
+        shorts sum = 0;
+        #pragma unroll
+        for (int i = 0; i < columns; i++) sum += LOAD_PRIVATE(shorts, row + i) >> SHIFT;
+        total += CONVERT(sum, ints);
+    }
+    return total;
+}
+#endif
+
 // Channels saturated near the centres of those patches, one bit a channel.
 INLINE shorts patch_saturated(const Runs *runs, int p) {
-    shorts found = 0;
+    shorts channels = 0;
     #pragma unroll
-    for (int j = RADIUS - SATURATION_RADIUS; j <= RADIUS + SATURATION_RADIUS; j++) found |= NEAR(shorts, runs->saturated + p + j);
-    return found;
+    for (int j = RADIUS - SATURATION_RADIUS; j <= RADIUS + SATURATION_RADIUS; j++)
+        channels |= LOAD_PRIVATE(shorts, runs->saturated + p + j);
+    return channels;
 }

@@ -23,6 +23,7 @@ VECTOR(uint, uints, LANES);
 VECTOR(int, ints, LANES);
 VECTOR(float, floats, LANES);
 VECTOR(float, four_floats, 4);
+VECTOR(int, four_ints, 4);
 VECTOR(short, signed_shorts, LANES);
 VECTOR(ushort, shorts, LANES);           // as many as there are uints: half a register
 VECTOR(ushort, full_shorts, 2 * LANES);  // a whole register
@@ -30,7 +31,26 @@ VECTOR(ushort, full_shorts, 2 * LANES);  // a whole register
 #define CONVERT(value, type) __builtin_convertvector(value, type)
 #define SAME_BITS(value, type) __builtin_astype(value, type)
 
-#define NEAR(type, p) (*(type##_unaligned *)(p))                  // the vector at p in private memory
-#define FAR(type, p) (*(__global type##_unaligned *)(p))          // the vector at p in the device's memory
-#define FIXED(type, p) (*(__global const type##_unaligned *)(p))  // a constant one there
+// The vector of a type that starts at p: read, or on the left of an assignment written.
+#define LOAD_PRIVATE(type, p) (*(const type##_unaligned *)(p))
+#define STORE_PRIVATE(type, p) (*(type##_unaligned *)(p))
+#define LOAD_GLOBAL(type, p) (*(__global const type##_unaligned *)(p))
+#define STORE_GLOBAL(type, p) (*(__global type##_unaligned *)(p))
+#endif
+
+// What a layer reads and sums up: values of a mosaic, or planes, in floating point or, so that planes are the same on every
+// device, a mosaic's DN in integers.
+#ifdef FIXED_POINT
+#define SAME_KIND(floating, integer) integer
+#else
+#define SAME_KIND(floating, integer) floating
+#endif
+typedef SAME_KIND(float, int) tap;
+#if LANES == 1
+typedef SAME_KIND(float4, int4) tap4;
+#else
+typedef SAME_KIND(floats, ints) taps;
+typedef SAME_KIND(floats_unaligned, ints_unaligned) taps_unaligned;
+typedef SAME_KIND(four_floats, four_ints) four_taps;
+typedef SAME_KIND(four_floats_unaligned, four_ints_unaligned) four_taps_unaligned;
 #endif

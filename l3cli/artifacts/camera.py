@@ -147,19 +147,19 @@ class CameraModel(Artifact):
         return self.responsivity * photons
 
     @functools.cached_property
-    def white_dose(self) -> float:
+    def saturation_exposure(self) -> float:
         """cd s/m²: scene luminance × exposure time at which a perfect white under D65 just fills the brightest channel.
 
         InputFileError if the camera collects next to nothing of that light.
         """
         white = spectra.at_luminance(spectra.illuminant("D65", self.wavelength), self.wavelength, 1.0)
         electrons = float((self.electron_weights @ white).max())
-        dose = self.full_scale / electrons if electrons > 0 else np.inf
-        if not dose <= MOST:
+        exposure = self.full_scale / electrons if electrons > 0 else np.inf
+        if not exposure <= MOST:
             raise InputFileError(
-                f"camera {self.name}: {dose:.3g} cd s/m² of daylight fill a pixel; check responsivity, pitch, f-number"
+                f"camera {self.name}: {exposure:.3g} cd s/m² of daylight fill a pixel; check responsivity, pitch, f-number"
             )
-        return dose
+        return exposure
 
     def dark_signal(self, exposure: float | None) -> float:
         """DN above black that dark current makes, on average, in `exposure` s; None: 0 (docs/method.md#dark-current)."""

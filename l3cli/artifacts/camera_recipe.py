@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import LONGEST, MAX_CFA, MAX_CHANNELS, MOST_WAVELENGTHS, CameraModel, Noise, Optics
 from l3cli.artifacts.store import load
 from l3cli.config import CountOrNone, Recipe, Seed, load_recipe, parse_recipe, parse_toml, read_text
-from l3cli.curve_table import read_table
+from l3cli.curve_file import read_table
 from l3cli.errors import RecipeError, suggestion
 from l3cli.physics import spectra
 

@@ -3,18 +3,22 @@
 What the numbers mean is written out in l3cli/classes, one module a feature.
 """
 
+import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.schema import check, data
+from l3cli.artifacts.schema import check, data, group
 
 CLASS_BITS = 12  # class decisions are taken on the upper 12 bits of a value, so that 32-bit sums are exact
 CHROMA_SCALE = 1 << 10  # of the chroma weights: sums over 16 channels stay within 32 bits
 MAX_CHROMAS = 64
 MAX_PATCH = 15
+MAX_FURTHER = 4096  # values of all further features together
+MAX_WINDOW_TAPS = 4096  # of all their windows: sums of 12-bit values are then exact in float32
 
 
 class ClassPlace(NamedTuple):
@@ -23,15 +27,106 @@ class ClassPlace(NamedTuple):
     site: Any  # CFA row · CFA columns + CFA column
     level: Any
     contrast: Any
+    further: Any  # values of the further features together; 0 where a rule has none
     kind: Any  # chroma of an unsaturated pixel, or chromas − 1 + case of one near saturation
+
+
+class Window(NamedTuple):
+    """A rectangle of a patch whose values are added, or taken off, in one of the sums that a further feature reads."""
+
+    sum: int
+    top: int
+    left: int
+    rows: int
+    columns: int
+    sign: int  # 1 or −1
+
+
+class Axis(NamedTuple):
+    """A further feature as a rule holds it."""
+
+    name: str  # as the recipe's key and its module are called
+    size: int  # values that it takes
+    windows: tuple[Window, ...]  # of the sums that it reads, numbered from 0
+    constants: NDArray[np.int32]  # what its formula reads beside the sums and the level
+
+    @property
+    def sums(self) -> int:
+        return 1 + max((window.sum for window in self.windows), default=-1)
+
+
+@dataclass(frozen=True)
+class FurtherFeatures:
+    """Features that a recipe has switched on beside level, contrast, saturation and chroma, in order."""
+
+    names: tuple[str, ...] = data("str", "feature", doc="as in the recipe; what each decides stands in its module")
+    sizes: NDArray[np.int64] = data("int64", "feature", doc="values that each takes")
+    window_counts: NDArray[np.int64] = data("int64", "feature", doc="windows of each")
+    windows: NDArray[np.int64] = data(
+        "int64",
+        "window",
+        "window_field",
+        unit="pixel",
+        doc="sum that a rectangle of the patch counts in, its top, left, rows, columns and sign",
+    )
+    constant_counts: NDArray[np.int64] = data("int64", "feature", doc="constants of each")
+    constants: NDArray[np.int32] = data("int32", "constant", doc="what the formula of each reads")
+
+    @classmethod
+    def of(cls, axes: tuple[Axis, ...]) -> "FurtherFeatures":
+        """How `axes` are stored."""
+        windows = np.array([window for axis in axes for window in axis.windows], np.int64)
+        return cls(
+            tuple(axis.name for axis in axes),
+            np.array([axis.size for axis in axes]),
+            np.array([len(axis.windows) for axis in axes]),
+            windows.reshape(-1, len(Window._fields)),
+            np.array([len(axis.constants) for axis in axes]),
+            np.concatenate([axis.constants for axis in axes]).astype(np.int32),
+        )
+
+    @cached_property
+    def axes(self) -> tuple[Axis, ...]:
+        rows = [Window(*row) for row in self.windows.tolist()]
+        window_end, constant_end = np.cumsum(self.window_counts), np.cumsum(self.constant_counts)
+        return tuple(
+            Axis(
+                name,
+                int(self.sizes[index]),
+                tuple(rows[window_end[index] - self.window_counts[index] : window_end[index]]),
+                self.constants[constant_end[index] - self.constant_counts[index] : constant_end[index]],
+            )
+            for index, name in enumerate(self.names)
+        )
+
+    def check(self, patch: int) -> None:
+        """ValueError if these cannot be features of patches of side `patch`."""
+        if not self.names or len(set(self.names)) != len(self.names):
+            raise ValueError("names of further features must be there, each once")
+        if (self.sizes < 1).any() or math.prod(self.sizes.tolist()) > MAX_FURTHER:
+            raise ValueError(f"sizes of further features must be positive, and at most {MAX_FURTHER} together")
+        counts = ((self.window_counts, len(self.windows)), (self.constant_counts, len(self.constants)))
+        if any((count < 0).any() or count.sum() != length for count, length in counts):
+            raise ValueError("further features have other numbers of windows or constants than are counted")
+        if self.windows.shape[1] != len(Window._fields):
+            raise ValueError(f"windows has {self.windows.shape[1]} fields, not {len(Window._fields)}")
+        number, top, left, rows, columns, sign = self.windows.T
+        inside = (top >= 0) & (left >= 0) & (rows >= 1) & (columns >= 1) & (np.abs(sign) == 1)
+        inside &= (top <= patch - rows) & (left <= patch - columns) & (number >= 0) & (number < len(number))
+        if not inside.all():
+            raise ValueError("windows must lie within the patch, with the sign 1 or −1")
+        if (rows * columns).sum() > MAX_WINDOW_TAPS:
+            raise ValueError(f"windows hold more than {MAX_WINDOW_TAPS} taps")
 
 
 @dataclass(frozen=True)
 class ClassRule:
-    """The integer class rule of docs/method.md#classes: the ordered product of site, level, contrast and kind.
+    """The integer class rule of docs/method.md#classes: the ordered product of site, level, contrast, further features and
+    kind.
 
-    class = ((site · levels + level) · contrasts + contrast) · kinds + kind, with site = row · cfa columns + column.
-    The kind is the chroma of an unsaturated pixel, and chromas − 1 + case of one near saturation.
+    class = (((site · levels + level) · contrasts + contrast) · further + …) · kinds + kind, with
+    site = row · cfa columns + column. The kind is the chroma of an unsaturated pixel, and chromas − 1 + case of one near
+    saturation. Further features, of which most rules have none, multiply as they are listed.
     """
 
     patch: int = data("int64", unit="pixel", doc="side of the square neighbourhood, odd")
@@ -61,6 +156,7 @@ class ClassRule:
     chroma_weights: NDArray[np.int32] = data(
         "int32", "chroma", "channel", doc="weights of the channel means; the chroma of the lowest score wins"
     )
+    features: FurtherFeatures | None = group(default=None)  # None: level, contrast, saturation and chroma alone
 
     def __post_init__(self) -> None:
         check(self)
@@ -74,6 +170,8 @@ class ClassRule:
             raise ValueError("saturation must not be negative, its radius not larger than the patch's")
         if self.contrast_edges.shape[1] != self.levels:
             raise ValueError(f"contrast_edges has {self.contrast_edges.shape[1]} levels, level_edges make {self.levels}")
+        if self.features:
+            self.features.check(self.patch)
 
     @property
     def radius(self) -> int:
@@ -104,24 +202,51 @@ class ClassRule:
         return self.chromas + self.cases - 1
 
     @property
-    def shape(self) -> tuple[int, int, int]:
-        """Levels, contrasts and kinds: the axes of the classes of a site."""
-        return self.levels, self.contrasts, self.kinds
+    def axes(self) -> tuple[Axis, ...]:
+        """The further features in order."""
+        return self.features.axes if self.features else ()
+
+    @property
+    def further(self) -> int:
+        """Values of the further features together."""
+        return math.prod(axis.size for axis in self.axes)
+
+    @property
+    def shape(self) -> tuple[int, int, int, int]:
+        """Levels, contrasts, values of the further features and kinds: the axes of the classes of a site."""
+        return self.levels, self.contrasts, self.further, self.kinds
 
     @property
     def classes_per_site(self) -> int:
-        return self.levels * self.contrasts * self.kinds
+        return math.prod(self.shape)
 
-    def join(self, level: Any, contrast: Any, kind: Any, site: Any = 0) -> Any:
+    def join(self, level: Any, contrast: Any, kind: Any, site: Any = 0, further: Any = 0) -> Any:
         """Indices of classes from their places, integers or arrays that broadcast; without `site` those within it."""
-        return ((site * self.levels + level) * self.contrasts + contrast) * self.kinds + kind
+        stem = (site * self.levels + level) * self.contrasts + contrast
+        return (stem * self.further + further) * self.kinds + kind
 
     def split(self, index: Any) -> ClassPlace:
         """Places of the classes `index`, an integer or an array."""
         rest, kind = divmod(index, self.kinds)
+        rest, further = divmod(rest, self.further)
         rest, contrast = divmod(rest, self.contrasts)
         site, level = divmod(rest, self.levels)
-        return ClassPlace(site, level, contrast, kind)
+        return ClassPlace(site, level, contrast, further, kind)
+
+    def join_further(self, values: Any) -> Any:
+        """The further features together, from the value of each in order, integers or arrays."""
+        together: Any = 0
+        for axis, value in zip(self.axes, values, strict=True):
+            together = together * axis.size + value
+        return together
+
+    def split_further(self, together: Any) -> tuple[Any, ...]:
+        """The value of each further feature, in order, of all together, an integer or an array."""
+        values = []
+        for axis in reversed(self.axes):
+            together, value = divmod(together, axis.size)
+            values.append(value)
+        return tuple(reversed(values))
 
     def on_site(self, index: Any, site: Any) -> Any:
         """Indices among the classes of all sites of the classes `index` within `site`."""
@@ -136,7 +261,7 @@ class ClassRule:
         return slice(site * self.classes_per_site, (site + 1) * self.classes_per_site)
 
     def by_axis(self, values: NDArray[Any]) -> NDArray[Any]:
-        """`values` (class, …) of one site or all as (site, level, contrast, kind, …)."""
+        """`values` (class, …) of one site or all as (site, level, contrast, further, kind, …)."""
         return values.reshape(len(values) // self.classes_per_site, *self.shape, *values.shape[1:])
 
     def kind(self, chroma: Any, case: Any) -> Any:
@@ -152,7 +277,7 @@ class ClassRule:
         return self.chromas - 1 + case if case else slice(0, self.chromas)
 
     def join_cases(self, level: Any, contrast: Any, case: Any) -> Any:
-        """Indices within a site of the coarser classes that tell saturation cases but not chromas apart."""
+        """Indices within a site of the coarser classes that distinguish saturation cases but not chromas."""
         return (level * self.contrasts + contrast) * self.cases + case
 
 

@@ -1,7 +1,7 @@
-"""HDF5 files that tell when a byte of them has changed.
+"""HDF5 files in which a changed byte is detected.
 
 The first 512 bytes, HDF5's user block, hold the SHA-256 of all that follows. A file is compared with it before HDF5 reads
-it: the library may crash on damaged metadata, and its own checksums cover only the values of datasets.
+it: the library may crash on damaged metadata, and its checksums cover only the values of datasets.
 """
 
 import contextlib
@@ -43,10 +43,10 @@ class _Sink(io.RawIOBase):
 
     @uninterrupted
     def readinto(self, buffer: Any) -> int:
-        found = os.pread(self._descriptor, len(buffer), self._position)
-        buffer[: len(found)] = found
-        self._position += len(found)
-        return len(found)
+        content = os.pread(self._descriptor, len(buffer), self._position)
+        buffer[: len(content)] = content
+        self._position += len(content)
+        return len(content)
 
     @uninterrupted
     def write(self, content: Any) -> int:

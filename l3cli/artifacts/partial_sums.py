@@ -1,20 +1,21 @@
 """Partial sums: what one shard of a training run has added up, per canonical site and class (docs/method.md#exact-sums)."""
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.class_rule import ClassRule, check_rule
+from l3cli.artifacts.layer_sums import LayerSums, PartialLayerSums
 from l3cli.artifacts.scales import name_axes
 from l3cli.artifacts.schema import Artifact, check, data, group
 from l3cli.artifacts.store import hard_group, members, new_artifact, open_artifact, read_fields, read_history, write_fields
-from l3cli.artifacts.training_set import TrainingSet
+from l3cli.artifacts.training_set import LightSpectrum, TrainingSet
 from l3cli.errors import InputFileError
 
 
@@ -56,6 +57,7 @@ class PartialSums(Artifact):
         "int64", "canonical_site", doc="CFA sites that are trained, row · cfa columns + column", coordinate=True
     )
     exposure: float = data("float64", unit="s", doc="mean exposure time of the simulated training frames", default=0.0)
+    light: LightSpectrum | None = group(default=None)  # mean of those that fell on the training scenes
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -73,19 +75,25 @@ class PartialSums(Artifact):
         return (classes, width * (width + 1) // 2), (classes, taps), (classes,)
 
 
+Head = PartialSums | PartialLayerSums
+SUMS: dict[type[Head], type] = {PartialSums: ClassSums, PartialLayerSums: LayerSums}  # of a site
+
+
 class PartialSumsReader:
     """An open file of partial sums: `head` and `site(i)`, the sums of head.sites[i]. Memory holds one site at a time."""
 
     def __init__(self, root: h5py.File, path: Path) -> None:
         self._path = path
-        self.head: PartialSums = read_fields(root, PartialSums, path, history=read_history(root, path))
+        kind = next(kind for kind in SUMS if kind.kind == root.attrs["kind"])
+        self.head: Any = read_fields(root, kind, path, history=read_history(root, path))
         self._sums = hard_group(root, "sums", path)
         if len(members(self._sums, path)) != len(self.head.sites):
-            raise InputFileError(f"{path} lacks sums of some sites; make it again with {PartialSums.made_by}")
+            raise InputFileError(f"{path} lacks sums of some sites; make it again with {kind.made_by}")
 
-    def site(self, index: int) -> ClassSums:
+    def site(self, index: int) -> Any:
+        """ClassSums, or LayerSums if the pass is one of a later layer."""
         name = f"{index:05d}"
-        sums = read_fields(hard_group(self._sums, name, self._path), ClassSums, self._path)
+        sums: Any = read_fields(hard_group(self._sums, name, self._path), SUMS[type(self.head)], self._path)
         if (sums.moments.shape, sums.noise.shape, sums.count.shape) != self.head.shapes:
             raise InputFileError(f"{self._path}: sums/{name} does not fit the class rule; make the file again")
         return sums
@@ -93,12 +101,13 @@ class PartialSumsReader:
 
 @contextlib.contextmanager
 def open_partial_sums(path: Path) -> Iterator[PartialSumsReader]:
-    """A reader of the partial sums at `path`; InputFileError if it holds something else or is damaged."""
-    with open_artifact(path, PartialSums) as root:
+    """A reader of the partial sums at `path`, of a first or a later layer; InputFileError if it holds something else or is
+    damaged."""
+    with open_artifact(path, *SUMS) as root:
         yield PartialSumsReader(root, path)
 
 
-def write_partial_sums(path: Path, head: PartialSums, sums: Iterator[ClassSums]) -> None:
+def write_partial_sums(path: Path, head: Head, sums: Iterable[ClassSums] | Iterable[LayerSums]) -> None:
     """Write `head` and the sums of each of its sites, taken one by one, whole or not at all."""
     with new_artifact(path, head.kind, head.version, head.history) as root:
         write_fields(root, head)
@@ -107,4 +116,4 @@ def write_partial_sums(path: Path, head: PartialSums, sums: Iterator[ClassSums])
         for index, site in enumerate(sums):
             group = below.create_group(f"{index:05d}")
             write_fields(group, site)
-            name_axes(group, ClassSums, {})
+            name_axes(group, SUMS[type(head)], {})

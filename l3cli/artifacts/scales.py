@@ -12,7 +12,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from l3cli.artifacts.schema import Spec, declared
+from l3cli.artifacts.schema import Group, Spec, declared, instances
 from l3cli.artifacts.stored import ENCODING, encoded
 
 Coordinates = Mapping[str, tuple[Any, Spec]]  # axis → what stands along it, and how that is declared
@@ -21,7 +21,7 @@ REFERENCES = np.dtype([("dataset", h5py.ref_dtype), ("dimension", "<i4")])
 
 
 def coordinates_of(content: Any) -> Coordinates:
-    """What stands along the axes of an instance of a dataclass, as far as it tells."""
+    """What stands along the axes of an instance of a dataclass, where its fields say it."""
     kind: type = type(content)
     fields = {name: spec for name, spec in _layout(kind)[0].items() if spec.coordinate}
     return {spec.axes[0]: (getattr(content, name), spec) for name, spec in fields.items()}
@@ -35,12 +35,17 @@ def name_axes(group: h5py.Group, kind: type, above: Coordinates, content: Any = 
     known = above if content is None else {**above, **coordinates_of(content)}
     _write_scales(group, kind, known)
     for name, below in _layout(kind)[1].items():
-        if name in group:
-            name_axes(group[name], below, known, getattr(content, name, None))
+        held = (
+            {place: None for place in [name] if place in group}
+            if content is None
+            else instances(name, getattr(content, name))
+        )
+        for place, each in held.items():
+            name_axes(group[place], below.kind, known, each)
 
 
 @functools.cache
-def _layout(kind: type) -> tuple[dict[str, Spec], dict[str, type]]:
+def _layout(kind: type) -> tuple[dict[str, Spec], dict[str, Group]]:
     """The datasets with axes and the groups that a dataclass declares."""
     members = [(name, member) for name, member, _ in declared(kind)]
     return (

@@ -1,7 +1,8 @@
 """What an artifact is: a frozen dataclass whose field declarations are the HDF5 schema.
 
 A field declared with `data(dtype, axes, unit, doc)` is one dataset; a field declared with `group()`,
-whose type is another such dataclass, is a group. Saving, loading, checking and `l3 info` all read these declarations.
+whose type is another such dataclass, is a group; `tuple[X, ...]` is a list of groups called 0, 1… Saving, loading, checking
+and `l3 info` all read these declarations.
 """
 
 import dataclasses
@@ -26,7 +27,7 @@ class Spec:
     axes: tuple[str, ...]
     unit: str
     doc: str
-    coordinate: bool = False  # tells what stands where along its one axis: text does, and numbers that are declared so
+    coordinate: bool = False  # the coordinate of its one axis: text does, and numbers that are declared so
 
 
 def data(
@@ -43,9 +44,19 @@ def data(
     return field(metadata={"spec": spec}, default=default)
 
 
-def group(default: Any = dataclasses.MISSING, kw_only: bool = False) -> Any:
-    """Declare a group: the field's type is a dataclass of declared fields; with default None it may be absent."""
-    return field(default=default, kw_only=kw_only)
+@dataclass(frozen=True)
+class Group:
+    """What a group holds: one instance of a dataclass, or a list of them."""
+
+    kind: type
+    several: bool
+    since: int
+
+
+def group(default: Any = dataclasses.MISSING, kw_only: bool = False, since: int = 0) -> Any:
+    """Declare a group: the field's type is a dataclass of declared fields, or tuple[X, ...] of one; with a default, None or
+    (), it may be absent. In files of format versions before `since` its fields lie a level higher, where the group would."""
+    return field(metadata={"since": since}, default=default, kw_only=kw_only)
 
 
 @dataclass(frozen=True)
@@ -75,25 +86,35 @@ class Artifact:
 # ------------------------------------------------------------------------------------------------ declarations
 
 
-def declared(cls: type) -> Iterator[tuple[str, Spec | type, bool]]:
-    """(name, Spec or dataclass of the group, optional) of each stored field of a dataclass."""
+def declared(cls: type) -> Iterator[tuple[str, Spec | Group, bool]]:
+    """(name, dataset or group, optional) of each stored field of a dataclass."""
     hints = typing.get_type_hints(cls)
     for item in dataclasses.fields(cls):
         spec = item.metadata.get("spec")
         if spec is not None:
             yield item.name, spec, item.default is not dataclasses.MISSING
             continue
+        if "since" not in item.metadata:
+            continue
         hint = hints[item.name]
-        members = typing.get_args(hint) if isinstance(hint, types.UnionType) else (hint,)
-        groups = [member for member in members if dataclasses.is_dataclass(member)]
-        if groups:
-            yield item.name, typing.cast(type, groups[0]), type(None) in members
+        several = typing.get_origin(hint) is tuple
+        members = typing.get_args(hint) if several or isinstance(hint, types.UnionType) else (hint,)
+        kind = next(typing.cast(type, member) for member in members if dataclasses.is_dataclass(member))
+        yield item.name, Group(kind, several, item.metadata["since"]), item.default is not dataclasses.MISSING
+
+
+def instances(name: str, value: Any) -> dict[str, Any]:
+    """The dataclasses that a field holds, by the name of the group of each: one, none or several."""
+    if isinstance(value, tuple):
+        return {f"{name}/{index}": each for index, each in enumerate(value)}
+    return {} if value is None else {name: value}
 
 
 def check(instance: Any) -> None:
     """Dtypes, number of axes, equal length of equally named axes, finite numbers; ValueError names the field.
 
-    An axis whose values a group gives, in a dataset of its name, is an axis of that group and those below it alone.
+    An axis whose values a group gives, in a dataset of its name, is an axis of that group and those below it alone; axes
+    that only the members of a list have may differ in length between them.
     """
     _check(instance, {}, {}, "")
 
@@ -101,11 +122,11 @@ def check(instance: Any) -> None:
 def _check(instance: Any, lengths: dict[str, tuple[int, str]], scopes: dict[str, str], prefix: str) -> None:
     fields = list(declared(type(instance)))
     scopes = scopes | {name: prefix for name, spec, _ in fields if isinstance(spec, Spec) and spec.axes == (name,)}
-    for name, spec, optional in fields:
+    for name, spec, _ in fields:
         value = getattr(instance, name)
         if not isinstance(spec, Spec):
-            if not (optional and value is None):
-                _check(value, lengths, scopes, f"{prefix}{name}/")
+            for place, each in instances(name, value).items():
+                _check(each, dict(lengths) if spec.several else lengths, scopes, f"{prefix}{place}/")
             continue
         array = np.asarray(value)
         label = f"{prefix}{name} ({', '.join(spec.axes)})"
@@ -117,8 +138,8 @@ def _check(instance: Any, lengths: dict[str, tuple[int, str]], scopes: dict[str,
             if array.size and array.dtype.kind == "u" and int(array.max()) > np.iinfo(np.int64).max:
                 raise ValueError(f"{label} holds {array.max()}, more than 63 bits")
             if array.dtype.kind == "f" and array.size and not (array.min() >= -MOST and array.max() <= MOST):
-                told = f"beyond ±{MOST:g}" if np.isfinite(array).all() else "that are not finite"
-                raise ValueError(f"{label} holds values {told}")
+                fault = f"beyond ±{MOST:g}" if np.isfinite(array).all() else "that are not finite"
+                raise ValueError(f"{label} holds values {fault}")
         for axis, length in zip(spec.axes, array.shape, strict=True):
             known, where = lengths.setdefault(scopes.get(axis, "") + axis, (length, prefix + name))
             if known != length:
@@ -132,6 +153,8 @@ def equal(one: Any, other: Any) -> bool:
         if isinstance(spec, Spec):
             if not np.array_equal(np.asarray(a), np.asarray(b)):
                 return False
-        elif (a is None) != (b is None) or (a is not None and not equal(a, b)):
-            return False
+        else:
+            ours, theirs = instances(name, a), instances(name, b)
+            if ours.keys() != theirs.keys() or not all(equal(ours[place], theirs[place]) for place in ours):
+                return False
     return True

@@ -1,6 +1,6 @@
 """Artifacts in files: HDF5 after the declarations of their dataclasses, whole or not at all, with their history.
 
-README.md#artifacts tells what the files promise.
+README.md#artifacts says what the files promise.
 """
 
 import contextlib
@@ -17,7 +17,7 @@ import numpy as np
 
 from l3cli.artifacts import container
 from l3cli.artifacts.scales import name_axes
-from l3cli.artifacts.schema import Artifact, Spec, Stage, check, declared
+from l3cli.artifacts.schema import Artifact, Group, Spec, Stage, check, declared, instances
 from l3cli.artifacts.stored import ENCODING, KNOWN_FILTERS, datasets, encoded, filters_of, is_scale, require_readable
 from l3cli.errors import InputFileError
 from l3cli.files import require_regular
@@ -25,6 +25,7 @@ from l3cli.files import require_regular
 COMPRESSION = {"compression": "gzip", "compression_opts": 4, "shuffle": True, "fletcher32": True}
 HDF5_ERRORS = (OSError, RuntimeError, KeyError, TypeError, ValueError, OverflowError)  # what h5py makes of damage
 CHECKSUM = {"fletcher32": True}  # for pictures: noise hardly shrinks, and shrinking it takes longer than simulating it
+MOST_GROUPS = 64  # in a list of them
 SEALED = 2  # format version from which every file carries its digest
 A = TypeVar("A", bound=Artifact)
 
@@ -34,12 +35,13 @@ A = TypeVar("A", bound=Artifact)
 
 def write_fields(group: h5py.Group, instance: Any, filters: Mapping[str, Any] = COMPRESSION) -> None:
     """Write every declared field of `instance` below `group`, arrays through `filters`; their axes get no scales."""
-    for name, spec, optional in declared(type(instance)):
+    for name, spec, _ in declared(type(instance)):
         value = getattr(instance, name)
         if isinstance(spec, Spec):
             _write_dataset(group, name, spec, value, filters)
-        elif not (optional and value is None):
-            write_fields(group.create_group(name), value, filters)
+        else:
+            for place, each in instances(name, value).items():
+                write_fields(group.create_group(place), each, filters)
 
 
 def _write_dataset(group: h5py.Group, name: str, spec: Spec, value: Any, filters: Mapping[str, Any] = COMPRESSION) -> None:
@@ -87,10 +89,10 @@ def save(artifact: Artifact, path: Path) -> None:
 
 
 @contextlib.contextmanager
-def open_artifact(path: Path, expected: type[Artifact] | None = None, unchanged: bool = False) -> Iterator[h5py.File]:
-    """The file's root, after checking that not a byte has changed since it was written, that it is an artifact, of kind
-    `expected`, and of a version this l3 reads. `unchanged`: this run has compared the bytes before."""
-    made_by = expected.made_by if expected else "an l3 command"
+def open_artifact(path: Path, *expected: type[Artifact], unchanged: bool = False) -> Iterator[h5py.File]:
+    """The file's root, after checking that not a byte has changed since it was written, that it is an artifact, of one of
+    the kinds `expected`, and of a version this l3 reads. `unchanged`: this run has compared the bytes before."""
+    made_by = expected[0].made_by if expected else "an l3 command"
     if not path.exists() and not path.is_symlink():
         raise InputFileError(f"{path} does not exist; make it with {made_by}")
     require_regular(path, f"give the file written by {made_by}")
@@ -106,13 +108,13 @@ def open_artifact(path: Path, expected: type[Artifact] | None = None, unchanged:
             raise InputFileError(f"{path} is an HDF5 file but no l3 artifact; give the file written by {made_by}") from error
         if version >= SEALED and not sealed:
             raise InputFileError(f"{path} lacks the digest of its bytes; make it again with {made_by}")
-        if expected is not None:
-            if kind != expected.kind:
+        if expected:
+            newest = {each.kind: each.version for each in expected}
+            if kind not in newest:
                 raise InputFileError(f"{path} holds a {kind}; give the file written by {made_by}")
-            if version > expected.version:
+            if version > newest[kind]:
                 raise InputFileError(
-                    f"{path} has version {version} of the {kind} format, this l3 reads up to {expected.version}; "
-                    "upgrade l3cli"
+                    f"{path} has version {version} of the {kind} format, this l3 reads up to {newest[kind]}; upgrade l3cli"
                 )
         yield root
 
@@ -136,19 +138,32 @@ def read_fields(group: h5py.Group, cls: type, path: Path, **extra: Any) -> Any:
     values = dict(extra)
     for name, spec, optional in declared(cls):
         if optional and name not in members(group, path):
-            continue  # what files of older versions do not tell
+            continue  # what files of older versions do not hold
         if isinstance(spec, Spec):
             values[name] = _read_dataset(group, name, spec, path)
-        elif name in members(group, path):
-            values[name] = read_fields(hard_group(group, name, path), spec, path)
         else:
-            raise InputFileError(f"{path} lacks the group {_inside(group, name)}; make the file again")
+            values[name] = _read_group(group, name, spec, path)
     try:
         instance = cls(**values)
         check(instance)
     except ValueError as error:
         raise InputFileError(f"{path}: {error}; make the file again") from error
     return instance
+
+
+def _read_group(group: h5py.Group, name: str, spec: Group, path: Path) -> Any:
+    """The instance, or the tuple of instances, of a declared group."""
+    if spec.since and group.name == "/" and int(group.file.attrs["version"]) < spec.since:
+        return read_fields(group, spec.kind, path)
+    if name not in members(group, path):
+        raise InputFileError(f"{path} lacks the group {_inside(group, name)}; make the file again")
+    below = hard_group(group, name, path)
+    if not spec.several:
+        return read_fields(below, spec.kind, path)
+    count = len(members(below, path))
+    if count > MOST_GROUPS:
+        raise InputFileError(f"{path}: {_inside(group, name)} holds more than {MOST_GROUPS} groups; make the file again")
+    return tuple(read_fields(hard_group(below, str(index), path), spec.kind, path) for index in range(count))
 
 
 def _inside(group: h5py.Group, name: str) -> str:
@@ -189,10 +204,10 @@ def _hard(group: h5py.Group, name: str, kind: type, path: Path) -> Any:
 
 
 def require_plain(dataset: h5py.Dataset, where: str, path: Path) -> None:
-    """InputFileError if a dataset is stored in a way l3 never writes, or would be larger in memory than can be."""
+    """InputFileError if a dataset is stored as l3 never stores one, or would be larger in memory than can be."""
     require_readable(path, dataset)
     if not filters_of(dataset) <= KNOWN_FILTERS:
-        raise InputFileError(f"{path}: dataset {where} is stored in a way l3 never writes; make the file again")
+        raise InputFileError(f"{path}: dataset {where} is stored as l3 never stores one; make the file again")
 
 
 def _read_dataset(group: h5py.Group, name: str, spec: Spec, path: Path) -> Any:
@@ -243,12 +258,12 @@ def describe(path: Path) -> dict[str, Any]:
     with open_artifact(path) as root:
         with reading(path, "a dataset"):
             fields = [(name, dataset) for name, dataset in datasets(root) if name != "history" and not is_scale(dataset)]
-            found = [_described(path, name, dataset) for name, dataset in fields]
+            described = [_described(path, name, dataset) for name, dataset in fields]
         return {
             "kind": str(root.attrs["kind"]),
             "version": int(root.attrs["version"]),
             "history": [dataclasses.asdict(stage) for stage in read_history(root, path)],
-            "datasets": [dataclasses.asdict(item) for item in found],
+            "datasets": [dataclasses.asdict(item) for item in described],
         }
 
 

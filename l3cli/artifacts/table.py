@@ -1,4 +1,4 @@
-"""The transform table: class rule and weights, all that rendering needs (docs/method.md#classes)."""
+"""The transform table: layers of class rules and weights, all that rendering needs (docs/method.md#classes)."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -7,16 +7,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel, check_cfa, check_sensor
-from l3cli.artifacts.class_rule import ClassRule, check_rule
+from l3cli.artifacts.class_rule import check_rule
+from l3cli.artifacts.layers import MosaicLayer, PlaneLayer
 from l3cli.artifacts.schema import Artifact, data, group
+from l3cli.artifacts.training_set import LightSpectrum
 
 
 @dataclass(frozen=True)
 class TransformTable(Artifact):
-    """Local linear transforms for every class: output = weights · (patch − black) / (white − black) + intercept."""
+    """Local linear transforms for every class: of the mosaic and, in later layers, of what the layer before has made."""
 
     kind: ClassVar[str] = "transform table"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
     made_by: ClassVar[str] = '"l3 train"'
 
     camera_name: str = data("str", doc="the camera it was learned for")
@@ -35,14 +37,10 @@ class TransformTable(Artifact):
     white_point: NDArray[np.float64] = data(
         "float64", "output", doc="output of a perfect white under the training light, Y = 1"
     )
-    rule: ClassRule = group()
-    weights: NDArray[np.float32] = data(
-        "float32", "class", "output", "tap", doc="taps row by row; per unit of (DN − black) / (white − black)"
-    )
-    intercept: NDArray[np.float32] = data("float32", "class", "output", doc="added to the weighted sum")
-    samples: NDArray[np.float64] = data("float64", "class", doc="training patches; 0: filled from a neighbour")
-    condition: NDArray[np.float32] = data("float32", "class", doc="condition number of the class's equations; 0: none")
+    first: MosaicLayer = group(since=3)
+    later: tuple[PlaneLayer, ...] = group(default=())
     exposure: float = data("float64", unit="s", doc="mean exposure time of the simulated training frames", default=0.0)
+    light: LightSpectrum | None = group(default=None)  # mean of those that fell on the training scenes
     camera: CameraModel | None = group(default=None)  # it was learned for, without its fit; None: an older file
 
     def __post_init__(self) -> None:
@@ -55,14 +53,32 @@ class TransformTable(Artifact):
             raise ValueError("there must be an output, and its unit above zero")
         if not self.exposure >= 0:
             raise ValueError("exposure must not be negative")
-        sites = self.cfa.size
-        if len(self.weights) != sites * self.rule.classes_per_site:
+        for layer in self.layers:
+            sites, classes = self.cfa.size, layer.rule.classes_per_site
+            if len(layer.weights) != sites * classes:
+                raise ValueError(f"weights holds {len(layer.weights)} classes, the rule makes {sites} × {classes}")
+        check_rule(self.first.rule, len(self.channels), self.bits)
+        for later in self.later:
+            self._check_later(later)
+
+    def _check_later(self, layer: PlaneLayer) -> None:
+        """ValueError if a layer does not fit the first one, whose levels, saturation cases and outputs it takes."""
+        rule, below = layer.rule, self.first.rule
+        if len(rule.turns) != self.cfa.size:
+            raise ValueError(f"turns holds {len(rule.turns)} sites, the CFA {self.cfa.size}")
+        if (len(rule.gradient_factor), rule.cases) != (below.levels, below.cases):
             raise ValueError(
-                f"weights holds {len(self.weights)} classes, the rule makes {sites} × {self.rule.classes_per_site}"
+                f"a later layer is for {len(rule.gradient_factor)} levels and {rule.cases} saturation cases, "
+                f"the first has {below.levels} and {below.cases}"
             )
-        if self.weights.shape[2] != self.rule.patch**2:
-            raise ValueError(f"weights has {self.weights.shape[2]} taps, the rule's patch {self.rule.patch**2}")
-        check_rule(self.rule, len(self.channels), self.bits)
+        taps = layer.side**2 * len(self.outputs)
+        if layer.side % 2 == 0 or layer.weights.shape[2] != taps:
+            raise ValueError(f"weights has {layer.weights.shape[2]} taps, {len(self.outputs)} windows of odd side {taps}")
+
+    @property
+    def layers(self) -> tuple[MosaicLayer | PlaneLayer, ...]:
+        """All layers in the order in which they render."""
+        return (self.first, *self.later)
 
     def dark_signal(self, exposure: float | None) -> float:
         """DN above black that dark current makes, on average, in `exposure` s; if that is unknown, in that of training. A

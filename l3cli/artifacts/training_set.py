@@ -162,7 +162,7 @@ class TrainingSetReader:
 def open_training_set(path: Path, unchanged: bool = False) -> Iterator[TrainingSetReader]:
     """A reader of the training set at `path`; InputFileError if it is none or damaged. `unchanged`: its bytes have been
     compared with its digest before, by this run."""
-    with open_artifact(path, TrainingSet, unchanged) as root:
+    with open_artifact(path, TrainingSet, unchanged=unchanged) as root:
         yield TrainingSetReader(root, path)
 
 
@@ -182,15 +182,15 @@ class TrainingSetWriter:
         write_fields(group.create_group(name), frame, CHECKSUM)
         name_axes(group[name], type(frame), self._coordinates)
 
-    def append_part(self, path: Path, run: str) -> "Part":
-        """Append the frame that `write_part` stored for `run`, as it is stored; what else it told."""
+    def append_part(self, path: Path, run: str) -> "SceneCoverage":
+        """Append the frame that `write_part` stored for `run`, as it is stored; what else is stored beside it."""
         with container.open_file(path) as part:
             _require_run(part, path, run)
             simulated = bool(part.attrs["simulated"])
             group, name = self._place(simulated)
             part.copy("frame", group, name)
             name_axes(group[name], TrainingFrame if simulated else TrainingPair, self._coordinates)
-            return Part(str(part.attrs["scene"]), float(part.attrs["uncovered"]))
+            return SceneCoverage(str(part.attrs["scene"]), float(part.attrs["uncovered"]))
 
 
 @contextlib.contextmanager
@@ -203,15 +203,15 @@ def write_training_set(path: Path, head: TrainingSet) -> Iterator[TrainingSetWri
 
 
 @dataclass(frozen=True)
-class Part:
-    """What is known of a stored frame beside itself."""
+class SceneCoverage:
+    """The scene of a stored frame, and how much of the camera's light its data does not cover."""
 
     scene: str
     uncovered: float  # share of white's electrons for which the scene holds no data
 
 
 def write_part(path: Path, frame: TrainingPair, uncovered: float, run: str) -> None:
-    """One frame of `run` in a file of its own, whole or not at all: what a killed run leaves, its successor goes on from."""
+    """One frame of `run` in a file, whole or not at all: what a killed run leaves, its successor goes on from."""
     with container.new_file(path) as root:
         root.attrs["simulated"] = isinstance(frame, TrainingFrame)
         root.attrs["scene"] = frame.scene.encode("utf-8", "replace").decode()  # named after a file, which need not be text
@@ -231,7 +231,7 @@ def read_part(path: Path, run: str) -> TrainingPair:
 
 def _require_run(part: h5py.File, path: Path, run: str) -> None:
     if part.attrs.get("run") != run:
-        raise L3Error(f"{path} was replaced by another run; run again with --resume")
+        raise L3Error(f"{path} was replaced by another run; run again with ‹resume›")
 
 
 def whole_part(path: Path, run: str) -> bool:

@@ -19,7 +19,7 @@ SLAB = 1 << 26  # bytes of a dataset that are read at a time
 
 @dataclass(frozen=True)
 class Intact:
-    """What was found in order in a file."""
+    """What is intact in a file."""
 
     kind: str
     version: int
@@ -85,27 +85,27 @@ class Link:
 def chain(history: tuple[Stage, ...], inputs: Mapping[Path, str]) -> tuple[tuple[Link, ...], tuple[Path, ...]]:
     """What a history names, compared with files by their SHA-256; and those files that it does not name.
 
-    The history of a file that is named is followed, too: of several training sets, an artifact's own tells only the first.
+    The history of a file that is named is followed, too: of several training sets, an artifact names only the first.
     """
     stages = list(history)
     for stage in stages:  # which grows
         named = {digest for digests in stage.inputs.values() for digest in digests}
         for path in (path for path, digest in inputs.items() if digest in named):
-            stages += [other for other in _own_history(path) if other not in stages]
-    links, found = [], set()
+            stages += [other for other in _history_of(path) if other not in stages]
+    links, named_inputs = [], set()
     for stage in stages:
         for role, digests in sorted(stage.inputs.items()):
             given = [path for path, digest in inputs.items() if digest in digests]
             links.append(Link(stage.command, role, len(set(digests)), tuple(str(path) for path in given)))
-            found.update(given)
+            named_inputs.update(given)
         if stage.recipe:
             given = [path for path in inputs if _is_recipe_of(path, stage)]
             links.append(Link(stage.command, "recipe", max(1, len(given)), tuple(str(path) for path in given)))
-            found.update(given)
-    return tuple(links), tuple(path for path in inputs if path not in found)
+            named_inputs.update(given)
+    return tuple(links), tuple(path for path in inputs if path not in named_inputs)
 
 
-def _own_history(path: Path) -> tuple[Stage, ...]:
+def _history_of(path: Path) -> tuple[Stage, ...]:
     """An artifact's history; nothing for another file."""
     try:
         with open_artifact(path) as root:

@@ -1,7 +1,7 @@
-"""Whether a calibrated camera can be trusted: what its own captures, its efficiency and its validation say against it."""
+"""Whether a calibrated camera can be trusted: what its captures, its efficiency and its validation say against it."""
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.calibration.model import likely_mistake
+from l3cli.calibration.efficiency import likely_mistake
 
 LEAST_EFFICIENCY = 0.01  # at the peak: below, a unit is more likely than such a camera
 LEAST_R_SQUARED, MOST_RMSE = 0.98, 0.02  # of every channel, or the calibration has failed
@@ -9,7 +9,7 @@ LEAST_R_SQUARED, MOST_RMSE = 0.98, 0.02  # of every channel, or the calibration 
 
 def shortfall(camera: CameraModel) -> str | None:
     """Why the camera should not be trusted: the sentence that names captures that disagree, an efficiency that is hardly a
-    camera's, or the channel that its own validation fails; or None."""
+    camera's, or the channel that its validation fails; or None."""
     if camera.fit and camera.fit.sweep and camera.fit.sweep.odd:
         odd = camera.fit.sweep.odd
         more = f" and {len(odd) - 1} more" if len(odd) > 1 else ""

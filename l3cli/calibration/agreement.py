@@ -39,10 +39,10 @@ def check_whites(captures: Sequence[Capture], lit: Array, signal: Array) -> None
 
 
 def check_darks(captures: Sequence[Capture], signal: Array) -> None:
-    """InputFileError names the dark capture whose mean (capture) DN lies far off the line of all others over exposure; told
+    """InputFileError names the dark capture whose mean (capture) DN lies far off the line of all others over exposure;
     only where three others or more agree with each other."""
     exposure = np.array([capture.exposure for capture in captures])
-    worst, told = 0.0, None
+    worst, outlier = 0.0, None
     for index, capture in enumerate(captures):
         others = np.arange(len(captures)) != index
         if np.unique(exposure[others]).size < 3:
@@ -53,9 +53,9 @@ def check_darks(captures: Sequence[Capture], signal: Array) -> None:
         off = abs(signal[index] - predicted)
         grown = max(abs(predicted - line[1]), abs(signal[index] - line[1]))
         if off > max(DRIFT, 10.0 * rest, 0.5 * grown, worst):
-            worst, told = off, (capture, signal[index], predicted)
-    if told is not None:
-        capture, value, predicted = told
+            worst, outlier = off, (capture, signal[index], predicted)
+    if outlier is not None:
+        capture, value, predicted = outlier
         raise InputFileError(
             f"{capture.name}: {value:.2f} DN in the dark of {capture.exposure:g} s, where the other dark captures say "
             f"{predicted:.2f} DN; check its exposure"
@@ -101,15 +101,15 @@ def odd_steps(captures: Sequence[MonoCapture], sweep: Sweep) -> tuple[str, ...]:
     channel that sees them, and by how much: the most striking first, then without it the next."""
     centre = np.array([light_centre(capture.wavelength, capture.radiance) for capture in captures])
     left = list(np.argsort(centre, kind="stable"))
-    told = []
+    steps = []
     while len(left) > 3:
         factors = [_step_factor(sweep, left, place) for place in range(len(left))]
         worst = int(np.argmax(np.abs(np.log(factors))))
         if factors[worst] == 1.0:
             break
-        told.append(f"{captures[left[worst]].name}: {_factor(factors[worst])} than its neighbours")
+        steps.append(f"{captures[left[worst]].name}: {_factor(factors[worst])} than its neighbours")
         del left[worst]
-    return tuple(told)
+    return tuple(steps)
 
 
 def _step_factor(sweep: Sweep, order: Sequence[int], place: int) -> float:

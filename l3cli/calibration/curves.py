@@ -25,14 +25,14 @@ class Curves:
         peak = self.relative.max()
         return replace(self, relative=self.relative / peak, band=self.band / peak)
 
-    def to_own_peaks(self) -> "Curves":
+    def to_channel_peaks(self) -> "Curves":
         """Scaled so that every channel's largest value is 1."""
         peak = self.relative.max(axis=1, keepdims=True)
         return replace(self, relative=self.relative / peak, band=self.band / peak)
 
 
 def from_sweep(table: SweepTable, body: Body) -> Array:
-    """Responsivity (channel, wavelength) per photon of a sweep beside a photodiode; nodes are the sweep's own.
+    """Responsivity (channel, wavelength) per photon of a sweep beside a photodiode; nodes are the sweep's.
 
     Camera and photodiode each lose the dark reading of the same step; what lies below zero is zero. InputFileError if the
     photodiode or a channel sees no light.

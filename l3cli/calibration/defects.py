@@ -1,4 +1,4 @@
-"""Hot and dead pixels: found by what they do, listed, and left out of every figure."""
+"""Hot and dead pixels: detected by their values, listed, and left out of every figure."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,15 +17,15 @@ def none() -> Defects:
 def outliers(picture: Array, cfa: NDArray[np.uint8], least: float = 0.0) -> Defects:
     """Pixels of a picture (row, col) that lie far from the median of their CFA site, and at least `least` from it."""
     rows, cols = cfa.shape
-    found = []
+    defects = []
     for row in range(rows):
         for col in range(cols):
             site = picture[row::rows, col::cols]
             low, middle, high = np.percentile(site, (15.87, 50.0, 84.13))
             spread = (high - low) / 2 or site.std()
             far = np.abs(site - middle) > max(OUTLIER * spread, least)
-            found.append(np.argwhere(far) * (rows, cols) + (row, col))
-    return join(*found)
+            defects.append(np.argwhere(far) * (rows, cols) + (row, col))
+    return join(*defects)
 
 
 def join(*parts: Defects) -> Defects:

@@ -126,8 +126,8 @@ def compare(camera: CameraModel, truth: CameraModel) -> dict[str, Any]:
         "within band (%)": 100.0 * np.mean(np.abs(error) <= camera.responsivity_band, axis=1),
     }
     if camera.absolute:
-        found, true_gain = camera.gain * camera.responsivity.sum(axis=1), truth.gain * real.sum(axis=1)
-        columns["gain alpha·r error (%)"] = 100.0 * (found / true_gain - 1.0)
+        fitted_gain, true_gain = camera.gain * camera.responsivity.sum(axis=1), truth.gain * real.sum(axis=1)
+        columns["gain alpha·r error (%)"] = 100.0 * (fitted_gain / true_gain - 1.0)
     true = camera_figures(truth)
     return {
         "camera": {

@@ -1,12 +1,11 @@
 """Noise of a sensor from stacks of frames, as EMVA 1288 defines it (docs/method.md#dark-and-white-frames).
 
 Every temporal variance comes from differences of frames taken in pairs, in which the fixed pattern cancels; every spatial
-one has the variance of its own estimator subtracted. Hot and dead pixels stay out. Where a function goes through many
-captures, `each` is the map that does so: the built-in one, or one that keeps several processes busy.
+one has the variance of its estimator subtracted. Hot and dead pixels stay out.
 """
 
 import functools
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,6 +14,16 @@ from numpy.typing import NDArray
 from l3cli.calibration import agreement
 from l3cli.calibration import defects as defective
 from l3cli.calibration.defects import Defects
+from l3cli.calibration.statistics import (
+    Each,
+    Level,
+    by_site,
+    mean_value,
+    measure_level,
+    pooled,
+    share_from,
+    weighted_sums,
+)
 from l3cli.errors import InputFileError
 from l3cli.measurement import Body, Capture
 
@@ -24,24 +33,11 @@ TOLERATED = 1e-4  # share of saturated pixels that leaves a variance unharmed
 LINEAR = (0.05, 0.95)  # share of saturation over which EMVA 1288 judges linearity
 WINDOW = 7  # samples of one CFA site in a local mean: 5–9, wider ones see dust (docs/method.md#dark-and-white-frames)
 Array = NDArray[np.float64]
-Counts = NDArray[np.int64]
-Each = Callable[[Callable, Iterable], Iterator]
-
-
-@dataclass(frozen=True)
-class Level:
-    """Statistics of the frames of one exposure."""
-
-    exposure: float  # s
-    lit: float  # s of the measured light
-    trials: int
-    counts: Counts  # (channel, value) pixels of all frames
-    variance: Array  # (channel) DN², temporal
 
 
 @dataclass(frozen=True)
 class DarkNoise:
-    """What lens-cap frames tell, each (channel)."""
+    """What lens-cap frames give, each (channel)."""
 
     black: Array  # DN at zero exposure
     slope: Array  # DN/s
@@ -62,109 +58,6 @@ class PhotonTransfer:
     gain: Array  # (channel) DN/e-, conversion gain K
     gain_error: Array  # (channel) DN/e-, its standard deviation
     linearity_error: Array  # (channel) EMVA 1288 LE, relative
-
-
-# ------------------------------------------------------------------------------------------------ frame statistics
-
-
-def by_site(values: NDArray, cfa: NDArray[np.uint8]) -> Iterator[tuple[int, NDArray]]:
-    """(channel, the pixels of one site of the super-pixel as a picture of their own), site by site."""
-    rows, cols = cfa.shape
-    for row in range(rows):
-        for col in range(cols):
-            yield int(cfa[row, col]), values[row::rows, col::cols]
-
-
-def pooled(per_site: Sequence[float], cfa: NDArray[np.uint8]) -> Array:
-    """(channel) mean over its sites of one figure a site, sites in the order of `by_site`."""
-    count = np.bincount(cfa.ravel())
-    return np.bincount(cfa.ravel(), weights=np.asarray(per_site, dtype=np.float64)) / count
-
-
-def histogram(values: NDArray[np.uint16], body: Body, defects: Defects) -> Counts:
-    """(channel, value) how many pixels of each channel have each value, defects left out."""
-    counts = np.zeros((len(body.channels), 2**body.bits), dtype=np.int64)
-    for channel, site in by_site(values, body.cfa):
-        counts[channel] += np.bincount(site.ravel(), minlength=2**body.bits)
-    row, col = defects.T
-    channels = body.cfa[row % body.cfa.shape[0], col % body.cfa.shape[1]]
-    np.subtract.at(counts, (channels, values[row, col]), 1)
-    return counts
-
-
-def count_values(capture: Capture, body: Body, defects: Defects) -> Counts:
-    """(channel, value) histogram of all frames of a capture, defects left out."""
-    counts = np.zeros((len(body.channels), 2**body.bits), dtype=np.int64)
-    for frame in capture.frames:
-        counts += histogram(frame, body, defects)
-    return counts
-
-
-def mean_value(counts: Counts) -> Array:
-    """(channel) mean DN of a histogram (channel, value)."""
-    return counts @ np.arange(counts.shape[1]) / counts.sum(axis=1)
-
-
-def share_from(counts: Counts, value: float) -> Array:
-    """(channel) share of the pixels that lie at `value` DN or above."""
-    return counts[:, int(np.ceil(value)) :].sum(axis=1) / counts.sum(axis=1)
-
-
-def measure_level(capture: Capture, body: Body, defects: Defects) -> Level:
-    """Histogram and temporal variance of a capture of even light or none; InputFileError if it is a single frame.
-
-    The variance is half that of the difference of two frames, centred, so that neither fixed pattern nor a drift of the
-    lamp or of the black level enters; frames 1 and 2 make a pair, 3 and 4 the next.
-    """
-    counts = np.zeros((len(body.channels), 2**body.bits), dtype=np.int64)
-    variances, trials = [], 0
-    previous = None
-    for frame in capture.frames:
-        counts += histogram(frame, body, defects)
-        trials += 1
-        if previous is None:
-            previous = frame.astype(np.int32)
-            continue
-        difference = previous - frame
-        difference[defects[:, 0], defects[:, 1]] = 0
-        variances.append(pooled([site.var(dtype=np.float64) / 2 for _, site in by_site(difference, body.cfa)], body.cfa))
-        previous = None
-    if not variances:
-        raise InputFileError(f"{capture.name} is a single frame; noise needs two or more of each exposure")
-    return Level(capture.exposure, capture.lit, trials, counts, np.mean(variances, axis=0))
-
-
-def weighted_sums(captures: Sequence[Capture], weights: Array, body: Body, each: Each = map) -> Array:
-    """Pictures (sum, row, col): Σ over captures of weights (sum, capture, channel) × mean frame, read one by one."""
-    total = np.zeros((len(weights), body.rows, body.cols))
-    used = [index for index in range(len(captures)) if weights[:, index].any()]
-    means = each(mean_frame, [captures[index] for index in used])
-    for index, mean in zip(used, means, strict=True):
-        for channel, weight in zip(_channels(body), weights[:, index].T, strict=True):
-            for site in channel:
-                total[:, site[0], site[1]] += weight[:, None, None] * mean[site]
-    return total
-
-
-def _channels(body: Body) -> list[list[tuple[slice, slice]]]:
-    """Of each channel the slices that take its sites out of a frame."""
-    rows, cols = body.cfa.shape
-    sites: list[list[tuple[slice, slice]]] = [[] for _ in body.channels]
-    for row in range(rows):
-        for col in range(cols):
-            sites[body.cfa[row, col]].append((slice(row, None, rows), slice(col, None, cols)))
-    return sites
-
-
-def mean_frame(capture: Capture) -> NDArray[np.float32]:
-    """Mean (row, col) DN of the frames of a capture."""
-    total: NDArray | None = None
-    trials = 0
-    for frame in capture.frames:
-        total = frame.astype(np.uint32) if total is None else total + frame
-        trials += 1
-    assert total is not None
-    return (total / trials).astype(np.float32)
 
 
 # ------------------------------------------------------------------------------------------------------------ dark
@@ -191,13 +84,13 @@ def dark_noise(captures: Sequence[Capture], body: Body, each: Each = map) -> Dar
     mean = np.array([mean_value(level.counts) for level in levels])
     agreement.check_darks(captures, mean.mean(axis=1))
     variance = np.array([level.variance for level in levels])
-    own = (intercept**2 / [level.trials for level in levels]) @ variance
+    temporal = (intercept**2 / [level.trials for level in levels]) @ variance
     spatial = pooled([_pixel_variance(site) for _, site in by_site(offsets, body.cfa)], body.cfa)
     return DarkNoise(
         black=intercept @ mean,
         slope=slope @ mean,
         variance=np.maximum(intercept @ variance - QUANTISATION, 0.0),
-        dsnu=np.sqrt(np.maximum(spatial - own, 0.0)),
+        dsnu=np.sqrt(np.maximum(spatial - temporal, 0.0)),
         hot=hot,
     )
 
@@ -290,11 +183,11 @@ def prnu(
         weights[chosen, channel] = line_weights(np.array([level.lit for level in levels])[chosen])[1]
     variance = np.array([level.variance for level in levels])
     trials = np.array([level.trials for level in levels])
-    own = (weights**2 * variance / trials[:, None]).sum(axis=0)
+    temporal = (weights**2 * variance / trials[:, None]).sum(axis=0)
     slopes = defective.patched(weighted_sums(captures, weights[None], body, each)[0], body.cfa, hot)
     dead = defective.outliers(_over_local_mean(slopes, body.cfa), body.cfa, defective.LEAST_LOSS)
     slopes = defective.patched(slopes, body.cfa, dead)
-    spread = [_local_spread(site, own[channel]) for channel, site in by_site(slopes, body.cfa)]
+    spread = [_local_spread(site, temporal[channel]) for channel, site in by_site(slopes, body.cfa)]
     return np.sqrt(np.maximum(pooled(spread, body.cfa), 0.0)), dead
 
 
@@ -312,10 +205,10 @@ def _over_local_mean(picture: Array, cfa: NDArray[np.uint8]) -> Array:
     return deviation
 
 
-def _local_spread(site: Array, own: float) -> float:
-    """Variance of site / local mean − 1, without the estimator's own variance `own` of each sample."""
+def _local_spread(site: Array, temporal: float) -> float:
+    """Variance of site / local mean − 1, without the temporal variance `temporal` of each sample."""
     inner = slice(WINDOW // 2, -(WINDOW // 2))
     local = _local_mean(site)[inner, inner]
     deviation = site[inner, inner] / local - 1.0
-    # A sample is part of its own local mean, which shrinks its deviation by 1 − 1/n.
-    return float(np.mean(deviation**2) / (1.0 - 1.0 / WINDOW**2) - own * np.mean(1.0 / local**2))
+    # A sample is part of its local mean, which shrinks its deviation by 1 − 1/n.
+    return float(np.mean(deviation**2) / (1.0 - 1.0 / WINDOW**2) - temporal * np.mean(1.0 / local**2))

@@ -64,18 +64,18 @@ def solve(design: Array, values: Array, delta: float) -> Array:
 
 
 def solve_channels(sweep: Sweep, delta: float) -> Array:
-    """Responsivities (channel, wavelength) DN/photon, each from its own unsaturated captures."""
+    """Responsivities (channel, wavelength) DN/photon, each from its unsaturated captures."""
     columns = zip(sweep.values.T, sweep.valid.T, strict=True)
     return np.array([solve(sweep.design[valid], values[valid], delta) for values, valid in columns])
 
 
 def residuals(sweep: Sweep, responsivity: Array) -> Array:
     """(channel) RMS of what Eq. 1 leaves unexplained, over the channel's largest value."""
-    found = []
+    relative = []
     for values, valid, curve in zip(sweep.values.T, sweep.valid.T, responsivity, strict=True):
         rest = values[valid] - sweep.design[valid] @ curve
-        found.append(np.sqrt(np.mean(rest**2)) / values[valid].max())
-    return np.array(found)
+        relative.append(np.sqrt(np.mean(rest**2)) / values[valid].max())
+    return np.array(relative)
 
 
 def choose_smoothing(deltas: Array, errors: Array) -> float:

@@ -10,6 +10,7 @@ from l3cli.artifacts.fit import SeriesFit
 from l3cli.calibration import agreement, defects, gain, noise
 from l3cli.calibration.curves import Curves
 from l3cli.calibration.responsivity import COVERAGE, light_centre
+from l3cli.calibration.statistics import count_values, mean_value
 from l3cli.errors import InputFileError
 from l3cli.measurement import PATCHES, BandCapture, Body, Capture
 from l3cli.physics import spectra
@@ -85,7 +86,7 @@ def dark_levels(exposures: Sequence[float], darks: Sequence[Capture], body: Body
     if not darks:
         return np.full((len(exposures), len(body.channels)), black)
     known = np.array([capture.exposure for capture in darks])
-    means = np.array([noise.mean_value(noise.count_values(capture, body, defects.none())) for capture in darks])
+    means = np.array([mean_value(count_values(capture, body, defects.none())) for capture in darks])
     order = np.argsort(known)
     return np.array([np.interp(exposures, known[order], column[order]) for column in means.T]).T
 
@@ -138,7 +139,7 @@ def linearity_errors(series: Series, span: float) -> Array:
             usable = chosen[:, patch, channel] & (series.light == band)
             if usable.sum() > 2:
                 errors[channel].append(noise.linearity_error(series.lit[usable], series.values[usable, patch, channel]))
-    return np.array([np.mean(found) if found else 0.0 for found in errors])
+    return np.array([np.mean(deviations) if deviations else 0.0 for deviations in errors])
 
 
 def named(captures: Sequence[BandCapture], series: Series, body: Body) -> tuple[str, ...]:

@@ -7,19 +7,29 @@ hence the weights |q|² − 2 q, and no division.
 """
 
 import warnings
-from typing import Any
+from typing import Annotated, Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.class_rule import CHROMA_SCALE, ClassRule
+from l3cli.artifacts.class_rule import CHROMA_SCALE, MAX_CHROMAS, ClassRule
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.statistics import Statistics, truncation
 from l3cli.classes.windows import Integers, Neighbourhoods
+from l3cli.config import Recipe
 
 CHROMA_FRACTION = 4  # fractional bits of a channel mean above black in the chroma scores
 SNIPPET = "chroma.cl"
+
+
+class Keys(Recipe):
+    """Of the [classes] of a recipe."""
+
+    chromas: Annotated[int, msgspec.Meta(ge=0, le=MAX_CHROMAS)] = (
+        8  # colours distinguished where nothing is saturated; 0 or 1: none (docs/method.md#chroma)
+    )
 
 
 def channel_shares(signal: NDArray[np.float32], near: Neighbourhoods, site: int) -> NDArray[np.float64]:
@@ -74,7 +84,7 @@ def chromas(rule: ClassRule, statistics: Statistics) -> Integers:
 
 def entry(table: TransformTable, chroma: int) -> dict[str, Any]:
     """Number of a chroma and its centre as the channels' shares, read back from the rule's weights |q|² − 2 q."""
-    shares = chroma_centres(table.rule)[chroma].tolist()
+    shares = chroma_centres(table.first.rule)[chroma].tolist()
     return {"chroma": chroma, "shares": dict(zip(table.channels, shares, strict=True))}
 
 

@@ -15,23 +15,29 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.table import TransformTable
-from l3cli.classes.recipe import ClassRecipe
 from l3cli.classes.statistics import Statistics
 from l3cli.classes.windows import VARIANCE_FRACTION, Integers
+from l3cli.config import Recipe
 from l3cli.errors import RecipeError
 
 MEAN_TRUNCATED = 1 / 3  # what M, rounded down, adds to V on average: matters where noise is below a DN
 SNIPPET = "contrast.cl"
 
 
-def check_edges(recipe: ClassRecipe) -> None:
+class Keys(Recipe):
+    """Of the [classes] of a recipe."""
+
+    contrasts: tuple[float, ...] = (1.4,)  # edges of √(signal variance / noise variance)
+
+
+def check_edges(recipe: Keys) -> None:
     """RecipeError if contrast edges cannot be."""
     if tuple(sorted(set(recipe.contrasts))) != recipe.contrasts or any(edge <= 0 for edge in recipe.contrasts):
         raise RecipeError("contrasts must be positive and increase")
 
 
 def stored_edges(
-    recipe: ClassRecipe, levels: NDArray[np.float64], camera: CameraModel, shift: int, dark: float
+    recipe: Keys, levels: NDArray[np.float64], camera: CameraModel, shift: int, dark: float
 ) -> NDArray[np.uint32]:
     """The rule's contrast edges (edge, level) from the camera's noise at `levels`, shares of full scale, of frames of which
     `dark` DN of dark current have been taken off."""

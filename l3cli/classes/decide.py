@@ -5,7 +5,8 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.classes import chroma, contrast, level, saturation
-from l3cli.classes.statistics import Statistics, mosaic_statistics, patch_statistics
+from l3cli.classes.features import further_features
+from l3cli.classes.statistics import PatchSums, Statistics, mosaic_statistics, patch_statistics, window_sums
 from l3cli.classes.windows import Integers, Neighbourhoods, neighbourhoods, tap_order
 
 
@@ -14,7 +15,13 @@ def labels(rule: ClassRule, statistics: Statistics) -> Integers:
     levels = level.levels(rule, statistics)
     contrasts = contrast.contrasts(rule, statistics, levels)
     kinds = rule.kind(chroma.chromas(rule, statistics), saturation.cases(rule, statistics.code))
-    return rule.join(levels, contrasts, kinds)
+    further = rule.join_further(
+        [
+            np.minimum(feature.values(axis, rule, sums, levels), axis.size - 1)
+            for (feature, axis), sums in zip(further_features(rule), window_sums(rule, statistics), strict=True)
+        ]
+    )
+    return rule.join(levels, contrasts, kinds, further=further)
 
 
 def label_mosaic(
@@ -28,17 +35,29 @@ def label_mosaic(
 def label_patches(patches: NDArray[np.unsignedinteger], rule: ClassRule, near: Neighbourhoods, site: int) -> Integers:
     """Class within `site` of each patch (patch, tap) of DN."""
     order = tap_order(rule, near, site)
-    return label_statistics(*patch_statistics(patches.T[order.taps].astype(np.uint32), rule, order), rule, near, site)
+    return label_sums(patch_statistics(patches.T[order.taps].astype(np.uint32), rule, order), rule, near, site)
 
 
-def label_statistics(
-    sums: NDArray[np.uint32],
-    squares: NDArray[np.uint32],
-    code: Integers,
-    rule: ClassRule,
-    near: Neighbourhoods,
-    site: int,
-) -> Integers:
-    """Class within `site` of each patch from channel sums and squares (channel, patch) and saturation codes (patch)."""
-    where = np.array([site])
-    return labels(rule, Statistics(near, where, sums.astype(np.int64).T, squares.astype(np.int64).T, code))
+def label_sums(seen: PatchSums, rule: ClassRule, near: Neighbourhoods, site: int) -> Integers:
+    """Class within `site` of each patch from what is seen of it."""
+    return labels(rule, _statistics(seen, near, site))
+
+
+def observe_patches(
+    patches: NDArray[np.unsignedinteger], rule: ClassRule, near: Neighbourhoods, site: int
+) -> dict[str, NDArray[np.float64]]:
+    """What each further feature of `rule` asks of the pilot (patch, …), of patches (patch, tap) of DN."""
+    if not rule.axes:
+        return {}
+    order = tap_order(rule, near, site)
+    statistics = _statistics(patch_statistics(patches.T[order.taps].astype(np.uint32), rule, order), near, site)
+    levels = level.levels(rule, statistics)
+    return {
+        axis.name: feature.observe(axis, rule, sums, levels)
+        for (feature, axis), sums in zip(further_features(rule), window_sums(rule, statistics), strict=True)
+    }
+
+
+def _statistics(seen: PatchSums, near: Neighbourhoods, site: int) -> Statistics:
+    sums, squares, windows = (each.astype(np.int64).T for each in (seen.sums, seen.squares, seen.windows))
+    return Statistics(near, np.array([site]), sums, squares, seen.code, windows)

@@ -3,7 +3,7 @@
 level = number of level edges ≤ Σ (S · round(65536 / n) >> 8) over the channels, n and S being count and sum of a channel.
 """
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,16 +11,26 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.table import TransformTable
-from l3cli.classes.recipe import ClassRecipe
 from l3cli.classes.statistics import Statistics, truncation
 from l3cli.classes.windows import Integers
+from l3cli.config import Count, Recipe
 from l3cli.errors import RecipeError
 
 LEVEL_FRACTION = 8  # fractional bits of a channel mean in the level sum
 SNIPPET = "level.cl"
 
 
-def edge_shares(recipe: ClassRecipe) -> NDArray[np.float64]:
+class Keys(Recipe):
+    """Of the [classes] of a recipe."""
+
+    levels: Count = 20
+    spacing: Literal["logarithmic", "linear"] = "logarithmic"  # of the level edges, between …
+    lowest_level: float = 0.001  # … the upper edge of the darkest level, share of full scale …
+    highest_level: float = 0.95  # … and the lower edge of the brightest
+    level_edges: tuple[float, ...] | None = None  # shares of full scale, in place of the four keys above
+
+
+def edge_shares(recipe: Keys) -> NDArray[np.float64]:
     """Level edges as shares of full scale, increasing; RecipeError if they cannot be."""
     if recipe.level_edges is not None:
         edges = np.array(recipe.level_edges)
@@ -64,7 +74,7 @@ def inner_bounds(rule: ClassRule, black: float, white: float) -> NDArray[np.floa
 
 def bounds(table: TransformTable) -> NDArray[np.float64]:
     """Bounds (level + 1) of the levels as shares of full scale, from 0 to 1."""
-    inner = inner_bounds(table.rule, table.black, table.white)
+    inner = inner_bounds(table.first.rule, table.black, table.white)
     return np.concatenate([[0.0], np.clip(inner, 0.0, 1.0), [1.0]])
 
 
@@ -81,7 +91,7 @@ def heading(entry: dict[str, Any]) -> str:
 
 def name(table: TransformTable, level: int) -> str:
     """Such as "level 3 (0.002–0.003 of full scale)"."""
-    inner = inner_bounds(table.rule, table.black, table.white)
+    inner = inner_bounds(table.first.rule, table.black, table.white)
     lower = "0" if level == 0 else f"{inner[level - 1]:.3g}"
     upper = f"{inner[level]:.3g}" if level < len(inner) else "1"
     return f"level {level} ({lower}–{upper} of full scale)"

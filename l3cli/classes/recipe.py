@@ -1,26 +1,39 @@
-"""What a class recipe may say of classes."""
+"""What a class recipe may say of classes: the keys of all features, which stand in their modules."""
 
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from l3cli.artifacts.class_rule import MAX_CHROMAS
-from l3cli.config import Count, CountOrNone, Recipe
+from l3cli.classes import chroma, contrast, level, saturation
+from l3cli.classes.features import FURTHER
+from l3cli.config import Count, Recipe
 
+if TYPE_CHECKING:
 
-class ClassRecipe(Recipe):
-    """How pixels are sorted into classes (configs/classes)."""
+    class ClassRecipe(level.Keys, contrast.Keys, saturation.Keys, chroma.Keys):
+        """How pixels are sorted into classes (configs/classes)."""
 
-    patch: Count = 9  # pixels, side of the neighbourhood
-    levels: Count = 20
-    spacing: Literal["logarithmic", "linear"] = "logarithmic"  # of the level edges, between …
-    lowest_level: float = 0.001  # … the upper edge of the darkest level, share of full scale …
-    highest_level: float = 0.95  # … and the lower edge of the brightest
-    level_edges: tuple[float, ...] | None = None  # shares of full scale, in place of the four keys above
-    contrasts: tuple[float, ...] = (1.4,)  # edges of √(signal variance / noise variance)
-    saturation: float = 0.985  # share of full scale from which a pixel is saturated
-    saturation_radius: CountOrNone = 2  # pixels
-    chromas: Annotated[int, msgspec.Meta(ge=0, le=MAX_CHROMAS)] = (
-        8  # colours told apart where nothing is saturated; 0 or 1: none (docs/method.md#chroma)
+        patch: Count = 9  # pixels, side of the neighbourhood
+
+else:
+
+    def _fields(keys: type[Recipe]) -> list[tuple[str, Any, Any]]:
+        """Name, type and default of the keys of a feature that every rule has."""
+        return [(field.name, field.type, field.default) for field in msgspec.structs.fields(keys)]
+
+    # patch: pixels, side of the neighbourhood. Further features have a table each, which switches them on.
+    ClassRecipe = msgspec.defstruct(
+        "ClassRecipe",
+        [
+            ("patch", Count, 9),
+            *(field for feature in (level, contrast, saturation, chroma) for field in _fields(feature.Keys)),
+            *((name, feature.Keys | None, None) for name, feature in FURTHER.items()),
+        ],
+        bases=(Recipe,),
+        module=__name__,
     )
-    max_cases: Count = 12  # saturation patterns that get classes of their own, the unsaturated one included
+
+
+def switched_on(recipe: ClassRecipe) -> dict[str, Any]:
+    """The tables of the further features that a recipe has, by name, in the order of FURTHER."""
+    return {name: keys for name in FURTHER if (keys := getattr(recipe, name)) is not None}

@@ -1,46 +1,18 @@
 """From a recipe to a camera's class rule: the ordered product of the features."""
 
-from typing import Any, Protocol
+from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.class_rule import CLASS_BITS, MAX_PATCH, ClassRule
-from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.class_rule import CLASS_BITS, MAX_PATCH, ClassRule, FurtherFeatures
 from l3cli.classes import chroma, contrast, level, saturation
-from l3cli.classes.recipe import ClassRecipe
+from l3cli.classes.features import FURTHER
+from l3cli.classes.recipe import ClassRecipe, switched_on
 from l3cli.classes.windows import neighbourhoods
 from l3cli.errors import RecipeError
-
-
-class Feature(Protocol):
-    """What the module of a feature has, beside its formula."""
-
-    SNIPPET: str  # file of opencl/ with its formula; rule.cl joins them
-
-    def macros(self, rule: ClassRule) -> dict[str, int]:
-        """What the snippet is compiled with."""
-
-    def kernel_array(self, rule: ClassRule) -> NDArray[Any]:
-        """The constants that the snippet reads."""
-
-    def entry(self, table: TransformTable, index: int) -> dict[str, Any]:
-        """Its value number `index` in documents."""
-
-    def heading(self, entry: dict[str, Any]) -> str:
-        """Such an entry as a row of a table begins."""
-
-    def name(self, table: TransformTable, index: int) -> str:
-        """Its value number `index` in text."""
-
-
-FEATURES: tuple[Feature, ...] = (
-    level,
-    contrast,
-    saturation,
-    chroma,
-)  # in this order their snippets are joined and their arrays handed on
 
 
 def make_rule(
@@ -49,11 +21,13 @@ def make_rule(
     case_of_code: NDArray[np.uint16],
     chroma_centres: NDArray[np.float64] | None = None,
     dark: float = 0.0,
+    observed: Mapping[str, NDArray[np.float64]] | None = None,
 ) -> ClassRule:
     """The integer rule for a camera: edges in DN, contrast edges from its noise model (docs/method.md#classes).
     It is for frames of which `dark` DN of dark current have been taken off.
 
     `chroma_centres` (chroma, channel) are shares of the channel means in their sum; without them there is one chroma.
+    `observed` is what the pilot has seen for each further feature, None before it.
     RecipeError if the recipe asks for what the camera cannot give, such as more levels than values.
     """
     if recipe.patch % 2 == 0 or not 1 <= recipe.patch <= MAX_PATCH:
@@ -66,7 +40,7 @@ def make_rule(
     level_edges = level.stored_edges(shares, camera, shift)
     contrast_edges = contrast.stored_edges(recipe, level.centres(shares), camera, shift, dark)
     try:
-        return ClassRule(
+        rule = ClassRule(
             patch=recipe.patch,
             shift=shift,
             level_edges=level_edges,
@@ -79,15 +53,10 @@ def make_rule(
                 np.full((1, channels), 1 / channels) if chroma_centres is None else chroma_centres
             ),
         )
+        axes = tuple(
+            FURTHER[name].axis(keys, camera, rule, dark, None if observed is None else observed[name])
+            for name, keys in switched_on(recipe).items()
+        )
+        return replace(rule, features=FurtherFeatures.of(axes)) if axes else rule
     except ValueError as error:
         raise RecipeError(f"classes: {error}") from error
-
-
-def kernel_macros(rule: ClassRule) -> dict[str, int]:
-    """What the snippets of the features, and rule.cl which joins them, are compiled with."""
-    return {key: value for feature in FEATURES for key, value in feature.macros(rule).items()} | {"KINDS": rule.kinds}
-
-
-def kernel_arrays(rule: ClassRule) -> tuple[NDArray, ...]:
-    """The constants of the features, in the order in which kernels take them."""
-    return tuple(feature.kernel_array(rule) for feature in FEATURES)

@@ -11,11 +11,19 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.table import TransformTable
-from l3cli.classes.recipe import ClassRecipe
 from l3cli.classes.windows import Integers, Neighbourhoods, TapOrder, tap_order
+from l3cli.config import Count, CountOrNone, Recipe
 
 SMALLEST_SHARE = 2e-4  # of the training patches: rarer patterns join the nearest kept one
 SNIPPET = "saturation.cl"
+
+
+class Keys(Recipe):
+    """Of the [classes] of a recipe."""
+
+    saturation: float = 0.985  # share of full scale from which a pixel is saturated
+    saturation_radius: CountOrNone = 2  # pixels
+    max_cases: Count = 12  # saturation patterns that get classes of their own, the unsaturated one included
 
 
 def choose_cases(occurrences: NDArray[np.int64], most: int) -> NDArray[np.uint16]:
@@ -37,7 +45,7 @@ def choose_cases(occurrences: NDArray[np.int64], most: int) -> NDArray[np.uint16
     return case_of_code
 
 
-def stored_threshold(recipe: ClassRecipe, camera: CameraModel) -> int:
+def stored_threshold(recipe: Keys, camera: CameraModel) -> int:
     """The rule's saturation, in DN."""
     return int(np.ceil(camera.black + recipe.saturation * (camera.white - camera.black)))
 
@@ -69,7 +77,7 @@ def cases(rule: ClassRule, code: Integers) -> Integers:
 
 def entry(table: TransformTable, case: int) -> dict[str, Any]:
     """Number of a saturation case and the channels that all patterns sorted into it have saturated."""
-    codes = np.flatnonzero(table.rule.case_of_code == case)
+    codes = np.flatnonzero(table.first.rule.case_of_code == case)
     common = int(np.bitwise_and.reduce(codes)) if codes.size else 0
     return {"case": case, "saturated": _channels(table, common)}
 
@@ -81,7 +89,7 @@ def heading(entry: dict[str, Any]) -> str:
 
 def name(table: TransformTable, case: int) -> str:
     """ "saturated A+B": the pattern of channels nearest to all that share the saturation case."""
-    codes = np.flatnonzero(table.rule.case_of_code == case)
+    codes = np.flatnonzero(table.first.rule.case_of_code == case)
     if not codes.size:
         return "no pattern"
     code = int(codes[::-1][np.argmin(_apart(codes, len(table.channels))[::-1])])

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ class Statistics:
     sums: Integers  # (…, channel) of v = DN >> shift
     squares: Integers  # (…, channel) of v²
     code: Integers  # (…) bit c: a pixel of channel c near the centre is saturated
+    windows: Integers  # (…, sum) of v over the windows of all further features
 
     @cached_property
     def scaled(self) -> Integers:
@@ -28,23 +30,40 @@ class Statistics:
         return self.sums * self.near.mean_reciprocal[self.site]
 
 
+class PatchSums(NamedTuple):
+    """Of patches of one site."""
+
+    sums: NDArray[np.uint32]  # (channel, patch) of v = DN >> shift
+    squares: NDArray[np.uint32]  # (channel, patch) of v²
+    code: Integers  # (patch) saturation codes
+    windows: NDArray[np.float32]  # (sum, patch) of v over the windows of all further features: whole numbers below 2²⁴
+
+
+def window_sums(rule: ClassRule, statistics: Statistics) -> tuple[Integers, ...]:
+    """The window sums (…, sum) of each further feature, in order."""
+    ends = np.cumsum([axis.sums for axis in rule.axes], dtype=int)
+    return tuple(statistics.windows[..., end - axis.sums : end] for axis, end in zip(rule.axes, ends.tolist(), strict=True))
+
+
 def truncation(shift: int) -> float:
     """What values lose on average, in DN, when they are shifted right."""
     return (2**shift - 1) / 2
 
 
-def patch_statistics(
-    values: NDArray[np.uint32], rule: ClassRule, order: TapOrder
-) -> tuple[NDArray[np.uint32], NDArray[np.uint32], Integers]:
-    """Channel sums and squares (channel, patch) and saturation codes (patch) of DN (tap, patch) in `order`, which are
-    overwritten."""
+def patch_statistics(values: NDArray[np.uint32], rule: ClassRule, order: TapOrder) -> PatchSums:
+    """What is seen of DN (tap, patch) in `order`, which are overwritten."""
     code = saturation.codes(values, rule, order)
     if rule.shift:
         values >>= rule.shift
     sums = np.stack([np.add.reduce(values[taps], axis=0, dtype=np.uint32) for taps in order.channels])
+    windows = order.windows @ values.astype(np.float32) if len(order.windows) else _no_windows(values.shape[1])
     values *= values
     squares = np.stack([np.add.reduce(values[taps], axis=0, dtype=np.uint32) for taps in order.channels])
-    return sums, squares, code
+    return PatchSums(sums, squares, code, windows)
+
+
+def _no_windows(patches: int) -> NDArray[np.float32]:
+    return np.empty((0, patches), np.float32)
 
 
 def mosaic_statistics(
@@ -64,7 +83,23 @@ def mosaic_statistics(
         inner = _inner(saturated & here, rule)
         code |= (_box(inner.astype(np.int64), 2 * rule.saturation_radius + 1) > 0).astype(np.int64) << index
     site = sites(rows, cols, cfa.shape, phase)
-    return Statistics(near, site, np.stack(sums, -1), np.stack(squares, -1), code)
+    windows = _mosaic_windows(shifted, rule, rows, cols)
+    return Statistics(near, site, np.stack(sums, -1), np.stack(squares, -1), code, windows)
+
+
+def _mosaic_windows(padded: Integers, rule: ClassRule, rows: int, cols: int) -> Integers:
+    """Window sums (row, col, sum) of a padded mosaic of v."""
+    total = np.pad(padded.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+    sums = np.zeros((rows, cols, sum(axis.sums for axis in rule.axes)), np.int64)
+    first = 0
+    for axis in rule.axes:
+        for window in axis.windows:
+            top, left = np.arange(rows) + window.top, np.arange(cols) + window.left
+            low, right = top + window.rows, left + window.columns
+            corners = total[np.ix_(low, right)] - total[np.ix_(top, right)] - total[np.ix_(low, left)]
+            sums[..., first + window.sum] += window.sign * (corners + total[np.ix_(top, left)])
+        first += axis.sums
+    return sums
 
 
 def _padded_channels(frame_cfa: NDArray[np.uint8], radius: int, rows: int, cols: int) -> Integers:

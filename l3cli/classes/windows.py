@@ -53,6 +53,7 @@ class TapOrder:
     taps: Integers  # (tap)
     channels: tuple[slice, ...]  # (channel) where its taps lie
     inner: tuple[slice, ...]  # (channel) where those lie that decide the saturation case
+    windows: NDArray[np.float32]  # (sum, tap) how often each tap counts in the window sums of all further features
 
 
 def tap_order(rule: ClassRule, near: Neighbourhoods, site: int) -> TapOrder:
@@ -62,11 +63,25 @@ def tap_order(rule: ClassRule, near: Neighbourhoods, site: int) -> TapOrder:
     outer = np.maximum(reach[:, None], reach[None]).ravel() > rule.saturation_radius
     start = np.append(0, np.cumsum(near.count[site])).tolist()
     inner = np.bincount(channel[~outer], minlength=channels).tolist()
+    taps = np.lexsort((outer, channel))
     return TapOrder(
-        np.lexsort((outer, channel)),
+        taps,
         tuple(slice(start[index], start[index + 1]) for index in range(channels)),
         tuple(slice(start[index], start[index] + inner[index]) for index in range(channels)),
+        _tap_counts(rule)[:, taps],
     )
+
+
+def _tap_counts(rule: ClassRule) -> NDArray[np.float32]:
+    """How often each tap (sum, tap), row by row, counts in the window sums of all further features."""
+    counts = np.zeros((sum(axis.sums for axis in rule.axes), rule.patch, rule.patch), np.float32)
+    first = 0
+    for axis in rule.axes:
+        for window in axis.windows:
+            down, across = slice(window.top, window.top + window.rows), slice(window.left, window.left + window.columns)
+            counts[first + window.sum, down, across] += window.sign
+        first += axis.sums
+    return counts.reshape(len(counts), rule.patch**2)
 
 
 def sites(rows: int, cols: int, cfa_shape: tuple[int, ...], phase: tuple[int, int]) -> Integers:

@@ -1,21 +1,18 @@
-"""The command line: a group that imports a command only when it is asked for, and the one door for errors."""
+"""The command line: a group that imports a command only when it is called, and reports every error in one place."""
 
 import errno
 import importlib
-import signal
 import sys
-import threading
-from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from l3cli import __version__
-from l3cli.cli.log import Logged
-from l3cli.cli.terminal import drop, prepare, tell
+from l3cli.cli.terminal import drop, prepare, to_stderr
 from l3cli.errors import L3Error, suggestion
-from l3cli.interrupts import ignore, must_wait
+from l3cli.interrupts import Terminated, heed, leave_to_python
 from l3cli.limits import require_address_space
+from l3cli.stages.log import Logged
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
@@ -27,11 +24,11 @@ COMMANDS = {
     "render": "raw frames through a table → pictures",
     "evaluate": "quality of a table on frames it was not trained on",
     "report": "artifacts → one page with plots and pictures",
-    "compare": "evaluations of several cameras over the light on the scene",
+    "compare": "evaluations of several cameras over luminance",
     "info": "kind, version, axes, units, history of an artifact",
-    "bench": "frames per second here, stage by stage",
-    "lab": "a virtual lab: the measurements a camera would give",
-    "init": "a folder of recipes and pipelines for one kind of camera",
+    "bench": "frame times on this machine, stage by stage",
+    "lab": "virtual lab: simulated measurements of a camera",
+    "init": "folder of recipes and pipelines for one kind of camera",
 }
 
 CURES = {
@@ -41,11 +38,10 @@ CURES = {
     errno.ENOTDIR: "; a part of the path is a file, not a folder",
 }
 NO_THREAD = "can't start new thread"  # what Python says
-LATER = 0.05  # seconds until a signal comes again that came where it must wait
 
 
 class Pipeline(click.Group):
-    """Commands in the order of the pipeline, each in its own module."""
+    """Commands in the order of the pipeline, each in a module."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
@@ -61,11 +57,11 @@ class Pipeline(click.Group):
         return super().resolve_command(ctx, args)
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list["CompletionItem"]:
-        """Names and meanings from the list above: a key pressed must not import every command."""
+        """Names and meanings from the list above, as completion must not import every command."""
         from click.shell_completion import CompletionItem
 
-        found = [CompletionItem(name, help=what) for name, what in COMMANDS.items() if name.startswith(incomplete)]
-        return found + click.Command.shell_complete(self, ctx, incomplete)
+        commands = [CompletionItem(name, help=what) for name, what in COMMANDS.items() if name.startswith(incomplete)]
+        return commands + click.Command.shell_complete(self, ctx, incomplete)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
@@ -83,36 +79,27 @@ class Pipeline(click.Group):
 def l3(context: click.Context) -> None:
     """Give a camera with any colour filter array its image pipeline.
 
-    Measure the camera (calibrate), simulate it on scenes (simulate), learn a table of local linear transforms (train),
-    render raw frames through it (render). Every stage leaves one HDF5 file for the next.
+    Calibrate the camera from measurements (calibrate), simulate it on scenes (simulate), learn a table of local linear
+    transforms (train), render raw frames through it (render). Every stage writes one HDF5 file for the next.
     """
     require_address_space()
     if context.invoked_subcommand is None:  # a wrong call, such as of a script whose variable is empty
         for line in context.get_help().splitlines():
-            tell(line)
+            to_stderr(line)
         context.exit(2)
-
-
-class Terminated(BaseException):
-    """SIGTERM has come: a scheduler or a user ends the program, which cleans up as after Ctrl-C."""
 
 
 def main() -> None:
     """Run the command line; every failure ends as one line on stderr and the exit code of README, "Exit codes"."""
     prepare()
-    sys.unraisablehook = _lost
-    for each in (signal.SIGINT, signal.SIGTERM):
-        if signal.getsignal(each) is not signal.SIG_IGN:  # as a job in the background ignores Ctrl-C
-            signal.signal(each, _end)
+    heed()
     code = run(sys.argv[1:])
-    for each in (signal.SIGINT, signal.SIGTERM):
-        if signal.getsignal(each) is _end:  # all is done, but for Python's own end, where an exception finds no door
-            signal.signal(each, signal.SIG_DFL)
+    leave_to_python()
     sys.exit(code)
 
 
 def run(arguments: list[str]) -> int:
-    """Exit code of `l3 ARGUMENTS`, after printing what there is to print."""
+    """Exit code of `l3 ARGUMENTS`, after printing its results and messages."""
     Logged.current = None
     try:
         result: Any = l3.main(arguments, prog_name="l3", standalone_mode=False)
@@ -146,34 +133,8 @@ def run(arguments: list[str]) -> int:
         return _fail(f"{error.filename or 'input/output'}: {error.strerror or error}{cure}", 1)
 
 
-def _end(number: int, frame: FrameType | None) -> None:
-    ending = KeyboardInterrupt if number == signal.SIGINT else Terminated
-    if must_wait(frame, ending):
-        _come_again(number)
-        return
-    ignore()
-    raise ending
-
-
-def _lost(what: Any) -> None:
-    """Hears of what is raised where Python cannot pass it on, as in a finaliser: a signal that fell there comes again."""
-    if what.exc_type not in (KeyboardInterrupt, Terminated):
-        sys.__unraisablehook__(what)
-        return
-    number = signal.SIGINT if what.exc_type is KeyboardInterrupt else signal.SIGTERM
-    signal.signal(number, _end)
-    _come_again(number)  # not here, where it would be lost, too
-
-
-def _come_again(number: int) -> None:
-    """Send the main thread a signal a little later."""
-    main_thread = threading.main_thread().ident
-    assert main_thread is not None
-    threading.Timer(LATER, signal.pthread_kill, (main_thread, number)).start()
-
-
 def _usage(error: click.ClickException) -> str:
-    """What is wrong with a call, and where the right ones are explained."""
+    """What is wrong with a call, and which help to read."""
     message = error.format_message().rstrip(".")
     if isinstance(error, click.NoSuchOption):
         near = [name for name in error.possibilities or () if name.startswith("--")]
@@ -189,7 +150,7 @@ def _usage(error: click.ClickException) -> str:
 
 def _fail(message: str, code: int) -> int:
     line = " ".join(message.split())
-    tell(f"l3: {line}")
+    to_stderr(f"l3: {line}")
     if Logged.current is not None:
         Logged.current.record("error", line)
     return code

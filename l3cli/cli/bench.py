@@ -1,13 +1,11 @@
-"""l3 bench: which devices there are, and how fast frames are rendered, simulated and learned from."""
+"""l3 bench: the OpenCL devices, and the times of rendering, simulation and training."""
 
-import functools
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from l3cli.cli import options, terminal
-from l3cli.cli.terminal import show, show_json
-from l3cli.columns import columns
+from l3cli.cli import options
+from l3cli.cli.terminal import show, show_json, show_table
 
 if TYPE_CHECKING:
     from l3cli.stages.console import Console
@@ -16,55 +14,37 @@ if TYPE_CHECKING:
 @click.command()
 @options.device
 @options.variant
-@click.option("--list", "list_only", is_flag=True, help="List the OpenCL devices, or why there are none, and end.")
+@click.option("--list", "list_only", is_flag=True, help="Only list the OpenCL devices, or say why there are none.")
 @options.as_json
 @options.quiet
 def bench(device: str | None, variant: str | None, list_only: bool, as_json: bool, console: "Console") -> None:
-    """Time the rendering of made-up frames on an OpenCL device, uint16 in host memory to sRGB in host memory, and on
-    one core of the processor their simulation and training.
+    """Time the rendering of synthetic frames on an OpenCL device, uint16 in host memory to sRGB in host memory, and
+    simulation and training on one core of the processor.
 
     Rendering: medians of 20 frames. With a C compiler (CC or cc) each frame is timed in turn with the bare multiply-adds of
-    its transforms on all cores, hand-vectorised: "limit" is the median of their ratio. The variant that is not made for the
+    its transforms on all cores, hand-vectorised: "limit" is the median of their ratio. The variant for the other type of
     device and the numpy reference get small frames. Simulation: the fastest of 5 frames. Training: the faster
     of 2 runs, both passes.
 
     \b
     Example: l3 bench --device 0 --json
     """
-    from l3cli.artifacts.camera_recipe import load_camera
-    from l3cli.parallel import alone
-    from l3cli.recipes import known_recipes
-    from l3cli.rendering import benchmark as rendering
-    from l3cli.rendering.opencl_devices import survey
-    from l3cli.simulation import benchmark as simulation
-    from l3cli.stages.input_warnings import warn_of_kernels
-    from l3cli.training import benchmark as training
-
-    found = survey()
     if list_only:
-        if as_json:
-            show_json({"devices": found}, console)
-        else:
-            show(*found)
-        return
-    jobs = rendering.jobs(device, variant)
-    results: list[dict[str, Any]] = [job() for job in console.progress(jobs, len(jobs), "cases")]
-    warn_of_kernels(console)
-    camera = load_camera(known_recipes("cameras")["fiveband"])
-    simulated, trained = (
-        [
-            alone(functools.partial(room.measure, camera), case)
-            for case in console.progress(room.CASES, len(room.CASES), what)
-        ]
-        for room, what in ((simulation, "simulations"), (training, "trainings"))
-    )
+        from l3cli.rendering.opencl_devices import survey
+
+        document: dict[str, Any] = {"devices": survey()}
+    else:
+        from l3cli.stages.benchmark import measure
+
+        document = measure(console, device=device, variant=variant)
     if as_json:
-        show_json({"devices": found, "results": results, "simulate": simulated, "train": trained}, console)
+        show_json(document, console)
         return
-    show(*found)
-    _rendering(results)
-    _simulation(simulated)
-    _training(trained)
+    show(*document["devices"])
+    if not list_only:
+        _rendering(document["results"])
+        _simulation(document["simulate"])
+        _training(document["train"])
 
 
 def _rendering(results: list[dict[str, Any]]) -> None:
@@ -74,13 +54,13 @@ def _rendering(results: list[dict[str, Any]]) -> None:
         times = [f"{result['stages_ms'][stage]:.2f}" for stage in stages]
         limit = f"{result['limit_ratio']:.2f}" if "limit_ratio" in result else ""
         what = [
-            str(number),  # tells rows apart where the table is divided
+            str(number),  # identifies rows where the table is divided
             f"{result['width']}×{result['height']}",
             *(str(result[key]) for key in ("patch", "classes", "outputs", "variant")),
         ]
         rows.append([*what, *times, f"{result['frame_ms']:.2f}", f"{result['mp_per_s']:.1f}", limit])
     headings = ["", "frame", "patch", "classes", "outputs", "variant", *stages, "whole", "MP/s", "limit"]
-    _table("rendering, milliseconds a frame; limit: times the bare multiply-adds", headings, rows)
+    show_table(["", "rendering, milliseconds a frame; limit: times the bare multiply-adds"], headings, rows)
 
 
 def _simulation(results: list[dict[str, Any]]) -> None:
@@ -89,7 +69,7 @@ def _simulation(results: list[dict[str, Any]]) -> None:
         what = [f"{result['width']}×{result['height']}", str(result["channels"]), "on" if result["optics"] else "off"]
         rows.append([*what, f"{result['frame_ms']:.1f}", f"{result['mp_per_s']:.2f}", f"{result['peak_mb']:.0f}"])
     headings = ["frame", "channels", "optics", "whole ms", "MP/s", "peak MB"]
-    _table("simulation on one core, 31 bands, noise and targets", headings, rows)
+    show_table(["", "simulation on one core, 31 bands, noise and targets"], headings, rows)
 
 
 def _training(results: list[dict[str, Any]]) -> None:
@@ -102,8 +82,4 @@ def _training(results: list[dict[str, Any]]) -> None:
         times = [f"{result['stages_ns'][stage]:.0f}" for stage in stages]
         rows.append([*what, f"{result['cpu_s']:.1f}", f"{result['rows_per_s']:.0f}", *times, f"{result['peak_mb']:.0f}"])
     headings = ["patches", "channels", "rows", "CPU s", "rows/s", *stages, "peak MB"]
-    _table("training on one core, both passes; stages: nanoseconds a patch and level", headings, rows)
-
-
-def _table(title: str, headings: list[str], rows: list[list[str]]) -> None:
-    show("", title, *columns(headings, rows, terminal.width()))
+    show_table(["", "training on one core, both passes; stages: nanoseconds a patch and level"], headings, rows)

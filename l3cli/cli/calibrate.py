@@ -15,9 +15,11 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("measurements", type=options.FILE, metavar="MEASUREMENTS.toml")
 @options.output("Camera model to write")
-@click.option("--truth", type=options.CAMERA, metavar="CAMERA", help="The camera behind a virtual lab, to compare with.")
+@click.option("--truth", type=options.CAMERA, metavar="CAMERA", help="Camera that a virtual lab measured, to compare with.")
 @click.option("--export", type=options.FILE, metavar="DIR", help="Also write the curves as CSV and as rawtoaces JSON there.")
-@click.option("--accept", is_flag=True, help="Write the model even if it predicts its own charts badly.")
+@click.option(
+    "--accept", is_flag=True, help="Write the model even if it fails its checks, such as predicting its charts badly."
+)
 @options.jobs
 @options.trust
 @options.force
@@ -34,22 +36,15 @@ def calibrate(
     console: "Console",
     as_json: bool,
 ) -> None:
-    """Find responsivities, gain and noise of a camera from its lab measurements.
+    """Estimate responsivities, gain and noise of a camera from its lab measurements.
 
     \b
     Example: l3 calibrate lab/MEASUREMENTS.toml -o camera.h5
     """
     from l3cli.calibration import acceptance, text
-    from l3cli.errors import L3Error
-    from l3cli.stages.calibration import NotAccepted
     from l3cli.stages.calibration import calibrate as stage
 
-    try:
-        camera, result = stage(
-            measurements, output, console, truth=truth, export=export, accept=accept, jobs=jobs, force=force
-        )
-    except NotAccepted as error:
-        raise L3Error(f"{error}, or add --accept") from error
+    camera, result = stage(measurements, output, console, truth=truth, export=export, accept=accept, jobs=jobs, force=force)
     if as_json:
         show_json(result, console)
     else:

@@ -1,31 +1,34 @@
-"""l3 info: what an artifact holds, and what this l3 is made of."""
+"""l3 info: contents of an artifact, or versions of this installation."""
 
-import dataclasses
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from l3cli.cli import options
 from l3cli.cli.terminal import Terminal, folded, show, show_json
 from l3cli.columns import figure, printable
+from l3cli.errors import InputFileError
+
+if TYPE_CHECKING:
+    from l3cli.stages.information import Verification
 
 
 @click.command()
 @click.argument("file", type=options.FILE, required=False, metavar="FILE")
 @click.argument("inputs", type=options.FILE, nargs=-1, metavar="[INPUT…]")
-@click.option("--verify", "verifies", is_flag=True, help="Check every byte of FILE, and that it was made of the INPUTs.")
+@click.option("--verify", "verifies", is_flag=True, help="Verify every byte of FILE, and that it was made from the INPUTs.")
 @click.option(
     "--version", "versions", is_flag=True, help="Versions of l3, Python and libraries, and OpenCL devices; no FILE."
 )
 @options.as_json
 def info(file: Path | None, inputs: tuple[Path, ...], verifies: bool, versions: bool, as_json: bool) -> None:
     """Show kind, version, history and every dataset (axes, type, unit, meaning) of FILE; of a transform table also
-    what it has learned: classes, patches, noise gain, gain of flat areas, and its worst classes.
+    classes, patches, noise gain, gain of flat areas, and its noisiest classes.
 
-    With --verify tell whether FILE is as it was written, to the last byte, and which of the files that its history names
-    are given as INPUT: artifacts, recipes, frames, spectra. One that it does not name is another file, or has changed: exit
-    code 3.
+    With --verify check every byte of FILE against its digest, and say which of the files that its history names are given
+    as INPUT: artifacts, recipes, frames, spectra. An INPUT that the history does not name is another file, or has changed:
+    exit code 3.
 
     \b
     Example: l3 info camera.h5
@@ -38,28 +41,38 @@ def info(file: Path | None, inputs: tuple[Path, ...], verifies: bool, versions: 
         return
     if verifies or inputs:
         raise click.UsageError("one file at a time, unless --verify compares it with what it was made of")
-    content = _versions() if file is None else _content(file)
+    document = _versions() if file is None else _content(file)
     if as_json:
-        show_json(content, Terminal())
+        show_json(document, Terminal())
         return
-    for line in _version_lines(content) if versions else _lines(content):
+    for line in _version_lines(document) if versions else _lines(document):
         show(*folded(printable(line), len(line) - len(line.lstrip()) + 4))
 
 
-# ------------------------------------------------------------------------------------------------------ artifacts
-
-
 def _content(file: Path) -> dict[str, Any]:
-    """What is in a file, ready for JSON."""
-    from l3cli.artifacts.store import describe, load
-    from l3cli.artifacts.table import TransformTable
+    from l3cli.stages.information import content
 
-    content = describe(file)
-    if content["kind"] == TransformTable.kind:
-        from l3cli.training.insight import insight
+    return content(file)
 
-        content["insight"] = insight(load(TransformTable, file))
-    return content
+
+def _versions() -> dict[str, Any]:
+    from l3cli.stages.versions import versions
+
+    return versions()
+
+
+def _verify(file: Path, inputs: tuple[Path, ...], as_json: bool) -> None:
+    """Print what is verified and what is not given; InputFileError if something differs."""
+    from l3cli.stages.information import verification
+
+    result = verification(file, inputs)
+    if as_json:
+        show_json(result.document(), Terminal())
+    else:
+        show(*_verified(file, result))
+    if result.strangers:
+        named = ", ".join(str(path) for path in result.strangers)
+        raise InputFileError(f"{named}: not what {file} was made of; another file, or changed since")
 
 
 def _lines(content: dict[str, Any]) -> list[str]:
@@ -79,35 +92,17 @@ def _lines(content: dict[str, Any]) -> list[str]:
     return lines + (_learned(content["insight"]) if "insight" in content else [])
 
 
-def _verify(file: Path, inputs: tuple[Path, ...], as_json: bool) -> None:
-    """What is right and what is not given; InputFileError if something is not right."""
-    from l3cli.artifacts.verify import chain, verify
-    from l3cli.errors import InputFileError
-    from l3cli.files import sha256
-
-    intact = verify(file)
-    links, strangers = chain(intact.history, {path: sha256(path) for path in inputs})
-    if as_json:
-        document = {
-            "kind": intact.kind,
-            "version": intact.version,
-            "digest": intact.digest,
-            "datasets": intact.datasets,
-            "history": [dataclasses.asdict(link) for link in links],
-            "different": [str(path) for path in strangers],
-        }
-        show_json(document, Terminal())
-    else:
-        digest = "every byte is as written" if intact.digest else "without a digest of its bytes, which version 2 has"
-        show(f"{file}: {intact.kind}, format version {intact.version}: {digest}; {intact.datasets} datasets are right")
-        for link in links:
-            told = ", ".join(link.given[:4]) + (" …" if len(link.given) > 4 else "")
-            rest = f"{link.named - len(link.given)} not given" if link.named > len(link.given) else ""
-            right = f"{len(link.given)} verified ({told})" if link.given else ""
-            show(f"  {link.stage} {link.role}: {', '.join(filter(None, (right, rest)))}")
-    if strangers:
-        named = ", ".join(str(path) for path in strangers)
-        raise InputFileError(f"{named}: not what {file} was made of; another file, or changed since")
+def _verified(file: Path, verification: "Verification") -> list[str]:
+    """What is verified, and what the history names that is not given."""
+    intact = verification.intact
+    digest = "every byte is as written" if intact.digest else "without a digest of its bytes, which version 2 has"
+    lines = [f"{file}: {intact.kind}, format version {intact.version}: {digest}; {intact.datasets} datasets are right"]
+    for link in verification.links:
+        names = ", ".join(link.given[:4]) + (" …" if len(link.given) > 4 else "")
+        rest = f"{link.named - len(link.given)} not given" if link.named > len(link.given) else ""
+        right = f"{len(link.given)} verified ({names})" if link.given else ""
+        lines.append(f"  {link.stage} {link.role}: {', '.join(filter(None, (right, rest)))}")
+    return lines
 
 
 def _line(item: dict[str, Any]) -> str:
@@ -118,79 +113,61 @@ def _line(item: dict[str, Any]) -> str:
 
 
 def _short(value: Any) -> str:
-    """A number to six digits, text as it is; JSON tells all digits."""
+    """A number to six digits, text as it is; JSON has all digits."""
     if isinstance(value, list):
         return f"[{', '.join(map(_short, value))}]"
     return figure(value, ".6g") if isinstance(value, float) else str(value)
 
 
-def _learned(found: dict[str, Any]) -> list[str]:
-    """Lines that tell what a table has learned."""
-    classes = found["classes"]
+def _learned(insight: dict[str, Any]) -> list[str]:
+    """Lines about classes, patches and gains of a table."""
+    classes = insight["classes"]
     figures = " · ".join(
-        f"{output} {gain['median']:.3g}, {gain['worst']:.3g}" for output, gain in found["noise_gain"].items()
+        f"{output} {gain['median']:.3g}, {gain['worst']:.3g}" for output, gain in insight["noise_gain"].items()
     )
     lines = [
         f"{classes['all']} classes: {classes['trained']} trained, {classes['thin']} of them on fewer patches than taps; "
         f"{classes['filled']} without patches of their own",
-        "patches: " + " · ".join(f"{kind['name']} {kind['patches']:.0f}" for kind in found["kinds"]),
+        *(
+            "patches: " + " · ".join(f"{value['name']} {value['patches']:.0f}" for value in values)
+            for values in (insight["kinds"], *insight.get("further", {}).values())
+        ),
         f"noise gain √Σw² (median, worst class): {figures}",
-        f"condition (median, worst class): {found['condition']['median']:.2g}, {found['condition']['worst']:.2g}",
+        f"condition (median, worst class): {insight['condition']['median']:.2g}, {insight['condition']['worst']:.2g}",
         "gain of a flat signal (median of unsaturated classes):",
     ]
-    for output, gains in found["dc_gain"].items():
+    for output, gains in insight["dc_gain"].items():
         lines.append(f"  {output}: " + "  ".join(f"{channel} {gain:+.3f}" for channel, gain in gains.items()))
     lines.append("noisiest classes:")
     lines += [
         f"  {worst['noise_gain']:8.3g}  {worst['class']}: {worst['patches']:.0f} patches, condition {worst['condition']:.2g}"
-        for worst in found["worst"]
+        for worst in insight["worst"]
     ]
+    for number, layer in enumerate(insight["later"], 2):
+        lines += _later(number, layer)
     return lines
 
 
-# ------------------------------------------------------------------------------------------------------- versions
+def _later(number: int, layer: dict[str, Any]) -> list[str]:
+    """Lines about a layer after the first."""
+    classes, side = layer["classes"], layer["side"]
+    gains = " · ".join(f"{output} {gain['median']:.3g}, {gain['worst']:.3g}" for output, gain in layer["noise_gain"].items())
+    return [
+        f"layer {number}: {classes['all']} classes: {classes['trained']} trained, "
+        f"{classes['filled']} without patches of their own; {side} × {side} × {layer['planes']} taps",
+        f"  {layer['levels']} levels; {layer['structures']} structures: flat, {layer['strengths']} strengths × (none + "
+        f"{layer['directions']} directions)",
+        f"  noise gain √Σw² (median, worst class): {gains}",
+    ]
 
 
-def _versions() -> dict[str, Any]:
-    """What a report of a fault should tell: l3, Python, libraries (None: an extra not installed), OpenCL devices."""
-    import platform
-    import re
-    from importlib import metadata
-
-    from l3cli import __version__
-    from l3cli.errors import DeviceError
-    from l3cli.rendering.opencl_devices import survey
-
-    try:
-        required = metadata.requires("l3cli") or []
-    except metadata.PackageNotFoundError:  # sources on a path, not installed
-        required = []
-    names = sorted(
-        {re.split(r"[^\w.-]", each)[0] for each in required if "'dev'" not in each.replace('"', "'")}, key=str.lower
-    )
-    try:
-        devices = survey()
-    except DeviceError as error:
-        devices = [str(error)]
-    return {
-        "l3": __version__,
-        "python": platform.python_version(),
-        "system": f"{platform.system()} {platform.machine()}",
-        "libraries": {name: _version(name) for name in names},
-        "devices": devices,
-    }
-
-
-def _version(name: str) -> str | None:
-    from importlib import metadata
-
-    try:
-        return metadata.version(name)
-    except metadata.PackageNotFoundError:
-        return None
-
-
-def _version_lines(found: dict[str, Any]) -> list[str]:
-    libraries = [f"  {name} {version or 'is not installed'}" for name, version in found["libraries"].items()]
-    devices = [f"  {device}" for device in found["devices"]]
-    return [f"l3 {found['l3']}", f"Python {found['python']} on {found['system']}", *libraries, "OpenCL devices:", *devices]
+def _version_lines(versions: dict[str, Any]) -> list[str]:
+    libraries = [f"  {name} {version or 'is not installed'}" for name, version in versions["libraries"].items()]
+    devices = [f"  {device}" for device in versions["devices"]]
+    return [
+        f"l3 {versions['l3']}",
+        f"Python {versions['python']} on {versions['system']}",
+        *libraries,
+        "OpenCL devices:",
+        *devices,
+    ]

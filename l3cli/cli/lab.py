@@ -1,4 +1,4 @@
-"""l3 lab: camera → the measurements a lab would make of it."""
+"""l3 lab: camera → simulated lab measurements."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,15 +15,18 @@ if TYPE_CHECKING:
 @click.argument("camera", type=options.CAMERA, metavar="CAMERA")
 @click.option("-o", "--output", type=options.FILE, required=True, metavar="DIR", help="Folder to write to.")
 @click.option(
-    "--recipe", type=options.RecipeFile("lab"), metavar="LAB.toml", help="What is measured; without it the built-in default."
+    "--recipe",
+    type=options.RecipeFile("lab"),
+    metavar="LAB.toml",
+    help="Lab recipe or its name; without it the built-in default.",
 )
 @options.seed
 @options.jobs
 @options.force
 @options.quiet
 def lab(camera: Path, output: Path, recipe: Path | None, seed: int, jobs: int, force: bool, console: "Console") -> None:
-    """Measure CAMERA in a virtual lab, as input for "l3 calibrate": a recipe, the name of one ("l3 init" lists them) or a
-    camera.h5.
+    """Simulate the lab measurements of CAMERA, as input for "l3 calibrate". CAMERA is a camera recipe, the name of one
+    ("l3 init" lists them) or a camera.h5.
 
     \b
     Example: l3 lab camera.toml -o lab

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from l3cli.cli.terminal import ErrorsOnly, Terminal
+from l3cli.cli.terminal import ErrorsOnly, Terminal, with_options
 from l3cli.quantities import LARGEST_WHOLE, NoSuchNumber, Quantity
 
 if TYPE_CHECKING:
@@ -19,9 +19,7 @@ if TYPE_CHECKING:
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-FILE = click.Path(
-    path_type=Path, readable=False
-)  # whoever opens it says what is wrong with it, and ends with the right code
+FILE = click.Path(path_type=Path, readable=False)  # the reader checks it, with a message and an exit code that fit
 
 
 class RecipeFile(click.Path):
@@ -37,7 +35,7 @@ class RecipeFile(click.Path):
         return find_recipe(os.fspath(value), self.kind)
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list["CompletionItem"]:
-        """Names and, beside them, files: bash does not look for files where anything else is offered."""
+        """Names and, beside them, files: bash completes no files where anything else is offered."""
         from click.shell_completion import CompletionItem
 
         from l3cli.recipes import known_recipes
@@ -66,7 +64,7 @@ class Number(click.ParamType):
         return self.read(value, parameter, context) if isinstance(value, str) else value
 
     def read(self, text: str, parameter: click.Parameter | None = None, context: click.Context | None = None) -> float:
-        """The number that `text` means, an int where whole ones are wanted."""
+        """The number in `text`, an int where the number must be whole."""
         try:
             return self._quantity.read(text)
         except NoSuchNumber as error:
@@ -79,7 +77,7 @@ def output(what: str, required: bool = True) -> Callable[[F], F]:
 
 
 force = click.option("--force", is_flag=True, help="Replace the output if it exists.")
-LOG = "l3cli.log"  # in a context's meta: the log that is asked for
+LOG = "l3cli.log"  # in a context's meta: the path of --log
 
 
 def _log(context: click.Context, parameter: click.Parameter, path: Path | None) -> None:
@@ -90,17 +88,17 @@ def _console(context: click.Context, parameter: click.Parameter, quiet: bool) ->
     console: Console = ErrorsOnly() if quiet else Terminal()
     if context.meta[LOG] is None:
         return console
-    from l3cli.cli.log import Logged
+    from l3cli.stages.log import Logged
 
-    return Logged(console, context.meta[LOG], context.info_name or "l3")
+    return Logged(console, context.meta[LOG], context.info_name or "l3", with_options)
 
 
 _QUIET = click.option(
-    "--quiet", "console", is_flag=True, callback=_console, help="Say nothing on stderr but errors.",
+    "--quiet", "console", is_flag=True, callback=_console, help="Print no messages on stderr but errors.",
 )  # fmt: skip
 _LOG = click.option(
     "--log", type=FILE, metavar="FILE", is_eager=True, expose_value=False, callback=_log,
-    help="Also append all that is said to FILE, with time, level and command.",
+    help="Also append all messages to FILE, with time, level and command.",
 )  # fmt: skip
 
 
@@ -116,7 +114,7 @@ seed = click.option(
     default=0,
     show_default=True,
     metavar="N",
-    help="Number that every random draw starts from.",
+    help="Seed of the random numbers.",
 )
 device = click.option(
     "--device", metavar="NAME|INDEX", help='OpenCL device, by part of its name or number of "l3 bench" [default: L3_DEVICE].'
@@ -124,14 +122,14 @@ device = click.option(
 variant = click.option(
     "--variant",
     type=click.Choice(["processor", "graphics"]),
-    help="How frames are cut into work for the device [default: by its type].",
+    help="Kernels for a processor or a graphics card [default: by the device's type].",
 )
 backend = click.option(
     "--backend",
     type=click.Choice(["opencl", "reference"]),
     default="opencl",
     show_default=True,
-    help="What renders: an OpenCL device, or numpy in float64.",
+    help="Render on an OpenCL device, or by numpy in float64.",
 )
 jobs = click.option(
     "--jobs",
@@ -141,16 +139,14 @@ jobs = click.option(
     metavar="N",
     help="Number of processes to use.",
 )
-_ADDRESS = click.option(
-    "--scheduler", metavar="ADDRESS", help="Work on the machines of this dask scheduler, tcp://HOST:PORT."
-)
+_ADDRESS = click.option("--scheduler", metavar="ADDRESS", help="Run on the workers of this dask scheduler, tcp://HOST:PORT.")
 _CA = click.option("--tls-ca", type=FILE, metavar="PEM", help="Authority that signed the scheduler's certificate (tls://…).")
 _CERTIFICATE = click.option("--tls-cert", type=FILE, metavar="PEM", help="Certificate to show to the scheduler.")
 _KEY = click.option("--tls-key", type=FILE, metavar="PEM", help="Key of --tls-cert.")
 
 
 def scheduler(command: Callable[..., Any]) -> Callable[..., Any]:
-    """--scheduler ADDRESS and its TLS files, all as one parameter `scheduler`; to stand above --jobs and --quiet."""
+    """--scheduler ADDRESS and its TLS files, all as one parameter `scheduler`; a decorator above --jobs and --quiet."""
 
     @functools.wraps(command)
     def called(
@@ -183,7 +179,7 @@ trust = click.option(
     is_flag=True,
     expose_value=False,
     callback=_trust,
-    help="Decode raw, image, MATLAB and video files here, not in a process of limited time and memory.",
+    help="Decode raw, image, MATLAB and video files without the sandbox, which limits time and memory.",
 )
 
 

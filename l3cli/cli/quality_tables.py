@@ -1,16 +1,15 @@
 """The document of `l3 evaluate` as tables on stdout."""
 
-from collections.abc import Sequence
 from typing import Any
 
 from l3cli.classes.names import heading
 from l3cli.cli import terminal
-from l3cli.cli.terminal import show
-from l3cli.columns import columns
+from l3cli.cli.terminal import show, show_table
 from l3cli.columns import figure as number
 
 WIDE = 110  # characters in a line from which every figure is shown; JSON holds all of them
 LESS_NEEDED = ("median_delta_e", "output_psnr", "ssim")
+BAND_FIGURES = ("psnr", "output_psnr", "ssim")
 HEADINGS = {
     "mean_delta_e": "ΔE00 mean",
     "median_delta_e": "median",
@@ -26,13 +25,13 @@ HEADINGS = {
 
 
 def print_tables(document: dict[str, Any]) -> None:
-    """Frames, means, light levels, illuminants, classes and the worst of them; beside ours the main figure of each rival."""
+    """Frames, means, light levels, illuminants, classes and the worst of them; with the main figure of each baseline."""
     width = terminal.width()
     wide = width is None or width >= WIDE
     figures = [figure for figure in document["frames"][0]["ours"] if wide or figure not in LESS_NEEDED]
-    rivals = document["pipelines"][1:]
+    baselines = document["pipelines"][1:]
     main = [figures[0]] + [figure for figure in figures if figure == "psnr" and wide]
-    shown = [("ours", figure) for figure in figures] + [(rival, figure) for rival in rivals for figure in main]
+    shown = [("ours", figure) for figure in figures] + [(baseline, figure) for baseline in baselines for figure in main]
     named = [HEADINGS[figure] if owner == "ours" else f"{owner}\n{HEADINGS[figure]}" for owner, figure in shown]
 
     def values(row: dict[str, Any]) -> list[str]:
@@ -40,16 +39,28 @@ def print_tables(document: dict[str, Any]) -> None:
 
     rows = [[f["scene"], f["illuminant"], f"{f['level']:.3f}", *values(f)] for f in document["frames"]]
     rows.append(["mean", "", "", *values(document["mean"])])
-    _print("", ["scene", "light", "level", *named], rows)
+    show_table([], ["scene", "light", "level", *named], rows)
     levels = [[f"{g['from']:.3f}–{g['to']:.3f}", str(g["frames"]), *values(g)] for g in document["by_level"]]
-    _print("by light level", ["level", "frames", *named], levels)
+    show_table(["", "by light level"], ["level", "frames", *named], levels)
     if len(document["by_illuminant"]) > 1:
         lights = [[g["illuminant"], str(g["frames"]), *values(g)] for g in document["by_illuminant"]]
-        _print("by illuminant", ["light", "frames", *named], lights)
+        show_table(["", "by illuminant"], ["light", "frames", *named], lights)
+    _print_bands(document)
     _print_classes(document, figures[0])
-    for rival, counts in document["better"].items():
+    for baseline, counts in document["better"].items():
         shares = ", ".join(f"{HEADINGS[figure]} {counts[figure]}" for figure in main)
-        show(f"better than {rival} in so many of {len(document['frames'])} frames: {shares}")
+        show(f"better than {baseline} in so many of {len(document['frames'])} frames: {shares}")
+
+
+def _print_bands(document: dict[str, Any]) -> None:
+    """Outputs that are not XYZ, one by one."""
+    if not document["by_band"]:
+        return
+    owners = document["pipelines"]
+    shown = [("ours", figure) for figure in BAND_FIGURES] + [(owner, "psnr") for owner in owners[1:]]
+    named = [HEADINGS[figure] if owner == "ours" else f"{owner}\n{HEADINGS[figure]}" for owner, figure in shown]
+    rows = [[e["band"], *(_number(figure, e[owner][figure]) for owner, figure in shown)] for e in document["by_band"]]
+    show_table(["", "by band"], ["band", *named], rows)
 
 
 def _print_classes(document: dict[str, Any], figure: str) -> None:
@@ -61,17 +72,13 @@ def _print_classes(document: dict[str, Any], figure: str) -> None:
 
     for axis, entries in document["by_class"].items():
         if len(entries) > 1:
-            _print(f"by class: {axis}", named, [row(heading(axis, entry), entry) for entry in entries])
+            show_table(["", f"by class: {axis}"], named, [row(heading(axis, entry), entry) for entry in entries])
     worst = []
     for entry in document["worst_classes"]:
         kind = f"case {entry['case']}" if entry["chroma"] is None else f"chroma {entry['chroma']}"
         worst.append(row(f"{heading('level', entry)} · contrast {entry['contrast']} · {kind}", entry))
-    _print("worst classes", named, worst)
+    show_table(["", "worst classes"], named, worst)
 
 
 def _number(figure: str, value: float) -> str:
     return number(value, ".4f" if figure == "ssim" else ".2f")
-
-
-def _print(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    show(*(["", title] if title else []), *columns(headings, rows, terminal.width()))

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
 PRESETS = ("ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow")
 
-PLAIN = (".npy", ".pgm", ".raw", ".bin", ".raw10", ".raw12", "")  # inputs that need no decoder, or none that is known yet
-
 
 PHASE = options.Number(0, 65535, "rows or columns", whole=True)
 SIZE = options.Number(1, 1_000_000, "pixels", whole=True)
@@ -37,8 +35,8 @@ def _pair(separator: str, number: options.Number) -> Callable[[Any, Any, str | N
     def read(context: Any, parameter: Any, text: str | None) -> tuple[int, int] | None:
         if text is None:
             return None
-        first, found, second = text.partition(separator)
-        if not found:
+        first, has_separator, second = text.partition(separator)
+        if not has_separator:
             raise click.BadParameter(f'"{shortened(text)}" is not {parameter.metavar}')
         try:
             return int(number.read(first)), int(number.read(second))
@@ -60,11 +58,11 @@ def _frames(context: Any, parameter: Any, text: str | None) -> range | None:
     """Reads FROM-TO[xSTEP]."""
     if text is None:
         return None
-    found = re.fullmatch(r"(\d+)(?:-(\d+))?(?:x(\d+))?", text, re.ASCII)
-    if not found:
+    match = re.fullmatch(r"(\d+)(?:-(\d+))?(?:x(\d+))?", text, re.ASCII)
+    if not match:
         raise click.BadParameter(f'"{shortened(text)}" is not {parameter.metavar}, such as 1-500 or 1-500x2')
-    first, last = int(FRAME.read(found[1])), int(FRAME.read(found[2] or found[1]))
-    step = int(STEP.read(found[3] or "1"))
+    first, last = int(FRAME.read(match[1])), int(FRAME.read(match[2] or match[1]))
+    step = int(STEP.read(match[3] or "1"))
     if last < first:
         raise click.BadParameter(f"{text} holds no frame; give the lower number first")
     return range(first, last + 1, step)
@@ -93,7 +91,7 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
 @click.option(
     "--format", "suffix", default="png", show_default=True, metavar="SUFFIX", help="Suffix of the files in a folder."
 )
-@click.option("--frames", callback=_frames, metavar="FROM-TO[xSTEP]", help="Numbers of the frames to take.")
+@click.option("--frames", callback=_frames, metavar="FROM-TO[xSTEP]", help="Numbers of the frames to render.")
 @click.option("--dataset", metavar="NAME", help="Frames of an HDF5 input [default: its only stack].")
 @click.option(
     "--fps", callback=_rate, metavar="RATE", help="Frames a second, 25 or 30000/1001 [default: the input's or 30]."
@@ -101,13 +99,13 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
 @click.option(
     "--codec",
     type=click.Choice(["h264", "h265", "ffv1", "prores"]),
-    help="Of a video [default: .mp4 h264, .mov prores, .mkv ffv1].",
+    help="Codec of a video [default: .mp4 h264, .mov prores, .mkv ffv1].",
 )
 @click.option(
     "--crf",
     type=options.Number(0, 51),
     metavar="0…51",
-    help="Rate factor of h264, h265; lower is better [default: theirs].",
+    help="Rate factor of h264, h265; lower is better [default: the encoder's].",
 )
 @click.option(
     "--preset", type=click.Choice(PRESETS), default="veryfast", show_default=True, metavar="NAME",
@@ -122,7 +120,7 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
     callback=_exposure,
     metavar="auto|VALUE",
     show_default=True,
-    help="Number times Y; 1 is shown white.",
+    help="Factor of Y; what it brings to 1 is shown white.",
 )
 @click.option(
     "--white", metavar="NAME|x,y", help="Scene white shown neutral: illuminant or chromaticity [default: table's]."
@@ -132,11 +130,11 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
 @click.option("--white-level", type=LEVEL, metavar="DN", help="White level of the inputs [default: the file's or table's].")
 @click.option(
     "--exposure-time", type=TIME, metavar="SECONDS",
-    help="Of the inputs, by which dark current is taken off [default: the file's or the table's training's].",
+    help="Exposure time of the inputs, for subtracting dark current [default: the file's or the training's].",
 )  # fmt: skip
 @click.option(
     "--dark", type=options.FILE, multiple=True, metavar="FRAME",
-    help="Frames of the same exposure time without light, files or a sequence; their mean is taken off. May be repeated.",
+    help="Dark frames of the same exposure time, files or a sequence; their mean is subtracted. May be repeated.",
 )  # fmt: skip
 @click.option("--phase", callback=_pair(",", PHASE), metavar="ROW,COL", help="CFA site of the inputs' first pixel, from 0.")
 @click.option(
@@ -144,7 +142,7 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
 )
 @click.option(
     "--packing", type=click.Choice(["u16", "raw10", "raw12"]),
-    help="Values of headerless inputs: 16 bits, or MIPI packed [default: .raw10 and .raw12 packed, else u16].",
+    help="Packing of headerless inputs: 16 bits, or MIPI [default: .raw10 and .raw12 MIPI, else u16].",
 )  # fmt: skip
 @click.option(
     "--stride",
@@ -153,7 +151,7 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
     help="Bytes from row to row [default: no padding].",
 )
 @click.option("--skip-bad", is_flag=True, help="Leave out missing and broken frames; exit code 1 if there were any.")
-@click.option("--resume", is_flag=True, help="Go on with a sequence of pictures where a run was stopped.")
+@click.option("--resume", is_flag=True, help="Continue a sequence of pictures where a run was stopped.")
 @options.scheduler
 @options.trust
 @options.force
@@ -170,7 +168,7 @@ def render(
     .bin, .raw10 or .raw12), or a sequence: a folder, a pattern (a_%04d.tif, a_####.tif), a quoted glob, a stack (.npy, HDF5,
     FITS), a headerless file of many frames, a grey video (FFV1 in MKV), or - (headerless frames on stdin).
 
-    With --exposure auto the 99th percentile of Y is shown white; in a sequence it is followed smoothly.
+    With --exposure auto the 99th percentile of Y is shown white, smoothed over time in a sequence.
 
     \b
     Example: l3 render table.h5 frame.dng -o picture.png
@@ -179,10 +177,11 @@ def render(
 
     one_blas_thread()  # the products of the light meter are small, and threads that wait for them take the encoder's time
     from l3cli.io.apart import start
+    from l3cli.io.raw.registry import needs_sandbox
 
-    if any(path.suffix.lower() not in PLAIN for path in inputs):
+    if any(needs_sandbox(path) for path in inputs):
         start()  # it takes a third of a second, like what follows
-    from l3cli.io.raw_files import KnownBetter
+    from l3cli.io.raw.files import KnownBetter
     from l3cli.stages.rendering.render import render as stage
 
     left_out = stage(

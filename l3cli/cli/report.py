@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 def report(artifacts: tuple[Path, ...], output: Path, backend: str, force: bool, console: "Console") -> None:
     """Show camera models, training sets and transform tables on one page that needs no network.
 
-    Every table is evaluated on every training set that it was not trained on. A camera is shown once; where no camera
-    model is given, those inside the training sets are shown.
+    Every table is evaluated on every training set that it was not trained on. A camera is shown once; if no camera
+    model is given, those stored in the training sets are shown.
 
     \b
     Example: l3 report camera.h5 training.h5 table.h5 unseen.h5 -o report.html

@@ -22,7 +22,9 @@ if TYPE_CHECKING:
     "--pictures", type=options.FILE, metavar="DIR", help="Also write each raw frame (TIFF) and ideal picture (PNG)."
 )
 @click.option("--dng", type=options.FILE, metavar="DIR", help="Also write each raw frame as DNG, for other raw developers.")
-@click.option("--resume", is_flag=True, help="Go on with the frames in OUTPUT.parts, or make the pictures of a whole set.")
+@click.option(
+    "--resume", is_flag=True, help="Continue with the frames in OUTPUT.parts, or make the pictures of an existing set."
+)
 @click.option(
     "--skip-bad", is_flag=True,
     help="Leave out scenes whose files have no readable header or do not fit the sensor; exit code 1 if there were any.",
@@ -37,7 +39,7 @@ def simulate(
     scenes: Path, camera: Path, output: Path, pictures: Path | None, dng: Path | None, resume: bool, skip_bad: bool,
     seed: int, jobs: int, scheduler: "Scheduler | None", force: bool, console: "Console",
 ) -> int:  # fmt: skip
-    """Simulate what a camera sees of many scenes, and the pictures it should make of them.
+    """Simulate raw frames of many scenes by a camera, and their ideal pictures.
 
     SCENES.toml is a recipe, or the name of one that comes with l3, such as default or small.
 

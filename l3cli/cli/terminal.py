@@ -1,5 +1,5 @@
-"""The one place that prints. Names and texts may come from anybody's file: nothing of them moves a cursor, hides what
-stands beside it or makes a line of its own."""
+"""The only place that prints. Names and texts may come from untrusted files: none of them can move the cursor, hide other
+text or add a line."""
 
 import contextlib
 import json
@@ -8,18 +8,19 @@ import os
 import re
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import IO, TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from l3cli.columns import printable
+from l3cli.columns import columns, printable
 from l3cli.stages.console import Silent
 
 if TYPE_CHECKING:
     from l3cli.stages.console import Console
 
 T = TypeVar("T")
+PARAMETER = re.compile("‹([a-z_]+)›")  # as messages from below the command line mark it
 
 
 def show(*lines: str) -> None:
@@ -27,8 +28,13 @@ def show(*lines: str) -> None:
     click.echo("\n".join(map(printable, lines)))
 
 
+def show_table(title: Sequence[str], headings: Sequence[str], rows: Sequence[Sequence[str]], *notes: str) -> None:
+    """A table on stdout, as wide as that is, between the lines of its title and notes."""
+    show(*title, *columns(headings, rows, width()), *notes)
+
+
 def show_json(document: Any, console: "Console") -> None:
-    """A result as JSON on stdout: in ASCII, so that every encoding and every file name has its place there. JSON has no NaN:
+    """A result as JSON on stdout: in ASCII, so that it works in every encoding and with every file name. JSON has no NaN:
     a figure that cannot be computed is null, and named on the console."""
     missing: list[str] = []
     click.echo(json.dumps(_finite(document, "", missing), indent=2, allow_nan=False))
@@ -38,7 +44,7 @@ def show_json(document: Any, console: "Console") -> None:
 
 
 def _finite(value: Any, name: str, missing: list[str]) -> Any:
-    """`value` with null for numbers that are none; their names are added to `missing`."""
+    """`value` with null for NaN and infinity; their names are added to `missing`."""
     if isinstance(value, dict):
         return {key: _finite(each, f"{name}.{key}".lstrip("."), missing) for key, each in value.items()}
     if isinstance(value, list | tuple):
@@ -49,16 +55,21 @@ def _finite(value: Any, name: str, missing: list[str]) -> Any:
     return value
 
 
-def tell(message: str) -> None:
-    """One line of talk on stderr. Where it cannot be said, on a full disk or to a reader who has gone, the work goes on."""
+def with_options(message: str) -> str:
+    """A message that may come from below the command line, with an option for each parameter it names (‹skip_bad›)."""
+    return PARAMETER.sub(lambda match: f"--{match[1].replace('_', '-')}", message)
+
+
+def to_stderr(message: str) -> None:
+    """One message on stderr. If it cannot be written, on a full disk or to a closed pipe, the work continues."""
     try:
-        click.echo(printable(message), err=True)
+        click.echo(printable(with_options(message)), err=True)
     except OSError:
         drop(sys.stderr)
 
 
 def prepare() -> None:
-    """What the encoding of stdout or stderr does not have becomes "?"; a size that is no number counts as none."""
+    """Characters that the encoding of stdout or stderr lacks become "?"; a COLUMNS or LINES that is no number is ignored."""
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
@@ -77,13 +88,13 @@ def drop(stream: IO[str]) -> None:
             os.dup2(nowhere.fileno(), stream.fileno())
 
 
-SIZES = ("COLUMNS", "LINES")  # environment variables that tell a terminal's size
+SIZES = ("COLUMNS", "LINES")  # environment variables of a terminal's size
 DIGITS = re.compile(r"[0-9]{1,6}")  # of a size
 SELDOM, OFTEN = 600.0, 10.0  # seconds after which a log hears of the progress at the latest, and before which it does not
 
 
 def width() -> int | None:
-    """Characters in a line of stdout, as its terminal or the environment variable COLUMNS tells; None: any number."""
+    """Characters in a line of stdout, by its terminal or the environment variable COLUMNS; None: any number."""
     import shutil
 
     columns = os.environ.get("COLUMNS", "")
@@ -107,39 +118,39 @@ class Terminal:
     """The console of a command: everything on stderr."""
 
     def progress(self, items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
-        """As a bar on a terminal, elsewhere as plain lines, one every tenth; both tell rate and time left."""
-        drawn = sys.stderr.isatty() and os.environ.get("TERM", "dumb") != "dumb"
-        return (_with_bar if drawn else _with_lines)(items, total, what)
+        """As a bar on a terminal, elsewhere as plain lines, one every tenth; both with rate and time left."""
+        interactive = sys.stderr.isatty() and os.environ.get("TERM", "dumb") != "dumb"
+        return (_with_bar if interactive else _with_lines)(items, total, what)
 
     def say(self, message: str) -> None:
-        tell(message)
+        to_stderr(message)
 
     def warn(self, message: str) -> None:
-        tell(f"warning: {message}")
+        to_stderr(f"warning: {message}")
 
     def alert(self, message: str) -> None:
-        tell(message)
+        to_stderr(message)
 
 
 class ErrorsOnly(Silent):
     """The console of a command with --quiet: on stderr what is left out, and nothing else."""
 
     def alert(self, message: str) -> None:
-        tell(message)
+        to_stderr(message)
 
 
 def _with_bar(items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
     from rich import console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-    told = TextColumn("{task.fields[told]}")
-    columns = (TextColumn(what), BarColumn(bar_width=16), MofNCompleteColumn(), told, TimeElapsedColumn())
-    tells = {name: os.environ[name] for name in os.environ if name not in SIZES or DIGITS.fullmatch(os.environ[name])}
-    with Progress(*columns, console=console.Console(stderr=True, _environ=tells), transient=True) as bar:
-        task, start = bar.add_task(what, total=total, told=""), time.monotonic()
+    pace = TextColumn("{task.fields[pace]}")
+    columns = (TextColumn(what), BarColumn(bar_width=16), MofNCompleteColumn(), pace, TimeElapsedColumn())
+    environment = {name: os.environ[name] for name in os.environ if name not in SIZES or DIGITS.fullmatch(os.environ[name])}
+    with Progress(*columns, console=console.Console(stderr=True, _environ=environment), transient=True) as bar:
+        task, start = bar.add_task(what, total=total, pace=""), time.monotonic()
         for done, item in enumerate(items, 1):
             yield item
-            bar.update(task, advance=1, told=_pace(done, total, time.monotonic() - start))
+            bar.update(task, advance=1, pace=_pace(done, total, time.monotonic() - start))
 
 
 def _with_lines(items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
@@ -151,12 +162,12 @@ def _with_lines(items: Iterable[T], total: int | None, what: str) -> Iterator[T]
         reached = 10 * done // total if total else 0
         if done != total and ((reached > tenth and now - last >= OFTEN) or now - last >= SELDOM):
             of = f" of {total}" if total else ""
-            tell(f"{what}: {done}{of}, {_pace(done, total, now - start)}")
+            to_stderr(f"{what}: {done}{of}, {_pace(done, total, now - start)}")
             last, tenth = now, reached
 
 
 def _pace(done: int, total: int | None, seconds: float) -> str:
-    """How fast it goes, and how long it will go on."""
+    """Rate and time left."""
     each = max(seconds, 1e-9) / done
     rate = f"{1 / each:.3g} a second" if each < 2 else f"{_span(each)} each"
     return rate if total is None else f"{rate}, {_span(max(total - done, 0) * each)} left"

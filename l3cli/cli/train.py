@@ -22,8 +22,8 @@ def _shard(context: Any, parameter: Any, text: str | None) -> tuple[int, int] | 
     """Reads "I/N" with 1 ≤ I ≤ N."""
     if text is None:
         return None
-    first, found, second = text.partition("/")
-    if not found:
+    first, has_separator, second = text.partition("/")
+    if not has_separator:
         raise click.BadParameter(f'"{shortened(text)}" is not I/N, such as 1/4')
     try:
         index, count = int(SHARD.read(first)), int(SHARD.read(second))
@@ -54,12 +54,14 @@ def _shares(context: Any, parameter: Any, text: str | None) -> tuple[Fraction, .
     help="Class recipe or its name, such as best; without it the built-in default.",
 )  # fmt: skip
 @click.option(
-    "--shares", callback=_shares, metavar="A,B…", help="Patches of each training set in this proportion, not by frames."
+    "--shares", callback=_shares, metavar="A,B…", help="Proportion of patches from each training set, not by frames."
 )
 @options.output("Transform table to write; with --shard the partial sums")
-@click.option("--shard", callback=_shard, metavar="I/N", help="Only sum up part I of N, from 1, to be merged later.")
-@click.option("--first", type=options.FILE, metavar="FIRST.h5", help="First-pass table, for the shards of the last pass.")
-@click.option("--merge", is_flag=True, help="The files are all shards of a pass: make its table from them.")
+@click.option(
+    "--shard", callback=_shard, metavar="I/N", help="Only compute the partial sums of part I of N, from 1, for --merge."
+)
+@click.option("--first", type=options.FILE, metavar="FIRST.h5", help="Table of the pass before, for the shards of the next.")
+@click.option("--merge", is_flag=True, help="Make the table of a pass from its partial sums, all of which must be given.")
 @options.seed
 @options.scheduler
 @options.jobs
@@ -78,9 +80,9 @@ def train(
     Patches are spread evenly over all frames. With --shares 1,0.7,0.4 three training sets get patches in that proportion,
     however many frames they have.
 
-    Over several machines, give every shard the same training sets, shares, recipe and seed. Training takes two passes, the
-    errors of the first weigh the rows of the last, so there are four steps; the last table has the same bytes as without
-    shards:
+    Over several machines, give every shard the same training sets, shares, recipe and seed. Training takes two passes, as
+    the errors of the first weigh the rows of the second, so there are four steps; the final table has the same bytes as
+    without shards:
 
     \b
       l3 train training.h5 --shard 1/4 -o a1.h5                    … 4/4
@@ -88,7 +90,8 @@ def train(
       l3 train training.h5 --shard 1/4 --first first.h5 -o b1.h5   … 4/4
       l3 train --merge b1.h5 b2.h5 b3.h5 b4.h5 -o table.h5
 
-    With first_draws = 0 in the recipe, or other outputs than XYZ, there is one pass: two steps, without --first.
+    With first_draws = 0 in the recipe, or other outputs than XYZ, there is one pass: two steps, without --first. A recipe
+    with a [[layer]] needs a pass more, with --first and the table of the second. --merge says which pass comes next.
     """
     from l3cli.parallel import one_blas_thread
 
@@ -97,7 +100,7 @@ def train(
     from l3cli.stages.training.whole import train as train_whole
 
     if merge and (classes or shares or shard or first or seed or scheduler):
-        raise click.UsageError("--merge takes shards alone: classes, shares and seed are told by them")
+        raise click.UsageError("--merge takes shards alone: classes, shares and seed are stored in them")
     if shares and len(shares) != len(files):
         raise click.UsageError(f"--shares gives {len(shares)} shares for {len(files)} training sets")
     if first and not shard:

@@ -80,11 +80,36 @@ def white_preserving_ridge(channels: Array, outputs: Array) -> Array:
 
 def develop(frame: TrainingPair, camera: CameraModel, colour: Colour, demosaic: Demosaic) -> Array:
     """XYZ (3, row, col) in the target's unit of a frame's raw: black and dark off, white balance, demosaic, matrix."""
-    electrons = (frame.raw - camera.black) / camera.gain - camera.noise.dark_current * frame.dark_time
+    electrons = _electrons(frame, camera)
     balance = colour.balance / (frame.luminance * frame.exposure)
     balanced = electrons * balance[tiled(camera.cfa, frame.raw.shape)]
     planes = np.einsum("oc,crk->ork", colour.matrix, demosaic(balanced, camera.cfa))
     return planes * frame.white[:, None, None]
+
+
+def develop_bands(frame: TrainingPair, camera: CameraModel, relit: bool, demosaic: Demosaic) -> Array:
+    """The camera's bands (channel, row, col) in the target's unit of a frame's raw: black and dark off, white balance,
+    demosaic, white balance of the target (docs/method.md#baselines-for-bands). `relit`: the target's light is another than
+    the frame's.
+
+    InputFileError if the camera sees nothing of the light."""
+    share = camera.saturation_exposure / camera.full_scale  # of a target of the camera's bands, per electron a second
+    white = frame.white
+    if relit:
+        light = light_of(frame, camera)
+        falling = spectra.at_luminance(light.radiance.astype(np.float64), light.wavelength, frame.luminance)
+        white = electrons_of(camera, light, falling[None])[0] * share
+    if not white.max() > 0:
+        raise InputFileError(f"camera {camera.name} sees nothing of a frame's light; simulate it under another")
+    seen = white > BLIND * white.max()
+    balance = np.where(seen, share / np.where(seen, white, 1.0), 0.0) / frame.exposure
+    balanced = _electrons(frame, camera) * balance[tiled(camera.cfa, frame.raw.shape)]
+    return demosaic(balanced, camera.cfa) * frame.white[:, None, None]
+
+
+def _electrons(frame: TrainingPair, camera: CameraModel) -> Array:
+    """Photo-electrons (row, col) of a frame's raw."""
+    return (frame.raw - camera.black) / camera.gain - camera.noise.dark_current * frame.dark_time
 
 
 def light_of(frame: TrainingPair, camera: CameraModel) -> LightSpectrum:

@@ -32,7 +32,7 @@ def curve_of(document: Mapping[str, Any], figure: str) -> Curve:
         by_luminance: dict[float, list[float]] = {}
         for frame in document["frames"]:
             by_luminance.setdefault(float(frame["luminance"]), []).append(float(frame[OURS][figure]))
-        values = [value for found in by_luminance.values() for value in found]
+        values = [value for at_one in by_luminance.values() for value in at_one]
         if not all(abs(value) <= LARGEST for value in values) or not all(0 < at <= LARGEST for at in by_luminance):
             raise ValueError("no number that a figure can be")
         rising = sorted(by_luminance)
@@ -55,8 +55,8 @@ def crossings(one: Curve, other: Curve, figure: str) -> list[float]:
     """Luminances (cd/m²) at which the better of two curves changes, on a logarithmic scale between their points."""
     sign = 1.0 if higher_is_better(figure) else -1.0
     lead = sign * (np.array(one.value) - np.array(other.value))
-    found = []
+    luminances = []
     for (at, before), (to, after) in pairwise(zip(np.log(one.luminance), lead, strict=True)):
         if before * after < 0:
-            found.append(float(np.exp(at + (to - at) * before / (before - after))))
-    return found
+            luminances.append(float(np.exp(at + (to - at) * before / (before - after))))
+    return luminances

@@ -1,4 +1,4 @@
-"""Full-resolution channels from a mosaic in the ways a table is compared with: nothing here learns anything."""
+"""Full-resolution channels from a mosaic by the methods that a table is compared with: nothing here learns anything."""
 
 import importlib.util
 import warnings
@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.evaluation.bands import bilinear, occurs_once, ppi_difference, spectral_difference
 from l3cli.evaluation.quality import cropped
 from l3cli.frame import pad_mosaic
 
@@ -44,12 +45,19 @@ def menon(mosaic: Array, cfa: NDArray[np.uint8]) -> Array:
     return _by_colour_demosaicing("demosaicing_CFA_Bayer_Menon2007", mosaic, cfa)
 
 
-def rivals(cfa: NDArray[np.uint8]) -> dict[str, Demosaic]:
-    """Every way that fits a CFA and is installed, by name; "basic" is always among them."""
-    found: dict[str, Demosaic] = {"basic": interpolate}
-    if bayer_roles(cfa) is not None and importlib.util.find_spec("colour_demosaicing"):
-        found |= {"malvar": malvar, "menon": menon}
-    return found
+def baselines(cfa: NDArray[np.uint8]) -> dict[str, Demosaic]:
+    """Every method for pictures that fits a CFA and is installed, by name; "basic" is always among them."""
+    return {"basic": interpolate} | _bayer_baselines(cfa)
+
+
+def band_baselines(cfa: NDArray[np.uint8]) -> dict[str, Demosaic]:
+    """As `baselines`, for the camera's own bands at every pixel: "bilinear" where it is a method of the field, with "sd" and
+    "ppid" where every band occurs once a period; else "basic"."""
+    if occurs_once(cfa):
+        return {"bilinear": bilinear, "sd": spectral_difference, "ppid": ppi_difference}
+    if bayer_roles(cfa) is not None:
+        return {"bilinear": bilinear} | _bayer_baselines(cfa)
+    return {"basic": interpolate}
 
 
 def bayer_roles(cfa: NDArray[np.uint8]) -> tuple[int, int, int] | None:
@@ -67,6 +75,11 @@ def bayer_roles(cfa: NDArray[np.uint8]) -> tuple[int, int, int] | None:
 def tiled(cfa: NDArray[np.uint8], shape: tuple[int, ...]) -> NDArray[np.uint8]:
     """Channel (row, col) of every pixel of a frame of `shape`, CFA phase (0, 0)."""
     return cfa[np.ix_(np.arange(shape[0]) % cfa.shape[0], np.arange(shape[1]) % cfa.shape[1])]
+
+
+def _bayer_baselines(cfa: NDArray[np.uint8]) -> dict[str, Demosaic]:
+    known = bayer_roles(cfa) is not None and importlib.util.find_spec("colour_demosaicing") is not None
+    return {"malvar": malvar, "menon": menon} if known else {}
 
 
 def _by_colour_demosaicing(name: str, mosaic: Array, cfa: NDArray[np.uint8]) -> Array:

@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingPair, TrainingSet
 from l3cli.errors import InputFileError
-from l3cli.evaluation.basic import Colour, develop, fit_colour, light_of
+from l3cli.evaluation.basic import Colour, develop, develop_bands, fit_colour, light_of
 from l3cli.evaluation.classes import ClassErrors
-from l3cli.evaluation.demosaic import rivals
-from l3cli.evaluation.quality import XYZ, band_quality, cropped, quality
+from l3cli.evaluation.demosaic import band_baselines, baselines
+from l3cli.evaluation.quality import XYZ, band_figures, band_quality, cropped, quality
 from l3cli.evaluation.scielab import VIEWING
 from l3cli.evaluation.similarity import spectral_angle
 from l3cli.physics.display import displayed, displayed_delta_e, white_luminance
 
 Array = NDArray[np.floating]
-FORMAT = 1  # of the document; a change of its keys raises it
+FORMAT = 2  # of the document; a change of its keys raises it
 OURS = "ours"
 LARGEST = 1e24  # cd/m² that a table may answer with: its square, summed up, is a number
 
@@ -27,8 +27,12 @@ LARGEST = 1e24  # cd/m² that a table may answer with: its square, summed up, is
 class Evaluation:
     """Figures of a table on the frames of a training set, gathered frame by frame; memory holds no pictures."""
 
-    def __init__(self, table: TransformTable, head: TrainingSet, viewing: float = VIEWING) -> None:
-        """InputFileError if table and frames are of different CFAs or outputs."""
+    def __init__(
+        self, table: TransformTable, head: TrainingSet, viewing: float = VIEWING, border: int | None = None
+    ) -> None:
+        """`border`: pixels left out at each edge of a frame; None: those whose patch is not inside it.
+
+        InputFileError if table and frames are of different CFAs or outputs."""
         camera = head.camera
         if camera.channels != table.channels or not np.array_equal(camera.cfa, table.cfa):
             raise InputFileError("the frames are of a camera with another CFA than the table; evaluate a matching pair")
@@ -37,16 +41,21 @@ class Evaluation:
             raise InputFileError(f"outputs differ ({names}); evaluate a matching pair")
         self._table, self._camera, self._wanted, self._viewing = table, camera, head.target_light, viewing
         self._pictures = table.outputs == XYZ
-        self._rivals = rivals(camera.cfa) if self._pictures else {}
+        self._border = table.first.rule.radius if border is None else border
+        if self._pictures:
+            self._baselines = baselines(camera.cfa)
+        else:
+            self._baselines = band_baselines(camera.cfa) if table.outputs == camera.channels else {}
         self._figure = "mean_delta_e" if self._pictures else "mean_angle"
         self._colours: dict[bytes, Colour] = {}  # by light
         self._frames: list[dict[str, Any]] = []
+        self._bands: list[dict[str, list[dict[str, float]]]] = []  # by frame, pipeline, output
         self._classes = ClassErrors(table, self.pipelines)
 
     @property
     def pipelines(self) -> tuple[str, ...]:
-        """ "ours" first, then what it is compared with; nothing where the outputs are not XYZ."""
-        return (OURS, *self._rivals)
+        """ "ours" first, then the baselines; none where the outputs are neither XYZ nor the camera's bands."""
+        return (OURS, *self._baselines)
 
     def add(self, frame: TrainingPair, outputs: Array, labels: NDArray[np.integer]) -> dict[str, Array]:
         """Count a frame whose raw the table rendered to `outputs` (output, row, col) by the classes `labels` (row, col).
@@ -54,10 +63,12 @@ class Evaluation:
         Returns the planes (output, row, col) of every pipeline in the target's unit. InputFileError if the frame is too
         small to have pixels whose neighbourhood lies inside it, if its light is dark, or if `outputs` are no colours.
         """
-        border = self._table.rule.radius
+        border = self._border
         if min(frame.raw.shape) <= 2 * border:
             size = "×".join(map(str, frame.raw.shape))
-            raise InputFileError(f"frame {frame.scene} has {size} pixels, none with a whole patch; give larger frames")
+            raise InputFileError(
+                f"frame {frame.scene} has {size} pixels, none inside a border of {border}; give larger frames"
+            )
         if self._pictures and not frame.white[1] > 0:
             raise InputFileError(f"frame {frame.scene} has a white without luminance; simulate it again")
         with np.errstate(over="ignore"):
@@ -65,13 +76,18 @@ class Evaluation:
         if not np.abs(ours).max() <= LARGEST:
             raise InputFileError(f"the table renders frame {frame.scene} to numbers beyond all light; train it again")
         planes: dict[str, Array] = {OURS: ours}
-        for name, demosaic in self._rivals.items():
-            planes[name] = develop(frame, self._camera, self._colour(frame), demosaic)
+        for name, demosaic in self._baselines.items():
+            if self._pictures:
+                planes[name] = develop(frame, self._camera, self._colour(frame), demosaic)
+            else:
+                planes[name] = develop_bands(frame, self._camera, self._wanted is not None, demosaic)
         black = self._camera.black + self._camera.dark_signal(frame.dark_time)
         level = float(frame.raw.mean() - black) / (self._camera.white - self._camera.black)
         about = {"scene": frame.scene, "illuminant": frame.illuminant, "luminance": frame.luminance, "level": level}
         figures = {name: self._quality(of, frame, border) for name, of in planes.items()}
         self._frames.append({**about, **figures})
+        if not self._pictures:
+            self._bands.append({name: band_figures(of, frame.target, frame.white, border) for name, of in planes.items()})
         errors = {name: cropped(self._errors(of, frame), border) for name, of in planes.items()}
         self._classes.add(cropped(labels, border), errors)
         return planes
@@ -79,14 +95,16 @@ class Evaluation:
     def document(self) -> dict[str, Any]:
         """All figures, ready for JSON. The keys are those of `l3 evaluate --json`:
 
-        format         1, raised when keys change
-        camera, outputs, viewing (samples a degree of S-CIELAB), pipelines ("ours" first)
+        format         2, raised when keys change
+        camera, outputs, viewing (samples a degree of S-CIELAB), border (pixels left out at each edge), pipelines ("ours"
+                       first)
         frames         scene, illuminant, luminance (cd/m²), level (mean signal above the dark / full scale), then per
                        pipeline the fields of Quality (XYZ) or BandQuality (other outputs)
         mean           per pipeline the mean of every figure over the frames
-        better         per rival pipeline: in how many frames ours is better, by figure
+        better         per baseline: in how many frames ours is better, by figure
         by_level       from, to (of the frames' level, a factor of two), frames, then per pipeline the mean figures
         by_illuminant  illuminant, frames, then as by_level
+        by_band        outputs that are not XYZ: band, then per pipeline psnr, output_psnr and ssim, means over the frames
         by_class       level, contrast, chroma, saturation: lists of what names a class, pixels, per pipeline the mean error
         worst_classes  level, from, to, contrast, chroma (null if saturated), case, pixels, per pipeline the mean error
         """
@@ -96,12 +114,14 @@ class Evaluation:
             "camera": self._camera.name,
             "outputs": list(self._table.outputs),
             "viewing": self._viewing,
+            "border": self._border,
             "pipelines": list(self.pipelines),
             "frames": self._frames,
             "mean": self._mean(self._frames),
-            "better": {name: self._better(name, tuple(first[OURS])) for name in self._rivals},
+            "better": {name: self._better(name, tuple(first[OURS])) for name in self._baselines},
             "by_level": self._grouped(lambda frame: _octave(frame["level"]), lambda key: {"from": key[0], "to": key[1]}),
             "by_illuminant": self._grouped(lambda frame: frame["illuminant"], lambda key: {"illuminant": key}),
+            "by_band": self._by_band(),
             "by_class": self._classes.by_axis(self._figure),
             "worst_classes": self._classes.worst(self._figure, OURS),
         }
@@ -132,12 +152,20 @@ class Evaluation:
             for name in self.pipelines
         }
 
-    def _better(self, rival: str, figures: tuple[str, ...]) -> dict[str, int]:
-        """Number of frames in which ours is better than `rival`, by figure."""
+    def _by_band(self) -> list[dict[str, Any]]:
+        """Mean figures of each output."""
+        bands = []
+        for index, band in enumerate(self._table.outputs if self._bands else ()):
+            of_band = [{name: bands[index] for name, bands in frame.items()} for frame in self._bands]
+            bands.append({"band": band, **self._mean(of_band)})
+        return bands
+
+    def _better(self, baseline: str, figures: tuple[str, ...]) -> dict[str, int]:
+        """Number of frames in which ours is better than `baseline`, by figure."""
         counts = {}
         for figure in figures:
             sign = 1.0 if higher_is_better(figure) else -1.0
-            counts[figure] = sum(sign * (frame[OURS][figure] - frame[rival][figure]) > 0 for frame in self._frames)
+            counts[figure] = sum(sign * (frame[OURS][figure] - frame[baseline][figure]) > 0 for frame in self._frames)
         return counts
 
     def _grouped(self, key: Callable[[dict], Any], about: Callable[[Any], dict[str, Any]]) -> list[dict[str, Any]]:

@@ -34,13 +34,15 @@ def unlike(known: TransformTable | CameraModel, camera: CameraModel) -> str:
 
     Of a table that does not hold its camera, as older ones do not, sensitivity alone is known.
     """
-    learned, dose = (known.camera, known.output_unit) if isinstance(known, TransformTable) else (known, known.white_dose)
+    learned, exposure = (
+        (known.camera, known.output_unit) if isinstance(known, TransformTable) else (known, known.saturation_exposure)
+    )
     if learned is not None and equal(replace(learned, fit=None), replace(camera, fit=None)):
         return ""
     differences = []
     if learned is not None and not (colour := colour_difference(learned, camera)) <= MOST_COLOUR:
         differences.append(f"colours by ΔE00 {colour:.1f}")
-    sensitivity = dose / camera.white_dose
+    sensitivity = exposure / camera.saturation_exposure
     if _factor(sensitivity) > MOST_SENSITIVITY:
         differences.append(f"sensitivity by a factor of {sensitivity:.3g}")
     if learned is not None and _factor(noise := noise_ratio(learned, camera)) > MOST_NOISE:

@@ -12,6 +12,7 @@ from l3cli.physics.display import LUMA, daylight, displayed, displayed_delta_e, 
 
 Array = NDArray[np.floating]
 XYZ = ("X", "Y", "Z")
+CODES = 255  # of a white, in PSNR of codes
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,9 @@ class BandQuality:
     mean_angle: float  # degrees, spectral angle of each pixel; 0 of a single output
     median_angle: float
     p95_angle: float
+    psnr: float  # dB over all outputs, of 8-bit codes linear in them: the frame's white is 255, what is brighter is cut
     output_psnr: float  # dB; 1 is the 99th percentile of the target's mean output, times each output's share in the white
+    ssim: float  # mean over the outputs, each as for psnr before rounding
 
 
 def quality(rendered: Array, target: Array, white: Array, border: int = 0, viewing: float = VIEWING) -> Quality:
@@ -62,17 +65,48 @@ def quality(rendered: Array, target: Array, white: Array, border: int = 0, viewi
 
 def band_quality(rendered: Array, target: Array, white: Array, border: int = 0) -> BandQuality:
     """Compare planes of any outputs (output, row, col) in one unit; `white` (output) and `border` as in `quality`."""
-    bright = white_luminance(target.mean(axis=0))
+    peaks = _peaks(target, white)
     rendered, target = cropped(rendered, border), cropped(target, border)
     angle = spectral_angle(rendered, target)
-    shares = np.where(white > 0, white, white.max()) / white.mean()
-    peaks = bright * shares[:, None, None]
+    shares = [_shares(planes, white) for planes in (rendered, target)]
     return BandQuality(
         mean_angle=float(angle.mean()),
         median_angle=float(np.median(angle)),
         p95_angle=float(np.percentile(angle, 95)),
+        psnr=psnr(*map(_rounded, shares)),
         output_psnr=psnr(rendered / peaks, target / peaks),
+        ssim=float(np.mean([ssim(*of_band) for of_band in zip(*shares, strict=True)])),
     )
+
+
+def band_figures(rendered: Array, target: Array, white: Array, border: int = 0) -> list[dict[str, float]]:
+    """psnr, output_psnr and ssim of each output, as in BandQuality; arguments as in `band_quality`."""
+    peaks = _peaks(target, white)
+    rendered, target = cropped(rendered, border), cropped(target, border)
+    linear = zip(rendered / peaks, target / peaks, strict=True)
+    shares = zip(*(_shares(planes, white) for planes in (rendered, target)), strict=True)
+    return [
+        {"psnr": psnr(*map(_rounded, share)), "output_psnr": psnr(*of_band), "ssim": ssim(*share)}
+        for of_band, share in zip(linear, shares, strict=True)
+    ]
+
+
+def _peaks(target: Array, white: Array) -> Array:
+    """What a linear PSNR takes for 1 of each output (output, 1, 1)."""
+    return white_luminance(target.mean(axis=0)) * (_positive(white) / white.mean())[:, None, None]
+
+
+def _shares(planes: Array, white: Array) -> Array:
+    """Outputs as shares of white, cut to 0…1."""
+    return np.clip(planes / _positive(white)[:, None, None], 0.0, 1.0)
+
+
+def _positive(white: Array) -> Array:
+    return np.where(white > 0, white, white.max())
+
+
+def _rounded(share: Array) -> Array:
+    return np.rint(share * CODES) / CODES
 
 
 def cropped(planes: NDArray[Any], border: int) -> NDArray[Any]:

@@ -18,7 +18,7 @@ def map_array(path: Path) -> NDArray[Any]:
             values = np.load(path, mmap_mode="r", allow_pickle=False)
     except OSError as error:
         raise InputFileError(f"{path}: {error.strerror or error}") from error
-    except Exception as error:  # a damaged header makes Python's own tokenizer fail in many ways
+    except Exception as error:  # a damaged header makes Python's tokenizer fail with many exceptions
         raise InputFileError(f"{path} is not a whole .npy file; write it with numpy.save(file, array)") from error
     if not isinstance(values, np.ndarray):
         values.close()

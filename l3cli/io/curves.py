@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.config import LARGEST
-from l3cli.curve_table import CurveTable, other_unit, read_table
+from l3cli.curve_file import other_unit, read_table
+from l3cli.curve_table import CurveTable
 from l3cli.errors import InputFileError
 from l3cli.files import write_whole
 from l3cli.limits import read_bounded
@@ -26,7 +27,7 @@ Array = NDArray[np.float64]
 
 
 def write_curves(path: Path, wavelength: NDArray, columns: NDArray, names: Sequence[str], unit: str = "") -> None:
-    """Write columns (column, wavelength) as CSV below a heading that tells the `unit` of all columns, if there is one."""
+    """Write columns (column, wavelength) as CSV below a heading with the `unit` of all columns, if there is one."""
     lines = [",".join(["wavelength_nm", *(f"{name} ({unit})" if unit else name for name in names)])]
     lines += [",".join(f"{value:.8g}" for value in row) for row in np.vstack([wavelength, columns]).T]
     write_whole(path, "\n".join(lines) + "\n")
@@ -90,7 +91,7 @@ def export_paths(folder: Path) -> tuple[Path, Path]:
 
 
 def export_curves(camera: CameraModel, folder: Path) -> None:
-    """Write the responsivities per energy, the peak of the set 1: CSV on their own grid, JSON as rawtoaces reads it."""
+    """Write the responsivities per energy, the peak of the set 1: CSV on their grid, JSON as rawtoaces reads it."""
     csv, rawtoaces = export_paths(folder)
     curves = camera.responsivity * camera.wavelength
     curves = curves / curves.max()

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from l3cli.errors import InputFileError
 from l3cli.io.apart import apart
 from l3cli.io.images import opened, pixels_of
-from l3cli.io.pgm import read_pgm
+from l3cli.io.raw.pgm import read_pgm
+from l3cli.io.raw.registry import PGM, format_of
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ def read_frame(path: Path, shape: tuple[int, int], bits: int) -> NDArray[np.uint
 
     InputFileError if it is none, not of `shape`, or beyond `bits`.
     """
-    values = read_pgm(path) if path.suffix.lower() == ".pgm" else _read_picture(path, *shape, bits)
+    values = read_pgm(path) if format_of(path) is PGM else _read_picture(path, *shape, bits)
     _check(path, str(values.dtype), 1, values.shape, shape, bits)
     if values.max() >= 2**bits:
         raise InputFileError(f"{path} holds {values.max()} DN, more than {bits} bits; check sensor.bits")
@@ -45,11 +46,11 @@ def _read_picture(path: Path, rows: int, cols: int, bits: int) -> NDArray:
         return pixels_of(path, picture, spec)[..., 0]
 
 
-def _check(path: Path, depth: str, channels: int, found: tuple[int, ...], shape: tuple[int, int], bits: int) -> None:
+def _check(path: Path, depth: str, channels: int, size: tuple[int, ...], shape: tuple[int, int], bits: int) -> None:
     depths = ("uint16", "uint8") if bits <= 8 else ("uint16",)
     if depth not in depths or channels != 1:
         raise InputFileError(f"{path} holds {channels} channels of {depth}; give raw frames of one channel and 16 bits")
-    if found != shape:
+    if size != shape:
         raise InputFileError(
-            f"{path} has {found[0]}×{found[1]} pixels, the sensor {shape[0]}×{shape[1]}; give whole raw frames"
+            f"{path} has {size[0]}×{size[1]} pixels, the sensor {shape[0]}×{shape[1]}; give whole raw frames"
         )

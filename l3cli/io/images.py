@@ -49,7 +49,7 @@ def check_format(path: Path, bits: int) -> None:
 
 
 def write_picture(path: Path, picture: NDArray) -> None:
-    """Encoded sRGB (row, col, 3), uint8 or uint16, to a file whose format its suffix tells, tagged as sRGB."""
+    """Encoded sRGB (row, col, 3), uint8 or uint16, to a file of the format of its suffix, tagged as sRGB."""
     write_whole(path, picture_file(path, picture))
 
 
@@ -100,7 +100,7 @@ def encoded(name: str, spec: Any, pixels: NDArray) -> bytes:
     """The bytes of a file of this name; L3Error if it cannot be encoded.
 
     They are made in memory: on a full disk the JPEG library ends the whole program, and the PNG library says nothing. Left
-    half-way by a signal, that one complains on stderr.
+    half through by a signal, that one complains on stderr.
     """
     import OpenImageIO as oiio
 
@@ -127,7 +127,7 @@ def read_image(path: Path) -> tuple[NDArray, tuple[str, ...]]:
 
 @apart
 def picture_size(path: Path) -> tuple[int, int]:
-    """(rows, cols) of a picture as its header tells them; InputFileError if it has none."""
+    """(rows, cols) of a picture by its header; InputFileError if it has none."""
     with opened(path) as (_, spec):
         return spec.height, spec.width
 
@@ -155,11 +155,11 @@ def mono_of(path: Path, source: Any, spec: Any) -> tuple[NDArray[np.uint16], flo
 
 @contextlib.contextmanager
 def opened(path: Path) -> Iterator[tuple[Any, Any]]:
-    """OpenImageIO's input and the description of its only picture, whose size has been found to be bearable."""
+    """OpenImageIO's input and the description of its only picture, whose size has been checked."""
     with named_in_utf8(path) as name, contextlib.closing(open_image(path, name)) as source:
         spec = source.spec()
         require_bearable(path, spec)
-        require_pages_told(path, spec, 1)
+        require_whole_stack(path, spec, 1)
         if source.seek_subimage(1, 0):
             what = "page" if source.format_name() == "tiff" else "part"
             raise InputFileError(f"{path} holds more than one {what}; give a file of one picture, or render it alone")
@@ -174,7 +174,7 @@ def open_image(path: Path, name: str) -> Any:
 
     source = oiio.ImageInput.open(name)
     if source is None:
-        raise InputFileError(f"{path} is not an image that can be read ({_told(oiio.geterror(), name)})")
+        raise InputFileError(f"{path} is not an image that can be read ({_reason(oiio.geterror(), name)})")
     return source
 
 
@@ -185,8 +185,8 @@ def require_bearable(path: Path, spec: Any) -> None:
         raise InputFileError(f"{path} holds a volume or samples in depth; give a flat picture")
 
 
-def require_pages_told(path: Path, spec: Any, pages: int) -> None:
-    """InputFileError if a picture's description tells of more frames than there are pages: ImageJ and tifffile may store a
+def require_whole_stack(path: Path, spec: Any, pages: int) -> None:
+    """InputFileError if a picture's description counts more frames than there are pages: ImageJ and tifffile may store a
     stack as a single page, the other frames somewhere behind it."""
     text = spec.get_string_attribute("ImageDescription")
     count = re.search(r"^images=([0-9]{1,9})$", text, re.MULTILINE) if text.startswith("ImageJ=") else None
@@ -197,18 +197,18 @@ def require_pages_told(path: Path, spec: Any, pages: int) -> None:
         frames = prod(lengths[:-2]) if lengths[-2:] == [spec.height, spec.width] else 0
     if frames > pages * spec.nchannels:
         have = f"{pages} page{'s' if pages > 1 else ''}"
-        raise InputFileError(f"{path} tells of {frames} frames but has {have}; save it with a page for each frame")
+        raise InputFileError(f"{path} describes {frames} frames but has {have}; save it with a page for each frame")
 
 
 def pixels_of(path: Path, source: Any, spec: Any) -> NDArray:
     """Pixels (row, col, channel) of an opened picture."""
     pixels = source.read_image(spec.format)
     if pixels is None:
-        raise InputFileError(f"{path} is truncated or damaged ({_told(source.geterror(), str(path))}); give a whole image")
+        raise InputFileError(f"{path} is truncated or damaged ({_reason(source.geterror(), str(path))}); give a whole image")
     return pixels.reshape(spec.height, spec.width, spec.nchannels)
 
 
-def _told(message: str, name: str) -> str:
+def _reason(message: str, name: str) -> str:
     """What OpenImageIO says, in one line and without the name that stands before it already."""
     line = message.strip().splitlines()[0] if message.strip() else "unknown format"
     return line.removeprefix(f"{name}: ")

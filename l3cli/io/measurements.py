@@ -1,44 +1,32 @@
-"""The measurement file and what lies around it: MEASUREMENTS.toml, frames, CSV spectra (docs/method.md#calibration).
+"""What a measurement file names, read: captures with their frames, spectra and figures (docs/method.md#calibration)."""
 
-    MEASUREMENTS.toml   sensor, cfa, optics, and what was measured:
-      responsivity      one of: [[mono]] frames of a monochromator; [sweep] a table of means beside a photodiode; [curves]
-                        a finished curve; [[band]] a chart behind narrow filters at several exposures
-      scale             [[chart]] ColorCheckers under known lights; without them the camera's responsivity is relative
-      sensor            [[dark]] and [[white]] frames; without [[white]] a [datasheet] of declared figures
-    frames              single-channel 16-bit pictures (TIFF, PNG, PGM) of the whole sensor, raw DN, CFA phase (0, 0)
-    spectra             CSV: wavelength in nm, then radiances in photons/s/sr/m²/nm, one column a light or a patch; other
-                        units as a heading or the key `unit` tells
-
-Names of files are relative to the folder of the measurement file.
-"""
-
-import json
 import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
-import msgspec
 import numpy as np
 
-from l3cli.artifacts.camera import CameraModel, Noise, Optics
-from l3cli.artifacts.camera_recipe import (
-    MOST_PRNU,
-    CfaRecipe,
-    NoiseRecipe,
-    OpticsRecipe,
-    check_lengths,
-    check_share,
-    parse_cfa,
-)
+from l3cli.artifacts.camera import Noise, Optics
+from l3cli.artifacts.camera_recipe import MOST_PRNU, check_lengths, check_share, parse_cfa
 from l3cli.artifacts.schema import Stage
-from l3cli.config import Recipe, load_recipe, read_text
-from l3cli.curve_table import RELATIVE, CurveTable, read_table
+from l3cli.config import load_recipe, read_text
+from l3cli.curve_file import read_table
+from l3cli.curve_table import RELATIVE, CurveTable
 from l3cli.errors import InputFileError, RecipeError
-from l3cli.files import sha256, stamp, write_whole
+from l3cli.files import sha256, stamp
 from l3cli.io.curves import read_finished, read_sweep
 from l3cli.io.frames import FrameFiles
+from l3cli.io.measurement_recipe import (
+    CaptureRecipe,
+    ChartRecipe,
+    DatasheetRecipe,
+    MeasurementRecipe,
+    MonoRecipe,
+    frame_names,
+    spectrum_names,
+)
 from l3cli.limits import MEGAPIXELS, most_pixels
 from l3cli.measurement import (
     PATCH_NAMES,
@@ -56,99 +44,6 @@ from l3cli.measurement import (
 
 MOST_MONITOR = 10.0  # and its inverse: a lamp that changes more is another lamp
 SITE_PIXELS = 8  # rows and columns of super-pixels from which a local mean can be taken
-
-
-class BodyRecipe(Recipe):
-    rows: int
-    cols: int
-    pixel_pitch_um: float
-    bits: int
-
-
-class CaptureRecipe(Recipe, kw_only=True):
-    """Lens-cap or white frames of one exposure."""
-
-    frames: list[str]
-    exposure_s: float | None = None  # one of these three
-    exposure_ms: float | None = None
-    exposure_us: float | None = None
-    monitor: float = 1.0  # a reading of the lamp during the capture, over the reading when its spectrum was measured
-
-    @property
-    def seconds(self) -> float | None:
-        """The exposure, or None unless one key tells it."""
-        told = [(self.exposure_s, 1.0), (self.exposure_ms, 1e3), (self.exposure_us, 1e6)]
-        given = [value / parts for value, parts in told if value is not None]
-        return given[0] if len(given) == 1 else None
-
-
-class MonoRecipe(CaptureRecipe, kw_only=True):
-    """An even field lit by one monochromator step."""
-
-    spectrum: str  # CSV of measured radiances, bandwidth and stray light included
-    column: int | str = 1  # which of its columns: its name, or its number from 1, the wavelength not counted
-    unit: str | None = None  # of these radiances, where the heading does not tell; default: photons/s/sr/m²/nm
-
-
-class ChartRecipe(CaptureRecipe, kw_only=True):
-    """A ColorChecker under one light; as [[band]] behind one filter, and then the radiances may be relative."""
-
-    illuminant: str
-    corners: list[tuple[float, float]]  # col, row in pixels: outer corners of patches 1, 6, 24, 19 (clockwise)
-    radiance: str  # CSV of measured radiances, 24 columns, by patch or row by row from dark skin to black
-    unit: str | None = None  # as of [[mono]]
-
-
-class SweepRecipe(Recipe):
-    """A monochromator sweep as a table of means."""
-
-    table: str  # CSV: nm, light r, light g, …, dark r, dark g, … (means of each channel in DN), diode light, diode dark
-    photodiode: str  # CSV: nm, response of the photodiode per energy, such as A/W
-
-
-class CurvesRecipe(Recipe):
-    """Responsivities that somebody measured."""
-
-    file: str  # CSV: nm, one column a channel; or the JSON of rawtoaces
-    per_energy: bool = True  # false: per photon
-
-
-class DatasheetRecipe(NoiseRecipe, kw_only=True):
-    """The sensor as its maker declares it."""
-
-    black_dn: float
-    white_dn: float
-    gain_dn_per_e: float | None = None  # default: white is where the well is full
-
-
-class UncertaintyRecipe(Recipe):
-    """How well the lights were known, one standard deviation; it widens the confidence band."""
-
-    lamp_drift: float = 0.0  # relative, between a light and its measured spectrum, after the monitor's correction
-    wavelength_nm: float = 0.0  # of the spectrometer's scale
-
-
-class MeasurementRecipe(Recipe):
-    """MEASUREMENTS.toml."""
-
-    title: ClassVar[str] = "a measurement file"
-
-    name: str
-    sensor: BodyRecipe
-    cfa: CfaRecipe
-    optics: OpticsRecipe
-    mono: list[MonoRecipe] = msgspec.field(default_factory=list)
-    sweep: SweepRecipe | None = None
-    curves: CurvesRecipe | None = None
-    band: list[ChartRecipe] = msgspec.field(default_factory=list)
-    chart: list[ChartRecipe] = msgspec.field(default_factory=list)
-    white: list[CaptureRecipe] = msgspec.field(default_factory=list)
-    dark: list[CaptureRecipe] = msgspec.field(default_factory=list)
-    datasheet: DatasheetRecipe | None = None
-    uncertainty: UncertaintyRecipe = msgspec.field(default_factory=UncertaintyRecipe)
-
-
-# ------------------------------------------------------------------------------------------------------- reading
 
 
 def load_measurements(path: Path) -> Measurements:
@@ -184,8 +79,8 @@ def _check_sources(recipe: MeasurementRecipe, path: Path) -> None:
     sources = {"mono": recipe.mono, "sweep": recipe.sweep, "curves": recipe.curves, "band": recipe.band}
     given = [name for name, source in sources.items() if source]
     if len(given) != 1:
-        found = " and ".join(given) or "none"
-        raise RecipeError(f"{path}: give one source of responsivity, [[mono]] [sweep] [curves] or [[band]]; found {found}")
+        named = " and ".join(given) or "none"
+        raise RecipeError(f"{path}: give one source of responsivity, [[mono]] [sweep] [curves] or [[band]]; given: {named}")
     if bool(recipe.white) == (recipe.datasheet is not None):
         raise RecipeError(f"{path}: give either [[white]] frames, and measure the sensor, or its [datasheet]")
     if recipe.white and not recipe.dark:
@@ -199,7 +94,7 @@ def _check_sources(recipe: MeasurementRecipe, path: Path) -> None:
             f"{path}: [[chart]] captures need [[white]] and [[dark]] frames; take them or leave the charts out"
         )
     if len(recipe.chart) == 1 or (recipe.mono and not recipe.chart):
-        raise RecipeError(f"{path}: one [[chart]] cannot tell gain from light; give charts under two illuminants or more")
+        raise RecipeError(f"{path}: one [[chart]] does not separate gain from light; give charts under two illuminants")
 
 
 def _common(capture: CaptureRecipe, table: str, body: Body, path: Path) -> dict[str, Any]:
@@ -318,20 +213,6 @@ def _body(recipe: MeasurementRecipe, path: Path) -> Body:
     )
 
 
-def frame_names(recipe: MeasurementRecipe) -> list[str]:
-    """Every frame a measurement file names, in order."""
-    captures: list[CaptureRecipe] = [*recipe.mono, *recipe.band, *recipe.chart, *recipe.white, *recipe.dark]
-    return [name for capture in captures for name in capture.frames]
-
-
-def spectrum_names(recipe: MeasurementRecipe) -> list[str]:
-    """Every file of spectra, tables and curves a measurement file names, each once, in order."""
-    names = [step.spectrum for step in recipe.mono] + [chart.radiance for chart in [*recipe.band, *recipe.chart]]
-    names += [recipe.sweep.table, recipe.sweep.photodiode] if recipe.sweep else []
-    names += [recipe.curves.file] if recipe.curves else []
-    return list(dict.fromkeys(names))
-
-
 @dataclass(frozen=True)
 class Inputs:
     """The files of a calibration, as they were before any was read."""
@@ -363,41 +244,3 @@ def inputs_of(path: Path) -> Inputs:
     }
     stamps = {file: stamp(file) for named in files.values() for file in named} | {path: first}
     return Inputs(read_text(path), files, stamps)
-
-
-# ------------------------------------------------------------------------------------------------------- writing
-
-
-def describe(camera: CameraModel, uncertainty: UncertaintyRecipe, **captures: Any) -> MeasurementRecipe:
-    """The measurement file of captures of a known camera; `captures` are the lists mono, chart, white and dark."""
-    optics = camera.optics
-    return MeasurementRecipe(
-        name=camera.name,
-        sensor=BodyRecipe(camera.rows, camera.cols, round(camera.pixel_pitch * 1e6, 9), camera.bits),
-        cfa=CfaRecipe(list(camera.channels), [" ".join(camera.channels[site] for site in row) for row in camera.cfa]),
-        optics=OpticsRecipe(round(optics.focal_length * 1e3, 9), optics.f_number, optics.object_distance),
-        uncertainty=uncertainty,
-        **captures,
-    )
-
-
-def write_measurements(recipe: MeasurementRecipe, path: Path) -> None:
-    """Write a measurement file."""
-    write_whole(path, _toml(msgspec.to_builtins(recipe)))
-
-
-def _toml(table: dict[str, Any], prefix: str = "") -> str:
-    """A table of numbers, texts, lists, tables and lists of tables as TOML; JSON writes the plain values alike."""
-
-    def is_table(value: Any) -> bool:
-        return isinstance(value, dict) or (isinstance(value, list) and bool(value) and isinstance(value[0], dict))
-
-    table = {key: value for key, value in table.items() if value is not None and value != []}
-    lines = [f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in table.items() if not is_table(value)]
-    for key, value in table.items():
-        if isinstance(value, dict):
-            lines += ["", f"[{prefix}{key}]", _toml(value, f"{prefix}{key}.").rstrip()]
-        elif is_table(value):
-            for item in value:
-                lines += ["", f"[[{prefix}{key}]]", _toml(item, f"{prefix}{key}.").rstrip()]
-    return "\n".join(lines) + "\n"

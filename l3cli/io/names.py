@@ -9,7 +9,7 @@ from pathlib import Path
 
 @contextlib.contextmanager
 def named_in_utf8(path: Path) -> Iterator[str]:
-    """A name of the file: its own, or that of a link where it has bytes that are no UTF-8."""
+    """A name of the file: as given, or that of a link where it has bytes that are no UTF-8."""
     try:
         yield os.fsencode(path).decode()
     except UnicodeDecodeError:

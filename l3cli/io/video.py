@@ -1,4 +1,4 @@
-"""Videos through PyAV (FFmpeg): raw mosaics from lossless ones, pictures into new ones, y4m streams.
+"""New videos of pictures through PyAV (FFmpeg), and y4m streams. Raw videos: raw/video.py.
 
 Pictures are sRGB and every video says so: BT.709 primaries, sRGB transfer (ProRes, which cannot say it: BT.709), and, where
 colours are stored as luma and chroma, the BT.709 matrix in limited range.
@@ -16,14 +16,10 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.errors import InputFileError, L3Error, RecipeError
+from l3cli.errors import L3Error, RecipeError
 from l3cli.files import atomic_output
-from l3cli.io.apart import apart
-from l3cli.limits import require_picture
 
 INSTALL = 'videos need PyAV; install it with: pip install "l3cli[video]"'
-
-
 SLOWEST, FASTEST = Fraction(1, 1000), Fraction(1000)  # frames a second
 FINEST = 1_000_000  # denominator of a rate: numerators stay within the 32 bits that containers have
 
@@ -33,105 +29,18 @@ def storable_rate(rate: Fraction) -> Fraction | None:
     return rate.limit_denominator(FINEST) if SLOWEST <= rate <= FASTEST else None
 
 
-def _av() -> Any:
+def pyav() -> Any:
     """PyAV, imported when first needed."""
     try:
         import av
     except ModuleNotFoundError as error:
         raise L3Error(INSTALL) from error
-    av.logging.set_level(av.logging.ERROR)  # for RawVideo; what goes wrong is told in one line, not in FFmpeg's own
+    av.logging.set_level(av.logging.ERROR)  # for RawVideo; what goes wrong becomes one line, not FFmpeg's lines
     log = logging.getLogger("libav")
     if not log.handlers:  # this is called for every frame
         log.addHandler(logging.NullHandler())
     log.propagate = False
     return av
-
-
-# --------------------------------------------------------------------------------------------------------- raw videos
-
-
-# A playlist under the name of a video would have FFmpeg read other files and addresses.
-NOTHING_ELSE = {"protocol_whitelist": "file", "format_whitelist": "matroska,webm,mov,mp4,m4a,3gp,3g2,mj2,avi"}
-
-_videos: dict[Path, "_RawVideo"] = {}  # the one that is being read
-
-
-def raw_video_rate(path: Path) -> Fraction | None:
-    """Frames a second of a raw video, where it tells; InputFileError if it is no video, or not of one grey channel of 8 to
-    16 bits, such as FFV1 in MKV."""
-    told = _raw_video_rate(path)
-    return storable_rate(Fraction(*told)) if told else None
-
-
-@apart
-def _raw_video_rate(path: Path) -> tuple[int, int] | None:
-    with contextlib.closing(_RawVideo(path)) as video:
-        return (video.rate.numerator, video.rate.denominator) if video.rate else None
-
-
-@apart
-def raw_video_frame(path: Path, number: int) -> NDArray[np.uint16] | None:
-    """Frame `number` (row, col) of a raw video in DN; None after the last. Frames are asked for one after the other, from 0.
-    InputFileError if it is damaged; the next may be whole again."""
-    if number == 0:
-        for video in _videos.values():
-            video.close()
-        _videos.clear()
-        _videos[path] = _RawVideo(path)
-    if path not in _videos or _videos[path].position != number:
-        raise InputFileError(f"{path} cannot be read on behind the frame that ended its decoder; copy the video again")
-    return _videos[path].following()
-
-
-class _RawVideo:
-    """A video of one grey channel of 8 to 16 bits, such as FFV1 in MKV, decoded frame by frame: a mosaic in DN."""
-
-    def __init__(self, path: Path) -> None:
-        """InputFileError if it is no video, or not of one channel."""
-        av = _av()
-        self.path = path
-        try:
-            self._container = av.open(str(path), options=NOTHING_ELSE)
-        except (av.error.FFmpegError, OSError) as error:
-            raise InputFileError(f"{path} is no video that can be read ({error.strerror}); give FFV1 in MKV") from error
-        if not self._container.streams.video:
-            raise InputFileError(f"{path} holds no video; give raw frames as FFV1 in MKV")
-        stream = self._container.streams.video[0]
-        context = stream.codec_context
-        if not (context.pix_fmt or "").startswith("gray") or "f" in context.pix_fmt:
-            raise InputFileError(
-                f"{path} holds {context.pix_fmt or 'unknown'} pixels; a raw video has one channel (gray, gray12le…)"
-            )
-        require_picture(str(path), context.height, context.width)
-        context.thread_count = 1  # see `following`
-        self.rate: Fraction | None = stream.average_rate or None
-        self._packets = self._container.demux(stream)
-        self._decoded: Iterator[Any] = iter(())
-        self._damaged = False  # since the last key frame
-        self.position = 0  # number of the frame that comes next
-
-    def close(self) -> None:
-        self._container.close()
-
-    def following(self) -> NDArray[np.uint16] | None:
-        """The next frame (row, col); None after the last. InputFileError if it is damaged; the call after goes on."""
-        av = _av()
-        self.position += 1
-        try:
-            while (frame := next(self._decoded, None)) is None:
-                packet = next(self._packets)
-                # A slice with a wrong checksum is concealed and only logged, in the thread that decodes: this one.
-                with av.logging.Capture() as complaints:
-                    self._decoded = iter(packet.decode())
-                self._damaged = bool(complaints) or (self._damaged and not packet.is_keyframe)
-        except StopIteration:
-            return None
-        except (av.error.FFmpegError, OSError) as error:
-            self._damaged = True
-            raise InputFileError(f"{self.path} is damaged ({error.strerror}); copy the video again") from error
-        if self._damaged:
-            raise InputFileError(f"{self.path} is damaged (checksum); copy the video again")
-        return frame.to_ndarray().astype(np.uint16)
 
 
 # ------------------------------------------------------------------------------------------------------------ encoding
@@ -194,16 +103,16 @@ def check_video(path: Path, choice: VideoChoice) -> None:
     suffix = path.suffix.lower()
     if suffix == Y4M:
         if choice.codec or choice.crf is not None:
-            raise RecipeError(f"{path}: y4m is not compressed; leave --codec and --crf out")
+            raise RecipeError(f"{path}: y4m is not compressed; leave ‹codec› and ‹crf› out")
     else:
         encoding = _encoding(path, choice)
         if suffix not in encoding.suffixes:
             raise RecipeError(f"{path}: {choice.codec} goes into {', '.join(encoding.suffixes)}; name such a file")
         if choice.bits not in encoding.formats:
-            raise RecipeError(f"{path}: h264 holds 8 bits a value; ask for --codec h265 or leave --bits out")
+            raise RecipeError(f"{path}: h264 holds 8 bits a value; ask for ‹codec› h265 or leave ‹bits› out")
         if choice.crf is not None and not encoding.presets:
-            raise RecipeError(f"{path}: --crf is for h264 and h265")
-    _av()
+            raise RecipeError(f"{path}: ‹crf› is for h264 and h265")
+    pyav()
 
 
 def _encoding(path: Path, choice: VideoChoice) -> Encoding:
@@ -214,7 +123,7 @@ class _Converter:
     """Pictures (row, col, 3) as FFmpeg's frames of a pixel format."""
 
     def __init__(self, target: str) -> None:
-        self._reformatter = _av().video.reformatter.VideoReformatter()  # kept: making one takes longer than using it
+        self._reformatter = pyav().video.reformatter.VideoReformatter()  # kept: making one takes longer than using it
         self.target = target
 
     def even(self, picture: NDArray) -> NDArray:
@@ -227,7 +136,7 @@ class _Converter:
 
     def frame(self, picture: NDArray) -> Any:
         source = "rgb24" if picture.dtype == np.uint8 else "rgb48le"
-        frame = _av().VideoFrame.from_ndarray(np.ascontiguousarray(self.even(picture)), format=source)
+        frame = pyav().VideoFrame.from_ndarray(np.ascontiguousarray(self.even(picture)), format=source)
         # One thread: rendering keeps the other cores busy, and sharing the work out costs a fifth of it.
         coded = {"dst_colorspace": "ITU709", "dst_color_range": "MPEG"} if self.target.startswith("yuv") else {}
         return self._reformatter.reformat(frame, format=self.target, threads=1, **coded)
@@ -275,7 +184,7 @@ class VideoWriter:
 
     def _tag(self, where: Any) -> None:
         """Say, in a frame or for the whole video, what the values mean."""
-        names = _av().video.reformatter
+        names = pyav().video.reformatter
         where.color_primaries = names.ColorPrimaries.BT709
         where.color_trc = names.ColorTrc[self._encoding.transfer]
         coded = self._converter.target.startswith("yuv")
@@ -286,7 +195,7 @@ class VideoWriter:
 @contextlib.contextmanager
 def new_video(path: Path, choice: VideoChoice) -> Iterator[VideoWriter]:
     """A video open for writing, that appears whole or not at all."""
-    av = _av()
+    av = pyav()
     form = {".mp4": "mp4", ".mov": "mov", ".mkv": "matroska"}[path.suffix.lower()]
     with atomic_output(path) as temporary:
         try:

@@ -70,7 +70,7 @@ def workers(jobs: int, scheduler: "Scheduler | None" = None) -> Iterator[Crew]:
 
 
 def alone(function: Callable[[T], R], item: T) -> R:
-    """function(item) by a process of its own, whose memory nothing else has used."""
+    """function(item) by a separate process, whose memory nothing else has used."""
     with _pool(1) as pool:
         return _result(_submit(pool, function, item))
 
@@ -116,7 +116,7 @@ def _result(future: "Future[R]") -> R:
     try:
         return future.result()
     except BrokenProcessPool as error:
-        raise L3Error("a worker process was ended from outside, perhaps for lack of memory; use fewer --jobs") from error
+        raise L3Error("a worker process was ended from outside, perhaps for lack of memory; use fewer ‹jobs›") from error
 
 
 def _end_with_parent() -> None:

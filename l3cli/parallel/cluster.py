@@ -30,9 +30,9 @@ R = TypeVar("R")
 
 ANSWER = 10.0  # seconds in which a scheduler must answer
 PATIENCE = 60.0  # seconds without any worker after which a run is given up
-PULSE = 1.0  # seconds between looks at the workers
-INSTALL = '--scheduler needs dask; install it with: pip install "l3cli[cluster]"'
-WITHOUT_TLS = "the scheduler listens beyond this machine without TLS: who reaches it can run programs as you; see --tls-ca"
+PULSE = 1.0  # seconds between checks of the workers
+INSTALL = '‹scheduler› needs dask; install it with: pip install "l3cli[cluster]"'
+WITHOUT_TLS = "the scheduler listens beyond this machine without TLS: who reaches it can run programs as you; see ‹tls_ca›"
 _one_at_a_time = threading.Lock()
 
 
@@ -44,19 +44,19 @@ class Scheduler:
     ca: Path | None = None  # the authority that both sides trust
     certificate: Path | None = None  # ours, and its key
     key: Path | None = None
-    warn: Callable[[str], None] = lambda message: None  # told that the scheduler is open to others
+    warn: Callable[[str], None] = lambda message: None  # called if the scheduler is open to others
 
     def __post_init__(self) -> None:
         """RecipeError if that is no address, or files are missing or given in vain."""
-        found = re.fullmatch(r"(tcp|tls)://\S+:(\d{1,5})", self.address, re.ASCII)
-        if not found or not 0 < int(found[2]) < 65536:
+        match = re.fullmatch(r"(tcp|tls)://\S+:(\d{1,5})", self.address, re.ASCII)
+        if not match or not 0 < int(match[2]) < 65536:
             raise RecipeError(f'"{self.address}" is no scheduler\'s address; give tcp://HOST:PORT or tls://HOST:PORT')
         files = (self.ca, self.certificate, self.key)
-        if found[1] == "tls" and None in files:
-            raise RecipeError(f"{self.address} needs --tls-ca, --tls-cert and --tls-key")
-        if found[1] == "tcp" and files != (None, None, None):
+        if match[1] == "tls" and None in files:
+            raise RecipeError(f"{self.address} needs ‹tls_ca›, ‹tls_cert› and ‹tls_key›")
+        if match[1] == "tcp" and files != (None, None, None):
             raise RecipeError(
-                f"{self.address} speaks no TLS; give tls://HOST:PORT, or leave --tls-ca, --tls-cert, --tls-key out"
+                f"{self.address} speaks no TLS; give tls://HOST:PORT, or leave ‹tls_ca›, ‹tls_cert›, ‹tls_key› out"
             )
         for path in filter(None, files):
             if not path.is_file():
@@ -67,7 +67,7 @@ class Scheduler:
 def workers_of(scheduler: Scheduler) -> Iterator[Crew]:
     """The workers of a scheduler. L3Error if dask is missing, or the scheduler or every worker stays away.
 
-    What is under way when the block fails is dropped; a worker ends the item it is at.
+    What is being done when the block fails is dropped; a worker ends the item it is at.
     """
     try:
         import dask
@@ -75,7 +75,7 @@ def workers_of(scheduler: Scheduler) -> Iterator[Crew]:
     except ModuleNotFoundError as error:
         raise L3Error(INSTALL) from error
     for name in ("distributed", "tornado", "asyncio"):
-        logging.getLogger(name).setLevel(logging.CRITICAL)  # what goes wrong is told in one line
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # what goes wrong becomes one line
     settings = {
         "distributed.comm.timeouts.connect": f"{ANSWER} s",
         # An item holds what its worker needs; sent ahead, as dask advises, it would be lost with the worker that has it.
@@ -101,7 +101,7 @@ def _connected(distributed: Any, scheduler: Scheduler) -> Any:
         try:
             security.get_connection_args("client")
         except OSError as error:
-            raise InputFileError(f"--tls-ca, --tls-cert or --tls-key cannot be used ({error}); give PEM files") from error
+            raise InputFileError(f"‹tls_ca›, ‹tls_cert› or ‹tls_key› cannot be used ({error}); give PEM files") from error
     try:
         return distributed.Client(scheduler.address, security=security, timeout=ANSWER, set_as_default=False)
     except OSError as error:
@@ -118,11 +118,11 @@ def _is_loopback(address: str) -> bool:
 
 
 class _Hands:
-    """How many workers a scheduler has; looked at once a PULSE."""
+    """How many workers a scheduler has; checked once a PULSE."""
 
     def __init__(self, client: Any) -> None:
         self._client = client
-        self._looked = -PULSE
+        self._checked = -PULSE
         self._seen = time.monotonic()  # when there was a worker
         self._count = 0
 
@@ -134,14 +134,14 @@ class _Hands:
 
     def count(self) -> int:
         """Their number. L3Error if there has been none for longer than PATIENCE, or the scheduler is gone."""
-        if time.monotonic() - self._looked >= PULSE:
+        if time.monotonic() - self._checked >= PULSE:
             try:
                 self._count = len(self._client.nthreads())
             except (OSError, RuntimeError, CancelledError) as error:
                 raise L3Error(_GONE) from error
-            self._looked = time.monotonic()
+            self._checked = time.monotonic()
         if self._count:
-            self._seen = self._looked
+            self._seen = self._checked
         elif time.monotonic() - self._seen > PATIENCE:
             raise L3Error(
                 f"the scheduler has had no worker for {PATIENCE:.0f} s; start some with: dask worker ADDRESS --nthreads 1"

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, TypeVar
 
-from l3cli.interrupts import give_way, is_wanted, uninterrupted
+from l3cli.interrupts import is_wanted, raise_pending, uninterrupted
 
 T = TypeVar("T")
 READING, WRITING = 1.0, 25.0  # seconds after an interrupt in which an item that is being read, or written, is finished
@@ -18,7 +18,7 @@ class _End(Exception):
 
 
 def ahead(items: Iterable[T], depth: int) -> Iterator[T]:
-    """The same items, made by a thread of their own at most `depth` ahead of who takes them."""
+    """The same items, made by another thread at most `depth` ahead of who takes them."""
     ready: queue.Queue[Any] = queue.Queue()
     room = threading.Semaphore(depth)
     stopped = threading.Event()
@@ -63,7 +63,7 @@ def _while_room(items: Iterable[T], room: threading.Semaphore, stopped: threadin
 
 
 class Behind:
-    """Calls function(item) in threads of their own, at most `depth` items behind; in order if there is one thread.
+    """Calls function(item) in other threads, at most `depth` items behind; in order if there is one thread.
 
     As a context manager it waits for the last item, also when the block fails. What goes wrong is raised by the next
     `put`, or at the end; after that, or after an interrupt, what waits is dropped, but what is being done is done: for up to
@@ -100,7 +100,7 @@ class Behind:
                 thread.join(STEP)
                 left -= STEP if interrupted or is_wanted() else 0
         if error is None:
-            give_way()  # what waited has been dropped: nobody may take what is written for all
+            raise_pending()  # what waited has been dropped: nobody may take what is written for all
             if self._error is not None:
                 raise self._error
 

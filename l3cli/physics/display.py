@@ -1,4 +1,4 @@
-"""From XYZ to what a screen shows and an eye sees of it: adaptation, exposure, sRGB both ways, CIELAB differences.
+"""From XYZ to what a screen shows and an eye sees of it: adaptation, exposure, sRGB and its inverse, CIELAB differences.
 
 XYZ are CIE 1931. A picture is linear sRGB (row, col, 3), 1 being display white, unless a name says "codes"
 (docs/method.md#display).
@@ -37,7 +37,7 @@ def adaptation_matrix(white: Array, to: Array) -> Array:
 
 @functools.cache
 def daylight() -> Array:
-    """XYZ (3), Y = 1, of D65, under which displays are looked at."""
+    """XYZ (3), Y = 1, of D65, the white of displays."""
     return white_point("D65")
 
 
@@ -47,7 +47,7 @@ def white_luminance(luminance: Array) -> float:
     return bright if bright > 0 else 1.0
 
 
-def automatic_exposure(luminance: Array) -> float:
+def exposure_scale(luminance: Array) -> float:
     """Scale that brings the 99th percentile of Y (row, col) to display white; 1 where all is dark."""
     return 1.0 / white_luminance(luminance)
 

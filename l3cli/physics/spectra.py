@@ -37,7 +37,7 @@ def photons_from_energy(wavelength: Array, energy: Array) -> Array:
 
 
 def bin_edges(wavelength: Array) -> Array:
-    """Edges (wavelength + 1) in nm of the steps that the samples of an increasing grid stand for: half-way between them; the
+    """Edges (wavelength + 1) in nm of the steps that the samples of an increasing grid stand for: midway between them; the
     outermost as far beyond the ends as the next lie inside. One sample alone stands for 1 nm."""
     if wavelength.size == 1:
         return wavelength[0] + np.array([-0.5, 0.5])

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from l3cli.artifacts.class_rule import ClassRule
+from l3cli.artifacts.layers import MosaicLayer
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.chroma import CHROMA_FRACTION, chroma_weights
 from l3cli.classes.level import LEVEL_FRACTION
@@ -52,14 +53,14 @@ CFAS = {
     "five-band": np.array([[2, 1, 4, 1], [1, 3, 1, 0], [4, 1, 2, 1], [1, 0, 1, 3]], np.uint8),
     "bayer": np.array([[0, 1], [1, 2]], np.uint8),
 }
-CLASSES = {"fast": (10, 1), "default": (20, 8)}  # levels and chromas of the recipes in configs/classes
+CLASSES = {"fast": (10, 1), "single": (20, 8)}  # levels and chromas of recipes of one layer in configs/classes
 FULL = (
     Case(1280, 720, 9, "five-band", "fast"),
-    Case(1280, 720, 9, "five-band", "default"),
+    Case(1280, 720, 9, "five-band", "single"),
     Case(2048, 1164, 9, "five-band", "fast"),
-    Case(2048, 1164, 9, "five-band", "default"),
+    Case(2048, 1164, 9, "five-band", "single"),
     Case(1280, 720, 5, "bayer", "fast"),
-    Case(1280, 720, 5, "bayer", "default"),
+    Case(1280, 720, 5, "bayer", "single"),
     Case(1280, 720, 9, "five-band", "fast", 1),
     Case(1280, 720, 9, "five-band", "fast", 8),
 )
@@ -149,7 +150,7 @@ def _result(case: Case, backend: str, variant: str, device: str, waits: list[flo
 
 @contextlib.contextmanager
 def _limit(case: Case) -> Iterator[Callable[[], float] | None]:
-    """A function that runs the bare multiply-adds of a case once and tells the milliseconds; None without a compiler, or
+    """A function that runs the bare multiply-adds of a case once and returns the milliseconds; None without a compiler, or
     where limit.c does not compute the like."""
     compiler = shutil.which(os.environ.get("CC", "cc"))
     if compiler is None or case.outputs != LIMIT_OUTPUTS:
@@ -219,11 +220,13 @@ def made_up_table(case: Case, rng: np.random.Generator) -> TransformTable:
         target_description="",
         output_unit=1.0,
         white_point=spectra.white_point("D65") if case.outputs == 3 else np.ones(case.outputs),
-        rule=rule,
-        weights=(rng.standard_normal((classes, case.outputs, case.patch**2)) / case.patch).astype(np.float32),
-        intercept=np.zeros((classes, case.outputs), np.float32),
-        samples=np.ones(classes),
-        condition=np.ones(classes, np.float32),
+        first=MosaicLayer(
+            rule=rule,
+            weights=(rng.standard_normal((classes, case.outputs, case.patch**2)) / case.patch).astype(np.float32),
+            intercept=np.zeros((classes, case.outputs), np.float32),
+            samples=np.ones(classes),
+            condition=np.ones(classes, np.float32),
+        ),
     )
 
 

@@ -27,24 +27,25 @@ class CoverageMeter:
 
     def __init__(self, table: TransformTable) -> None:
         self._table = table
-        self._near = neighbourhoods(table.cfa, table.rule.patch, len(table.channels))
-        self._samples = table.rule.by_axis(table.samples)
+        self._near = neighbourhoods(table.cfa, table.first.rule.patch, len(table.channels))
+        self._samples = table.first.rule.by_axis(table.first.samples)
 
     def coverage(self, frame: RawFrame) -> Coverage:
         """How a frame of any size and phase is covered."""
-        rule = self._table.rule
+        rule = self._table.first.rule
         patches, site = spread_patches(frame, self._table)
-        place = rule.split(label_patches(patches.values, rule, self._near, site))
-        learned = np.flatnonzero(self._samples[site].sum(axis=(1, 2)) > 0)
+        labels = label_patches(patches.values, rule, self._near, site)
+        place = rule.split(labels)
+        learned = np.flatnonzero(self._samples[site].sum(axis=(1, 2, 3)) > 0)
         lowest, highest = (learned[0], learned[-1]) if learned.size else (0, rule.levels - 1)
         darker, brighter = place.level < lowest, place.level > highest
-        untrained = (self._samples[site, place.level, place.contrast, place.kind] == 0) & ~darker & ~brighter
+        untrained = (self._table.first.samples[rule.on_site(labels, site)] == 0) & ~darker & ~brighter
         saturated = rule.case(place.kind) > 0
-        return Coverage(*(float(np.mean(found)) for found in (darker, brighter, untrained, saturated)))
+        return Coverage(*(float(np.mean(mask)) for mask in (darker, brighter, untrained, saturated)))
 
     def learned_range(self) -> tuple[float, float]:
         """The darkest and brightest level that the table has patches of, as shares of full scale."""
         table = self._table
-        learned = np.flatnonzero(self._samples.sum(axis=(0, 2, 3)) > 0)
-        edges = np.concatenate([[0.0], level.inner_bounds(table.rule, table.black, table.white), [1.0]])
+        learned = np.flatnonzero(self._samples.sum(axis=(0, 2, 3, 4)) > 0)
+        edges = np.concatenate([[0.0], level.inner_bounds(table.first.rule, table.black, table.white), [1.0]])
         return (float(edges[learned[0]]), float(edges[learned[-1] + 1])) if learned.size else (0.0, 1.0)

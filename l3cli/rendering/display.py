@@ -5,8 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.table import TransformTable
 from l3cli.errors import RecipeError
 from l3cli.physics.display import CODES, adaptation_matrix, srgb_codes, srgb_from_xyz_matrix
+
+MOST_LAYERS = 2
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,14 @@ def require_xyz(outputs: tuple[str, ...]) -> None:
     """RecipeError unless a table's outputs are X, Y, Z, which is what a picture is made from."""
     if outputs != ("X", "Y", "Z"):
         raise RecipeError(f"pictures need the outputs X, Y, Z, this table has {', '.join(outputs)}; write an .exr file")
+
+
+def require_known_layers(table: TransformTable) -> None:
+    """RecipeError for a table of more layers than renderers know."""
+    if len(table.layers) > MOST_LAYERS:
+        raise RecipeError(
+            f"this table has {len(table.layers)} layers, and {MOST_LAYERS} at most can be rendered; train it again"
+        )
 
 
 def encode(planes: NDArray, display: Display) -> NDArray:

@@ -12,8 +12,8 @@ from l3cli.classes.windows import neighbourhoods
 from l3cli.frame import RawFrame, mirrored_indices
 from l3cli.physics.display import WHITE_PERCENTILE
 
-GRID = (32, 48)  # rows and columns of pixels that are looked at, at most
-TIME_CONSTANT = 1.0  # s, in which log exposure goes 63 % of the way to that of a light that has changed
+GRID = (32, 48)  # rows and columns of pixels that are measured, at most
+TIME_CONSTANT = 1.0  # s, in which log exposure goes 63 % of the difference to that of a light that has changed
 
 
 class LightMeter:
@@ -24,16 +24,18 @@ class LightMeter:
 
     def __init__(self, table: TransformTable) -> None:
         self.table = table
-        self._near = neighbourhoods(table.cfa, table.rule.patch, len(table.channels))
-        self._weights = np.ascontiguousarray(table.weights[:, 1])
-        self._intercept = table.intercept[:, 1]
+        self._near = neighbourhoods(table.cfa, table.first.rule.patch, len(table.channels))
+        self._weights = np.ascontiguousarray(table.first.weights[:, 1])
+        self._intercept = table.first.intercept[:, 1]
 
     def brightness(self, frame: RawFrame) -> float:
         """Y that ought to be shown white."""
         table = self.table
         patches, site = spread_patches(frame, table)
-        classes = table.rule.on_site(label_patches(patches.values, table.rule, self._near, site), site)
-        signal = (patches.values.astype(np.float32) - np.float32(patches.black)) / np.float32(table.white - table.black)
+        classes = table.first.rule.on_site(label_patches(patches.values, table.first.rule, self._near, site), site)
+        signal = (patches.values.astype(np.float32) - np.float32(patches.black_level)) / np.float32(
+            table.white - table.black
+        )
         luminance = np.einsum("nt,nt->n", self._weights[classes], signal) + self._intercept[classes]
         return frame.light_share * float(np.percentile(luminance, WHITE_PERCENTILE))
 
@@ -43,11 +45,11 @@ def spread_patches(frame: RawFrame, table: TransformTable) -> tuple[RawFrame, in
     of the frame's first pixel."""
     period_row, period_col = table.cfa.shape
     rows, cols = frame.values.shape
-    row = _spread(rows, period_row, GRID[0], table.rule.patch)
-    col = _spread(cols, period_col, GRID[1], table.rule.patch)
-    row_source = mirrored_indices(rows, table.rule.radius, period_row)[row]
-    col_source = mirrored_indices(cols, table.rule.radius, period_col)[col]
-    patches = frame.values[row_source[:, None, :, None], col_source[None, :, None, :]].reshape(-1, table.rule.patch**2)
+    row = _spread(rows, period_row, GRID[0], table.first.rule.patch)
+    col = _spread(cols, period_col, GRID[1], table.first.rule.patch)
+    row_source = mirrored_indices(rows, table.first.rule.radius, period_row)[row]
+    col_source = mirrored_indices(cols, table.first.rule.radius, period_col)[col]
+    patches = frame.values[row_source[:, None, :, None], col_source[None, :, None, :]].reshape(-1, table.first.rule.patch**2)
     levelled = replace(frame, values=patches).at_levels(table.black, table.white, table.bits)
     return levelled, frame.phase[0] * period_col + frame.phase[1]
 
@@ -62,8 +64,8 @@ def _spread(length: int, period: int, count: int, patch: int) -> np.ndarray:
 class SteadyExposure:
     """Exposure scale of each frame of a sequence in its order.
 
-    The first frame is shown as its own light asks, later ones follow exponentially in log exposure: noise in the
-    measurement is averaged away, a change of light is followed without overshoot. It looks only back.
+    The first frame is shown as its light asks, later ones follow exponentially in log exposure: noise in the
+    measurement is averaged away, a change of light is followed without overshoot. Only past frames count.
     """
 
     def __init__(self, rate: Fraction) -> None:

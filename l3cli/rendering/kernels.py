@@ -3,7 +3,7 @@
 PoCL keeps what it compiles in a folder and believes whatever it finds there: a damaged file or a full disk ends the process,
 or gives other pixels. So it gets a folder of this process alone, on a disk with room. What it puts there for a program is
 kept as one file with its SHA-256, and laid there again before a later run builds that program; a kept file that is not as it
-was written is as good as none. Other drivers keep their kernels themselves; pyopencl's own cache, which unpickles what it
+was written is as good as none. Other drivers keep their kernels themselves; pyopencl's cache, which unpickles what it
 finds, is not used.
 """
 
@@ -22,7 +22,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from l3cli.errors import DeviceError, L3Error
-from l3cli.files import sole_writer_of_folder, sweep, write_whole
+from l3cli.files import sweep, write_whole
+from l3cli.locks import sole_writer_of_folder
 
 PREFIX = "l3-kernels-"
 ROOM = 16 << 20  # bytes, several times what the kernels of a table need while they are compiled
@@ -53,8 +54,8 @@ class _Cache:
     def keep(self) -> None:
         """Keep what has been compiled; where that cannot be, `unkept` says why."""
         for file, (programs, known) in self._built.items():
-            found = {path for program in programs for path in program.rglob("*") if path.is_file()}
-            names = {str(path.relative_to(self.folder)) for path in found}
+            files = {path for program in programs for path in program.rglob("*") if path.is_file()}
+            names = {str(path.relative_to(self.folder)) for path in files}
             if self.unkept or names <= known:
                 continue
             try:
@@ -77,7 +78,7 @@ def prepare() -> None:
 
 
 def building(identity: str) -> contextlib.AbstractContextManager[None]:
-    """A block in which a program is built. `identity` tells all that its kernels depend on."""
+    """A block in which a program is built. `identity` holds all that its kernels depend on."""
     return _cache().building(identity)
 
 
@@ -144,8 +145,8 @@ def _remove_abandoned(place: Path) -> None:
     """Remove what processes left here that were killed."""
     for folder in place.glob(f"{PREFIX}*"):
         with contextlib.suppress(OSError, L3Error):
-            found = folder.lstat()
-            if stat.S_ISDIR(found.st_mode) and found.st_uid == os.geteuid() and time.time() - found.st_mtime > YOUNG:
+            state = folder.lstat()
+            if stat.S_ISDIR(state.st_mode) and state.st_uid == os.geteuid() and time.time() - state.st_mtime > YOUNG:
                 with sole_writer_of_folder(folder) as locked:
                     if locked:
                         shutil.rmtree(folder)

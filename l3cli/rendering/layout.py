@@ -1,19 +1,28 @@
 """How the kernels see a table: macros for shapes, arrays for values, sources in their order (opencl/*.cl)."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.class_rule import ClassRule
+from l3cli.artifacts.layers import PLANE_STEP, PLANE_TOP
+from l3cli.artifacts.structure_rule import DIRECTIONS, GRADIENT
 from l3cli.artifacts.table import TransformTable
-from l3cli.classes.rule import FEATURES, kernel_arrays, kernel_macros
+from l3cli.classes.kernel import joined, kernel_arrays, kernel_macros, snippets
+from l3cli.classes.later import first_label_words
+from l3cli.classes.planes import LUMINANCE, FixedPoint
 from l3cli.classes.windows import Integers, neighbourhoods
 from l3cli.physics.display import srgb_curve
 from l3cli.rendering.display import Display
 
 Macros = dict[str, int | str]
+
+PLANES = 3  # that a layer after the first reads
 
 PERIODS = 31  # columns by which a row of the CFA is repeated, so that two vectors of 16 can be read from any phase on
 
@@ -39,19 +48,30 @@ def source_folder() -> Path:
     return inside if inside.is_dir() else package.parent / "opencl"
 
 
-def program_source(variant: str) -> str:
-    """The .cl files of a variant, joined; #line keeps file and line in the compiler's messages."""
+def first_source(variant: str, rule: ClassRule) -> str:
+    """The .cl files of a variant for the layer that reads the mosaic, with the features of its rule, joined; #line keeps
+    file and line in the compiler's messages."""
+    features = [_texts(("vectors.cl", *snippets(rule))), f'#line 1 "joined features"\n{joined(rule)}']
+    return "\n".join([*features, _texts(VARIANTS[variant].sources)])
+
+
+def later_source(variant: str) -> str:
+    """The .cl files of a variant for a layer that reads planes."""
+    return _texts(VARIANTS[variant].later_sources)
+
+
+def _texts(names: tuple[str, ...]) -> str:
     folder = source_folder()
-    names = VARIANTS[variant].sources
     return "\n".join(f'#line 1 "{name}"\n{(folder / name).read_text(encoding="utf-8")}' for name in names)
 
 
 def table_macros(table: TransformTable) -> Macros:
     """Everything about a table that a kernel's loops and formulas depend on."""
-    rule = table.rule
+    rule = table.first.rule
     return {
         "PATCH": rule.patch,
         "RADIUS": rule.radius,
+        "SOURCES": 1,
         "CHANNELS": len(table.channels),
         "OUTPUTS": len(table.outputs),
         "CFA_ROWS": table.cfa.shape[0],
@@ -60,6 +80,29 @@ def table_macros(table: TransformTable) -> Macros:
         "SHIFT": rule.shift,
         "WHITE_TOP": 2**table.bits - 1,
         **kernel_macros(rule),
+    }
+
+
+def fixed_macros(fixed: FixedPoint) -> Macros:
+    """What the first layer writes for the next to read."""
+    return {"FIXED_POINT": 1, "FRACTION": fixed.fraction, "PLANE_TOP": PLANE_TOP, "CODE": "int"}
+
+
+def later_macros(table: TransformTable) -> Macros:
+    """Everything about the layer after the first that a kernel's loops and formulas depend on."""
+    layer = table.later[0]
+    return {
+        "PATCH": layer.side,
+        "RADIUS": layer.radius,
+        "SOURCES": PLANES,
+        "LUMINANCE": LUMINANCE,
+        "OUTPUTS": len(table.outputs),
+        "CFA_COLUMNS": table.cfa.shape[1],
+        "WHITE_TOP": 0,
+        "STRENGTHS": layer.rule.strengths,
+        "DIRECTIONS": DIRECTIONS,
+        "COHERENCE": layer.rule.coherence,
+        "GRADIENT_TOP": GRADIENT,
     }
 
 
@@ -84,7 +127,7 @@ def curve_macros(steps: int, degree: int) -> Macros:
 
 def class_arrays(table: TransformTable) -> tuple[NDArray, ...]:
     """The constants of the kernel `classes`, in the order of its arguments; what they are stands there."""
-    rule, channels = table.rule, len(table.channels)
+    rule, channels = table.first.rule, len(table.channels)
     near = neighbourhoods(table.cfa, rule.patch, channels)
     period = np.arange(table.cfa.shape[1] + PERIODS) % table.cfa.shape[1]
     cfa = table.cfa[:, period].astype(np.uint16)
@@ -104,42 +147,72 @@ def class_arrays(table: TransformTable) -> tuple[NDArray, ...]:
     )
 
 
-def _weights_per_dn(table: TransformTable) -> NDArray[np.float32]:
-    """(class, output, tap), taps column by column, per DN above black."""
-    classes, outputs, _ = table.weights.shape
-    square = table.weights.reshape(classes, outputs, table.rule.patch, table.rule.patch)
-    return (square.transpose(0, 1, 3, 2) / (table.white - table.black)).reshape(classes, outputs, -1).astype(np.float32)
+@dataclass(frozen=True)
+class Weights:
+    """A layer's transforms as kernels read them."""
+
+    taps: NDArray[Any]  # (class, output, tap), taps column by column, in each row by row, plane by plane
+    intercept: NDArray[Any]  # (class, output)
 
 
-def pack_in_vectors(table: TransformTable, lanes: int) -> NDArray[np.float32]:
+def first_weights(table: TransformTable) -> Weights:
+    """Of a table's only layer, per DN above black."""
+    taps = _by_column(table.first.weights, 1) / (table.white - table.black)
+    return Weights(taps.astype(np.float32), table.first.intercept)
+
+
+def plane_weights(table: TransformTable, fixed: FixedPoint) -> Weights:
+    """Of the first of several layers, to planes, in integers."""
+    return Weights(_by_column(fixed.weights, 1), fixed.intercept)
+
+
+def later_weights(table: TransformTable) -> Weights:
+    """Of the layer after the first, per step of a plane."""
+    layer = table.later[0]
+    return Weights((_by_column(layer.weights, PLANES) * PLANE_STEP).astype(np.float32), layer.intercept)
+
+
+def structure_arrays(table: TransformTable) -> tuple[NDArray, ...]:
+    """The constants of the kernel `structures`, in the order of its arguments; what they are stands in structure.cl."""
+    rule = table.later[0].rule
+    return (*first_label_words(rule, table.first.rule), rule.strength_edges)
+
+
+def _by_column(weights: NDArray, planes: int) -> NDArray:
+    """(class, output, tap) from taps plane by plane, row by row, to taps column by column, row by row, plane by plane."""
+    classes, outputs, taps = weights.shape
+    side = math.isqrt(taps // planes)
+    square = weights.reshape(classes, outputs, planes, side, side)
+    return square.transpose(0, 1, 4, 3, 2).reshape(classes, outputs, taps)
+
+
+def pack_in_vectors(layer: Weights, lanes: int) -> NDArray:
     """(class, group, …) for transform.cl: vectors (vector, output, lane) of all taps but the last, the last taps of four
     outputs, their four intercepts, and zeros up to a multiple of 16."""
-    weights = _weights_per_dn(table)
-    classes, outputs, taps = weights.shape
+    classes, outputs, taps = layer.taps.shape
     groups = -(-outputs // 4)
     group = -(-outputs // groups)
     vectors = -(-(taps - 1) // lanes)
     last = vectors * group * lanes
-    packed = np.zeros((classes, groups, -(-(last + 8) // 16) * 16), np.float32)
+    packed = np.zeros((classes, groups, -(-(last + 8) // 16) * 16), layer.taps.dtype)
     for g in range(groups):
         chosen = slice(g * group, min((g + 1) * group, outputs))
         count = chosen.stop - chosen.start
-        in_lanes = np.zeros((classes, group, vectors * lanes), np.float32)
-        in_lanes[:, :count, : taps - 1] = weights[:, chosen, :-1]
+        in_lanes = np.zeros((classes, group, vectors * lanes), layer.taps.dtype)
+        in_lanes[:, :count, : taps - 1] = layer.taps[:, chosen, :-1]
         ordered = in_lanes.reshape(classes, group, vectors, lanes).transpose(0, 2, 1, 3)
         packed[:, g, :last] = ordered.reshape(classes, last)
-        packed[:, g, last : last + count] = weights[:, chosen, -1]
-        packed[:, g, last + 4 : last + 4 + count] = table.intercept[:, chosen]
+        packed[:, g, last : last + count] = layer.taps[:, chosen, -1]
+        packed[:, g, last + 4 : last + 4 + count] = layer.intercept[:, chosen]
     return packed
 
 
-def pack_in_fours(table: TransformTable, lanes: int) -> NDArray[np.float32]:
+def pack_in_fours(layer: Weights, lanes: int) -> NDArray:
     """(class, 1 + tap, output) for graphics.cl: the intercept, then the taps, outputs filled up to a multiple of four."""
-    weights = _weights_per_dn(table)
-    classes, outputs, taps = weights.shape
-    packed = np.zeros((classes, 1 + taps, -(-outputs // 4) * 4), np.float32)
-    packed[:, 0, :outputs] = table.intercept
-    packed[:, 1:, :outputs] = weights.transpose(0, 2, 1)
+    classes, outputs, taps = layer.taps.shape
+    packed = np.zeros((classes, 1 + taps, -(-outputs // 4) * 4), layer.taps.dtype)
+    packed[:, 0, :outputs] = layer.intercept
+    packed[:, 1:, :outputs] = layer.taps.transpose(0, 2, 1)
     return packed
 
 
@@ -152,19 +225,24 @@ def _cut_for_graphics(table: TransformTable, lanes: int) -> Cut:
 class Variant:
     """The same computation, arranged for one kind of device."""
 
-    sources: tuple[str, ...]  # files of opencl/, joined in this order
+    sources: tuple[
+        str, ...
+    ]  # files of opencl/ for the layer that reads the mosaic, joined in this order behind the features'
+    later_sources: tuple[str, ...]  # and for one that reads planes
     cut: Callable[[TransformTable, int], Cut]  # for a number of lanes that suits the device
-    pack: Callable[[TransformTable, int], NDArray[np.float32]]  # weights as its kernels read them, for Cut.lanes
+    pack: Callable[[Weights, int], NDArray]  # weights as its kernels read them, for Cut.lanes
 
 
-SHARED = ("vectors.cl", *(feature.SNIPPET for feature in FEATURES), "rule.cl", "encoding.cl")
+SHARED = ("rule.cl", "encoding.cl")
+LATER_SHARED = ("vectors.cl", "encoding.cl", "structure.cl")
 VARIANTS = {
     # Few and long work-items, each vectorised within: over pixels for the classes, over taps for the transforms.
     "processor": Variant(
         (*SHARED, "ingest.cl", "statistics.cl", "classes.cl", "rows.cl", "transform.cl"),
+        (*LATER_SHARED, "ingest.cl", "structures.cl", "rows.cl", "transform.cl"),
         lambda table, lanes: Cut(256, 48, (1, 1), lanes),
         pack_in_vectors,
     ),
     # A work-item a pixel; the device lays them side by side itself.
-    "graphics": Variant((*SHARED, "graphics.cl"), _cut_for_graphics, pack_in_fours),
+    "graphics": Variant((*SHARED, "graphics.cl"), (*LATER_SHARED, "graphics.cl"), _cut_for_graphics, pack_in_fours),
 }

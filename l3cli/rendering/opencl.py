@@ -1,31 +1,33 @@
-"""Rendering on an OpenCL device: upload, two kernels (opencl/*.cl), download (docs/method.md#rendering).
+"""Rendering on an OpenCL device: upload, two kernels a layer (opencl/*.cl), download (docs/method.md#rendering).
 
 A frame is taken in horizontal bands, so that the device's memory is bounded whatever the frame's size; a usual frame is one
-band. Two tracks, each a queue with buffers of its own, take the bands in turn, of this frame and the next: while one
+band. Two tracks, each a queue with its buffers, take the bands in turn, of this frame and the next: while one
 computes, the other may upload and download.
 """
 
-import contextlib
 import os
 import warnings
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
-from l3cli.errors import DeviceError, RecipeError
+from l3cli.classes.planes import fixed_point
+from l3cli.classes.structure import REACH as STRUCTURE_REACH
+from l3cli.errors import RecipeError
 from l3cli.frame import RawFrame, mirrored_indices
 from l3cli.rendering import kernels, layout
-from l3cli.rendering.display import Display, require_xyz
-from l3cli.rendering.opencl_devices import choose_device, pyopencl
+from l3cli.rendering.display import Display, require_known_layers, require_xyz
+from l3cli.rendering.opencl_devices import choose_device, pyopencl, refusals
+from l3cli.rendering.opencl_work import Band, Track, Work
 
 BAND_PIXELS = 1 << 22  # of a band, margins aside
 TRACKS = 2
 STAGES = ("upload", "classes", "transforms", "encode", "download")
+LATER_STAGES = ("upload", "classes", "planes", "structures", "transforms", "encode", "download")
 BUILD_OPTIONS = ("-w", "-cl-mad-enable", "-cl-std=CL1.2")
 
 
@@ -42,6 +44,7 @@ class OpenCLRenderer:
     def __init__(
         self, table: TransformTable, device: str | None = None, variant: str | None = None, lanes: int | None = None
     ) -> None:
+        require_known_layers(table)
         self.table = table
         self.device = choose_device(os.environ.get("L3_DEVICE", "") if device is None else device)
         self._kept = True  # whether kernels.keep() has seen all that was compiled
@@ -49,20 +52,37 @@ class OpenCLRenderer:
         self.variant = variant or ("graphics" if self.device.type & cl.device_type.GPU else "processor")
         if self.variant not in layout.VARIANTS:
             raise RecipeError(f'variant "{self.variant}" is unknown; use one of {", ".join(layout.VARIANTS)}')
-        with self._refusals():
+        with refusals(self.device):
             self._context = cl.Context([self.device])
-            self._cut = layout.VARIANTS[self.variant].cut(table, lanes or self._register_lanes())
+            variant_layout = layout.VARIANTS[self.variant]
+            self._cut = variant_layout.cut(table, lanes or self._register_lanes())
             self._transforms: dict[tuple[tuple[str, int | str], ...], Any] = {}
-            self._classes = cl.Kernel(self._build(layout.OUTPUTS_AS_THEY_ARE), "classes")
+            fixed = fixed_point(table) if table.later else None
+            first = self._build_first(layout.OUTPUTS_AS_THEY_ARE if fixed is None else layout.fixed_macros(fixed))
+            self._classes = cl.Kernel(first, "classes")
             self._class_buffers = [self._constant(array) for array in layout.class_arrays(table)]
-            self._weights = self._constant(layout.VARIANTS[self.variant].pack(table, self._cut.lanes))
-            self._tracks = deque(_Track(self._context) for _ in range(TRACKS))
-            self._frame_bands: tuple[tuple[int, ...], tuple[_Band, ...]] | None = None
+            if fixed is None:
+                self._weights = self._constant(variant_layout.pack(layout.first_weights(table), self._cut.lanes))
+            else:
+                self._planes = cl.Kernel(first, "transform")
+                self._plane_weights = self._constant(
+                    variant_layout.pack(layout.plane_weights(table, fixed), self._cut.lanes)
+                )
+                self._structure_buffers = [self._constant(array) for array in layout.structure_arrays(table)]
+                self._weights = self._constant(variant_layout.pack(layout.later_weights(table), self._cut.lanes))
+                self._structures = cl.Kernel(self._build_last(layout.OUTPUTS_AS_THEY_ARE), "structures")
+            self._tracks = deque(Track(self._context) for _ in range(TRACKS))
+            self._frame_bands: tuple[tuple[int, ...], tuple[Band, ...]] | None = None
 
-    def labels(self, frame: RawFrame) -> NDArray[np.uint32]:
-        """Class (row, col) of every pixel."""
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """The stages of `stage_times`."""
+        return LATER_STAGES if self.table.later else STAGES
+
+    def labels(self, frame: RawFrame, layer: int = 0) -> NDArray[np.uint32]:
+        """Class (row, col) of every pixel in a layer of the table."""
         labels = np.empty(frame.values.shape, np.uint32)
-        self._wait(self._start(frame, [labels], None))
+        self._wait(self._start(frame, [labels], None, layer=layer))
         return labels
 
     def outputs(self, frame: RawFrame) -> NDArray[np.float32]:
@@ -81,8 +101,8 @@ class OpenCLRenderer:
         return picture
 
     def pictures(self, frames: Iterable[tuple[RawFrame, Display]]) -> Iterator[NDArray]:
-        """The picture of each frame, in order. While the caller looks at one the next is at work."""
-        started: deque[tuple[NDArray, _Work]] = deque()
+        """The picture of each frame, in order. While the caller uses one the next is computed."""
+        started: deque[tuple[NDArray, Work]] = deque()
         for frame, display in frames:
             started.append(self._start_picture(frame, display))
             if len(started) == TRACKS:
@@ -94,7 +114,7 @@ class OpenCLRenderer:
             yield picture
 
     def stage_times(self, frame: RawFrame, display: Display | None) -> dict[str, float]:
-        """Milliseconds that the device spent in each of STAGES for one picture, or without a display for the outputs.
+        """Milliseconds that the device spent in each of `stages` for one picture, or without a display for the outputs.
 
         Transforms and encoding are one kernel: "transforms" is the time of that kernel built without the encoding, which
         writes one number a pixel instead; "encode" what the whole kernel takes beyond that. Call it twice: the first run
@@ -109,41 +129,48 @@ class OpenCLRenderer:
             times["transforms"] = bare
         return times
 
-    def _start_outputs(self, frame: RawFrame) -> tuple[NDArray[np.float32], "_Work"]:
+    def _start_outputs(self, frame: RawFrame) -> tuple[NDArray[np.float32], Work]:
         planes = np.empty((len(self.table.outputs), *frame.values.shape), np.float32)
         return planes, self._start(frame, list(planes), layout.OUTPUTS_AS_THEY_ARE)
 
-    def _start_picture(self, frame: RawFrame, display: Display) -> tuple[NDArray, "_Work"]:
+    def _start_picture(self, frame: RawFrame, display: Display) -> tuple[NDArray, Work]:
         require_xyz(self.table.outputs)
         picture = np.empty((*frame.values.shape, 3), display.dtype)
         return picture, self._start(frame, [picture], layout.display_macros(display), display.matrix * frame.light_share)
 
     def _start(
-        self, frame: RawFrame, results: Sequence[NDArray], ending: layout.Macros | None, matrix: NDArray | None = None
-    ) -> "_Work":
+        self, frame: RawFrame, results: Sequence[NDArray], ending: layout.Macros | None, matrix: NDArray | None = None,
+        layer: int = 0,
+    ) -> Work:  # fmt: skip
         """Start to fill `results`, one or several arrays (row, …) that follow one another on the device, with what the
-        kernel `transform` with this ending writes, or without one with the labels."""
-        levelled, work = frame.at_levels(self.table.black, self.table.white, self.table.bits), _Work()
+        kernel `transform` with this ending writes, or without one with the labels of `layer`."""
+        levelled, work = frame.at_levels(self.table.black, self.table.white, self.table.bits), Work(self.stages)
         values = np.ascontiguousarray(levelled.values)
-        with self._refusals():
+        with refusals(self.device):
             kernel = None if ending is None else self._transform_kernel(ending)
             encoding = self._constant(np.zeros(9) if matrix is None else matrix, np.float32)
             for band in self._bands(values.shape):
                 track = self._tracks[0]
                 self._tracks.rotate()
                 self._classify(values, frame.phase, track, band, work)
+                if self.table.later and not (kernel is None and layer == 0):
+                    self._classify_later(track, band, work)
                 offset, sizes = 0, [result[band.rows].nbytes for result in results]
                 if kernel is not None:
-                    self._transform(kernel, encoding, track, band, sum(sizes), levelled.black, work)
+                    self._transform(kernel, encoding, track, band, sum(sizes), levelled.black_level, work)
+                    source = track.result
+                elif layer:
+                    source = track.later_labels
+                else:
+                    source, offset = track.labels, 4 * (band.rows.start - band.wide.start) * band.columns
                 for result, size in zip(results, sizes, strict=True):
-                    source = track.labels if kernel is None else track.result
                     work.add("download", track.download(source, result[band.rows], offset))
                     offset += size
         return work
 
-    def _wait(self, work: "_Work") -> dict[str, float]:
+    def _wait(self, work: Work) -> dict[str, float]:
         """Milliseconds of each stage, once the work is done. Other threads run on meanwhile."""
-        with self._refusals():
+        with refusals(self.device):
             for event in work.events["download"]:
                 event.wait()
             if not self._kept:  # only now that they have run all of them are compiled
@@ -151,42 +178,69 @@ class OpenCLRenderer:
                 self._kept = True
             return work.milliseconds()
 
-    def _classify(self, values: NDArray, phase: tuple[int, int], track: "_Track", band: "_Band", work: "_Work") -> None:
-        """Upload and classes of a band."""
-        source = values[band.raw_rows]
+    def _classify(self, values: NDArray, phase: tuple[int, int], track: Track, band: Band, work: Work) -> None:
+        """Upload and classes of a band, with the rows beside it that a later layer reads."""
+        source, rows = values[band.raw_rows], band.wide.stop - band.wide.start
         track.raw = self._scratch(track.raw, source.nbytes)
-        track.labels = self._scratch(track.labels, 4 * (band.rows.stop - band.rows.start) * values.shape[1])
+        track.labels = self._scratch(track.labels, 4 * rows * band.columns)
         work.sources.append(source)
         work.add("upload", pyopencl().enqueue_copy(track.queue, track.raw, source, is_blocking=False))
-        site = ((phase[0] + band.rows.start) % self.table.cfa.shape[0], phase[1])
-        buffers = (track.raw, band.row_source, band.column_source, *self._class_buffers, track.labels)
-        work.add("classes", self._run(self._classes, track, band, *buffers, *map(np.int32, site)))
+        site = ((phase[0] + band.wide.start) % self.table.cfa.shape[0], phase[1])
+        buffers = (track.raw, *band.mosaic_source, *self._class_buffers, track.labels)
+        work.add("classes", self._run(self._classes, track, (rows, band.columns), *buffers, *map(np.int32, site)))
 
-    def _transform(
-        self, kernel: Any, encoding: Any, track: "_Track", band: "_Band", size: int, black: float, work: "_Work"
-    ) -> None:
-        """Transforms and encoding of a classified band above its black level into the track's result, `size` bytes."""
+    def _classify_later(self, track: Track, band: Band, work: Work) -> None:
+        """Planes of the first layer, and by their structure the classes of the one after it."""
+        shape = (band.wide.stop - band.wide.start, band.columns)
+        track.planes = self._scratch(track.planes, 4 * layout.PLANES * shape[0] * shape[1])
+        nothing = self._constant(np.zeros(9), np.float32)
+        buffers = (track.raw, *band.mosaic_source, track.labels, self._plane_weights, nothing, track.planes)
+        work.add("planes", self._run(self._planes, track, shape, *buffers, np.float32(0), np.int32(0)))
+        inner = (band.rows.stop - band.rows.start, band.columns)
+        track.later_labels = self._scratch(track.later_labels, 4 * inner[0] * inner[1])
+        buffers = (track.planes, track.labels, *band.structure_source, *self._structure_buffers, track.later_labels)
+        work.add("structures", self._run(self._structures, track, inner, *buffers, np.int32(shape[0])))
+
+    def _transform(self, kernel: Any, encoding: Any, track: Track, band: Band, size: int, black: float, work: Work) -> None:
+        """Transforms of the last layer and encoding of a classified band into the track's result, `size` bytes."""
         track.result = self._scratch(track.result, size)
-        buffers = (track.raw, band.row_source, band.column_source, track.labels, self._weights, encoding, track.result)
-        work.add("transforms", self._run(kernel, track, band, *buffers, np.float32(black)))
+        if self.table.later:
+            reads, rows = (track.planes, *band.plane_source, track.later_labels), band.wide.stop - band.wide.start
+        else:
+            reads, rows = (track.raw, *band.mosaic_source, track.labels), 0
+        shape = (band.rows.stop - band.rows.start, band.columns)
+        last = (self._weights, encoding, track.result, np.float32(black), np.int32(rows))
+        work.add("transforms", self._run(kernel, track, shape, *reads, *last))
 
-    def _run(self, kernel: Any, track: "_Track", band: "_Band", *arguments: Any) -> Any:
-        """Enqueue a kernel over a band; rows and columns are the last arguments of each."""
-        rows, columns, cut = band.rows.stop - band.rows.start, band.columns, self._cut
+    def _run(self, kernel: Any, track: Track, shape: tuple[int, int], *arguments: Any) -> Any:
+        """Enqueue a kernel over rows and columns, which are the last arguments of each."""
+        rows, columns = shape
+        cut = self._cut
         grid = (-(-columns // cut.tile) * cut.group[0], -(-rows // cut.band) * cut.group[1])
         return kernel(track.queue, grid, cut.group, *arguments, np.int32(rows), np.int32(columns))
 
     def _transform_kernel(self, ending: layout.Macros) -> Any:
-        """The kernel `transform` with one ending: some display's encoding, say. Built when first asked for."""
+        """The kernel `transform` of the last layer with one ending: some display's encoding, say. Built when first asked
+        for."""
         key = tuple(ending.items())
         if key not in self._transforms:
-            self._transforms[key] = pyopencl().Kernel(self._build(ending), "transform")
+            self._transforms[key] = pyopencl().Kernel(self._build_last(ending), "transform")
         return self._transforms[key]
 
-    def _build(self, ending: layout.Macros) -> Any:
-        shapes = {**layout.table_macros(self.table), **self._cut.macros, **ending}
-        options = [*BUILD_OPTIONS, *(f"-D{name}={value}" for name, value in shapes.items())]
-        return self._compile(layout.program_source(self.variant), options)
+    def _build_last(self, ending: layout.Macros) -> Any:
+        """The program of the last layer."""
+        if not self.table.later:
+            return self._build_first(ending)
+        return self._build(layout.later_source(self.variant), {**layout.later_macros(self.table), **ending})
+
+    def _build_first(self, ending: layout.Macros) -> Any:
+        """The program of the layer that reads the mosaic."""
+        source = layout.first_source(self.variant, self.table.first.rule)
+        return self._build(source, {**layout.table_macros(self.table), **ending})
+
+    def _build(self, source: str, shapes: layout.Macros) -> Any:
+        options = [*BUILD_OPTIONS, *(f"-D{name}={value}" for name, value in {**shapes, **self._cut.macros}.items())]
+        return self._compile(source, options)
 
     def _compile(self, source: str, options: list[str]) -> Any:
         device = self.device
@@ -202,24 +256,32 @@ class OpenCLRenderer:
         probe = "__kernel void\n#ifdef __AVX512F__\nwide\n#else\nnarrow\n#endif\n() {}"
         return 16 if self._compile(probe, list(BUILD_OPTIONS)).kernel_names == "wide" else 8
 
-    def _bands(self, shape: tuple[int, ...]) -> tuple["_Band", ...]:
+    def _bands(self, shape: tuple[int, ...]) -> tuple[Band, ...]:
         """The bands of frames of a shape (row, col), kept until a frame of another shape comes."""
         if self._frame_bands is None or self._frame_bands[0] != shape:
             self._frame_bands = shape, tuple(self._cut_into_bands(*shape))
             self._kept = False  # the driver may compile a kernel once more for grids of another size
         return self._frame_bands[1]
 
-    def _cut_into_bands(self, rows: int, columns: int) -> Iterator["_Band"]:
-        radius, cfa = self.table.rule.radius, self.table.cfa
+    def _cut_into_bands(self, rows: int, columns: int) -> Iterator[Band]:
+        radius, cfa = self.table.first.rule.radius, self.table.cfa
         row_source = mirrored_indices(rows, radius, cfa.shape[0])
         column_source = self._constant(mirrored_indices(columns, radius, cfa.shape[1]), np.int32)
+        margins = [STRUCTURE_REACH, *(layer.radius for layer in self.table.later)] if self.table.later else [0]
         height = max(1, BAND_PIXELS // columns)
         for first in range(0, rows, height):
             last = min(first + height, rows)
-            seen = row_source[first : last + 2 * radius]
+            wide = slice(max(0, first - max(margins)), min(rows, last + max(margins)))
+            seen = row_source[wide.start : wide.stop + 2 * radius]
             raw_rows = slice(int(seen.min()), int(seen.max()) + 1)
-            relative = self._constant(seen - raw_rows.start, np.int32)
-            yield _Band(slice(first, last), raw_rows, columns, relative, column_source)
+            mosaic_source = (self._constant(seen - raw_rows.start, np.int32), column_source)
+            beside = [self._beside(rows, columns, first, last, wide.start, margin) for margin in margins]
+            yield Band(slice(first, last), wide, raw_rows, columns, mosaic_source, beside[0], beside[-1])
+
+    def _beside(self, rows: int, columns: int, first: int, last: int, start: int, margin: int) -> tuple[Any, Any]:
+        """Rows and columns of planes, whose first row is `start`, for rows `first` to `last` and `margin` more."""
+        row_source = mirrored_indices(rows, margin, 1)[first : last + 2 * margin] - start
+        return self._constant(row_source, np.int32), self._constant(mirrored_indices(columns, margin, 1), np.int32)
 
     def _constant(self, array: NDArray, dtype: Any = None) -> Any:
         cl = pyopencl()
@@ -231,62 +293,3 @@ class OpenCLRenderer:
         if buffer is None or buffer.size < size:
             buffer = pyopencl().Buffer(self._context, pyopencl().mem_flags.READ_WRITE, size)
         return buffer
-
-    @contextlib.contextmanager
-    def _refusals(self) -> Iterator[None]:
-        """What OpenCL refuses, as a DeviceError of one line."""
-        cl = pyopencl()
-        try:
-            yield
-        except cl.MemoryError as error:
-            raise DeviceError(f"{self.device.name.strip()} has too little memory for this table and frame") from error
-        except cl.Error as error:
-            reason = " ".join(str(error).split())[:300]
-            raise DeviceError(f"{self.device.name.strip()} failed: {reason}; choose another with --device") from error
-
-
-class _Track:
-    """A queue and the buffers of one band; buffers grow to what is asked of them."""
-
-    def __init__(self, context: Any) -> None:
-        cl = pyopencl()
-        self.queue = cl.CommandQueue(context, properties=cl.command_queue_properties.PROFILING_ENABLE)
-        self.raw: Any = None
-        self.labels: Any = None
-        self.result: Any = None
-
-    def download(self, buffer: Any, target: NDArray, offset: int) -> Any:
-        """Copy `buffer` from byte `offset` on to the contiguous array `target`, without waiting."""
-        copy = pyopencl().enqueue_copy(self.queue, target, buffer, src_offset=offset, is_blocking=False)
-        self.queue.flush()
-        return copy
-
-
-class _Work:
-    """What has been started for one frame: its events by stage, and the values that uploads may still be reading."""
-
-    def __init__(self) -> None:
-        self.events: dict[str, list[Any]] = {stage: [] for stage in STAGES}
-        self.sources: list[NDArray] = []
-
-    def add(self, stage: str, event: Any) -> None:
-        self.events[stage].append(event)
-
-    def milliseconds(self) -> dict[str, float]:
-        """What the device spent in each stage, once all is done."""
-        return {
-            stage: sum((event.profile.end - event.profile.start) * 1e-6 for event in events)
-            for stage, events in self.events.items()
-        }
-
-
-@dataclass(frozen=True)
-class _Band:
-    """Rows of a frame, and the raw rows that their patches touch; row_source (padded row) and column_source (padded col)
-    name which of these each padded one repeats."""
-
-    rows: slice
-    raw_rows: slice
-    columns: int
-    row_source: Any
-    column_source: Any

@@ -1,5 +1,7 @@
 """Finding OpenCL devices, and saying why there are none."""
 
+import contextlib
+from collections.abc import Iterator
 from typing import Any
 
 from l3cli.errors import DeviceError, shortened
@@ -27,8 +29,8 @@ def survey() -> list[str]:
     """One line for each device, with its number; and one for each platform without any, and for none at all, with what is
     missing and how to mend it."""
     lines, number = [], 0
-    found = _platforms()
-    for name, shown, why in found:
+    platforms = _platforms()
+    for name, shown, why in platforms:
         for device in shown:
             kind = next(
                 (kind for kind in ("GPU", "CPU") if device.type & getattr(pyopencl().device_type, kind)), "accelerator"
@@ -47,14 +49,14 @@ def _platforms() -> list[tuple[str, list[Any], str]]:
         platforms = cl.get_platforms()
     except cl.Error:  # the loader finds no driver
         return []
-    found = []
+    described = []
     for platform in platforms:
         try:
             shown, why = platform.get_devices(), "it has none"
         except cl.Error as error:
             shown, why = [], " ".join(str(error).split())[:200]
-        found.append((platform.name.strip(), shown, why))
-    return found
+        described.append((platform.name.strip(), shown, why))
+    return described
 
 
 def choose_device(wanted: str) -> Any:
@@ -62,16 +64,29 @@ def choose_device(wanted: str) -> Any:
 
     DeviceError if there is none.
     """
-    found = devices()
-    if not found:
-        raise DeviceError(f"no OpenCL device was found: {'; '.join(survey())}")
+    available = devices()
+    if not available:
+        raise DeviceError(f"there is no OpenCL device: {'; '.join(survey())}")
     if not wanted:
         gpu = pyopencl().device_type.GPU
-        return next((device for device in found if device.type & gpu), found[0])
-    if wanted in (numbers := list(map(str, range(len(found))))):
-        return found[numbers.index(wanted)]
-    named = [device for device in found if wanted.lower() in device.name.lower()]
+        return next((device for device in available if device.type & gpu), available[0])
+    if wanted in (numbers := list(map(str, range(len(available))))):
+        return available[numbers.index(wanted)]
+    named = [device for device in available if wanted.lower() in device.name.lower()]
     if not named or wanted.isdecimal():
-        names = ", ".join(f"{index}: {device.name.strip()}" for index, device in enumerate(found))
-        raise DeviceError(f'no OpenCL device is called "{shortened(wanted)}"; --device or L3_DEVICE must be one of {names}')
+        names = ", ".join(f"{index}: {device.name.strip()}" for index, device in enumerate(available))
+        raise DeviceError(f'no OpenCL device is called "{shortened(wanted)}"; ‹device› or L3_DEVICE must be one of {names}')
     return named[0]
+
+
+@contextlib.contextmanager
+def refusals(device: Any) -> Iterator[None]:
+    """What OpenCL refuses on a device, as a DeviceError of one line."""
+    cl = pyopencl()
+    try:
+        yield
+    except cl.MemoryError as error:
+        raise DeviceError(f"{device.name.strip()} has too little memory for this table and frame") from error
+    except cl.Error as error:
+        reason = " ".join(str(error).split())[:300]
+        raise DeviceError(f"{device.name.strip()} failed: {reason}; choose another with ‹device›") from error

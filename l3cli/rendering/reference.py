@@ -7,20 +7,25 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.decide import label_mosaic
+from l3cli.classes.planes import fixed_point
 from l3cli.classes.windows import Integers
 from l3cli.frame import RawFrame, pad_mosaic
-from l3cli.rendering.display import Display, encode, require_xyz
+from l3cli.rendering.display import Display, encode, require_known_layers, require_xyz
+from l3cli.rendering.later import first_planes, later_labels, later_outputs
 
 
 class ReferenceRenderer:
     """Renderer in numpy: slow, exact, without a device."""
 
     def __init__(self, table: TransformTable) -> None:
+        require_known_layers(table)
         self.table = table
 
-    def labels(self, frame: RawFrame) -> Integers:
-        """Class (row, col) of every pixel."""
-        return table_labels(at_table_levels(frame, self.table), self.table)
+    def labels(self, frame: RawFrame, layer: int = 0) -> Integers:
+        """Class (row, col) of every pixel in a layer of the table."""
+        levelled = at_table_levels(frame, self.table)
+        labels = table_labels(levelled, self.table)
+        return later_labels(self._planes(levelled, labels), labels, self.table) if layer else labels
 
     def outputs(self, frame: RawFrame) -> NDArray[np.float32]:
         """Outputs of the table, (output, row, col)."""
@@ -38,7 +43,15 @@ class ReferenceRenderer:
     def exact_outputs(self, frame: RawFrame) -> NDArray[np.float64]:
         """`outputs` before rounding to float32."""
         levelled = at_table_levels(frame, self.table)
-        return frame.light_share * output_planes(levelled, table_labels(levelled, self.table), self.table)
+        labels = table_labels(levelled, self.table)
+        if not self.table.later:
+            return frame.light_share * output_planes(levelled, labels, self.table)
+        planes = self._planes(levelled, labels)
+        return frame.light_share * later_outputs(planes, later_labels(planes, labels, self.table), self.table.later[0])
+
+    def _planes(self, levelled: RawFrame, labels: Integers) -> NDArray[np.int32]:
+        """What the first of several layers makes of a frame at the table's levels."""
+        return first_planes(levelled, labels, self.table, fixed_point(self.table))
 
 
 def at_table_levels(frame: RawFrame, table: TransformTable) -> RawFrame:
@@ -48,20 +61,20 @@ def at_table_levels(frame: RawFrame, table: TransformTable) -> RawFrame:
 
 def table_labels(frame: RawFrame, table: TransformTable) -> Integers:
     """Class (row, col) of every pixel of a frame at the table's levels."""
-    return label_mosaic(frame.values, table.rule, table.cfa, len(table.channels), frame.phase)
+    return label_mosaic(frame.values, table.first.rule, table.cfa, len(table.channels), frame.phase)
 
 
 def output_planes(frame: RawFrame, labels: Integers, table: TransformTable) -> NDArray[np.float64]:
     """Each pixel's transform applied to its neighbourhood: (output, row, col) from a frame at the table's levels and its
     classes (row, col)."""
     rows, cols = frame.values.shape
-    patch, outputs = table.rule.patch, len(table.outputs)
-    signal = (frame.values - frame.black) / (table.white - table.black)
-    padded = pad_mosaic(signal, table.rule.radius, (table.cfa.shape[0], table.cfa.shape[1]))
+    patch, outputs = table.first.rule.patch, len(table.outputs)
+    signal = (frame.values - frame.black_level) / (table.white - table.black)
+    padded = pad_mosaic(signal, table.first.rule.radius, (table.cfa.shape[0], table.cfa.shape[1]))
     windows = np.lib.stride_tricks.sliding_window_view(padded, (patch, patch))
     planes = np.empty((outputs, rows, cols))
     for row in range(rows):  # a row at a time: the chosen transforms of a whole frame would fill gigabytes
         patches = windows[row].reshape(cols, patch**2, 1)
-        weighted = table.weights[labels[row]].astype(np.float64) @ patches
-        planes[:, row] = (weighted[..., 0] + table.intercept[labels[row]]).T
+        weighted = table.first.weights[labels[row]].astype(np.float64) @ patches
+        planes[:, row] = (weighted[..., 0] + table.first.intercept[labels[row]]).T
     return planes

@@ -22,8 +22,8 @@ BACKENDS = {
 class Renderer(Protocol):
     """Renders frames through the table it was made from; keeps whatever is the same from frame to frame."""
 
-    def labels(self, frame: RawFrame) -> NDArray[np.integer]:
-        """Class (row, col) of every pixel, equal for every backend."""
+    def labels(self, frame: RawFrame, layer: int = 0) -> NDArray[np.integer]:
+        """Class (row, col) of every pixel in a layer of the table, equal for every backend."""
 
     def outputs(self, frame: RawFrame) -> NDArray[np.float32]:
         """Outputs of the table, (output, row, col), of the frame's size."""
@@ -35,13 +35,13 @@ class Renderer(Protocol):
         """
 
     def pictures(self, frames: Iterable[tuple[RawFrame, Display]]) -> Iterator[NDArray]:
-        """The picture of each frame, in order; while the caller looks at one the next may be at work."""
+        """The picture of each frame, in order; while the caller uses one the next may be computed."""
 
 
 def make_renderer(backend: str, table: TransformTable, **options: str | None) -> Renderer:
     """The renderer called `backend` for a table. RecipeError if there is none, DeviceError if it finds no device.
 
-    `options` are the backend's own: of "opencl" `device` and `variant` (OpenCLRenderer).
+    `options` are the backend's: of "opencl" `device` and `variant` (OpenCLRenderer).
     """
     if backend not in BACKENDS:
         raise RecipeError(f'backend "{backend}" is unknown; {suggestion(backend, BACKENDS)}')

@@ -1,4 +1,4 @@
-"""A camera model as a section: its array, responsivities, noise, and how well it predicts its own charts."""
+"""A camera model as a section: its array, responsivities, noise, and how well it predicts its charts."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.fit import ChartFit, Fit, NoiseFit, SweepFit
 from l3cli.report import colours
 from l3cli.report.drawing import GLYPH, Axis, Plot, box, escape, sheet, spanning
-from l3cli.report.parts import Block, Details, Figure, Figures, Key, Part, Section, Table, Text, counted, tidy, unit
+from l3cli.report.parts import Block, Details, Figure, Figures, Key, Section, Subsection, Table, Text, counted, tidy, unit
 
 Array = NDArray[np.floating]
 MARKS = {"line": "dot", "dashed": "plus", "dotted": "cross"}  # of a line → of a point
@@ -19,17 +19,17 @@ LABELLED = 24  # letters of all channels' names that find room above the curves
 
 
 def camera_section(camera: CameraModel, figures: dict[str, Any], name: str) -> Section:
-    """`figures` is what `l3 calibrate --json` tells of the camera, and under "shortfall" why not to trust it, if so;
+    """`figures` is what `l3 calibrate --json` says of the camera, and under "shortfall" why not to trust it, if so;
     `name` is the file it comes from."""
     light = colours.channel_light(camera.responsivity, camera.wavelength)
     parts = [
-        Part("Sensor and colour filter array", (Figures((_array_figure(camera, light),)), _facts(camera))),
-        Part("Responsivities", (Figures(_responsivity_figures(camera, light)),)),
-        Part("Noise", _noise_blocks(camera, figures, light)),
+        Subsection("Sensor and colour filter array", (Figures((_array_figure(camera, light),)), _facts(camera))),
+        Subsection("Responsivities", (Figures(_responsivity_figures(camera, light)),)),
+        Subsection("Noise", _noise_blocks(camera, figures, light)),
     ]
     if camera.fit is not None:
         blocks = _validation_blocks(camera, camera.fit, figures, light)
-        parts += [Part("Validation", blocks)] if blocks else []
+        parts += [Subsection("Validation", blocks)] if blocks else []
     doubt = f" It falls short: {figures['shortfall']}." if figures["shortfall"] else ""
     return Section(f"Camera: {camera.name}", f"{_lead(camera)}{doubt} From {name}.", tuple(parts))
 
@@ -73,7 +73,7 @@ def _array_figure(camera: CameraModel, light: Array) -> Figure:
     counts = np.bincount(camera.cfa.ravel(), minlength=len(camera.channels))
     shares = ", ".join(f"{name} on {count}" for name, count in zip(camera.channels, counts, strict=True))
     finding = f"Super-pixel of {rows} × {cols} sites: {shares}. Colours are those of daylight through each channel."
-    svg = sheet(cols * wide + 2, rows * CELL + 2, "".join(items), finding, own_size=True)
+    svg = sheet(cols * wide + 2, rows * CELL + 2, "".join(items), finding, fixed_size=True)
     return Figure("Colour filter array", svg, finding, narrow=True)
 
 
@@ -118,7 +118,7 @@ def _responsivity_figures(camera: CameraModel, light: Array) -> tuple[Figure, ..
 
 
 def _band_figure(camera: CameraModel, strokes: tuple[str, ...]) -> Figure:
-    """Half widths on their own, since a good calibration's bands are thinner than its lines."""
+    """Half widths alone, since a good calibration's bands are thinner than its lines."""
     shares = 100 * camera.responsivity_band / camera.responsivity.max(axis=1, keepdims=True)
     plot = Plot(spanning("wavelength (nm)", camera.wavelength), spanning("half width (% of peak)", shares, zero=True))
     for channel in range(len(camera.channels)):
@@ -132,7 +132,7 @@ def _band_figure(camera: CameraModel, strokes: tuple[str, ...]) -> Figure:
 
 
 def mark_of(strokes: tuple[str, ...], channel: int) -> str:
-    """Marks tell apart channels whose colours are alike: the one least used by earlier channels of like colour."""
+    """Marks distinguish channels whose colours are alike: the one least used by earlier channels of like colour."""
     used: list[str] = []
     for index in range(channel + 1):
         alike = [mark for mark, stroke in zip(used, strokes, strict=False) if _distance(stroke, strokes[index]) < ALIKE]
@@ -217,12 +217,12 @@ def _transfer_figure(camera: CameraModel, noise: NoiseFit, light: Array) -> Figu
 
 
 def _validation_blocks(camera: CameraModel, fit: Fit, figures: dict[str, Any], light: Array) -> tuple[Block, ...]:
-    drawn: list[Figure] = []
+    graphs: list[Figure] = []
     if fit.validation is not None:
-        drawn += _prediction_figures(camera, fit, light)
+        graphs += _prediction_figures(camera, fit, light)
     if fit.sweep is not None:
-        drawn += _smoothing_figure(fit.sweep)
-    blocks: list[Block] = [Figures(tuple(drawn))] if drawn else []
+        graphs += _smoothing_figure(fit.sweep)
+    blocks: list[Block] = [Figures(tuple(graphs))] if graphs else []
     if figures["lights"]:
         blocks.append(table_of("Prediction of each chart", "chart", figures["lights"]))
     if figures["bands"]:

@@ -8,7 +8,7 @@ from l3cli.physics.display import LUMA, srgb_codes, srgb_from_xyz_matrix, xyz_fr
 
 Array = NDArray[np.floating]
 LINE_LUMINANCE = 0.18  # contrast over 4 to white and to the dark page alike
-SERIES = ("var(--one)", "var(--two)", "var(--three)", "var(--four)")  # the page's own colours for what has no colour itself
+SERIES = ("var(--one)", "var(--two)", "var(--three)", "var(--four)")  # the page's colours for what has no colour itself
 
 
 def channel_light(responsivity: Array, wavelength: Array) -> NDArray[np.float64]:
@@ -23,7 +23,7 @@ def channel_light(responsivity: Array, wavelength: Array) -> NDArray[np.float64]
 
 
 def strokes(light: Array) -> tuple[str, ...]:
-    """The same hues at one luminance, to be told from white and from black paper."""
+    """The same hues at one luminance, to be distinct from white and from black paper."""
     return tuple(hex_colour(_at_luminance(linear)) for linear in light)
 
 

@@ -1,4 +1,4 @@
-"""Plots as inline SVG, drawn here rather than by a plotting library: they take the page's own colours and font, so that one
+"""Plots as inline SVG, drawn here rather than by a plotting library: they take the page's colours and font, so that one
 drawing suits light, dark and paper, and the same numbers give the same bytes. Coordinates are pixels, sheets 440 px wide."""
 
 from collections.abc import Iterable, Sequence
@@ -162,10 +162,10 @@ class Plot:
         return "".join(items)
 
 
-def sheet(width: float, height: float, inside: str, finding: str, own_size: bool = False) -> Markup:
-    """A drawing of so many pixels, scaled to the page unless of its `own_size`; texts `inside` are escaped already."""
+def sheet(width: float, height: float, inside: str, finding: str, fixed_size: bool = False) -> Markup:
+    """A drawing of so many pixels, scaled to the page unless of its `fixed_size`; texts `inside` are escaped already."""
     label = escape(finding)
-    size = f' width="{width:g}" height="{height:g}"' if own_size else ""
+    size = f' width="{width:g}" height="{height:g}"' if fixed_size else ""
     return Markup(f'<svg viewBox="0 0 {width:g} {height:g}"{size} role="img" aria-label="{label}">{inside}</svg>')
 
 

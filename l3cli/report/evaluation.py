@@ -1,4 +1,4 @@
-"""An evaluation as a section: figures, curves over light level, and frames to look at."""
+"""An evaluation as a section: figures, curves over light level, and some frames."""
 
 import itertools
 from typing import Any
@@ -9,7 +9,20 @@ from l3cli.classes.names import heading
 from l3cli.columns import figure as number
 from l3cli.report.colours import SERIES
 from l3cli.report.drawing import Plot, spanning
-from l3cli.report.parts import Block, Comparison, Figure, Figures, Key, Part, Picture, Section, Table, Text, counted, tidy
+from l3cli.report.parts import (
+    Block,
+    Comparison,
+    Figure,
+    Figures,
+    Key,
+    Picture,
+    Section,
+    Subsection,
+    Table,
+    Text,
+    counted,
+    tidy,
+)
 from l3cli.report.pictures import Jpeg, Pixels, fitted
 
 OURS = "ours"
@@ -29,6 +42,11 @@ MEANINGS = (
     "ours is the table; basic is a pipeline that learns nothing (interpolation, white balance, colour matrix). Pictures are "
     "compared as displayed: adapted to D65, the 99th percentile of the target's luminance shown white. ΔE00: CIEDE2000; "
     "S-CIELAB: the same after the eye's blur; PSNR of sRGB, linear PSNR of XYZ."
+)
+BAND_MEANINGS = (
+    "ours is the table; the other pipelines learn nothing. The spectral angle is that between the outputs of a pixel and "
+    "its target's; PSNR is of 8-bit codes of which the frame's white is 255, linear PSNR of the outputs as they are, 1 "
+    "being the 99th percentile of the target's mean output; SSIM is the mean over the outputs."
 )
 ERROR_KEY = (  # of the error map's colours, as evaluation draws them
     Key("error map: ΔE00 0", "#000000", "box"),
@@ -59,16 +77,19 @@ def evaluation_section(
     """`document` is that of `l3 evaluate --json`, `pictures` those of some frames by index, `names` the files of table and
     frames; `limit` bytes is what the pictures of this section may take."""
     figure = next(iter(document["frames"][0][OURS]))
-    parts = [Part("Quality", _quality_blocks(document, figure)), Part("Over light level", _level_blocks(document, figure))]
-    parts.append(Part("By class", _class_blocks(document, figure)))
+    parts = [
+        Subsection("Quality", _quality_blocks(document, figure)),
+        Subsection("Over light level", _level_blocks(document, figure)),
+    ]
+    parts.append(Subsection("By class", _class_blocks(document, figure)))
     if pictures:
-        parts.append(Part("Pictures", _picture_blocks(document, pictures, figure, anchor, limit, jpeg)))
+        parts.append(Subsection("Pictures", _picture_blocks(document, pictures, figure, anchor, limit, jpeg)))
     title = f"Evaluation: {names[0]} on {names[1]}" if all(names) else f"Evaluation: {names[0] or names[1]}"
     return Section(title, summary(document), tuple(parts))
 
 
 def luminance_section(
-    curves: dict[str, list[tuple[str, tuple[float, ...], tuple[float, ...]]]], told: dict[str, list[str]]
+    curves: dict[str, list[tuple[str, tuple[float, ...], tuple[float, ...]]]], sentences: dict[str, list[str]]
 ) -> Section:
     """Cameras over the light on the scene: for each figure the name, luminances (cd/m²) and values of every camera, and
     sentences on where the better one changes."""
@@ -81,13 +102,13 @@ def luminance_section(
         for colour, (name, luminance, value) in zip(itertools.cycle(SERIES), cameras, strict=False):
             plot.line(np.array(luminance), np.array(value), colour).dots(np.array(luminance), np.array(value), colour)
             keys.append(Key(name, colour))
-        finding = " ".join(told[figure]) or f"{heading} of {cameras[0][0]}."
+        finding = " ".join(sentences[figure]) or f"{heading} of {cameras[0][0]}."
         rows = tuple(
             (tidy(luminance), *(tidy(values[index]) for _, _, values in cameras))
             for index, luminance in enumerate(cameras[0][1])
         )
         table = Table(heading, ("cd/m²", *(name for name, _, _ in cameras)), rows)
-        parts.append(Part(heading, (Figures((Figure(heading, plot.svg(finding), finding, tuple(keys)),)), table)))
+        parts.append(Subsection(heading, (Figures((Figure(heading, plot.svg(finding), finding, tuple(keys)),)), table)))
     return Section("Over the light on the scene", "Means over all frames of one luminance.", tuple(parts))
 
 
@@ -95,12 +116,12 @@ def summary(document: dict[str, Any]) -> str:
     """The evaluation in a sentence."""
     figure = next(iter(document["frames"][0][OURS]))
     count = len(document["frames"])
-    means = ", ".join(f"{name} {_told(document['mean'][name], figure)}" for name in document["pipelines"])
+    means = ", ".join(f"{name} {_main_figure(document['mean'][name], figure)}" for name in document["pipelines"])
     name = NAMES[figure]
     return f"{name[0].upper()}{name[1:]} over {counted(count, 'frame')}: {means}."
 
 
-def _told(figures: dict[str, float], figure: str) -> str:
+def _main_figure(figures: dict[str, float], figure: str) -> str:
     """The main figure and, of pictures, the PSNR."""
     return _number(figure, figures[figure]) + (f" ({number(figures['psnr'], '.1f')} dB)" if "psnr" in figures else "")
 
@@ -110,17 +131,18 @@ def _quality_blocks(document: dict[str, Any], figure: str) -> tuple[Block, ...]:
     headings = ("pipeline", *(NAMES[name] for name in figures))
     means = tuple((name, *(_number(f, document["mean"][name][f]) for f in figures)) for name in document["pipelines"])
     blocks: list[Block] = [Table("Means over the frames", headings, means)]
-    if figure == "mean_delta_e":
-        blocks.append(Text(MEANINGS))
-    rivals = document["pipelines"][1:]
+    blocks.append(Text(MEANINGS if figure == "mean_delta_e" else BAND_MEANINGS))
+    baselines = document["pipelines"][1:]
     about = ("frame", "scene", "light", "level (share of full scale)")
     rows = tuple(
         (str(index + 1), f["scene"], f["illuminant"], f"{f['level']:.3f}", *(_number(n, f[OURS][n]) for n in figures))
-        + tuple(_number(figure, f[rival][figure]) for rival in rivals)
+        + tuple(_number(figure, f[baseline][figure]) for baseline in baselines)
         for index, f in enumerate(document["frames"])
     )
-    heads = (*about, *(NAMES[name] for name in figures), *(f"{rival}: {NAMES[figure]}" for rival in rivals))
+    heads = (*about, *(NAMES[name] for name in figures), *(f"{baseline}: {NAMES[figure]}" for baseline in baselines))
     blocks.append(Table("Frames", heads, rows))
+    if document["by_band"]:
+        blocks.append(_band_table(document))
     if len(document["by_illuminant"]) > 1:
         blocks.append(
             _grouped(
@@ -132,6 +154,14 @@ def _quality_blocks(document: dict[str, Any], figure: str) -> tuple[Block, ...]:
             )
         )
     return tuple(blocks)
+
+
+def _band_table(document: dict[str, Any]) -> Table:
+    shown = [(owner, figure) for figure in ("psnr", "output_psnr", "ssim") for owner in document["pipelines"]]
+    rows = tuple(
+        (entry["band"], *(_number(figure, entry[owner][figure]) for owner, figure in shown)) for entry in document["by_band"]
+    )
+    return Table("By band", ("band", *(f"{owner}: {NAMES[figure]}" for owner, figure in shown)), rows)
 
 
 def _grouped(document: dict[str, Any], caption: str, heading: str, names: list[str], group: str) -> Table:
@@ -177,12 +207,12 @@ def _curves(document: dict[str, Any], figure: str, entries: list, at: np.ndarray
         colour, mark = SERIES[index % len(SERIES)], ("line", "dashed", "dotted", "dashed")[index % 4]
         plot.line(at, curve, colour, mark).dots(at, curve, colour, size=6)
         keys.append(Key(name, colour, mark))
-    told = "; ".join(
+    values_text = "; ".join(
         f"{name} {_number(figure, curve[0])} at level {tidy(at[0], 2)}, {_number(figure, curve[-1])} at {tidy(at[-1], 2)}, "
         f"at most {_number(figure, curve.max())}"
         for name, curve in values.items()
     )
-    finding = f"{NAMES[figure]}: {told}."
+    finding = f"{NAMES[figure]}: {values_text}."
     return Figure(title, plot.svg(finding), finding, tuple(keys))
 
 
@@ -237,10 +267,10 @@ def _picture(frame: dict[str, Any], name: str, pixels: Pixels, figure: str, limi
     scale = pixels.shape[0] // rows
     reduced = f", shown at 1/{scale} of its size" if scale > 1 else ""
     if name == "ideal":
-        told = "the target"
+        shows = "the target"
     elif name == "error":
-        told = f"ΔE00 of ours at every pixel, mean {_number(figure, frame[OURS][figure])}"
+        shows = f"ΔE00 of ours at every pixel, mean {_number(figure, frame[OURS][figure])}"
     else:
-        told = f"{NAMES[figure]} {_told(frame[name], figure)}"
-    caption = f"{name}: {told}{reduced}"
+        shows = f"{NAMES[figure]} {_main_figure(frame[name], figure)}"
+    caption = f"{name}: {shows}{reduced}"
     return Picture(uri, rows, cols, caption, f"{frame['scene']}, {caption}")

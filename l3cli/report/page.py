@@ -3,7 +3,7 @@
 from typing import Any
 
 from l3cli.artifacts.schema import Stage
-from l3cli.report.parts import Details, Part, Section, Table
+from l3cli.report.parts import Details, Section, Subsection, Table
 
 LIMIT = 10_000_000  # bytes of a page
 
@@ -25,20 +25,20 @@ def render_page(title: str, lead: str, sections: list[Section]) -> str:
 def history_section(files: list[tuple[str, str, str, tuple[Stage, ...]]]) -> Section:
     """Where everything comes from: `files` are name, kind, SHA-256 and stages, oldest first."""
     given = tuple((name, kind, digest) for name, kind, digest, _ in files)
-    parts = [Part("Files", (Table("Files of this report", ("file", "kind", "SHA-256"), given),))]
+    parts = [Subsection("Files", (Table("Files of this report", ("file", "kind", "SHA-256"), given),))]
     parts += [_stages(name, stages) for name, _, _, stages in files if stages]
-    return Section("History", "What was run on what, as the artifacts tell it.", tuple(parts))
+    return Section("History", "What was run on what, as the artifacts record it.", tuple(parts))
 
 
-def _stages(name: str, stages: tuple[Stage, ...]) -> Part:
+def _stages(name: str, stages: tuple[Stage, ...]) -> Subsection:
     rows = []
     for number, stage in enumerate(stages, 1):
         chosen = " ".join(_option(*option) for option in sorted(stage.options.items()))
-        inputs = "; ".join(_digests(role, found) for role, found in sorted(stage.inputs.items()) if found)
+        inputs = "; ".join(_digests(role, digests) for role, digests in sorted(stage.inputs.items()) if digests)
         rows.append((f"{number}", f"l3 {stage.command}", chosen or "–", inputs or "–", stage.version))
     table = Table(f"Stages of {name}", ("stage", "command", "options", "inputs, SHA-256", "l3cli"), tuple(rows))
     recipes = [Details(f"Recipe of stage {n}, {s.command}", s.recipe) for n, s in enumerate(stages, 1) if s.recipe]
-    return Part(name, (table, *recipes))
+    return Subsection(name, (table, *recipes))
 
 
 def _option(key: str, value: Any) -> str:
@@ -46,8 +46,10 @@ def _option(key: str, value: Any) -> str:
     return f"--{key.replace('_', '-')}" + ("" if value is True else f" {value}")
 
 
-def _digests(role: str, found: list[str]) -> str:
+def _digests(role: str, digests: list[str]) -> str:
     """A role and its files by the first digits of their SHA-256."""
     return (
-        f"{role} " + " ".join(digest[:12] for digest in found[:4]) + (f" … ({len(found)} files)" if len(found) > 4 else "")
+        f"{role} "
+        + " ".join(digest[:12] for digest in digests[:4])
+        + (f" … ({len(digests)} files)" if len(digests) > 4 else "")
     )

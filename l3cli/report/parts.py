@@ -112,7 +112,7 @@ Block = Table | Figures | Gallery | Comparison | Text | Details
 
 
 @dataclass(frozen=True)
-class Part:
+class Subsection:
     """Blocks below a heading of the third level."""
 
     title: str
@@ -121,11 +121,11 @@ class Part:
 
 @dataclass(frozen=True)
 class Section:
-    """Parts below a heading of the second level; `lead` says the most important in a sentence or two."""
+    """Subsections below a heading of the second level; `lead` says the most important in a sentence or two."""
 
     title: str
     lead: str
-    parts: tuple[Part, ...] = field(default=())
+    parts: tuple[Subsection, ...] = field(default=())
 
 
 def tidy(value: float, digits: int = 3) -> str:

@@ -11,7 +11,7 @@ from l3cli.artifacts.training_set import TrainingFrame, TrainingPair, TrainingSe
 from l3cli.report import colours
 from l3cli.report.camera import channel_keys, mark_of
 from l3cli.report.drawing import Axis, Plot, spanning
-from l3cli.report.parts import Block, Figure, Figures, Gallery, Key, Part, Picture, Section, Table, Text, counted, tidy
+from l3cli.report.parts import Block, Figure, Figures, Gallery, Key, Picture, Section, Subsection, Table, Text, counted, tidy
 from l3cli.report.pictures import Jpeg, fitted, thumbnail
 
 Array = NDArray[np.floating]
@@ -21,7 +21,7 @@ LEVEL_EDGES = np.geomspace(1e-3, 1.0, 37)  # of the raw signal, share of full sc
 SATURATED = 0.985  # share of full scale, as in docs/method.md#saturation-cases
 GRID = 0.01  # of the chromaticity diagram
 CELLS = 100
-DARKEST = 1e-4  # share of white's luminance below which a chromaticity is not told
+DARKEST = 1e-4  # share of white's luminance below which a chromaticity is not computed
 
 
 @dataclass
@@ -42,64 +42,64 @@ class Survey:
 def training_section(reader: TrainingSetReader, name: str, role: str, limit: int, jpeg: Jpeg) -> Section:
     """`role` says what the set was used for; `name` is the file it comes from, `limit` bytes what its pictures may take."""
     head = reader.head
-    found = survey(reader)
-    about = f"{counted(len(reader), 'frame')}, {found.pixels / 1e6:.3g} million pixels, of {head.camera.name}."
+    survey = survey_of(reader)
+    about = f"{counted(len(reader), 'frame')}, {survey.pixels / 1e6:.3g} million pixels, of {head.camera.name}."
     parts = [
-        Part("Scenes", _scene_blocks(reader, found, limit, jpeg)),
-        Part("Light, levels and colours", _light_blocks(head, found)),
+        Subsection("Scenes", _scene_blocks(reader, survey, limit, jpeg)),
+        Subsection("Light, levels and colours", _light_blocks(head, survey)),
     ]
     return Section(f"Training set: {name}", " ".join(filter(None, (about, role, f"From {name}."))), tuple(parts))
 
 
-def survey(reader: TrainingSetReader) -> Survey:
+def survey_of(reader: TrainingSetReader) -> Survey:
     """Counts over all frames of a set, read one by one."""
-    head, found = reader.head, Survey()
+    head, survey = reader.head, Survey()
     chosen = set(np.unique(np.linspace(0, len(reader) - 1, min(SHOWN, len(reader))).round().astype(int)).tolist())
-    found.levels = [np.zeros(len(LEVEL_EDGES) - 1) for _ in head.camera.channels]
+    survey.levels = [np.zeros(len(LEVEL_EDGES) - 1) for _ in head.camera.channels]
     for index, frame in enumerate(reader):
-        found.pairs += not isinstance(frame, TrainingFrame)
-        found.sizes[f"{frame.raw.shape[1]} × {frame.raw.shape[0]}"] += 1
-        light = found.lights.setdefault(frame.illuminant, [])
+        survey.pairs += not isinstance(frame, TrainingFrame)
+        survey.sizes[f"{frame.raw.shape[1]} × {frame.raw.shape[0]}"] += 1
+        light = survey.lights.setdefault(frame.illuminant, [])
         light.append((frame.white, frame.luminance, frame.exposure))
-        _count_levels(found, frame, head.camera)
+        _count_levels(survey, frame, head.camera)
         if head.outputs == XYZ:
-            _count_colours(found, frame)
+            _count_colours(survey, frame)
             if index in chosen:
                 alt = f"Target of {frame.scene} under {frame.illuminant}, {tidy(frame.luminance)} cd/m², as sRGB."
-                found.pictures.append((f"{frame.scene}, {frame.illuminant}", alt, thumbnail(frame.target, frame.white)))
-    return found
+                survey.pictures.append((f"{frame.scene}, {frame.illuminant}", alt, thumbnail(frame.target, frame.white)))
+    return survey
 
 
-def _count_levels(found: Survey, frame: TrainingPair, camera: CameraModel) -> None:
+def _count_levels(survey: Survey, frame: TrainingPair, camera: CameraModel) -> None:
     signal = (frame.raw.astype(np.float64) - camera.black) / (camera.white - camera.black)
     rows, cols = camera.cfa.shape
     for (row, col), channel in np.ndenumerate(camera.cfa):
         here = signal[row::rows, col::cols]
-        found.levels[channel] += np.histogram(np.clip(here, None, 1.0), LEVEL_EDGES)[0]
-    found.pixels += signal.size
-    found.below += int((signal < LEVEL_EDGES[0]).sum())
-    found.saturated += int((signal >= SATURATED).sum())
+        survey.levels[channel] += np.histogram(np.clip(here, None, 1.0), LEVEL_EDGES)[0]
+    survey.pixels += signal.size
+    survey.below += int((signal < LEVEL_EDGES[0]).sum())
+    survey.saturated += int((signal >= SATURATED).sum())
 
 
-def _count_colours(found: Survey, frame: TrainingPair) -> None:
+def _count_colours(survey: Survey, frame: TrainingPair) -> None:
     total = frame.target.sum(axis=0)
-    told = (frame.target[1] > DARKEST * frame.white[1]) & (total > 0)
-    x, y = (frame.target[part][told] / total[told] for part in (0, 1))
+    bright = (frame.target[1] > DARKEST * frame.white[1]) & (total > 0)
+    x, y = (frame.target[part][bright] / total[bright] for part in (0, 1))
     edges = np.linspace(0, CELLS * GRID, CELLS + 1)
-    found.chromaticity += np.histogram2d(x, y, (edges, edges))[0]
+    survey.chromaticity += np.histogram2d(x, y, (edges, edges))[0]
 
 
-def _scene_blocks(reader: TrainingSetReader, found: Survey, limit: int, jpeg: Jpeg) -> tuple[Block, ...]:
-    sizes = ", ".join(f"{size} ({count})" for size, count in sorted(found.sizes.items()))
+def _scene_blocks(reader: TrainingSetReader, survey: Survey, limit: int, jpeg: Jpeg) -> tuple[Block, ...]:
+    sizes = ", ".join(f"{size} ({count})" for size, count in sorted(survey.sizes.items()))
     rows = [("Frames", str(len(reader))), ("Sizes in pixels (frames)", sizes)]
-    if found.pairs:
-        rows.append(("Real pairs among them", str(found.pairs)))
+    if survey.pairs:
+        rows.append(("Real pairs among them", str(survey.pairs)))
     rows += [("Outputs", ", ".join(reader.head.outputs)), ("Target", reader.head.target_description)]
     table = Table("What is in the set", ("quantity", "value"), tuple(rows))
-    if not found.pictures:
+    if not survey.pictures:
         return (table, Text("The targets are not XYZ: there are no pictures to show."))
     pictures = []
-    for caption, alt, pixels in found.pictures:
+    for caption, alt, pixels in survey.pictures:
         uri, size = fitted(pixels, limit // SHOWN, jpeg)
         pictures.append(Picture(uri, *size, caption, alt))
     chosen = f"{len(pictures)} of {len(reader)} frames, evenly spaced" if len(pictures) < len(reader) else "All frames"
@@ -107,16 +107,16 @@ def _scene_blocks(reader: TrainingSetReader, found: Survey, limit: int, jpeg: Jp
     return (table, Text(shown), Gallery(tuple(pictures)))
 
 
-def _light_blocks(head: TrainingSet, found: Survey) -> tuple[Block, ...]:
+def _light_blocks(head: TrainingSet, survey: Survey) -> tuple[Block, ...]:
     rows = []
-    for light, frames in sorted(found.lights.items()):
+    for light, frames in sorted(survey.lights.items()):
         white = np.mean([white for white, _, _ in frames], axis=0)
         xy = ", ".join(f"{value:.4f}" for value in (white / white.sum())[:2]) if white.size == 3 else "–"
         luminance, exposure = ([frame[part] for frame in frames] for part in (1, 2))
         rows.append((light, str(len(frames)), xy, _range(luminance), _range([1e3 * value for value in exposure])))
     headings = ("illuminant", "frames", "white x, y", "luminance of white (cd/m²)", "exposure (ms)")
-    drawn = [_level_figure(head.camera, found)] + ([_chromaticity_figure(found)] if head.outputs == XYZ else [])
-    return (Figures(tuple(drawn)), Table("Illuminants", headings, tuple(rows)))
+    figures = [_level_figure(head.camera, survey)] + ([_chromaticity_figure(survey)] if head.outputs == XYZ else [])
+    return (Figures(tuple(figures)), Table("Illuminants", headings, tuple(rows)))
 
 
 def _range(values: list[float]) -> str:
@@ -124,9 +124,9 @@ def _range(values: list[float]) -> str:
     return low if low == high else f"{low}–{high}"
 
 
-def _level_figure(camera: CameraModel, found: Survey) -> Figure:
+def _level_figure(camera: CameraModel, survey: Survey) -> Figure:
     strokes = colours.strokes(colours.channel_light(camera.responsivity, camera.wavelength))
-    shares = [100 * counts / max(counts.sum(), 1) for counts in found.levels]
+    shares = [100 * counts / max(counts.sum(), 1) for counts in survey.levels]
     plot = Plot(
         Axis("raw signal above black / full scale (1)", 1e-3, 1.0, True),
         spanning("pixels of the channel (% per bin)", np.concatenate(shares), zero=True),
@@ -135,22 +135,22 @@ def _level_figure(camera: CameraModel, found: Survey) -> Figure:
     medians = []
     for channel, name in enumerate(camera.channels):
         plot.steps(LEVEL_EDGES, shares[channel], strokes[channel], mark_of(strokes, channel))
-        if found.levels[channel].any():
+        if survey.levels[channel].any():
             middle = middles[int(np.searchsorted(np.cumsum(shares[channel]), 50))]
             medians.append(f"{name} {tidy(float(middle), 2)}")
     finding = (
-        f"Median signal as a share of full scale: {', '.join(medians)}. {100 * found.saturated / found.pixels:.2g} % of all "
-        f"pixels are saturated, {100 * found.below / found.pixels:.2g} % lie below a thousandth of full scale."
+        f"Median signal as a share of full scale: {', '.join(medians)}. {100 * survey.saturated / survey.pixels:.2g} % of "
+        f"all pixels are saturated, {100 * survey.below / survey.pixels:.2g} % lie below a thousandth of full scale."
     )
     return Figure("Levels", plot.svg(finding), finding, channel_keys(camera, strokes))
 
 
-def _chromaticity_figure(found: Survey) -> Figure:
+def _chromaticity_figure(survey: Survey) -> Figure:
     """Where the targets lie between the spectral locus; the denser, the darker, a step for each factor of ten."""
     plot = Plot(Axis("CIE 1931 x (1)", 0, 0.8), Axis("CIE 1931 y (1)", 0, 0.9), height=472)
     wavelength, locus = colours.spectral_locus()
     closed = np.concatenate([locus, locus[:1]])
-    shares = found.chromaticity / max(found.chromaticity.sum(), 1)
+    shares = survey.chromaticity / max(survey.chromaticity.sum(), 1)
     keys = []
     for power, opacity in ((-2, 1.0), (-3, 0.75), (-4, 0.5), (-5, 0.3), (-12, 0.15)):
         low, high = 10.0**power, (10.0 ** (power + 1) if power > -6 else 1e-5)
@@ -167,14 +167,14 @@ def _chromaticity_figure(found: Survey) -> Figure:
     primaries = colours.srgb_primaries()
     triangle = np.concatenate([primaries, primaries[:1]])
     plot.line(triangle[:, 0], triangle[:, 1], "var(--muted)", "dashed", 1.2)
-    for frames in found.lights.values():
+    for frames in survey.lights.values():
         white = frames[0][0] / frames[0][0].sum()
         plot.dots(white[:1], white[1:2], "var(--two)", "cross", opacity=1)
     inside, covered = _cover(shares, primaries)
     finding = (
         f"Targets reach {100 * covered:.0f} % of the area of the sRGB triangle (cells of {GRID}); "
         f"{100 * inside:.3g} % of all pixels lie within it. "
-        f"Crosses are the whites of {counted(len(found.lights), 'illuminant')}."
+        f"Crosses are the whites of {counted(len(survey.lights), 'illuminant')}."
     )
     keys += [
         Key("sRGB", "var(--muted)", "dashed"),

@@ -1,4 +1,4 @@
-"""A transform table as a section: how its classes are filled, what some transforms look like, how they treat noise."""
+"""A transform table as a section: how its classes are filled, pictures of some transforms, how they treat noise."""
 
 from collections.abc import Callable
 from typing import Any
@@ -11,7 +11,7 @@ from l3cli.classes import level
 from l3cli.classes.windows import Integers, window_channels
 from l3cli.report import colours
 from l3cli.report.drawing import WIDTH, Plot, box, escape, heat, sheet, spanning
-from l3cli.report.parts import Block, Figure, Figures, Key, Part, Section, Table, Text, tidy
+from l3cli.report.parts import Block, Figure, Figures, Key, Section, Subsection, Table, Text, tidy
 
 Array = NDArray[np.floating]
 DECADES = (0.15, 0.3, 0.45, 0.6, 0.8, 1.0)  # opacity of 1–9, 10–99… patches
@@ -20,22 +20,42 @@ MAPS = 3  # outputs drawn of a transform
 
 
 def transform_section(
-    table: TransformTable, light: Array | None, found: dict[str, Any], class_name: Callable[[int], str], name: str
+    table: TransformTable, light: Array | None, insight: dict[str, Any], class_name: Callable[[int], str], name: str
 ) -> Section:
-    """`found` is what `l3 info --json` tells of the table, `class_name` says where a class applies, `light` (channel, 3) is
-    linear sRGB of the channels, None where no camera tells it; `name` is the file the table comes from."""
-    classes = found["classes"]
+    """`insight` is what `l3 info --json` says of the table, `class_name` says where a class applies, `light` (channel, 3) is
+    linear sRGB of the channels, None where no camera is given; `name` is the file the table comes from."""
+    classes = insight["classes"]
     lead = (
-        f"{classes['all']} classes of {table.rule.patch} × {table.rule.patch} patches; "
+        f"{classes['all']} classes of {table.first.rule.patch} × {table.first.rule.patch} patches; "
         f"{classes['trained']} are trained on patches of their own, {classes['filled']} filled from their neighbours. "
         f"For {table.camera_name}. From {name}."
     )
-    parts = (
-        Part("Class population", _population_blocks(table, found)),
-        Part("Transforms", _transform_blocks(table, light, class_name)),
-        Part("Noise and flat areas", (_noise_figures(table), *_gain_tables(table, found))),
+    parts: tuple[Subsection, ...] = (
+        Subsection("Class population", _population_blocks(table, insight)),
+        Subsection("Transforms", _transform_blocks(table, light, class_name)),
+        Subsection("Noise and flat areas", (_noise_figures(table), *_gain_tables(table, insight))),
     )
+    if insight["later"]:
+        parts += (Subsection("Later layers", (_later_table(insight),)),)
     return Section(f"Table: {name}", lead, parts)
+
+
+def _later_table(insight: dict[str, Any]) -> Table:
+    """A row for each layer after the first."""
+    gains = tuple(f"noise gain {output}, median" for output in insight["noise_gain"])
+    rows = tuple(
+        (
+            f"layer {number}",
+            *(str(layer["classes"][key]) for key in ("all", "trained", "filled")),
+            f"{layer['side']} × {layer['side']} × {layer['planes']}",
+            str(layer["levels"]),
+            f"flat, {layer['strengths']} strengths × (none + {layer['directions']} directions): {layer['structures']}",
+            *(tidy(gain["median"]) for gain in layer["noise_gain"].values()),
+        )
+        for number, layer in enumerate(insight["later"], 2)
+    )
+    headings = ("layer", "classes", "trained", "filled", "taps", "levels", "structures", *gains)
+    return Table("Layers that read the outputs of the layer before", headings, rows)
 
 
 def level_middles(table: TransformTable) -> Array:
@@ -48,36 +68,39 @@ def level_middles(table: TransformTable) -> Array:
 # ------------------------------------------------------------------------------------------------------ population
 
 
-def _population_blocks(table: TransformTable, found: dict[str, Any]) -> tuple[Block, ...]:
-    samples = table.rule.by_axis(table.samples)
+def _population_blocks(table: TransformTable, insight: dict[str, Any]) -> tuple[Block, ...]:
+    samples = table.first.rule.by_axis(table.first.samples)
     levels = [tidy(value, 1) for value in level.bounds(table)[1:]]
-    kinds, sites = kind_names(found), [f"{r},{c} {table.channels[channel]}" for (r, c), channel in np.ndenumerate(table.cfa)]
+    kinds, sites = (
+        kind_names(insight),
+        [f"{r},{c} {table.channels[channel]}" for (r, c), channel in np.ndenumerate(table.cfa)],
+    )
     by_number = max(map(len, kinds)) > LONGEST
     kinds = [name.partition(":")[0] for name in kinds] if by_number else kinds
     sites = [name.partition(" ")[0] for name in sites] if max(map(len, sites)) > LONGEST else sites
     kind = "kind (number in the table)" if by_number else "kind"
     figures = []
-    for contrast in range(table.rule.contrasts):
-        counts = samples[:, :, contrast].sum(axis=0).T
+    for contrast in range(table.first.rule.contrasts):
+        counts = samples[:, :, contrast].sum(axis=(0, 2)).T
         figures.append(
             _population(counts, kinds, levels, f"Patches at contrast {contrast}{_contrast(table, contrast)}", kind)
         )
-    by_site = samples.sum(axis=(2, 3))
+    by_site = samples.sum(axis=(2, 3, 4))
     figures.append(_population(by_site, sites, levels, "Patches by site", "site (row, column, channel)"))
     empty = Text("An empty cell has no patches of its own and took its transform from a neighbour.")
-    return (empty, Figures(tuple(figures)), _kinds_table(found))
+    return (empty, Figures(tuple(figures)), _kinds_table(insight), *_further_tables(insight))
 
 
-def kind_names(found: dict[str, Any]) -> list[str]:
+def kind_names(insight: dict[str, Any]) -> list[str]:
     """Names of the kinds, with a number before each where some are too long to stand beside a drawing."""
-    names = [kind["name"] for kind in found["kinds"]]
+    names = [kind["name"] for kind in insight["kinds"]]
     return [f"{number}: {name}" for number, name in enumerate(names)] if max(map(len, names)) > LONGEST else names
 
 
 def _contrast(table: TransformTable, contrast: int) -> str:
-    if table.rule.contrasts == 1:
+    if table.first.rule.contrasts == 1:
         return ""
-    return {0: ", the flattest", table.rule.contrasts - 1: ", the most textured"}.get(contrast, "")
+    return {0: ", the flattest", table.first.rule.contrasts - 1: ", the most textured"}.get(contrast, "")
 
 
 def _population(counts: Array, rows: list[str], levels: list[str], title: str, y_label: str) -> Figure:
@@ -93,10 +116,17 @@ def _population(counts: Array, rows: list[str], levels: list[str], title: str, y
     return Figure(title, svg, finding, keys)
 
 
-def _kinds_table(found: dict[str, Any]) -> Table:
-    patches = (f"{kind['patches']:.0f}" for kind in found["kinds"])
-    rows = tuple(zip(kind_names(found), patches, strict=True))
+def _kinds_table(insight: dict[str, Any]) -> Table:
+    patches = (f"{kind['patches']:.0f}" for kind in insight["kinds"])
+    rows = tuple(zip(kind_names(insight), patches, strict=True))
     return Table("Patches of each chroma and saturation case", ("kind", "patches"), rows)
+
+
+def _further_tables(insight: dict[str, Any]) -> tuple[Table, ...]:
+    return tuple(
+        Table(f"Patches by {name}", (name, "patches"), tuple((each["name"], f"{each['patches']:.0f}") for each in values))
+        for name, values in insight.get("further", {}).items()
+    )
 
 
 # ------------------------------------------------------------------------------------------------------ transforms
@@ -116,10 +146,9 @@ def _transform_blocks(table: TransformTable, light: Array | None, class_name: Ca
 
 
 def chosen_classes(table: TransformTable) -> list[int]:
-    """Classes worth a look: of the commonest channel's first site dark and bright, flat and textured; then a textured class
+    """Classes worth showing: of the commonest channel's first site dark and bright, flat and textured; then a textured class
     of middling level for each other channel. Of each the unsaturated kind of most patches."""
-    rule = table.rule
-    samples = table.rule.by_axis(table.samples)[..., rule.kinds_of(0)]
+    rule = table.first.rule
     sites = table.cfa.ravel()
     common = int(np.bincount(sites).argmax())
     middles = level_middles(table)
@@ -128,21 +157,23 @@ def chosen_classes(table: TransformTable) -> list[int]:
     wanted = [(first, at, contrast) for at in (dark, bright) for contrast in sorted({0, rule.contrasts - 1})]
     others = [channel for channel in np.unique(sites).tolist() if channel != common][:7]
     wanted += [(int(np.argmax(sites == channel)), mid, rule.contrasts - 1) for channel in others]
-    found = []
+    chosen = []
     for site, at, contrast in wanted:
-        kind = int(samples[site, at, contrast].argmax())
-        if samples[site, at, contrast, kind] > 0:
-            found.append(rule.join(at, contrast, kind, site))
-    return list(dict.fromkeys(found))
+        further = np.arange(rule.further)[:, None]
+        classes = rule.join(at, contrast, np.arange(rule.chromas), site, further).ravel()
+        most = int(classes[table.first.samples[classes].argmax()])
+        if table.first.samples[most] > 0:
+            chosen.append(most)
+    return list(dict.fromkeys(chosen))
 
 
 def _maps(table: TransformTable, light: Array | None, index: int, name: str) -> Figure:
     """Filters under a patch and, for each of the first outputs, its weights: blue below zero, orange above."""
-    patch, outputs = table.rule.patch, min(MAPS, len(table.outputs))
+    patch, outputs = table.first.rule.patch, min(MAPS, len(table.outputs))
     gap, top = 8.0, 18.0
     side = (WIDTH - gap * outputs) / (outputs + 1)
     cell = side / patch
-    weights = table.weights[index].astype(np.float64)
+    weights = table.first.weights[index].astype(np.float64)
     items = [f'<text x="{side / 2:.1f}" y="13" text-anchor="middle">filters</text>']
     for tap, channel in enumerate(taps(table, index)):
         x, y = tap % patch * cell, top + tap // patch * cell
@@ -162,7 +193,7 @@ def _maps(table: TransformTable, light: Array | None, index: int, name: str) -> 
         f"{table.outputs[o]} {tidy(gains[o])} (sum {tidy(weights[o].sum())}, largest {tidy(np.abs(weights[o]).max())})"
         for o in range(outputs)
     )
-    finding = f"{table.samples[index]:.0f} patches. Noise gain √Σw²: {figures}."
+    finding = f"{table.first.samples[index]:.0f} patches. Noise gain √Σw²: {figures}."
     return Figure(name, sheet(WIDTH, round(top + side + 2), "".join(items), f"{name}. {finding}"), finding)
 
 
@@ -181,7 +212,7 @@ def _weight_map(weights: Array, left: float, top: float, cell: float) -> list[st
 
 def taps(table: TransformTable, index: int) -> Integers:
     """Channel of each tap of a class's patch."""
-    return window_channels(table.cfa, table.rule.patch)[table.rule.split(index).site]
+    return window_channels(table.cfa, table.first.rule.patch)[table.first.rule.split(index).site]
 
 
 # ----------------------------------------------------------------------------------------------------------- noise
@@ -189,48 +220,50 @@ def taps(table: TransformTable, index: int) -> Integers:
 
 def _noise_figures(table: TransformTable) -> Figures:
     """Noise gain over level: median over trained unsaturated classes."""
-    gain = table.rule.by_axis(np.sqrt((table.weights.astype(np.float64) ** 2).sum(axis=2)))[..., table.rule.kinds_of(0), :]
-    trained = table.rule.by_axis(table.samples)[..., table.rule.kinds_of(0)] > 0
+    rule, gains = table.first.rule, np.sqrt((table.first.weights.astype(np.float64) ** 2).sum(axis=2))
+    gain = rule.by_axis(gains)[..., rule.kinds_of(0), :]
+    trained = rule.by_axis(table.first.samples)[..., rule.kinds_of(0)] > 0
     middles, curves = level_middles(table), []
     for output in range(min(MAPS, len(table.outputs))):
-        for contrast in sorted({0, table.rule.contrasts - 1}):
-            curves.append((output, contrast, _medians(gain[:, :, contrast, :, output], trained[:, :, contrast])))
+        for contrast in sorted({0, table.first.rule.contrasts - 1}):
+            curves.append((output, contrast, _medians(gain[:, :, contrast, ..., output], trained[:, :, contrast])))
     known = np.concatenate([values[np.isfinite(values)] for _, _, values in curves])
     if not known.size:
         return Figures(())
     plot = Plot(spanning("level (share of full scale)", middles, log=True), spanning("noise gain √Σw² (1)", known, log=True))
-    keys, told = [], []
+    keys, ranges = [], []
     for output, contrast, values in curves:
         at = np.isfinite(values)
         if not at.any():
             continue
         textured = contrast > 0
         plot.line(middles[at], values[at], colours.SERIES[output], "dashed" if textured else "line")
-        where = "" if table.rule.contrasts == 1 else (", textured" if textured else ", flat")
+        where = "" if table.first.rule.contrasts == 1 else (", textured" if textured else ", flat")
         keys.append(Key(f"{table.outputs[output]}{where}", colours.SERIES[output], "dashed" if textured else "line"))
-        told.append(f"{table.outputs[output]}{where} {tidy(values[at][0], 2)} to {tidy(values[at][-1], 2)}")
+        ranges.append(f"{table.outputs[output]}{where} {tidy(values[at][0], 2)} to {tidy(values[at][-1], 2)}")
     finding = (
-        f"Median over trained unsaturated classes, from the darkest to the brightest level: {'; '.join(told)}. "
+        f"Median over trained unsaturated classes, from the darkest to the brightest level: {'; '.join(ranges)}. "
         "1 hands a single tap's noise on."
     )
     return Figures((Figure("Noise gain", plot.svg(finding), finding, tuple(keys)),))
 
 
 def _medians(values: Array, chosen: NDArray[np.bool_]) -> Array:
-    """Median over sites and kinds of (site, level, kind) where chosen; NaN for levels without any."""
+    """Median over sites, further features and kinds of (site, level, further, kind) where chosen; NaN for levels without
+    any."""
     return np.array(
         [np.median(values[:, at][chosen[:, at]]) if chosen[:, at].any() else np.nan for at in range(values.shape[1])]
     )
 
 
-def _gain_tables(table: TransformTable, found: dict[str, Any]) -> tuple[Table, ...]:
+def _gain_tables(table: TransformTable, insight: dict[str, Any]) -> tuple[Table, ...]:
     flat = tuple(
-        (output, *(tidy(gains[channel]) for channel in table.channels)) for output, gains in found["dc_gain"].items()
+        (output, *(tidy(gains[channel]) for channel in table.channels)) for output, gains in insight["dc_gain"].items()
     )
-    noise = tuple((output, tidy(gain["median"]), tidy(gain["worst"])) for output, gain in found["noise_gain"].items())
+    noise = tuple((output, tidy(gain["median"]), tidy(gain["worst"])) for output, gain in insight["noise_gain"].items())
     worst = tuple(
         (entry["class"], tidy(entry["noise_gain"]), f"{entry['patches']:.0f}", tidy(entry["condition"]))
-        for entry in found["worst"]
+        for entry in insight["worst"]
     )
     return (
         Table("Noise gain √Σw² over trained classes", ("output", "median", "worst class"), noise),

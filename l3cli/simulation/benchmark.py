@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.scene import Scene
+from l3cli.scene import NO_ILLUMINANT, Scene
 from l3cli.simulation import light
 from l3cli.simulation.frame import simulate
 from l3cli.simulation.optics import LOW_RANK_ERROR
@@ -37,7 +37,7 @@ def measure(camera: CameraModel, case: Case) -> dict[str, Any]:
     camera = replace(camera, rows=case.height, cols=case.width)
     rng = np.random.default_rng(0)
     cube = rng.random((case.height, case.width, BANDS.size), dtype=np.float32)
-    scene = Scene("made up", BANDS, cube, None)
+    scene = Scene("made up", BANDS, cube, NO_ILLUMINANT)
     falling = light.make_light("D65", {}, camera.wavelength).at(100.0)
     exposure = light.automatic_exposure(camera, falling, 0.9)
     lens = Lens(diffraction=case.diffraction)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from l3cli.physics import spectra
-from l3cli.scene import Scene, SpectralCube
+from l3cli.scene import NO_ILLUMINANT, Scene, SpectralCube
 from l3cli.simulation.light import Light
 from l3cli.simulation.sources import Spectral
 
@@ -24,7 +24,7 @@ def scene_of(cube: SpectralCube, source: Spectral, name: str, light: Light | Non
     wavelength, values = _bands(cube, source)
     white = source.white or cube.white or (np.iinfo(values.dtype).max if values.dtype.kind in "iu" else 1.0)
     per_white = np.full(wavelength.size, 1.0 / white)
-    illuminant = None
+    illuminant = NO_ILLUMINANT
     if source.holds != "reflectance":
         per_white *= _photons(wavelength, source)
         illuminant = np.ones(wavelength.size)
@@ -80,12 +80,12 @@ def _bands(cube: SpectralCube, source: Spectral) -> tuple[np.ndarray, np.ndarray
         raise ValueError("holds no wavelengths; give wavelengths_nm or wavelength_range_nm in the recipe")
     shape = cube.values.shape
     if shape[2] != wavelength.size:
-        found = f"its {' × '.join(map(str, shape))} values (row × col × band) do not fit {wavelength.size} wavelengths"
+        described = f"its {' × '.join(map(str, shape))} values (row × col × band) do not fit {wavelength.size} wavelengths"
         if wavelength.size in shape[:2]:
             raise ValueError(
-                f"{found}: the bands lie along its {AXES[shape.index(wavelength.size)]} axis; turn the cube (axes)"
+                f"{described}: the bands lie along its {AXES[shape.index(wavelength.size)]} axis; turn the cube (axes)"
             )
-        raise ValueError(f"{found}; correct wavelengths_nm")
+        raise ValueError(f"{described}; correct wavelengths_nm")
     wavelength, values = spectra.ascending(wavelength, cube.values)
     if not np.isfinite(wavelength).all() or (np.diff(wavelength) <= 0).any():
         raise ValueError("its wavelengths do not increase; sort the bands or give wavelengths_nm in the recipe")

@@ -3,13 +3,14 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import TrainingFrame
 from l3cli.physics.lens import relative_illumination
-from l3cli.scene import Scene
+from l3cli.scene import ChannelPicture, Scene
 from l3cli.simulation import optics, sensor
-from l3cli.simulation.light import Light, electron_weights
+from l3cli.simulation.light import Light, electron_weights, white_rates
 from l3cli.simulation.recipe import Lens
 from l3cli.simulation.targets import XYZ, Target, output_weights
 
@@ -30,7 +31,7 @@ class Averaging:
 
 def simulate(
     camera: CameraModel,
-    scene: Scene,
+    scene: Scene | ChannelPicture,
     light: Light,
     exposure: float | Saturating | Averaging,
     lens: Lens,
@@ -42,9 +43,35 @@ def simulate(
 
     One scene sample is one pixel: its average over the pixel's area, so that frame and target are registered. The chain is
     linear up to the noise, so the bands are first projected on outputs and channels in one product: a wavelength-dependent
-    blur needs the channels a few times (LOW_RANK_ERROR), nothing needs the bands again. ValueError if an automatic exposure
-    finds no light.
+    blur needs the channels a few times (LOW_RANK_ERROR), nothing needs the bands again. Of a picture of channel signals only
+    the sensor is simulated. ValueError if an automatic exposure finds no light.
     """
+    if isinstance(scene, ChannelPicture):
+        ideal, rates, white = _signalled(camera, scene, light)
+    else:
+        ideal, rates = _collected(camera, scene, light, lens, target)
+        white = output_weights(target, camera, light, light.wavelength).sum(axis=1)
+    seconds = _seconds(camera, rates, exposure)
+    electrons = rates * np.float32(seconds)
+    rng = np.random.default_rng(seed)
+    return TrainingFrame(
+        electrons=electrons,
+        raw=sensor.expose(camera, sensor.mosaic(electrons, camera.cfa), seconds, rng, noises),
+        target=ideal,
+        white=white,
+        scene=scene.name,
+        illuminant=light.name,
+        luminance=light.luminance,
+        exposure=seconds,
+        light=light.spectrum,
+        seed=seed,
+    )
+
+
+def _collected(
+    camera: CameraModel, scene: Scene, light: Light, lens: Lens, target: Target
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """The picture without lens or noise (output, row, col), and what the channels collect (channel, row, col) e-/s."""
     bands, pitch = scene.wavelength, camera.pixel_pitch
     wanted = output_weights(target, camera, light, bands)
     collected = electron_weights(camera, light, bands)
@@ -64,21 +91,25 @@ def simulate(
     if lens.off_axis:
         distance, shape = camera.optics.image_distance, (rates.shape[1], rates.shape[2])
         rates *= relative_illumination(distance, pitch, shape).astype(np.float32)
+    return ideal, rates
+
+
+def _signalled(
+    camera: CameraModel, picture: ChannelPicture, light: Light
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
+    """Of a picture of channel signals the target (channel, row, col) in the unit of the camera's bands, what the channels
+    collect (channel, row, col) e-/s, and the target's white (channel)."""
+    full = white_rates(camera, light).max()
+    white = full * camera.saturation_exposure / camera.full_scale
+    signal = np.moveaxis(picture.signal, -1, 0)
+    rates, ideal = (np.ascontiguousarray(signal * np.float32(unit)) for unit in (full, white))
+    return ideal, rates, np.full(len(signal), white)
+
+
+def _seconds(camera: CameraModel, rates: NDArray[np.float32], exposure: float | Saturating | Averaging) -> float:
+    """The exposure in seconds."""
     if isinstance(exposure, Saturating):
-        exposure = sensor.saturating_exposure(camera, sensor.mosaic(rates, camera.cfa), exposure.share)
-    elif isinstance(exposure, Averaging):
-        exposure = sensor.averaging_exposure(camera, sensor.mosaic(rates, camera.cfa), exposure.share)
-    electrons = rates * np.float32(exposure)
-    rng = np.random.default_rng(seed)
-    return TrainingFrame(
-        electrons=electrons,
-        raw=sensor.expose(camera, sensor.mosaic(electrons, camera.cfa), exposure, rng, noises),
-        target=ideal,
-        white=output_weights(target, camera, light, light.wavelength).sum(axis=1),
-        scene=scene.name,
-        illuminant=light.name,
-        luminance=light.luminance,
-        exposure=exposure,
-        light=light.spectrum,
-        seed=seed,
-    )
+        return sensor.saturating_exposure(camera, sensor.mosaic(rates, camera.cfa), exposure.share)
+    if isinstance(exposure, Averaging):
+        return sensor.averaging_exposure(camera, sensor.mosaic(rates, camera.cfa), exposure.share)
+    return exposure

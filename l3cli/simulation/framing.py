@@ -7,13 +7,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.scene import Scene
+from l3cli.scene import ChannelPicture, Scene
 from l3cli.simulation.sources import Framing
 
 
 def framed(scene: Scene, framing: Framing, camera: CameraModel) -> Scene:
     """The scene as `framing` lays it on the sensor of `camera`; ValueError if the crop reaches beyond the scene."""
-    cube = scene.reflectance
+    return replace(scene, reflectance=_framed(scene.reflectance, framing, camera))
+
+
+def framed_picture(picture: ChannelPicture, framing: Framing, camera: CameraModel) -> ChannelPicture:
+    """As `framed`, for a picture of channel signals."""
+    return replace(picture, signal=_framed(picture.signal, framing, camera))
+
+
+def _framed(cube: NDArray[np.float32], framing: Framing, camera: CameraModel) -> NDArray[np.float32]:
+    """Samples (row, col, band) as they lie on the sensor."""
     top, left, rows, cols = _cropped(cube.shape, framing)
     cube = cube[top : top + rows, left : left + cols]
     if framing.flip is not None:
@@ -22,7 +31,7 @@ def framed(scene: Scene, framing: Framing, camera: CameraModel) -> Scene:
     scale = _scale(framing, camera, cube.shape[1])
     if scale is not None:
         cube = _scaled(cube, scale, (camera.rows, camera.cols))
-    return replace(scene, reflectance=np.ascontiguousarray(cube))
+    return np.ascontiguousarray(cube)
 
 
 def framed_size(size: tuple[int, int], framing: Framing, camera: CameraModel) -> tuple[int, int]:

@@ -11,7 +11,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import LightSpectrum
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.physics import spectra
-from l3cli.scene import Scene
+from l3cli.scene import NO_ILLUMINANT, Scene
 
 Array = NDArray[np.floating]
 Curve = tuple[Array, Array]  # wavelength (sample) nm, values (curve, sample)
@@ -43,13 +43,13 @@ class Light:
 
 def parts(text: str) -> list[tuple[float, str]]:
     """A recipe's light "0.7 D65 + 0.3 lamp.csv" as shares of luminance and names; RecipeError if a share is not above 0."""
-    found = []
+    weighted_parts = []
     for term in re.split(r"\s+\+\s+", text.strip()):
         weighted = re.fullmatch(r"(\d*\.?\d+)\s+(?!K$)(.+)", term)
-        found.append((float(weighted[1]), weighted[2]) if weighted else (1.0, term))
-    if min(share for share, _ in found) <= 0:
+        weighted_parts.append((float(weighted[1]), weighted[2]) if weighted else (1.0, term))
+    if min(share for share, _ in weighted_parts) <= 0:
         raise RecipeError(f'illuminant "{text}": shares must be above zero')
-    return found
+    return weighted_parts
 
 
 def make_light(text: str, measured: Mapping[str, Curve], seen: Array) -> Light:
@@ -106,7 +106,7 @@ def own_light(scene: Scene, luminance: float) -> Light:
 
     RecipeError if it has no light of its own, or none that an eye can see.
     """
-    if scene.illuminant is None or spectra.xyz_weights(scene.wavelength)[1] @ scene.illuminant <= 0:
+    if scene.illuminant is NO_ILLUMINANT or spectra.xyz_weights(scene.wavelength)[1] @ scene.illuminant <= 0:
         raise RecipeError(f'scene {scene.name} has no visible light of its own; leave "{OWN}" out of illuminants')
     return Light(OWN, luminance, scene.wavelength, spectra.at_luminance(scene.illuminant, scene.wavelength, luminance))
 

@@ -40,7 +40,7 @@ def make_pair(
     wanted = np.moveaxis(picture[down:, across:], 2, 0)
     scale = pair.scale / raw.light_share if pair.scale else _grey_world_scale(values, wanted, camera)
     white = spectra.white_point("D65") if outputs == ("X", "Y", "Z") else np.ones(len(outputs))
-    unit = scale * camera.white_dose  # one second's exposure
+    unit = scale * camera.saturation_exposure  # one second's exposure
     return TrainingPair(
         raw=np.ascontiguousarray(values),
         target=np.ascontiguousarray(wanted * np.float32(unit)),

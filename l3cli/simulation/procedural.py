@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.simulation import charts, leaves
+from l3cli.simulation.patterns import Patterns, coverage, draw_patterns
 from l3cli.simulation.reflectances import palette, surfaces
 
 Array = NDArray[np.floating]
@@ -42,8 +43,9 @@ class Coat:
     position: NDArray[np.float32]  # (2, leaf) of the highlight, down and across
 
 
-def dead_leaves(rng: np.random.Generator, size: tuple[int, int], wavelength: Array) -> Cube:
-    """Reflectance (row, col, band) of leaves that hide each other, in light, shadow and gloss."""
+def dead_leaves(rng: np.random.Generator, size: tuple[int, int], wavelength: Array, patterned: float = 0.0) -> Cube:
+    """Reflectance (row, col, band) of leaves that hide each other, in light, shadow and gloss; a share `patterned` of them
+    carries fine patterns, drawn apart, so that all else is the same with and without."""
     fine = (size[0] * OVERSAMPLING, size[1] * OVERSAMPLING)
     materials = palette(rng, surfaces(tuple(wavelength)))
     smallest = SMALLEST_RADIUS * (4.0 if rng.random() < 0.5 else 1.0)  # half the frames are of larger things
@@ -51,10 +53,13 @@ def dead_leaves(rng: np.random.Generator, size: tuple[int, int], wavelength: Arr
     coat = _coats(rng, materials, len(cover.radius))
     fields = _texture_fields(rng, fine)
     light = _light(rng, fine)
+    patterns = None
+    if patterned > 0:
+        patterns = draw_patterns(rng.spawn(1)[0], patterned, materials, coat.reflectance, OVERSAMPLING)
     cube = np.empty((*size, wavelength.size), np.float32)
     for top in range(0, size[0], STRIP):
         rows = slice(top * OVERSAMPLING, min(top + STRIP, size[0]) * OVERSAMPLING)
-        cube[top : top + STRIP] = _draw(cover, coat, fields[:, rows], light[rows], rows)
+        cube[top : top + STRIP] = _draw(cover, coat, patterns, fields[:, rows], light[rows], rows)
     return _blurred(cube, rng.uniform(0.0, 0.8))
 
 
@@ -118,7 +123,14 @@ def _light(rng: np.random.Generator, shape: tuple[int, int]) -> NDArray[np.float
     return np.exp(logarithm)
 
 
-def _draw(cover: leaves.Leaves, coat: Coat, fields: NDArray[np.float32], light: NDArray[np.float32], rows: slice) -> Cube:
+def _draw(
+    cover: leaves.Leaves,
+    coat: Coat,
+    patterns: Patterns | None,
+    fields: NDArray[np.float32],
+    light: NDArray[np.float32],
+    rows: slice,
+) -> Cube:
     """Some rows of the picture: reflectance (row, col, band), averaged to the scene's own size."""
     label = cover.label[rows]
     down = np.arange(rows.start, rows.stop, dtype=np.float32)[:, None]
@@ -131,7 +143,11 @@ def _draw(cover: leaves.Leaves, coat: Coat, fields: NDArray[np.float32], light: 
     distance = (v - coat.position[0][label]) ** 2 + (u - coat.position[1][label]) ** 2
     gloss = coat.highlight[label] * np.exp(0.3 * texture - coat.sharpness[label] * distance)
     gloss *= gloss > 0.004  # a highlight ends somewhere
-    cube = coat.reflectance[label] * (np.exp(logarithm) * light)[..., None] + gloss[..., None]
+    reflectance = coat.reflectance[label]
+    if patterns is not None:
+        share = coverage(patterns, label, down, across)[..., None]
+        reflectance = patterns.first[label] * (1 - share) + patterns.second[label] * share
+    cube = reflectance * (np.exp(logarithm) * light)[..., None] + gloss[..., None]
     return np.minimum(_averaged(cube), np.float32(BRIGHTEST)).astype(np.float32)
 
 

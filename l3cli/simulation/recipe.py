@@ -24,6 +24,7 @@ from l3cli.simulation.sources import (
     can_be_relit,
     check_source,
     has_own_light,
+    holds_codes,
     wanted_scenes,
 )
 from l3cli.simulation.targets import CAMERA, OUTPUTS
@@ -78,14 +79,14 @@ class SceneRecipe(Recipe):
     target: TargetRecipe = msgspec.field(default_factory=TargetRecipe)
 
     def exposures(self) -> tuple[str, list[float]]:
-        """The way exposures are given (a key of `ways`) and their values; RecipeError unless there is just one way."""
-        ways = {
+        """How exposures are given (a key of `units`) and their values; RecipeError unless just one is."""
+        units = {
             "share": self.exposure_share,
             "saturated": self.exposure_saturated,
             "mean": self.exposure_mean,
             "seconds": self.exposure_s,
         }
-        given = {way: values for way, values in ways.items() if values is not None}
+        given = {unit: values for unit, values in units.items() if values is not None}
         if len(given) != 1:
             automatic = "exposure_share, exposure_saturated, exposure_mean (automatic)"
             raise RecipeError(f"give exactly one of {automatic} and exposure_s (fixed)")
@@ -101,12 +102,12 @@ def curve_files(recipe: SceneRecipe) -> dict[str, str]:
     """Every CSV file that the recipe names, relative to it, and its part: light, transmittance or functions."""
     lights = [*recipe.illuminants, *filter(None, [recipe.target.illuminant])]
     lights += scene_lights(recipe)
-    found = {name: "light" for text in lights for _, name in parts(text) if name.endswith(MEASURED)}
+    curves = {name: "light" for text in lights for _, name in parts(text) if name.endswith(MEASURED)}
     if isinstance(recipe.lens.transmittance, str):
-        found[recipe.lens.transmittance] = "transmittance"
+        curves[recipe.lens.transmittance] = "transmittance"
     if recipe.target.outputs.endswith(MEASURED):
-        found[recipe.target.outputs] = "functions"
-    return found
+        curves[recipe.target.outputs] = "functions"
+    return curves
 
 
 def set_up(camera: CameraModel, recipe: SceneRecipe, curves: Mapping[str, Curve]) -> CameraModel:
@@ -145,6 +146,8 @@ def check(recipe: SceneRecipe, camera: CameraModel) -> None:
         if recipe.illuminants != [OWN] and not can_be_relit(source):
             raise RecipeError(f'scene {number} holds radiance without its light; give light, or illuminants = ["{OWN}"]')
     outputs = recipe.target.outputs
+    if any(map(holds_codes, recipe.scene)) and (outputs != CAMERA or recipe.target.illuminant is not None):
+        raise RecipeError(f'pictures of codes have no spectra; give target.outputs = "{CAMERA}" and no target.illuminant')
     if outputs not in (*OUTPUTS, CAMERA) and not outputs.endswith(MEASURED):
         known = suggestion(outputs, (*OUTPUTS, CAMERA))
         raise RecipeError(f'target.outputs "{outputs}" is unknown; {known} (or a CSV file)')
@@ -158,14 +161,14 @@ def check(recipe: SceneRecipe, camera: CameraModel) -> None:
 
 
 def _check_exposures(recipe: SceneRecipe, camera: CameraModel) -> None:
-    way, exposures = recipe.exposures()
+    unit, exposures = recipe.exposures()
     if not (recipe.illuminants and recipe.luminances_cd_m2 and exposures):
         raise RecipeError("illuminants, luminances_cd_m2 and the exposures must each have an entry")
     if not all(0 < value < float("inf") for value in (*recipe.luminances_cd_m2, *exposures)):
         raise RecipeError("luminances and exposures must be above zero")
-    if way == "saturated" and max(exposures) >= 1:
+    if unit == "saturated" and max(exposures) >= 1:
         raise RecipeError("exposure_saturated is a share of the pixels, below 1")
-    if way == "seconds" and not camera.absolute:
+    if unit == "seconds" and not camera.absolute:
         raise RecipeError(f"{camera.name} has only a relative responsivity; use exposure_share, not exposure_s")
 
 
@@ -182,8 +185,8 @@ class Shot:
 def shots(recipe: SceneRecipe, files: list[list[Path]]) -> Iterator[tuple[WantedScene, list[Shot]]]:
     """Every scene of the recipe with its frames; `files` are those of each of its sources, none where it has none."""
     index = itertools.count()
-    for source, found in zip(recipe.scene, files, strict=True):
-        for scene in wanted_scenes(source, found):
+    for source, paths in zip(recipe.scene, files, strict=True):
+        for scene in wanted_scenes(source, paths):
             settings = itertools.product(recipe.illuminants, recipe.luminances_cd_m2, recipe.exposures()[1])
             yield scene, [Shot(next(index), *setting) for setting in settings]
 

@@ -106,8 +106,8 @@ def with_titanium_white(rng: np.random.Generator, reflectance: Array, wavelength
     Cameras and eyes weigh this edge differently; without it a table takes white paint for yellow.
     """
     edge = np.exp(rng.normal(np.log(0.2), 0.7) - (wavelength - 405.0) / rng.uniform(5.0, 11.0))
-    own = (1.0 - reflectance) ** 2 / (2.0 * reflectance)
-    return np.clip(_kubelka_munk(own + edge), SMALLEST, LARGEST)
+    pigment = (1.0 - reflectance) ** 2 / (2.0 * reflectance)
+    return np.clip(_kubelka_munk(pigment + edge), SMALLEST, LARGEST)
 
 
 def _library(rng: np.random.Generator, of: Surfaces) -> Array:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from l3cli.physics import spectra
 from l3cli.physics.display import srgb_from_xyz_matrix
-from l3cli.scene import Scene
+from l3cli.scene import NO_ILLUMINANT, Scene
 from l3cli.simulation.light import make_light, matching_weights
 
 Array = NDArray[np.floating]
@@ -21,7 +21,7 @@ def raise_to_spectra(linear: NDArray[np.float32], wavelength: NDArray[np.float64
     The three spectra are at least 0 and sum to 1 at every wavelength, so that values in 0…1 give reflectances in 0…1.
     """
     basis = primaries(tuple(wavelength)).astype(np.float32)
-    return Scene(name, wavelength, np.maximum(linear, np.float32(0.0)) @ basis, None)
+    return Scene(name, wavelength, np.maximum(linear, np.float32(0.0)) @ basis, NO_ILLUMINANT)
 
 
 def shrunk(linear: NDArray[np.float32], by: int) -> NDArray[np.float32]:

@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import Literal
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.config import Count, Recipe, Seed
-from l3cli.curve_table import other_unit
+from l3cli.config import Count, Recipe, Seed, Share
+from l3cli.curve_file import other_unit
 from l3cli.errors import L3Error, RecipeError
 
+CODED = ("r", "g", "b")  # channels of a camera that pictures of codes hold, in their order
 SMALLEST = 16  # pixels of a scene's shorter side
 
 
@@ -23,19 +24,19 @@ class Framing(Recipe, kw_only=True):
     field_of_view_deg: float | None = None  # the scene's width as the lens sees it, instead of scale
 
 
-class Drawn(Framing, kw_only=True):
+class Synthetic(Framing, kw_only=True):
     """A scene of this package's own, no file."""
 
     size: tuple[Count, Count]  # rows, cols
 
 
-class Random(Drawn, kw_only=True):
+class Random(Synthetic, kw_only=True):
     count: Count = 1  # pictures
     seed: Seed = 0  # beside --seed: recipes with different seeds share no picture
 
 
 class DeadLeaves(Random, tag_field="source", tag="dead leaves", kw_only=True):
-    pass
+    patterned: Share = 0.0  # share of the leaves with gratings, lattices or lettering on them
 
 
 class Composition(Random, tag_field="source", tag="composition", kw_only=True):
@@ -56,31 +57,31 @@ class Surfaces(Random, tag_field="source", tag="surfaces", kw_only=True):
     patches: tuple[Count, Count] = (6, 9)
 
 
-class ColorChecker(Drawn, tag_field="source", tag="colorchecker", kw_only=True):
+class ColorChecker(Synthetic, tag_field="source", tag="colorchecker", kw_only=True):
     pass
 
 
-class Munsell(Drawn, tag_field="source", tag="munsell", kw_only=True):
+class Munsell(Synthetic, tag_field="source", tag="munsell", kw_only=True):
     """Hues across, lightness and chroma down: colours on a regular grid as the smoothest reflectances."""
 
 
-class SlantedEdge(Drawn, tag_field="source", tag="slanted edge", kw_only=True):
+class SlantedEdge(Synthetic, tag_field="source", tag="slanted edge", kw_only=True):
     angle_deg: float = 5.0  # from the vertical
     dark: float = 0.05  # reflectance left of the edge
     bright: float = 0.8
 
 
-class ZonePlate(Drawn, tag_field="source", tag="zone plate", kw_only=True):
+class ZonePlate(Synthetic, tag_field="source", tag="zone plate", kw_only=True):
     highest: float = 0.5  # cycles a pixel at the middle of the shorter sides
 
 
-class Frequencies(Drawn, tag_field="source", tag="frequencies", kw_only=True):
+class Frequencies(Synthetic, tag_field="source", tag="frequencies", kw_only=True):
     """Gratings in columns, each of twice the frequency of the last, contrast falling downwards."""
 
     orders: Count = 6  # the last has 0.5 cycles a pixel
 
 
-class GreyRamp(Drawn, tag_field="source", tag="grey ramp", kw_only=True):
+class GreyRamp(Synthetic, tag_field="source", tag="grey ramp", kw_only=True):
     octaves: float = 14.0  # the darkest grey is 2^-octaves
 
 
@@ -93,6 +94,9 @@ class IsetScenes(FileSource, tag_field="source", tag="iset", kw_only=True):
 
 
 class RgbPictures(FileSource, tag_field="source", tag="rgb", kw_only=True):
+    holds: Literal["sRGB", "codes"] = (
+        "sRGB"  # a picture of colours; or codes that are the camera's channels r, g, b, linearly
+    )
     shrink: Count = 1  # each shrink × shrink pixels are averaged to one, which also removes JPEG's and demosaicking's traces
 
 
@@ -147,6 +151,11 @@ class WantedScene:
         return f"{self.source.__struct_config__.tag} {getattr(self.source, 'seed', 0)}.{self.number}"
 
 
+def name_of(source: Source) -> str:
+    """What a recipe calls a source."""
+    return str(source.__struct_config__.tag)
+
+
 def wanted_scenes(source: Source, files: list[Path]) -> list[WantedScene]:
     """The scenes of one source; `files` are those that its pattern names."""
     if isinstance(source, FileSource):
@@ -163,12 +172,15 @@ def check_source(source: Source, camera: CameraModel, name: str) -> None:
         raise RecipeError(f"{name}: scale and field_of_view_deg must be above zero, and the latter below 179")
     if source.crop and (min(source.crop) < 0 or min(source.crop[2:]) < 1):
         raise RecipeError(f"{name}: crop is first row, first column, rows, columns, none of them negative")
-    if isinstance(source, Drawn):
+    if isinstance(source, Synthetic):
         check_size(source.size, camera if whole and not source.crop else None, RecipeError, name)
     if isinstance(source, Cube) and sorted(source.axes.split()) != ["band", "col", "row"]:
         raise RecipeError(f'{name}: axes names row, col and band once each, such as "row col band"')
     if isinstance(source, Spectral):
         _check_spectral(source, name)
+    if holds_codes(source) and sorted(camera.channels) != sorted(CODED):
+        channels = ", ".join(camera.channels)
+        raise RecipeError(f'{name}: codes are channels r, g and b, but the camera has {channels}; leave out holds = "codes"')
 
 
 def _check_spectral(source: Spectral, name: str) -> None:
@@ -199,6 +211,11 @@ def _check_spectral(source: Spectral, name: str) -> None:
 def has_own_light(source: Source) -> bool:
     """Whether scenes of `source` come with the light they were seen under, if only as an unknown part of their radiance."""
     return isinstance(source, IsetScenes) or (isinstance(source, Spectral) and source.holds != "reflectance")
+
+
+def holds_codes(source: Source) -> bool:
+    """Whether scenes of `source` are channel signals, without light and spectra."""
+    return isinstance(source, RgbPictures) and source.holds == "codes"
 
 
 def can_be_relit(source: Source) -> bool:

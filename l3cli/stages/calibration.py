@@ -18,10 +18,6 @@ from l3cli.stages.claims import Claims
 from l3cli.stages.console import Console
 
 
-class NotAccepted(L3Error):
-    """The model predicts its own charts badly; nothing is written."""
-
-
 def calibrate(
     measurements: Path, output: Path, console: Console, *, truth: Path | None = None, export: Path | None = None,
     accept: bool = False, jobs: int = 1, force: bool = False,
@@ -29,7 +25,7 @@ def calibrate(
     """Write the camera model of a measurement file; the model, and its figures, ready for JSON.
 
     `truth`: camera (model or recipe) behind a virtual lab, to compare with. `export`: folder for the curves as CSV and as
-    rawtoaces JSON. `accept`: write a model that predicts its own charts badly, for which else NotAccepted is raised.
+    rawtoaces JSON. `accept`: write a model that predicts its charts badly, which else is an L3Error.
     InputFileError or RecipeError if the measurements cannot be used, L3Error if an output cannot be written.
     """
     with Claims(console) as claims:
@@ -47,7 +43,7 @@ def calibrate(
 
         camera = model.calibrate(measured, each)
         if (shortfall := acceptance.shortfall(camera)) and not accept:
-            raise NotAccepted(f"{measurements}: {shortfall}")
+            raise L3Error(f"{measurements}: {shortfall}, or add ‹accept›")
         camera = replace(camera, history=(inputs.history({"accept": True} if accept else {}),))
         result: dict[str, Any] = figures.figures(camera)
         if true is not None:

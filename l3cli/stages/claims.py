@@ -8,14 +8,8 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 
 from l3cli.errors import L3Error, RecipeError
-from l3cli.files import (
-    refuse_existing,
-    refuse_filled_folder,
-    refuse_spared,
-    sole_writer_of_file,
-    sole_writer_of_folder,
-    sparing,
-)
+from l3cli.files import refuse_existing, refuse_filled_folder, refuse_spared, sparing
+from l3cli.locks import sole_writer_of_file, sole_writer_of_folder
 from l3cli.stages.console import Console
 
 

@@ -14,9 +14,10 @@ from l3cli.artifacts.training_set import TrainingPair, TrainingSetReader, open_t
 from l3cli.errors import InputFileError
 from l3cli.evaluation.evaluation import Evaluation
 from l3cli.evaluation.pictures import frame_pictures
-from l3cli.files import finished_together, sha256
+from l3cli.files import sha256
 from l3cli.frame import RawFrame
 from l3cli.io import images
+from l3cli.locks import finished_together
 from l3cli.rendering.display import require_xyz
 from l3cli.rendering.renderer import Renderer, make_renderer
 from l3cli.stages.claims import Claims
@@ -27,11 +28,12 @@ from l3cli.stages.input_warnings import warn_if_trained_on, warn_if_unlike, warn
 
 def evaluate(
     table: Path, frames: Path, console: Console, *, backend: str = "opencl", viewing: float = 50.0,
-    pictures: Path | None = None, force: bool = False,
+    border: int | None = None, pictures: Path | None = None, force: bool = False,
 ) -> dict[str, Any]:  # fmt: skip
     """The document of `l3 evaluate` on the frames of a training set: figures of the table and of its baselines.
 
-    `viewing`: samples a degree that S-CIELAB sees the pictures at. `pictures`: folder for those of every frame, which with
+    `viewing`: samples a degree that S-CIELAB sees the pictures at. `border`: pixels left out at each edge of a frame; None:
+    those whose patch is not inside it. `pictures`: folder for those of every frame, which with
     `force` may hold something. InputFileError or RecipeError if table and frames cannot be compared, L3Error if the folder
     cannot be written.
     """
@@ -45,7 +47,7 @@ def evaluate(
             if pictures is not None:
                 key = json.dumps([__version__, sha256(table), sha256(frames), backend, viewing])
                 unfinished.enter_context(finished_together(pictures, key, force))
-            evaluation = Evaluation(transforms, reader.head, viewing)
+            evaluation = Evaluation(transforms, reader.head, viewing, border)
             warn_if_trained_on(transforms, table, frames, console)
             warn_if_unlike((table, transforms), (frames, reader.head.camera), console)
             renderer = make_renderer(backend, transforms)

@@ -50,14 +50,14 @@ class FrameWarnings:
     def watched(
         self, frames: "Iterator[tuple[Pending, RawFrame, float]]", stills: bool
     ) -> "Iterator[tuple[Pending, RawFrame, float]]":
-        """Pass frames on, after a look at every still, or at the first frame of a sequence, unless others are to read it."""
+        """Pass frames on, after a check of every still, or the first frame of a sequence, unless others are to read it."""
         for pending, frame, scale in frames:
             if isinstance(frame, RawFrame) and (stills or not self._seen):
                 self.measure(frame)
             yield pending, frame, scale
 
     def report(self, console: Console) -> None:
-        """One line for each thing found."""
+        """One line for each warning."""
         darkest, brightest = self._meter.learned_range()
         texts = {
             "darker": f"are darker than anything the table was trained on ({darkest:.2g} of full scale); lower "
@@ -65,13 +65,13 @@ class FrameWarnings:
             "brighter": f"are brighter than anything the table was trained on ({brightest:.2g} of full scale); raise "
             "learning.brightest or simulate longer exposures, and train again",
             "untrained": "fall into classes that are filled from their neighbours; train on more scenes or patches",
-            "saturated": "are clipped or touch clipped ones, where colour is a guess; expose shorter, or mend --white-level",
+            "saturated": "are clipped or touch clipped ones, where colour is a guess; expose shorter, or mend ‹white_level›",
         }
         if self._untimed:
             exposure, dark = self.table.exposure, self.table.dark_signal(None)
             console.say(
                 f"{self._untimed[0]}: exposure time unknown; dark current of the training's {exposure:.3g} s is taken off "
-                f"({dark:.2g} DN); give --exposure-time or --dark"
+                f"({dark:.2g} DN); give ‹exposure_time› or ‹dark›"
             )
         for what, (share, name, count) in self._worst.items():
             where = name if self._seen == 1 else f"{count} of {self._seen} frames, most in {name}"
@@ -83,7 +83,7 @@ def warn_of_white(asked: str, white: np.ndarray, table: "TransformTable", consol
     if np.linalg.norm(_uv(white) - _uv(table.white_point)) > NEAR_WHITE:
         x, y = table.white_point[:2] / table.white_point.sum()
         console.warn(
-            f"--white {asked} is far from the mean light of the training, x,y = {x:.4f},{y:.4f}: "
+            f"‹white› {asked} is far from the mean light of the training, x,y = {x:.4f},{y:.4f}: "
             "colours are adapted, not learned for it; train with it among the illuminants of SCENES.toml"
         )
 
@@ -92,7 +92,7 @@ def warn_if_trained_on(table: "TransformTable", path: "Path", frames: "Path", co
     """Say so if a table is judged on frames that its history names as its training."""
     inputs = {digest for stage in table.history for digests in stage.inputs.values() for digest in digests}
     if sha256(frames) in inputs:
-        text = "figures flatter it; simulate other scenes, or the same ones with another --seed"
+        text = "figures flatter it; simulate other scenes, or the same ones with another ‹seed›"
         console.warn(f"{path} was trained on {frames}: {text}")
 
 

@@ -9,13 +9,15 @@ import numpy as np
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import camera_files, load_camera
 from l3cli.config import load_recipe
-from l3cli.files import refuse_existing, refuse_spared, sole_writer_of_folder
-from l3cli.io import measurements as files
+from l3cli.files import refuse_existing, refuse_spared
+from l3cli.io import measurement_recipe as files
 from l3cli.io.curves import write_curves
 from l3cli.io.images import write_mosaic
+from l3cli.locks import sole_writer_of_folder
 from l3cli.parallel import workers
-from l3cli.simulation.flaws import FlawRecipe
-from l3cli.simulation.lab import FOLDERS, LabCapture, LabRecipe, chart_corners, plan, take
+from l3cli.simulation.lab import FOLDERS, LabCapture, chart_corners, plan, take
+from l3cli.simulation.lab_recipe import LabRecipe
+from l3cli.simulation.sensor_defects import DefectRecipe
 from l3cli.stages.claims import Claims, refuse_unwritable
 from l3cli.stages.console import Console
 from l3cli.units import PHOTON_RADIANCE
@@ -57,10 +59,10 @@ def measure(
         return file
 
 
-def _write_frame(model: CameraModel, flaws: FlawRecipe, folder: Path, seed: int, job: tuple[LabCapture, int]) -> None:
+def _write_frame(model: CameraModel, defects: DefectRecipe, folder: Path, seed: int, job: tuple[LabCapture, int]) -> None:
     """Take and write one frame, in whatever process."""
     capture, trial = job
-    write_mosaic(folder / _frame_name(capture, trial), take(model, capture, trial, seed, flaws))
+    write_mosaic(folder / _frame_name(capture, trial), take(model, capture, trial, seed, defects))
 
 
 def _frame_name(capture: LabCapture, trial: int) -> str:

@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.partial_sums import ClassSums
 from l3cli.artifacts.training_set import TrainingPair
-from l3cli.classes.decide import label_statistics
+from l3cli.classes.decide import label_sums
 from l3cli.classes.statistics import patch_statistics, truncation
 from l3cli.classes.windows import Neighbourhoods, TapOrder, neighbourhoods, tap_order
 from l3cli.training.division import BATCH
-from l3cli.training.lesson import Lesson
 from l3cli.training.patches import Floats, Patches, draw_levels, expose_patches, noise_share, patches_of
+from l3cli.training.row_weighting import RowWeighting
 from l3cli.training.sums import add_rounded, empty_sums, grid_steps, pairs
-from l3cli.training.weighing import Judge
+from l3cli.training.training_pass import TrainingPass
 
 EXPOSED = 4096  # patches exposed at once, so that their arrays stay in the caches
 PIECE, LARGEST_PIECE = 1024, 4096  # rows weighed and multiplied at once, and where one class has so many
@@ -30,34 +30,38 @@ TARGET_FLOOR = 0.05  # of the level: rows of darker targets get no more weight (
 
 
 def sum_sites(
-    lesson: Lesson,
+    pass_: TrainingPass,
     blocks: Iterable[tuple[int, tuple[int, ...], Iterator[TrainingPair]]],
-    judges: Mapping[int, Judge | None],
+    weightings: Mapping[int, RowWeighting | None],
 ) -> dict[int, ClassSums]:
-    """Sums of the canonical sites that `judges` names, whose rows they weigh, over blocks (index of the first frame, sites
-    that take part, frames); a frame is read once and let go."""
-    near = neighbourhoods(lesson.head.camera.cfa, lesson.rule.patch, len(lesson.head.camera.channels))
-    sums = {site: empty_sums(lesson.rule, len(lesson.head.outputs)) for site in judges}
+    """Sums of the canonical sites that `weightings` names, whose rows they weigh, over blocks (index of the first frame,
+    sites that take part, frames); a frame is read once and let go."""
+    near = neighbourhoods(pass_.head.camera.cfa, pass_.rule.patch, len(pass_.head.camera.channels))
+    sums = {site: empty_sums(pass_.rule, len(pass_.head.outputs)) for site in weightings}
     for first, sites, frames in blocks:
-        rngs = {site: np.random.default_rng([lesson.seed, lesson.number, first, site]) for site in sites}
-        for site, patches in _batches(lesson, first, frames, near, rngs):
-            _Batch(lesson, patches, near, site, judges[site]).add_to(sums[site], rngs[site])
+        rngs = {site: np.random.default_rng([pass_.seed, pass_.number, first, site]) for site in sites}
+        for site, patches in _batches(pass_, first, frames, near, rngs):
+            _Batch(pass_, patches, near, site, weightings[site]).add_to(sums[site], rngs[site])
     return sums
 
 
 def _batches(
-    lesson: Lesson, first: int, frames: Iterator[TrainingPair], near: Neighbourhoods, rngs: dict[int, np.random.Generator]
+    pass_: TrainingPass,
+    first: int,
+    frames: Iterator[TrainingPair],
+    near: Neighbourhoods,
+    rngs: dict[int, np.random.Generator],
 ) -> Iterator[tuple[int, Patches]]:
     """The patches of a block, frames from `first`, for each site: together or, where one frame has more than BATCH, a part
     of it at a time."""
     waiting: dict[int, list[Patches]] = {site: [] for site in rngs}
     for index, frame in enumerate(frames, first):
         for site, rng in rngs.items():
-            rest = lesson.patches[index]
+            rest = pass_.patches[index]
             while rest:
                 count = min(rest, BATCH)
                 rest -= count
-                waiting[site].append(patches_of(frame, lesson.head, near, site, count, rng, lesson.recipe.symmetry))
+                waiting[site].append(patches_of(frame, pass_.head, near, site, count, rng, pass_.recipe.symmetry))
                 if rest:
                     yield site, waiting[site].pop()
     for site, patches in waiting.items():
@@ -68,8 +72,10 @@ def _batches(
 class _Batch:
     """Patches of one site on their way into the sums."""
 
-    def __init__(self, lesson: Lesson, patches: Patches, near: Neighbourhoods, site: int, judge: Judge | None) -> None:
-        self.lesson, self.patches, self.near, self.site, self.judge = lesson, patches, near, site, judge
+    def __init__(
+        self, pass_: TrainingPass, patches: Patches, near: Neighbourhoods, site: int, weighting: RowWeighting | None
+    ) -> None:
+        self.pass_, self.patches, self.near, self.site, self.weighting = pass_, patches, near, site, weighting
         member = (near.channel[site][:, None] == np.arange(near.count.shape[1])) / near.count[site]
         self.tap_share = member.mean(axis=1).astype(np.float32)  # level = mean over channels of the channel means
 
@@ -78,7 +84,7 @@ class _Batch:
         label, level, scale = self._exposed(rng)
         order = np.argsort(label, kind="stable")
         label = label[order]
-        steps = grid_steps(self.lesson.rule, self.lesson.head.camera, self.patches.target.shape[1])
+        steps = grid_steps(self.pass_.rule, self.pass_.head.camera, self.patches.target.shape[1])
         for piece in _pieces(label):
             draw = order[piece]
             patch = draw % len(self.patches.signal)
@@ -86,41 +92,41 @@ class _Batch:
 
     def _exposed(self, rng: np.random.Generator) -> tuple[NDArray[np.unsignedinteger], Floats, Floats]:
         """Class, level as the camera sees it and scale of every draw of every patch (draw · patch)."""
-        lesson, signal = self.lesson, self.patches.signal
-        own_level = np.maximum(signal @ self.tap_share, 1e-3)
-        drawn = [self._drawn_scale(own_level, rng) for _ in range(lesson.draws)]
-        scale: Floats = np.array([self.patches.possible(one) for one in drawn], np.float32)
-        label = np.empty(scale.shape, dtype=np.min_scalar_type(lesson.rule.classes_per_site))
+        pass_, signal = self.pass_, self.patches.signal
+        patch_level = np.maximum(signal @ self.tap_share, 1e-3)
+        scales = [self._random_scale(patch_level, rng) for _ in range(pass_.draws)]
+        scale: Floats = np.array([self.patches.possible(one) for one in scales], np.float32)
+        label = np.empty(scale.shape, dtype=np.min_scalar_type(pass_.rule.classes_per_site))
         level = np.empty_like(scale)
-        order = tap_order(lesson.rule, self.near, self.site)
+        order = tap_order(pass_.rule, self.near, self.site)
         for first in range(0, len(signal), EXPOSED):
             here = slice(first, first + EXPOSED)
             for draw, seen in enumerate(self._seen(here, scale[:, here], order, rng)):
                 label[draw, here], level[draw, here] = seen
         return label.reshape(-1), np.maximum(level, np.float32(DARKEST_LEVEL)).reshape(-1), scale.reshape(-1)
 
-    def _drawn_scale(self, own_level: Floats, rng: np.random.Generator) -> NDArray[np.float64]:
-        """Factors (patch) that take patches from their own level to one that is drawn."""
-        if not self.lesson.recipe.rescale:
-            return np.ones(own_level.size)
-        return draw_levels(self.lesson.recipe, own_level.size, rng) / own_level
+    def _random_scale(self, patch_level: Floats, rng: np.random.Generator) -> NDArray[np.float64]:
+        """Factors (patch) that take patches from the level they have to a random one."""
+        if not self.pass_.recipe.rescale:
+            return np.ones(patch_level.size)
+        return draw_levels(self.pass_.recipe, patch_level.size, rng) / patch_level
 
     def _seen(
         self, here: slice, scale: Floats, order: TapOrder, rng: np.random.Generator
     ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float64]]]:
         """Class and level (patch) of the patches `here` at each row of `scale` (draw, patch), with noise."""
-        lesson, patches = self.lesson, self.patches
+        pass_, patches = self.pass_, self.patches
         signal: Floats = np.ascontiguousarray(patches.signal[here].T)[order.taps]
         carried: Floats | None = None if patches.carried is None else patches.carried[here].T[order.taps]
         for row in scale:
             left = None if carried is None else carried * row**2
-            values = expose_patches(signal * row, lesson.head.camera, rng, left, lesson.dark)
-            sums, squares, code = patch_statistics(values, lesson.rule, order)
-            yield label_statistics(sums, squares, code, lesson.rule, self.near, self.site), self._level(sums)
+            values = expose_patches(signal * row, pass_.head.camera, rng, left, pass_.dark)
+            seen = patch_statistics(values, pass_.rule, order)
+            yield label_sums(seen, pass_.rule, self.near, self.site), self._level(seen.sums)
 
     def _level(self, sums: NDArray[np.uint32]) -> NDArray[np.float64]:
         """Level (patch) as a share of full scale: mean over the channels of the means of their `sums` (channel, patch)."""
-        camera, shift = self.lesson.head.camera, self.lesson.rule.shift
+        camera, shift = self.pass_.head.camera, self.pass_.rule.shift
         mean = (1 / (self.near.count[self.site] * len(sums))) @ sums
         return (mean * 2**shift + (truncation(shift) - camera.black)) / (camera.white - camera.black)
 
@@ -139,23 +145,23 @@ class _Batch:
         clean *= scale[:, None]
         target = self.patches.target[patch] * scale[:, None]
         carried = None if self.patches.carried is None else self.patches.carried[patch] * scale[:, None] ** 2
-        variance = noise_share(clean, self.lesson.head.camera, carried, self.lesson.dark)
-        if self.lesson.recipe.noise == "sampled":
+        variance = noise_share(clean, self.pass_.head.camera, carried, self.pass_.dark)
+        if self.pass_.recipe.noise == "sampled":
             clean += np.sqrt(variance) * rng.standard_normal(clean.shape, dtype=np.float32)
             variance[:] = 0
         np.clip(clean, -np.inf, 1.0, out=clean)
         start = np.flatnonzero(np.diff(label, prepend=label[0] + 1))  # a class begins where the label changes
         runs = list(zip(label[start].tolist(), start.tolist(), [*start[1:].tolist(), len(label)], strict=True))
-        brightness = self.lesson.brightness(target) / level + np.float32(TARGET_FLOOR)
-        weight = brightness ** np.float32(-self.lesson.recipe.brightness_power) / level
-        if self.judge is not None:
-            weight *= self.judge.weight(clean, variance, target, level, runs)
+        brightness = self.pass_.brightness(target) / level + np.float32(TARGET_FLOOR)
+        weight = brightness ** np.float32(-self.pass_.recipe.brightness_power) / level
+        if self.weighting is not None:
+            weight *= self.weighting.weight(clean, variance, target, level, runs)
         taps = clean.shape[1]
         rows = np.empty((len(label), taps + 1 + target.shape[1]), np.float32)
         np.multiply(clean, weight[:, None], out=rows[:, :taps])
         rows[:, taps] = weight
         np.multiply(target, weight[:, None], out=rows[:, taps + 1 :])
-        _add_runs(sums, self.lesson.rule, steps, rows, variance, weight**2, runs)
+        _add_runs(sums, self.pass_.rule, steps, rows, variance, weight**2, runs)
 
 
 def _pieces(label: NDArray[np.unsignedinteger]) -> Iterator[slice]:

@@ -14,17 +14,17 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import TrainingFrame, TrainingSet
 from l3cli.training.accumulate import sum_sites
 from l3cli.training.division import frame_blocks
-from l3cli.training.lesson import FIRST, LAST, Lesson, spread_patches
 from l3cli.training.recipe import LearningRecipe, TrainingRecipe
-from l3cli.training.table import assemble, canonical_sites, learn_site, look_at, pilot_patches, survey
-from l3cli.training.weighing import judge_of
+from l3cli.training.row_weighting import row_weighting
+from l3cli.training.table import assemble, canonical_sites, learn_site, pilot_patches, survey, take_pilot
+from l3cli.training.training_pass import FIRST, LAST, TrainingPass, spread_patches
 
 REPEATS = 2  # of which the faster counts, in CPU seconds: other work on the machine only slows
 FRAMES, SIDE = 8, 160
 STAGES = {  # functions whose time, with all that they call, makes a stage
     "patches": ("patches_of",),
     "expose": ("expose_patches",),
-    "label": ("patch_statistics", "label_statistics"),
+    "label": ("patch_statistics", "label_sums"),
     "weigh": ("noise_share", "weight"),
     "sum": ("_add_runs",),
     "solve": ("learn_site", "assemble"),
@@ -69,17 +69,17 @@ def train(frames: list[TrainingFrame], camera: CameraModel, recipe: TrainingReci
     """Both passes over `frames` to a table; the number of rows that were added up."""
     head = TrainingSet(camera=camera, outputs=("X", "Y", "Z"), target_description="made up")
     patches = spread_patches(recipe.learning.patches, [len(frames)], None)
-    pilot = look_at(frames, 0, pilot_patches(patches), head, recipe, 0)
-    rule, white, exposure = survey([pilot], patches, head, recipe, 0)
-    lesson, table, rows = Lesson(head, patches, rule, recipe.learning, white, 0, FIRST, exposure), None, 0
+    pilot = take_pilot(frames, 0, pilot_patches(patches), head, recipe, 0)
+    rule, white, exposure, _ = survey([pilot], patches, head, recipe, 0)
+    pass_, table, rows = TrainingPass(head, patches, rule, recipe.learning, white, 0, FIRST, exposure), None, 0
     for number in (FIRST, LAST):
-        lesson = replace(lesson, number=number)
-        sites = canonical_sites(head, rule, lesson.recipe)
-        judges = {site: judge_of(table, site, lesson.recipe.error_power) if table else None for site in sites}
-        blocks = [(block[0], tuple(judges), iter(frames[block.start : block.stop])) for block in frame_blocks(lesson)]
-        sums = sum_sites(lesson, blocks, judges)
-        rows += sum(int(own.count.sum()) for own in sums.values())
-        table = assemble(lesson, {site: learn_site(lesson, [sums.pop(site)], site) for site in judges}, ())
+        pass_ = replace(pass_, number=number)
+        sites = canonical_sites(head, rule, pass_.recipe)
+        weightings = {site: row_weighting(table, site, pass_.recipe.error_power) if table else None for site in sites}
+        blocks = [(block[0], tuple(weightings), iter(frames[block.start : block.stop])) for block in frame_blocks(pass_)]
+        sums = sum_sites(pass_, blocks, weightings)
+        rows += sum(int(site_sums.count.sum()) for site_sums in sums.values())
+        table = assemble(pass_, {site: learn_site(pass_, [sums.pop(site)], site) for site in weightings}, ())
     return rows
 
 
@@ -105,7 +105,7 @@ def made_up_frame(camera: CameraModel, seed: int) -> TrainingFrame:
         row, col = rng.integers(0, SIDE - size, 2)
         share[:, row : row + size, col : col + size] = rng.random((len(share), 1, 1))
     share *= np.linspace(0.3, 1.0, SIDE)
-    target = np.einsum("oc,crk->ork", rng.random((3, len(share))), share) * camera.white_dose / 0.01
+    target = np.einsum("oc,crk->ork", rng.random((3, len(share))), share) * camera.saturation_exposure / 0.01
     return TrainingFrame(
         raw=np.zeros((SIDE, SIDE), np.uint16),
         electrons=(share * camera.full_scale).astype(np.float32),

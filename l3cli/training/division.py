@@ -3,41 +3,41 @@
 import itertools
 from dataclasses import dataclass
 
-from l3cli.training.lesson import Lesson
 from l3cli.training.sums import empty_sums
+from l3cli.training.training_pass import TrainingPass
 
 BATCH = 50_000  # patches that are sorted together: bounds memory, and makes a class's product large enough to be fast
 SUM_BYTES = 200 << 20  # of sums that a process fills at a time, if it is more than those of two sites
 
 
 @dataclass(frozen=True)
-class Portion:
+class WorkShare:
     """What one process sums up in one go over the frames."""
 
     blocks: tuple[tuple[range, tuple[int, ...]], ...]  # frames, and the canonical sites that take patches from them
-    whole: tuple[int, ...]  # the sites that no other portion takes part in
+    whole: tuple[int, ...]  # the sites that no other share takes part in
 
     @property
     def sites(self) -> tuple[int, ...]:
         return tuple(sorted({site for _, sites in self.blocks for site in sites}))
 
 
-def frame_blocks(lesson: Lesson) -> list[range]:
+def frame_blocks(pass_: TrainingPass) -> list[range]:
     """The frames in runs of about BATCH patches or less, which are sorted together; whole blocks are dealt to shards and
     processes. Blocks are nearly equal, so that nobody waits for the largest."""
-    total, before = sum(lesson.patches), 0
+    total, before = sum(pass_.patches), 0
     count = -(-total // BATCH)
     starts: list[int] = []
-    for index, patches in enumerate(lesson.patches):
+    for index, patches in enumerate(pass_.patches):
         if before * count // total >= len(starts):
             starts.append(index)
         before += patches
-    return [range(first, last) for first, last in itertools.pairwise([*starts, len(lesson.patches)])]
+    return [range(first, last) for first, last in itertools.pairwise([*starts, len(pass_.patches)])]
 
 
-def portions(lesson: Lesson, sites: list[int], blocks: list[range], jobs: int) -> list[Portion]:
-    """All blocks of all sites in nearly equal portions for `jobs` processes, each of as few sites as can be."""
-    one = empty_sums(lesson.rule, len(lesson.head.outputs))
+def work_shares(pass_: TrainingPass, sites: list[int], blocks: list[range], jobs: int) -> list[WorkShare]:
+    """All blocks of all sites in nearly equal shares for `jobs` processes, each of as few sites as can be."""
+    one = empty_sums(pass_.rule, len(pass_.head.outputs))
     most = max(2, SUM_BYTES // one.moments.nbytes)  # sites at a time
     units = [(site, block) for site in sites for block in blocks]
     for count in itertools.count(jobs, jobs):
@@ -46,11 +46,11 @@ def portions(lesson: Lesson, sites: list[int], blocks: list[range], jobs: int) -
         if max((len({site for site, _ in part}) for part in parts), default=0) <= most:
             break
     return [
-        Portion(
+        WorkShare(
             tuple(
-                (block, tuple(site for site, own in part if own == block))
+                (block, tuple(site for site, frames in part if frames == block))
                 for block in blocks
-                if block in {own for _, own in part}
+                if block in {frames for _, frames in part}
             ),
             tuple(site for site in sites if all((site, block) in part for block in blocks)),
         )

@@ -2,7 +2,8 @@
 
 Where channels clip, the colour of a surface is lost with them, and the mean colour of all training surfaces that clip alike
 is no good guess: it gives highlights a cast. Highlights are mostly neutral, and a neutral error is the one that nobody sees.
-So every class near saturation is taught, beside its patches, flat greys of the training light that clip as its patches do.
+So every plain class near saturation is taught, beside its patches, flat greys of the training light that clip as its patches
+do; among textures, where other pixels tell the colour, they would only cost detail.
 """
 
 import numpy as np
@@ -15,24 +16,29 @@ from l3cli.training.sums import moment_matrix
 
 Array = NDArray[np.float64]
 
-DARKEST, BRIGHTEST, STEP = 0.3, 1.0, 1.02  # greys, of those that just clip the first and the last channel
+DARKEST, BRIGHTEST, STEP = 0.3, 1.6, 1.02  # greys, of those that just clip the first and the last channel: paper is brighter
 NEARLY = (0.94, 0.97, 1.0)  # of the saturation threshold: noise lets greys this bright clip
 ODDS = 4.0  # greys a patch of the class, times clipped channels per one that is not; 1 leaves seams between classes …
 SUREST = 30.0  # … and this many where every channel clips
+FARTHEST = 0.1  # white's signals from what patches make likely
 FAINTEST = 1e-6  # of the largest: directions in which the outputs vary less are not followed
 
 
 def grey_patches(
-    sums: ClassSums, rule: ClassRule, window: NDArray[np.int64], white: Array, black: float, top: float
+    sums: ClassSums,
+    rule: ClassRule,
+    window: NDArray[np.int64],
+    white: Array,
+    black: float,
+    top: float,
+    signal: Array | None,
 ) -> dict[int, Array]:
     """Moments (column, column) of flat greys for the classes near saturation in which greys come to lie: their mean
     times the number of greys a patch of the class (ODDS).
 
-    `window` (tap) names the channel of each tap, `white` (output) is that of the training light at Y = 1, `black` and `top`
-    are the camera's black and saturation level in DN.
+    `window` (tap) names the channel of each tap, `white` (output) is that of the training light at Y = 1 and `signal`
+    (channel) what the camera sees of it, `black` and `top` are the camera's black and saturation level in DN.
     """
-    flat = _flat_moments(sums, rule, window.size + 1 + white.size)
-    signal = _channels_of(flat, window, white)
     if signal is None:
         return {}
     rows: dict[int, list[Array]] = {}
@@ -49,14 +55,36 @@ def grey_patches(
             share = saturated.mean()
             weight = np.sqrt(min(ODDS * share / max(1.0 - share, 1e-9), SUREST))
             for near in {max(at - 1, 0), at, min(at + 1, rule.levels - 1)}:
-                for index in rule.join(near, np.arange(rule.contrasts), rule.kinds_of(case)).tolist():
+                plain = 0, rule.kinds_of(case)
+                for index in rule.join(near, *plain, further=np.arange(rule.further)).ravel().tolist():
                     rows.setdefault(index, []).append(weight * row)
-    return {index: np.array(own).T @ np.array(own) / len(own) for index, own in rows.items()}
+    return {index: np.array(greys).T @ np.array(greys) / len(greys) for index, greys in rows.items()}
+
+
+def white_channels(
+    sums: ClassSums, rule: ClassRule, window: NDArray[np.int64], white: Array, known: Array | None
+) -> Array | None:
+    """Signals (channel) of the training light's white at Y = 1: those `known`, unless the patches speak against it, as they
+    do of frames through another lens; else those that they make likely. None if there are no patches."""
+    likely = _channels_of(_flat_moments(sums, rule, window.size + 1 + white.size), window, white)
+    if known is None or likely is None or np.abs(known / likely - 1).max() > FARTHEST:
+        return likely
+    return known
+
+
+def plain_colours(sums: ClassSums, rule: ClassRule, window: NDArray[np.int64]) -> Array:
+    """Second moments (channel, channel) of the channels' means over all unsaturated patches of the lowest contrast, of
+    trace 1."""
+    width = int((np.sqrt(8 * sums.moments.shape[1] + 1) - 1) / 2)
+    means = (window == np.arange(window.max() + 1)[:, None]) / np.bincount(window)[:, None]
+    colours = means @ _flat_moments(sums, rule, width)[: window.size, : window.size] @ means.T
+    colours += 1e-9 * np.eye(len(means)) * max(float(np.trace(colours)), 1e-9)
+    return np.asarray(colours / np.trace(colours))
 
 
 def _flat_moments(sums: ClassSums, rule: ClassRule, width: int) -> Array:
     """Summed moments (column, column) of all unsaturated patches of the lowest contrast."""
-    return moment_matrix(rule.by_axis(sums.moments)[0, :, 0, rule.kinds_of(0)].sum(axis=(0, 1)), width)
+    return moment_matrix(rule.by_axis(sums.moments)[0, :, 0, :, rule.kinds_of(0)].sum(axis=(0, 1, 2)), width)
 
 
 def _channels_of(moments: Array, window: NDArray[np.int64], white: Array) -> Array | None:

@@ -5,7 +5,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.layers import PlaneLayer
+from l3cli.artifacts.structure_rule import DIRECTIONS
 from l3cli.artifacts.table import TransformTable
+from l3cli.classes.features import further_features
 from l3cli.classes.names import class_name, kind_name
 from l3cli.classes.windows import window_channels
 
@@ -16,42 +19,75 @@ def insight(table: TransformTable) -> dict[str, Any]:
     """Figures of a table, all in plain Python types.
 
     classes: all, trained, thin (fewer patches of their own than taps), filled (none). kinds: name and patches of each
-    chroma and saturation case. noise_gain: √Σw² of each output, median and worst over trained classes. dc_gain: median over
+    chroma and saturation case. further: of each value of each further feature, by its name; not there if the rule has none.
+    noise_gain: √Σw² of each output, median and worst over trained classes. dc_gain: median over
     trained unsaturated classes of what a flat unit signal of one channel adds to each output. condition: median and worst
     over trained classes. worst: the trained classes of the largest noise gain (of Y if there is one), with their names.
+    All are of the first layer; later: of every layer after it `later_layer`.
     """
-    trained, rule = table.samples > 0, table.rule
+    trained, rule = table.first.samples > 0, table.first.rule
     taps = rule.patch**2
-    noise_gain = np.sqrt((table.weights.astype(np.float64) ** 2).sum(axis=2))
-    kind = rule.split(np.arange(len(trained))).kind
+    noise_gain = np.sqrt((table.first.weights.astype(np.float64) ** 2).sum(axis=2))
+    place = rule.split(np.arange(len(trained)))
+    kind = place.kind
     judged = noise_gain[:, table.outputs.index("Y")] if "Y" in table.outputs else noise_gain.max(axis=1)
     order = np.argsort(np.where(trained, -judged, np.inf), kind="stable")[: int(trained.sum())]
     # sites that are mirror images share their training: the first of them stands for all
-    _, first = np.unique(np.stack([judged[order], table.samples[order]]), axis=1, return_index=True)
+    _, first = np.unique(np.stack([judged[order], table.first.samples[order]]), axis=1, return_index=True)
     worst = order[np.sort(first)[:WORST]]
-    per_kind = np.bincount(kind, weights=table.samples, minlength=rule.kinds)
+    per_kind = np.bincount(kind, weights=table.first.samples, minlength=rule.kinds)
     return {
         "target": table.target_description,
         "classes": {
             "all": len(trained),
             "trained": int(trained.sum()),
-            "thin": int((trained & (table.samples < taps)).sum()),
+            "thin": int((trained & (table.first.samples < taps)).sum()),
             "filled": int((~trained).sum()),
         },
         "kinds": [{"name": kind_name(table, index), "patches": count} for index, count in enumerate(per_kind.tolist())],
+        **({"further": _further(table, place.further)} if rule.axes else {}),
         "noise_gain": _spread(noise_gain[trained], table.outputs),
         "dc_gain": _dc_gain(table, trained & (rule.case(kind) == 0)),
-        "condition": _spread(table.condition[trained, None].astype(np.float64), ("all",))["all"],
+        "condition": _spread(table.first.condition[trained, None].astype(np.float64), ("all",))["all"],
         "worst": [
             {
                 "class": class_name(table, index),
                 "noise_gain": float(judged[index]),
-                "patches": float(table.samples[index]),
-                "condition": float(table.condition[index]),
+                "patches": float(table.first.samples[index]),
+                "condition": float(table.first.condition[index]),
             }
             for index in worst.tolist()
         ],
+        "later": [later_layer(layer, table.outputs) for layer in table.later],
     }
+
+
+def later_layer(layer: PlaneLayer, outputs: tuple[str, ...]) -> dict[str, Any]:
+    """Figures of a layer after the first: its classes, side (pixel) and number of its windows, levels, structures (flat, and
+    each strength without a direction and in each of them), noise_gain as in `insight`."""
+    trained, rule = layer.samples > 0, layer.rule
+    gain = np.sqrt((layer.weights.astype(np.float64) ** 2).sum(axis=2))
+    return {
+        "classes": {"all": len(trained), "trained": int(trained.sum()), "filled": int((~trained).sum())},
+        "side": layer.side,
+        "planes": len(outputs),
+        "levels": rule.levels,
+        "structures": rule.structures,
+        "strengths": rule.strengths,
+        "directions": DIRECTIONS,
+        "noise_gain": _spread(gain[trained], outputs),
+    }
+
+
+def _further(table: TransformTable, together: NDArray[np.int64]) -> dict[str, list[dict[str, Any]]]:
+    """Name and patches of each value of each further feature, which the classes have `together` (class)."""
+    every = {}
+    for (feature, axis), value in zip(
+        further_features(table.first.rule), table.first.rule.split_further(together), strict=True
+    ):
+        patches = np.bincount(value, weights=table.first.samples, minlength=axis.size).tolist()
+        every[axis.name] = [{"name": feature.name(table, index), "patches": count} for index, count in enumerate(patches)]
+    return every
 
 
 def _spread(values: NDArray[np.float64], names: tuple[str, ...]) -> dict[str, dict[str, float]]:
@@ -66,13 +102,13 @@ def _spread(values: NDArray[np.float64], names: tuple[str, ...]) -> dict[str, di
 
 def _dc_gain(table: TransformTable, chosen: NDArray[np.bool_]) -> dict[str, dict[str, float]]:
     """Median over the chosen classes of the sum of the weights of each channel: {output: {channel: gain}}."""
-    windows = window_channels(table.cfa, table.rule.patch)
-    site = table.rule.split(np.arange(len(chosen))).site
+    windows = window_channels(table.cfa, table.first.rule.patch)
+    site = table.first.rule.split(np.arange(len(chosen))).site
     gain = np.full((len(chosen), len(table.outputs), len(table.channels)), np.nan)
     for index in np.unique(site):
         here = chosen & (site == index)
         member = windows[index][:, None] == np.arange(len(table.channels))
-        gain[here] = table.weights[here] @ member.astype(np.float64)
+        gain[here] = table.first.weights[here] @ member.astype(np.float64)
     median = np.median(gain[chosen], axis=0) if chosen.any() else np.zeros(gain.shape[1:])
     return {
         output: dict(zip(table.channels, values, strict=True))

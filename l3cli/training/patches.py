@@ -61,7 +61,7 @@ def patches_of(
         rows, cols = frame.raw.shape
         raise InputFileError(f"frame of scene {frame.scene} is {rows}×{cols}, smaller than the {side}×{side} patch")
     if isinstance(frame, TrainingFrame):
-        unit = head.camera.white_dose
+        unit = head.camera.saturation_exposure
         return sample_patches(frame, head, unit, near.channel[site], count, orientations(side), rng)
     return sample_pair(frame, head.camera, near, site, count, rng, shared)
 
@@ -81,11 +81,11 @@ def sample_pair(
     radius, period = side // 2, camera.cfa.shape
     rows, cols = pair.raw.shape
     every = enumerate(site_maps(near.channel, side, shared))
-    maps = [(other, found) for other, found in every if found.canonical == site]
+    maps = [(other, site_map) for other, site_map in every if site_map.canonical == site]
     reach = np.arange(side) - radius
     offset = (reach[:, None] * cols + reach[None]).ravel()
     places, takes = [], []
-    for part, (other, found) in enumerate(maps):
+    for part, (other, site_map) in enumerate(maps):
         number = (part + 1) * count // len(maps) - part * count // len(maps)
         down = np.arange(radius + (other // period[1] - radius) % period[0], rows - radius, period[0])
         across = np.arange(radius + (other % period[1] - radius) % period[1], cols - radius, period[1])
@@ -93,7 +93,7 @@ def sample_pair(
             continue
         place = rng.choice(down, number) * cols + rng.choice(across, number)
         places.append(place)
-        takes.append(place[:, None] + offset[found.permutation])
+        takes.append(place[:, None] + offset[site_map.permutation])
     if not places:
         raise InputFileError(f"pair {pair.scene} is too small for a patch of every site; give a larger picture")
     values = pair.raw.reshape(-1)[np.concatenate(takes)].astype(np.float32)
@@ -102,7 +102,7 @@ def sample_pair(
     carried = (camera.noise_variance(signal * span) / span**2).astype(np.float32)
     signal[values >= np.floor(camera.white)] = 1.0
     target = pair.target.reshape(len(pair.target), -1)[:, np.concatenate(places)].T
-    scaled = target * np.float32(pair.exposure / camera.white_dose)
+    scaled = target * np.float32(pair.exposure / camera.saturation_exposure)
     return Patches(signal, np.ascontiguousarray(scaled, np.float32), carried)
 
 

@@ -1,14 +1,18 @@
 """What a class recipe (configs/classes) may say."""
 
+import itertools
 from typing import Annotated, ClassVar, Literal
 
 import msgspec
 
 from l3cli.classes.recipe import ClassRecipe
-from l3cli.config import CountOrNone, Recipe
+from l3cli.config import Count, CountOrNone, Positive, Recipe, Share
 from l3cli.errors import RecipeError
 
 MOST_PATCHES = 1_000_000_000
+MOST_STRENGTH = 1e5  # an edge of the structure tensor's trace: what gradients reach lies far below
+LEAST_STEP = 0.001  # between such edges, which are stored as integers
+NotNegative = Annotated[float, msgspec.Meta(ge=0)]
 MOST_DRAWS = 1000  # levels of one patch: more tell nothing new
 
 
@@ -38,13 +42,32 @@ class LearningRecipe(Recipe):
     equal_response: bool = True  # all CFA sites answer a flat patch alike (docs/method.md#equal-response)
 
 
+class LayerRecipe(Recipe):
+    """How a layer is learned that reads the planes of the layer before (docs/method.md#layers)."""
+
+    side: Annotated[int, msgspec.Meta(ge=1, le=9)] = 5  # pixels, odd, of the windows of each plane
+    level_step: Count = 1  # levels of the first layer that make one
+    strengths: tuple[Positive, ...] = (1.7, 8.0)  # edges of the structure tensor's trace, relative to that of noise
+    coherence: Share = 0.48  # share of the trace along one direction from which an edge has one
+    mosaics: Annotated[int, msgspec.Meta(ge=1, le=MOST_PATCHES)] = 900  # over all frames
+    achromatic: Share = 0.2  # share of them that show their scene without colour
+    rows: Annotated[int, msgspec.Meta(ge=1, le=MOST_PATCHES)] = 6000  # pixels of a mosaic that are learned from
+    ridge: Positive = 1e-5  # relative to the mean power of a tap
+    luminance_noise: NotNegative = 1.5  # weight of the noise covariance for Y
+    chroma_noise: NotNegative = 2.0  # the same for the two chroma rows
+    level_pool: tuple[NotNegative, ...] = (0.5, 0.25)  # weight of classes one, two… levels away
+    parent_patches: CountOrNone = 200  # pseudo-rows of the parent, added to every class
+
+
 class TrainingRecipe(Recipe):
-    """Classes and learning; every key has the default that configs/classes/default.toml spells out."""
+    """Classes and learning of the first layer, and layers after it. Keys that a recipe leaves out are those of one layer;
+    without any recipe configs/classes/default.toml is taken."""
 
     title: ClassVar[str] = "a class recipe"
 
     classes: ClassRecipe = msgspec.field(default_factory=ClassRecipe)
     learning: LearningRecipe = msgspec.field(default_factory=LearningRecipe)
+    layer: tuple[LayerRecipe, ...] = ()  # layers after the first
 
 
 def check_learning(recipe: LearningRecipe) -> None:
@@ -57,3 +80,16 @@ def check_learning(recipe: LearningRecipe) -> None:
         raise RecipeError("learning.ridge must be positive, the noise weights not negative")
     if not (0 <= recipe.brightness_power <= 1 and 0 <= recipe.error_power <= 0.5):
         raise RecipeError("learning.brightness_power must lie in 0…1, error_power in 0…0.5")
+
+
+def check_layers(layers: tuple[LayerRecipe, ...]) -> None:
+    """RecipeError if the layers after the first cannot be learned."""
+    if len(layers) > 1:
+        raise RecipeError(f"layer: {len(layers)} layers after the first; one can be learned")
+    for number, recipe in enumerate(layers, start=1):
+        if recipe.side % 2 == 0:
+            raise RecipeError(f"layer[{number}].side is {recipe.side}; windows have odd sides")
+        if not recipe.strengths or any(high - low < LEAST_STEP for low, high in itertools.pairwise(recipe.strengths)):
+            raise RecipeError(f"layer[{number}].strengths must be one or more numbers, each {LEAST_STEP:g} above the last")
+        if recipe.strengths[-1] > MOST_STRENGTH:
+            raise RecipeError(f"layer[{number}].strengths exceed {MOST_STRENGTH:g}")

@@ -9,12 +9,14 @@ from numpy.typing import NDArray
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.partial_sums import ClassSums
 from l3cli.errors import L3Error
-from l3cli.training.highlights import grey_patches
+from l3cli.training.highlights import grey_patches, plain_colours, white_channels
 from l3cli.training.recipe import LearningRecipe
 from l3cli.training.sums import moment_matrix, symmetric_places
 
 Array = NDArray[np.float64]
+XYZ = ("X", "Y", "Z")
 CASE_SHARE = 0.1  # of the pseudo-patches come from all levels of a case
+PLAIN = 0.2  # plain patches, a patch of a textured class, on which a difference between sites counts as an error
 
 
 @dataclass(frozen=True)
@@ -23,6 +25,7 @@ class Goal:
 
     outputs: tuple[str, ...]
     white: Array  # (output) a perfect white under the training light, Y = 1
+    white_signal: Array | None  # (channel) its signals, shares of full scale; None: not known
     black: float  # DN, of the camera
     top: float  # DN, at which a pixel of the camera saturates
 
@@ -42,6 +45,9 @@ class Solution:
     solved: NDArray[np.bool_]  # (class)
     samples: Array  # (class) patches of its own
     condition: Array  # (class) of the equations for the least noisy row; 0: not solved
+    colours: Array  # (channel, channel) second moments of the channels' means over plain patches, of trace 1
+    white: Array | None  # (channel) signals of white, if the training patches bear them out
+    power: Array  # (class) sum of the channels' squared means over its patches and those that help it
 
 
 @dataclass(frozen=True)
@@ -75,10 +81,12 @@ def solve(
     member = (groups[None] == np.arange(groups.max() + 1)[:, None]).astype(np.float64)
     factors = _noise_factors(recipe, goal)
     basis = _opponent_basis(goal)
-    greys = grey_patches(sums, rule, window, goal.white, goal.black, goal.top)
+    white = white_channels(sums, rule, window, goal.white, goal.white_signal)
+    greys = grey_patches(sums, rule, window, goal.white, goal.black, goal.top, white)
     rows = np.zeros((solved.size, groups.size, len(goal.outputs)))
     compliance = np.zeros((solved.size, len(set(factors)), groups.size, len(member)))
-    condition = np.zeros(solved.size)
+    condition, power = np.zeros(solved.size), np.zeros(solved.size)
+    means = member[:-1, :-1] / member[:-1, :-1].sum(axis=1, keepdims=True)
     columns = {factor: [column for column, own in enumerate(factors) if own == factor] for factor in sorted(set(factors))}
     for index in np.flatnonzero(solved).tolist():
         packed, noise = _shrunk(sums, parents, index, rule, recipe)
@@ -86,6 +94,7 @@ def solve(
         noise = noise[np.array(stabilisers)].mean(axis=0)
         if index in greys:
             moments += (sums.count[index] + recipe.parent_patches) * greys[index]
+        power[index] = np.einsum("ct,tu,cu->", means, moments[: window.size, : window.size], means)
         used = groups.size if rule.case(rule.split(index).kind) else groups.size - 1  # an intercept if saturated
         for number, (factor, wanted) in enumerate(columns.items()):
             system = _system(moments[:used, :used], noise, factor, recipe.ridge)
@@ -94,36 +103,25 @@ def solve(
             rows[index, :used, wanted] = found[:, : len(wanted)].T
             compliance[index, number, :used] = found[:, len(wanted) :]
             condition[index] = max(condition[index], worst)
-    return Solution(rows, member @ rows, compliance, member @ compliance, solved, sums.count, condition)
+    about = solved, sums.count, condition, plain_colours(sums, rule, window), white, power
+    return Solution(rows, member @ rows, compliance, member @ compliance, *about)
 
 
 def equal_responses(
     solutions: list[Solution], copies: list[int], rule: ClassRule, recipe: LearningRecipe, goal: Goal
 ) -> list[Transforms]:
-    """Transforms of the canonical sites, each of which stands for `copies` sites, bent so that every class answers a flat
-    patch alike at all sites; else the CFA shows on plain areas (docs/method.md#equal-response). Of all common responses the
-    one of least total squared error is taken. Classes that some site has no solution for are filled from the nearest, at all
-    sites from the same one. L3Error if there is no class that all sites have a solution for.
+    """Transforms of the canonical sites, each of which stands for `copies` sites, bent so that sites answer a flat patch
+    alike, textures as far as that pays, and white with white (docs/method.md#equal-response). Classes that some site has no
+    solution for are filled from the nearest, at all sites from the same one. L3Error if there is no class that all sites
+    have a solution for.
     """
     factors = _noise_factors(recipe, goal)
-    bent = [solution.rows.copy() for solution in solutions]
     solved = np.all([solution.solved for solution in solutions], axis=0)
     if not solved.any():
         raise L3Error("no class has training patches at every CFA site; simulate more frames")
-    saturated = rule.case(rule.split(np.arange(solved.size)).kind) > 0
-    for kind in (False, True):
-        used = slice(None) if kind else slice(0, -1)  # without an intercept there is none to equalise
-        here = np.flatnonzero(solved & (saturated == kind))
-        for output, factor in enumerate(factors if recipe.equal_response else ()):
-            number = sorted(set(factors)).index(factor)
-            stiffness = [np.linalg.inv(solution.softness[here, number][:, used, used]) for solution in solutions]
-            response = [solution.response[here][:, used, output, None] for solution in solutions]
-            total = sum(copy * stiff for copy, stiff in zip(copies, stiffness, strict=True))
-            pull = sum(copy * k @ r for copy, k, r in zip(copies, stiffness, response, strict=True))
-            common = np.linalg.solve(total, pull)
-            for site, (stiff, own) in enumerate(zip(stiffness, response, strict=True)):
-                change = solutions[site].compliance[here, number][:, :, used] @ (stiff @ (common - own))
-                bent[site][here, :, output] += change[..., 0]
+    bent = [solution.rows for solution in solutions]
+    if recipe.equal_response:
+        bent = _bent(solutions, copies, rule, solved, goal, factors)
     back = np.linalg.inv(_opponent_basis(goal))
     transforms = []
     for solution, rows in zip(solutions, bent, strict=True):
@@ -132,16 +130,74 @@ def equal_responses(
     return transforms
 
 
+def _bent(
+    solutions: list[Solution],
+    copies: list[int],
+    rule: ClassRule,
+    solved: NDArray[np.bool_],
+    goal: Goal,
+    factors: list[float],
+) -> list[Array]:
+    """Rows (class, tap + 1, output) of the sites. Of all common responses the one of least total squared error is taken."""
+    bent = [solution.rows.copy() for solution in solutions]
+    saturated = rule.case(rule.split(np.arange(solved.size)).kind) > 0
+    white = _exact_white(solutions, goal)
+    of_white = (_opponent_basis(goal).T @ goal.white).tolist()
+    slack = np.pad(_slack(solutions, copies), (0, 1))
+    # Among textures of many bands, each measured by few pixels, sites do better apart; colours show the least difference.
+    free = (rule.split(np.arange(solved.size)).contrast > 0) & (goal.outputs != XYZ)
+    for kind in (False, True):
+        used = slice(None) if kind else slice(0, -1)  # without an intercept there is none to equalise
+        here = np.flatnonzero(solved & (saturated == kind))
+        for output, factor in enumerate(factors):
+            number = sorted(set(factors)).index(factor)
+            stiffness = []
+            for solution in solutions:
+                softness = solution.softness[here, number][:, used, used]
+                wide = np.where(free[here], 1 / (PLAIN * np.maximum(solution.power[here], 1e-12)), 0.0)
+                softness = softness + wide[:, None, None] * slack[used, used]
+                stiffness.append(np.linalg.inv(softness))
+            response = [solution.response[here][:, used, output, None] for solution in solutions]
+            total = sum(copy * stiff for copy, stiff in zip(copies, stiffness, strict=True))
+            pull = sum(copy * k @ r for copy, k, r in zip(copies, stiffness, response, strict=True))
+            common = np.linalg.solve(total, pull)
+            if white is not None and not kind:
+                bend = np.linalg.solve(total, np.broadcast_to(white[:, None], common.shape))
+                missing = of_white[output] - white @ common
+                common = common + bend * (missing / (white @ bend))[:, None]
+            for site, (stiff, own) in enumerate(zip(stiffness, response, strict=True)):
+                change = solutions[site].compliance[here, number][:, :, used] @ (stiff @ (common - own))
+                bent[site][here, :, output] += change[..., 0]
+    return bent
+
+
+def _exact_white(solutions: list[Solution], goal: Goal) -> Array | None:
+    """Signals (channel) of white, if they are known and borne out at every site and the outputs are colours."""
+    known, borne = goal.white_signal, [solution.white for solution in solutions]
+    if known is None or goal.outputs != XYZ or not all(own is not None and np.array_equal(own, known) for own in borne):
+        return None
+    return known
+
+
+def _slack(solutions: list[Solution], copies: list[int]) -> Array:
+    """How far (channel, channel) sites may answer unlike: the less, the more plain patches of the scenes would show it."""
+    slack = np.linalg.inv(np.average([solution.colours for solution in solutions], axis=0, weights=copies))
+    white = solutions[0].white
+    if white is not None:
+        slack -= np.outer(slack @ white, slack @ white) / (white @ slack @ white)  # greys are answered alike to the last bit
+    return np.asarray(slack)
+
+
 def _shrunk(sums: ClassSums, parents: ClassSums, index: int, rule: ClassRule, recipe: LearningRecipe) -> tuple[Array, Array]:
     """Moments (pair) and noise (tap) of a class with help (docs/method.md#thin-classes): unsaturated, sums of the levels
     beside it, which add since sums are relative to the level; and pseudo-patches of its parent."""
-    (_, level, contrast, kind), parent = rule.split(index), _parent_of(index, rule)
+    (_, level, contrast, further, kind), parent = rule.split(index), _parent_of(index, rule)
     moments, noise, count = sums.moments[index].copy(), sums.noise[index], sums.count[index]
     pool = recipe.level_pool if count > 0 and not rule.case(kind) else ()
     for distance, weight in enumerate(pool, start=1):
         for other in (level - distance, level + distance):
             if 0 <= other < rule.levels:
-                neighbour = rule.join(other, contrast, kind)
+                neighbour = rule.join(other, contrast, kind, further=further)
                 moments += weight * sums.moments[neighbour]
                 count += weight * sums.count[neighbour]
     if count > 0:
@@ -153,13 +209,13 @@ def _shrunk(sums: ClassSums, parents: ClassSums, index: int, rule: ClassRule, re
 
 
 def _parents(sums: ClassSums, rule: ClassRule) -> ClassSums:
-    """Mean sums of a patch of each parent: the classes of its level, contrast and saturation case, whatever their chroma,
-    or where none of them has patches those of any contrast; and a share of its case's (docs/method.md#thin-classes). A
-    parent's count is that of its level and case."""
+    """Mean sums of a patch of each parent: the classes of its level, contrast and saturation case, whatever their chroma
+    and further features, or where none of them has patches those of any contrast; and a share of its case's
+    (docs/method.md#thin-classes). A parent's count is that of its level and case."""
     first = np.unique(rule.case(np.arange(rule.kinds)), return_index=True)[1]  # kind of each case
 
     def by_case(values: Array) -> Array:
-        return np.add.reduceat(values.reshape(*rule.shape, -1), first, axis=2)
+        return np.add.reduceat(values.reshape(*rule.shape, -1), first, axis=3).sum(axis=2)
 
     count = by_case(sums.count)
 
@@ -176,9 +232,9 @@ def _parents(sums: ClassSums, rule: ClassRule) -> ClassSums:
 
 
 def _parent_of(index: Any, rule: ClassRule) -> Any:
-    """The parent of classes `index`, which tells saturation cases but not chromas apart."""
-    _, level, contrast, kind = rule.split(index)
-    return rule.join_cases(level, contrast, rule.case(kind))
+    """The parent of classes `index`, which tells saturation cases but neither chromas nor further features apart."""
+    place = rule.split(index)
+    return rule.join_cases(place.level, place.contrast, rule.case(place.kind))
 
 
 def _system(power: Array, noise: Array, factor: float, ridge: float) -> Array:
@@ -205,27 +261,27 @@ def _solve_positive(system: Array, right: Array) -> tuple[Array, float]:
 
 def _noise_factors(recipe: LearningRecipe, goal: Goal) -> list[float]:
     """How much each row of the opponent basis weighs noise against bias (docs/method.md#noise-weights)."""
-    if goal.outputs == ("X", "Y", "Z"):
+    if goal.outputs == XYZ:
         return [recipe.chroma_noise, recipe.luminance_noise, recipe.chroma_noise]
-    return [recipe.luminance_noise] * len(goal.outputs)
+    return [min(recipe.luminance_noise, 1.0)] * len(goal.outputs)  # what is no picture has no eyes to please
 
 
 def _opponent_basis(goal: Goal) -> Array:
     """Columns X − X_w Y, Y, Z − Z_w Y for XYZ, zero on greys under the training light; the identity for other outputs."""
     basis = np.eye(len(goal.outputs))
-    if goal.outputs == ("X", "Y", "Z"):
+    if goal.outputs == XYZ:
         basis[1, 0], basis[1, 2] = -goal.white[0], -goal.white[2]
     return basis
 
 
 def _nearest(filled: NDArray[np.bool_], rule: ClassRule) -> NDArray[np.int64]:
     """For every class the filled class it takes its transform from: itself, else the same kind at the nearest level and
-    contrast, else the nearest of any kind."""
-    _, level, contrast, kind = rule.split(np.arange(filled.size))
+    contrast, one of the same further features before others, else the nearest of any kind."""
+    _, level, contrast, further, kind = rule.split(np.arange(filled.size))
     known = np.flatnonzero(filled)
     source = np.arange(filled.size)
     for index in np.flatnonzero(~filled):
         far = np.abs(level[known] - level[index]) * rule.contrasts + np.abs(contrast[known] - contrast[index])
-        far = far + (kind[known] != kind[index]) * filled.size
+        far = far + (kind[known] != kind[index]) * filled.size + 0.5 * (further[known] != further[index])
         source[index] = known[np.argmin(far)]
     return source

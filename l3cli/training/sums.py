@@ -6,6 +6,7 @@ last bit in whatever order, by whatever processes and in however many shards it 
 """
 
 import functools
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,11 @@ Array = NDArray[np.float64]
 def pairs(width: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Column indices (pair), (pair) of the upper triangle of a moment matrix, row by row."""
     return np.triu_indices(width)
+
+
+def width_of(packed: Array) -> int:
+    """Columns of the matrices whose upper triangles are packed (…, pair)."""
+    return (math.isqrt(8 * packed.shape[-1] + 1) - 1) // 2
 
 
 def empty_sums(rule: ClassRule, outputs: int) -> ClassSums:
@@ -50,13 +56,21 @@ def add(sums: ClassSums, more: ClassSums) -> None:
 
 
 def grid_steps(rule: ClassRule, camera: CameraModel, outputs: int) -> Array:
-    """Grid steps of the moments (level, pair), powers of two.
+    """Grid steps of the moments (level, pair), powers of two."""
+    return steps_of_columns(intercept_scale(rule, camera), rule.patch**2, outputs)
 
-    Rows are relative to their level, so taps and outputs are of the order of one, and the intercept of one over the level.
-    """
+
+def intercept_scale(rule: ClassRule, camera: CameraModel) -> Array:
+    """Scale (level) of the intercept, a power of two: rows are relative to their level, so taps and outputs are of the
+    order of one, and the intercept of one over the level."""
     lower = np.maximum(level.inner_bounds(rule, camera.black, camera.white), 1e-4)
-    scale = np.ones((rule.levels, rule.patch**2 + 1 + outputs))
-    scale[:, rule.patch**2] = 2.0 ** np.rint(-np.log2(np.append(lower[0] / 2, lower)))
+    return np.asarray(2.0 ** np.rint(-np.log2(np.append(lower[0] / 2, lower))))
+
+
+def steps_of_columns(intercept: Array, taps: int, outputs: int) -> Array:
+    """Grid steps (level, pair) of products of columns: taps, the intercept of scale `intercept` (level), outputs."""
+    scale = np.ones((len(intercept), taps + 1 + outputs))
+    scale[:, taps] = intercept
     row, col = pairs(scale.shape[1])
     return STEP * scale[:, row] * scale[:, col]
 
@@ -64,9 +78,8 @@ def grid_steps(rule: ClassRule, camera: CameraModel, outputs: int) -> Array:
 def require_exact(sums: ClassSums, rule: ClassRule, steps: Array) -> None:
     """L3Error if sums have grown so large that additions may have been rounded. No product of two columns sums to more
     than the larger of their squares, so the squares tell for all."""
-    width = (int(np.sqrt(8 * sums.moments.shape[1] + 1)) - 1) // 2
-    row, col = pairs(width)
-    squares = rule.by_axis(sums.moments[:, row == col])[0] / steps[:, None, None, row == col]
+    row, col = pairs(width_of(sums.moments))
+    squares = rule.by_axis(sums.moments[:, row == col])[0] / steps[:, None, None, None, row == col]
     if max(squares.max(), sums.noise.max() / STEP) >= EXACT:
         raise L3Error("a class has more patches than can be added exactly; lower learning.patches or learning.draws")
 

@@ -5,6 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.class_rule import ClassRule
+from l3cli.classes.features import further_features
+
 Indices = NDArray[np.int64]
 
 
@@ -28,7 +31,7 @@ def site_maps(channel: Indices, patch: int, shared: bool = True) -> list[SiteMap
     maps: list[SiteMap] = []
     canonical: list[int] = []
     for site, window in enumerate(channel):
-        found = next(
+        site_map = next(
             (
                 SiteMap(known, permutation)
                 for known in (canonical if shared else ())
@@ -37,13 +40,30 @@ def site_maps(channel: Indices, patch: int, shared: bool = True) -> list[SiteMap
             ),
             None,
         )
-        if found is None:
+        if site_map is None:
             canonical.append(site)
-            found = SiteMap(site, orientations(patch)[0])
-        maps.append(found)
+            site_map = SiteMap(site, orientations(patch)[0])
+        maps.append(site_map)
     return maps
 
 
 def stabilisers(window: Indices, patch: int) -> list[Indices]:
     """The orientations that leave the layout of one window (tap) as it is."""
     return [permutation for permutation in orientations(patch) if (window[permutation] == window).all()]
+
+
+def turned_classes(rule: ClassRule, permutation: Indices) -> Indices:
+    """Class within a site (class) that patches of each class have after their taps are permuted by an orientation of
+    `orientations`. Only further features can change: sums over all of a patch stay."""
+    number = next(n for n, each in enumerate(orientations(rule.patch)) if np.array_equal(each, permutation))
+    transposed, turns = divmod(number, 4)
+    place = rule.split(np.arange(rule.classes_per_site))
+    values = zip(further_features(rule), rule.split_further(place.further), strict=True)
+    further = rule.join_further([feature.turned(axis, bool(transposed), turns)[value] for (feature, axis), value in values])
+    return rule.join(place.level, place.contrast, place.kind, further=further)
+
+
+def class_stabilisers(rule: ClassRule, window: Indices) -> list[Indices]:
+    """The orientations that leave the layout of one window (tap) and the class of every patch as they are."""
+    every = np.arange(rule.classes_per_site)
+    return [turn for turn in stabilisers(window, rule.patch) if np.array_equal(turned_classes(rule, turn), every)]

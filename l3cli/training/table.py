@@ -8,21 +8,25 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
+from l3cli.artifacts.layers import MosaicLayer
 from l3cli.artifacts.partial_sums import ClassSums
 from l3cli.artifacts.schema import Stage
 from l3cli.artifacts.table import TransformTable
-from l3cli.artifacts.training_set import TrainingPair, TrainingSet
+from l3cli.artifacts.training_set import LightSpectrum, TrainingPair, TrainingSet
 from l3cli.classes.chroma import channel_shares, choose_chromas
+from l3cli.classes.decide import observe_patches
 from l3cli.classes.rule import make_rule
 from l3cli.classes.saturation import choose_cases, saturation_codes
 from l3cli.classes.windows import neighbourhoods
 from l3cli.errors import InputFileError
-from l3cli.training.lesson import Lesson, brightness_of
+from l3cli.physics import spectra
+from l3cli.training.layers.mosaics import white_signal
 from l3cli.training.patches import draw_levels, expose_patches, patches_of
 from l3cli.training.recipe import LearningRecipe, TrainingRecipe
 from l3cli.training.solve import Goal, Solution, equal_responses, solve
 from l3cli.training.sums import add, empty_sums, grid_steps, require_exact
-from l3cli.training.symmetry import orientations, site_maps, stabilisers
+from l3cli.training.symmetry import class_stabilisers, orientations, site_maps, turned_classes
+from l3cli.training.training_pass import TrainingPass, brightness_of
 
 PILOT_PATCHES = 4000  # patches a site over all frames that decide which saturation cases are kept
 
@@ -34,10 +38,12 @@ class Pilot:
     occurrences: NDArray[np.int64]  # (code) of each saturation code
     shares: NDArray[np.float64]  # (patch, channel)
     whites: NDArray[np.float64]  # (frame, output) of their lights, each at Y = 1
+    lights: NDArray[np.float64]  # (frame, wavelength) of a white of 1 cd/m², where the camera is tabulated; NaN: not known
     exposures: NDArray[np.float64]  # (frame) s; real pairs, whose dark current is off already: 0
+    observed: dict[str, NDArray[np.float64]]  # (patch, …) what each further feature asks for
 
 
-def look_at(
+def take_pilot(
     frames: Iterable[TrainingPair], first: int, patches: Sequence[int], head: TrainingSet, recipe: TrainingRecipe, seed: int
 ) -> Pilot:
     """A pilot sample of `frames`, the first of which has the index `first` and which give so many `patches` (frame)."""
@@ -47,21 +53,24 @@ def look_at(
     near = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
     canonical = canonical_sites(head, rule, recipe.learning)
     occurrences = np.zeros(codes, dtype=np.int64)
-    shares, whites, exposures = [], [], []
+    shares, whites, lights, exposures, observed = [], [], [], [], []
     for index, (frame, count) in enumerate(zip(frames, patches, strict=True), first):
         whites.append(_unit_white(frame, head.outputs))
+        lights.append(_light_of(frame, camera))
         exposures.append(frame.dark_time)
         dark = _dark_signal(frame, camera)
         for site in canonical:
             rng = np.random.default_rng([seed, 0, index, site])
             pilot = patches_of(frame, head, near, site, count, rng, recipe.learning.symmetry)
-            own_level = np.maximum(pilot.signal.mean(axis=1), 1e-3)
-            scale = pilot.possible(draw_levels(recipe.learning, len(own_level), rng) / own_level)[:, None]
+            patch_level = np.maximum(pilot.signal.mean(axis=1), 1e-3)
+            scale = pilot.possible(draw_levels(recipe.learning, len(patch_level), rng) / patch_level)[:, None]
             carried = None if pilot.carried is None else (pilot.carried * scale**2).astype(np.float32)
             values = expose_patches((pilot.signal * scale).astype(np.float32), camera, rng, carried, dark)
             occurrences += np.bincount(saturation_codes(values, rule, near, site), minlength=codes)
             shares.append(channel_shares(pilot.signal, near, site))
-    return Pilot(occurrences, np.concatenate(shares), np.array(whites), np.array(exposures))
+            observed.append(observe_patches(values, rule, near, site))
+    about = np.array(whites), np.array(lights), np.array(exposures)
+    return Pilot(occurrences, np.concatenate(shares), *about, _together(observed))
 
 
 def pilot_patches(patches: Sequence[int]) -> list[int]:
@@ -72,19 +81,26 @@ def pilot_patches(patches: Sequence[int]) -> list[int]:
 
 def survey(
     pilots: Iterable[Pilot], patches: Sequence[int], head: TrainingSet, recipe: TrainingRecipe, seed: int
-) -> tuple[ClassRule, NDArray[np.float64], float]:
+) -> tuple[ClassRule, NDArray[np.float64], float, LightSpectrum | None]:
     """The class rule for `head.camera`, its saturation cases and chroma centres from the pilots of all frames in order, the
-    mean white point (output) of their lights and the mean exposure time (s) of those that are simulated; frames count as
-    they have `patches` (frame)."""
+    mean white point (output) of their lights, the mean exposure time (s) of those that are simulated and the mean light, if
+    all are known; frames count as they have `patches` (frame)."""
     every = list(pilots)
-    case_of_code = choose_cases(np.sum([own.occurrences for own in every], axis=0), recipe.classes.max_cases)
-    centres = choose_chromas(np.concatenate([own.shares for own in every]), recipe.classes.chromas, seed)
-    whites = np.concatenate([own.whites for own in every])
-    exposures = np.concatenate([own.exposures for own in every])
+    case_of_code = choose_cases(np.sum([pilot.occurrences for pilot in every], axis=0), recipe.classes.max_cases)
+    centres = choose_chromas(np.concatenate([pilot.shares for pilot in every]), recipe.classes.chromas, seed)
+    whites = np.concatenate([pilot.whites for pilot in every])
+    exposures = np.concatenate([pilot.exposures for pilot in every])
     counts = np.where(exposures > 0, patches, 0)
     exposure = float(exposures @ counts / max(counts.sum(), 1))
-    rule = make_rule(recipe.classes, head.camera, case_of_code, centres, head.camera.dark_signal(exposure))
-    return rule, np.average(whites, axis=0, weights=patches), exposure
+    observed = _together([pilot.observed for pilot in every])
+    rule = make_rule(recipe.classes, head.camera, case_of_code, centres, head.camera.dark_signal(exposure), observed)
+    mean = np.average(np.concatenate([own.lights for own in every]), axis=0, weights=patches)
+    light = LightSpectrum(head.camera.wavelength, mean.astype(np.float32)) if np.isfinite(mean).all() else None
+    return rule, np.average(whites, axis=0, weights=patches), exposure, light
+
+
+def _together(observed: list[dict[str, NDArray[np.float64]]]) -> dict[str, NDArray[np.float64]]:
+    return {name: np.concatenate([part[name] for part in observed]) for name in observed[0]}
 
 
 def canonical_sites(head: TrainingSet, rule: ClassRule, recipe: LearningRecipe) -> list[int]:
@@ -93,42 +109,43 @@ def canonical_sites(head: TrainingSet, rule: ClassRule, recipe: LearningRecipe) 
     return sorted({site_map.canonical for site_map in site_maps(near.channel, rule.patch, recipe.symmetry)})
 
 
-def add_up(lesson: Lesson, parts: Iterable[ClassSums]) -> ClassSums:
+def add_up(pass_: TrainingPass, parts: Iterable[ClassSums]) -> ClassSums:
     """The sums of all parts; L3Error if a class has more patches than can be added exactly."""
-    outputs = len(lesson.head.outputs)
-    sums = empty_sums(lesson.rule, outputs)
+    outputs = len(pass_.head.outputs)
+    sums = empty_sums(pass_.rule, outputs)
     for part in parts:
         add(sums, part)
-    require_exact(sums, lesson.rule, grid_steps(lesson.rule, lesson.head.camera, outputs))
+    require_exact(sums, pass_.rule, grid_steps(pass_.rule, pass_.head.camera, outputs))
     return sums
 
 
-def learn_site(lesson: Lesson, parts: Iterable[ClassSums], site: int) -> Solution:
+def learn_site(pass_: TrainingPass, parts: Iterable[ClassSums], site: int) -> Solution:
     """Solutions of one canonical site from the sums of all parts of a pass, in whatever order; L3Error as add_up."""
-    sums = add_up(lesson, parts)
-    camera, rule = lesson.head.camera, lesson.rule
+    sums = add_up(pass_, parts)
+    camera, rule = pass_.head.camera, pass_.rule
     window = neighbourhoods(camera.cfa, rule.patch, len(camera.channels)).channel[site]
-    alike = stabilisers(window, rule.patch) if lesson.recipe.symmetry else orientations(rule.patch)[:1]
-    return solve(sums, rule, window, alike, lesson.recipe, _goal(lesson))
+    alike = class_stabilisers(rule, window) if pass_.recipe.symmetry else orientations(rule.patch)[:1]
+    return solve(sums, rule, window, alike, pass_.recipe, _goal(pass_))
 
 
-def assemble(lesson: Lesson, solutions: dict[int, Solution], history: tuple[Stage, ...]) -> TransformTable:
+def assemble(pass_: TrainingPass, solutions: dict[int, Solution], history: tuple[Stage, ...]) -> TransformTable:
     """The table of all sites from the solutions of the canonical ones."""
-    head, rule, camera = lesson.head, lesson.rule, lesson.head.camera
+    head, rule, camera = pass_.head, pass_.rule, pass_.head.camera
     near = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
-    maps = site_maps(near.channel, rule.patch, lesson.recipe.symmetry)
+    maps = site_maps(near.channel, rule.patch, pass_.recipe.symmetry)
     copies = [sum(site_map.canonical == site for site_map in maps) for site in solutions]
-    equal = equal_responses(list(solutions.values()), copies, rule, lesson.recipe, _goal(lesson))
+    equal = equal_responses(list(solutions.values()), copies, rule, pass_.recipe, _goal(pass_))
     transforms = dict(zip(solutions, equal, strict=True))
     weights, intercept, samples, condition = [], [], [], []
     for site_map in maps:
         trained = transforms[site_map.canonical]
         turned = np.empty_like(trained.weights)
         turned[..., site_map.permutation] = trained.weights
-        weights.append(turned)
-        intercept.append(trained.intercept)
-        samples.append(trained.samples)
-        condition.append(trained.condition)
+        classes = turned_classes(rule, site_map.permutation)
+        weights.append(turned[classes])
+        intercept.append(trained.intercept[classes])
+        samples.append(trained.samples[classes])
+        condition.append(trained.condition[classes])
     return TransformTable(
         history=history,
         camera_name=camera.name,
@@ -140,22 +157,33 @@ def assemble(lesson: Lesson, solutions: dict[int, Solution], history: tuple[Stag
         black=camera.black,
         white=camera.white,
         outputs=head.outputs,
-        output_unit=camera.white_dose,
+        output_unit=camera.saturation_exposure,
         target_description=head.target_description,
-        white_point=lesson.white_point,
-        rule=rule,
-        weights=np.concatenate(weights).astype(np.float32),
-        intercept=np.concatenate(intercept).astype(np.float32),
-        samples=np.concatenate(samples),
-        condition=np.concatenate(condition).astype(np.float32),
-        exposure=lesson.exposure,
+        white_point=pass_.white_point,
+        first=MosaicLayer(
+            rule,
+            np.concatenate(weights).astype(np.float32),
+            np.concatenate(intercept).astype(np.float32),
+            np.concatenate(samples),
+            np.concatenate(condition).astype(np.float32),
+        ),
+        exposure=pass_.exposure,
+        light=pass_.light,
         camera=replace(camera, fit=None),
     )
 
 
-def _goal(lesson: Lesson) -> Goal:
-    camera = lesson.head.camera
-    return Goal(lesson.head.outputs, lesson.white_point, camera.black, camera.white)
+def _goal(pass_: TrainingPass) -> Goal:
+    camera = pass_.head.camera
+    signal = None if pass_.light is None else white_signal(pass_.light, camera)
+    return Goal(pass_.head.outputs, pass_.white_point, signal, camera.black, camera.white)
+
+
+def _light_of(frame: TrainingPair, camera: CameraModel) -> NDArray[np.float64]:
+    if frame.light is None:
+        return np.full(camera.wavelength.size, np.nan)
+    radiance = frame.light.radiance.astype(np.float64)
+    return np.asarray(spectra.resample(radiance, frame.light.wavelength, camera.wavelength), np.float64)
 
 
 def _dark_signal(frame: TrainingPair, camera: CameraModel) -> float:

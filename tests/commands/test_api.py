@@ -42,6 +42,7 @@ def test_stages_give_the_bytes_of_the_commands(pipeline: Path, tmp_path: Path) -
 
 def test_a_renderer_gives_the_picture_of_the_command(pipeline: Path) -> None:
     table = l3.load(pipeline / "table.h5")
+    assert isinstance(table, TransformTable)
     raw = next((pipeline / "unseen").glob("*_raw.tif"))
     frame = l3.read_raw(raw, table)
     expected, _ = read_image(pipeline / "picture.png")
@@ -73,7 +74,9 @@ def test_arrays_generators_and_threads_share_a_renderer() -> None:
 
 def test_what_is_loaded_and_saved_is_the_same_file(pipeline: Path, tmp_path: Path) -> None:
     for name in ("camera.h5", "table.h5"):
-        l3.save(l3.load(pipeline / name), tmp_path / name)
+        artifact = l3.load(pipeline / name)
+        assert not isinstance(artifact, TrainingSet)
+        l3.save(artifact, tmp_path / name)
         assert same(tmp_path / name, pipeline / name)
     assert isinstance(l3.load(pipeline / "training.h5"), TrainingSet)
 
@@ -88,7 +91,7 @@ def test_mistakes_raise_and_say_what_is_wrong(pipeline: Path, tmp_path: Path) ->
     with pytest.raises(L3Error, match="exists"):
         l3.train(pipeline / "training.h5", pipeline / "table.h5")
     with pytest.raises(InputFileError, match="float64"):
-        l3.Renderer(pipeline / "table.h5").picture(np.zeros((20, 20)))
+        l3.Renderer(pipeline / "table.h5").picture(np.zeros((20, 20)))  # type: ignore[arg-type]
     with pytest.raises(AttributeError, match="colour"):
         l3.colour  # noqa: B018
 

@@ -9,6 +9,7 @@ from l3cli import parallel
 from l3cli.rendering import benchmark
 from l3cli.simulation import benchmark as simulation
 from l3cli.training import benchmark as training
+from tests.helpers.calls import L3, Refused
 
 FIELDS = {
     "width", "height", "patch", "channels", "outputs", "classes", "backend", "variant", "device", "stages_ms", "frame_ms",
@@ -18,7 +19,7 @@ STAGES = ["upload", "classes", "transforms", "encode", "download"]
 
 
 @pytest.fixture(autouse=True)
-def small(monkeypatch):
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(benchmark, "FULL", (benchmark.Case(80, 50, 5, "bayer", "fast"),))
     monkeypatch.setattr(benchmark, "SMALL", (benchmark.Case(40, 30, 5, "bayer", "fast", 2),))
     monkeypatch.setattr(benchmark, "TINY", (benchmark.Case(20, 10, 5, "bayer", "fast"),))
@@ -26,31 +27,31 @@ def small(monkeypatch):
     monkeypatch.setattr(training, "CASES", ())
 
 
-def test_json_tells_what_was_measured_how(l3, monkeypatch):
+def test_json_says_what_was_measured_how(l3: L3, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(training, "CASES", (training.Case(300),))
     monkeypatch.setattr(training, "REPEATS", 1)
     monkeypatch.setattr(parallel, "alone", lambda function, case: function(case))
     code, out, err = l3("bench", "--json", "--quiet")
     assert (code, err) == (0, "")
-    told = json.loads(out)
-    assert told["devices"][0].startswith("0: ")
-    assert [(result["backend"], result["width"]) for result in told["results"]] == [
+    document = json.loads(out)
+    assert document["devices"][0].startswith("0: ")
+    assert [(result["backend"], result["width"]) for result in document["results"]] == [
         ("opencl", 80), ("opencl", 40), ("reference", 20),
     ]  # fmt: skip
-    assert {result["variant"] for result in told["results"]} == {"processor", "graphics", "reference"}
-    for result in told["results"]:
+    assert {result["variant"] for result in document["results"]} == {"processor", "graphics", "reference"}
+    for result in document["results"]:
         assert set(result) >= FIELDS
         assert list(result["stages_ms"]) == STAGES
         assert all(time >= 0 for time in result["stages_ms"].values())
         assert result["mp_per_s"] == pytest.approx(result["width"] * result["height"] / result["frame_ms"] / 1e3)
-    (learned,) = told["train"]
+    (learned,) = document["train"]
     assert learned["rows_per_s"] == pytest.approx(learned["rows"] / learned["cpu_s"])
     assert sum(learned["stages_ns"].values()) == pytest.approx(1e9 / learned["rows_per_s"])
-    assert ("limit_ratio" in told["results"][0]) == (shutil.which("cc") is not None)
-    assert "limit_ratio" not in told["results"][1]  # limit.c has three outputs
+    assert ("limit_ratio" in document["results"][0]) == (shutil.which("cc") is not None)
+    assert "limit_ratio" not in document["results"][1]  # limit.c has three outputs
 
 
-def test_table_of_one_variant_without_a_compiler(l3, monkeypatch):
+def test_table_of_one_variant_without_a_compiler(l3: L3, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CC", "no-such-compiler")
     code, out, _ = l3("bench", "--variant", "processor", "--device", "0", "--quiet")
     assert code == 0
@@ -61,7 +62,7 @@ def test_table_of_one_variant_without_a_compiler(l3, monkeypatch):
     assert len(line.split()) == 13  # the last would be the ratio to the limit
 
 
-def test_devices_are_listed_and_wrong_ones_refused(l3, refused):
+def test_devices_are_listed_and_wrong_ones_refused(l3: L3, refused: Refused) -> None:
     code, out, _ = l3("bench", "--list")
     assert code == 0
     assert out.startswith("0: ")
@@ -69,7 +70,7 @@ def test_devices_are_listed_and_wrong_ones_refused(l3, refused):
     assert "no such device" in refused(4, "bench", "--device", "no such device", "--quiet")
 
 
-def test_tables_fit_eighty_columns(l3, monkeypatch):
+def test_tables_fit_eighty_columns(l3: L3, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "80")
     code, out, _ = l3("bench", "--variant", "processor", "--device", "0", "--quiet")
     assert code == 0

@@ -13,11 +13,9 @@ from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.store import load
 from l3cli.io.frames import read_frame
 from l3cli.io.images import write_mosaic
+from tests.helpers.calls import L3, Refused
 from tests.helpers.hostile import TABLE
 from tests.helpers.paths import CONFIGS
-
-L3 = Callable[..., tuple[int, str, str]]
-Refused = Callable[..., str]
 
 
 @pytest.fixture
@@ -60,7 +58,7 @@ def edit(folder: Path, old: str, new: str, count: int = 1) -> None:
         ("exposure_s = ", "exposure_s = nan #", "mono.exposure_s is nan"),
         ("monitor = ", "monitor = inf #", "mono.monitor is inf"),
         ("[sensor]", "[datasheet]\nwell_capacity_e = 1\nblack_dn = 0\nwhite_dn = 1\n[sensor]", "or its [datasheet]"),
-        ("[sensor]", '[curves]\nfile = "x.csv"\n[sensor]', "found mono and curves"),
+        ("[sensor]", '[curves]\nfile = "x.csv"\n[sensor]', "given: mono and curves"),
         ("lamp_drift = ", "lamp_drift = -", "lamp_drift in 0…1"),
     ],
 )

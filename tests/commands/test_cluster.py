@@ -167,7 +167,7 @@ def test_render_gives_the_same_bytes(cluster: Cluster, made: Path, tmp_path: Pat
     assert (tmp_path / "video.y4m").read_bytes() == (made / "video.y4m").read_bytes()
 
 
-def test_a_broken_frame_is_told_or_left_out(cluster: Cluster, made: Path, tmp_path: Path, l3: Callable) -> None:
+def test_a_broken_frame_is_named_or_left_out(cluster: Cluster, made: Path, tmp_path: Path, l3: Callable) -> None:
     shutil.copytree(made / "frames", tmp_path / "frames")
     (tmp_path / "frames/0003.raw").write_bytes(b"short")
     command = ("render", made / "table.h5", *frames(tmp_path)[1:], "--exposure", 1, "--scheduler", cluster.address)
@@ -219,7 +219,7 @@ def test_what_a_worker_raises_is_raised_here(cluster: Cluster) -> None:
         assert list(crew(squared, range(4))) == [0, 1, 4, 9]
 
 
-def test_few_results_are_under_way(cluster: Cluster) -> None:
+def test_few_results_are_pending(cluster: Cluster) -> None:
     """Items are taken when there is room for them, not all at once."""
     taken: list[int] = []
 
@@ -298,7 +298,8 @@ def _there(cluster: Cluster, *tls: Path) -> Scheduler:
 
     if cluster.scheduler.poll() is None:
         _wait_until(answers)
-    return Scheduler(cluster.address, *tls)
+    ca, certificate, key = tls or (None, None, None)
+    return Scheduler(cluster.address, ca, certificate, key)
 
 
 # ------------------------------------------------------------------------------------------- doors and their keys
@@ -364,9 +365,9 @@ def test_what_listens_on_this_machine_alone_is_known(address: str, near: bool) -
 
 
 def test_a_scheduler_open_to_others_is_warned_of(cluster: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
-    told: list[str] = []
-    with workers(1, Scheduler(cluster.address, warn=told.append)):
-        assert told == []
+    warnings: list[str] = []
+    with workers(1, Scheduler(cluster.address, warn=warnings.append)):
+        assert warnings == []
     monkeypatch.setattr(elsewhere, "_is_loopback", lambda address: False)
-    with workers(1, Scheduler(cluster.address, warn=told.append)):
-        assert told == [elsewhere.WITHOUT_TLS]
+    with workers(1, Scheduler(cluster.address, warn=warnings.append)):
+        assert warnings == [elsewhere.WITHOUT_TLS]

@@ -14,8 +14,8 @@ from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.store import save
 from l3cli.artifacts.training_set import open_training_set
 from l3cli.cli import run
-from l3cli.io.dng_writer import LIGHT_CODES, RawColour, write_dng
-from l3cli.io.raw_files import read_raw
+from l3cli.io.raw.dng_writer import LIGHT_CODES, RawColour, write_dng
+from l3cli.io.raw.files import read_raw
 from l3cli.physics import spectra
 from l3cli.physics.display import delta_e_2000, lab, srgb_from_xyz_matrix
 from l3cli.simulation.light import make_light
@@ -77,7 +77,7 @@ def test_other_developers_see_the_camera(made: Path, frames: list[np.ndarray]) -
 
 
 def test_other_developers_make_a_true_picture(made: Path) -> None:
-    """LibRaw's own picture, white balanced by AsShotNeutral, against the wanted one, patch by patch."""
+    """LibRaw's picture, white balanced by AsShotNeutral, against the wanted one, patch by patch."""
     wavelength = np.arange(380.0, 781.0, 5.0)
     _, reflectance = spectra.colorchecker(wavelength)
     weights = spectra.xyz_weights(wavelength) * spectra.illuminant("D65", wavelength)
@@ -96,8 +96,8 @@ def test_other_developers_make_a_true_picture(made: Path) -> None:
 
 def test_tags_are_those_of_the_specification(made: Path) -> None:
     with tifffile.TiffFile(files(made)[0]) as file:
-        found = file.pages[0].tags.values()
-        tags, kind = {tag.code: tag.value for tag in found}, {tag.code: (int(tag.dtype), tag.count) for tag in found}
+        written = file.pages[0].tags.values()
+        tags, kind = {tag.code: tag.value for tag in written}, {tag.code: (int(tag.dtype), tag.count) for tag in written}
     kinds = {
         254: (4, 1), 274: (3, 1), 33421: (3, 2), 33422: (1, 4), 50706: (1, 4), 50707: (1, 4), 50710: (1, 3), 50711: (3, 1),
         50713: (3, 2), 50714: (5, 1), 50717: (4, 1), 50718: (5, 2), 50719: (4, 2), 50720: (4, 2), 50721: (10, 9),
@@ -127,7 +127,7 @@ def test_any_array_comes_back(tmp_path: Path, recipe: str) -> None:
     write_dng(tmp_path / "a.dng", values, camera, _colour(camera), None, 1e-5)
     frame = read_raw(tmp_path / "a.dng", camera)
     np.testing.assert_array_equal(frame.values, values)
-    assert (frame.black, frame.white, frame.phase, frame.orientation) == (camera.black, camera.white, (0, 0), 0)
+    assert (frame.black_level, frame.white_level, frame.phase, frame.orientation) == (camera.black, camera.white, (0, 0), 0)
     with rawpy.imread(str(tmp_path / "a.dng")) as raw:
         np.testing.assert_array_equal(raw.raw_image, values)
 
@@ -163,7 +163,7 @@ def test_the_matrix_meets_white_and_surfaces(recipe: str) -> None:
         assert np.abs(xyz @ matrix.T - channels).mean() < 0.02
 
 
-def test_what_is_in_the_way_is_refused(refused: Callable, made: Path, tmp_path: Path) -> None:
+def test_what_exists_already_is_refused(refused: Callable, made: Path, tmp_path: Path) -> None:
     call = ("simulate", made / "scenes.toml", "--camera", made / "camera.toml", "-o", tmp_path / "t.h5", "--dng")
     (tmp_path / "file").write_bytes(b"")
     assert "name a folder" in refused(1, *call, tmp_path / "file")

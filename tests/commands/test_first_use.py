@@ -7,16 +7,18 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
 import pytest
 
+from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import open_training_set
 from l3cli.cli import COMMANDS
 from l3cli.cli import l3 as program
-from l3cli.cli.init import COMMON
 from l3cli.io.images import write_picture
+from l3cli.stages.starting import COMMON
 from tests.helpers.paths import CONFIGS
 from tests.helpers.readme import commands, sessions
 
@@ -55,7 +57,7 @@ def test_l3_alone_explains_itself_and_is_a_wrong_call(l3: Callable) -> None:
 
 
 @places
-def test_a_recipe_is_found_by_its_name(place: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_recipe_is_opened_by_its_name(place: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     kind = ASKED[place][1]
     name = EXAMPLES[kind]
@@ -106,8 +108,8 @@ def test_the_worked_example_finds_its_recipes_in_an_installed_wheel(tmp_path: Pa
     run = subprocess.run(
         [sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60, check=True
     )
-    found = {Path(line) for line in run.stdout.split()} - {Path("lab/MEASUREMENTS.toml")}
-    assert found == {
+    recipes = {Path(line) for line in run.stdout.split()} - {Path("lab/MEASUREMENTS.toml")}
+    assert recipes == {
         package / "configs" / name
         for name in ("cameras/fiveband.toml", "scenes/default.toml", "classes/default.toml", "scenes/demo_unseen.toml")
     }
@@ -147,9 +149,11 @@ def test_no_message_cites_what_users_do_not_have() -> None:
 
     for path in (CONFIGS.parent / "l3cli").rglob("*.py"):
         tree = ast.parse(path.read_text(encoding="utf-8"))
-        told = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}  # docstrings are for programmers
+        docstrings = {
+            id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)
+        }  # docstrings are for programmers
         for node in ast.walk(tree):
-            if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in told:
+            if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docstrings:
                 assert "METHOD" not in node.value, (path, node.lineno)
 
 
@@ -177,8 +181,8 @@ def test_all_pictures_that_do_not_fit_are_named_before_any_work(
 
     monkeypatch.setattr(stage, "simulate_unit", lambda unit: pytest.fail("work has begun"))
     line = refused(3, "simulate", pictures, "--camera", bayer_recipe, "-o", pictures.parent / "out.h5")
-    for told in ("4 of 6 scenes", "b.png is 300×400", "d.png is 193×60", "192×256", "e.png is 10×90", "16×16", "f.png"):
-        assert told in line
+    for part in ("4 of 6 scenes", "b.png is 300×400", "d.png is 193×60", "192×256", "e.png is 10×90", "16×16", "f.png"):
+        assert part in line
     assert all(cure in line for cure in ("scale", "shrink", "--skip-bad"))
     many = pictures.parent / "many"
     many.mkdir()
@@ -209,7 +213,7 @@ def test_pictures_that_do_not_fit_are_left_out_if_asked(
     assert "no scene is left" in refused(3, *call, folder / "none.h5", "--skip-bad").splitlines()[-1]
 
 
-def test_a_size_is_that_of_the_framed_scene(bayer, tmp_path: Path) -> None:
+def test_a_size_is_that_of_the_framed_scene(bayer: CameraModel, tmp_path: Path) -> None:
     from l3cli.scene import Scene
     from l3cli.simulation.framing import framed, framed_size
     from l3cli.simulation.sources import Framing
@@ -221,12 +225,13 @@ def test_a_size_is_that_of_the_framed_scene(bayer, tmp_path: Path) -> None:
         assert framed_size((31, 45), framing, bayer) == framed(scene, framing, bayer).reflectance.shape[:2], text
 
 
-def test_headers_tell_the_size_that_reading_gives(tmp_path: Path, bayer) -> None:
+def test_headers_give_the_size_that_reading_gives(tmp_path: Path, bayer: CameraModel) -> None:
     import h5py
     from scipy.io import savemat
 
-    from l3cli.io import cubes, scene_files
     from l3cli.io.images import picture_size
+    from l3cli.io.scenes import iset
+    from l3cli.io.scenes.registry import format_of
     from tests.helpers.cubes import a_cube, basis_file
 
     cube, path = a_cube(), tmp_path / "cube"
@@ -239,10 +244,12 @@ def test_headers_tell_the_size_that_reading_gives(tmp_path: Path, bayer) -> None
         file["group/values"] = cube
     for name, variable in {"cube.npy": None, "cube.mat": None, "struct.mat": "s.cube", "cube.h5": "group/values"}.items():
         for axes in ("row col band", "col row band", "band row col"):
-            read = cubes.read_cube(tmp_path / name, variable, axes).values.shape[:2]
-            assert cubes.cube_size(tmp_path / name, variable, axes) == read, (name, axes)
+            stored = format_of("cube", tmp_path / name)
+            scene: Any = stored.read(tmp_path / name, variable=variable, axes=axes)
+            read = scene.values.shape[:2]
+            assert stored.size(tmp_path / name, variable=variable, axes=axes) == read, (name, axes)
     basis_file(tmp_path / "iset.mat", "photons")
-    read = scene_files.read_iset_scene(tmp_path / "iset.mat").reflectance.shape[:2]
-    assert scene_files.iset_size(tmp_path / "iset.mat") == read == (20, 24)
+    read = iset.read(tmp_path / "iset.mat").reflectance.shape[:2]
+    assert iset.size(tmp_path / "iset.mat") == read == (20, 24)
     savemat(tmp_path / "scene.mat", {"scene": {"data": {"photons": cube}, "spectrum": {"wave": np.arange(31)}}})
-    assert scene_files.iset_size(tmp_path / "scene.mat") == (20, 24)
+    assert iset.size(tmp_path / "scene.mat") == (20, 24)

@@ -1,28 +1,33 @@
 """l3 init: what it makes, and every camera recipe from its folder to a picture, small."""
 
 import json
+import os
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.training_set import open_training_set
-from l3cli.cli.init import COMMON
-from l3cli.config import load_recipe
+from l3cli.config import Recipe, load_recipe
 from l3cli.evaluation.demosaic import interpolate
 from l3cli.evaluation.quality import psnr
-from l3cli.io.images import read_image
-from l3cli.recipes import known_recipes
-from l3cli.simulation.lab import LabRecipe
+from l3cli.io.images import read_image, write_picture
+from l3cli.recipes import known_benchmarks, known_recipes
+from l3cli.simulation.lab_recipe import LabRecipe
 from l3cli.simulation.recipe import SceneRecipe
+from l3cli.stages.starting import COMMON
 from l3cli.training.recipe import TrainingRecipe
 from tests.helpers.paths import CONFIGS
 from tests.helpers.recipes import SMALL
 
 CAMERAS = known_recipes("cameras")
 NAMES = sorted(CAMERAS)
+BENCHMARK = ("camera.toml", "training.toml", "test.toml", "classes.toml", "Makefile")
 BANDS = '\n[target]\noutputs = "camera"\n'
 
 
@@ -51,7 +56,7 @@ def small_folder(name: str, folder: Path, l3: Callable) -> Path:
 def test_without_arguments_the_recipes_are_listed(l3: Callable) -> None:
     code, out, err = l3("init")
     assert code == 0
-    assert [line.split()[0] for line in out.splitlines()] == NAMES
+    assert [line.split()[0] for line in out.splitlines()] == [*NAMES, *known_benchmarks()]
     assert all(len(line) <= 120 and "…" not in line for line in out.splitlines())
     assert "l3 init bayer demo" in err
 
@@ -90,13 +95,49 @@ def test_a_phase_comes_with_its_base(tmp_path: Path, l3: Callable) -> None:
     assert load_camera(tmp_path / "demo/camera.toml").name == "Bayer BGGR"
 
 
+def test_a_benchmark_learns_from_pictures_and_judges_on_others(tmp_path: Path, l3: Callable) -> None:
+    folder = tmp_path / "benchmark"
+    code, _, err = l3("init", "benchmark-bayer", folder)
+    assert code == 0
+    assert "2×2,  3 channels  A Bayer array, GRBG" in err
+    assert {path.name for path in folder.iterdir()} == set(BENCHMARK)
+    for name in BENCHMARK:
+        assert (folder / name).read_bytes() == (CONFIGS / "benchmarks/bayer" / name).read_bytes()
+
+    def make() -> subprocess.CompletedProcess[str]:
+        command = ["make", "-C", str(folder), f"L3={sys.executable} -m l3cli", "JOBS=1", "BORDER=4"]
+        environment = os.environ | {"PYTHONPATH": str(CONFIGS.parent)}
+        environment.pop("MAKEFLAGS", None)
+        return subprocess.run(command, text=True, capture_output=True, check=False, env=environment)
+
+    assert "training/ is missing: put RGB pictures into it" in make().stderr
+    for seed, name in enumerate(("training", "test")):
+        (folder / name).mkdir()
+        noise = np.random.default_rng(seed).random((3, 64, 80))
+        smooth = gaussian_filter(noise.mean(axis=0), 1.2) + 0.2 * gaussian_filter(noise, (0, 4, 4))
+        codes = np.rint(255 * (smooth - smooth.min()) / np.ptp(smooth)).astype(np.uint8)
+        write_picture(folder / name / "noise.png", np.ascontiguousarray(np.moveaxis(codes, 0, -1)))
+    (folder / "classes.toml").write_text(SMALL["classes"])
+    made = make()
+    assert made.returncode == 0, made.stderr
+    assert made.stdout.endswith((folder / "quality.txt").read_text() + f"make: Leaving directory '{folder}'\n")
+    assert "bilinear" in made.stdout
+    assert "by band" in made.stdout
+    again = make()
+    assert "simulate" not in again.stdout
+    assert "train " not in again.stdout
+
+
 def test_every_recipe_that_is_shipped_can_be_read() -> None:
-    kinds = {"scenes": SceneRecipe, "classes": TrainingRecipe, "lab": LabRecipe}
+    kinds: dict[str, type[Recipe]] = {"scenes": SceneRecipe, "classes": TrainingRecipe, "lab": LabRecipe}
     for folder, kind in kinds.items():
-        found = sorted((CONFIGS / folder).glob("*.toml"))
-        assert found
-        for path in found:
+        paths = sorted((CONFIGS / folder).glob("*.toml"))
+        assert paths
+        for path in paths:
             load_recipe(path, kind)
+    for folder in ("training", "test"):
+        load_recipe(CONFIGS / f"benchmarks/bayer/{folder}.toml", SceneRecipe)
+    load_recipe(CONFIGS / "benchmarks/bayer/classes.toml", TrainingRecipe)
 
 
 # ------------------------------------------------------------------------------------------------------- arrays

@@ -11,10 +11,11 @@ import pytest
 from l3cli.artifacts.camera import CameraModel
 from l3cli.cli import run
 from l3cli.config import load_recipe
-from l3cli.curve_table import read_table
+from l3cli.curve_file import read_table
 from l3cli.io.frames import read_frame
-from l3cli.simulation.flaws import FlawRecipe, flaws_of
-from l3cli.simulation.lab import LabRecipe, MonoRecipe, plan, take
+from l3cli.simulation.lab import plan, take
+from l3cli.simulation.lab_recipe import LabRecipe, MonoRecipe
+from l3cli.simulation.sensor_defects import DefectRecipe, defects_of
 from tests.helpers.paths import CONFIGS
 
 QUICK = """
@@ -181,9 +182,9 @@ def test_a_sensor_too_small_for_a_chart_is_refused(bayer_recipe: Path, tmp_path:
     assert "too small" in refused(2, "lab", tiny, "-o", tmp_path / "lab")
 
 
-def test_hot_and_dead_pixels_and_dust_are_where_the_flaws_say(bayer: CameraModel) -> None:
-    recipe = FlawRecipe(hot_pixels_per_million=200.0, dead_pixels_per_million=200.0, dust_specks_per_million=60.0)
-    flaws = flaws_of(bayer, recipe)
+def test_hot_and_dead_pixels_and_dust_are_where_the_recipe_says(bayer: CameraModel) -> None:
+    recipe = DefectRecipe(hot_pixels_per_million=200.0, dead_pixels_per_million=200.0, dust_specks_per_million=60.0)
+    flaws = defects_of(bayer, recipe)
     assert len(flaws.hot) == len(flaws.dead) == 10
     assert flaws.shade.min() < 0.98
     captures = plan(bayer, LabRecipe(falloff=0.0), seed=0)

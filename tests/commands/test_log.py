@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l3cli.cli.log import HEADING
+from l3cli.stages.log import HEADING
+from tests.helpers.calls import L3
 
 LINE = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ (info|warning|error) (\w+) (.*)")
-L3 = Callable[..., tuple[int, str, str]]
 
 
 def lines(log: Path) -> list[tuple[str, str, str]]:
     heading, *rest = log.read_text().splitlines()
     assert heading.encode() + b"\n" == HEADING
-    return [found.groups() for line in rest if (found := LINE.fullmatch(line)) or pytest.fail(line)]  # type: ignore[misc]
+    return [match.groups() for line in rest if (match := LINE.fullmatch(line)) or pytest.fail(line)]  # type: ignore[misc]
 
 
 def test_a_log_holds_what_is_said_also_quietly_and_the_error_that_ends_a_run(l3: L3, pipeline: Path, tmp_path: Path) -> None:

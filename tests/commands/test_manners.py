@@ -1,4 +1,4 @@
-"""How the commands behave towards people: help, completion, progress, names suggested, tables that fit, cautions."""
+"""How the commands behave towards people: help, completion, progress, names suggested, tables that fit, input warnings."""
 
 import json
 import os
@@ -22,15 +22,16 @@ from l3cli.errors import suggestion
 from l3cli.frame import RawFrame
 from l3cli.rendering.coverage import CoverageMeter
 from tests.helpers.paths import CONFIGS
+from tests.helpers.tables import with_first
 from tests.helpers.terminal import in_terminal
 
 UNITS = re.compile(r"\b(DN|nm|pixels?|seconds?|a second|a degree|Number|numbers|Rate factor|Bytes)\b", re.IGNORECASE)
 
 
 def command(name: str) -> click.Command:
-    found = l3.get_command(click.Context(l3), name)
-    assert found is not None
-    return found
+    subcommand = l3.get_command(click.Context(l3), name)
+    assert subcommand is not None
+    return subcommand
 
 
 def called(line: str) -> click.Context:
@@ -46,7 +47,9 @@ def called(line: str) -> click.Context:
 
 
 @pytest.mark.parametrize("name", list(COMMANDS))
-def test_help_has_an_example_and_units_and_fits_eighty_columns(name: str, l3: Callable, monkeypatch) -> None:
+def test_help_has_an_example_and_units_and_fits_eighty_columns(
+    name: str, l3: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("COLUMNS", "80")
     code, out, err = l3(name, "--help")
     assert (code, err) == (0, "")
@@ -62,23 +65,23 @@ def test_help_has_an_example_and_units_and_fits_eighty_columns(name: str, l3: Ca
 
 
 def test_results_can_be_had_as_json_and_talk_be_silenced() -> None:
-    told = {name: {option.name for option in command(name).params} for name in COMMANDS}
+    options = {name: {option.name for option in command(name).params} for name in COMMANDS}
     for name in ("calibrate", "evaluate", "compare", "info", "bench"):
-        assert "as_json" in told[name]
-    assert [name for name in COMMANDS if "console" not in told[name]] == ["compare", "info"]  # they do not talk
-    assert [name for name in COMMANDS if "seed" in told[name]] == ["simulate", "train", "lab"]
+        assert "as_json" in options[name]
+    assert [name for name in COMMANDS if "console" not in options[name]] == ["compare", "info"]  # they do not talk
+    assert [name for name in COMMANDS if "seed" in options[name]] == ["simulate", "train", "lab"]
 
 
-def test_versions_and_devices(l3: Callable, refused: Callable, monkeypatch) -> None:
+def test_versions_and_devices(l3: Callable, refused: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     assert l3("--version")[1].split() == ["l3,", "version", __version__]
     code, out, err = l3("info", "--version", "--json")
     assert (code, err) == (0, "")
-    found = json.loads(out)
-    assert found["l3"] == __version__
-    assert found["python"] == ".".join(map(str, sys.version_info[:3]))
-    assert found["devices"][0].startswith("0: ")
+    document = json.loads(out)
+    assert document["l3"] == __version__
+    assert document["python"] == ".".join(map(str, sys.version_info[:3]))
+    assert document["devices"][0].startswith("0: ")
     plain = l3("info", "--version")[1]
-    for name, version in found["libraries"].items():
+    for name, version in document["libraries"].items():
         assert f"  {name} {version or 'is not installed'}\n" in plain
     monkeypatch.setitem(sys.modules, "pyopencl", None)
     assert 'pip install "pyopencl[pocl]"' in l3("info", "--version")[1]
@@ -90,7 +93,7 @@ def test_versions_and_devices(l3: Callable, refused: Callable, monkeypatch) -> N
 
 
 def completed(words: str) -> list[str]:
-    """What the shell is offered for the last of `words`, by a process of its own that imports nothing heavy."""
+    """What the shell is offered for the last of `words`, by a process that imports nothing heavy."""
     code = (
         "import sys, atexit\n"
         "atexit.register(lambda: print('heavy', *({'numpy', 'h5py', 'colour', 'rich', 'msgspec'} & set(sys.modules))))\n"
@@ -129,7 +132,9 @@ def test_bash_completes_with_the_line_of_the_readme(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("shell", "word"), [("zsh", "compdef"), ("fish", "complete --no-files --command l3")])
-def test_the_scripts_of_other_shells(shell: str, word: str, monkeypatch, capsys) -> None:
+def test_the_scripts_of_other_shells(
+    shell: str, word: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setenv("_L3_COMPLETE", f"{shell}_source")
     with pytest.raises(SystemExit) as stop:
         l3.main([], prog_name="l3")
@@ -164,14 +169,16 @@ class Clock:
         return self.now
 
 
-def logged(total: int | None, count: int, step: float, monkeypatch, capsys) -> list[str]:
+def logged(
+    total: int | None, count: int, step: float, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> list[str]:
     monkeypatch.setattr(time, "monotonic", Clock(step))
     capsys.readouterr()
     assert list(terminal.Terminal().progress(range(count), total, "frames")) == list(range(count))
     return capsys.readouterr().err.splitlines()
 
 
-def test_a_log_hears_of_progress_now_and_then(monkeypatch, capsys) -> None:
+def test_a_log_hears_of_progress_now_and_then(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     lines = logged(1000, 1000, 1.0, monkeypatch, capsys)
     assert len(lines) == 9  # what comes when all is done, the command itself says
     assert lines[0] == "frames: 100 of 1000, 1 a second, 15 min 0 s left"
@@ -184,7 +191,7 @@ def test_a_log_hears_of_progress_now_and_then(monkeypatch, capsys) -> None:
     assert len(endless) == 8
 
 
-def test_quiet_is_quiet(monkeypatch, capsys) -> None:
+def test_quiet_is_quiet(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(time, "monotonic", Clock(100.0))
     assert list(terminal.ErrorsOnly().progress(range(100), 100, "frames")) == list(range(100))
     assert capsys.readouterr().err == ""
@@ -236,7 +243,9 @@ def test_columns_are_divided_where_they_do_not_fit() -> None:
     assert columns(headings, rows, 1) == columns(headings, rows, 15)  # what cannot fit is not lost
 
 
-def test_tables_fit_a_terminal_of_eighty_columns(pipeline: Path, tmp_path: Path, l3: Callable, monkeypatch) -> None:
+def test_tables_fit_a_terminal_of_eighty_columns(
+    pipeline: Path, tmp_path: Path, l3: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
     judged = tmp_path / "evaluation.json"
     table, unseen = pipeline / "table.h5", pipeline / "unseen.h5"
     judged.write_text(l3("evaluate", table, unseen, "--json")[1])
@@ -261,10 +270,10 @@ def test_tables_fit_a_terminal_of_eighty_columns(pipeline: Path, tmp_path: Path,
     assert "95 %" in l3("evaluate", table, unseen)[1]
 
 
-# ------------------------------------------------------------------------------------------------------- cautions
+# ------------------------------------------------------------------------------------------------- input warnings
 
 
-def test_frames_that_the_table_was_not_made_for_are_told(pipeline: Path, tmp_path: Path, l3: Callable) -> None:
+def test_frames_that_the_table_was_not_made_for_are_warned_of(pipeline: Path, tmp_path: Path, l3: Callable) -> None:
     raw = next((pipeline / "unseen").glob("*_raw.tif"))
     render = ("render", pipeline / "table.h5", raw, "--backend", "reference", "-o")
     assert l3(*render, tmp_path / "fine.png") == (0, "", "")
@@ -289,16 +298,16 @@ def frames_of(table: TransformTable, level: float, count: int) -> Iterator[RawFr
         yield RawFrame(f"frame {number}", values, table.black, table.white)
 
 
-def test_levels_without_training_are_counted(pipeline: Path, capsys) -> None:
+def test_levels_without_training_are_counted(pipeline: Path, capsys: pytest.CaptureFixture[str]) -> None:
     from dataclasses import replace
 
     from l3cli.stages.input_warnings import FrameWarnings
 
     table = load(TransformTable, pipeline / "table.h5")
-    samples = table.samples.reshape(table.cfa.size, table.rule.levels, -1).copy()
+    samples = table.first.samples.reshape(table.cfa.size, table.first.rule.levels, -1).copy()
     samples[:, 2:5] = 100.0
     samples[:, :2] = samples[:, 5:] = 0.0
-    part = replace(table, samples=samples.ravel(), camera=None)
+    part = replace(with_first(table, samples=samples.ravel()), camera=None)
     meter = CoverageMeter(part)
     dark, middle, bright = (meter.coverage(next(frames_of(part, level, 1))) for level in (0.0, 0.01, 0.7))
     assert (dark.darker, dark.brighter, middle.darker, middle.brighter) == (1.0, 0.0, 0.0, 0.0)

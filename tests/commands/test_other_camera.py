@@ -28,15 +28,23 @@ OTHERS = {  # what is changed in the recipe, and what is said of it
 @pytest.fixture(scope="module")
 def frames(pipeline: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """A set of unseen frames of every other camera, all of which bear the same name."""
-    folder, found = tmp_path_factory.mktemp("others"), {}
+    folder, artifacts = tmp_path_factory.mktemp("others"), {}
     (folder / "scenes.toml").write_text('exposure_share = [0.8]\n[[scene]]\nsource = "grey ramp"\nsize = [32, 48]\n')
     for name, (old, new, _) in OTHERS.items():
         assert old in TWIN
         (folder / f"{name}.toml").write_text(TWIN.replace(old, new))
-        found[name] = folder / f"{name}.h5"
-        arguments = ("simulate", folder / "scenes.toml", "--camera", folder / f"{name}.toml", "-o", found[name], "--quiet")
+        artifacts[name] = folder / f"{name}.h5"
+        arguments = (
+            "simulate",
+            folder / "scenes.toml",
+            "--camera",
+            folder / f"{name}.toml",
+            "-o",
+            artifacts[name],
+            "--quiet",
+        )
         assert run([str(argument) for argument in arguments]) == 0
-    return found
+    return artifacts
 
 
 @pytest.mark.parametrize("name", OTHERS)

@@ -1,7 +1,7 @@
 """The pages of a TIFF: frames where a sequence is rendered, refused where one picture or frame is wanted."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +12,9 @@ from l3cli.artifacts.store import save
 from l3cli.errors import InputFileError
 from l3cli.io.frames import read_frame
 from l3cli.io.images import read_image, write_mosaic, write_picture
-from l3cli.io.pages import count_pages, read_page
+from l3cli.io.raw.pages import count_pages, read_page
 from l3cli.limits import TRUST
+from tests.helpers.calls import L3, Refused
 from tests.helpers.sequences import COUNT, FAST, RGGB, frames, pictures
 
 PLAIN = {"photometric": "minisblack", "metadata": None}
@@ -25,7 +26,7 @@ def table(tmp_path: Path) -> Path:
     return tmp_path / "table.h5"
 
 
-def write_pages(path: Path, pages: object, big: bool = False, order: str = "<", **options: object) -> Path:
+def write_pages(path: Path, pages: Iterable[np.ndarray], big: bool = False, order: str = "<", **options: object) -> Path:
     with tifffile.TiffWriter(path, bigtiff=big, byteorder=order) as file:
         for page in pages:
             file.write(page, contiguous=False, **{**PLAIN, **options})
@@ -37,7 +38,7 @@ def write_pages(path: Path, pages: object, big: bool = False, order: str = "<", 
     [{}, {"big": True}, {"order": ">"}, {"compression": "zlib"}, {"rowsperstrip": 3}, {"subfiletype": 2}],
     ids=lambda options: next(iter(options), "plain"),
 )
-def test_pages_are_the_frames_of_a_stack(l3, tmp_path: Path, table: Path, options: dict) -> None:
+def test_pages_are_the_frames_of_a_stack(l3: L3, tmp_path: Path, table: Path, options: dict) -> None:
     np.save(tmp_path / "a.npy", frames())
     write_pages(tmp_path / "a.tif", frames(), **options)
     for name in ("a.npy", "a.tif"):
@@ -47,7 +48,7 @@ def test_pages_are_the_frames_of_a_stack(l3, tmp_path: Path, table: Path, option
     assert all(np.array_equal(ours[name], theirs[name]) for name in theirs)
 
 
-def test_pages_are_chosen_by_number_and_become_videos(l3, tmp_path: Path, table: Path) -> None:
+def test_pages_are_chosen_by_number_and_become_videos(l3: L3, tmp_path: Path, table: Path) -> None:
     stack = write_pages(tmp_path / "a.tiff", frames())
     assert l3("render", table, stack, "-o", tmp_path / "%d.png", "--frames", "1-4x3", *FAST) == (0, "", "")
     assert sorted(path.name for path in tmp_path.glob("*.png")) == ["1.png", "4.png"]
@@ -69,7 +70,7 @@ def test_pages_are_read_one_by_one_in_any_order(tmp_path: Path, monkeypatch: pyt
     np.testing.assert_array_equal(read_page(path, 0)[0], frames()[-1])
 
 
-def test_a_tiff_of_one_page_is_a_frame_as_before(l3, tmp_path: Path, table: Path) -> None:
+def test_a_tiff_of_one_page_is_a_frame_as_before(l3: L3, tmp_path: Path, table: Path) -> None:
     write_mosaic(tmp_path / "a.tif", frames()[0])
     assert count_pages(tmp_path / "a.tif") == 1
     assert l3("render", table, tmp_path / "a.tif", "-o", tmp_path / "out", *FAST) == (0, "", "")
@@ -136,7 +137,7 @@ ODD: dict[str, tuple[Callable[[Path], object], str]] = {
 
 
 @pytest.mark.parametrize("kind", ODD)
-def test_pages_of_another_kind_are_refused_not_dropped(refused, tmp_path: Path, table: Path, kind: str) -> None:
+def test_pages_of_another_kind_are_refused_not_dropped(refused: Refused, tmp_path: Path, table: Path, kind: str) -> None:
     make, words = ODD[kind]
     make(tmp_path / "a.tif")
     for output in ("a.png", "out", "a.mp4"):
@@ -145,7 +146,7 @@ def test_pages_of_another_kind_are_refused_not_dropped(refused, tmp_path: Path, 
         assert words in line
 
 
-def test_a_smaller_copy_below_a_frame_is_no_frame(l3, tmp_path: Path, table: Path) -> None:
+def test_a_smaller_copy_below_a_frame_is_no_frame(l3: L3, tmp_path: Path, table: Path) -> None:
     with tifffile.TiffWriter(tmp_path / "a.tif") as file:
         for mosaic in frames():
             file.write(mosaic, subifds=1, contiguous=False, **PLAIN)
@@ -161,7 +162,7 @@ def test_a_description_of_another_picture_is_not_believed(tmp_path: Path) -> Non
         assert read_image(path)[0].shape == (20, 28, 1)
 
 
-def test_elsewhere_a_file_has_one_picture(refused, tmp_path: Path, table: Path) -> None:
+def test_elsewhere_a_file_has_one_picture(refused: Refused, tmp_path: Path, table: Path) -> None:
     (tmp_path / "in").mkdir()
     stack = write_pages(tmp_path / "in/a_1.tif", frames())
     write_mosaic(tmp_path / "b_2.tif", frames()[0])
@@ -185,9 +186,11 @@ def test_a_picture_of_several_parts_is_refused(tmp_path: Path) -> None:
     for number, spec in enumerate(specs):
         spec.attribute("oiio:subimagename", f"part {number}")
     sink = oiio.ImageOutput.create(str(tmp_path / "a.exr"))
+    assert sink is not None
     assert sink.open(str(tmp_path / "a.exr"), tuple(specs))
     for number, spec in enumerate(specs):
-        assert number == 0 or sink.open(str(tmp_path / "a.exr"), spec, "AppendSubimage")
+        if number:
+            assert sink.open(str(tmp_path / "a.exr"), spec, "AppendSubimage")
         assert sink.write_image(np.zeros((6, 8, 3), np.float16))
     sink.close()
     with pytest.raises(InputFileError, match="holds more than one part"):
@@ -195,11 +198,11 @@ def test_a_picture_of_several_parts_is_refused(tmp_path: Path) -> None:
 
 
 def test_bands_in_pages_are_still_read(tmp_path: Path) -> None:
-    from l3cli.io.cubes import read_channels
+    from l3cli.io.scenes import pages
 
     write_pages(tmp_path / "a.tif", frames())
-    np.testing.assert_array_equal(read_channels(tmp_path / "a.tif").values, np.moveaxis(frames(), 0, 2))
+    np.testing.assert_array_equal(pages.read(tmp_path / "a.tif").values, np.moveaxis(frames(), 0, 2))
     write_picture(tmp_path / "b.tif", np.zeros((20, 28, 3), np.uint8))
-    assert read_channels(tmp_path / "b.tif").values.shape == (20, 28, 3)
+    assert pages.read(tmp_path / "b.tif").values.shape == (20, 28, 3)
     tifffile.imwrite(tmp_path / "c.tif", frames(), photometric="minisblack", description=json.dumps({"shape": [5, 20, 28]}))
-    assert read_channels(tmp_path / "c.tif").values.shape == (20, 28, 5)
+    assert pages.read(tmp_path / "c.tif").values.shape == (20, 28, 5)

@@ -1,4 +1,4 @@
-"""Real pairs: a raw file and its picture enter a training set, and training takes them at their own CFA phase only."""
+"""Real pairs: a raw file and its picture enter a training set, and training takes them at their CFA phase only."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -34,7 +34,7 @@ def test_a_pair_begins_with_the_first_site(fiveband: CameraModel, phase: tuple[i
     )
     rows, cols = pair.raw.shape
     assert np.array_equal(pair.raw, 200 + 500 * fiveband.cfa.astype(int)[np.ix_(np.arange(rows) % 4, np.arange(cols) % 4)])
-    first = pair.target[:2, 0, 0] / fiveband.white_dose
+    first = pair.target[:2, 0, 0] / fiveband.saturation_exposure
     assert ((first.round() + phase) % 4 == 0).all()
     assert pair.target.shape == (3, rows, cols)
 
@@ -45,7 +45,7 @@ def test_an_upright_picture_is_turned_back_to_the_sensor(bayer: CameraModel, ori
     assert np.array_equal(as_taken(upright(picture, orientation), orientation), picture)
     raw = raw_of(np.full((20, 30), 500), bayer, orientation=orientation)
     pair = make_pair(raw, upright(picture, orientation), ("X", "Y", "Z"), bayer, PAIR, "x")
-    assert np.allclose(pair.target, picture.transpose(2, 0, 1) * 0.5 * bayer.white_dose, rtol=1e-5)
+    assert np.allclose(pair.target, picture.transpose(2, 0, 1) * 0.5 * bayer.saturation_exposure, rtol=1e-5)
 
 
 def test_a_picture_larger_than_its_raw_is_refused(bayer: CameraModel) -> None:
@@ -61,15 +61,15 @@ def test_patches_of_a_pair_have_the_layout_of_their_site(fiveband: CameraModel) 
     shape = (64, 80)
     near = neighbourhoods(fiveband.cfa, 9, 5)
     channel = fiveband.cfa.astype(int)[np.ix_(np.arange(64) % 4, np.arange(80) % 4)]
-    target = np.broadcast_to(channel, (3, *shape)) * fiveband.white_dose
+    target = np.broadcast_to(channel, (3, *shape)) * fiveband.saturation_exposure
     pair = a_pair(fiveband, 300 + 500 * channel, target)
     maps = site_maps(near.channel, 9)
-    for site in sorted({found.canonical for found in maps}):
-        found = sample_pair(pair, fiveband, near, site, 200, np.random.default_rng(0))
-        assert len(found.signal) == 200
-        taps = np.rint((found.signal * (fiveband.white - fiveband.black) + fiveband.black - 300) / 500)
+    for site in sorted({samples.canonical for samples in maps}):
+        samples = sample_pair(pair, fiveband, near, site, 200, np.random.default_rng(0))
+        assert len(samples.signal) == 200
+        taps = np.rint((samples.signal * (fiveband.white - fiveband.black) + fiveband.black - 300) / 500)
         assert np.array_equal(taps, np.broadcast_to(near.channel[site], taps.shape))
-        assert np.allclose(found.target, near.channel[site][40])
+        assert np.allclose(samples.target, near.channel[site][40])
 
 
 def test_noise_that_a_pair_carries_is_not_counted_twice(bayer: CameraModel) -> None:
@@ -77,20 +77,20 @@ def test_noise_that_a_pair_carries_is_not_counted_twice(bayer: CameraModel) -> N
     rng = np.random.default_rng(0)
     mean = 0.5 * (bayer.white - bayer.black)
     noisy = bayer.black + mean + rng.standard_normal((128, 128)) * np.sqrt(bayer.noise_variance(np.array(mean)))
-    found = sample_pair(a_pair(bayer, np.rint(noisy), np.ones((3, 128, 128))), bayer, near, 0, 4000, rng)
-    assert found.carried is not None
+    samples = sample_pair(a_pair(bayer, np.rint(noisy), np.ones((3, 128, 128))), bayer, near, 0, 4000, rng)
+    assert samples.carried is not None
     span = bayer.white - bayer.black
-    assert np.array_equal(found.possible(np.full(4000, 3.0)), np.ones(4000))
+    assert np.array_equal(samples.possible(np.full(4000, 3.0)), np.ones(4000))
     for scale in (1.0, 0.25):
-        signal = found.signal * np.float32(scale)
-        carried = found.carried * np.float32(scale**2)
+        signal = samples.signal * np.float32(scale)
+        carried = samples.carried * np.float32(scale**2)
         values, variance = expose_patches(signal, bayer, rng, carried), noise_share(signal, bayer, carried)
         expected = bayer.noise_variance(np.array(mean * scale)) / span**2
         assert signal.var() + variance.mean() == pytest.approx(expected, rel=0.02)
         assert values.var() == pytest.approx(expected * span**2, rel=0.03)
     clipped = np.where(rng.random((128, 128)) < 0.5, bayer.white, 500)
-    found = sample_pair(a_pair(bayer, clipped, np.ones((3, 128, 128))), bayer, near, 0, 100, rng)
-    assert np.array_equal(found.possible(np.full(100, 0.1)), np.ones(100))
+    samples = sample_pair(a_pair(bayer, clipped, np.ones((3, 128, 128))), bayer, near, 0, 100, rng)
+    assert np.array_equal(samples.possible(np.full(100, 0.1)), np.ones(100))
 
 
 @pytest.fixture
@@ -128,7 +128,7 @@ def test_pairs_and_frames_train_one_table(
             assert np.array_equal(pair.raw, true.raw)
             shown = (true.target[1] < 0.95 * true.white[1]) & (true.target[1] > 0.05 * true.white[1])
             ratio = (pair.target[1] * pair.exposure)[shown] / (true.target[1] * true.exposure)[shown]
-            assert np.median(ratio) == pytest.approx(1.0, abs=0.2)  # a grey world tells the scale so well
+            assert np.median(ratio) == pytest.approx(1.0, abs=0.2)  # a grey world gives the scale so well
             assert ratio.std() < 0.05 * ratio.mean()
     (tmp_path / "classes.toml").write_text("[classes]\npatch = 5\nlevels = 4\n[learning]\npatches = 8000\n")
     error = {}

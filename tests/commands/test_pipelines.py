@@ -27,13 +27,13 @@ import pytest
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.cli import run
-from l3cli.files import sole_writer_of_file, sole_writer_of_folder
 from l3cli.io.images import read_image
+from l3cli.locks import sole_writer_of_file, sole_writer_of_folder
 from tests.helpers.cameras import bayer_camera
 from tests.helpers.paths import ROOT
 from tests.helpers.recipes import SMALL
 
-PATH = f"{Path(sys.executable).parent}:{os.environ['PATH']}"  # programs of the environment that runs the tests are found
+PATH = f"{Path(sys.executable).parent}:{os.environ['PATH']}"  # programs of the environment that runs the tests
 CLIENT = """#!{python} -IS
 import os, sys
 from multiprocessing.connection import Client
@@ -73,6 +73,7 @@ for task in range(int(first), int(last or first) + 1) if state == "done" else ()
 print(job)
 """
 needs_snakemake = pytest.mark.skipif(not shutil.which("snakemake", path=PATH), reason="snakemake is not installed")
+LAYER = "\n[[layer]]\nside = 3\nmosaics = 8\nrows = 300\n"
 CALL = re.compile(r"^ *l3 [a-z]+ ", re.MULTILINE)
 MADE = ("camera.h5", "training.h5", "table.h5", "unseen.h5", "picture.png", "quality.txt", "report.html")
 
@@ -147,6 +148,7 @@ def made(workplace: Workplace, tmp_path_factory: pytest.TempPathFactory) -> tupl
         **SMALL,
         "classes": SMALL["classes"].replace("first_draws = 0", "first_draws = 2"),
         "bands_scenes": SMALL["scenes"] + '[target]\noutputs = "camera"\n',
+        "bands_classes": SMALL["classes"],
         "camera": bayer_camera().replace("[400, 700, 10]", "[400, 700, 5]"),
     }
     for recipe, text in recipes.items():
@@ -208,11 +210,11 @@ def test_another_camera_makes_everything_again(workplace: Workplace, folder: Pat
         assert len(CALL.findall(out)) == calls, out
 
 
-def test_another_camera_takes_its_own_unseen_frames(workplace: Workplace, folder: Path) -> None:
+def test_another_camera_takes_its_unseen_frames(workplace: Workplace, folder: Path) -> None:
     shutil.copy(folder / "camera.toml", folder / "other.toml")
-    own = {"": "camera.toml", "CAMERA=other.toml": "other.toml", "MEASUREMENTS=mine.toml": "camera.h5"}
+    cameras = {"": "camera.toml", "CAMERA=other.toml": "other.toml", "MEASUREMENTS=mine.toml": "camera.h5"}
     (folder / "mine.toml").touch()
-    for asked, camera in own.items():
+    for asked, camera in cameras.items():
         assert f"simulate unseen.toml --camera {camera} " in workplace.do(folder, f"make -n -W unseen.toml {asked}")[0], (
             asked
         )
@@ -364,8 +366,24 @@ def test_a_slurm_cluster_learns_in_arrays(workplace: Workplace, folder: Path) ->
     assert (folder / "slurm/2/table.h5").read_bytes() == whole.read_bytes()
 
 
+def test_a_slurm_cluster_learns_two_layers(workplace: Workplace, folder: Path) -> None:
+    with (folder / "classes.toml").open("a") as classes:
+        classes.write(LAYER)
+    out, calls = workplace.do(folder, "./slurm.sh 1")
+    assert [line.split(":")[0] for line in out.splitlines()][2:] == [
+        "first", "merge", "second", "layer", "third", "finish",
+    ]  # fmt: skip
+    passes = ["first_0001.h5", "first.h5", "second_0001.h5", "one_layer.h5", "third_0001.h5", "table.h5"]
+    assert [call.split("/")[-1] for call in calls][1:7] == passes
+    whole = ["train", "slurm/1/training_0001.h5", "--classes", "classes.toml", "-o", "whole.h5", "--quiet"]
+    with contextlib.chdir(folder):
+        assert run(whole) == 0
+    assert (folder / "slurm/1/table.h5").read_bytes() == (folder / "whole.h5").read_bytes()
+    assert load(TransformTable, folder / "slurm/1/table.h5").later[0].side == 3
+
+
 @pytest.mark.parametrize("call", ["./slurm.sh", "./slurm.sh many", "./slurm.sh simulat 2"])
-def test_a_wrong_call_of_the_slurm_script_is_told(call: str, workplace: Workplace, folder: Path) -> None:
+def test_a_wrong_call_of_the_slurm_script_is_refused(call: str, workplace: Workplace, folder: Path) -> None:
     process = workplace.start(folder, call)
     assert process.communicate()[1].count("\n") == 1
     assert process.returncode in (1, 2)
@@ -392,6 +410,17 @@ def test_snakemake_plans_what_depends_on_what(workplace: Workplace, folder: Path
     planned = dict(line.split() for line in out.splitlines() if len(line.split()) == 2 and line.split()[1].isdecimal())
     assert {rule: int(planned[rule]) for rule in RULES} == RULES
     assert int(planned["total"]) == sum(RULES.values()) + 1
+
+
+@needs_snakemake
+def test_snakemake_plans_a_third_pass_for_a_second_layer(workplace: Workplace, folder: Path) -> None:
+    with (folder / "classes.toml").open("a") as classes:
+        classes.write(LAYER)
+    out, _ = workplace.do(folder, f"{SNAKEMAKE} --dry-run --quiet rules")
+    planned = dict(line.split() for line in out.splitlines() if len(line.split()) == 2 and line.split()[1].isdecimal())
+    assert {rule: int(planned[rule]) for rule in ("second", "layer", "third", "table")} == {
+        "second": 2, "layer": 1, "third": 2, "table": 1,
+    }  # fmt: skip
 
 
 @needs_snakemake

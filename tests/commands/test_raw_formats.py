@@ -16,13 +16,14 @@ from hypothesis import strategies as st
 from l3cli.artifacts.store import save
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.frame import with_one_black
-from l3cli.io.cfa_codes import channel_codes, find_phase
-from l3cli.io.fits_files import INSTALL
 from l3cli.io.frames import read_frame
 from l3cli.io.images import read_image
-from l3cli.io.packed import PACKED, PACKINGS, make_layout, row_bytes
-from l3cli.io.raw_files import KnownBetter, read_raw
+from l3cli.io.raw.cfa_codes import channel_codes, find_phase
+from l3cli.io.raw.files import KnownBetter, read_raw
+from l3cli.io.raw.fits import INSTALL
+from l3cli.io.raw.packed import PACKED, PACKINGS, make_layout, row_bytes
 from l3cli.io.sequences import find_frames
+from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import BAYER, FIVE_BAND
 from tests.helpers.dng_files import BYTE, LONG, RATIONAL, SHORT, SRATIONAL, lossless_jpeg, packed, write_dng
 from tests.helpers.tables import random_table
@@ -91,7 +92,7 @@ def pack(values: np.ndarray, packing: str, stride: int | None = None) -> bytes:
     packing=st.sampled_from(PACKINGS), rows=st.integers(1, 5), cols=st.integers(1, 23), padding=st.integers(0, 9),
     seed=st.integers(0, 2**32),
 )  # fmt: skip
-def test_packed_values_come_back(packing, rows, cols, padding, seed):
+def test_packed_values_come_back(packing: str, rows: int, cols: int, padding: int, seed: int) -> None:
     bits = PACKED[packing].bits if packing in PACKED else 16
     values = np.random.default_rng(seed).integers(0, 2**bits, (rows, cols)).astype(np.uint16)
     stride = row_bytes(cols, packing) + padding
@@ -101,14 +102,14 @@ def test_packed_values_come_back(packing, rows, cols, padding, seed):
     np.testing.assert_array_equal(layout.unpack(content), values)
 
 
-def test_the_bytes_of_the_standard():
+def test_the_bytes_of_the_standard() -> None:
     """MIPI CSI-2, the figures of RAW10 and RAW12: P1…P4 upper bits, then all lower bits, P1 in the lowest."""
     ten = make_layout((1, 4), "raw10", None).unpack(bytes([0x12, 0x34, 0x56, 0x78, 0b11_10_01_00]))
     assert ten.tolist() == [[0x12 << 2, 0x34 << 2 | 1, 0x56 << 2 | 2, 0x78 << 2 | 3]]
     assert make_layout((1, 2), "raw12", None).unpack(bytes([0xAB, 0x12, 0x3C])).tolist() == [[0xABC, 0x123]]
 
 
-def test_packed_files_and_stacks_render_as_their_values(l3, tmp_path, table, mosaic):
+def test_packed_files_and_stacks_render_as_their_values(l3: L3, tmp_path: Path, table: Path, mosaic: np.ndarray) -> None:
     np.save(tmp_path / "a.npy", np.stack([mosaic >> 2, mosaic >> 3]))
     levels = ("--black", 16, "--white-level", 1023, "--exposure", 0.8, "--backend", "reference", "--quiet")
     assert l3("render", table, tmp_path / "a.npy", "-o", tmp_path / "truth", *levels) == (0, "", "")
@@ -127,7 +128,7 @@ def test_packed_files_and_stacks_render_as_their_values(l3, tmp_path, table, mos
     np.testing.assert_array_equal(read_image(tmp_path / "one.png")[0], truth)
 
 
-def test_a_packed_stream_renders(tmp_path, table, mosaic):
+def test_a_packed_stream_renders(tmp_path: Path, table: Path, mosaic: np.ndarray) -> None:
     arguments = ["render", table, "-", "-o", tmp_path / "####.png", "--size", "32x40", "--packing", "raw12", "--stride", 64]
     command = [sys.executable, "-c", "import sys; from l3cli.cli import run; sys.exit(run(sys.argv[1:]))"]
     command += [str(each) for each in (*arguments, "--backend", "reference", "--quiet", "--exposure", 0.8)]
@@ -136,7 +137,7 @@ def test_a_packed_stream_renders(tmp_path, table, mosaic):
     assert (tmp_path / "0000.png").read_bytes() == (tmp_path / "0001.png").read_bytes()
 
 
-def test_dumps_of_another_size_are_refused(refused, tmp_path, table):
+def test_dumps_of_another_size_are_refused(refused: Refused, tmp_path: Path, table: Path) -> None:
     (tmp_path / "a.raw12").write_bytes(bytes(1925))
     line = refused(3, "render", table, tmp_path / "a.raw12", "-o", tmp_path / "a.png")
     assert "1925 bytes, 32×40 raw12 values have 1920" in line
@@ -155,7 +156,9 @@ def test_dumps_of_another_size_are_refused(refused, tmp_path, table):
     rows=st.integers(1, 6), cols=st.integers(1, 6), top=st.integers(1, 65535), seed=st.integers(0, 2**32),
     gap=st.sampled_from([" ", "\n", "\r\n", "\t", "\n# made by hand\n", " #\n#\n "]),
 )  # fmt: skip
-def test_graymaps_keep_their_values(tmp_path_factory, rows, cols, top, seed, gap):
+def test_graymaps_keep_their_values(
+    tmp_path_factory: pytest.TempPathFactory, rows: int, cols: int, top: int, seed: int, gap: str
+) -> None:
     values = np.random.default_rng(seed).integers(0, top + 1, (rows, cols)).astype(np.uint16)
     path = tmp_path_factory.mktemp("pgm") / "a.PGM"
     header = gap.join(("P5", str(cols), str(rows), str(top))).encode() + b"\n"
@@ -163,7 +166,7 @@ def test_graymaps_keep_their_values(tmp_path_factory, rows, cols, top, seed, gap
     np.testing.assert_array_equal(read_raw(path, RGGB).values, values)
 
 
-def test_a_lab_may_write_graymaps(tmp_path, mosaic):
+def test_a_lab_may_write_graymaps(tmp_path: Path, mosaic: np.ndarray) -> None:
     (tmp_path / "a.pgm").write_bytes(b"P5 40 32 4095\n" + mosaic.astype(">u2").tobytes())
     np.testing.assert_array_equal(read_frame(tmp_path / "a.pgm", (32, 40), 12), mosaic)
     with pytest.raises(InputFileError, match="more than 11 bits"):
@@ -189,12 +192,12 @@ def test_a_lab_may_write_graymaps(tmp_path, mosaic):
         (b"P5 999999999 999999999 65535\n", "truncated"),
     ],
 )
-def test_broken_graymaps_are_refused(refused, tmp_path, table, content, word):
+def test_broken_graymaps_are_refused(refused: Refused, tmp_path: Path, table: Path, content: bytes, word: str) -> None:
     (tmp_path / "a.pgm").write_bytes(content)
     assert word in refused(3, "render", table, tmp_path / "a.pgm", "-o", tmp_path / "a.png")
 
 
-def test_a_folder_of_graymaps_is_a_sequence(l3, tmp_path, table, mosaic):
+def test_a_folder_of_graymaps_is_a_sequence(l3: L3, tmp_path: Path, table: Path, mosaic: np.ndarray) -> None:
     (tmp_path / "clip").mkdir()
     for number in (9, 10):
         (tmp_path / f"clip/{number}.pgm").write_bytes(b"P5 40 32 4095\n" + mosaic.astype(">u2").tobytes())
@@ -206,17 +209,17 @@ def test_a_folder_of_graymaps_is_a_sequence(l3, tmp_path, table, mosaic):
 
 
 @pytest.mark.parametrize("name", ["a.fits", "a.fit", "a.FTS"])
-def test_fits_keeps_unsigned_values(tmp_path, mosaic, name):
+def test_fits_keeps_unsigned_values(tmp_path: Path, mosaic: np.ndarray, name: str) -> None:
     mosaic[0, :2] = (0, 65535)
     fits.writeto(tmp_path / name, mosaic)
     frame = read_raw(tmp_path / name, RGGB)
     np.testing.assert_array_equal(frame.values, mosaic)
-    assert (frame.black, frame.white, frame.phase) == (RGGB.black, RGGB.white, (0, 0))
+    assert (frame.black_level, frame.white_level, frame.phase) == (RGGB.black, RGGB.white, (0, 0))
     fits.writeto(tmp_path / name, (mosaic >> 8).astype(np.uint8), overwrite=True)
     np.testing.assert_array_equal(read_raw(tmp_path / name, RGGB).values, mosaic >> 8)
 
 
-def test_packed_fits_and_its_header(tmp_path, mosaic):
+def test_packed_fits_and_its_header(tmp_path: Path, mosaic: np.ndarray) -> None:
     header = fits.Header({"BAYERPAT": "RGGB", "XBAYROFF": 1, "YBAYROFF": 0, "ROWORDER": "BOTTOM-UP"})
     units = fits.HDUList([fits.PrimaryHDU(), fits.CompImageHDU(mosaic[::-1], header, compression_type="RICE_1")])
     units.writeto(tmp_path / "a.fits")
@@ -229,16 +232,19 @@ def test_packed_fits_and_its_header(tmp_path, mosaic):
         read_raw(tmp_path / "a.fits", RGGB)
 
 
-def test_a_fits_cube_is_a_sequence(tmp_path, mosaic):
+def test_a_fits_cube_is_a_sequence(tmp_path: Path, mosaic: np.ndarray) -> None:
     fits.writeto(tmp_path / "a.fits", np.stack([mosaic, mosaic // 2, mosaic // 3]))
     footage = find_frames((tmp_path / "a.fits",), RGGB, KnownBetter())
-    found = [(each.stem, each.read()) for each in footage.frames]
-    assert [stem for stem, _ in found] == ["a_000000", "a_000001", "a_000002"]
-    for divisor, (_, frame) in enumerate(found, 1):
+    read = [(each.stem, each.read()) for each in footage.frames]
+    assert [stem for stem, _ in read] == ["a_000000", "a_000001", "a_000002"]
+    for divisor, (_, frame) in enumerate(read, 1):
+        assert frame is not None
         np.testing.assert_array_equal(frame.values, mosaic // divisor)
 
 
-def test_broken_fits_is_refused(refused, tmp_path, table, mosaic, monkeypatch):
+def test_broken_fits_is_refused(
+    refused: Refused, tmp_path: Path, table: Path, mosaic: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path, output = tmp_path / "a.fits", tmp_path / "a.png"
     path.write_bytes(b"nothing")
     assert "no FITS file" in refused(3, "render", table, path, "-o", output)
@@ -255,7 +261,7 @@ def test_broken_fits_is_refused(refused, tmp_path, table, mosaic, monkeypatch):
     fits.HDUList([fits.PrimaryHDU()]).writeto(path, overwrite=True)
     assert "no image" in refused(3, "render", table, path, "-o", output)
     monkeypatch.setitem(sys.modules, "astropy.io", None)
-    monkeypatch.setenv("L3_TRUST", "1")  # the process that decodes has its own modules
+    monkeypatch.setenv("L3_TRUST", "1")  # the process that decodes has separate modules
     assert INSTALL in refused(1, "render", table, path, "-o", output)
 
 
@@ -267,19 +273,19 @@ def test_broken_fits_is_refused(refused, tmp_path, table, mosaic, monkeypatch):
                      (tuple("abcdefghijklmnop"), np.arange(16).reshape(4, 4)), (("r", "g", "b", "o", "c"), FIVE_BAND)]),
     st.integers(0, 20), st.integers(0, 20),
 )  # fmt: skip
-def test_phase_of_our_own_codes(case, row, col):
+def test_phase_of_free_codes(case: tuple[tuple[str, ...], np.ndarray], row: int, col: int) -> None:
     channels, cfa = case
     ours = sensor(channels, np.asarray(cfa))
     seen = np.roll(channel_codes(channels)[cfa], (-row, -col), axis=(0, 1))
-    found = find_phase("f", seen, ours)
-    np.testing.assert_array_equal(np.roll(cfa, (-found[0], -found[1]), axis=(0, 1)), np.roll(cfa, (-row, -col), axis=(0, 1)))
+    phase = find_phase("f", seen, ours)
+    np.testing.assert_array_equal(np.roll(cfa, (-phase[0], -phase[1]), axis=(0, 1)), np.roll(cfa, (-row, -col), axis=(0, 1)))
 
 
-def test_codes_are_those_of_the_standard():
+def test_codes_are_those_of_the_standard() -> None:
     assert channel_codes(("Red", "g", "B", "cyan", "M", "y", "white", "ir", "r")).tolist() == [0, 1, 2, 3, 4, 5, 6, 14, 15]
 
 
-def test_what_another_writer_calls_infrared():
+def test_what_another_writer_calls_infrared() -> None:
     ours = sensor(("r", "g", "b", "ir"), np.array([[0, 1], [3, 2]]))
     assert find_phase("f", np.array([[9, 2], [0, 1]]), ours) == (1, 0)
 
@@ -287,16 +293,16 @@ def test_what_another_writer_calls_infrared():
 @pytest.mark.parametrize(
     ("channels", "cfa", "pattern", "word"),
     [
-        (RGB, PATTERN, QUAD, r"rrgg/rrgg/ggbb/ggbb, the table rg/gb.*--phase"),
+        (RGB, PATTERN, QUAD, r"rrgg/rrgg/ggbb/ggbb, the table rg/gb.*‹phase›"),
         (RGB, QUAD, PATTERN, r"rg/gb, the table rrgg"),
         (RGB, X_TRANS, PATTERN, r"rg/gb, the table gb"),
         (RGB, PATTERN, np.array([[0, 1], [2, 1]]), r"rg/bg"),
         (("r", "g", "b", "w"), np.array([[0, 1], [3, 2]]), PATTERN, r"the table rg/wb"),
-        (("one", "two"), np.array([[0, 1], [1, 0]]), np.array([[0, 1], [1, 0]]), r"several sites.*--phase"),
+        (("one", "two"), np.array([[0, 1], [1, 0]]), np.array([[0, 1], [1, 0]]), r"several sites.*‹phase›"),
         (RGB, PATTERN, np.zeros((17, 2), int), r"17×2"),
     ],
 )
-def test_another_array_is_refused(channels, cfa, pattern, word):
+def test_another_array_is_refused(channels: tuple[str, ...], cfa: np.ndarray, pattern: np.ndarray, word: str) -> None:
     with pytest.raises(InputFileError, match=word):
         find_phase("f", pattern, sensor(channels, np.asarray(cfa)))
 
@@ -317,16 +323,16 @@ def read_bayer(path: Path, phase: tuple[int, int] | None = None) -> Any:
 
 @pytest.mark.parametrize("order", ["<", ">"])
 @pytest.mark.parametrize("bits", [8, 10, 12, 14, 16])
-def test_packed_dng(tmp_path, bits, order):
+def test_packed_dng(tmp_path: Path, bits: int, order: str) -> None:
     values = np.random.default_rng(bits).integers(0, 2**bits, (23, 33)).astype(np.uint16)
     cfa = channel_codes(("r", "g", "b", "o", "c"))[FIVE_BAND]
     known = {50714: (SHORT, [7]), 50717: (LONG, [200])}
     frame = read_raw(write_dng(tmp_path / "a.dng", values, cfa, bits, order, tags=known), random_table(FIVE_BAND, patch=9))
     np.testing.assert_array_equal(frame.values, values)
-    assert (frame.black, frame.white, frame.phase) == (7, 200, (0, 0))
+    assert (frame.black_level, frame.white_level, frame.phase) == (7, 200, (0, 0))
 
 
-def test_compressed_and_divided_dng(tmp_path, mosaic):
+def test_compressed_and_divided_dng(tmp_path: Path, mosaic: np.ndarray) -> None:
     def tiled(bits: int, compression: int, encode: Callable[[np.ndarray], bytes]) -> Path:
         strips = tiles(mosaic, (16, 16), encode)
         lengths = (LONG, [len(strip) for strip in strips])
@@ -347,7 +353,7 @@ def test_compressed_and_divided_dng(tmp_path, mosaic):
         read_bayer(tmp_path / "a.dng")
 
 
-def test_masked_borders_crop_and_orientation(tmp_path, mosaic):
+def test_masked_borders_crop_and_orientation(tmp_path: Path, mosaic: np.ndarray) -> None:
     tags = {
         50829: (SHORT, [3, 4, 29, 39]),  # active area: top, left, bottom, right
         50719: (RATIONAL, [5, 1, 2, 1]),  # crop origin: across, down
@@ -362,7 +368,7 @@ def test_masked_borders_crop_and_orientation(tmp_path, mosaic):
 
 
 @pytest.mark.parametrize("orientation", range(1, 9))
-def test_orientation_is_that_of_libraw(tmp_path, mosaic, orientation):
+def test_orientation_is_that_of_libraw(tmp_path: Path, mosaic: np.ndarray, orientation: int) -> None:
     import rawpy
 
     path = write_dng(tmp_path / "a.dng", mosaic, PATTERN, tags={274: (SHORT, [orientation])})
@@ -370,7 +376,7 @@ def test_orientation_is_that_of_libraw(tmp_path, mosaic, orientation):
         assert read_bayer(path).orientation == raw.sizes.flip
 
 
-def test_black_levels_that_differ_become_one(tmp_path):
+def test_black_levels_that_differ_become_one(tmp_path: Path) -> None:
     values = np.full((32, 40), 1000, np.uint16)
     values[1, 1] = 4000
     columns, rows = [2 * (col % 3) for col in range(36)], [1, 0] * 14
@@ -383,12 +389,12 @@ def test_black_levels_that_differ_become_one(tmp_path):
     }
     frame = read_bayer(write_dng(tmp_path / "a.dng", values, PATTERN, tags=tags))
     black = np.tile([[60, 64], [68, 64]], (14, 18)) + np.array(columns) + np.array(rows)[:, None]
-    np.testing.assert_array_equal(frame.values - frame.black, 1000 - black)
-    assert frame.black == round(black.mean())
-    assert frame.white - frame.black == 4000 - black.max()  # the pixel that saturates first
+    np.testing.assert_array_equal(frame.values - frame.black_level, 1000 - black)
+    assert frame.black_level == round(black.mean())
+    assert frame.white_level - frame.black_level == 4000 - black.max()  # the pixel that saturates first
 
 
-def test_saturation_survives_levelling():
+def test_saturation_survives_levelling() -> None:
     black, white = np.array([[96.0, 104.0]]), np.array([[1000.0, 1000.0]])
     values, common, top = with_one_black(np.array([[1000, 1000], [96, 104]], np.uint16), black, white)
     assert (common, top) == (100, 996)
@@ -396,7 +402,7 @@ def test_saturation_survives_levelling():
     assert with_one_black(values, np.array([[64.5]]), np.array(900.0))[1:] == (64.5, 900.0)
 
 
-def test_linearisation_table_is_applied(tmp_path, mosaic):
+def test_linearisation_table_is_applied(tmp_path: Path, mosaic: np.ndarray) -> None:
     curve = (np.arange(4096) ** 2 // 256).tolist()
     path = write_dng(tmp_path / "a.dng", mosaic, PATTERN, 12, tags={50712: (SHORT, curve), 50717: (LONG, [65000])})
     np.testing.assert_array_equal(read_bayer(path).values, np.array(curve)[mosaic])
@@ -418,7 +424,9 @@ def test_linearisation_table_is_applied(tmp_path, mosaic):
         ({274: (SHORT, [99])}, "tags are damaged"),
     ],
 )
-def test_a_dng_that_does_not_fit_is_refused(refused, tmp_path, table, mosaic, tags, word):
+def test_a_dng_that_does_not_fit_is_refused(
+    refused: Refused, tmp_path: Path, table: Path, mosaic: np.ndarray, tags: dict[int, tuple[int, list[int]]], word: str
+) -> None:
     write_dng(tmp_path / "a.dng", mosaic, PATTERN, tags=tags)
     assert word in refused(3, "render", table, tmp_path / "a.dng", "-o", tmp_path / "a.png")
 
@@ -427,33 +435,33 @@ def test_a_dng_that_does_not_fit_is_refused(refused, tmp_path, table, mosaic, ta
 
 
 @pytest.mark.parametrize("name", ["a.raf", "a.nef"])
-def test_libraw_tells_the_phase_of_any_array_it_knows(tmp_path, mosaic, name):
-    """LibRaw goes by a file's content, so that a DNG under a camera's suffix takes the way of the camera's raws."""
+def test_libraw_gives_the_phase_of_any_array_it_knows(tmp_path: Path, mosaic: np.ndarray, name: str) -> None:
+    """LibRaw goes by a file's content, so that a DNG under a camera's suffix is read as the camera's raws are."""
     tags = {50829: (SHORT, [4, 6, 30, 38])}
     cfa = X_TRANS if name == "a.raf" else PATTERN
     path = write_dng(tmp_path / name, mosaic, np.roll(cfa, (-1, -1), axis=(0, 1)), tags=tags)
     frame = read_raw(path, sensor(RGB, cfa))
     np.testing.assert_array_equal(frame.values, mosaic[4:30, 6:38])
-    assert (frame.phase, frame.black, frame.white) == ((1, 1), 64, 4000)
-    with pytest.raises(InputFileError, match="--phase"):
+    assert (frame.phase, frame.black_level, frame.white_level) == ((1, 1), 64, 4000)
+    with pytest.raises(InputFileError, match="‹phase›"):
         read_raw(path, sensor(RGB, QUAD))
     assert read_raw(path, sensor(RGB, QUAD), KnownBetter(phase=(2, 3))).phase == (2, 3)
 
 
 @pytest.mark.parametrize("name", ["a.dng", "a.nef"])
-def test_a_sensor_without_filters(tmp_path, mosaic, name):
-    bare = {"tags": {262: (SHORT, [34892])}, "drop": (33421, 33422, 50710)}
-    path = write_dng(tmp_path / name, mosaic, np.array([[0]]), **bare)
+def test_a_sensor_without_filters(tmp_path: Path, mosaic: np.ndarray, name: str) -> None:
+    one = np.array([[0]])
+    path = write_dng(tmp_path / name, mosaic, one, tags={262: (SHORT, [34892])}, drop=(33421, 33422, 50710))
     frame = read_raw(path, sensor(("clear",), np.array([[0]])))
     np.testing.assert_array_equal(frame.values, mosaic)
     with pytest.raises(InputFileError, match="array w, the table rg/gb"):
         read_bayer(path)
 
 
-def test_libraw_black_levels_of_the_colours_become_one(tmp_path, mosaic):
+def test_libraw_black_levels_of_the_colours_become_one(tmp_path: Path, mosaic: np.ndarray) -> None:
     tags = {50713: (SHORT, [2, 2]), 50714: (SHORT, [60, 64, 66, 70])}
     mosaic = np.maximum(mosaic, 100)
     frame = read_bayer(write_dng(tmp_path / "a.nef", mosaic, PATTERN, tags=tags))
     black = np.tile([[60, 64], [66, 70]], (16, 20))
-    np.testing.assert_array_equal(frame.values - frame.black, mosaic - black)
-    assert frame.white - frame.black == 3930
+    np.testing.assert_array_equal(frame.values - frame.black_level, mosaic - black)
+    assert frame.white_level - frame.black_level == 3930

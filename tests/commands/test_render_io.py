@@ -11,19 +11,19 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-from l3cli import cli
+from l3cli import interrupts
 from l3cli.artifacts.store import save
 from l3cli.errors import RecipeError
 from l3cli.files import sha256
 from l3cli.frame import RawFrame
-from l3cli.io import raw_files
 from l3cli.io.images import check_format, read_image, write_linear, write_picture
-from l3cli.io.raw_files import KnownBetter, read_raw
+from l3cli.io.raw.files import KnownBetter, read_raw
 from l3cli.physics import spectra
 from l3cli.physics.display import adaptation_matrix, scene_white, srgb_from_xyz_matrix
 from l3cli.rendering import opencl_devices
 from l3cli.rendering.display import make_display
 from l3cli.rendering.reference import ReferenceRenderer
+from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import BAYER
 from tests.helpers.tables import XYZ, random_table
 
@@ -38,13 +38,13 @@ def mosaic() -> np.ndarray:
 
 
 @pytest.fixture
-def table(tmp_path) -> Path:
+def table(tmp_path: Path) -> Path:
     save(RGGB, tmp_path / "table.h5")
     return tmp_path / "table.h5"
 
 
 @pytest.fixture
-def raw(tmp_path, mosaic) -> Path:
+def raw(tmp_path: Path, mosaic: np.ndarray) -> Path:
     np.save(tmp_path / "frame.npy", mosaic)
     return tmp_path / "frame.npy"
 
@@ -54,7 +54,7 @@ def raw(tmp_path, mosaic) -> Path:
 
 @pytest.mark.parametrize("name", ["a.png", "a.tif", "a.TIFF"])
 @pytest.mark.parametrize("bits", [8, 16])
-def test_lossless_pictures_come_back_as_written(tmp_path, name, bits):
+def test_lossless_pictures_come_back_as_written(tmp_path: Path, name: str, bits: int) -> None:
     picture = np.random.default_rng(0).integers(0, 2**bits, (5, 7, 3)).astype(f"uint{bits}")
     write_picture(tmp_path / name, picture)
     pixels, names = read_image(tmp_path / name)
@@ -62,7 +62,7 @@ def test_lossless_pictures_come_back_as_written(tmp_path, name, bits):
     assert (pixels.dtype, names) == (picture.dtype, ("R", "G", "B"))
 
 
-def test_jpeg_comes_back_alike(tmp_path):
+def test_jpeg_comes_back_alike(tmp_path: Path) -> None:
     ramp = np.linspace(0, 255, 64).astype(np.uint8)
     picture = np.stack(
         [np.broadcast_to(ramp, (32, 64)), np.full((32, 64), 90, np.uint8), np.full((32, 64), 200, np.uint8)], -1
@@ -72,7 +72,7 @@ def test_jpeg_comes_back_alike(tmp_path):
     assert np.abs(pixels.astype(int) - picture).max() <= 4  # quality 95, no chroma subsampling
 
 
-def test_exr_keeps_floats_and_names(tmp_path):
+def test_exr_keeps_floats_and_names(tmp_path: Path) -> None:
     pixels = np.random.default_rng(0).normal(size=(5, 7, 3)).astype(np.float32) * 3
     write_linear(tmp_path / "a.exr", pixels, XYZ)
     back, names = read_image(tmp_path / "a.exr")
@@ -83,28 +83,29 @@ def test_exr_keeps_floats_and_names(tmp_path):
     np.testing.assert_array_equal(back[..., [names.index("nir"), names.index("leaf")]], pixels[..., :2])
 
 
-def test_pictures_say_that_they_are_srgb(tmp_path):
+def test_pictures_say_that_they_are_srgb(tmp_path: Path) -> None:
     write_picture(tmp_path / "a.png", np.zeros((2, 2, 3), np.uint8))
     assert b"sRGB" in (tmp_path / "a.png").read_bytes()
     for name in ("a.tif", "a.jpg"):
         write_picture(tmp_path / name, np.zeros((2, 2, 3), np.uint8))
-        tagged = oiio.ImageInput.open(str(tmp_path / name)).spec()["oiio:ColorSpace"]
-        assert "srgb" in str(tagged).lower()
+        source = oiio.ImageInput.open(str(tmp_path / name))
+        assert source is not None
+        assert "srgb" in str(source.spec()["oiio:ColorSpace"]).lower()
 
 
-def test_an_interrupted_picture_leaves_no_complaints(tmp_path, capfd):
-    """A signal at any moment: the PNG library would tell stderr that half a picture is one."""
+def test_an_interrupted_picture_leaves_no_complaints(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """A signal at any moment: the PNG library would print on stderr that half a picture is one."""
     picture, before = np.zeros((2, 2, 3), np.uint8), {each: signal.getsignal(each) for each in ENDING}
     ends = 0
     try:
         for moment in np.linspace(2e-6, 2e-4, 100):
             for each in ENDING:
-                signal.signal(each, cli._end)
+                signal.signal(each, interrupts.end)
             try:
                 signal.setitimer(signal.ITIMER_REAL, moment)
                 write_picture(tmp_path / "picture.png", picture)
                 time.sleep(0.2)  # it may have had to wait
-            except cli.Terminated:
+            except interrupts.Terminated:
                 ends += 1
     finally:
         for each in ENDING:
@@ -113,7 +114,7 @@ def test_an_interrupted_picture_leaves_no_complaints(tmp_path, capfd):
     assert capfd.readouterr().err == ""
 
 
-def test_formats_that_cannot_be_are_refused():
+def test_formats_that_cannot_be_are_refused() -> None:
     for name, bits in (("a.gif", 8), ("a", 8), ("a.jpg", 16)):
         with pytest.raises(RecipeError, match=r"\.png"):
             check_format(Path(name), bits)
@@ -127,13 +128,14 @@ def write_mono(path: Path, values: np.ndarray, kind: str = "uint16", **attribute
     for key, value in attributes.items():
         spec.attribute(key.replace("__", ":"), value)
     sink = oiio.ImageOutput.create(str(path))
+    assert sink is not None
     assert sink.open(str(path), spec)
     assert sink.write_image(values[..., None])
     sink.close()
     return path
 
 
-def test_plain_files_hold_the_same_frame(tmp_path, mosaic, raw):
+def test_plain_files_hold_the_same_frame(tmp_path: Path, mosaic: np.ndarray, raw: Path) -> None:
     mosaic.astype("<u2").tofile(tmp_path / "a.raw")
     mosaic.astype("<u2").tofile(tmp_path / "a.bin")
     paths = [raw, tmp_path / "a.raw", tmp_path / "a.bin"]
@@ -141,10 +143,10 @@ def test_plain_files_hold_the_same_frame(tmp_path, mosaic, raw):
     for path in paths:
         frame = read_raw(path, RGGB)
         np.testing.assert_array_equal(frame.values, mosaic)
-        assert (frame.black, frame.white, frame.phase) == (RGGB.black, RGGB.white, (0, 0))
+        assert (frame.black_level, frame.white_level, frame.phase) == (RGGB.black, RGGB.white, (0, 0))
 
 
-def test_narrow_files_keep_their_values(tmp_path, mosaic):
+def test_narrow_files_keep_their_values(tmp_path: Path, mosaic: np.ndarray) -> None:
     eight = (mosaic >> 6).astype(np.uint8)
     np.save(tmp_path / "a.npy", eight)
     np.save(tmp_path / "big.npy", mosaic.astype(">u2"))
@@ -155,10 +157,10 @@ def test_narrow_files_keep_their_values(tmp_path, mosaic):
     np.testing.assert_array_equal(read_raw(twelve, RGGB).values, mosaic & 0xFFF)
 
 
-def test_what_the_caller_knows_better_wins(tmp_path, mosaic):
+def test_what_the_caller_knows_better_wins(tmp_path: Path, mosaic: np.ndarray) -> None:
     mosaic[:10, :6].tofile(tmp_path / "a.raw")
-    frame = read_raw(tmp_path / "a.raw", RGGB, KnownBetter(black=7.0, white=99.0, phase=(1, 3), size=(10, 6)))
-    assert (frame.values.shape, frame.black, frame.white, frame.phase) == ((10, 6), 7.0, 99.0, (1, 1))
+    frame = read_raw(tmp_path / "a.raw", RGGB, KnownBetter(black_level=7.0, white_level=99.0, phase=(1, 3), size=(10, 6)))
+    assert (frame.values.shape, frame.black_level, frame.white_level, frame.phase) == ((10, 6), 7.0, 99.0, (1, 1))
 
 
 # --------------------------------------------------------------------------------------------------------- l3 render
@@ -171,7 +173,9 @@ def expected_picture(mosaic: np.ndarray, white: str, scale: float, bits: int) ->
 
 @pytest.mark.parametrize("backend", ["opencl", "reference"])
 @pytest.mark.parametrize("bits", [8, 16])
-def test_render_writes_the_picture_of_the_reference(l3, tmp_path, table, raw, mosaic, backend, bits):
+def test_render_writes_the_picture_of_the_reference(
+    l3: L3, tmp_path: Path, table: Path, raw: Path, mosaic: np.ndarray, backend: str, bits: int
+) -> None:
     output = tmp_path / "new" / "a.png"
     arguments = ("--backend", backend, "--bits", bits, "--exposure", 0.8, "--white", "A", "--quiet")
     assert l3("render", table, raw, "-o", output, *arguments) == (0, "", "")
@@ -180,7 +184,7 @@ def test_render_writes_the_picture_of_the_reference(l3, tmp_path, table, raw, mo
     assert np.abs(pixels.astype(int) - truth).max() <= (1 if bits == 8 else 2)
 
 
-def test_automatic_exposure_shows_one_percent_white(l3, tmp_path, table, raw):
+def test_automatic_exposure_shows_one_percent_white(l3: L3, tmp_path: Path, table: Path, raw: Path) -> None:
     assert l3("render", table, raw, "-o", tmp_path / "a.png")[0] == 0
     assert l3("render", table, raw, "-o", tmp_path / "a.exr")[0] == 0
     planes, names = read_image(tmp_path / "a.exr")
@@ -193,7 +197,7 @@ def test_automatic_exposure_shows_one_percent_white(l3, tmp_path, table, raw):
     assert np.abs(read_image(tmp_path / "a.png")[0] - truth).max() <= 1
 
 
-def test_the_same_input_gives_the_same_bytes(l3, tmp_path, table, raw):
+def test_the_same_input_gives_the_same_bytes(l3: L3, tmp_path: Path, table: Path, raw: Path) -> None:
     suffixes = ("png", "tif", "jpg", "exr")
     for name in ("a", "b"):
         for suffix in suffixes:
@@ -203,7 +207,9 @@ def test_the_same_input_gives_the_same_bytes(l3, tmp_path, table, raw):
         assert sha256(tmp_path / f"a.{suffix}") == sha256(tmp_path / f"b.{suffix}")
 
 
-def test_several_inputs_fill_a_folder_and_failures_can_be_left_out(l3, tmp_path, table, raw, mosaic):
+def test_several_inputs_fill_a_folder_and_failures_can_be_left_out(
+    l3: L3, tmp_path: Path, table: Path, raw: Path, mosaic: np.ndarray
+) -> None:
     np.save(tmp_path / "second.npy", mosaic[:9, :11])
     (tmp_path / "broken.npy").write_bytes(b"nothing")
     inputs = (raw, tmp_path / "broken.npy", tmp_path / "second.npy")
@@ -215,15 +221,17 @@ def test_several_inputs_fill_a_folder_and_failures_can_be_left_out(l3, tmp_path,
     assert read_image(tmp_path / "out/second.tif")[0].shape == (9, 11, 3)
 
 
-def test_picture_is_turned_upright(l3, tmp_path, table, mosaic, monkeypatch):
+def test_picture_is_turned_upright(
+    l3: L3, tmp_path: Path, table: Path, mosaic: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
     frame = RawFrame("f", mosaic[:6, :10], RGGB.black, RGGB.white, orientation=6)
-    monkeypatch.setattr(raw_files, "read_raw", lambda *_: frame)
+    monkeypatch.setattr("l3cli.io.sequences.read_raw", lambda *_: frame)
     for name in ("a.png", "a.exr"):
         assert l3("render", table, "frame.dng", "-o", tmp_path / name)[0] == 0
         assert read_image(tmp_path / name)[0].shape == (10, 6, 3)
 
 
-def test_existing_outputs_are_refused_before_any_work(refused, tmp_path, table, raw):
+def test_existing_outputs_are_refused_before_any_work(refused: Refused, tmp_path: Path, table: Path, raw: Path) -> None:
     (tmp_path / "a.png").write_bytes(b"mine")
     assert "--force" in refused(1, "render", "missing.h5", raw, "-o", tmp_path / "a.png")
     (tmp_path / "out").mkdir()
@@ -233,7 +241,7 @@ def test_existing_outputs_are_refused_before_any_work(refused, tmp_path, table, 
     assert (tmp_path / "a.png").read_bytes() == b"mine"
 
 
-def test_force_replaces(l3, tmp_path, table, raw):
+def test_force_replaces(l3: L3, tmp_path: Path, table: Path, raw: Path) -> None:
     (tmp_path / "a.png").write_bytes(b"mine")
     assert l3("render", table, raw, "-o", tmp_path / "a.png", "--force")[0] == 0
     assert read_image(tmp_path / "a.png")[0].shape == (RGGB.rows, RGGB.cols, 3)
@@ -256,23 +264,35 @@ def test_force_replaces(l3, tmp_path, table, raw):
         ((), "--output"),
     ],
 )
-def test_wrong_calls_are_refused(refused, table, raw, tmp_path, monkeypatch, arguments, word):
+def test_wrong_calls_are_refused(
+    refused: Refused,
+    table: Path,
+    raw: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: tuple[int | str, ...],
+    word: str,
+) -> None:
     monkeypatch.chdir(tmp_path)
     assert word in refused(2, "render", table, raw, *arguments)
 
 
-def test_equal_names_are_refused(refused, table, raw, tmp_path):
+def test_equal_names_are_refused(refused: Refused, table: Path, raw: Path, tmp_path: Path) -> None:
     assert "one by one" in refused(2, "render", table, raw, Path("elsewhere/frame.raw"), "-o", tmp_path / "out")
 
 
-def test_pictures_of_other_outputs_are_refused_but_exr_is_written(l3, refused, tmp_path, raw):
+def test_pictures_of_other_outputs_are_refused_but_exr_is_written(
+    l3: L3, refused: Refused, tmp_path: Path, raw: Path
+) -> None:
     save(random_table(BAYER, bits=14, outputs=("nir", "leaf")), tmp_path / "bands.h5")
     assert ".exr" in refused(2, "render", tmp_path / "bands.h5", raw, "-o", tmp_path / "a.png")
     assert l3("render", tmp_path / "bands.h5", raw, "-o", tmp_path / "a.exr")[0] == 0
     assert set(read_image(tmp_path / "a.exr")[1]) == {"nir", "leaf"}
 
 
-def test_broken_inputs_are_refused_in_one_line(refused, tmp_path, table, mosaic, raw):
+def test_broken_inputs_are_refused_in_one_line(
+    refused: Refused, tmp_path: Path, table: Path, mosaic: np.ndarray, raw: Path
+) -> None:
     output = tmp_path / "out.png"
     inputs = {}
 
@@ -320,14 +340,16 @@ def test_broken_inputs_are_refused_in_one_line(refused, tmp_path, table, mosaic,
     assert "l3 train" in refused(3, "render", raw, raw, "-o", output)
 
 
-def test_no_device_is_exit_code_4(refused, tmp_path, table, raw, monkeypatch):
+def test_no_device_is_exit_code_4(
+    refused: Refused, tmp_path: Path, table: Path, raw: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("L3_DEVICE", "no such device")
     assert "L3_DEVICE" in refused(4, "render", table, raw, "-o", tmp_path / "a.png")
     monkeypatch.setattr(opencl_devices, "_platforms", list)
     assert "pip install" in refused(4, "render", table, raw, "-o", tmp_path / "a.png")
 
 
-def test_a_frame_is_rendered_without_colour_science_by_its_very_numbers(tmp_path, table, raw):
+def test_a_frame_is_rendered_without_colour_science_by_its_very_numbers(tmp_path: Path, table: Path, raw: Path) -> None:
     colour = spectra.colour_science()
     np.testing.assert_array_equal(srgb_from_xyz_matrix(), colour.RGB_COLOURSPACES["sRGB"].matrix_XYZ_to_RGB)
     a, d65 = spectra.white_point("A"), spectra.white_point("D65")
@@ -342,30 +364,30 @@ def test_a_frame_is_rendered_without_colour_science_by_its_very_numbers(tmp_path
 # ------------------------------------------------------------------------------------------------------- real files
 
 
-def test_real_raws_keep_size_levels_and_phase(l3, l3_data, tmp_path, table):
+def test_real_raws_keep_size_levels_and_phase(l3: L3, l3_data: Path, tmp_path: Path, table: Path) -> None:
     facts = {"colorchart.dng": ((1156, 1734), 2056, 15000, (0, 0)), "kodak_dc50.kdc": ((512, 768), 0, 16383, (0, 1))}
     for name, (shape, black, white, phase) in facts.items():
         frame = read_raw(l3_data / "raw" / name, RGGB)
-        assert (frame.values.shape, frame.black, frame.white, frame.phase) == (shape, black, white, phase)
+        assert (frame.values.shape, frame.black_level, frame.white_level, frame.phase) == (shape, black, white, phase)
         assert frame.orientation == 0
         output = tmp_path / name.replace(name[-3:], "png")
         assert l3("render", table, l3_data / "raw" / name, "-o", output)[0] == 0
         assert read_image(output)[0].shape == (*shape, 3)
 
 
-def test_real_headerless_raw(l3, l3_data, tmp_path, table):
+def test_real_headerless_raw(l3: L3, l3_data: Path, tmp_path: Path, table: Path) -> None:
     source = l3_data / "raw" / "openisp_test_1920x1080_10bit_u16le_RGGB.raw"
     options = ("--size", "1080x1920", "--black", 0, "--white-level", 1020)
     assert l3("render", table, source, "-o", tmp_path / "a.jpg", *options)[0] == 0
     assert read_image(tmp_path / "a.jpg")[0].shape == (1080, 1920, 3)
 
 
-def test_linear_dng_is_refused(refused, l3_data, tmp_path, table):
+def test_linear_dng_is_refused(refused: Refused, l3_data: Path, tmp_path: Path, table: Path) -> None:
     line = refused(3, "render", table, l3_data / "raw" / "canon_eos_6d.dng", "-o", tmp_path / "a.png")
     assert "demosaicked" in line
 
 
-def test_device_and_variant_are_chosen_for_one_run(l3, refused, tmp_path, table, raw):
+def test_device_and_variant_are_chosen_for_one_run(l3: L3, refused: Refused, tmp_path: Path, table: Path, raw: Path) -> None:
     for variant in ("processor", "graphics"):
         output = tmp_path / f"{variant}.png"
         assert l3("render", table, raw, "-o", output, "--device", 0, "--variant", variant)[0] == 0

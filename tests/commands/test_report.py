@@ -77,18 +77,18 @@ class Tags(html.parser.HTMLParser):
 
     def __init__(self, page: Path) -> None:
         super().__init__()
-        self.found: list[tuple[str, dict[str, str | None]]] = []
+        self.starts: list[tuple[str, dict[str, str | None]]] = []
         self.text = ""
         self.feed(page.read_text())
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.found.append((tag, dict(attrs)))
+        self.starts.append((tag, dict(attrs)))
 
     def handle_data(self, data: str) -> None:
         self.text += data
 
     def all(self, *tags: str) -> list[dict[str, str | None]]:
-        return [attributes for tag, attributes in self.found if tag in tags]
+        return [attributes for tag, attributes in self.starts if tag in tags]
 
 
 # --------------------------------------------------------------------------------------------------------- the page
@@ -97,7 +97,7 @@ class Tags(html.parser.HTMLParser):
 def test_the_page_holds_every_section_and_stands_alone(page: Path) -> None:
     tags = Tags(page)
     assert page.stat().st_size < 10_000_000
-    headings = [tag for tag, _ in tags.found if re.fullmatch("h[1-6]", tag)]
+    headings = [tag for tag, _ in tags.starts if re.fullmatch("h[1-6]", tag)]
     assert headings.count("h1") == 1
     assert headings.count("h2") == 6  # camera, two training sets, table, evaluation, history
     assert all(int(below[1]) <= int(above[1]) + 1 for above, below in itertools.pairwise(headings))
@@ -138,7 +138,7 @@ def test_figures_are_those_of_the_artifacts(page: Path, stages: Path, l3: Callab
     camera = load(CameraModel, stages / "camera.h5")
     assert f"{tidy(camera.gain, 5)} DN/e⁻" in text
     table = load(TransformTable, stages / "table.h5")
-    assert f"{len(table.samples)} classes of 5 × 5 patches; {(table.samples > 0).sum()} are trained" in text
+    assert f"{len(table.first.samples)} classes of 5 × 5 patches; {(table.first.samples > 0).sum()} are trained" in text
     _, out, _ = l3("evaluate", stages / "table.h5", stages / "unseen.h5", "--json")
     mean = float(re.search(r'"ours": {\s*"mean_delta_e": ([0-9.]+)', out[out.index('"mean"') :])[1])  # type: ignore[index]
     assert f"Mean ΔE00 over 4 frames: ours {mean:.2f} (" in text
@@ -175,7 +175,7 @@ def test_a_report_shows_what_it_is_given(
     out = tmp_path / "report.html"
     assert l3("report", *(stages / f"{name}.h5" for name in names), "-o", out)[0] == 0
     text = out.read_text()
-    assert [re.split("[:<]", found)[0] for found in re.findall(r'<h2 id="section-\d+">([^\n]*)', text)] == sections
+    assert [re.split("[:<]", heading)[0] for heading in re.findall(r'<h2 id="section-\d+">([^\n]*)', text)] == sections
     assert lead in text
 
 
@@ -227,8 +227,13 @@ def hostile(stages: Path) -> list[Path]:
     history = (Stage("<b>calibrate", {"<i>": EVIL}, EVIL, {"<u>frames": ["<s>" * 8]}, "<em>"),)
     channels = ("<b>", "</text><i>", '"><u>&amp;')  # short enough to stand in the drawings
     camera = replace(load(CameraModel, stages / "camera.h5"), name=EVIL, channels=channels, history=history)
-    about = {"camera_name": EVIL, "channels": channels, "history": history, "camera": replace(camera, fit=None)}
-    table = replace(load(TransformTable, stages / "table.h5"), **about)
+    table = replace(
+        load(TransformTable, stages / "table.h5"),
+        camera_name=EVIL,
+        channels=channels,
+        history=history,
+        camera=replace(camera, fit=None),
+    )
     save(camera, folder / "camera.h5")
     save(replace(table, target_description=EVIL), folder / "table.h5")
     with open_training_set(stages / "unseen.h5") as reader:
@@ -251,7 +256,7 @@ def test_foreign_names_are_text_and_nothing_else(hostile_page: Path) -> None:
     assert len(tags.all("script")) == 1
     assert not tags.all("b", "i", "u", "s", "em")
     assert all(image["src"] != "x" for image in tags.all("img"))
-    assert not [name for _, attributes in tags.found for name in attributes if name.startswith("on")]
+    assert not [name for _, attributes in tags.starts for name in attributes if name.startswith("on")]
     assert EVIL in tags.text
 
 
@@ -374,13 +379,13 @@ def painted(tab: Browser, path: Path) -> dict[str, np.ndarray]:
     areas = tab.run(AREAS)
     assert areas
     whole, _ = read_image(tab.screenshot(path))
-    found = {}
+    pixels = {}
     for area in areas:
         assert area["natural"] > 0, area
         assert min(area["width"], area["height"]) >= 20, area
         rows = slice(round(area["y"]), round(area["y"] + area["height"]))
-        found[area["name"]] = whole[rows, round(area["x"]) : round(area["x"] + area["width"])]
-    return found
+        pixels[area["name"]] = whole[rows, round(area["x"]) : round(area["x"] + area["width"])]
+    return pixels
 
 
 @pytest.mark.parametrize(("width", "dark"), LIGHT_AND_DARK)
@@ -435,5 +440,5 @@ def test_the_page_works_without_scripts_and_on_paper(tab: Browser, page: Path, t
     tab.call("Emulation.setEmulatedMedia", media="")
 
 
-def test_what_is_no_number_is_told_as_such() -> None:
+def test_what_is_no_number_is_named_as_such() -> None:
     assert [tidy(value) for value in (float("nan"), float("inf"), float("-inf"))] == ["–", "∞", "−∞"]

@@ -1,15 +1,11 @@
 """Sequences in, numbered pictures out: every kind of input, order and numbers, broken frames, resuming, exposure in time."""
 
 import contextlib
-import dataclasses
 import itertools
 import os
 import shutil
-import signal
 import subprocess
 import sys
-import threading
-import time
 from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
@@ -19,21 +15,19 @@ import numpy as np
 import pytest
 import tifffile
 
-from l3cli import cli
 from l3cli.artifacts.store import save
-from l3cli.errors import InputFileError
 from l3cli.frame import RawFrame
 from l3cli.io.images import read_image, write_mosaic
-from l3cli.io.raw_files import KnownBetter
-from l3cli.io.sequences import find_frames, numbered_files, numbered_name
-from l3cli.parallel import threads
-from l3cli.parallel.threads import Behind, ahead
-from l3cli.physics.display import automatic_exposure
+from l3cli.io.numbered import numbered_files, numbered_name
+from l3cli.io.raw.files import KnownBetter
+from l3cli.io.sequences import find_frames
+from l3cli.physics.display import exposure_scale
 from l3cli.rendering.exposure import TIME_CONSTANT, LightMeter, SteadyExposure
 from l3cli.rendering.reference import ReferenceRenderer
+from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import BAYER, FIVE_BAND
 from tests.helpers.sequences import COUNT, FAST, RGGB, RUN, frames, pictures
-from tests.helpers.tables import random_table
+from tests.helpers.tables import random_table, with_first
 
 
 @pytest.fixture
@@ -54,11 +48,11 @@ def folder(tmp_path: Path) -> Path:
 @pytest.fixture
 def truth(l3: Callable, tmp_path: Path, table: Path, folder: Path) -> list[np.ndarray]:
     """Each frame rendered alone, at one exposure."""
-    found = []
+    rendered = []
     for path in sorted(folder.iterdir()):
         assert l3("render", table, path, "-o", tmp_path / "alone.png", "--exposure", 0.8, "--force", *FAST) == (0, "", "")
-        found.append(read_image(tmp_path / "alone.png")[0])
-    return found
+        rendered.append(read_image(tmp_path / "alone.png")[0])
+    return rendered
 
 
 # ------------------------------------------------------------------------------------------------------------ inputs
@@ -77,59 +71,63 @@ def write_stack(path: Path) -> Path:
 
 
 @pytest.mark.parametrize("stack", ["a.npy", "a.raw", "a.h5"])
-def test_a_stack_gives_the_pictures_of_its_frames(l3, tmp_path, table, truth, stack):
+def test_a_stack_gives_the_pictures_of_its_frames(
+    l3: L3, tmp_path: Path, table: Path, truth: list[np.ndarray], stack: str
+) -> None:
     source = write_stack(tmp_path / stack)
     assert l3("render", table, source, "-o", tmp_path / "out", "--exposure", 0.8, *FAST) == (0, "", "")
-    found = pictures(tmp_path / "out")
-    assert list(found) == [f"a_{number:06d}.png" for number in range(COUNT)]
-    np.testing.assert_array_equal(list(found.values()), truth)
+    rendered = pictures(tmp_path / "out")
+    assert list(rendered) == [f"a_{number:06d}.png" for number in range(COUNT)]
+    np.testing.assert_array_equal(list(rendered.values()), truth)
 
 
 @pytest.mark.parametrize("name", ["", "frame_%02d.tif", "frame_##.tif", "frame_*.tif", "frame_[01]?.tif"])
-def test_files_of_a_folder_keep_names_and_numbers(l3, tmp_path, table, folder, truth, name):
+def test_files_of_a_folder_keep_names_and_numbers(
+    l3: L3, tmp_path: Path, table: Path, folder: Path, truth: list[np.ndarray], name: str
+) -> None:
     assert l3("render", table, folder / name, "-o", tmp_path / "out", "--exposure", 0.8, *FAST) == (0, "", "")
-    found = pictures(tmp_path / "out")
-    assert list(found) == [f"frame_{number:02d}.png" for number in range(7, 12)]
-    np.testing.assert_array_equal(list(found.values()), truth)
+    rendered = pictures(tmp_path / "out")
+    assert list(rendered) == [f"frame_{number:02d}.png" for number in range(7, 12)]
+    np.testing.assert_array_equal(list(rendered.values()), truth)
     assert l3("render", table, folder / name, "-o", tmp_path / "new/p_%04d.png", "--exposure", 0.8, *FAST)[0] == 0
     assert list(pictures(tmp_path / "new")) == [f"p_{number:04d}.png" for number in range(7, 12)]
 
 
-def test_stdin_is_a_stream_of_frames(tmp_path, table, folder, truth):
+def test_stdin_is_a_stream_of_frames(tmp_path: Path, table: Path, folder: Path, truth: list[np.ndarray]) -> None:
     render = ("render", table, "-", "-o", tmp_path / "out/####.png", "--size", "20x28", "--exposure", 0.8, *FAST)
     given = frames().astype("<u2").tobytes()
     command = [sys.executable, "-c", RUN, *(str(part) for part in render)]
     subprocess.run([*command, "--frames", "1-4x3"], input=given, check=True)
-    found = pictures(tmp_path / "out")
-    assert list(found) == ["0001.png", "0004.png"]
-    np.testing.assert_array_equal(list(found.values()), [truth[1], truth[4]])
+    rendered = pictures(tmp_path / "out")
+    assert list(rendered) == ["0001.png", "0004.png"]
+    np.testing.assert_array_equal(list(rendered.values()), [truth[1], truth[4]])
     cut = subprocess.run([*command, "--force"], input=given[:-1], capture_output=True)
     assert (cut.returncode, cut.stderr.count(b"\n")) == (3, 1)
     assert b"frame 4: stdin ends within the frame" in cut.stderr
 
 
-def test_ranges_choose_by_number(l3, tmp_path, table, folder):
+def test_ranges_choose_by_number(l3: L3, tmp_path: Path, table: Path, folder: Path) -> None:
     for frames_, numbers in (("8-11x3", (8, 11)), ("9", (9,)), ("7-8", (7, 8))):
         output = tmp_path / frames_
         assert l3("render", table, folder, "-o", output / "%d.png", "--frames", frames_, *FAST)[0] == 0
         assert sorted(numbered_files(output / "%d.png")) == list(numbers)
 
 
-def test_camera_raws_of_a_folder_are_a_sequence(l3, l3_data, tmp_path, table):
+def test_camera_raws_of_a_folder_are_a_sequence(l3: L3, l3_data: Path, tmp_path: Path, table: Path) -> None:
     (tmp_path / "clip").mkdir()
     for number in (1, 2):
         (tmp_path / f"clip/A001_{number:06d}.dng").symlink_to(l3_data / "raw/colorchart.dng")
     (tmp_path / "clip/A001.wav").write_bytes(b"sound")
     save(random_table(BAYER, bits=14, patch=3), tmp_path / "camera.h5")
     assert l3("render", tmp_path / "camera.h5", tmp_path / "clip", "-o", tmp_path / "out", "--format", "jpg")[0] == 0
-    found = pictures(tmp_path / "out", "*.jpg")
-    assert list(found) == ["A001_000001.jpg", "A001_000002.jpg"]
-    assert found["A001_000001.jpg"].shape == (1156, 1734, 3)
+    rendered = pictures(tmp_path / "out", "*.jpg")
+    assert list(rendered) == ["A001_000001.jpg", "A001_000002.jpg"]
+    assert rendered["A001_000001.jpg"].shape == (1156, 1734, 3)
 
 
-def test_cinema_dng_tells_its_rate(tmp_path):
-    told = [(51044, "2i", 1, (24000, 1001), True)]
-    for name, tags in (("a_1.dng", told), ("a_2.dng", told), ("b_1.dng", []), ("b_2.dng", [])):
+def test_cinema_dng_states_its_rate(tmp_path: Path) -> None:
+    rate_tag = [(51044, "2i", 1, (24000, 1001), True)]
+    for name, tags in (("a_1.dng", rate_tag), ("a_2.dng", rate_tag), ("b_1.dng", []), ("b_2.dng", [])):
         tifffile.imwrite(tmp_path / name, frames()[0], extratags=tags)
     known = KnownBetter()
     assert find_frames((tmp_path / "a_*.dng",), RGGB, known).rate == Fraction(24000, 1001)
@@ -141,7 +139,7 @@ def test_cinema_dng_tells_its_rate(tmp_path):
     assert find_frames((tmp_path / "c_%d.dng",), RGGB, known).rate is None
 
 
-def test_raw_frames_are_never_replaced(refused, tmp_path, table, folder):
+def test_raw_frames_are_never_replaced(refused: Refused, tmp_path: Path, table: Path, folder: Path) -> None:
     before = {path: path.read_bytes() for path in folder.iterdir()}
     for output in (folder / "frame_%02d.tif", folder, folder / "frame_07.tif"):
         source = folder / "frame_07.tif" if output.suffix and output.exists() else folder
@@ -150,7 +148,7 @@ def test_raw_frames_are_never_replaced(refused, tmp_path, table, folder):
     assert {path: path.read_bytes() for path in folder.iterdir()} == before
 
 
-def test_numbers_come_from_names_where_names_have_them(tmp_path):
+def test_numbers_come_from_names_where_names_have_them(tmp_path: Path) -> None:
     known = KnownBetter()
     for name in ("b_9.npy", "b_10.npy"):
         np.save(tmp_path / name, frames()[0])
@@ -160,7 +158,7 @@ def test_numbers_come_from_names_where_names_have_them(tmp_path):
     assert [each.number for each in find_frames((tmp_path,), RGGB, known).frames] == [0, 1, 2]
 
 
-def test_patterns_are_spelled_as_they_are_read(tmp_path):
+def test_patterns_are_spelled_as_they_are_read(tmp_path: Path) -> None:
     for name in ("a_0001.tif", "a_10000.tif", "a_001.tif", "a_0002.tiff", "b_0001.tif", "a_00003.tif"):
         (tmp_path / name).touch()
     assert list(numbered_files(tmp_path / "a_%04d.tif")) == [1, 10000]
@@ -168,7 +166,7 @@ def test_patterns_are_spelled_as_they_are_read(tmp_path):
     assert numbered_name(Path("x/a_%d.tif"), 7) == Path("x/a_7.tif")
 
 
-def test_wrong_calls_are_refused_in_one_line(refused, tmp_path, table, folder):
+def test_wrong_calls_are_refused_in_one_line(refused: Refused, tmp_path: Path, table: Path, folder: Path) -> None:
     (tmp_path / "empty").mkdir()
     np.save(tmp_path / "mixed.npy", frames())
     with h5py.File(tmp_path / "two.h5", "w") as root:
@@ -205,7 +203,9 @@ def test_wrong_calls_are_refused_in_one_line(refused, tmp_path, table, folder):
 # --------------------------------------------------------------------------------------------------- broken and resumed
 
 
-def test_a_missing_frame_stops_the_run_before_any_work(l3, refused, tmp_path, table, folder):
+def test_a_missing_frame_stops_the_run_before_any_work(
+    l3: L3, refused: Refused, tmp_path: Path, table: Path, folder: Path
+) -> None:
     (folder / "frame_09.tif").unlink()
     pattern = folder / "frame_%02d.tif"
     assert "frame 9 is not in" in refused(3, "render", table, pattern, "-o", tmp_path / "out", *FAST)
@@ -216,7 +216,7 @@ def test_a_missing_frame_stops_the_run_before_any_work(l3, refused, tmp_path, ta
     assert list(pictures(tmp_path / "out")) == [f"frame_{number:02d}.png" for number in (7, 8, 10, 11)]
 
 
-def test_a_broken_frame_stops_the_run_and_is_named(l3, tmp_path, table, folder):
+def test_a_broken_frame_stops_the_run_and_is_named(l3: L3, tmp_path: Path, table: Path, folder: Path) -> None:
     (folder / "frame_09.tif").write_bytes(b"nothing")
     code, _, err = l3("render", table, folder, "-o", tmp_path / "out", *FAST)
     assert (code, err.count("\n")) == (3, 1)
@@ -230,7 +230,7 @@ def test_a_broken_frame_stops_the_run_and_is_named(l3, tmp_path, table, folder):
 
 
 @pytest.mark.parametrize("exposure", ["auto", 0.8])
-def test_resuming_gives_the_same_bytes(l3, tmp_path, table, folder, exposure):
+def test_resuming_gives_the_same_bytes(l3: L3, tmp_path: Path, table: Path, folder: Path, exposure: float | str) -> None:
     call = ("render", table, folder, "--exposure", exposure, *FAST)
     assert l3(*call, "-o", tmp_path / "whole")[0] == 0
     keep = (folder / "frame_10.tif").read_bytes()
@@ -272,7 +272,7 @@ def stopped(l3: Callable, monkeypatch: pytest.MonkeyPatch, after: int, *call: ob
 @pytest.fixture
 def other(tmp_path: Path) -> Path:
     """A table whose pictures differ."""
-    save(dataclasses.replace(RGGB, weights=RGGB.weights * np.float32(0.5)), tmp_path / "other.h5")
+    save(with_first(RGGB, weights=RGGB.first.weights * np.float32(0.5)), tmp_path / "other.h5")
     return tmp_path / "other.h5"
 
 
@@ -282,7 +282,16 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 @pytest.mark.parametrize("output", ["out", "out/p_%02d.png"])
 @pytest.mark.parametrize("again", [(), ("--force",)])
-def test_resuming_never_keeps_another_runs_pictures(l3, monkeypatch, tmp_path, table, other, folder, output, again):
+def test_resuming_never_keeps_another_runs_pictures(
+    l3: L3,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    table: Path,
+    other: Path,
+    folder: Path,
+    output: str,
+    again: tuple[str, ...],
+) -> None:
     options = (folder, "--exposure", 0.8, *FAST, "-o")
     assert l3("render", table, *options, tmp_path / output)[0] == 0
     assert l3("render", other, *options, tmp_path / output.replace("out", "whole"))[0] == 0
@@ -292,7 +301,9 @@ def test_resuming_never_keeps_another_runs_pictures(l3, monkeypatch, tmp_path, t
     assert contents(tmp_path / "out") == contents(tmp_path / "whole")
 
 
-def test_resuming_replaces_nothing_that_the_run_did_not_make(l3, refused, monkeypatch, tmp_path, table, folder):
+def test_resuming_replaces_nothing_that_the_run_did_not_make(
+    l3: L3, refused: Refused, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, table: Path, folder: Path
+) -> None:
     call = ("render", table, folder, "--exposure", 0.8, *FAST, "-o")
     assert l3(*call, tmp_path / "whole")[0] == 0
     stopped(l3, monkeypatch, 2, *call, tmp_path / "out")
@@ -314,18 +325,20 @@ def other_frame(path: Path) -> None:
     assert path.stat().st_size == size
 
 
-@pytest.mark.parametrize("way", ["folder", "pattern", "glob", "names", "stack"])
-def test_resuming_notices_inputs_that_changed(l3, refused, monkeypatch, tmp_path, table, folder, way):
+@pytest.mark.parametrize("source", ["folder", "pattern", "glob", "names", "stack"])
+def test_resuming_notices_inputs_that_changed(
+    l3: L3, refused: Refused, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, table: Path, folder: Path, source: str
+) -> None:
     inputs = {
         "folder": (folder,),
         "pattern": (folder / "frame_%02d.tif",),
         "glob": (folder / "*.tif",),
         "names": sorted(folder.iterdir()),
         "stack": (write_stack(tmp_path / "long.npy"),),
-    }[way]
+    }[source]
     call = ("render", table, *inputs, "--exposure", 0.8, *FAST, "-o", tmp_path / "out")
     stopped(l3, monkeypatch, 2, *call)
-    if way == "stack":
+    if source == "stack":
         np.save(tmp_path / "long.npy", frames()[::-1])
     else:
         other_frame(folder / "frame_08.tif")
@@ -336,8 +349,8 @@ def test_resuming_notices_inputs_that_changed(l3, refused, monkeypatch, tmp_path
 
 
 def test_resuming_takes_frames_that_were_mended_since_and_notices_those_that_are_gone(
-    l3, refused, monkeypatch, tmp_path, table, folder
-):
+    l3: L3, refused: Refused, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, table: Path, folder: Path
+) -> None:
     call = ("render", table, folder, "--exposure", 0.8, *FAST, "-o")
     stopped(l3, monkeypatch, 2, *call, tmp_path / "out")
     other_frame(folder / "frame_09.tif")
@@ -349,7 +362,9 @@ def test_resuming_takes_frames_that_were_mended_since_and_notices_those_that_are
     assert contents(tmp_path / "out") == contents(tmp_path / "whole")
 
 
-def test_resuming_notices_a_frame_that_others_took_their_exposure_from(l3, refused, monkeypatch, tmp_path, table, folder):
+def test_resuming_notices_a_frame_that_others_took_their_exposure_from(
+    l3: L3, refused: Refused, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, table: Path, folder: Path
+) -> None:
     keep = (folder / "frame_07.tif").read_bytes()
     (folder / "frame_07.tif").write_bytes(b"")
     call = ("render", table, folder, "--exposure", "auto", "--skip-bad", *FAST, "-o", tmp_path / "out")
@@ -358,7 +373,9 @@ def test_resuming_notices_a_frame_that_others_took_their_exposure_from(l3, refus
     assert "leave --resume out" in refused(2, *call, "--resume")
 
 
-def test_resuming_goes_by_the_files_not_by_how_their_names_are_typed(l3, refused, monkeypatch, tmp_path, table, folder):
+def test_resuming_goes_by_the_files_not_by_how_their_names_are_typed(
+    l3: L3, refused: Refused, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, table: Path, folder: Path
+) -> None:
     shutil.copytree(folder, tmp_path / "elsewhere/frames")
     for path in (tmp_path / "elsewhere/frames").iterdir():
         other_frame(path)
@@ -370,7 +387,7 @@ def test_resuming_goes_by_the_files_not_by_how_their_names_are_typed(l3, refused
     assert l3("render", table, folder, *options, "--resume") == (0, "", "")
 
 
-def test_a_stream_is_resumed_only_with_the_same_frames(tmp_path, table):
+def test_a_stream_is_resumed_only_with_the_same_frames(tmp_path: Path, table: Path) -> None:
     call = [sys.executable, "-c", RUN, "render", table, "-", "--size", "20x28", "-o", tmp_path / "out", "--exposure", 0.8]
 
     def fed(mosaics: np.ndarray, *more: str) -> tuple[int, str]:
@@ -389,7 +406,9 @@ def test_a_stream_is_resumed_only_with_the_same_frames(tmp_path, table):
     assert len(list((tmp_path / "out").iterdir())) == COUNT
 
 
-def test_a_mark_that_was_cut_off_costs_no_more_than_its_last_picture(l3, monkeypatch, tmp_path, table, folder):
+def test_a_mark_that_was_cut_off_costs_no_more_than_its_last_picture(
+    l3: L3, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, table: Path, folder: Path
+) -> None:
     call = ("render", table, folder, "--exposure", 0.8, *FAST, "-o")
     assert l3(*call, tmp_path / "whole")[0] == 0
     stopped(l3, monkeypatch, 3, *call, tmp_path / "out")
@@ -400,204 +419,27 @@ def test_a_mark_that_was_cut_off_costs_no_more_than_its_last_picture(l3, monkeyp
     assert contents(tmp_path / "out") == contents(tmp_path / "whole")
 
 
-def test_what_is_there_is_refused_before_any_work(refused, tmp_path, table, folder):
+def test_what_is_there_is_refused_before_any_work(refused: Refused, tmp_path: Path, table: Path, folder: Path) -> None:
     write_mosaic(tmp_path / "out/frame_09.png", frames()[0])
     assert "frame_09.png exists" in refused(1, "render", table, folder, "-o", tmp_path / "out")
     assert "frame_09.png exists" in refused(1, "render", table, "-", "-o", tmp_path / "out", "--size", "20x28")
-
-
-# --------------------------------------------------------------------------------------------------------- threads
-
-
-def test_reading_runs_ahead_no_further_than_asked():
-    made: list[int] = []
-    taken = ahead((made.append(number) or number for number in range(1000)), 3)
-    for number in range(10):
-        assert next(taken) == number
-        time.sleep(0.01)
-        assert len(made) <= number + 1 + 3, taken.close()
-    taken.close()
-    before = threading.active_count()
-    time.sleep(0.05)
-    assert len(made) < 20
-    assert threading.active_count() <= before
-
-
-def test_writing_falls_behind_no_further_than_asked():
-    gate, written = threading.Event(), []
-
-    def slow(item: int) -> None:
-        gate.wait()
-        written.append(item)
-
-    put = []
-    writing = Behind(slow, 3)
-
-    def fill() -> None:
-        with writing:
-            for number in range(10):
-                writing.put(number)
-                put.append(number)
-
-    filler = threading.Thread(target=fill)
-    filler.start()
-    time.sleep(0.05)
-    waiting = len(put)
-    gate.set()
-    filler.join()
-    assert waiting <= 3 + 1
-    assert written == list(range(10))
-
-
-def test_errors_cross_threads():
-    def broken():
-        yield 1
-        raise InputFileError("broken")
-
-    items = ahead(broken(), 2)
-    assert next(items) == 1
-    with pytest.raises(InputFileError, match="broken"):
-        next(items)
-
-    def fails(item: int) -> None:
-        raise InputFileError(f"item {item}")
-
-    def put_many(writing: Behind) -> None:
-        with writing:
-            for number in range(50):
-                writing.put(number)
-
-    with pytest.raises(InputFileError, match="item 0"):
-        put_many(Behind(fails, 2))
-
-
-def test_a_failing_block_still_writes_what_was_put_an_interrupted_one_does_not():
-    for error, count in ((InputFileError, 3), (KeyboardInterrupt, 1)):
-        gate, written = threading.Event(), []
-
-        def slow(item: int, gate: threading.Event = gate, written: list = written) -> None:
-            gate.wait()
-            written.append(item)
-
-        def stopped(writing: Behind, error: type = error, gate: threading.Event = gate) -> None:
-            with writing:
-                for number in range(3):
-                    writing.put(number)
-                time.sleep(0.05)
-                threading.Timer(0.05, gate.set).start()
-                raise error
-
-        with pytest.raises(error):
-            stopped(Behind(slow, 3))
-        assert written == list(range(count))
-
-
-def test_an_interrupt_while_the_last_items_are_waited_for_drops_what_waits():
-    """What is being done is done: a thread at work when the program ends could abort it."""
-    main_thread, written = threading.main_thread().ident, []
-
-    def slow(item: int) -> None:
-        time.sleep(0.1)
-        if item == 0:
-            signal.pthread_kill(main_thread, signal.SIGINT)
-        time.sleep(0.1)
-        written.append(item)
-
-    def interrupted() -> None:
-        with Behind(slow, 3, threads=2) as writing:
-            for number in range(4):
-                writing.put(number)
-        written.append("taken for all")
-        time.sleep(60)
-
-    before = {each: signal.signal(each, cli._end) for each in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        with pytest.raises(KeyboardInterrupt):
-            interrupted()
-        time.sleep(0.2)  # the signal comes again, and is not heeded
-    finally:
-        for each, handler in before.items():
-            signal.signal(each, handler)
-    assert sorted(written, key=str) == [0, 1]
-
-
-def test_what_never_ends_is_not_waited_for_after_an_interrupt(monkeypatch):
-    """As when nobody reads the pipe that is written to."""
-    monkeypatch.setattr(threads, "WRITING", 0.2)
-    monkeypatch.setattr(threads, "STEP", 0.1)
-    begun, gate = threading.Event(), threading.Event()
-
-    def stuck(item: int) -> None:
-        begun.set()
-        gate.wait(20)
-
-    def interrupted() -> None:
-        with Behind(stuck, 3) as writing:
-            writing.put(0)
-            begun.wait()
-            raise KeyboardInterrupt
-
-    start = time.monotonic()
-
-    with pytest.raises(KeyboardInterrupt):
-        interrupted()
-    assert time.monotonic() - start < 10
-    gate.set()
-
-
-def test_no_interrupt_makes_threads_wait_for_ever():
-    """At any moment of what is handed from thread to thread: half-way through a notification the next would be lost."""
-    program = """
-import random, signal, sys, time
-from l3cli import cli
-from l3cli.parallel import threads
-from l3cli.parallel.threads import Behind, ahead
-
-threads.WRITING = 1e9
-moments, sys.unraisablehook, cli.LATER = random.Random(0), cli._lost, 0.02
-for _ in range(100):
-    for each in (signal.SIGALRM, signal.SIGINT, signal.SIGTERM):
-        signal.signal(each, cli._end)
-    try:
-        signal.setitimer(signal.ITIMER_REAL, moments.uniform(2e-6, 4e-4))
-        with Behind(abs, 2) as writing:
-            for item in ahead(range(100), 2):
-                writing.put(item)
-        time.sleep(1.0)
-    except cli.Terminated:
-        signal.signal(signal.SIGALRM, signal.SIG_IGN)
-        time.sleep(0.05)  # it may come again
-        print("terminated")
-"""
-    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=50)
-    assert (ended.returncode, ended.stdout, ended.stderr) == (0, 100 * "terminated\n", "")
-
-
-@pytest.mark.parametrize("number", [1, 2, 3])
-def test_many_threads_end(number: int):
-    for count in (0, 1, 5):
-        written: list[int] = []
-        with Behind(written.append, 2, number) as writing:
-            for item in range(count):
-                writing.put(item)
-        assert sorted(written) == list(range(count))
 
 
 # --------------------------------------------------------------------------------------------------------- exposure
 
 
 @pytest.mark.parametrize("cfa", [BAYER, FIVE_BAND])
-def test_the_meter_reads_what_the_table_would_show(cfa):
+def test_the_meter_reads_what_the_table_would_show(cfa: list[list[int]]) -> None:
     table = random_table(cfa, bits=12, black=100.0)
     # Weights like those of a trained table: all sites answer alike.
-    table = dataclasses.replace(table, weights=np.abs(table.weights), intercept=np.zeros_like(table.intercept))
+    table = with_first(table, weights=np.abs(table.first.weights), intercept=np.zeros_like(table.first.intercept))
     rows, cols = np.mgrid[:120, :160]
     values = (100 + 3000 * (0.3 + 0.3 * np.sin(rows / 25) + 0.3 * np.cos(cols / 40))).clip(0).astype(np.uint16)
     frame = RawFrame("f", values, 100.0, 4095.0, phase=(1, 1))
     exact = ReferenceRenderer(table).exact_outputs(frame)[1]
     period = table.cfa.shape
-    seen = exact[:: period[0], :: period[1]]  # the site that is looked at
-    assert LightMeter(table).brightness(frame) == pytest.approx(1 / automatic_exposure(seen), rel=0.02)
+    seen = exact[:: period[0], :: period[1]]  # the site that is measured
+    assert LightMeter(table).brightness(frame) == pytest.approx(1 / exposure_scale(seen), rel=0.02)
     for shape in ((1, 1), (3, 50), (7, 2)):
         small = RawFrame("f", values[: shape[0], : shape[1]], 50.0, 4000.0)
         assert np.isfinite(LightMeter(table).brightness(small))
@@ -608,29 +450,31 @@ def scales(brightness: list[float], rate: int = 30) -> np.ndarray:
     return np.array([exposure.scale(value) for value in brightness])
 
 
-def test_noise_does_not_flicker():
-    found = scales([0.5 * (1.1 if number % 2 else 1 / 1.1) for number in range(200)])
-    change = np.abs(np.diff(np.log(found)))
+def test_noise_does_not_flicker() -> None:
+    exposures = scales([0.5 * (1.1 if number % 2 else 1 / 1.1) for number in range(200)])
+    change = np.abs(np.diff(np.log(exposures)))
     assert change[1:].max() < 0.01  # ±10 % from frame to frame becomes less than 1 %
-    assert np.ptp(np.log(found[100:])) < 0.01
+    assert np.ptp(np.log(exposures[100:])) < 0.01
 
 
-def test_a_change_of_light_is_followed_without_overshoot():
-    found = scales([0.2] * 30 + [0.8] * 150)
-    np.testing.assert_allclose(found[:30], 5.0)
-    assert (np.diff(found[29:]) < 0).all()
-    assert found[-1] == pytest.approx(1 / 0.8, rel=0.02)
-    after = np.log(found[30 + int(TIME_CONSTANT * 30) - 1] / 5.0) / np.log(0.2 / 0.8)
+def test_a_change_of_light_is_followed_without_overshoot() -> None:
+    exposures = scales([0.2] * 30 + [0.8] * 150)
+    np.testing.assert_allclose(exposures[:30], 5.0)
+    assert (np.diff(exposures[29:]) < 0).all()
+    assert exposures[-1] == pytest.approx(1 / 0.8, rel=0.02)
+    after = np.log(exposures[30 + int(TIME_CONSTANT * 30) - 1] / 5.0) / np.log(0.2 / 0.8)
     assert after == pytest.approx(1 - np.exp(-1))
     # as many seconds at any rate
     assert scales([0.2] * 60 + [0.8] * 60, 60)[-1] == pytest.approx(scales([0.2] * 30 + [0.8] * 30, 30)[-1])
 
 
-def test_dark_frames_leave_the_exposure_where_it_was():
+def test_dark_frames_leave_the_exposure_where_it_was() -> None:
     np.testing.assert_allclose(scales([0.0, -1.0, 0.5, 0.0]), [1, 1, 2, 2])
 
 
-def test_files_named_one_by_one_have_their_own_exposure_a_sequence_has_a_common_one(l3, tmp_path, table, folder):
+def test_files_named_one_by_one_have_separate_exposures_a_sequence_has_a_common_one(
+    l3: L3, tmp_path: Path, table: Path, folder: Path
+) -> None:
     call = ("render", table, "--backend", "reference")
     assert l3(*call, *sorted(folder.iterdir()), "-o", tmp_path / "stills")[0] == 0
     assert l3(*call, folder, "-o", tmp_path / "sequence")[0] == 0

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import av
 import numpy as np
@@ -17,6 +18,7 @@ from l3cli.artifacts.store import save
 from l3cli.io.images import read_image
 from l3cli.io.video import VideoChoice, new_video
 from l3cli.stages.rendering import executors
+from tests.helpers.calls import L3, Refused
 from tests.helpers.sequences import COUNT, FAST, RGGB, RUN, frames, pictures, write_raw_video
 
 OUTPUTS = {  # arguments: encoder, pixel format, transfer (13: sRGB, 1: BT.709), matrix, range (1: limited)
@@ -52,26 +54,28 @@ def decoded(path: Path, pixels: str = "rgb24") -> np.ndarray:
 
 
 @pytest.mark.parametrize("arguments", list(OUTPUTS), ids=lambda arguments: " ".join(map(str, arguments)))
-def test_videos_say_what_they_hold(l3, tmp_path, table, stack, arguments):
-    name, *options = arguments
+def test_videos_say_what_they_hold(
+    l3: L3, tmp_path: Path, table: Path, stack: Path, arguments: tuple[int | str, ...]
+) -> None:
+    name, options = str(arguments[0]), arguments[1:]
     call = ("render", table, stack, *options, "--fps", "24000/1001", *FAST)
     assert l3(*call, "-o", tmp_path / name) == (0, "", "")
     with av.open(str(tmp_path / name)) as video:
         stream = video.streams.video[0]
         times = [float(frame.time) for frame in video.decode(video=0)]
-        found = stream.codec_context  # after decoding, since frames may say otherwise than the container
-        tags = (found.name, found.pix_fmt, int(found.color_trc), int(found.colorspace), int(found.color_range))
+        context = stream.codec_context  # after decoding, since frames may say otherwise than the container
+        tags = (context.name, context.pix_fmt, int(context.color_trc), int(context.colorspace), int(context.color_range))
         assert tags == OUTPUTS[arguments]
-        assert int(found.color_primaries) == 1
+        assert int(context.color_primaries) == 1
         assert stream.average_rate == Fraction(24000, 1001)
-        assert (found.width, found.height) == (RGGB.cols, RGGB.rows)
+        assert (context.width, context.height) == (RGGB.cols, RGGB.rows)
     np.testing.assert_allclose(times, np.arange(COUNT) * 1001 / 24000, atol=1e-3)
 
 
 @pytest.mark.parametrize(
     ("name", "codec"), [("a.mp4", "h264"), ("a.mkv", "h264"), ("a.mp4", "h265"), ("a.mkv", "ffv1"), ("a.mov", "prores")]
 )
-def test_the_same_pictures_give_the_same_bytes(tmp_path, name, codec):
+def test_the_same_pictures_give_the_same_bytes(tmp_path: Path, name: str, codec: str) -> None:
     # Not smaller: below three macroblocks x264's threads do not always agree with themselves.
     noise = np.random.default_rng(0).integers(0, 200, (48, 64, 3))
     for folder in ("one", "two"):
@@ -83,14 +87,14 @@ def test_the_same_pictures_give_the_same_bytes(tmp_path, name, codec):
 
 
 @pytest.mark.parametrize(("bits", "pixels"), [(8, "rgb24"), (16, "rgb48le")])
-def test_ffv1_holds_the_very_pictures(l3, tmp_path, table, stack, bits, pixels):
+def test_ffv1_holds_the_very_pictures(l3: L3, tmp_path: Path, table: Path, stack: Path, bits: int, pixels: str) -> None:
     call = ("render", table, stack, "--bits", bits, *FAST)
     assert l3(*call, "-o", tmp_path / "a.mkv")[0] == 0
     assert l3(*call, "-o", tmp_path / "out")[0] == 0
     np.testing.assert_array_equal(decoded(tmp_path / "a.mkv", pixels), list(pictures(tmp_path / "out").values()))
 
 
-def test_colours_survive_the_matrix_and_the_range(tmp_path):
+def test_colours_survive_the_matrix_and_the_range(tmp_path: Path) -> None:
     colours = np.array([[255, 255, 255], [0, 0, 0], [230, 40, 30], [40, 180, 60], [30, 50, 200], [128, 128, 128]], np.uint8)
     picture = np.repeat(np.repeat(colours[None], 32, 0), 32, 1)
     for name, codec in (("a.mp4", "h264"), ("b.mp4", "h265"), ("a.mov", "prores")):
@@ -105,7 +109,7 @@ def test_colours_survive_the_matrix_and_the_range(tmp_path):
         assert np.abs(back - colours).max() <= 4
 
 
-def test_odd_sizes_are_padded_by_a_row_or_column(l3, tmp_path, table):
+def test_odd_sizes_are_padded_by_a_row_or_column(l3: L3, tmp_path: Path, table: Path) -> None:
     odd = frames()[:, :19, :27]
     np.save(tmp_path / "odd.npy", odd)
     for name, size in (("a.mp4", (20, 28)), ("a.mov", (19, 28)), ("a.mkv", (19, 27)), ("a.y4m", (20, 28))):
@@ -115,7 +119,7 @@ def test_odd_sizes_are_padded_by_a_row_or_column(l3, tmp_path, table):
     np.testing.assert_array_equal(whole[:, 19, :28], whole[:, 18, :28])
 
 
-def test_y4m_goes_to_a_file_and_to_stdout(tmp_path, l3, table, stack):
+def test_y4m_goes_to_a_file_and_to_stdout(tmp_path: Path, l3: L3, table: Path, stack: Path) -> None:
     call = ("render", table, stack, "--fps", 25, *FAST)
     assert l3(*call, "-o", tmp_path / "a.y4m") == (0, "", "")
     content = (tmp_path / "a.y4m").read_bytes()
@@ -134,7 +138,7 @@ def test_y4m_goes_to_a_file_and_to_stdout(tmp_path, l3, table, stack):
 
 
 @pytest.mark.parametrize("pixels", ["gray", "gray12le", "gray16le"])
-def test_raw_videos_give_the_pictures_of_their_frames(l3, tmp_path, table, stack, pixels):
+def test_raw_videos_give_the_pictures_of_their_frames(l3: L3, tmp_path: Path, table: Path, stack: Path, pixels: str) -> None:
     source = write_raw_video(tmp_path / "clip.mkv", pixels)
     if pixels == "gray":
         np.save(stack, (frames() >> 4).astype(np.uint8))
@@ -145,7 +149,7 @@ def test_raw_videos_give_the_pictures_of_their_frames(l3, tmp_path, table, stack
     np.testing.assert_array_equal(ours, theirs)
 
 
-def test_a_raw_video_keeps_its_rate_and_numbers(l3, tmp_path, table):
+def test_a_raw_video_keeps_its_rate_and_numbers(l3: L3, tmp_path: Path, table: Path) -> None:
     source = write_raw_video(tmp_path / "clip.mkv", rate=48)
     assert l3("render", table, source, "-o", tmp_path / "a.mkv", *FAST)[0] == 0
     with av.open(str(tmp_path / "a.mkv")) as video:
@@ -160,7 +164,9 @@ def test_a_raw_video_keeps_its_rate_and_numbers(l3, tmp_path, table):
 
 
 @pytest.mark.parametrize(("group", "whole"), [(1, (0, 1, 3, 4)), (4, (0, 1, 4))])
-def test_a_damaged_raw_video_names_the_frame(l3, tmp_path, table, group, whole):
+def test_a_damaged_raw_video_names_the_frame(
+    l3: L3, tmp_path: Path, table: Path, group: int, whole: tuple[int, ...]
+) -> None:
     source = write_raw_video(tmp_path / "clip.mkv", group=group)  # a frame is lost as far as the next key frame
     with av.open(str(source)) as video:
         packets = [bytes(packet) for packet in video.demux(video=0) if packet.size]
@@ -176,7 +182,7 @@ def test_a_damaged_raw_video_names_the_frame(l3, tmp_path, table, group, whole):
     assert list(pictures(tmp_path / "out")) == [f"clip_{number:06d}.png" for number in whole]
 
 
-def test_other_videos_are_refused(refused, l3, tmp_path, table, stack):
+def test_other_videos_are_refused(refused: Refused, l3: L3, tmp_path: Path, table: Path, stack: Path) -> None:
     assert l3("render", table, stack, "-o", tmp_path / "rgb.mkv", *FAST)[0] == 0
     (tmp_path / "text.mkv").write_text("no video")
     (tmp_path / "none.mkv").touch()
@@ -188,7 +194,7 @@ def test_other_videos_are_refused(refused, l3, tmp_path, table, stack):
 # ------------------------------------------------------------------------------------------------ whole or not at all
 
 
-def test_wrong_calls_are_refused_in_one_line(refused, tmp_path, table, stack):
+def test_wrong_calls_are_refused_in_one_line(refused: Refused, tmp_path: Path, table: Path, stack: Path) -> None:
     (tmp_path / "there.mp4").write_bytes(b"mine")
     for code, word, arguments in (
         (1, "--force", ("there.mp4",)),
@@ -202,15 +208,17 @@ def test_wrong_calls_are_refused_in_one_line(refused, tmp_path, table, stack):
         assert word in refused(code, "render", table, stack, "-o", tmp_path / arguments[0], *arguments[1:])
 
 
-def test_without_pyav_the_cure_is_named(refused, tmp_path, table, stack, monkeypatch):
+def test_without_pyav_the_cure_is_named(
+    refused: Refused, tmp_path: Path, table: Path, stack: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "clip.mkv").touch()
     monkeypatch.setitem(sys.modules, "av", None)
-    monkeypatch.setenv("L3_TRUST", "1")  # the process that decodes has its own modules
+    monkeypatch.setenv("L3_TRUST", "1")  # the process that decodes has separate modules
     for source, output in ((stack, "a.mp4"), (stack, "a.y4m"), (tmp_path / "clip.mkv", "out")):
         assert 'pip install "l3cli[video]"' in refused(1, "render", table, source, "-o", tmp_path / output)
 
 
-def test_frames_of_another_size_are_named(l3, tmp_path, table):
+def test_frames_of_another_size_are_named(l3: L3, tmp_path: Path, table: Path) -> None:
     for number in range(3):
         np.save(tmp_path / f"f_{number}.npy", frames()[number][: 20 - 2 * (number == 1)])
     pattern = tmp_path / "f_%d.npy"
@@ -223,7 +231,7 @@ def test_frames_of_another_size_are_named(l3, tmp_path, table):
     assert len(decoded(tmp_path / "a.mp4")) == 2
 
 
-def test_nothing_is_left_where_no_frame_could_be_read(refused, tmp_path, table):
+def test_nothing_is_left_where_no_frame_could_be_read(refused: Refused, tmp_path: Path, table: Path) -> None:
     np.save(tmp_path / "f.npy", frames().astype(np.float32)[0])
     assert "uint16" in refused(3, "render", table, tmp_path / "f.npy", "-o", tmp_path / "a.mp4", *FAST)
     nothing = subprocess.run(
@@ -237,11 +245,13 @@ def test_nothing_is_left_where_no_frame_could_be_read(refused, tmp_path, table):
 
 
 @pytest.mark.parametrize("name", ["a.mp4", "a.mkv", "a.y4m"])
-def test_an_interrupted_video_leaves_nothing(l3, tmp_path, table, stack, monkeypatch, name):
+def test_an_interrupted_video_leaves_nothing(
+    l3: L3, tmp_path: Path, table: Path, stack: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
     rendered = executors.upright
     calls: list[int] = []
 
-    def interrupted(*arguments: object) -> np.ndarray:
+    def interrupted(*arguments: Any) -> np.ndarray:
         calls.append(1)
         if len(calls) == 4:
             raise KeyboardInterrupt
@@ -253,26 +263,30 @@ def test_an_interrupted_video_leaves_nothing(l3, tmp_path, table, stack, monkeyp
     assert sorted(tmp_path.iterdir()) == before
 
 
-def test_ctrl_c_stops_a_run_that_waits_for_its_input(tmp_path, table):
+def test_ctrl_c_stops_a_run_that_waits_for_its_input(tmp_path: Path, table: Path) -> None:
     call = (sys.executable, "-m", "l3cli", "render", table, "-", "-o", tmp_path / "a.mp4", "--size", "20x28", *FAST)
     before = sorted(tmp_path.iterdir())
     command = [str(part) for part in call]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as waiting:
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as waiting:
+        assert waiting.stdin is not None
+        assert waiting.stderr is not None
         deadline = time.monotonic() + 20
         while len(list(tmp_path.iterdir())) == len(before) and time.monotonic() < deadline:
-            waiting.stdin.buffer.write(frames()[0].tobytes())  # until the encoder has begun its file
-            waiting.stdin.buffer.flush()
+            waiting.stdin.write(frames()[0].tobytes())  # until the encoder has begun its file
+            waiting.stdin.flush()
             time.sleep(0.05)
         waiting.send_signal(signal.SIGINT)
         assert waiting.wait(20) == 130
-        assert waiting.stderr.read().strip() == "l3: interrupted"
+        assert waiting.stderr.read().strip() == b"l3: interrupted"
     assert sorted(tmp_path.iterdir()) == before
 
 
-def test_a_reader_that_goes_away_ends_the_run(tmp_path, table):
+def test_a_reader_that_goes_away_ends_the_run(tmp_path: Path, table: Path) -> None:
     np.save(tmp_path / "long.npy", np.tile(frames(), (400, 1, 1)))
     call = (sys.executable, "-c", RUN, "render", table, tmp_path / "long.npy", "-o", "-", *FAST)
     with subprocess.Popen([str(part) for part in call], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as writing:
+        assert writing.stdout is not None
+        assert writing.stderr is not None
         assert writing.stdout.read(9) == b"YUV4MPEG2"
         writing.stdout.close()
         assert writing.wait(30) == 1

@@ -1,7 +1,8 @@
 """Endurance: over many small frames memory is flat, no file stays open and the rate is steady. A few hundred frames here;
-`make soak` has 20 000 through each way of l3 render and 2 000 through l3 simulate."""
+`make soak` has 20 000 through each mode of l3 render and 2 000 through l3 simulate."""
 
 import dataclasses
+import io
 import logging
 import os
 import subprocess
@@ -18,8 +19,8 @@ import pytest
 
 from l3cli.artifacts.store import save
 from l3cli.io.images import write_mosaic
-from l3cli.io.stacks import chunks_of_a_frame
-from l3cli.io.video import _av
+from l3cli.io.raw.hdf5 import chunks_of_a_frame
+from l3cli.io.video import pyav
 from tests.helpers.paths import ROOT
 from tests.helpers.sequences import RGGB
 
@@ -41,7 +42,7 @@ size = [48, 64]
 
 
 @dataclass(frozen=True)
-class Look:
+class Sample:
     """A run at a moment."""
 
     frames: int  # done so far
@@ -51,8 +52,8 @@ class Look:
     handles: int
 
 
-def look_at(run: int, frames: int) -> Look | None:
-    """All processes of a run, which leads a group of its own; None if it has ended."""
+def sample_of(run: int, frames: int) -> Sample | None:
+    """All processes of a run, which leads a process group; None if it has ended."""
     processor, memory, handles = 0.0, 0.0, 0
     for entry in Path("/proc").iterdir():
         if not entry.name.isdecimal():
@@ -67,27 +68,27 @@ def look_at(run: int, frames: int) -> Look | None:
             continue
         memory += next((int(line.split()[1]) / 1e3 for line in status if line.startswith("VmRSS")), 0.0)
         processor += sum(map(int, fields[11:15])) / TICKS  # of itself and its children that have ended
-    return Look(frames, time.monotonic(), processor, memory, handles) if memory else None
+    return Sample(frames, time.monotonic(), processor, memory, handles) if memory else None
 
 
-def watched(done: Callable[["subprocess.Popen[bytes]"], int], pulse: float, *command: object) -> list[Look]:
-    """Looks at `l3 COMMAND`, every `pulse` seconds while it runs; `done` tells of its frames."""
+def watched(done: Callable[["subprocess.Popen[bytes]"], int], pulse: float, *command: object) -> list[Sample]:
+    """Samples of `l3 COMMAND`, every `pulse` seconds while it runs; `done` counts its frames."""
     env = {**os.environ, "PYTHONPATH": str(ROOT)}
-    looks = []
+    samples: list[Sample] = []
     with subprocess.Popen(
         [*L3, *map(str, command), "--quiet"], env=env, stdout=subprocess.PIPE, start_new_session=True
     ) as run:
         while run.poll() is None:
-            if (look := look_at(run.pid, done(run))) and (not looks or look.frames > looks[-1].frames):
-                looks.append(look)
+            if (sample := sample_of(run.pid, done(run))) and (not samples or sample.frames > samples[-1].frames):
+                samples.append(sample)
             time.sleep(pulse)
     assert run.returncode == 0
-    return looks
+    return samples
 
 
 def sipped(frame_bytes: int) -> Callable[["subprocess.Popen[bytes]"], int]:
-    """Counts the frames of a y4m stream on stdout, a few of which are taken at each look: however fast they are made, there
-    are looks in between."""
+    """Counts the frames of a y4m stream on stdout, a few of which are read at each sample: however fast they are made, there
+    are samples in between."""
     got = [0]
 
     def done(run: "subprocess.Popen[bytes]") -> int:
@@ -104,7 +105,7 @@ def piped(frame_bytes: int) -> Callable[["subprocess.Popen[bytes]"], int]:
     threads: list[threading.Thread] = []
 
     def read(run: "subprocess.Popen[bytes]") -> None:
-        assert run.stdout is not None
+        assert isinstance(run.stdout, io.BufferedReader)
         while chunk := run.stdout.read1(1 << 20):
             got[0] += len(chunk)
 
@@ -121,25 +122,25 @@ def in_folder(folder: Path) -> Callable[["subprocess.Popen[bytes]"], int]:
     return lambda run: len(os.listdir(folder)) if folder.is_dir() else 0
 
 
-def per_frame(looks: list[Look], what: str, stretch: int) -> float:
+def per_frame(samples: list[Sample], what: str, stretch: int) -> float:
     """Seconds or processor seconds a frame of the fastest stretch of so many frames: others use the machine too."""
-    spent, start = [], looks[0]
-    for look in looks:
-        if look.frames - start.frames >= stretch:
-            spent.append((getattr(look, what) - getattr(start, what)) / (look.frames - start.frames))
-            start = look
+    spent, start = [], samples[0]
+    for sample in samples:
+        if sample.frames - start.frames >= stretch:
+            spent.append((getattr(sample, what) - getattr(start, what)) / (sample.frames - start.frames))
+            start = sample
     return min(spent, default=float("nan"))
 
 
-def require_steady(what: str, looks: list[Look], frames: int, capsys: pytest.CaptureFixture[str], lasting: bool) -> None:
+def require_steady(what: str, samples: list[Sample], frames: int, capsys: pytest.CaptureFixture[str], lasting: bool) -> None:
     """Compare the second tenth, when all is warm, with the last; of a run that does not last its halves, without rates."""
     early, late = (0.2, 0.9) if lasting else (0.5, 0.5)
-    first = [look for look in looks if frames / 10 <= look.frames < frames * early]
-    last = [look for look in looks if look.frames >= frames * late]
-    assert len(first) > lasting, "too few looks; give more frames"
-    assert len(last) > lasting, "too few looks; give more frames"
-    memory = [float(np.median([look.memory for look in part])) for part in (first, last)]
-    handles = [max(look.handles for look in part) for part in (first, last)]
+    first = [sample for sample in samples if frames / 10 <= sample.frames < frames * early]
+    last = [sample for sample in samples if sample.frames >= frames * late]
+    assert len(first) > lasting, "too few samples; give more frames"
+    assert len(last) > lasting, "too few samples; give more frames"
+    memory = [float(np.median([sample.memory for sample in part])) for part in (first, last)]
+    handles = [max(sample.handles for sample in part) for part in (first, last)]
     seconds, processor = (
         [per_frame(part, name, frames // 100) for part in (first, last)] for name in ("seconds", "processor")
     )
@@ -198,8 +199,8 @@ def render(
     elif what.endswith((".raw", ".h5")):
         done, output = piped(streamed), "-"
     else:
-        done, output = in_folder(folder / "out"), folder / "out/####.tif"
-    looks = watched(
+        done, output = in_folder(folder / "out"), str(folder / "out/####.tif")
+    samples = watched(
         done,
         0.2 if lasting else 0.0,
         "render",
@@ -210,15 +211,15 @@ def render(
         "-o",
         output,
     )
-    require_steady(f"render {what} → {'y4m' if output == '-' else 'pictures'}", looks, count, capsys, lasting)
+    require_steady(f"render {what} → {'y4m' if output == '-' else 'pictures'}", samples, count, capsys, lasting)
 
 
 def simulate(folder: Path, camera: Path, count: int, capsys: pytest.CaptureFixture[str], lasting: bool) -> None:
     (folder / "scenes.toml").write_text(f"{SCENES}count = {count // 20}\n")
     output = folder / "training.h5"
     command = ("simulate", folder / "scenes.toml", "--camera", camera, "-o", output)
-    looks = watched(in_folder(folder / "training.h5.parts"), 0.2 if lasting else 0.02, *command)
-    require_steady("simulate", looks, count, capsys, lasting)
+    samples = watched(in_folder(folder / "training.h5.parts"), 0.2 if lasting else 0.02, *command)
+    require_steady("simulate", samples, count, capsys, lasting)
 
 
 def test_hundreds_of_frames_are_rendered(
@@ -241,9 +242,9 @@ def test_a_stack_keeps_no_more_than_the_next_frames(chunks: tuple[int, ...], fra
 
 def test_the_video_library_is_silenced_once() -> None:
     """It is asked for with every frame, and each handler of its log would be searched and kept."""
-    _av()
+    pyav()
     handlers = list(logging.getLogger("libav").handlers)
-    _av()
+    pyav()
     assert logging.getLogger("libav").handlers == handlers
 
 

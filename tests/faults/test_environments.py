@@ -14,8 +14,8 @@ import pytest
 
 from l3cli.config import Recipe, load_recipe
 from l3cli.errors import RecipeError
-from l3cli.io.camera_raws import read_camera_raw
 from l3cli.io.images import write_picture
+from l3cli.io.raw.libraw import read_camera_raw
 from l3cli.limits import TRUST, trusted
 from tests.helpers.dng_files import write_dng
 from tests.helpers.fuzz import Seeded
@@ -87,7 +87,7 @@ def test_file_names_of_any_bytes(desk: Path, tmp_path: Path, name: bytes, locale
     os.mkdir(folder)
     for source, suffix in (("table", b".h5"), ("raw", b".tif"), ("raw", b".npy")):
         shutil.copy(os.fsencode(desk / source) + suffix, folder + b"/" + name + suffix)
-    start = [*RUN, "render", name + b".h5", name + b".tif", "--backend", "reference", "--quiet"]
+    start: list[str | bytes] = [*RUN, "render", name + b".h5", name + b".tif", "--backend", "reference", "--quiet"]
     for command in ([*start, "-o", name + b".exr"], [*start, name + b".npy", "-o", name + b".mkv"]):
         ended = subprocess.run(command, cwd=folder, env=environment(**locale), capture_output=True, check=False)
         assert (ended.returncode, ended.stdout, ended.stderr) == (0, b"", b""), command
@@ -114,7 +114,7 @@ def test_camera_raws_and_scenes_are_named_by_any_bytes(tmp_path: Path, l3: Calla
     assert "scene str = b?" in l3("info", folder / "t\udcff.h5")[1]
 
 
-def test_json_tells_names_of_any_bytes(desk: Path, tmp_path: Path, capfdbinary: Any) -> None:
+def test_json_holds_names_of_any_bytes(desk: Path, tmp_path: Path, capfdbinary: Any) -> None:
     from l3cli.cli.terminal import Terminal, show_json
 
     show_json({"name": "f\udcff\x1b\x9b\u202e"}, Terminal())

@@ -60,6 +60,7 @@ trials = 2
 illuminants = ["D65", "A"]
 """
 CLASSES = "[classes]\npatch = 3\nlevels = 4\n[learning]\npatches = 3000\n"
+LAYERS = f"{CLASSES}[[layer]]\nside = 3\nmosaics = 8\nrows = 300\n"
 FRAMES = 8
 ENDED = {signal.SIGINT: (130, "l3: interrupted\n"), signal.SIGTERM: (143, "l3: terminated\n"), signal.SIGKILL: (-9, "")}
 REMAINS = (".parts", ".l3-render", UNFINISHED)  # what the same run goes on from
@@ -93,6 +94,7 @@ STAGES = [
     Stage("simulate, pictures", f"{SIMULATE} --pictures out/pictures --dng out/dng", resumes=True),
     Stage("train", "train in/training.h5 --classes in/classes.toml -o out/table.h5 --quiet"),
     Stage("train, shard", "train in/training.h5 --classes in/classes.toml --shard 1/2 -o out/sums.h5 --quiet"),
+    Stage("train, two layers", "train in/training.h5 --classes in/layers.toml -o out/table.h5 --quiet"),
     Stage("still", "render in/table.h5 in/frames/f_0.tif -o out/still.png --backend reference --quiet"),
     Stage("sequence", f"{RENDER} -o out/pictures --bits 16", resumes=True),
     Stage("pattern", f"{RENDER} -o out/p_####.exr".replace("--exposure 0.8 ", ""), resumes=True),
@@ -126,7 +128,8 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder "in" of every stage's inputs, made by the stages before."""
     folder = tmp_path_factory.mktemp("faults") / "in"
     folder.mkdir()
-    for name, text in {"camera": bayer_camera(), "scenes": SCENES, "lab": LAB, "quick": QUICK, "classes": CLASSES}.items():
+    recipes = {"camera": bayer_camera(), "scenes": SCENES, "lab": LAB, "quick": QUICK, "classes": CLASSES, "layers": LAYERS}
+    for name, text in recipes.items():
         (folder / f"{name}.toml").write_text(text)
 
     def l3(*arguments: object) -> None:
@@ -161,7 +164,7 @@ def compared(inputs: Path) -> None:
 
 @pytest.fixture(scope="module")
 def has_small_disks(inputs: Path) -> bool:
-    """Whether a folder may be given a disk of its own here."""
+    """Whether a folder may be given a disk of its own."""
     mount = ["unshare", "-rm", "mount", "-t", "tmpfs", "tmpfs", str(inputs)]
     return shutil.which("unshare") is not None and subprocess.run(mount, capture_output=True).returncode == 0
 
@@ -177,17 +180,17 @@ def server(inputs: Path, compared: None, has_small_disks: bool) -> Iterator[Fork
 @pytest.fixture(scope="module")
 def truth(server: ForkServer) -> Callable[[Stage], tuple[dict[str, bytes], str, float]]:
     """What an undisturbed run of a stage leaves and says, and how many seconds it takes."""
-    found: dict[str, tuple[dict[str, bytes], str, float]] = {}
+    runs: dict[str, tuple[dict[str, bytes], str, float]] = {}
 
     def ask(stage: Stage) -> tuple[dict[str, bytes], str, float]:
-        if stage.name not in found:
+        if stage.name not in runs:
             clear(server)
             start = time.monotonic()
             ended = server.run(*stage.arguments)
             seconds = time.monotonic() - start
             assert (ended.code, ended.err) == (0, "")
-            found[stage.name] = contents(server.folder), ended.out, seconds
-        return found[stage.name]
+            runs[stage.name] = contents(server.folder), ended.out, seconds
+        return runs[stage.name]
 
     return ask
 
@@ -222,13 +225,13 @@ def kill_once(stage: Stage, number: int, seed: int, server: ForkServer, truth: C
     finished = {name: content for name, content in left.items() if not is_hidden(name) and not is_remnant(name)}
     assert all(whole[name] == content for name, content in finished.items())  # nothing half-written
     if ended.code != 0:
-        told = (ended.code, ended.err.lstrip("\n"))
-        if "--jobs" in stage.line and number == signal.SIGKILL:  # Python's keeper of semaphores, left alone, tells of them
-            told = (ended.code, "")
+        outcome = (ended.code, ended.err.lstrip("\n"))
+        if "--jobs" in stage.line and number == signal.SIGKILL:  # Python's keeper of semaphores, left alone, reports them
+            outcome = (ended.code, "")
         elif "--jobs" in stage.line and ended.code > 0:  # a worker just starting may say, too, that nobody gives it work
-            told = (ended.code, next(line for line in told[1].splitlines(keepends=True) if line.startswith("l3: ")))
+            outcome = (ended.code, next(line for line in outcome[1].splitlines(keepends=True) if line.startswith("l3: ")))
         # When all is done and Python is about to end it, a signal ends it as any program: 128 + number for a shell, too.
-        assert told == ENDED[signal.Signals(number)] or (told == (-number, "") and finished == whole)
+        assert outcome == ENDED[signal.Signals(number)] or (outcome == (-number, "") and finished == whole)
         if number != signal.SIGKILL:
             assert [name for name in left if is_hidden(name) and not is_remnant(name)] == []
             assert [name for name in left if ".l3tmp" in name] == []
@@ -243,7 +246,7 @@ def kill_once(stage: Stage, number: int, seed: int, server: ForkServer, truth: C
 
 @stages(
     *("lab", "calibrate", "simulate", "simulate, pictures", "train", "train, shard", "still", "sequence", "video"),
-    *("evaluate", "report"),
+    *("train, two layers", "evaluate", "report"),
 )
 def test_a_killed_run_leaves_nothing_that_the_next_does_not_mend(stage: Stage, server: ForkServer, truth: Callable) -> None:
     kill_once(stage, signal.SIGKILL, 0, server, truth)
@@ -283,7 +286,7 @@ def stopped_at_work(stage: Stage, server: ForkServer) -> Iterator[None]:
 
 
 def state_of(process: int) -> str:
-    """Letter of a process's state, as the kernel tells it; Z if there is none any more."""
+    """Letter of a process's state, by the kernel; Z if there is none any more."""
     try:
         return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
     except (FileNotFoundError, ProcessLookupError):
@@ -344,14 +347,14 @@ def test_inputs_that_vanish_are_one_line(stage: Stage, server: ForkServer, truth
     ],
 )
 def test_an_input_cut_short_is_one_line(name: str, stage: str, server: ForkServer, truth: Callable) -> None:
-    found = next(each for each in STAGES if each.name == stage)
-    path, (whole, _, _) = next((server.folder / "in").glob(name)), truth(found)
+    case = next(each for each in STAGES if each.name == stage)
+    path, (whole, _, _) = next((server.folder / "in").glob(name)), truth(case)
     content = path.read_bytes()
     try:
         for share in (0.0, 0.9999):
             path.write_bytes(content[: int(share * len(content))])
             clear(server)
-            ended = server.run(*found.arguments)
+            ended = server.run(*case.arguments)
             assert (ended.code, ended.out, ended.err.count("\n")) == (3, "", 1), ended.err
             assert path.name in ended.err
             left = contents(server.folder)
@@ -428,11 +431,11 @@ def kill_worker(stage: Stage, seed: int, server: ForkServer, truth: Callable) ->
     whole, said, seconds = truth(alone)
     clear(server)
     child = server.start(*stage.arguments)
-    while not (found := workers_of(child)) and Path(f"/proc/{child}/stat").exists():
+    while not (workers := workers_of(child)) and Path(f"/proc/{child}/stat").exists():
         time.sleep(0.01)
     time.sleep(random.Random(f"{stage.name} {seed}").uniform(0, 0.7 * seconds))
     with contextlib.suppress(ProcessLookupError):
-        os.kill(found[seed % len(found)], signal.SIGKILL)
+        os.kill(workers[seed % len(workers)], signal.SIGKILL)
     ended = server.wait()
     left = contents(server.folder)
     finished = {name: content for name, content in left.items() if not is_remnant(name)}

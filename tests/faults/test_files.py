@@ -13,8 +13,9 @@ import pytest
 from l3cli import files
 from l3cli.artifacts.container import new_file
 from l3cli.errors import L3Error
-from l3cli.files import atomic_output, sole_writer_of_file, sole_writer_of_folder, write_whole
+from l3cli.files import atomic_output, write_whole
 from l3cli.io.video import VideoChoice, new_video, new_y4m
+from l3cli.locks import sole_writer_of_file, sole_writer_of_folder
 
 DEAD = ".a.01234567.l3tmp.h5"
 
@@ -36,7 +37,7 @@ def start(work: Callable[[], object]) -> int:
 
 
 def in_a_child(work: Callable[[], object]) -> int:
-    """Exit code of a process of its own that does some work."""
+    """Exit code of a process that does some work."""
     return os.waitstatus_to_exitcode(os.waitpid(start(work), 0)[1])
 
 
@@ -149,7 +150,7 @@ def test_a_lock_that_is_removed_while_it_is_taken_is_taken_anew(tmp_path: Path, 
     assert names(tmp_path) == []
 
 
-def test_storage_without_locks_is_told_and_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, l3: Callable) -> None:
+def test_storage_without_locks_is_reported_and_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, l3: Callable) -> None:
     def unknown(*_: object) -> None:
         raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
 
@@ -176,12 +177,12 @@ def test_a_full_disk_names_the_output(tmp_path: Path) -> None:
         write_whole(Path("/dev/null/a.txt"), "")
     assert files.TEMPORARY.fullmatch(DEAD)
 
-    def in_the_way() -> None:
+    def block_disk() -> None:
         with atomic_output(tmp_path / "b.txt"):
             (tmp_path / "b.txt").mkdir()
 
     with pytest.raises(L3Error, match=r"b\.txt cannot be written: Is a directory; name another output"):
-        in_the_way()
+        block_disk()
     assert names(tmp_path) == ["b.txt"]
 
 
@@ -225,8 +226,8 @@ def test_modes_are_the_umasks_and_no_more_than_the_output_had(tmp_path: Path, um
         with sole_writer_of_file(path), atomic_output(path) as temporary:
             temporary.write_text("a")
             hidden = (tmp_path / ".a.h5.l3lock", temporary)
-            found = tuple(each.stat().st_mode & 0o777 for each in hidden)
-        return (*found, path.stat().st_mode & 0o777)
+            hidden_modes = tuple(each.stat().st_mode & 0o777 for each in hidden)
+        return (*hidden_modes, path.stat().st_mode & 0o777)
 
     before = os.umask(umask)
     try:
@@ -272,7 +273,7 @@ def test_names_as_long_as_names_may_be(tmp_path: Path, name: str) -> None:
     assert in_a_child(die) == 0
     assert len(names(tmp_path)) == 2
     with sole_writer_of_file(other):
-        assert len(names(tmp_path)) == 3  # it is told apart from its like
+        assert len(names(tmp_path)) == 3  # it is distinguished from its like
     with sole_writer_of_file(path) as locked, atomic_output(path) as temporary:
         assert locked
         assert len(names(tmp_path)) == 2  # what the dead run left is gone

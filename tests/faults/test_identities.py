@@ -12,9 +12,9 @@ import pytest
 
 from l3cli import recipes
 from l3cli.artifacts.store import save
-from l3cli.cli import init
 from l3cli.files import atomic_output, refuse_spared, sparing
 from l3cli.io.images import write_picture
+from l3cli.stages import starting
 from tests.helpers.hostile import CURVE_CAMERA, DRAWN, LAB, TABLE
 from tests.helpers.sequences import FAST, RGGB, RUN, frames
 
@@ -79,7 +79,9 @@ def test_stored_frames_are_not_removed_where_they_are_what_is_read(desk: Path, s
     spared("simulate cube.toml --camera camera.toml -o t.h5")
 
 
-def test_what_looks_like_ours_is_not_removed_where_it_is_read(desk: Path, spared: Callable[..., str], l3: Callable) -> None:
+def test_what_is_named_like_ours_is_not_removed_where_it_is_read(
+    desk: Path, spared: Callable[..., str], l3: Callable
+) -> None:
     spared_name = desk / ".a.0123abcd.l3tmp.npy"
     np.save(spared_name, frames()[0])
     held = spared_name.read_bytes()
@@ -95,7 +97,7 @@ def test_recipes_are_not_copied_over_themselves(
     desk: Path, spared: Callable[..., str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shutil.copytree(recipes.recipe_folder(), desk / "configs")
-    for module in (init, recipes):
+    for module in (starting, recipes):
         monkeypatch.setattr(module, "recipe_folder", lambda: desk / "configs")
     spared("init bayer configs/pipelines --force")
 

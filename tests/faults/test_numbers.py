@@ -22,6 +22,7 @@ from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.io.images import write_mosaic
 from l3cli.quantities import NoSuchNumber, Quantity
 from l3cli.training.recipe import TrainingRecipe
+from tests.helpers.calls import L3, Refused
 from tests.helpers.hostile import timed
 from tests.helpers.hostile_numbers import OPTIONS
 from tests.helpers.recipes import CLASSES
@@ -161,7 +162,9 @@ def test_every_option_with_a_number_declares_its_range() -> None:
 
 @pytest.mark.parametrize("name", ["L3_MEGAPIXELS", "L3_DECODE_SECONDS"])
 @pytest.mark.parametrize("number", ["nan", "inf", "-1", "0", "1e300", "5e-324", "1_0", "٣", "much"])
-def test_variables_have_ranges_too(refused: Callable, monkeypatch, tmp_path, table, name: str, number: str) -> None:
+def test_variables_have_ranges_too(
+    refused: Callable, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, table: Path, name: str, number: str
+) -> None:
     write_mosaic(tmp_path / "a.tif", frames()[0])
     monkeypatch.setenv(name, number)
     line = refused(2, "render", table, tmp_path / "a.tif", "-o", tmp_path / "a.png", *FAST)
@@ -186,33 +189,35 @@ def test_a_terminal_of_odd_width_gets_its_bar() -> None:
 
 
 @pytest.mark.parametrize(
-    ("told", "rate"),
+    ("given", "rate"),
     [("29.97002997", Fraction(30000, 1001)), ("23.976", Fraction(2997, 125)), ("0.001", Fraction(1, 1000))],
 )
-def test_a_rate_is_the_nearest_that_a_video_holds(l3, tmp_path, table, stack, told: str, rate: Fraction) -> None:
+def test_a_rate_is_the_nearest_that_a_video_holds(
+    l3: L3, tmp_path: Path, table: Path, stack: Path, given: str, rate: Fraction
+) -> None:
     for name in ("a.mp4", "a.mkv", "a.mov"):
-        assert l3("render", table, stack, "-o", tmp_path / name, "--fps", told, *FAST) == (0, "", "")
+        assert l3("render", table, stack, "-o", tmp_path / name, "--fps", given, *FAST) == (0, "", "")
     with av.open(str(tmp_path / "a.mp4")) as video:
         assert video.streams.video[0].average_rate == rate
-    assert l3("render", table, stack, "-o", tmp_path / "a.y4m", "--fps", told, *FAST) == (0, "", "")
+    assert l3("render", table, stack, "-o", tmp_path / "a.y4m", "--fps", given, *FAST) == (0, "", "")
     assert f" F{rate.numerator}:{rate.denominator} ".encode() in (tmp_path / "a.y4m").read_bytes()[:80]
 
 
-def test_a_film_of_a_nonsense_rate_has_the_usual_one(l3, tmp_path) -> None:
+def test_a_film_of_a_nonsense_rate_has_the_usual_one(l3: L3, tmp_path: Path) -> None:
     import tifffile
 
-    from l3cli.io.camera_raws import film_rate
+    from l3cli.io.raw import dng
 
-    for told, rate in (((4294967295, 1), None), ((1, 4294967295), None), ((2997002997, 100000000), Fraction(30000, 1001))):
+    for stored, rate in (((4294967295, 1), None), ((1, 4294967295), None), ((2997002997, 100000000), Fraction(30000, 1001))):
         path = tmp_path / "a.dng"
-        tifffile.imwrite(path, frames()[0], photometric=32803, extratags=[(51044, 5, 1, told, True)])
-        assert film_rate(path) == rate
+        tifffile.imwrite(path, frames()[0], photometric=32803, extratags=[(51044, 5, 1, stored, True)])
+        assert dng.rate(path) == rate
 
 
 # -------------------------------------------------------------------------------------------------------- frame numbers
 
 
-def test_digits_of_other_scripts_number_no_frame(l3, tmp_path, table) -> None:
+def test_digits_of_other_scripts_number_no_frame(l3: L3, tmp_path: Path, table: Path) -> None:
     (tmp_path / "in").mkdir()
     for name in ("5²3", "53", "٣", "a4"):
         write_mosaic(tmp_path / f"in/{name}.tif", frames()[0])
@@ -222,13 +227,13 @@ def test_digits_of_other_scripts_number_no_frame(l3, tmp_path, table) -> None:
     assert {path.name for path in tmp_path.glob("*.png")} == {"3.png", "53.png"}
 
 
-def test_a_pattern_is_no_wider_than_a_name(refused, tmp_path, table, stack) -> None:
+def test_a_pattern_is_no_wider_than_a_name(refused: Refused, tmp_path: Path, table: Path, stack: Path) -> None:
     for digits, code, words in ((9 * "9", 2, "one picture"), (5000 * "9", 1, "File name too long")):
         assert words in refused(code, "render", table, stack, "-o", tmp_path / f"%0{digits}d.png", *FAST)
 
 
 @pytest.mark.parametrize("kind", ["stack", "pattern", "stdin", "video"])
-def test_frames_that_are_far_away_are_told_at_once(l3, tmp_path, table, kind: str) -> None:
+def test_frames_that_are_far_away_are_listed_at_once(l3: L3, tmp_path: Path, table: Path, kind: str) -> None:
     """Each gap in one line, whatever its length."""
     given = b""
     if kind == "stack":
@@ -247,20 +252,20 @@ def test_frames_that_are_far_away_are_told_at_once(l3, tmp_path, table, kind: st
         words = [*map(str, call), "-o", str(tmp_path / output), "--force"]
         if kind == "stdin":
             run = subprocess.run([sys.executable, "-c", RUN, *words], input=given, capture_output=True, timeout=20)
-            code, told = run.returncode, run.stderr.decode()
+            code, message = run.returncode, run.stderr.decode()
         else:
             with timed(20):
-                code, _, told = l3(*words)
-        assert code == 1, told
-        assert told.count("\n") == 2, told
-        assert f"frames {COUNT}-9999999999 are not in " in told
-        assert f"{9999999999 - COUNT + 1} of 9999999999 frames left out" in told
+                code, _, message = l3(*words)
+        assert code == 1, message
+        assert message.count("\n") == 2, message
+        assert f"frames {COUNT}-9999999999 are not in " in message
+        assert f"{9999999999 - COUNT + 1} of 9999999999 frames left out" in message
         assert len(pictures(tmp_path / "out")) == COUNT - 1
         for path in (tmp_path / "out").iterdir():
             path.unlink()
 
 
-def test_gaps_are_told_one_by_one(l3, refused, tmp_path, table) -> None:
+def test_gaps_are_listed_one_by_one(l3: L3, refused: Refused, tmp_path: Path, table: Path) -> None:
     for number in (2, 3, 7, 9):
         write_mosaic(tmp_path / f"a_{number}.tif", frames()[0])
     call = ("render", table, tmp_path / "a_%d.tif", "-o", tmp_path / "out", *FAST)
@@ -277,7 +282,7 @@ def test_gaps_are_told_one_by_one(l3, refused, tmp_path, table) -> None:
 # -------------------------------------------------------------------------------------------------------------- recipes
 
 
-def test_no_chromas_are_none(l3, tmp_path, pipeline) -> None:
+def test_no_chromas_are_none(l3: L3, tmp_path: Path, pipeline: Path) -> None:
     tables = []
     for chromas in (0, 1):
         recipe = tmp_path / f"{chromas}.toml"
@@ -285,8 +290,8 @@ def test_no_chromas_are_none(l3, tmp_path, pipeline) -> None:
         output = tmp_path / f"{chromas}.h5"
         assert l3("train", pipeline / "training.h5", "--classes", recipe, "-o", output, "--quiet") == (0, "", "")
         tables.append(load(TransformTable, output))
-    assert tables[0].rule.chromas == 1
-    np.testing.assert_array_equal(tables[0].weights, tables[1].weights)
+    assert tables[0].first.rule.chromas == 1
+    np.testing.assert_array_equal(tables[0].first.weights, tables[1].first.weights)
 
 
 @pytest.mark.parametrize(
@@ -314,7 +319,9 @@ def test_a_recipes_number_out_of_range_is_named(key: str, words: str) -> None:
 
 
 @pytest.mark.parametrize("kilobytes", [60_000, 140_000, 300_000])
-def test_too_little_address_space_is_told_before_any_work(tmp_path, table, stack, kilobytes: int) -> None:
+def test_too_little_address_space_is_reported_before_any_work(
+    tmp_path: Path, table: Path, stack: Path, kilobytes: int
+) -> None:
     """Libraries end the program, hang or send it signals where they get no memory."""
     command = f"ulimit -v {kilobytes}; exec {sys.executable} -m l3cli render {table} {stack} -o {tmp_path}/out"
     run = subprocess.run(["bash", "-c", command], capture_output=True, timeout=20, text=True)
@@ -324,7 +331,9 @@ def test_too_little_address_space_is_told_before_any_work(tmp_path, table, stack
     assert not (tmp_path / "out").exists()
 
 
-def test_what_cannot_be_loaded_or_started_is_one_line(refused, tmp_path, table, stack, monkeypatch) -> None:
+def test_what_cannot_be_loaded_or_started_is_one_line(
+    refused: Refused, tmp_path: Path, table: Path, stack: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     import threading
 
     def none(*_: object) -> None:
@@ -341,7 +350,9 @@ def test_what_cannot_be_loaded_or_started_is_one_line(refused, tmp_path, table, 
     assert "libfoo.so: failed to map segment" in refused(1, "render", table, stack, "-o", tmp_path / "out", *FAST)
 
 
-def test_a_decoder_that_cannot_start_is_no_damaged_file(refused, tmp_path, table, monkeypatch) -> None:
+def test_a_decoder_that_cannot_start_is_no_damaged_file(
+    refused: Refused, tmp_path: Path, table: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from l3cli.io import apart
 
     write_mosaic(tmp_path / "a.tif", frames()[0])
@@ -363,7 +374,9 @@ def test_a_library_that_cannot_be_loaded_is_no_damaged_file() -> None:
     assert not isinstance(caught.value, InputFileError)
 
 
-def test_a_library_without_memory_is_not_missing(refused, tmp_path, table, stack, monkeypatch) -> None:
+def test_a_library_without_memory_is_not_missing(
+    refused: Refused, tmp_path: Path, table: Path, stack: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     import builtins
 
     whole = builtins.__import__

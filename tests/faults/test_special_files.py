@@ -57,7 +57,7 @@ def test_only_regular_files_are_opened(places: Path, kind: str) -> None:
 
 
 def test_a_file_is_opened_without_waiting(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A pipe that takes the name between look and opening is found when it is open."""
+    """A pipe that takes the name between check and opening is refused when it is open."""
     os.mkfifo(tmp_path / "pipe")
     monkeypatch.setattr("l3cli.files.require_regular", lambda *_: None)
     with timed(SECONDS), pytest.raises(InputFileError, match="is a pipe"):
@@ -102,7 +102,7 @@ def test_every_command_refuses_what_is_no_file(
     assert f"{name} is a {kind}; " in line
 
 
-def test_a_pipe_named_as_a_file_is_told_of_the_stream(refused: Callable, tmp_path: Path, places: Path) -> None:
+def test_a_pipe_named_as_a_file_gets_the_hint_of_the_stream(refused: Callable, tmp_path: Path, places: Path) -> None:
     save(RGGB, tmp_path / "table.h5")
     (tmp_path / "a.raw").symlink_to(places / "pipe")
     line = refused(3, "render", tmp_path / "table.h5", tmp_path / "a.raw", "-o", tmp_path / "a.png", *FAST)

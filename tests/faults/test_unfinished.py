@@ -66,7 +66,7 @@ def kill(line: str, module: str, function: str, count: int) -> dict[str, bytes]:
 
 @pytest.mark.parametrize(
     ("module", "function", "count"),
-    [("io.images", "write_picture", 2), ("io.dng_writer", "write_dng", 1)],
+    [("io.images", "write_picture", 2), ("io.raw.dng_writer", "write_dng", 1)],
 )
 def test_a_simulation_killed_among_its_pictures_is_finished(
     module: str, function: str, count: int, folder: Path, l3: Callable

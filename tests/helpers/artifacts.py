@@ -8,8 +8,11 @@ import numpy as np
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.fit import ChartFit, Fit, NoiseFit, SeriesFit, SweepFit
+from l3cli.artifacts.layer_sums import LayerSums, PartialLayerSums
+from l3cli.artifacts.layers import MosaicLayer
 from l3cli.artifacts.partial_sums import ClassSums, PartialSums
 from l3cli.artifacts.schema import Stage
+from l3cli.artifacts.structure_rule import StructureRule
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingFrame, TrainingSet
 
@@ -81,17 +84,36 @@ def a_table(camera: CameraModel) -> TransformTable:
         target_description="",
         output_unit=0.5,
         white_point=np.array([0.95, 1.0, 1.09]),
-        rule=rule,
-        weights=rng.standard_normal((classes, 3, 9)).astype(np.float32),
-        intercept=np.zeros((classes, 3), np.float32),
-        samples=np.ones(classes),
-        condition=np.ones(classes, np.float32),
+        first=MosaicLayer(
+            rule=rule,
+            weights=rng.standard_normal((classes, 3, 9)).astype(np.float32),
+            intercept=np.zeros((classes, 3), np.float32),
+            samples=np.ones(classes),
+            condition=np.ones(classes, np.float32),
+        ),
         history=(Stage("train", {"seed": 0}),),
     )
 
 
+def some_layer_sums(camera: CameraModel) -> tuple[PartialLayerSums, LayerSums]:
+    table = dataclasses.replace(a_table(camera), camera=camera)
+    rule = StructureRule(
+        level_step=1,
+        gradient_factor=np.full(table.first.rule.levels, 64, np.uint8),
+        gradient_shift=np.full(table.first.rule.levels, 6, np.uint8),
+        strength_edges=np.array([1000, 5000], np.uint32),
+        coherence=31,
+        turns=np.ones((camera.cfa.size, 2), np.int8),
+        cases=table.first.rule.cases,
+    )
+    head = PartialLayerSums(
+        shard=1, shards=1, mosaics=np.array([5]), side=1, rule=rule, table=table, sites=np.array([0]), history=table.history
+    )
+    return head, LayerSums(*(np.ones(shape) for shape in head.shapes))
+
+
 def some_sums(camera: CameraModel) -> tuple[PartialSums, ClassSums]:
-    rule = a_table(camera).rule
+    rule = a_table(camera).first.rule
     head = PartialSums(
         shard=1,
         shards=1,

@@ -27,7 +27,7 @@ FLAGS = (
 
 
 class Browser:
-    """One tab of a browser of its own, with an empty profile; `with Browser() as tab`."""
+    """One tab of a browser with an empty profile; `with Browser() as tab`."""
 
     def __enter__(self) -> "Browser":
         assert CHROMIUM
@@ -96,16 +96,16 @@ class Browser:
 
     def complaints(self) -> list[str]:
         """Errors of scripts and of the page since it was opened, and requests for anything but itself and data URIs."""
-        found = []
+        errors = []
         for event in self.events:
             method, about = event["method"], event.get("params", {})
             if method == "Runtime.exceptionThrown":
-                found.append(json.dumps(about["exceptionDetails"]))
+                errors.append(json.dumps(about["exceptionDetails"]))
             elif method == "Log.entryAdded" and about["entry"]["level"] in ("error", "warning"):
-                found.append(about["entry"]["text"])
+                errors.append(about["entry"]["text"])
             elif method == "Network.requestWillBeSent" and not about["request"]["url"].startswith(("file:", "data:")):
-                found.append(about["request"]["url"])
-        return found
+                errors.append(about["request"]["url"])
+        return errors
 
     def run(self, script: str) -> Any:
         """The value of a JavaScript expression."""

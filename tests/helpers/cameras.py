@@ -1,6 +1,7 @@
 """Small cameras: as recipes, and as objects of any colour filter array."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from l3cli.artifacts.camera import CameraModel, Noise, Optics
 
@@ -40,7 +41,7 @@ f_number = 2.8
 """
 
 
-def random_camera(cfa, channels: int, bits: int, black: float) -> CameraModel:
+def random_camera(cfa: ArrayLike, channels: int, bits: int, black: float) -> CameraModel:
     top = 2**bits - 1
     return CameraModel(
         name="random",

@@ -1,4 +1,4 @@
-"""Stand-ins for decoders of foreign files, that fail in every way. A light module: the process that decodes imports it."""
+"""Stand-ins for decoders of foreign files, that fail variously. A light module: the process that decodes imports it."""
 
 import os
 import signal

@@ -1,6 +1,6 @@
 """Runs of l3 without their start-up: a process that has imported what the commands need, and forks for each run.
 
-Run as a program it is that process: it takes one JSON object a line, tells the number of the process it forks, and how that
+Run as a program it is that process: it takes one JSON object a line, prints the number of the process it forks, and how that
 ended.
 """
 
@@ -21,9 +21,9 @@ IMPORTS = (
     "l3cli.stages.rendering.render l3cli.stages.reporting.report l3cli.cli.train l3cli.cli.lab l3cli.cli.calibrate "
     "l3cli.stages.training.shards l3cli.stages.simulation.simulate "
     "l3cli.cli.evaluate l3cli.cli.report l3cli.cli.compare l3cli.cli.info l3cli.cli.simulate l3cli.cli.init "
-    "l3cli.calibration.model l3cli.training.table l3cli.simulation.frame l3cli.simulation.drawn l3cli.rendering.reference "
-    "l3cli.evaluation.evaluation l3cli.io.measurements l3cli.io.curves l3cli.simulation.lab l3cli.calibration.figures "
-    "l3cli.calibration.acceptance l3cli.calibration.text l3cli.stages.calibration l3cli.stages.lab"
+    "l3cli.calibration.model l3cli.training.table l3cli.simulation.frame l3cli.simulation.synthetic "
+    "l3cli.rendering.reference l3cli.evaluation.evaluation l3cli.io.measurements l3cli.io.curves l3cli.simulation.lab "
+    "l3cli.calibration.figures l3cli.calibration.acceptance l3cli.calibration.text l3cli.stages.calibration l3cli.stages.lab"
 )
 
 ENDING = (signal.SIGINT, signal.SIGTERM)
@@ -40,11 +40,11 @@ class Ended:
 
 
 class ForkServer:
-    """Starts runs in `folder`, one at a time. With `own_disks` in a mount namespace, which may mount small disks."""
+    """Starts runs in `folder`, one at a time. With `private_disks` in a mount namespace, which may mount small disks."""
 
-    def __init__(self, folder: Path, own_disks: bool = False) -> None:
+    def __init__(self, folder: Path, private_disks: bool = False) -> None:
         self.folder, self._child = folder, 0
-        prefix = ["unshare", "-rm"] if own_disks else []
+        prefix = ["unshare", "-rm"] if private_disks else []
         self._server = subprocess.Popen(
             [*prefix, sys.executable, "-m", "tests.helpers.forkserver"],
             stdin=subprocess.PIPE,
@@ -103,7 +103,7 @@ def serve() -> None:
         child = os.fork()
         if child == 0:
             _become(asked["arguments"])
-        _tell(child)
+        _send(child)
         seconds, number = asked["kill"]
         if number:
             time.sleep(seconds)
@@ -114,16 +114,16 @@ def serve() -> None:
             subprocess.run(["umount", "out"], check=True)
         words = {name: Path(f"{os.getpid()}.{name}") for name in ("out", "err")}
         said = {name: file.read_text() if file.exists() else "" for name, file in words.items()}  # killed before it had any
-        _tell({"code": code, **said, "left": left})
+        _send({"code": code, **said, "left": left})
 
 
-def _tell(answer: Any) -> None:
+def _send(answer: Any) -> None:
     print(json.dumps(answer), flush=True)
 
 
 def _become(arguments: list[str]) -> None:
     """The run, in the forked process, which ends with it; its words go to files called after the server's number."""
-    from l3cli import cli
+    from l3cli import cli, interrupts
 
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     for number, name in ((1, "out"), (2, "err")):
@@ -133,7 +133,7 @@ def _become(arguments: list[str]) -> None:
         os.dup2(os.open(said, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666), number)
     sys.argv = ["l3", *arguments]
     for each in ENDING:
-        signal.signal(each, cli._end)
+        signal.signal(each, interrupts.end)
     group = cli.l3.main
 
     def begin(*arguments: Any, **options: Any) -> Any:

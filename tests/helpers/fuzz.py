@@ -53,7 +53,7 @@ class Court:
         from tests.helpers.hostile_special_files import SpecialFiles
 
         self._identities = Identities(shop)
-        every = (*SUBJECTS, *hostile_numbers.subjects(shop), SpecialFiles())
+        every: tuple[Any, ...] = (*SUBJECTS, *hostile_numbers.subjects(shop), SpecialFiles())
         chosen = [subject for subject in every if only is None or subject.name == only]
         self.subjects = [subject for turn in range(3) for subject in chosen if only or subject.often > turn]
         self._shop, self._seen, self._kept = shop, seen, kept
@@ -128,7 +128,7 @@ def physics(seeds: list[int]) -> int:
 
 def guided(chosen: argparse.Namespace) -> None:
     """Judge inputs that the coverage of those before has led to; the first failure ends it."""
-    import atheris
+    import atheris  # type: ignore[import-not-found, import-untyped, unused-ignore]
 
     with atheris.instrument_imports(include=["l3cli"]):
         import l3cli.cli.calibrate

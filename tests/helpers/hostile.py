@@ -1,4 +1,4 @@
-"""Hostile inputs: whole files, ways to spoil them, commands that read them, and what must hold whatever these make of it.
+"""Hostile inputs: whole files, changes to them, commands that read them, and what must hold whatever these make of it.
 
 Choices come from whoever drives: Hypothesis (test_hostile.py), a seed or a coverage-guided fuzzer (fuzz.py).
 """
@@ -24,7 +24,7 @@ from l3cli.artifacts import container
 from l3cli.cli import run
 from l3cli.limits import MEGAPIXELS
 
-CACHE = str(Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser(), "l3cli"))  # l3's own, of kernels
+CACHE = str(Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser(), "l3cli"))  # l3's cache of kernels
 SECONDS = 10  # of processor time: an input that takes longer hangs …
 PATIENCE = 12  # … as does one that takes so many times longer by the clock
 MEMORY = 1 << 30  # bytes that an input may take beside what the process had, which is far more than MOST_MEGAPIXELS asks for
@@ -194,18 +194,18 @@ def spoiled_bytes(content: bytes, choices: Choices) -> bytes:
         at = choices.integer(0, reach - 1)
         if choices.integer(0, 7) == 0:
             at = len(spoilt) - 1 - at  # … or at the end
-        way = choices.integer(0, 7)
-        if way <= 1:
+        kind = choices.integer(0, 7)
+        if kind <= 1:
             spoilt[at] ^= 1 << choices.integer(0, 7)
-        elif way == 2:
+        elif kind == 2:
             spoilt[at] = choices.integer(0, 255)
-        elif way <= 4:
+        elif kind <= 4:
             width = one_of(choices, (2, 4, 8))
             number = one_of(choices, INTEGERS) % 2 ** (8 * width)
             spoilt[at : at + width] = number.to_bytes(width, one_of(choices, ("little", "big")))
-        elif way == 5:
+        elif kind == 5:
             del spoilt[at : at + choices.integer(1, 64)]
-        elif way == 6:
+        elif kind == 6:
             length = choices.integer(1, 64)
             spoilt[at:at] = spoilt[at : at + length] * choices.integer(1, 4)
         else:
@@ -220,8 +220,8 @@ def spoiled_text(content: bytes, choices: Choices) -> bytes:
     text = content.decode()
     for _ in range(choices.integer(1, 3)):
         words = list(WORDS.finditer(text))
-        way = choices.integer(0, 9)
-        if way <= 7 and words:
+        change = choices.integer(0, 9)
+        if change <= 7 and words:
             word = one_of(choices, words)
             with_quotes = word[0].startswith('"')
             kind = (TEXTS if with_quotes else NUMBERS) if choices.integer(0, 7) else TEXTS + NUMBERS
@@ -230,7 +230,7 @@ def spoiled_text(content: bytes, choices: Choices) -> bytes:
         else:
             lines = text.split("\n")
             at = choices.integer(0, len(lines) - 1)
-            lines[at : at + 1] = [] if way == 8 else [lines[at]] * choices.integer(2, 5)
+            lines[at : at + 1] = [] if change == 8 else [lines[at]] * choices.integer(2, 5)
             text = "\n".join(lines)
     return text.encode()
 
@@ -252,24 +252,24 @@ def spoiled_hdf5(content: bytes, choices: Choices) -> bytes:
 def _spoil_member(root: h5py.File, name: str, choices: Choices) -> None:
     member = root[name]
     if not isinstance(member, h5py.Dataset) or member.size > LARGEST_SPOILT or choices.integer(0, 3) == 0:
-        way = choices.integer(0, 7)
-        if way >= 6:
-            target = root if way == 6 else member
+        kind = choices.integer(0, 7)
+        if kind >= 6:
+            target = root if kind == 6 else member
             target.attrs[one_of(choices, ("kind", "version", "axes"))] = one_of(
                 choices,
                 (0, -1, 99, 2**62, "camera model", "x" * 1000, np.arange(5), np.bytes_(b"\xff"), h5py.Empty("f"), np.nan),
             )
             return
         del root[name]
-        if way == 1:
+        if kind == 1:
             root[name] = h5py.SoftLink("/")
-        elif way == 2:
+        elif kind == 2:
             root[name] = h5py.ExternalLink("/etc/passwd", "/")
-        elif way == 3:
+        elif kind == 3:
             root[name] = root  # a circle
-        elif way == 4:
+        elif kind == 4:
             root.create_group(name)
-        elif way == 5:
+        elif kind == 5:
             root.create_dataset(name, (2**20, 2**20), "f8", chunks=(64, 64), compression="gzip")
         return
     values = member[()]
@@ -299,18 +299,18 @@ def _hurtful(dtype: np.dtype, choices: Choices) -> Any:
 
 def _other_values(values: Any, choices: Choices) -> Any:
     array = np.asarray(values)
-    way = choices.integer(0, 6)
-    if way == 0:
+    kind = choices.integer(0, 6)
+    if kind == 0:
         return np.asarray(array.reshape(-1)[: choices.integer(0, 2)])
-    if way == 1:
+    if kind == 1:
         return np.repeat(np.atleast_1d(array), 2, axis=0)
-    if way == 2:
+    if kind == 2:
         return array[None]
-    if way == 3:
+    if kind == 3:
         return np.zeros(array.shape, one_of(choices, ("u1", "i8", "f8", "f4", "S3", "c16", "?")))
-    if way == 4:
+    if kind == 4:
         return one_of(choices, ("text", b"\xff", 5, 2**60, 1.5, np.nan, True))
-    if way == 5:
+    if kind == 5:
         return np.full(array.shape, _hurtful(array.dtype, choices), array.dtype)
     return np.zeros((0,) * array.ndim, array.dtype if array.dtype.kind != "O" else "f8")
 
@@ -425,7 +425,7 @@ def make_inputs(folder: Path) -> None:
     _make_frames(folder)
     _make_scenes(folder)
     import colour_demosaicing  # noqa: F401  asks git for its version
-    import distributed  # noqa: F401  both unpickle what is their own
+    import distributed  # noqa: F401  both unpickle what they wrote
 
     with contextlib.chdir(folder):
         for command in (
@@ -519,6 +519,7 @@ def _write_image(path: Path, pixels: np.ndarray, names: list[str] | None = None,
         spec.attribute("compression", compression)
     spec.attribute("DateTime", "")  # else the clock: a seed must mean one input
     sink = oiio.ImageOutput.create(str(path))
+    assert sink is not None
     assert sink.open(str(path), spec)
     assert sink.write_image(np.ascontiguousarray(pixels))
     sink.close()
@@ -575,7 +576,7 @@ class Workshop:
         (self.inputs / "recipe.toml").write_text(subject.text or DRAWN)
         path.write_bytes(content)
         if content.startswith(container.TITLE):
-            container.seal(path)  # as who means harm would: else the digest alone tells
+            container.seal(path)  # as who means harm would: else the digest alone shows it
         arguments = [word.format(file=path, out=out) if "{" in word else word for word in subject.commands[command].split()]
         try:
             with contextlib.chdir(self.inputs):
@@ -611,13 +612,13 @@ def verdict(arguments: list[str], patience: float = PATIENCE * SECONDS, codes: t
             signal.setitimer(timer, 0)
             signal.signal(number, signal.SIG_DFL if handler is None else handler)  # None: set by another than Python
     said = stderr.getvalue()
-    told = [line for line in said.splitlines() if line.startswith("l3: ")]
+    messages = [line for line in said.splitlines() if line.startswith("l3: ")]
     if "Traceback" in said or "out of memory" in said:
         return f"exit code {code}: {said}"
-    if code not in codes or (code and not told):
+    if code not in codes or (code and not messages):
         return f"exit code {code} without a word: {said}"
-    if len(told) > 1 and "--skip-bad" not in arguments:
-        return f"exit code {code} in {len(told)} lines: {said}"
+    if len(messages) > 1 and "--skip-bad" not in arguments:
+        return f"exit code {code} in {len(messages)} lines: {said}"
     if any(not (letter.isprintable() or letter == "\n") for letter in said):
         return f"exit code {code} with control characters: {said!r}"
     return None
@@ -665,12 +666,12 @@ def _audit(event: str, arguments: tuple[Any, ...]) -> None:
         _seen.append(f"{event} {arguments}")
     elif event == "open" and isinstance(arguments[0], str) and (arguments[2] or 0) & (os.O_WRONLY | os.O_RDWR | os.O_CREAT):
         path = os.path.abspath(arguments[0])
-        if not path.startswith(tuple(_allowed[1:])) and not any(own in path for own in ("__pycache__", "/.hypothesis/")):
+        if not path.startswith(tuple(_allowed[1:])) and not any(part in path for part in ("__pycache__", "/.hypothesis/")):
             _seen.append(f"{event} {arguments}")
 
 
 def _is_decoder(arguments: tuple[Any, ...]) -> bool:
-    return "l3cli.io.apart" in str(arguments[1])
+    return "l3cli.io.decoder" in str(arguments[1])
 
 
 def with_command(subject: Subject, command: str) -> Subject:

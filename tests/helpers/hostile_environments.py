@@ -83,12 +83,12 @@ class Place:
 def make_desk(folder: Path) -> None:
     """A table, a raw frame as .tif and .npy, an evaluation, and what becomes of the frame: reference.png, opencl.png."""
     from tests.helpers.cameras import BAYER
-    from tests.helpers.tables import random_table
+    from tests.helpers.tables import random_table, with_first
 
     table = random_table(BAYER, bits=12, black=64.0)
-    cases = table.rule.case_of_code.copy()
+    cases = table.first.rule.case_of_code.copy()
     cases[0] = 0  # what does not clip is not taken for clipped
-    save(replace(table, rule=replace(table.rule, case_of_code=cases)), folder / "table.h5")
+    save(with_first(table, rule=replace(table.first.rule, case_of_code=cases)), folder / "table.h5")
     values = np.random.default_rng(0).integers(700, 900, (20, 24)).astype(np.uint16)  # nothing worth a warning
     write_mosaic(folder / "raw.tif", values)
     np.save(folder / "raw.npy", values)
@@ -119,7 +119,7 @@ def _judge(desk: Path, place: Place, folder: Path) -> str | None:
         each.mkdir()
     inside = os.fsencode(work) + b"/" + place.name
     for source, suffix in (("table.h5", b".h5"), ("raw.tif", b".tif"), ("raw.npy", b".npy"), ("evaluation.json", b".json")):
-        shutil.copy(desk / source, inside + suffix)
+        shutil.copy(os.fsencode(desk / source), inside + suffix)
     before = set(os.listdir(os.fsencode(work)))
     line, code, made = _call(place)
     ended = _run(line, place, work, tmp, home)
@@ -183,10 +183,10 @@ def _judge_text(place: Place, ended: "subprocess.CompletedProcess[bytes]", code:
     """What is wrong with what was said."""
     said = ended.stderr.decode("utf-8", "replace")
     lines = said.splitlines()
-    told = [each for each in lines if each.startswith("l3: ")]
-    if "Traceback" in said or len(lines) - len(told) > 1 or len(told) != (bool(code) and "2" not in place.closed):
+    messages = [each for each in lines if each.startswith("l3: ")]
+    if "Traceback" in said or len(lines) - len(messages) > 1 or len(messages) != (bool(code) and "2" not in place.closed):
         return "said too much or too little"
-    if any(each.startswith("warning: ") is False for each in lines if each not in told):
+    if any(each.startswith("warning: ") is False for each in lines if each not in messages):
         return "no warning"
     text = (ended.stdout + ended.stderr).decode("latin-1" if "latin" in str(place.locale) else "utf-8")
     if any(not (letter.isprintable() or letter == "\n") for letter in text):

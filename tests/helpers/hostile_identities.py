@@ -77,7 +77,7 @@ SENTENCES = (
     Sentence("compare evaluation.json other.json --figure psnr -o {out}/c.html", "evaluation.json other.json"),
     Sentence("lab curves.toml --recipe lab.toml -o {out}", "curves.toml curves.csv lab.toml"),
 )
-WAYS = ("its name", "another spelling", "a linked folder", "a symbolic link", "a link to a link", "a hard link")
+DISGUISES = ("its name", "another spelling", "a linked folder", "a symbolic link", "a link to a link", "a hard link")
 
 
 class Identities:
@@ -103,37 +103,37 @@ class Identities:
     def _judge(self, sentence: Sentence, choices: Choices) -> str | None:
         written = one_of(choices, self._written(sentence))
         source = one_of(choices, [path for glob in sentence.reads.split() for path in sorted(Path().glob(glob))])
-        way = one_of(choices, WAYS)
-        arguments = self._disguised(sentence, written, source, way)
+        disguise = one_of(choices, DISGUISES)
+        arguments = self._disguised(sentence, written, source, disguise)
         held, placed = self._contents(), sorted(self._out.rglob("*"))
         code, said = _called([*arguments, "--force"] if "--force" not in arguments else arguments)
-        told = f"{' '.join(arguments)} --force, where {written} is {source} by {way}: exit code {code}: {said}"
+        call = f"{' '.join(arguments)} --force, where {written} is {source} by {disguise}: exit code {code}: {said}"
         changed = [str(path) for path, content in self._contents().items() if held.get(path) != content]
         if changed or len(held) != len(self._contents()):
-            return f"{told}changed {changed}"
+            return f"{call}changed {changed}"
         if code not in (1, 2, 3) or said.count("\n") != 1:
-            return told
-        return f"{told}left {sorted(self._out.rglob('*'))}" if sorted(self._out.rglob("*")) != placed else None
+            return call
+        return f"{call}left {sorted(self._out.rglob('*'))}" if sorted(self._out.rglob("*")) != placed else None
 
-    def _disguised(self, sentence: Sentence, written: str, source: Path, way: str) -> list[str]:
-        """The command, `written` being `source` in some way: by what is typed, where that names the very file; else by a
+    def _disguised(self, sentence: Sentence, written: str, source: Path, disguise: str) -> list[str]:
+        """The command, `written` being `source` in disguise: by what is typed, where that names the very file; else by a
         link that lies in its place."""
         words = sentence.command.format(out=self._out).split()
         place = self._out / written
         place.parent.mkdir(parents=True, exist_ok=True)
         typed = {
-            WAYS[0]: source,
-            WAYS[1]: self._inputs / "lab" / ".." / source,
-            WAYS[2]: self._out / "linked" / source,
+            DISGUISES[0]: source,
+            DISGUISES[1]: self._inputs / "lab" / ".." / source,
+            DISGUISES[2]: self._out / "linked" / source,
         }
-        if way in typed and str(place) in words:
-            if way == WAYS[2]:
+        if disguise in typed and str(place) in words:
+            if disguise == DISGUISES[2]:
                 (self._out / "linked").symlink_to(self._inputs)
-            return [str(typed[way]) if word == str(place) else word for word in words]
-        if way == WAYS[4]:
+            return [str(typed[disguise]) if word == str(place) else word for word in words]
+        if disguise == DISGUISES[4]:
             (self._out / "link").symlink_to(source.absolute())
             place.symlink_to(self._out / "link")
-        elif way == WAYS[5]:
+        elif disguise == DISGUISES[5]:
             os.link(source, place)
         else:
             place.symlink_to(source.absolute())
@@ -145,9 +145,9 @@ class Identities:
             return sentence.writes.split()
         code, said = _called(sentence.command.format(out=self._out).split())
         assert code == 0, (sentence.command, said)
-        found = sorted(str(path.relative_to(self._out)) for path in self._out.rglob("*") if path.is_file())
+        written = sorted(str(path.relative_to(self._out)) for path in self._out.rglob("*") if path.is_file())
         shutil.rmtree(self._out)
-        return found
+        return written
 
     def _contents(self) -> dict[Path, bytes]:
         return {path: path.read_bytes() for path in self._inputs.rglob("*") if path.is_file()}

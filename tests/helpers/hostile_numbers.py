@@ -25,7 +25,8 @@ BARE = "render table.h5 frame.raw -o {out}/a.png --backend reference"
 TRAIN = "train training.h5 --classes classes.toml -o {out}/t.h5"
 SIMULATE = "simulate drawn.toml --camera camera.toml -o {out}/t.h5"
 OPTIONS = (  # {n} is the number; "=" holds on to what begins with a minus
-    MOVIE + " --fps={n}", MOVIE + " --crf={n}", "render table.h5 stack.npy -o {out}/a.y4m --backend reference --fps={n}",
+    "evaluate table.h5 training.h5 --backend reference --border={n}", MOVIE + " --fps={n}", MOVIE + " --crf={n}",
+    "render table.h5 stack.npy -o {out}/a.y4m --backend reference --fps={n}",
     RENDER + " --exposure={n}", RENDER + " --white={n},0.33", RENDER + " --white=0.31,{n}", RENDER + " --white={n}K",
     RENDER + " --white=D{n}K", RENDER + " --black={n}", RENDER + " --white-level={n}", RENDER + " --phase={n},0",
     RENDER + " --exposure-time={n}",
@@ -40,7 +41,7 @@ OPTIONS = (  # {n} is the number; "=" holds on to what begins with a minus
     "calibrate curves_of.toml -o {out}/c.h5 --accept --jobs={n}", SIMULATE + " --scheduler=tcp://127.0.0.1:{n}",
 )  # fmt: skip
 VARIABLES = ("L3_MEGAPIXELS", "L3_DECODE_SECONDS", "L3_DEVICE", "COLUMNS", "LINES")
-LOOK = "render table.h5 frame.tif -o {out}/a.png --backend reference"
+RENDER_ONE = "render table.h5 frame.tif -o {out}/a.png --backend reference"
 RECIPES = {  # each with a command that reads it, as {file}
     "camera.toml": "simulate drawn.toml --camera {file} -o {out}/t.h5",
     "scenes.toml": "simulate {file} --camera camera.toml -o {out}/t.h5",
@@ -89,7 +90,7 @@ class Numbers:
         if self.name == "options":
             return Call(one_of(choices, OPTIONS).replace("{n}", number))
         if self.name == "environment":
-            return Call(LOOK, ((one_of(choices, VARIABLES), number),))
+            return Call(RENDER_ONE, ((one_of(choices, VARIABLES), number),))
         text = self.recipe()
         figure = one_of(choices, list(FIGURE.finditer(text)))
         new = one_of(choices, (number, one_of(choices, TOML)))
@@ -97,9 +98,9 @@ class Numbers:
 
     def recipe(self) -> str:
         """The whole recipe with every key that takes a number."""
-        own = {"camera.toml": hostile.CAMERA, "scenes.toml": hostile.SCENES, "classes.toml": hostile.CLASSES}
-        own |= {"lab.toml": hostile.LAB, "table.toml": hostile.TABLE, "lab/MEASUREMENTS.toml": _MEASURED[0]}
-        return with_keys(own[self.name], KEYS.get(self.name, ""))
+        recipes = {"camera.toml": hostile.CAMERA, "scenes.toml": hostile.SCENES, "classes.toml": hostile.CLASSES}
+        recipes |= {"lab.toml": hostile.LAB, "table.toml": hostile.TABLE, "lab/MEASUREMENTS.toml": _MEASURED[0]}
+        return with_keys(recipes[self.name], KEYS.get(self.name, ""))
 
     def judge(self, shop: Workshop, call: Call) -> str | None:
         """What did not hold, or None."""
@@ -111,8 +112,8 @@ _MEASURED = [""]  # the measurement file of the workshop, once there is one
 
 def with_keys(text: str, keys: str) -> str:
     """A recipe with more keys in its tables, which are made where they are not there."""
-    for table, own in re.findall(r"\[(\w+)\]((?: \w+ = \S+)*)", keys):
-        lines = "\n".join(re.findall(r"\w+ = \S+", own)) + "\n"
+    for table, assignments in re.findall(r"\[(\w+)\]((?: \w+ = \S+)*)", keys):
+        lines = "\n".join(re.findall(r"\w+ = \S+", assignments)) + "\n"
         head = f"[{table}]\n"
         text = text.replace(head, head + lines, 1) if head in text else f"{text}\n{head}{lines}"
     return text
@@ -126,7 +127,7 @@ def judge(shop: Workshop, call: Call) -> str | None:
         path.write_text(call.text, encoding="utf-8")
     words = [word.format(file=path, out=out) if "{" in word else word for word in _words(call.command)]
     try:
-        with contextlib.chdir(shop.inputs), told(call.environment):
+        with contextlib.chdir(shop.inputs), set_environment(call.environment):
             return hostile.verdict(words) or shop.strays(out)
     finally:
         if call.name:
@@ -140,7 +141,7 @@ def _words(command: str) -> list[str]:
 
 
 @contextlib.contextmanager
-def told(variables: tuple[tuple[str, str], ...]) -> Iterator[None]:
+def set_environment(variables: tuple[tuple[str, str], ...]) -> Iterator[None]:
     """Say something in the environment for the block."""
     before = {name: os.environ.get(name) for name, _ in variables}
     os.environ.update(variables)

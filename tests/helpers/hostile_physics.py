@@ -5,6 +5,7 @@ file tells how; a wrong camera with exit code 0 is what must never come out.
 """
 
 import contextlib
+import functools
 import io
 import re
 import shutil
@@ -75,6 +76,11 @@ def rewritten(path: Path, heading: Callable[[list[str]], list[str]], rows: Calla
     path.write_text("\n".join(lines) + "\n")
 
 
+def permuted(order: list[int]) -> tuple[Callable[[list[str]], list[str]], Callable[[np.ndarray], np.ndarray]]:
+    """Columns in another order: what is done to their names, and to the table."""
+    return lambda names: [names[column] for column in order], lambda table: table[:, order]
+
+
 def same(names: list[str]) -> list[str]:
     return names
 
@@ -86,22 +92,21 @@ def in_watts(table: np.ndarray, scale: float) -> np.ndarray:
 def watts(folder: Folder, choices: Choices) -> Expected:
     """Spectra in watts that say so, in the heading or the measurement file; that say nothing; that say photons."""
     prefix, scale = one_of(choices, (("", 1.0), ("m", 1e3), ("µ", 1e6)))
-    way = one_of(choices, ("heading", "key", "untold", "photons"))
+    place = one_of(choices, ("heading", "key", "unstated", "photons"))
     unit = f"{prefix}W/(sr m² nm)"
-    told = {"heading": lambda name: name.partition(" (")[0] + f" ({unit})", "photons": str}
+    headings: dict[str, Callable[[str], str]] = {
+        "heading": lambda name: name.partition(" (")[0] + f" ({unit})",
+        "photons": str,
+    }
     files = folder.spectra(choices)
+    name_of = headings.get(place, lambda name: name.partition(" (")[0])
     for path in files:
-        name_of = told.get(way, lambda name: name.partition(" (")[0])
-        rewritten(
-            path,
-            lambda names, of=name_of: [names[0], *map(of, names[1:])],
-            lambda t: in_watts(t, scale),
-        )
-    if way == "key":
+        rewritten(path, lambda names: [names[0], *map(name_of, names[1:])], lambda t: in_watts(t, scale))
+    if place == "key":
         for path in files:
             line = re.escape(f'"spectra/{path.name}"')
-            folder.edit(lambda text, line=line: re.sub(rf"((spectrum|radiance) = {line})", rf'\1\nunit = "{unit}"', text))
-    return None if way in ("heading", "key") else (".csv", "unit")
+            folder.edit(functools.partial(re.sub, rf"((spectrum|radiance) = {line})", rf'\1\nunit = "{unit}"'))
+    return None if place in ("heading", "key") else (".csv", "unit")
 
 
 def milliseconds(folder: Folder, choices: Choices) -> Expected:
@@ -132,14 +137,14 @@ def columns_swapped(folder: Folder, choices: Choices) -> Expected:
         for place in range(first, width - 1):
             other = choices.integer(place, width - 1)
             order[place], order[other] = order[other], order[place]
-        rewritten(path, lambda names, by=order: [names[i] for i in by], lambda table, by=order: table[:, by])
+        rewritten(path, *permuted(order))
     return None
 
 
 def responsivities_swapped(folder: Folder, choices: Choices) -> Expected:
-    """A camera recipe's own curves in another order: told by the heading, or by a heading that fits no channel."""
+    """A camera recipe's curves in another order: named by the heading, or by a heading that fits no channel."""
     order = one_of(choices, ([0, 3, 2, 1], [0, 2, 3, 1], [1, 2, 3, 0]))
-    rewritten(folder.path / "curves.csv", lambda names: [names[i] for i in order], lambda table: table[:, order])
+    rewritten(folder.path / "curves.csv", *permuted(order))
     if choices.integer(0, 2):
         return None
     path = folder.path / "curves.csv"
@@ -150,12 +155,12 @@ def responsivities_swapped(folder: Folder, choices: Choices) -> Expected:
 def other_wavelengths(folder: Folder, choices: Choices) -> Expected:
     """Wavelengths in µm, Å or m, with a heading that says so, one that says nothing and one that says nm."""
     unit, scale = one_of(choices, (("um", 1e-3), ("A", 10.0), ("µm", 1e-3), ("Å", 10.0), ("m", 1e-9)))
-    way = one_of(choices, ("told", "untold", "nm"))
-    heading = {"told": one_of(choices, (f"wavelength_{unit}", f"wavelength ({unit})")), "untold": "wavelength"}
+    stated = one_of(choices, ("stated", "unstated", "nm"))
+    heading = {"stated": one_of(choices, (f"wavelength_{unit}", f"wavelength ({unit})")), "unstated": "wavelength"}
+    name = heading.get(stated, "wavelength_nm")
     for path in folder.spectra(choices):
-        name = heading.get(way, "wavelength_nm")
-        rewritten(path, lambda names, first=name: [first, *names[1:]], lambda t: t * [scale, *[1] * (t.shape[1] - 1)])
-    return None if way == "told" else (".csv", "wavelength")
+        rewritten(path, lambda names: [name, *names[1:]], lambda t: t * [scale, *[1] * (t.shape[1] - 1)])
+    return None if stated == "stated" else (".csv", "wavelength")
 
 
 def rows_reversed(folder: Folder, choices: Choices) -> Expected:
@@ -165,7 +170,7 @@ def rows_reversed(folder: Folder, choices: Choices) -> Expected:
 
 
 def decimal_commas(folder: Folder, choices: Choices) -> Expected:
-    """As a spreadsheet of half the world writes them; between commas nobody can tell them."""
+    """As a spreadsheet of half the world writes them; between commas they are ambiguous."""
     separator = one_of(choices, (";", "\t", ","))
     for path in folder.spectra(choices):
         heading, *lines = path.read_text().splitlines()

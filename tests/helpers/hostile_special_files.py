@@ -61,7 +61,7 @@ PLACES = {
     "endless": lambda path: path.symlink_to("/dev/zero"),
     "nothing": lambda path: path.symlink_to("/dev/null"),
     "terminal": lambda path: path.symlink_to("/dev/tty"),
-    "folder": Path.mkdir,
+    "folder": lambda path: path.mkdir(),
     "dangling": lambda path: path.symlink_to("nowhere/at/all"),
     "loop": lambda path: path.symlink_to(path.name),
     "behind a file": lambda path: path.symlink_to("camera.toml/more"),
@@ -96,11 +96,11 @@ class SpecialFiles:
     def draw(self, choices: Choices) -> Trial:
         """A trial."""
         place = one_of(choices, list(PLACES))
-        way = choices.integer(0, 3)
-        if way <= 1:
+        kind = choices.integer(0, 3)
+        if kind <= 1:
             subject = one_of(choices, SUBJECTS)
             return Trial(place, subject.name, one_of(choices, subject.commands), subject.text)
-        if way == 2:
+        if kind == 2:
             return Trial(place, "special" + one_of(choices, SUFFIXES), one_of(choices, MORE))
         command = one_of(choices, OUTPUTS)
         suffix = next((suffix for suffix in (".png", ".mp4", ".html") if "{file}" + suffix in command), "")
@@ -118,8 +118,8 @@ class SpecialFiles:
         try:
             with contextlib.chdir(shop.inputs):
                 codes = (0, *REFUSED) if trial.is_output or trial.place in READABLE else REFUSED
-                found = hostile.verdict(words, SECONDS, codes)
-            return found or (None if trial.is_output else shop.strays(out, known))
+                verdict = hostile.verdict(words, SECONDS, codes)
+            return verdict or (None if trial.is_output else shop.strays(out, known))
         finally:
             self._clear(shop, path, known, trial)
             shutil.rmtree(out, ignore_errors=True)

@@ -16,14 +16,14 @@ def commands(line: str) -> list[list[str]]:
 
 def sessions() -> list[list[tuple[str, list[str]]]]:
     """Blocks with `$ l3 …`: each command with the lines shown below it."""
-    found: list[list[tuple[str, list[str]]]] = []
+    blocks: list[list[tuple[str, list[str]]]] = []
     inside = False
     for line in README.splitlines():
         if line.startswith("    $ l3 "):
             if not inside:
-                found.append([])
-            found[-1].append((line[6:], []))
+                blocks.append([])
+            blocks[-1].append((line[6:], []))
         elif line.startswith("    ") and inside:
-            found[-1][-1][1].append(line[4:])
+            blocks[-1][-1][1].append(line[4:])
         inside = line.startswith("    $ l3 ") or (inside and line.startswith("    "))
-    return found
+    return blocks

@@ -15,7 +15,7 @@ def a_frame(camera: CameraModel, seed: int, smooth: bool, size: tuple[int, int] 
     rng = np.random.default_rng(seed)
     shape = (3, 1, 1) if smooth else (3, *size)
     share = np.broadcast_to(rng.random(shape) * 0.7 + 0.1, (3, *size)).astype(np.float32)
-    target = np.einsum("oc,crk->ork", MIX, share) * camera.white_dose / 0.01
+    target = np.einsum("oc,crk->ork", MIX, share) * camera.saturation_exposure / 0.01
     return TrainingFrame(
         electrons=(share * camera.full_scale).astype(np.float32),
         raw=np.zeros(size, np.uint16),

@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,13 +11,14 @@ import pytest
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.store import load
-from l3cli.calibration import defects, gain, model, noise, responsivity
+from l3cli.calibration import defects, gain, noise, responsivity
+from l3cli.calibration.captures import Sensor, measure_charts, measure_sweep
+from l3cli.calibration.statistics import mean_value, measure_level
 from l3cli.errors import InputFileError
 from l3cli.files import sha256
 from l3cli.measurement import Body, Capture, ChartCapture, MonoCapture
+from tests.helpers.calls import L3
 
-L3 = Callable[..., tuple[int, str, str]]
-Refused = Callable[..., str]
 GOALS = {  # % of the truth
     "overall system gain K": 1.0,
     "temporal dark noise": 3.0,
@@ -87,7 +87,7 @@ def test_the_truth_comes_back(folder: Path, bayer: CameraModel, bayer_recipe: Pa
     camera = load(CameraModel, tmp_path / "camera.h5")
     true = np.array([np.interp(camera.wavelength, bayer.wavelength, curve) for curve in bayer.responsivity])
     error = np.abs(camera.responsivity - true) / true.max(axis=1, keepdims=True)
-    assert np.sqrt((error**2).mean(axis=1)).max() < 0.01  # the command's own figure, computed anew
+    assert np.sqrt((error**2).mean(axis=1)).max() < 0.01  # the command's figure, computed anew
     assert (camera.responsivity_band > 0).all()
     assert np.mean(np.abs(camera.responsivity - true) <= camera.responsivity_band) > 0.75  # 95 %, but neighbours go together
     assert camera.responsivity_band.max() < 0.02 * true.max()
@@ -181,7 +181,7 @@ def test_eq1_sees_through_the_bandwidth_of_the_lights() -> None:
     np.testing.assert_allclose(scaled, 1e-3 * recovered, atol=1e-9)  # smoothing does not depend on the unit
 
 
-def test_eq1_is_never_negative_and_smooth_when_told() -> None:
+def test_eq1_is_never_negative_and_smooth_when_asked() -> None:
     rng = np.random.default_rng(1)
     design = np.eye(40)
     values = np.maximum(0.0, np.sin(np.arange(40) / 6.0)) + rng.normal(0, 0.05, 40)
@@ -205,16 +205,16 @@ def test_a_saturated_monochromatic_capture_is_left_out_of_its_channel_alone() ->
 
 def test_dark_current_is_no_light(body: Body) -> None:
     """A long exposure in weak light: 40 DN of light above 60 DN of dark signal, in mono and chart captures alike."""
-    sensor = model.Sensor(replace(DARK, slope=np.full(3, 30.0)), white_transfer(), np.zeros(3), np.ones(1), defects.none())
+    sensor = Sensor(replace(DARK, slope=np.full(3, 30.0)), white_transfer(), np.zeros(3), np.ones(1), defects.none())
     wavelength, slit = np.arange(500.0, 521.0), np.r_[0.0, np.ones(19), 0.0]
     frame = np.full((192, 256), 64 + 60 + 40, dtype=np.uint16)
     light = MonoCapture("mono.tif", 2.0, [frame], wavelength, slit)
-    sweep, _ = model.measure_sweep([light], body, sensor)
+    sweep, _ = measure_sweep([light], body, sensor)
     photons = body.photons_per_radiance * 2.0 * 19.0
     np.testing.assert_allclose(sweep.values, 40.0 / photons, rtol=1e-6)
     corners = np.array([[0.0, 0.0], [256.0, 0.0], [256.0, 192.0], [0.0, 192.0]])
     chart = ChartCapture("chart.tif", 2.0, [frame], "A", corners, wavelength, np.tile(slit, (24, 1)))
-    charts = model.measure_charts([chart], sweep.nodes, body, sensor)
+    charts = measure_charts([chart], sweep.nodes, body, sensor)
     np.testing.assert_allclose(charts.values, 64.0 + 40.0)
     np.testing.assert_allclose(charts.photons.sum(axis=-1), photons, rtol=2e-3)  # the lens loses a little off the axis
 
@@ -272,9 +272,9 @@ def test_cross_validation_predicts_a_chart_from_the_others() -> None:
     assert 0.03 < gain.cross_validate(photons, values, 64.0) < 0.15
 
 
-def test_patches_are_found_in_a_turned_chart_in_perspective() -> None:
+def test_patches_are_located_in_a_turned_chart_in_perspective() -> None:
     corners = np.array([[30.0, 40.0], [280.0, 20.0], [260.0, 190.0], [50.0, 170.0]])
-    found = gain.patch_map(corners, 220, 320)
+    patches = gain.patch_map(corners, 220, 320)
 
     def along(x: float, y: float) -> tuple[int, int]:
         """Pixel of chart position 0…1 by intersecting lines through the corners' diagonals, patch by patch."""
@@ -294,9 +294,9 @@ def test_patches_are_found_in_a_turned_chart_in_perspective() -> None:
 
     for patch in range(24):
         y, x = divmod(patch, 6)
-        assert found[along((x + 0.5) / 6, (y + 0.5) / 4)] == patch
-        assert found[along((x + 0.02) / 6, (y + 0.5) / 4)] == 24
-    assert (found[:15] == 24).all()
+        assert patches[along((x + 0.5) / 6, (y + 0.5) / 4)] == patch
+        assert patches[along((x + 0.02) / 6, (y + 0.5) / 4)] == 24
+    assert (patches[:15] == 24).all()
 
 
 # ---------------------------------------------------------------------------------------------------------- noise
@@ -310,14 +310,14 @@ def drawn(mean: np.ndarray, sigma: float, trials: int, rng: np.random.Generator)
 def test_temporal_variance_knows_no_fixed_pattern_and_no_drift(body: Body) -> None:
     rng = np.random.default_rng(0)
     pattern = 500.0 + rng.normal(0, 50.0, (192, 256))
-    level = noise.measure_level(Capture("flat", 0.1, drawn(pattern, 4.0, 4, rng)), body, defects.none())
+    level = measure_level(Capture("flat", 0.1, drawn(pattern, 4.0, 4, rng)), body, defects.none())
     assert level.trials == 4
     np.testing.assert_allclose(level.variance, 16.0 + 1 / 12, rtol=0.05)
-    np.testing.assert_allclose(noise.mean_value(level.counts), 500.0, atol=2.0)
+    np.testing.assert_allclose(mean_value(level.counts), 500.0, atol=2.0)
 
 
 def test_dark_frames_give_read_noise_dark_current_and_dsnu(body: Body) -> None:
-    """Few trials and a small DSNU: forgetting the estimator's own variance would add 40 %, row and column noise more."""
+    """Few trials and a small DSNU: forgetting the estimator's variance would add 40 %, row and column noise more."""
     rng = np.random.default_rng(1)
     offsets = 64.0 + rng.normal(0, 1.0, (192, 256)) + rng.normal(0, 3.0, 256) + rng.normal(0, 3.0, (192, 1))
     offsets[100, 50], offsets[101, 51] = 900.0, 20.0  # stuck pixels alone would make the DSNU 4 DN
@@ -348,7 +348,7 @@ def white_levels(well: float, exposures: list[float], trials: int) -> tuple[list
 
 def test_photon_transfer_stops_where_the_well_is_full(body: Body) -> None:
     captures, _ = white_levels(9000.0, [0.1, 0.25, 0.4, 0.55, 0.74, 2.0], trials=4)
-    levels = [noise.measure_level(capture, body, defects.none()) for capture in captures]
+    levels = [measure_level(capture, body, defects.none()) for capture in captures]
     transfer = noise.photon_transfer(levels, body, DARK)
     assert transfer.white == 9000 * 0.25 + 64
     assert transfer.white_reached
@@ -360,23 +360,23 @@ def test_photon_transfer_stops_where_the_well_is_full(body: Body) -> None:
 
 def test_prnu_of_uneven_light(body: Body) -> None:
     captures, response = white_levels(9000.0, [0.1, 0.25, 0.4, 0.55], trials=20)
-    levels = [noise.measure_level(capture, body, defects.none()) for capture in captures]
-    found, dead = noise.prnu(captures, levels, np.ones((4, 3), dtype=bool), body, defects.none())
+    levels = [measure_level(capture, body, defects.none()) for capture in captures]
+    measured, dead = noise.prnu(captures, levels, np.ones((4, 3), dtype=bool), body, defects.none())
     assert not dead.size
     sites = (response[0::2, 0::2], np.stack([response[0::2, 1::2], response[1::2, 0::2]]), response[1::2, 1::2])
     # Known to ~0.4 %; a local mean that shrinks what it is subtracted from would cost 1 %.
-    assert np.mean(found / [site.std() for site in sites]) == pytest.approx(1.0, abs=0.006)
+    assert np.mean(measured / [site.std() for site in sites]) == pytest.approx(1.0, abs=0.006)
 
 
 def test_single_frames_and_single_exposures_are_refused(body: Body) -> None:
     frame = np.full((192, 256), 64, dtype=np.uint16)
     with pytest.raises(InputFileError, match=r"alone\.tif is a single frame"):
-        noise.measure_level(Capture("alone.tif", 0.1, [frame]), body, defects.none())
+        measure_level(Capture("alone.tif", 0.1, [frame]), body, defects.none())
     with pytest.raises(InputFileError, match="single exposure"):
         noise.dark_noise([Capture("a", 0.1, [frame, frame])], body)
     captures, _ = white_levels(9000.0, [0.3, 0.3], trials=2)
     with pytest.raises(InputFileError, match="channel r has 1 white exposures below saturation"):
-        noise.photon_transfer([noise.measure_level(capture, body, defects.none()) for capture in captures], body, DARK)
+        noise.photon_transfer([measure_level(capture, body, defects.none()) for capture in captures], body, DARK)
 
 
 def test_a_saturated_patch_is_named(body: Body) -> None:

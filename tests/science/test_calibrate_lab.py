@@ -1,7 +1,6 @@
 """What a real lab does wrong and calibration knows of: flawed pixels, drifting lamps, stray light; EMVA 1288's table."""
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,14 +12,14 @@ from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.store import load
 from l3cli.calibration import defects, gain, noise
 from l3cli.calibration.curves import Curves
-from l3cli.calibration.model import efficiency
+from l3cli.calibration.efficiency import efficiency
 from l3cli.cli import run
-from l3cli.curve_table import read_table
+from l3cli.curve_file import read_table
 from l3cli.io.curves import write_curves
 from l3cli.measurement import Body
-from l3cli.simulation.flaws import FlawRecipe, flaws_of
+from l3cli.simulation.sensor_defects import DefectRecipe, defects_of
+from tests.helpers.calls import L3
 
-L3 = Callable[..., tuple[int, str, str]]
 MEAN = """
 lamp_drift = 0.03
 monitor_error = 0.0
@@ -60,7 +59,8 @@ RMS = "responsivity RMS error (% of peak)"
 
 def test_flawed_pixels_are_listed_and_left_out(mean_lab: Path, fine_bayer_recipe: Path, tmp_path: Path, l3: L3) -> None:
     result = compared(mean_lab, "MEASUREMENTS.toml", fine_bayer_recipe, tmp_path / "camera.h5", l3)
-    flaws = flaws_of(load_camera(fine_bayer_recipe), FlawRecipe(hot_pixels_per_million=400.0, dead_pixels_per_million=400.0))
+    recipe = DefectRecipe(hot_pixels_per_million=400.0, dead_pixels_per_million=400.0)
+    flaws = defects_of(load_camera(fine_bayer_recipe), recipe)
     known = defects.join(flaws.hot, flaws.dead)
     assert len(known) == 40
     assert result["defects"] == known.tolist()
@@ -94,7 +94,7 @@ def test_the_monitor_and_stray_light_count(mean_lab: Path, fine_bayer_recipe: Pa
     (mean_lab / "CLEAN.toml").write_text(text.replace("spectra/mono.csv", "spectra/clean.csv"))
     result = compared(mean_lab, "CLEAN.toml", fine_bayer_recipe, tmp_path / "camera.h5", l3)
     assert worst(result, RMS) > 0.6
-    assert min(channel["R²"] for channel in result["channels"].values()) > 0.99  # which hardly tells
+    assert min(channel["R²"] for channel in result["channels"].values()) > 0.99  # which hardly shows it
 
 
 def test_processes_change_nothing(lab_folder: Path, tmp_path: Path, l3: L3) -> None:
@@ -135,7 +135,7 @@ def test_the_error_of_alpha_comes_from_the_charts() -> None:
     assert gain.gain_error(photons, 64.0 + 20.0 * photons, 64.0, 20.0, 64.0, 0.02) == pytest.approx(0.2)
 
 
-def test_defects_are_patched_by_their_own_channel() -> None:
+def test_defects_are_patched_by_their_channel() -> None:
     cfa = np.array([[0, 1], [1, 2]], dtype=np.uint8)
     picture = np.tile([[10.0, 20.0], [20.0, 30.0]], (8, 8))
     spoilt = picture.copy()

@@ -60,7 +60,7 @@ def test_responses_come_back_and_exposures_predict_each_other(body: Body) -> Non
     assert fit.used[longest, :, 0].all()
 
 
-def test_a_capture_has_no_part_in_its_own_prediction(body: Body) -> None:
+def test_a_capture_has_no_part_in_its_prediction(body: Body) -> None:
     """One lamp 10 % brighter than its monitor says: predicted from the others, the capture stands out by that much."""
     captures = [capture(0, t, body) for t in (0.03, 0.06, 0.1)]
     captures[2] = dataclasses.replace(capture(0, 0.1, body, monitor=1.1), monitor=1.0)

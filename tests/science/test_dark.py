@@ -23,6 +23,7 @@ from l3cli.rendering.exposure import LightMeter
 from l3cli.rendering.opencl import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.simulation import sensor
+from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import BAYER, FIVE_BAND, X_TRANS, random_camera
 from tests.helpers.tables import random_table
 
@@ -50,10 +51,12 @@ def test_a_frame_is_rendered_as_if_there_were_no_dark_current(cfa: list, dark: f
     # The same light, were white nearer by what dark current takes, without dark current: levels alone are another scale.
     light = RawFrame("f", values, 100.0, table.white - whole, (1, 0), dark=dark - whole)
     np.testing.assert_allclose(
-        reference.exact_outputs(frame) * (table.white - 100), reference.exact_outputs(light) * (light.white - 100), rtol=1e-9
+        reference.exact_outputs(frame) * (table.white - 100),
+        reference.exact_outputs(light) * (light.white_level - 100),
+        rtol=1e-9,
     )
     assert LightMeter(table).brightness(frame) * (table.white - 100) == pytest.approx(
-        LightMeter(table).brightness(light) * (light.white - 100)
+        LightMeter(table).brightness(light) * (light.white_level - 100)
     )
 
 
@@ -62,7 +65,7 @@ def test_no_level_is_lost_and_less_than_a_dn_stays_in_the_black_level() -> None:
     frame = RawFrame("f", values, 64.0, 4095.0, dark=0.4)
     levelled = frame.at_levels(64.0, 4095.0, 12)
     np.testing.assert_array_equal(levelled.values, values)
-    assert levelled.black == pytest.approx(64.4, abs=1e-4)
+    assert levelled.black_level == pytest.approx(64.4, abs=1e-4)
     far = replace(frame, dark=1000.3).at_levels(64.0, 4095.0, 12)
     assert far.values[0, 64 + 1000] == 64
     assert far.values[0, 4095] in (4094, 4095, 4096 - 1)
@@ -79,7 +82,7 @@ def test_noise_of_dark_electrons_is_in_the_noise_model(bayer: CameraModel) -> No
     for electrons in (0.0, 500.0, 5000.0):
         raw = sensor.expose(camera, np.full((400, 400), electrons), exposure, rng)
         levelled = RawFrame("f", raw, camera.black, camera.white, dark=dark).at_levels(camera.black, camera.white, 12)
-        signal = levelled.values - levelled.black
+        signal = levelled.values - levelled.black_level
         share = 1 - dark / (camera.white - camera.black)
         assert signal.mean() * share == pytest.approx(camera.gain * electrons, abs=2.0)
         assert signal.var() == pytest.approx(camera.noise_variance(signal.mean(), dark), rel=0.03)
@@ -87,7 +90,7 @@ def test_noise_of_dark_electrons_is_in_the_noise_model(bayer: CameraModel) -> No
 
 
 def test_a_long_exposure_is_rendered_as_well_as_a_short_one(
-    pipeline: Path, tmp_path: Path, l3: object, capsys: pytest.CaptureFixture[str]
+    pipeline: Path, tmp_path: Path, l3: L3, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """60 e-/s: 6 e- of 15000 in a tenth of a second; 1200 e- in twenty seconds."""
     camera = tmp_path / "camera.toml"
@@ -175,13 +178,13 @@ def leaky(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def picture(folder: Path, l3: object, *options: object) -> tuple[bytes, str]:
+def picture(folder: Path, l3: L3, *options: object) -> tuple[bytes, str]:
     code, _, err = l3("render", folder / "table.h5", folder / "frame.npy", "-o", folder / "out.exr", "--force", *options)
     assert code == 0, err
     return (folder / "out.exr").read_bytes(), err
 
 
-def test_exposure_time_or_dark_frame_or_training_tell_what_is_taken_off(leaky: Path, l3: object) -> None:
+def test_exposure_time_or_dark_frame_or_training_says_what_is_subtracted(leaky: Path, l3: L3) -> None:
     by_time, said = picture(leaky, l3, "--exposure-time", 3)
     assert "dark current" not in said
     by_frame, said = picture(leaky, l3, "--dark", leaky / "dark.npy")
@@ -197,14 +200,14 @@ def test_exposure_time_or_dark_frame_or_training_tell_what_is_taken_off(leaky: P
     assert "dark" not in picture(leaky, l3, "--quiet")[1]
 
 
-def test_many_dark_frames_are_a_sequence_or_several_options(leaky: Path, l3: object) -> None:
+def test_many_dark_frames_are_a_sequence_or_several_options(leaky: Path, l3: L3) -> None:
     one, _ = picture(leaky, l3, "--dark", leaky / "dark.npy")
     np.save(leaky / "stack.npy", np.full((5, 24, 32), 400, np.uint16))
     assert picture(leaky, l3, "--dark", leaky / "stack.npy")[0] == one
     assert picture(leaky, l3, "--dark", leaky / "dark.npy", "--dark", leaky / "dark.npy")[0] == one
 
 
-def test_what_cannot_be_taken_off_is_refused(leaky: Path, refused: object) -> None:
+def test_what_cannot_be_taken_off_is_refused(leaky: Path, refused: Refused) -> None:
     render = ("render", leaky / "table.h5", leaky / "frame.npy", "-o", leaky / "out.exr")
     assert "seconds" in refused(3, *render, "--exposure-time", 3000)
     assert "exposure-time" in refused(2, *render, "--exposure-time", -1)
@@ -215,7 +218,7 @@ def test_what_cannot_be_taken_off_is_refused(leaky: Path, refused: object) -> No
     assert "nowhere.npy" in refused(3, *render, "--dark", leaky / "nowhere.npy")
 
 
-def test_a_table_of_before_has_no_dark_current(leaky: Path, l3: object) -> None:
+def test_a_table_of_before_has_no_dark_current(leaky: Path, l3: L3) -> None:
     with h5py.File(leaky / "table.h5", "r+") as root:
         del root["camera"], root["exposure"]
     from l3cli.artifacts.container import seal
@@ -226,7 +229,7 @@ def test_a_table_of_before_has_no_dark_current(leaky: Path, l3: object) -> None:
     assert "dark" not in picture(leaky, l3)[1]
 
 
-def test_frames_of_simulate_tell_their_exposure_time(pipeline: Path, l3: object, tmp_path: Path) -> None:
+def test_frames_of_simulate_state_their_exposure_time(pipeline: Path, l3: L3, tmp_path: Path) -> None:
     options = ("--camera", pipeline / "camera.toml", "-o", tmp_path / "u.h5")
     l3("simulate", pipeline / "unseen.toml", *options, "--pictures", tmp_path / "tif", "--dng", tmp_path / "dng", "--quiet")
     rendered = []
@@ -239,7 +242,7 @@ def test_frames_of_simulate_tell_their_exposure_time(pipeline: Path, l3: object,
     assert rendered[0] == rendered[1]
 
 
-def test_a_mosaic_keeps_its_exposure_time(tmp_path: Path, leaky: Path, l3: object) -> None:
+def test_a_mosaic_keeps_its_exposure_time(tmp_path: Path, leaky: Path, l3: L3) -> None:
     write_mosaic(leaky / "frame.tif", np.load(leaky / "frame.npy"), 3.0)
     code, _, err = l3("render", leaky / "table.h5", leaky / "frame.tif", "-o", leaky / "tif.exr")
     assert code == 0

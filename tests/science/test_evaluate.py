@@ -1,4 +1,4 @@
-"""Quality figures: equal to ISETCam's own where it was run, zero for equal pictures, worse for worse ones; the basic
+"""Quality figures: equal to ISETCam's where it was run, zero for equal pictures, worse for worse ones; the basic
 pipeline exact where it must be; `l3 evaluate` with the keys it promises."""
 
 import dataclasses
@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.store import load, save
@@ -19,10 +20,10 @@ from l3cli.cli import run
 from l3cli.errors import InputFileError
 from l3cli.evaluation.basic import develop, fit_colour, light_of, white_preserving_ridge
 from l3cli.evaluation.classes import ClassErrors
-from l3cli.evaluation.demosaic import bayer_roles, interpolate, rivals, tiled
+from l3cli.evaluation.demosaic import band_baselines, baselines, bayer_roles, interpolate, tiled
 from l3cli.evaluation.evaluation import Evaluation, higher_is_better
 from l3cli.evaluation.pictures import error_map
-from l3cli.evaluation.quality import band_quality, quality
+from l3cli.evaluation.quality import band_figures, band_quality, quality
 from l3cli.evaluation.scielab import OPPONENT_FROM_XYZ, scielab
 from l3cli.evaluation.similarity import psnr, spectral_angle, ssim
 from l3cli.io.images import read_image
@@ -42,11 +43,11 @@ def a_picture(seed: int) -> np.ndarray:
 
 
 def test_equal_pictures_are_perfect() -> None:
-    found = quality(a_picture(0), a_picture(0), spectra.white_point("A"))
-    errors = (found.mean_delta_e, found.median_delta_e, found.p95_delta_e, found.scielab)
+    figures = quality(a_picture(0), a_picture(0), spectra.white_point("A"))
+    errors = (figures.mean_delta_e, figures.median_delta_e, figures.p95_delta_e, figures.scielab)
     assert errors == pytest.approx((0, 0, 0, 0), abs=1e-9)
-    assert (found.psnr, found.output_psnr) == pytest.approx((120, 120))
-    assert found.ssim == pytest.approx(1)
+    assert (figures.psnr, figures.output_psnr) == pytest.approx((120, 120))
+    assert figures.ssim == pytest.approx(1)
     bands = band_quality(a_picture(0), a_picture(0), np.ones(3))
     assert (bands.mean_angle, bands.p95_angle, bands.output_psnr) == pytest.approx((0, 0, 120), abs=1e-6)
 
@@ -155,7 +156,7 @@ CFAS = {
 def test_interpolation_is_exact_where_flat(name: str) -> None:
     cfa = np.array(CFAS[name], dtype=np.uint8)
     levels = np.arange(1.0, cfa.max() + 2)
-    for demosaic in rivals(cfa).values():
+    for demosaic in baselines(cfa).values():
         planes = demosaic(levels[tiled(cfa, (21, 18))], cfa)
         assert planes == pytest.approx(np.broadcast_to(levels[:, None, None], planes.shape), rel=1e-6)
 
@@ -165,9 +166,9 @@ def test_malvar_and_menon_only_for_bayer() -> None:
     assert bayer_roles(np.array([[0, 1], [2, 0]], np.uint8)) == (1, 0, 2)
     assert bayer_roles(np.array([[0, 1], [0, 2]], np.uint8)) is None  # green in a column
     assert bayer_roles(np.array(CFAS["RGBW"], np.uint8)) is None
-    assert set(rivals(np.array(CFAS["five-band"], np.uint8))) == {"basic"}
+    assert set(baselines(np.array(CFAS["five-band"], np.uint8))) == {"basic"}
     pytest.importorskip("colour_demosaicing")
-    assert set(rivals(np.array([[1, 0], [2, 1]], np.uint8))) == {"basic", "malvar", "menon"}
+    assert set(baselines(np.array([[1, 0], [2, 1]], np.uint8))) == {"basic", "malvar", "menon"}
 
 
 @pytest.mark.parametrize(
@@ -179,9 +180,72 @@ def test_every_bayer_phase_is_understood(pattern: list) -> None:
     rows, cols = np.mgrid[:40, :44]
     scene = np.stack([0.2 + 0.01 * rows, 0.3 + 0.01 * cols, 0.8 - 0.005 * (rows + cols)])  # ramps: linear methods are exact
     mosaic = np.take_along_axis(scene, tiled(cfa, (40, 44))[None].astype(int), axis=0)[0]
-    for name, demosaic in rivals(cfa).items():
+    for name, demosaic in baselines(cfa).items():
         error = np.abs(demosaic(mosaic, cfa) - scene)[:, 8:-8, 8:-8].max()
         assert error < (0.02 if name == "basic" else 0.006), name
+
+
+@pytest.mark.parametrize("name", ["bilinear", "sd", "ppid"])
+def test_methods_for_bands_are_exact_on_known_pictures(name: str) -> None:
+    for period in ((4, 4), (5, 5), (2, 3)):
+        cfa = np.random.default_rng(0).permutation(np.prod(period)).reshape(period).astype(np.uint8)
+        method = band_baselines(cfa)[name]
+        level = np.random.default_rng(1).random(cfa.size)[:, None, None]
+        rows, cols = np.mgrid[:47, :52]
+        flat = np.broadcast_to(level, (cfa.size, 47, 52))
+        assert method(mosaic_of(flat, cfa), cfa) == pytest.approx(flat, abs=1e-12)
+        shared = np.broadcast_to(0.2 + 0.004 * rows + 0.003 * cols, flat.shape)  # one luminance in all bands
+        inside = np.s_[:, 16:-16, 16:-16]
+        assert method(mosaic_of(shared, cfa), cfa)[inside] == pytest.approx(shared[inside], abs=1e-12)
+        noise = np.random.default_rng(2).random((cfa.size, 47, 52))
+        assert mosaic_of(method(mosaic_of(noise, cfa), cfa), cfa) == pytest.approx(mosaic_of(noise, cfa), abs=1e-12)
+
+
+def test_methods_for_bands_stand_in_the_order_of_their_papers() -> None:
+    cfa = np.random.default_rng(0).permutation(16).reshape(4, 4).astype(np.uint8)
+    texture = gaussian_filter(np.random.default_rng(1).random((64, 64)), 1.0)
+    shared = np.broadcast_to((texture - texture.min()) / np.ptp(texture), (16, 64, 64))
+    gained = [psnr(method(mosaic_of(shared, cfa), cfa), shared) for method in band_baselines(cfa).values()]
+    assert gained[1] > gained[0] + 2
+    assert gained[2] > gained[1] + 2
+
+
+def test_bilinear_is_that_of_bayer_arrays() -> None:
+    cfa = np.array([[1, 0], [2, 1]], np.uint8)
+    mosaic = np.random.default_rng(0).random((12, 14))
+    red, green, blue = band_baselines(cfa)["bilinear"](mosaic, cfa)
+    assert red[4, 4] == pytest.approx((mosaic[4, 3] + mosaic[4, 5]) / 2)
+    assert blue[4, 5] == pytest.approx((mosaic[3, 4] + mosaic[3, 6] + mosaic[5, 4] + mosaic[5, 6]) / 4)
+    assert green[4, 5] == pytest.approx((mosaic[3, 5] + mosaic[5, 5] + mosaic[4, 4] + mosaic[4, 6]) / 4)
+
+
+def test_every_array_has_baselines_for_its_bands() -> None:
+    names = {name: set(band_baselines(np.array(cfa, np.uint8))) for name, cfa in CFAS.items()}
+    assert names["five-band"] == names["one"] == {"basic"}
+    assert names["RGBW"] == {"bilinear", "sd", "ppid"}
+    assert names["Bayer"] >= {"bilinear"}
+    pytest.importorskip("colour_demosaicing")
+    assert set(band_baselines(np.array([[1, 0], [2, 1]], np.uint8))) == {"bilinear", "malvar", "menon"}
+
+
+def test_codes_are_those_of_eight_bits() -> None:
+    white = np.array([2.0, 4.0])
+    target = np.array([0.5, 0.25])[:, None, None] * white[:, None, None] * np.ones((2, 20, 20))
+    off = target + 2 / 255 * white[:, None, None]
+    assert band_quality(off, target, white).psnr == pytest.approx(20 * np.log10(255 / 2), abs=0.01)
+    assert band_quality(target * 1.0001, target, white).psnr == pytest.approx(120)  # less than half a code
+    assert band_quality(target * 9, target * 5, white).psnr == pytest.approx(120)  # both beyond white
+    shifted = target.copy()
+    shifted[1] += 0.1 * white[1]
+    bands = band_figures(shifted, target, white)
+    assert [band["psnr"] for band in bands] == pytest.approx([120, 20], abs=0.2)
+    assert [band["ssim"] < 1 - 1e-6 for band in bands] == [False, True]
+    assert np.mean([band["ssim"] for band in bands]) == pytest.approx(band_quality(shifted, target, white).ssim)
+
+
+def mosaic_of(bands: np.ndarray, cfa: np.ndarray) -> np.ndarray:
+    """The samples (row, col) of a CFA."""
+    return np.take_along_axis(bands, tiled(cfa, bands.shape[1:])[None].astype(int), axis=0)[0]
 
 
 def a_frame(camera: CameraModel, reflectance: np.ndarray, illuminant: str = "D65") -> TrainingFrame:
@@ -212,7 +276,7 @@ def a_frame(camera: CameraModel, reflectance: np.ndarray, illuminant: str = "D65
 def test_the_basic_pipeline_is_exact_on_flat_grey(fiveband: CameraModel, bayer: CameraModel, illuminant: str) -> None:
     for camera in (fiveband, bayer):
         frame = a_frame(camera, np.full(81, 0.4), illuminant)
-        for demosaic in rivals(camera.cfa).values():
+        for demosaic in baselines(camera.cfa).values():
             planes = develop(frame, camera, fit_colour(camera, light_of(frame, camera)), demosaic)
             assert planes == pytest.approx(np.asarray(frame.target), rel=1.5e-3)  # half a DN of quantisation in 700
 
@@ -300,6 +364,7 @@ def rewritten(
         head: TrainingSet = dataclasses.replace(reader.head, outputs=outputs)
         with write_training_set(target, head) as writer:
             for frame in reader:
+                assert isinstance(frame, TrainingFrame)
                 writer.append(frames(frame))
 
 
@@ -308,10 +373,11 @@ def test_json_holds_the_keys_it_promises(trained: Path, l3: Callable) -> None:
     assert (code, err) == (0, "")
     document = json.loads(out)
     assert set(document) == {
-        "format", "camera", "outputs", "viewing", "pipelines", "frames", "mean", "better", "by_level", "by_illuminant",
-        "by_class", "worst_classes",
+        "format", "camera", "outputs", "viewing", "border", "pipelines", "frames", "mean", "better", "by_level",
+        "by_illuminant", "by_band", "by_class", "worst_classes",
     }  # fmt: skip
-    assert (document["format"], document["viewing"], document["outputs"]) == (1, 50.0, ["X", "Y", "Z"])
+    assert (document["format"], document["viewing"], document["outputs"]) == (2, 50.0, ["X", "Y", "Z"])
+    assert (document["border"], document["by_band"]) == (2, [])
     pipelines = document["pipelines"]
     assert pipelines[:2] == ["ours", "basic"]
     assert set(pipelines[2:]) in ({"malvar", "menon"}, set())
@@ -390,7 +456,8 @@ def test_bands_are_judged_as_spectra(trained: Path, l3: Callable, refused: Calla
     assert code == 0
     document = json.loads(out)
     assert document["pipelines"] == ["ours"]
-    assert set(document["mean"]["ours"]) == {"mean_angle", "median_angle", "p95_angle", "output_psnr"}
+    assert set(document["mean"]["ours"]) == {"mean_angle", "median_angle", "p95_angle", "psnr", "output_psnr", "ssim"}
+    assert [entry["band"] for entry in document["by_band"]] == document["outputs"]
     assert 0 < document["mean"]["ours"]["mean_angle"] < 20
     assert l3("evaluate", tmp_path / "table.h5", tmp_path / "bands.h5")[0] == 0
     assert "outputs differ" in refused(3, "evaluate", tmp_path / "table.h5", trained / "training.h5")
@@ -398,7 +465,41 @@ def test_bands_are_judged_as_spectra(trained: Path, l3: Callable, refused: Calla
     assert "X, Y, Z" in refused(2, "evaluate", tmp_path / "table.h5", tmp_path / "bands.h5", *pictures)
 
 
-def test_wrong_calls_are_one_line(trained: Path, refused: Callable, tmp_path: Path) -> None:
+BAND_SCENES = """
+exposure_share = [0.9]
+illuminants = ["A", "D65"]
+sensor.noise = "none"
+target.outputs = "camera"
+[[scene]]
+source = "dead leaves"
+size = [64, 72]
+"""
+
+
+@pytest.mark.parametrize("relit", [False, True])
+def test_bands_of_the_camera_have_baselines(relit: bool, bayer_recipe: Path, l3: Callable, tmp_path: Path) -> None:
+    light = 'target.illuminant = "FL2"\n' if relit else ""
+    (tmp_path / "scenes.toml").write_text(light + BAND_SCENES)
+    (tmp_path / "classes.toml").write_text(CLASSES)
+    _make(tmp_path, bayer_recipe)
+    files = ("evaluate", tmp_path / "table.h5", tmp_path / "training.h5", "--backend", "reference")
+    document = json.loads(l3(*files, "--json")[1])
+    assert document["pipelines"][1] == "bilinear"
+    assert [entry["band"] for entry in document["by_band"]] == document["outputs"] == ["r", "g", "b"]
+    for name in document["pipelines"]:
+        assert document["mean"][name]["psnr"] > 15  # a wrong unit or balance gives less
+        by_band = np.mean([entry[name]["ssim"] for entry in document["by_band"]])
+        assert by_band == pytest.approx(document["mean"][name]["ssim"])
+    narrow = json.loads(l3(*files, "--json", "--border", "20")[1])
+    assert (narrow["border"], document["border"]) == (20, 2)
+    assert sum(entry["pixels"] for entry in narrow["by_class"]["level"]) == 2 * 24 * 32
+    code, out, _ = l3(*files)
+    assert code == 0
+    assert "by band" in out
+    assert "bilinear" in out
+
+
+def test_wrong_calls_are_one_line(trained: Path, refused: Callable, l3: Callable, tmp_path: Path) -> None:
     table, frames = trained / "table.h5", trained / "training.h5"
     five = load(TransformTable, table)
     save(dataclasses.replace(five, cfa=five.cfa[::-1], camera=None), tmp_path / "other.h5")
@@ -417,6 +518,10 @@ def test_wrong_calls_are_one_line(trained: Path, refused: Callable, tmp_path: Pa
     assert "4×40 pixels" in refused(3, "evaluate", table, tmp_path / "small.h5")
     assert "holds a training set" in refused(3, "evaluate", frames, frames)
     assert "is a file" in refused(1, "evaluate", table, frames, "--pictures", tmp_path / "file")
+    code, out, err = l3("evaluate", table, frames, "--border", "24")
+    assert (code, out) == (3, "")
+    assert "48×56 pixels, none inside a border of 24" in err
+    assert "border" in refused(2, "evaluate", table, frames, "--border", "-1")
     assert "viewing" in refused(2, "evaluate", table, frames, "--viewing", "0")
     assert "backend" in refused(2, "evaluate", table, frames, "--backend", "abacus")
 
@@ -428,8 +533,8 @@ def test_errors_are_counted_in_their_class(trained: Path) -> None:
     table = load(TransformTable, trained / "table.h5")
     with open_training_set(trained / "training.h5") as reader:
         frame = reader.frame(0)
-    labels = label_mosaic(frame.raw, table.rule, table.cfa, len(table.channels))
-    shape = (table.cfa.size, table.rule.levels, table.rule.contrasts, table.rule.kinds)
+    labels = label_mosaic(frame.raw, table.first.rule, table.cfa, len(table.channels))
+    shape = (table.cfa.size, table.first.rule.levels, table.first.rule.contrasts, table.first.rule.kinds)
     _, level, contrast, kind = np.unravel_index(labels, shape)
     errors = ClassErrors(table, ("ours",))
     errors.add(labels, {"ours": level.astype(float)})
@@ -441,7 +546,7 @@ def test_errors_are_counted_in_their_class(trained: Path) -> None:
         assert entry["pixels"] == (contrast == entry["contrast"]).sum()
     for entry in errors.by_axis("mean_delta_e")["chroma"]:
         assert entry["pixels"] == (kind == entry["chroma"]).sum()
-    centres = chroma_centres(table.rule)
+    centres = chroma_centres(table.first.rule)
     assert centres.shape == (4, 3)
     assert centres.sum(axis=1) == pytest.approx(np.ones(4), abs=0.01)
 
@@ -450,7 +555,7 @@ def test_an_evaluation_needs_no_file(trained: Path) -> None:
     table = load(TransformTable, trained / "table.h5")
     with open_training_set(trained / "training.h5") as reader:
         evaluation, frame = Evaluation(table, reader.head), reader.frame(0)
-    labels = label_mosaic(frame.raw, table.rule, table.cfa, len(table.channels))
+    labels = label_mosaic(frame.raw, table.first.rule, table.cfa, len(table.channels))
     perfect = frame.target * frame.exposure / table.output_unit
     planes = evaluation.add(frame, perfect, labels)
     assert planes["ours"] == pytest.approx(np.asarray(frame.target), rel=1e-5)
@@ -463,8 +568,8 @@ def test_errors_are_laid_to_the_class_of_their_pixel(trained: Path) -> None:
     table = load(TransformTable, trained / "table.h5")
     with open_training_set(trained / "training.h5") as reader:
         evaluation, frame = Evaluation(table, reader.head), reader.frame(0)
-    labels = label_mosaic(frame.raw, table.rule, table.cfa, len(table.channels))
-    level = labels % table.rule.classes_per_site // (table.rule.contrasts * table.rule.kinds)
+    labels = label_mosaic(frame.raw, table.first.rule, table.cfa, len(table.channels))
+    level = labels % table.first.rule.classes_per_site // (table.first.rule.contrasts * table.first.rule.kinds)
     spoilt = np.bincount(level[2:-2, 2:-2].ravel()).argmax()
     planes = frame.target * np.where(level == spoilt, 0.7, 1.0)
     evaluation.add(frame, planes * frame.exposure / table.output_unit, labels)

@@ -18,6 +18,7 @@ from l3cli.columns import figure
 from l3cli.physics import spectra
 from tests.helpers.cameras import bayer_camera
 from tests.helpers.recipes import FEW_CLASSES
+from tests.helpers.tables import with_first
 
 LEAVES = 'exposure_share = [0.9]\n[[scene]]\nsource = "dead leaves"\nsize = [40, 40]\n'
 NO_NUMBER = re.compile(r"\b(nan|inf|infinity)\b", re.IGNORECASE)
@@ -88,8 +89,12 @@ def test_a_light_without_blue_has_figures(judged: Callable) -> None:
 
 def test_a_table_that_overflows_is_named(pipeline: Path, tmp_path: Path, refused: Callable) -> None:
     table = load(TransformTable, pipeline / "table.h5")
-    weights = table.weights * np.float32(1e25) * np.where(np.arange(table.weights.shape[2]) % 2, 1, -1).astype(np.float32)
-    save(dataclasses.replace(table, weights=weights, output_unit=1e26), tmp_path / "huge.h5")
+    weights = (
+        table.first.weights
+        * np.float32(1e25)
+        * np.where(np.arange(table.first.weights.shape[2]) % 2, 1, -1).astype(np.float32)
+    )
+    save(dataclasses.replace(with_first(table, weights=weights), output_unit=1e26), tmp_path / "huge.h5")
     line = refused(3, "evaluate", tmp_path / "huge.h5", pipeline / "unseen.h5", "--quiet", "--backend", "reference")
     assert "renders frame" in line
 

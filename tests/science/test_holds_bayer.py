@@ -52,8 +52,8 @@ def test_learned_is_better_than_menon(
     document = json.loads(l3("evaluate", table, tmp_path / "unseen.h5", "--json", "--quiet")[1])
     print()
     for frame in document["frames"]:
-        found = ", ".join(f"{name} {frame[name]['psnr']:.2f} dB" for name in ("ours", "menon"))
-        print(f"{frame['scene']:22} level {frame['level']:.3f}: {found}")
+        figures = ", ".join(f"{name} {frame[name]['psnr']:.2f} dB" for name in ("ours", "menon"))
+        print(f"{frame['scene']:22} level {frame['level']:.3f}: {figures}")
     ours, menon = (document["mean"][name]["psnr"] for name in ("ours", "menon"))
     print(f"mean PSNR {ours:.2f} dB, Menon {menon:.2f} dB")
     assert ours >= menon + gain

@@ -51,9 +51,9 @@ def without_the_chart(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 def chart_errors(table: Path, chart: Path) -> np.ndarray:
-    """ΔE00 (frame, patch) within the patches of a chart's frames, relative to the light's own white, in no gamut."""
+    """ΔE00 (frame, patch) within the patches of a chart's frames, relative to the light's white, in no gamut."""
     transforms = load(TransformTable, table)
-    renderer, found = make_renderer("opencl", transforms), []
+    renderer, errors = make_renderer("opencl", transforms), []
     with open_training_set(chart) as frames:
         camera = frames.head.camera
         for frame in frames:
@@ -65,8 +65,8 @@ def chart_errors(table: Path, chart: Path) -> np.ndarray:
                 (slice(rows.start + MARGIN, rows.stop - MARGIN), slice(cols.start + MARGIN, cols.stop - MARGIN))
                 for rows, cols in colorchecker_patches(error.shape)
             ]
-            found.append([error[where].mean() for where in inner])
-    return np.array(found)
+            errors.append([error[where].mean() for where in inner])
+    return np.array(errors)
 
 
 def learned_errors(light: str, classes: str, count: int, folder: Path, l3: Callable) -> np.ndarray:

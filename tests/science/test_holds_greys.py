@@ -22,7 +22,7 @@ from l3cli.physics.display import lab
 from l3cli.rendering.renderer import make_renderer
 from l3cli.simulation import sensor
 from l3cli.simulation.light import make_light, white_rates
-from l3cli.training.highlights import grey_patches
+from l3cli.training.highlights import grey_patches, white_channels
 from tests.helpers.paths import CONFIGS
 
 SCENES = """
@@ -33,14 +33,16 @@ source = "dead leaves"
 size = [128, 128]
 count = 12
 """
-SMALLER = {"patches": "4000", "draws": "6", "patch": "{patch}"}
+SMALLER = {"patches": "4000", "draws": "6", "patch": "{patch}", "mosaics": "60", "rows": "3000"}
+PLANES_ROUNDED = 2.0**-14  # of full scale: what integer weights of the first of two layers may round off
 EXPOSURES = np.geomspace(0.001, 3.0, 160)  # of that at which a perfect white fills its brightest channel
 EVERY = [
-    ("fiveband", "default", "D65", 5),
+    ("fiveband", "single", "D65", 5),
     ("fiveband", "fast", "A", 5),
-    ("fiveband", "default", "A", 9),
-    ("bayer", "default", "A", 5),
+    ("fiveband", "single", "A", 9),
+    ("bayer", "single", "A", 5),
     ("bayer", "fast", "D65", 5),
+    ("bayer", "default", "D65", 5),
 ]
 
 
@@ -79,7 +81,7 @@ def learned(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     camera, lamp = load_camera(path), make_light(light, {}, load_camera(path).wavelength)
     rates = white_rates(camera, lamp)
     seconds = camera.full_scale / rates.max()
-    unit = seconds / camera.white_dose
+    unit = seconds / camera.saturation_exposure
     return Learned(camera, load(TransformTable, Path(table)), rates * seconds, spectra.white_point(light), unit)
 
 
@@ -97,10 +99,11 @@ def test_plain_areas_show_no_pattern_at_any_level(learned: Learned) -> None:
     for exposure in EXPOSURES:
         raw = learned.raw(exposure, 24, None)
         means = site_means(renderer.outputs(raw), learned.camera, 8)
-        if np.unique(renderer.labels(raw)[8:-8, 8:-8] % learned.table.rule.classes_per_site).size > 1:
+        if np.unique(renderer.labels(raw)[8:-8, 8:-8] % learned.table.first.rule.classes_per_site).size > 1:
             on_an_edge.append(exposure)
         else:
-            assert (np.ptp(means, axis=0) <= 1e-4 * means.mean(axis=0)).all(), exposure
+            rounding = PLANES_ROUNDED if learned.table.later else 0.0
+            assert (np.ptp(means, axis=0) <= 1e-4 * means.mean(axis=0) + rounding).all(), exposure
     assert len(on_an_edge) <= 0.05 * len(EXPOSURES), np.round(on_an_edge, 4)
 
 
@@ -116,7 +119,8 @@ def test_plain_areas_show_no_pattern_under_noise(learned: Learned) -> None:
         count = 256**2 / learned.camera.cfa.size
         chance = planes[:, 8:-8, 8:-8].std(axis=(1, 2)) * 4.5 / np.sqrt(count)  # the spread of up to 16 means
         about_to_clip = (np.abs(exposure * clip - 0.99) < 0.04).any()
-        bound = 0.01 if about_to_clip or exposure <= 0.01 else 0.002
+        plain = 0.0025 if learned.table.later else 0.002
+        bound = 0.01 if about_to_clip or exposure <= 0.01 else plain
         spread = np.ptp(means, axis=0) / means.mean(axis=0)
         assert (spread <= bound + chance / means.mean(axis=0)).all(), (exposure, spread)
 
@@ -124,21 +128,35 @@ def test_plain_areas_show_no_pattern_under_noise(learned: Learned) -> None:
 def test_highlights_have_no_cast(learned: Learned) -> None:
     """A grey ramp through clipping stays grey and rises; where all channels clip it is white to 0.003 in x, y."""
     renderer = make_renderer("opencl", learned.table)
-    exposures = EXPOSURES[EXPOSURES > 0.3]
+    all_clip = learned.rates.max() / learned.rates.min()  # the exposure from which every channel clips
+    exposures = np.append(EXPOSURES[(EXPOSURES > 0.3) & (all_clip > EXPOSURES)], all_clip * np.array([1.03, 1.1, 1.3, 1.6]))
     ramp = np.array([renderer.outputs(learned.raw(each, 24, None))[:, 8:-8, 8:-8].mean(axis=(1, 2)) for each in exposures])
     assert np.isfinite(ramp).all()
     assert ramp.min() > 0
     shown = ramp / learned.unit  # Y = 1: the white that just fills its brightest channel
-    shown_lab = lab(np.minimum(shown, 4.0), learned.white)
+    shown_lab = lab(shown / np.maximum(shown.max(axis=1, keepdims=True) / 4.0, 1.0), learned.white)
     chroma = np.hypot(shown_lab[:, 1], shown_lab[:, 2])
-    assert chroma.max() < 7.0, f"{chroma.max():.1f} at {exposures[chroma.argmax()]:.2f}"
+    assert chroma.max() < 4.0, f"{chroma.max():.1f} at {exposures[chroma.argmax()]:.2f}"
     assert (np.diff(shown[:, 1]) > -0.01 * shown[:-1, 1]).all()  # steps between levels and kinds, hidden by any noise
-    clipped = exposures * learned.rates.min() > 1.02 * learned.rates.max()
-    assert clipped.sum() > 3 or learned.rates.min() < learned.rates.max() / 2.9  # blue of a Bayer array by lamp light
+    clipped = exposures > 1.02 * all_clip
     x, y = (shown[clipped, :2] / shown[clipped].sum(axis=1, keepdims=True)).T
     white = learned.white / learned.white.sum()
     assert x == pytest.approx(np.full(x.size, white[0]), abs=0.003)
     assert y == pytest.approx(np.full(y.size, white[1]), abs=0.003)
+
+
+def test_greys_are_grey_at_every_level(learned: Learned) -> None:
+    """C*ab of plain greys of the training light, from the dark to clipping, without noise. In the dark a DN is a colour."""
+    renderer, step = make_renderer("opencl", learned.table), learned.camera.white - learned.camera.black
+    exposures = EXPOSURES[EXPOSURES < 0.98]
+    ramp = np.array([renderer.outputs(learned.raw(each, 24, None))[:, 8:-8, 8:-8].mean(axis=(1, 2)) for each in exposures])
+    shown = lab(ramp / (learned.unit * exposures[:, None]), learned.white)  # each as bright as white
+    chroma = np.hypot(shown[:, 1], shown[:, 2])
+    rounding = 300.0 / (step * exposures * learned.rates.min() / learned.rates.max())  # half a DN in one channel
+    assert (chroma < 0.5 + rounding).all(), (
+        f"{(chroma - rounding).max():.2f} at {exposures[(chroma - rounding).argmax()]:.3f}"
+    )
+    assert chroma[exposures > 0.3].max() < 0.5
 
 
 def test_clipped_areas_of_a_picture_are_neither_black_nor_magenta(tmp_path: Path, l3: Callable, learned: Learned) -> None:
@@ -162,7 +180,7 @@ def test_clipped_areas_of_a_picture_are_neither_black_nor_magenta(tmp_path: Path
 
 
 def test_greys_are_taught_only_where_they_clip(bayer: CameraModel) -> None:
-    """Sums of grey patches alone: white's channels are found in them, and every taught row is a clipped grey."""
+    """Sums of grey patches alone: white's channels follow from them, and every taught row is a clipped grey."""
     cases = np.arange(8).astype(np.uint16)
     rule = make_rule(ClassRecipe(patch=3, levels=6), bayer, cases)
     window = neighbourhoods(bayer.cfa, 3, 3).channel[0]
@@ -172,16 +190,17 @@ def test_greys_are_taught_only_where_they_clip(bayer: CameraModel) -> None:
     sums = ClassSums(
         np.zeros((rule.classes_per_site, row.size)), np.zeros((rule.classes_per_site, 9)), np.ones(rule.classes_per_site)
     )
-    assert grey_patches(sums, rule, window, white, bayer.black, bayer.white) == {}
+    assert grey_patches(sums, rule, window, white, bayer.black, bayer.white, None) == {}
     sums.moments[0] = columns[row] * columns[col]
-    taught = grey_patches(sums, rule, window, white, bayer.black, bayer.white)
+    signal_found = white_channels(sums, rule, window, white, None)
+    taught = grey_patches(sums, rule, window, white, bayer.black, bayer.white, signal_found)
     assert taught
     for index, moments in taught.items():
         kind = index % rule.kinds
         assert kind >= rule.chromas
         saturated = [channel for channel in range(3) if kind - rule.chromas + 1 >> channel & 1]
         assert 1 in saturated  # green clips first
-        found = np.sqrt(np.diag(moments)[:9] / moments[9, 9])
-        assert found[np.isin(window, saturated)] == pytest.approx(1.0, abs=0.08)
+        taps = np.sqrt(np.diag(moments)[:9] / moments[9, 9])
+        assert taps[np.isin(window, saturated)] == pytest.approx(1.0, abs=0.08)
         outputs = moments[10:, 9] / moments[9, 9]
         assert outputs / outputs[1] == pytest.approx(white)

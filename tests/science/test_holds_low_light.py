@@ -85,7 +85,7 @@ def test_the_curves_are_drawn(evaluations: Path, l3: Callable, tmp_path: Path) -
     assert page.read_bytes() == first
 
 
-def test_crossings_are_found_between_points() -> None:
+def test_crossings_lie_between_points() -> None:
     one = Curve("one", (1.0, 10.0, 100.0), (4.0, 2.0, 1.0))
     other = Curve("other", (1.0, 10.0, 100.0), (3.0, 3.0, 3.0))
     assert crossings(one, other, "mean_delta_e") == pytest.approx([10**0.5])

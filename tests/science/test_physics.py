@@ -13,14 +13,13 @@ from l3cli import units
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.store import load
-from l3cli.curve_table import read_table
+from l3cli.curve_file import read_table
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.io.measurements import patch_name
 from l3cli.measurement import PATCH_NAMES
 from l3cli.physics import spectra
+from tests.helpers.calls import L3, Refused
 
-L3 = Callable[..., tuple[int, str, str]]
-Refused = Callable[..., str]
 RADIANCE = {"J": 1, "s": -1, "sr": -1, "m": -3}
 
 
@@ -131,7 +130,7 @@ def test_tables_that_are_refused(text: str, says: str, tmp_path: Path) -> None:
         read_table(tmp_path / "t.csv").ordered(("a", "b"))
 
 
-def test_capitals_count_where_they_tell_channels_apart(tmp_path: Path) -> None:
+def test_capitals_count_where_they_distinguish_channels(tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_text("nm,R,r\n400,1,2\n")
     np.testing.assert_array_equal(read_table(tmp_path / "t.csv").ordered(("r", "R")).values, [[2.0], [1.0]])
     with pytest.raises(InputFileError, match="none of those wanted"):
@@ -148,12 +147,12 @@ def test_radiances_in_any_unit_are_photons(tmp_path: Path) -> None:
         ("µW/(sr cm² nm)", watts * 1e2),
     ):
         rows = "\n".join(f"{nm},{value:.12g}" for nm, value in zip(grid, values, strict=True))
-        (tmp_path / "told.csv").write_text(f"nm,a ({unit})\n{rows}\n")
+        (tmp_path / "stated.csv").write_text(f"nm,a ({unit})\n{rows}\n")
         (tmp_path / "untold.csv").write_text(f"nm,a\n{rows}\n")
-        np.testing.assert_allclose(read_table(tmp_path / "told.csv").photons(None)[0], photons, rtol=1e-9)
+        np.testing.assert_allclose(read_table(tmp_path / "stated.csv").photons(None)[0], photons, rtol=1e-9)
         np.testing.assert_allclose(read_table(tmp_path / "untold.csv").photons(unit)[0], photons, rtol=1e-9)
     with pytest.raises(InputFileError, match="correct one"):
-        read_table(tmp_path / "told.csv").photons("W/(sr m² nm)")
+        read_table(tmp_path / "stated.csv").photons("W/(sr m² nm)")
     with pytest.raises(InputFileError, match="no unit of spectral radiance"):
         read_table(tmp_path / "untold.csv").photons("W/(m² nm)")  # an irradiance
 
@@ -232,7 +231,7 @@ def test_a_mistyped_exposure_is_named(
 
 
 def test_an_odd_step_can_be_accepted(copied: Path, tmp_path: Path, refused: Refused, l3: L3) -> None:
-    """A filter narrower than the steps looks like one: who knows better says so."""
+    """A filter narrower than the steps resembles one: a key says otherwise."""
     (frame,) = (name for name in exposures(copied, "mono") if "_500nm." in name)
     mistype(copied, frame, 8.0)
     command = ("calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
@@ -299,9 +298,9 @@ def test_inputs_replaced_meanwhile_are_refused(
 def test_figures_of_another_unit_are_refused(key: str, wrong: str, says: str, bayer_recipe: Path, tmp_path: Path) -> None:
     path = tmp_path / "camera.toml"
     path.write_text(re.sub(rf"{key} = \S+", f"{key} = {wrong}", bayer_recipe.read_text()))
-    with pytest.raises(RecipeError, match=re.escape(says)) as told:
+    with pytest.raises(RecipeError, match=re.escape(says)) as raised:
         load_camera(path)
-    assert key in str(told.value)
+    assert key in str(raised.value)
 
 
 def test_responsivities_are_known_by_their_names(bayer_recipe: Path, tmp_path: Path) -> None:

@@ -14,15 +14,15 @@ import numpy as np
 import pytest
 
 from l3cli.artifacts.camera import CameraModel, Noise, Optics
-from l3cli.artifacts.training_set import open_training_set
+from l3cli.artifacts.training_set import TrainingFrame, open_training_set
 from l3cli.physics import spectra
 from l3cli.physics.lens import diffraction_transfer, relative_illumination
 from l3cli.scene import Scene
-from l3cli.simulation import charts, light, optics, procedural, sensor
-from l3cli.simulation.drawn import draw
+from l3cli.simulation import charts, light, optics, patterns, procedural, sensor
 from l3cli.simulation.frame import Saturating, simulate
 from l3cli.simulation.recipe import Lens
 from l3cli.simulation.sources import ColorChecker, WantedScene
+from l3cli.simulation.synthetic import draw
 from l3cli.simulation.targets import make_target
 from tests.helpers.cameras import bayer_camera
 from tests.helpers.paths import CONFIGS
@@ -90,7 +90,8 @@ def test_electrons_and_noise_meet_isetcam(isetcam: Path, off_axis: str) -> None:
     illuminant = spectra.photons_from_energy(table["wave"], table["illum_energy_D65"])
     white = given["mean_luminance_cd_m2"] / (patches @ (table["V"] * table["illum_energy_D65"])).mean()
     white *= table["V"] @ table["illum_energy_D65"]  # cd/m² of a perfect white in that scene
-    chart = Scene("patches", table["wave"], patches.reshape(6, 4, -1).transpose(1, 0, 2).copy(), illuminant)
+    spread = patches.reshape(6, 4, -1).transpose(1, 0, 2).copy()
+    chart = Scene("patches", table["wave"], spread, illuminant.astype(np.float64))
     frame = simulate(camera, chart, light.own_light(chart, white), given["exp_time"], PLAIN, (0, 0))
     patch_pixels = given["patch_px"] * given["oi_sample_spacing_m"][0] / camera.pixel_pitch
     fall = relative_illumination(camera.optics.image_distance, camera.pixel_pitch, (camera.rows, camera.cols))
@@ -118,7 +119,7 @@ def test_electrons_and_noise_meet_isetcam(isetcam: Path, off_axis: str) -> None:
     assert np.abs(deviations).max() < 2e-3
     assert abs(np.mean(deviations)) < 2e-4  # the dark current would add 3.6e-4
     assert np.average(darks, weights=known) == pytest.approx(dark, abs=3 / np.sqrt(np.sum(known)))
-    assert 3 / np.sqrt(np.sum(known)) < dark  # so few electrons are told from none
+    assert 3 / np.sqrt(np.sum(known)) < dark  # so few electrons are distinguished from none
     # A quarter of 61 × 61 pixels a patch and channel know their variance to 4.6 %, all 72 together to 0.6 %.
     assert np.mean(variances) == pytest.approx(1.0, abs=0.02)
     assert np.std(variances) == pytest.approx(0.046, abs=0.02)
@@ -196,7 +197,7 @@ def test_targets_are_the_xyz_of_colour_science(fiveband: CameraModel, observer: 
             scale *= (cmfs.values[:, 1] @ light_values) / (other.values[:, 1] @ light_values)
         for patch, (rows, cols) in zip(patches, charts.colorchecker_patches(size), strict=True):
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # it tells that it interpolates
+                warnings.simplefilter("ignore")  # it warns that it interpolates
                 expected = colour.sd_to_XYZ(patch, cmfs, colour.SDS_ILLUMINANTS[name], method="Integration") / 100 * scale
             assert np.allclose(frame.target[:, rows, cols].mean(axis=(1, 2)), expected, rtol=2e-5), name
 
@@ -207,6 +208,40 @@ def test_spectral_lines_between_samples_count() -> None:
     line = np.where(fine == 435.0, 1.0, 0.0)
     seen = spectra.sampling_matrix(fine, grid) @ line
     assert (seen * spectra.bin_widths(grid)).sum() == pytest.approx(1.0)
+
+
+def test_patterns_lie_on_their_share_of_the_leaves_and_change_nothing_else() -> None:
+    nm = procedural.grid(np.array([400.0, 700.0]))
+    plain, none, half, every = (
+        procedural.dead_leaves(np.random.default_rng(3), (64, 64), nm, *share) for share in ((), (0.0,), (0.5,), (1.0,))
+    )
+    assert (plain == none).all()
+    changed = [float((abs(cube - plain).max(axis=2) > 1e-6).mean()) for cube in (half, every)]
+    assert 0.05 < changed[0] < changed[1]
+    for cube in (half, every):
+        assert cube.min() >= 0
+        assert cube.max() <= procedural.BRIGHTEST
+
+
+def test_a_grating_covers_its_duty_at_two_pixels_a_period() -> None:
+    one = {name: np.array([value], np.float32) for name, value in (("angle", 0.7), ("kind", 0), ("present", 1))}
+    both = {name: np.full((2, 1), value, np.float32) for name, value in (("period", 4.0), ("width", 1.6), ("phase", 0.3))}
+    colour = np.ones((1, 31), np.float32)
+    grating = patterns.Patterns(
+        one["present"] > 0,
+        colour,
+        colour,
+        one["kind"].astype(int),
+        one["angle"],
+        both["period"],
+        both["width"],
+        both["phase"],
+    )
+    down, across = np.ogrid[:200, :200]
+    share = patterns.coverage(grating, np.zeros((200, 200), int), down, across)
+    assert share.mean() == pytest.approx(0.4, abs=0.01)
+    assert share.max() == pytest.approx(1.0)
+    assert share.min() == 0.0
 
 
 def test_automatic_exposure_brings_white_to_its_share(fiveband: CameraModel) -> None:
@@ -232,9 +267,9 @@ def test_daylight_and_mixtures_have_their_colours() -> None:
     seen = np.arange(400.0, 701.0, 10.0)
 
     def chromaticity(name: str, measured: dict | None = None) -> np.ndarray:
-        found = light.make_light(name, measured or {}, seen)
-        assert spectra.xyz_weights(found.wavelength)[1] @ found.radiance == pytest.approx(1.0)
-        xyz = spectra.xyz_weights(found.wavelength) @ found.radiance
+        made = light.make_light(name, measured or {}, seen)
+        assert spectra.xyz_weights(made.wavelength)[1] @ made.radiance == pytest.approx(1.0)
+        xyz = spectra.xyz_weights(made.wavelength) @ made.radiance
         return xyz / xyz.sum()
 
     for kelvin in (4500, 6504, 10000):
@@ -250,11 +285,11 @@ def test_daylight_and_mixtures_have_their_colours() -> None:
     assert np.allclose(chromaticity("lamp.csv", {"lamp.csv": (grid, table)}), d65 / d65.sum(), atol=1e-4)
 
 
-def test_a_light_on_the_cameras_own_grid_stays_there(bayer: CameraModel) -> None:
+def test_a_light_on_the_cameras_grid_stays_there(bayer: CameraModel) -> None:
     spiky = np.random.default_rng(0).random((1, bayer.wavelength.size)) + 0.1
-    found = light.make_light("lamp.csv", {"lamp.csv": (bayer.wavelength, spiky)}, bayer.wavelength)
+    made = light.make_light("lamp.csv", {"lamp.csv": (bayer.wavelength, spiky)}, bayer.wavelength)
     photons = spectra.photons_from_energy(bayer.wavelength, spiky[0])
-    assert np.allclose(light.white_rates(bayer, found) / (bayer.electron_weights @ photons), found.radiance[0] / photons[0])
+    assert np.allclose(light.white_rates(bayer, made) / (bayer.electron_weights @ photons), made.radiance[0] / photons[0])
 
 
 def test_targets_of_every_kind_are_of_one_scene(fiveband: CameraModel) -> None:
@@ -264,20 +299,22 @@ def test_targets_of_every_kind_are_of_one_scene(fiveband: CameraModel) -> None:
     grid = np.arange(380.0, 781.0, 5.0)
     functions = (grid, spectra.colour_matching_functions(grid))
 
-    def seen(*arguments: object) -> tuple[np.ndarray, np.ndarray]:
-        target = make_target(*arguments, fiveband)  # type: ignore[arg-type]
+    def seen(
+        kind: str, functions: light.Curve | None = None, names: tuple[str, ...] = (), wanted: light.Light | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        target = make_target(kind, functions, names, wanted, fiveband)
         frame = simulate(fiveband, scene, falling, 0.01, PLAIN, (0,), target)
         assert len(target.outputs) == len(frame.target)
         assert np.allclose(frame.target[:, 3, 3], 0.25 * frame.white, rtol=1e-5)
         share = frame.electrons[:, 3, 3] / fiveband.full_scale
         return frame.target[:, 3, 3], share
 
-    xyz, share = seen("CIE 1931", None, (), None)
+    xyz, share = seen("CIE 1931")
     assert xyz[1] == pytest.approx(10.0, rel=1e-5)
-    assert seen("luminance", None, (), None)[0] == pytest.approx(xyz[1], rel=1e-5)
-    assert np.allclose(seen("a.csv", functions, ("X", "Y", "Z"), None)[0], xyz, rtol=1e-4)
-    assert np.allclose(seen("camera", None, (), None)[0] * 0.01 / fiveband.white_dose, share, rtol=1e-5)
-    corrected, _ = seen("CIE 1931", None, (), d65)
+    assert seen("luminance")[0] == pytest.approx(xyz[1], rel=1e-5)
+    assert np.allclose(seen("a.csv", functions, ("X", "Y", "Z"))[0], xyz, rtol=1e-4)
+    assert np.allclose(seen("camera")[0] * 0.01 / fiveband.saturation_exposure, share, rtol=1e-5)
+    corrected, _ = seen("CIE 1931", wanted=d65)
     assert np.allclose(corrected / corrected[1], spectra.white_point("D65"), rtol=1e-3)
 
 
@@ -295,7 +332,7 @@ def test_low_rank_diffraction_stays_within_its_error(pitch: float, f_number: flo
     assert diffraction_transfer(np.array([0.0]), wavelength, f_number) == pytest.approx(1.0)
 
 
-def test_diffraction_blurs_each_band_by_its_own_transfer(bayer: CameraModel) -> None:
+def test_diffraction_blurs_each_band_by_its_transfer(bayer: CameraModel) -> None:
     """Against a Fourier transform a band, on a periodic pattern that mirrors into itself."""
     pitch, f_number, cycles = 2e-6, 4.0, 0.25
     wavelength = procedural.grid(bayer.wavelength)
@@ -373,12 +410,12 @@ def test_frames_are_scenes_times_lights_times_exposures(
     code, out, err = l3("simulate", recipe, "--camera", bayer_recipe, "-o", output, "--seed", 5, "--pictures", pictures)
     assert (code, out) == (0, ""), err
     with open_training_set(output) as reader:
-        frames = list(reader)
+        frames = [frame for frame in reader if isinstance(frame, TrainingFrame)]
         stage = reader.head.history[-1]
     assert len(frames) == 3 * 2 * 2
     assert [frame.illuminant for frame in frames[:4]] == ["D65", "D65", "A", "A"]
     assert {frame.scene for frame in frames} == {"dead leaves 0.0", "dead leaves 0.1", "colorchecker 0.0"}
-    assert frames[7].seed.tolist() == [5, 7]
+    assert list(frames[7].seed) == [5, 7]
     assert frames[1].luminance == pytest.approx(100.0)
     assert np.allclose(frames[0].electrons, frames[1].electrons, rtol=1e-5)  # exposure makes up for luminance
     assert np.allclose(10 * frames[0].target, frames[1].target, rtol=1e-5)

@@ -9,16 +9,15 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from l3cli.artifacts.camera import CameraModel
+from tests.helpers.calls import L3
 from tests.helpers.paths import CONFIGS
 
-L3 = Callable[..., tuple[int, str, str]]
 RECIPE = CONFIGS / "cameras/fiveband.toml"
 LIMITS = {  # the largest error allowed in any seed, and in any channel where the figure is one of channels
     "overall system gain K": 1.0,

@@ -25,7 +25,7 @@ LEVELS = (0.4, 0.2, 0.02)
 DRAWS = 3  # of the dead leaves
 NOISE_DIFFERENCE = 0.05  # ΔE00: smaller differences are chance (docs/method.md#ablation)
 
-# Every ingredient, and how the default recipe is written without it.
+# Every ingredient of one layer, and how its recipe is written without it.
 WITHOUT = {
     "saturation cases": {"max_cases = 12": "max_cases = 1"},
     "contrast": {"contrasts = [1.4]": "contrasts = []"},
@@ -53,7 +53,7 @@ class Studio:
         self.folder, self.data = folder, data
         self.camera = self._camera()
         leaves = (CONFIGS / "scenes/default.toml").read_text()
-        self.own = [self._simulated(f"own{seed}", leaves, seed) for seed in range(DRAWS)]
+        self.synthetic = [self._simulated(f"own{seed}", leaves, seed) for seed in range(DRAWS)]
         pictures = sorted(path for path in (data / "pictures").iterdir() if path.is_file())
         sources = [f'source = "rgb"\nshrink = 2\nfile = "{path}"' for path in pictures]
         self.pictures = self._simulated("pictures", _scenes("exposure_share = [0.9]", sources))
@@ -69,7 +69,7 @@ class Studio:
 
     def judge_draws(self, classes: str) -> list[dict[str, Any]]:
         """The cells of tables from each draw of the dead leaves alone."""
-        return [cell for own in self.own for cell in self.judge(self.train("draw", [own], classes))]
+        return [cell for training in self.synthetic for cell in self.judge(self.train("draw", [training], classes))]
 
     def judge(self, table: Path, faces: tuple[int, ...] = FACES) -> list[dict[str, Any]]:
         """The cells of `faces`, as `l3 evaluate --json` gives them."""
@@ -125,11 +125,11 @@ def _figures(cells: list[dict[str, Any]], name: str = "ours") -> np.ndarray:
 
 
 def _line(name: str, cells: list[dict[str, Any]]) -> str:
-    found = _figures(cells)
-    by_level = [f"{np.mean(found[level :: len(LEVELS)], axis=0).round(2)}" for level in range(len(LEVELS))]
+    figures = _figures(cells)
+    by_level = [f"{np.mean(figures[level :: len(LEVELS)], axis=0).round(2)}" for level in range(len(LEVELS))]
     better = [sum(_better(cell, figure) for cell in cells) for figure in ("mean_delta_e", "psnr", "scielab")]
     return (
-        f"{name:34} {found[:, 0].mean():6.3f} ΔE00 {found[:, 1].mean():6.2f} dB   at {LEVELS} {' '.join(by_level)}"
+        f"{name:34} {figures[:, 0].mean():6.3f} ΔE00 {figures[:, 1].mean():6.2f} dB   at {LEVELS} {' '.join(by_level)}"
         f"   better than basic (ΔE00, PSNR, S-CIELAB): {better} of {len(cells)}"
     )
 
@@ -145,14 +145,14 @@ def studio(tmp_path: Path, l3_data: Path) -> Studio:
 
 
 def _must_hold(cells: list[dict[str, Any]], delta_e: float, psnr: float) -> None:
-    found = _figures(cells).mean(axis=0)
-    assert found[0] <= delta_e
-    assert found[1] >= psnr
+    figures = _figures(cells).mean(axis=0)
+    assert figures[0] <= delta_e
+    assert figures[1] >= psnr
     assert all(_better(cell, figure) for cell in cells for figure in ("mean_delta_e", "psnr"))
 
 
 def test_faces_from_procedural_scenes_alone(studio: Studio) -> None:
-    for name in ("fast", "default", "best"):
+    for name in ("fast", "single", "default", "best"):
         cells = studio.judge_draws((CONFIGS / f"classes/{name}.toml").read_text())
         print(_line(f"procedural scenes alone, {name}", cells), flush=True)
         if name != "fast":
@@ -167,19 +167,21 @@ def test_faces_left_out_one_by_one(studio: Studio) -> None:
             others = [studio.faces[other] for other in FACES if other != face]
             shares = ",".join(["0.25"] * len(others) + ["0.7", "0.4"])
             recipe = (CONFIGS / f"classes/{name}.toml").read_text()
-            table = studio.train(f"{name}{face}", [*others, studio.pictures, studio.own[0]], recipe, "--shares", shares)
+            table = studio.train(
+                f"{name}{face}", [*others, studio.pictures, studio.synthetic[0]], recipe, "--shares", shares
+            )
             cells += studio.judge(table, (face,))
         print(_line(f"leave one face out, {name}", cells), flush=True)
         _must_hold(cells, 4.1, 28.3 if name == "best" else 28.0)
 
 
 def test_each_ingredient_is_worth_its_place(studio: Studio) -> None:
-    """Default recipe on procedural scenes, one ingredient left out at a time; none may be better left out."""
-    default = (CONFIGS / "classes/default.toml").read_text()
-    whole = studio.judge_draws(default)
-    print(_line("default", whole), flush=True)
+    """One layer on procedural scenes, one ingredient left out at a time; none may be better left out."""
+    single = (CONFIGS / "classes/single.toml").read_text()
+    whole = studio.judge_draws(single)
+    print(_line("single", whole), flush=True)
     for ingredient, changes in WITHOUT.items():
-        recipe = default
+        recipe = single
         for words, instead in changes.items():
             assert recipe.count(words) == 1, words
             recipe = recipe.replace(words, instead)

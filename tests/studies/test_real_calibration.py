@@ -1,7 +1,6 @@
 """Calibration on measurements that nobody here made: monochromator sweeps of seven cameras, a chart behind seven filters."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +8,10 @@ import pytest
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.store import load
-from l3cli.curve_table import read_table
+from l3cli.curve_file import read_table
 from l3cli.io.curves import write_curves
+from tests.helpers.calls import L3
 
-L3 = Callable[..., tuple[int, str, str]]
 SWEEPS = (
     "Canon_EOS_5D_Mark_III_001",
     "Canon_EOS_5D_Mark_III_002",

@@ -20,7 +20,7 @@ from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.io.images import read_image
-from l3cli.io.raw_files import read_raw
+from l3cli.io.raw.files import read_raw
 from l3cli.io.video import VideoChoice, new_video
 from tests.helpers.paths import CONFIGS
 

@@ -1,15 +1,21 @@
-"""Imports go down: never up, never across rooms; outside libraries enter by their one door (README, Architecture)."""
+"""Imports go down: never up, never across rooms; outside libraries enter by their one door (docs/architecture.md#floors)."""
 
 import ast
+import re
+from collections.abc import Iterator
 from pathlib import Path
 
+import click
+
+from l3cli.cli import COMMANDS, l3
+from l3cli.cli.terminal import with_options
 from tests.helpers.paths import ROOT
 
 PACKAGE = ROOT / "l3cli"
 FLOORS = [
-    {"errors", "limits", "interrupts", "config", "recipes", "files", "columns", "quantities", "units"},
+    {"errors", "limits", "interrupts", "config", "recipes", "files", "locks", "columns", "quantities", "units"},
     {"physics"},
-    {"artifacts", "curve_table", "scene", "frame", "dark", "measurement"},
+    {"artifacts", "curve_file", "curve_table", "scene", "frame", "dark", "measurement"},
     {"classes"},
     {"calibration", "simulation", "training", "rendering", "evaluation", "report", "io", "parallel"},
     {"stages"},
@@ -34,19 +40,20 @@ DOORS = {
     "markupsafe": ("report/",),
     "colour_demosaicing": ("evaluation/",),
 }
+LONGEST = 300  # lines of a module
 
 
 def imports(path: Path) -> set[str]:
-    found = set()
+    modules = set()
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
+            modules |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: relative import"
-            found.add(node.module or "")
-            if node.module == "l3cli":
-                found |= {f"l3cli.{alias.name}" for alias in node.names}
-    return found
+            modules.add(node.module or "")
+            if node.module in ("l3cli", "tests"):
+                modules |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return modules
 
 
 def floor(room: str) -> int:
@@ -75,14 +82,61 @@ def test_libraries_enter_by_their_one_door() -> None:
             assert doors is None or where.startswith(doors), f"{where} imports {name}"
 
 
+def test_no_test_module_imports_another() -> None:
+    """What several of them use lies in tests/helpers, which imports none of them."""
+    for path in (ROOT / "tests").rglob("*.py"):
+        for name in imports(path):
+            assert not name.rpartition(".")[2].startswith(("test_", "conftest")), f"{path} imports {name}"
+            assert not name.startswith("tests.") or name.startswith("tests.helpers"), f"{path} imports {name}"
+
+
 def test_class_indices_are_split_in_one_place() -> None:
-    """No module but that of ClassRule divides, or takes the rest, by the number of kinds, contrasts or classes."""
+    """No module but those of the stored rules divides, or takes the rest, by the number of kinds, contrasts or classes."""
     sizes = {"levels", "contrasts", "kinds", "classes_per_site"}
     for path in PACKAGE.rglob("*.py"):
-        if path.name == "class_rule.py":
+        if path.name in ("class_rule.py", "structure_rule.py"):
             continue
         for node in ast.walk(ast.parse(path.read_text())):
             divides = isinstance(node, ast.BinOp) and isinstance(node.op, ast.FloorDiv | ast.Mod)
             divides |= isinstance(node, ast.Call) and ast.unparse(node.func).endswith(("divmod", "unravel_index"))
             used = {part.attr for part in ast.walk(node) if isinstance(part, ast.Attribute)} if divides else set()
             assert not used & sizes, f"{path}: {ast.unparse(node)}"
+
+
+def texts(path: Path) -> Iterator[str]:
+    """Every string of a module but docstrings; of an f-string the parts between its fields."""
+    tree = ast.parse(path.read_text())
+    docstrings = {
+        id(node.body[0].value)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and node.body and isinstance(node.body[0], ast.Expr)
+    }
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docstrings:
+            yield node.value
+
+
+def test_messages_below_the_command_line_name_no_option() -> None:
+    """They name parameters, ‹force›, of which cli makes options; they may name whole commands, "l3 train --merge"."""
+    command, option = re.compile(r'\b(l3|dask) [^";:]*'), re.compile(r"(?<![\w(-])--[a-z]")
+    for path in PACKAGE.rglob("*.py"):
+        where = path.relative_to(PACKAGE).as_posix()
+        if where.startswith("cli/"):
+            continue
+        for text in texts(path):
+            assert not option.search(command.sub("", text)), f"{where}: {text}"
+
+
+def test_every_parameter_that_a_message_names_is_an_option() -> None:
+    context = click.Context(l3)
+    commands = [command for name in COMMANDS if (command := l3.get_command(context, name))]
+    options = {name for command in commands for each in command.params for name in each.opts}
+    for path in PACKAGE.rglob("*.py"):
+        for text in texts(path):
+            assert {with_options(mark) for mark in re.findall("‹[a-z_]+›", text)} <= options, f"{path}: {text}"
+
+
+def test_no_module_is_long() -> None:
+    for path in PACKAGE.rglob("*.py"):
+        where, lines = path.relative_to(PACKAGE).as_posix(), len(path.read_text().splitlines())
+        assert lines < LONGEST, f"{where} has {lines} lines"

@@ -30,8 +30,11 @@ def test_camera_and_table_come_back_as_they_went(fiveband: CameraModel, bayer: C
 
 def test_partial_sums_take_a_calibrated_camera_beside_any_class_rule(bayer: CameraModel) -> None:
     training = TrainingSet(camera=a_camera(bayer), outputs=("X", "Y", "Z"), target_description="XYZ")
-    rule = a_table(bayer).rule
-    assert rule.contrast_edges.shape[1] != len(training.camera.fit.noise.exposure)
+    rule = a_table(bayer).first.rule
+    fit = training.camera.fit
+    assert fit is not None
+    assert fit.noise is not None
+    assert rule.contrast_edges.shape[1] != len(fit.noise.exposure)
     sums = PartialSums(
         shard=1, shards=2, pass_number=2, patches=np.array([9]), training=training, rule=rule,
         white_point=np.array([0.95, 1.0, 1.09]), sites=np.array([0]),
@@ -61,13 +64,13 @@ def test_same_content_same_bytes(fiveband: CameraModel, tmp_path: Path) -> None:
 def test_a_failed_writer_leaves_nothing(fiveband: CameraModel, tmp_path: Path) -> None:
     head = TrainingSet(camera=fiveband, outputs=("X", "Y", "Z"), target_description="XYZ")
 
-    def stopped_half_way() -> None:
+    def write_and_fail() -> None:
         with write_training_set(tmp_path / "training.h5", head) as writer:
             writer.append(a_frame())
             raise RuntimeError
 
     with pytest.raises(RuntimeError):
-        stopped_half_way()
+        write_and_fail()
     assert list(tmp_path.iterdir()) == []
 
 

@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import CameraRecipe, camera_files, load_camera, recipe_text
 from l3cli.config import load_recipe
-from l3cli.curve_table import read_table
+from l3cli.curve_file import read_table
 from l3cli.errors import InputFileError, RecipeError
 from tests.helpers.cameras import bayer_camera
 from tests.helpers.paths import CONFIGS
@@ -92,7 +93,7 @@ def test_the_fiveband_recipe_is_the_camera_of_method_1_1() -> None:
     assert np.abs(peaks - [615, 535, 440, 565, 515]).max() <= 10
 
 
-def test_the_parametric_responsivities_meet_the_measured_ones(fiveband, l3_data: Path) -> None:
+def test_the_parametric_responsivities_meet_the_measured_ones(fiveband: CameraModel, l3_data: Path) -> None:
     import json
 
     published = json.loads((l3_data / "sensitivities/fiveband_camera.json").read_text())

@@ -35,7 +35,7 @@ def test_what_a_worker_raises_is_raised_here() -> None:
         list(ordered_map(refusing, range(3), 2))
 
 
-def test_a_worker_that_is_killed_is_told_and_not_waited_for() -> None:
+def test_a_worker_that_is_killed_is_reported_and_not_waited_for() -> None:
     with pytest.raises(L3Error, match="ended from outside"):
         list(ordered_map(dying, range(4), 2))
 
@@ -45,7 +45,7 @@ def test_a_worker_that_is_killed_is_told_and_not_waited_for() -> None:
 )
 def test_an_ended_run_leaves_one_line_and_nobody(tmp_path: Path, number: int, code: int, word: str) -> None:
     run = _simulation(tmp_path)
-    (os.killpg if number == signal.SIGINT else os.kill)(run.pid, number)  # a terminal tells the whole group of Ctrl-C
+    (os.killpg if number == signal.SIGINT else os.kill)(run.pid, number)  # a terminal sends Ctrl-C to the whole group
     out, err = run.communicate(timeout=PATIENCE)
     assert (run.returncode, out, err.lstrip("\n")) == (code, "", f"l3: {word}\n")  # click ends the line of ^C
     assert {path.name for path in tmp_path.iterdir()} == {"training.h5.parts"}  # what --resume goes on from
@@ -101,7 +101,7 @@ def test_a_signal_that_falls_into_hdf5_waits_until_it_has_written(tmp_path: Path
     program = f"""
 import os, pathlib, signal, time
 import numpy as np
-from l3cli import cli
+from l3cli import cli, interrupts
 from l3cli.artifacts import container
 
 path, system = pathlib.Path("whole.h5"), os.{call}
@@ -118,7 +118,7 @@ def work(*_, **__):
     print(container.check(path, ""), flush=True)
     time.sleep(60)
 
-cli.LATER = 2.0
+interrupts.LATER = 2.0
 cli.l3.main = work
 cli.main()
 """
@@ -171,7 +171,7 @@ def test_workers_end_when_their_parent_is_killed(tmp_path: Path) -> None:
 
 
 def _simulation(folder: Path) -> "subprocess.Popen[str]":
-    """A run of `l3 simulate` with two workers at work, in a process group of its own."""
+    """A run of `l3 simulate` with two workers at work, in another process group."""
     scenes, camera = CONFIGS / "scenes/default.toml", CONFIGS / "cameras/fiveband.toml"
     command = ["simulate", scenes, "--camera", camera, "-o", "training.h5", "--jobs", "2", "--quiet"]
     run = subprocess.Popen(
@@ -190,7 +190,7 @@ def _simulation(folder: Path) -> "subprocess.Popen[str]":
 
 def _workers(group: int) -> list[str]:
     """Command lines of the worker processes of a group that still run."""
-    found = []
+    workers_seen = []
     for entry in Path("/proc").iterdir():
         if entry.name.isdecimal():
             try:
@@ -199,8 +199,8 @@ def _workers(group: int) -> list[str]:
             except OSError:  # it has ended meanwhile
                 continue
             if int(fields[2]) == group and fields[0] != "Z" and "spawn_main" in line:
-                found.append(line)
-    return found
+                workers_seen.append(line)
+    return workers_seen
 
 
 def _wait_until(done: Callable[[], bool]) -> None:

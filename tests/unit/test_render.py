@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,12 +15,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from l3cli.artifacts.table import TransformTable
+from l3cli.classes import direction
 from l3cli.classes.windows import neighbourhoods
 from l3cli.errors import DeviceError, RecipeError
 from l3cli.frame import RawFrame, upright
 from l3cli.physics import spectra
 from l3cli.physics.display import (
-    automatic_exposure,
+    exposure_scale,
     scene_white,
     srgb_codes,
     srgb_decoded,
@@ -33,7 +35,7 @@ from l3cli.rendering.opencl_devices import choose_device, devices
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.rendering.renderer import BACKENDS, make_renderer
 from tests.helpers.cameras import BAYER, FIVE_BAND, X_TRANS
-from tests.helpers.tables import XYZ, random_table
+from tests.helpers.tables import XYZ, random_table, with_first, with_later
 
 # float32 sums of at most 225 products, each term below 1 and rounded to 6e-8: 225 · 6e-8 at worst, a tenth of it in fact.
 OUTPUT_TOLERANCE = 1e-5
@@ -52,10 +54,17 @@ TABLES = {
     "stripes": lambda: random_table(STRIPES, bits=8, patch=3, outputs=XYZ + ("N", "U"), contrasts=()),
     "sixteen": lambda: random_table(SIXTEEN, bits=13, patch=15, outputs=("a",), contrasts=(1.4, 3.0), wild=True),
     "mono": lambda: random_table([[0]], bits=16, patch=11, outputs=tuple("abcdefghijklmnop"), wild=True),
+    "directions": lambda: random_table(BAYER, bits=14, black=256.0, patch=9, direction=direction.Keys()),
+    "8 directions": lambda: random_table(
+        FIVE_BAND, black=100.0, direction=direction.Keys(orientations=8, strengths=(1.5, 6.0), coherence=0.4)
+    ),
+    "two layers": lambda: with_later(random_table(FIVE_BAND, black=100.0, patch=9), 5),
+    "two layers of 16 bits": lambda: with_later(random_table(X_TRANS, bits=16, black=2048.0, patch=7), 3),
+    "two wide layers": lambda: with_later(random_table(BAYER, bits=8, patch=5), 7, seed=3),
 }
 
 
-KINDS = {  # how a table is rendered: arguments of OpenCLRenderer
+KINDS: dict[str, dict[str, Any]] = {  # how a table is rendered: arguments of OpenCLRenderer
     "processor": {"variant": "processor"},
     "8 lanes": {"variant": "processor", "lanes": 8},
     "16 lanes": {"variant": "processor", "lanes": 16},
@@ -64,10 +73,13 @@ KINDS = {  # how a table is rendered: arguments of OpenCLRenderer
 RENDERED = [(name, "processor") for name in TABLES]
 RENDERED += [("five-band", "8 lanes"), ("five-band", "16 lanes")]
 RENDERED += [("five-band", "graphics"), ("x-trans", "graphics"), ("stripes", "graphics")]
+RENDERED += [("8 directions", "8 lanes"), ("8 directions", "16 lanes")]
+RENDERED += [("directions", "graphics"), ("8 directions", "graphics")]
+RENDERED += [("two layers", "8 lanes"), ("two layers", "graphics"), ("two layers of 16 bits", "graphics")]
 
 
 @pytest.fixture(scope="module", params=RENDERED, ids="-".join)
-def renderers(request) -> tuple[ReferenceRenderer, OpenCLRenderer]:
+def renderers(request: pytest.FixtureRequest) -> tuple[ReferenceRenderer, OpenCLRenderer]:
     name, kind = request.param
     table = TABLES[name]()
     return ReferenceRenderer(table), OpenCLRenderer(table, **KINDS[kind])
@@ -78,14 +90,14 @@ WIDTHS = st.integers(1, 40) | st.sampled_from([255, 256, 257, 300])
 
 
 @st.composite
-def frames(draw, table: TransformTable) -> RawFrame:
+def frames(draw: st.DrawFn, table: TransformTable) -> RawFrame:
     """Mosaics of the table's depth and beyond: noise about any level, textures, areas of black and of saturation."""
     rows, cols = draw(LENGTHS), draw(WIDTHS)
     rng = np.random.default_rng(draw(st.integers(0, 2**32)))
     top = 2 ** draw(st.sampled_from([table.bits, table.bits, 16])) - 1
     level, spread = draw(st.floats(0, 1.1)), draw(st.sampled_from([0.0, 0.001, 0.05, 0.5, 2.0]))
     values = table.black + top * level * rng.uniform(0.3, 1.0) * (1 + spread * rng.normal(size=(rows, cols)))
-    for value in draw(st.lists(st.sampled_from([0.0, table.black, float(table.rule.saturation), top]), max_size=3)):
+    for value in draw(st.lists(st.sampled_from([0.0, table.black, float(table.first.rule.saturation), top]), max_size=3)):
         row, col = rng.integers(0, rows), rng.integers(0, cols)
         values[row : row + rng.integers(1, 9), col : col + rng.integers(1, 9)] = value
     phase = (draw(st.integers(0, table.cfa.shape[0] - 1)), draw(st.integers(0, table.cfa.shape[1] - 1)))
@@ -93,7 +105,8 @@ def frames(draw, table: TransformTable) -> RawFrame:
 
 
 def assert_equal_to_reference(reference: ReferenceRenderer, device: OpenCLRenderer, frame: RawFrame) -> None:
-    np.testing.assert_array_equal(device.labels(frame), reference.labels(frame))
+    for layer in range(len(reference.table.layers)):
+        np.testing.assert_array_equal(device.labels(frame, layer), reference.labels(frame, layer))
     exact = reference.exact_outputs(frame)
     rendered = device.outputs(frame)
     assert rendered.dtype == np.float32
@@ -107,16 +120,16 @@ def assert_equal_to_reference(reference: ReferenceRenderer, device: OpenCLRender
 
 @settings(max_examples=12, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
-def test_opencl_meets_the_reference(renderers, data):
+def test_opencl_meets_the_reference(renderers: tuple[ReferenceRenderer, OpenCLRenderer], data: st.DataObject) -> None:
     reference, device = renderers
     assert_equal_to_reference(reference, device, data.draw(frames(reference.table)))
 
 
-def test_frames_of_one_value_and_of_one_line(renderers):
+def test_frames_of_one_value_and_of_one_line(renderers: tuple[ReferenceRenderer, OpenCLRenderer]) -> None:
     reference, device = renderers
     table = reference.table
     for shape in ((1, 1), (1, 70), (70, 1), (17, 33)):
-        for value in (0, int(table.black), table.rule.saturation, 2**table.bits - 1):
+        for value in (0, int(table.black), table.first.rule.saturation, 2**table.bits - 1):
             frame = RawFrame("f", np.full(shape, value, np.uint16), table.black, table.white)
             np.testing.assert_array_equal(device.labels(frame), reference.labels(frame))
             exact = reference.exact_outputs(frame)
@@ -127,8 +140,8 @@ def test_frames_of_one_value_and_of_one_line(renderers):
 
 @settings(max_examples=4, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
-def test_any_colour_filter_array(data):
-    """Whatever the array, patch, outputs and depth, for every way of rendering; few, since each is compiled."""
+def test_any_colour_filter_array(data: st.DataObject) -> None:
+    """Whatever the array, patch, outputs and depth, for every variant; few, since each is compiled."""
     rows, cols = data.draw(st.integers(1, 8)), data.draw(st.integers(1, 8))
     patch = data.draw(st.sampled_from([3, 5, 7, 9, 11, 13, 15]))
     rng = np.random.default_rng(data.draw(st.integers(0, 2**32)))
@@ -148,21 +161,24 @@ def test_any_colour_filter_array(data):
 
 
 @pytest.mark.parametrize("kind", ["processor", "graphics"])
-def test_bands_change_nothing(monkeypatch, kind):
-    table = random_table(STRIPES, bits=12, black=100.0, patch=5)
+@pytest.mark.parametrize("sides", [(), (5,)], ids=["one layer", "two layers"])
+def test_bands_change_nothing(monkeypatch: pytest.MonkeyPatch, sides: tuple[int, ...], kind: str) -> None:
+    table = with_later(random_table(STRIPES, bits=12, black=100.0, patch=5), *sides)
     frame = RawFrame("f", np.random.default_rng(0).integers(0, 4096, (61, 83)).astype(np.uint16), 100.0, table.white, (2, 1))
     display = make_display(table.white_point, 1.0, 8)
     whole = OpenCLRenderer(table, **KINDS[kind])
-    labels, planes, picture = whole.labels(frame), whole.outputs(frame), whole.picture(frame, display)
+    labels = [whole.labels(frame, layer) for layer in range(len(table.layers))]
+    planes, picture = whole.outputs(frame), whole.picture(frame, display)
     for rows in (1, 7, 30):
         monkeypatch.setattr(opencl, "BAND_PIXELS", rows * 83)
         banded = OpenCLRenderer(table, **KINDS[kind])
-        np.testing.assert_array_equal(banded.labels(frame), labels)
+        for layer, expected in enumerate(labels):
+            np.testing.assert_array_equal(banded.labels(frame, layer), expected)
         np.testing.assert_array_equal(banded.outputs(frame), planes)
         np.testing.assert_array_equal(banded.picture(frame, display), picture)
 
 
-def test_sequences_are_rendered_in_order():
+def test_sequences_are_rendered_in_order() -> None:
     table = random_table(BAYER, patch=3)
     rng = np.random.default_rng(0)
     shapes = [(20, 30)] * 5 + [(31, 17), (20, 30)]
@@ -176,7 +192,7 @@ def test_sequences_are_rendered_in_order():
     assert list(device.pictures([])) == []
 
 
-def test_other_threads_run_while_a_frame_is_rendered():
+def test_other_threads_run_while_a_frame_is_rendered() -> None:
     """As decoding and encoding do beside the rendering of a video."""
     table = random_table(BAYER, patch=3)
     device, display = OpenCLRenderer(table), make_display(table.white_point, 1.0, 8)
@@ -199,13 +215,13 @@ def test_other_threads_run_while_a_frame_is_rendered():
     assert ticks > 20
 
 
-def test_a_value_on_an_edge_falls_on_the_same_side():
+def test_a_value_on_an_edge_falls_on_the_same_side() -> None:
     """Nine values of 0 or 1 with four ones have the variance 4 · round(512 / 9) and the level sum 4 · 7282 >> 8."""
     table = random_table([[0]], patch=3)
     level_edges = np.array([113, 200, 300], np.uint32)
-    rule = dataclasses.replace(table.rule, level_edges=level_edges, contrast_edges=np.full((1, 4), 4 * 57, np.uint32))
+    rule = dataclasses.replace(table.first.rule, level_edges=level_edges, contrast_edges=np.full((1, 4), 4 * 57, np.uint32))
     classes = rule.classes_per_site
-    table = dataclasses.replace(
+    table = with_first(
         table,
         rule=rule,
         weights=np.zeros((classes, 3, 9), np.float32),
@@ -220,7 +236,7 @@ def test_a_value_on_an_edge_falls_on_the_same_side():
     four[0, :] = four[1, 1] = 1
     frame = RawFrame("f", four, 0.0, 4095.0)
     centre = OpenCLRenderer(table).labels(frame)[1, 1] // rule.kinds
-    assert centre == 1 * rule.contrasts + 0  # on the level edge: the level above; on the contrast edge: the contrast below
+    assert centre == rule.contrasts  # on the level edge: the level above; on the contrast edge: the contrast below
 
 
 # Bits, and the share of codes that may differ by one, where float32 falls on the other side of a rounding; 8 bits come by a
@@ -229,12 +245,12 @@ ENCODINGS = [(8, 0.01), (16, 0.05)]
 
 
 @pytest.mark.parametrize("kind", ["processor", "16 lanes", "graphics"])
-def test_encodings_on_the_device(kind):
+def test_encodings_on_the_device(kind: str) -> None:
     """The whole range, below black and beyond white, in both depths."""
     table = random_table([[0]], bits=16, patch=3)
-    centre = np.zeros_like(table.weights)
+    centre = np.zeros_like(table.first.weights)
     centre[:, :, 4] = 1.0
-    table = dataclasses.replace(table, weights=centre, intercept=np.full_like(table.intercept, -0.01))
+    table = with_first(table, weights=centre, intercept=np.full_like(table.first.intercept, -0.01))
     frame = RawFrame("ramp", np.arange(65536, dtype=np.uint16).reshape(256, 256), table.black, table.white)
     device, reference = OpenCLRenderer(table, **KINDS[kind]), ReferenceRenderer(table)
     for bits, share in ENCODINGS:
@@ -247,11 +263,11 @@ def test_encodings_on_the_device(kind):
         assert (shown[..., 1].ravel()[-1], shown[0, 0].tolist()) == (display.top, [0, 0, 0])
 
 
-def test_centre_tap_of_the_reference_gives_the_signal_back():
+def test_centre_tap_of_the_reference_gives_the_signal_back() -> None:
     table = random_table(BAYER, bits=10, black=64.0)
-    centre = np.zeros_like(table.weights)
+    centre = np.zeros_like(table.first.weights)
     centre[:, 1, 12] = 1.0
-    table = dataclasses.replace(table, weights=centre, intercept=np.zeros_like(table.intercept))
+    table = with_first(table, weights=centre, intercept=np.zeros_like(table.first.intercept))
     values = np.random.default_rng(0).integers(0, 1024, (7, 9)).astype(np.uint16)
     planes = ReferenceRenderer(table).exact_outputs(RawFrame("f", values, 64.0, 1023.0, (1, 0)))
     np.testing.assert_allclose(planes[1], (values - 64.0) / 959.0, atol=1e-12)
@@ -259,13 +275,13 @@ def test_centre_tap_of_the_reference_gives_the_signal_back():
 
 
 @pytest.mark.parametrize("backend", list(BACKENDS))
-def test_weights_follow_class_tap_and_phase(backend):
+def test_weights_follow_class_tap_and_phase(backend: str) -> None:
     """Tap order, class order and the phase, seen through a table whose weights are 1 for one tap of one site."""
     table = random_table(BAYER, bits=10)
-    weights = np.zeros_like(table.weights)
-    per_site = table.rule.classes_per_site
+    weights = np.zeros_like(table.first.weights)
+    per_site = table.first.rule.classes_per_site
     weights[3 * per_site :, 0, 5 * 1 + 4] = 1.0  # site (1, 1): one row up, two columns to the right
-    table = dataclasses.replace(table, weights=weights, intercept=np.zeros_like(table.intercept))
+    table = with_first(table, weights=weights, intercept=np.zeros_like(table.first.intercept))
     values = np.random.default_rng(0).integers(0, 1024, (6, 8)).astype(np.uint16)
     plane = make_renderer(backend, table).outputs(RawFrame("f", values, 0.0, 1023.0, (0, 1)))[0]
     expected = np.zeros((6, 8))
@@ -275,7 +291,7 @@ def test_weights_follow_class_tap_and_phase(backend):
 
 
 @pytest.mark.parametrize("backend", list(BACKENDS))
-def test_frames_on_other_levels_are_rescaled(backend):
+def test_frames_on_other_levels_are_rescaled(backend: str) -> None:
     table = random_table(BAYER, bits=10, black=64.0)
     renderer = make_renderer(backend, table)
     values = np.random.default_rng(0).integers(64, 1024, (6, 8)).astype(np.uint16)
@@ -284,7 +300,7 @@ def test_frames_on_other_levels_are_rescaled(backend):
     np.testing.assert_array_equal(renderer.outputs(RawFrame("f", wide, 2000.0, 2000.0 + 959 * 16)), expected)
 
 
-def test_renderer_is_made_once_for_frames_of_changing_size():
+def test_renderer_is_made_once_for_frames_of_changing_size() -> None:
     table = random_table(BAYER)
     device, reference = OpenCLRenderer(table), ReferenceRenderer(table)
     rng = np.random.default_rng(0)
@@ -299,38 +315,38 @@ def test_renderer_is_made_once_for_frames_of_changing_size():
 # ------------------------------------------------------------------------------------------------------- display
 
 
-def test_scene_white_is_shown_neutral_and_full():
+def test_scene_white_is_shown_neutral_and_full() -> None:
     white = spectra.white_point("A")
     for bits in (8, 16):
         picture = encode(white[:, None, None], make_display(white, 1.0, bits))
         assert picture.tolist() == [[[2**bits - 1] * 3]]
 
 
-def test_srgb_curve_at_known_values():
+def test_srgb_curve_at_known_values() -> None:
     linear = np.array([0.0, 0.002, 0.0031308, 0.18, 0.5, 1.0, 1.5, -1.0])
     picture = encode(np.stack([linear[None]] * 3), Display(np.eye(3), 8))
     assert picture[0, :, 0].tolist() == [0, 7, 10, 118, 188, 255, 255, 0]
 
 
-def test_srgb_both_ways():
+def test_srgb_and_its_inverse() -> None:
     codes = np.arange(256)
     assert srgb_codes(srgb_decoded(codes / 255)).tolist() == codes.tolist()
     np.testing.assert_allclose(xyz_from_srgb_matrix() @ srgb_from_xyz_matrix(), np.eye(3), atol=1e-12)
 
 
-def test_known_colour_in_srgb():
+def test_known_colour_in_srgb() -> None:
     """CIE XYZ of sRGB red, IEC 61966-2-1."""
     picture = encode(np.array([0.4124, 0.2126, 0.0193]).reshape(3, 1, 1), make_display(spectra.white_point("D65"), 1.0, 8))
     assert np.abs(picture[0, 0].astype(int) - [255, 0, 0]).max() <= 1
 
 
-def test_automatic_exposure_maps_the_99th_percentile_to_white():
+def test_automatic_exposure_maps_the_99th_percentile_to_white() -> None:
     luminance = np.linspace(0, 2, 101)[None]
-    assert automatic_exposure(luminance) == pytest.approx(1 / 1.98)
-    assert automatic_exposure(np.zeros((2, 2))) == 1.0
+    assert exposure_scale(luminance) == pytest.approx(1 / 1.98)
+    assert exposure_scale(np.zeros((2, 2))) == 1.0
 
 
-def test_scene_white_by_name_and_chromaticity():
+def test_scene_white_by_name_and_chromaticity() -> None:
     np.testing.assert_allclose(scene_white("0.25,0.5"), [0.5, 1.0, 0.5])
     np.testing.assert_allclose(scene_white("D65"), spectra.white_point("D65"))
     for wrong in ("0.3,", "0.3,0.8", "0,0.3", "moonlight"):
@@ -338,7 +354,7 @@ def test_scene_white_by_name_and_chromaticity():
             scene_white(wrong)
 
 
-def test_pictures_need_xyz():
+def test_pictures_need_xyz() -> None:
     with pytest.raises(RecipeError, match=r"\.exr"):
         require_xyz(("r", "g", "b"))
     table = random_table(BAYER, outputs=("Y",))
@@ -348,7 +364,7 @@ def test_pictures_need_xyz():
             make_renderer(backend, table).picture(frame, Display(np.eye(3), 8))
 
 
-def test_upright_turns_as_libraw_does():
+def test_upright_turns_as_libraw_does() -> None:
     pixels = np.array([[1, 2, 3], [4, 5, 6]])
     assert upright(pixels, 3).tolist() == [[6, 5, 4], [3, 2, 1]]
     assert upright(pixels, 5).tolist() == np.rot90(pixels).tolist() == [[3, 6], [2, 5], [1, 4]]
@@ -358,42 +374,44 @@ def test_upright_turns_as_libraw_does():
 # ------------------------------------------------------------------------------------------------------- devices
 
 
-def test_device_is_chosen_by_index_and_name():
+def test_device_is_chosen_by_index_and_name() -> None:
     first = devices()[0]
     assert choose_device("0") == first
     assert choose_device(first.name[2:8].lower()) == first
     for wrong in ("99", "no such device"):
-        with pytest.raises(DeviceError, match="--device"):
+        with pytest.raises(DeviceError, match="‹device›"):
             choose_device(wrong)
 
 
-def test_no_device_says_what_to_install(monkeypatch):
+def test_no_device_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(opencl_devices, "_platforms", list)
     with pytest.raises(DeviceError, match=r'pip install "pyopencl\[pocl\]"'):
         OpenCLRenderer(random_table(BAYER))
 
 
-def test_variant_follows_the_device_unless_chosen():
+def test_variant_follows_the_device_unless_chosen() -> None:
     table = random_table(BAYER, patch=3)
     gpu = OpenCLRenderer(table).device.type & 4
     assert OpenCLRenderer(table).variant == ("graphics" if gpu else "processor")
-    assert make_renderer("opencl", table, device="0", variant="graphics").variant == "graphics"
+    chosen = make_renderer("opencl", table, device="0", variant="graphics")
+    assert isinstance(chosen, OpenCLRenderer)
+    assert chosen.variant == "graphics"
     with pytest.raises(RecipeError, match="processor, graphics"):
         OpenCLRenderer(table, variant="vector")
 
 
-def test_survey_says_what_is_missing(monkeypatch):
+def test_survey_says_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     assert opencl_devices.survey()[0].startswith("0: ")
     monkeypatch.setattr(opencl_devices, "_platforms", list)
     assert opencl_devices.survey() == [f"no OpenCL driver (ICD) is installed; {opencl_devices.INSTALL}"]
 
 
-def test_unknown_backend_is_refused():
+def test_unknown_backend_is_refused() -> None:
     with pytest.raises(RecipeError, match="opencl, reference"):
         make_renderer("cuda", random_table(BAYER))
 
 
-def test_pocl_works_with_an_unwritable_home():
+def test_pocl_works_with_an_unwritable_home() -> None:
     """PoCL without a folder for its cache finds no device at all."""
     script = (
         "import os; from l3cli.rendering.opencl_devices import choose_device\n"

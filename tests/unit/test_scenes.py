@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from l3cli.errors import InputFileError
-from l3cli.io.scene_files import find, read_iset_scene, read_rgb_picture
+from l3cli.io.scenes.files import find
+from l3cli.io.scenes.iset import read as read_iset_scene
+from l3cli.io.scenes.rgb import read as read_rgb_picture
 from l3cli.physics import spectra
 from l3cli.physics.display import srgb_curve, srgb_from_xyz_matrix
 from l3cli.scene import Scene
@@ -71,7 +73,7 @@ def test_real_scene_reads_equal_in_both_storages(l3_data: Path) -> None:
     assert one.reflectance.max() > 1.2
 
 
-def test_a_scene_keeps_its_own_light(l3: Callable[..., tuple[int, str, str]], bayer_recipe: Path, tmp_path: Path) -> None:
+def test_a_scene_keeps_its_light(l3: Callable[..., tuple[int, str, str]], bayer_recipe: Path, tmp_path: Path) -> None:
     from l3cli.artifacts.training_set import open_training_set
 
     save_scene(tmp_path / "scene.mat", np.broadcast_to(np.linspace(0.5, 1.0, 31) * 1e16, (20, 24, 31)))  # reflectance 0.5
@@ -192,7 +194,7 @@ def test_every_material_is_a_smooth_reflectance() -> None:
         assert np.median(abs(np.diff(drawn, n=2)).max(axis=1)) < 0.12, kind
 
 
-def test_materials_look_like_what_they_are_called() -> None:
+def test_materials_have_the_colours_of_their_names() -> None:
     of = reflectances.surfaces(tuple(WAVELENGTH))
     rng = np.random.default_rng(0)
     mean = {

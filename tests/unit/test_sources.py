@@ -9,14 +9,14 @@ import pytest
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import open_training_set
 from l3cli.errors import InputFileError
-from l3cli.io import cubes
-from l3cli.io.scene_files import read_iset_scene
+from l3cli.io.scenes import bands, channels, cube, envi, npy, pages
+from l3cli.io.scenes.iset import read as read_iset_scene
 from l3cli.physics import spectra
 from l3cli.physics.display import lab
 from l3cli.scene import Scene
 from l3cli.simulation import charts, sources
-from l3cli.simulation.drawn import draw
 from l3cli.simulation.framing import framed
+from l3cli.simulation.synthetic import draw
 from tests.helpers.cubes import WAVELENGTH, a_cube, basis_file
 
 RANGE = "wavelength_range_nm = [400, 700, 10]\n"
@@ -90,10 +90,11 @@ def test_a_folder_of_bands(simulated: Callable[[str], list], tmp_path: Path) -> 
     for band in range(31):
         spec = oiio.ImageSpec(24, 20, 1, "uint16")
         sink = oiio.ImageOutput.create("x.png")
-        sink.open(str(tmp_path / f"toys/toys_ms_{band + 1}.png"), spec)  # 10 sorts before 2 as text
-        sink.write_image(np.ascontiguousarray(stored[..., band : band + 1]))
+        assert sink is not None
+        assert sink.open(str(tmp_path / f"toys/toys_ms_{band + 1}.png"), spec)  # 10 sorts before 2 as text
+        assert sink.write_image(np.ascontiguousarray(stored[..., band : band + 1]))
         sink.close()
-    assert np.array_equal(cubes.read_band_folder(tmp_path / "toys").values, stored)
+    assert np.array_equal(bands.read(tmp_path / "toys").values, stored)
     (frame,) = simulated(f'[[scene]]\nsource = "bands"\nfile = "to*"\n{RANGE}')
     assert frame.scene == "toys"
     assert frame.raw.shape == (20, 24)
@@ -111,7 +112,7 @@ def test_envi(tmp_path: Path, interleave: str, code: int, dtype: str) -> None:
         f"interleave = {interleave}\nbyte order = {int(dtype[0] == '>')}\nwavelength units = Micrometers\n"
         f"reflectance scale factor = 10000\nwavelength = {{{listed}}}\n"
     )
-    cube = cubes.read_envi(tmp_path / "scene.hdr")
+    cube = envi.read(tmp_path / "scene.hdr")
     assert np.array_equal(cube.values, values)
     assert cube.wavelength is not None
     assert np.allclose(cube.wavelength, WAVELENGTH)
@@ -130,14 +131,15 @@ def test_cubes_of_matlab_hdf5_and_numpy(tmp_path: Path) -> None:
         root["a/cube"], root["mask"] = a_cube(), np.zeros((2, 2, 2))
     with open(tmp_path / "c.mat", "r+b") as stream:
         stream.write(b"MATLAB 7.3 MAT-file")
-    assert np.array_equal(cubes.read_cube(tmp_path / "a.npy", None, "band row col").values, a_cube())
-    told = cubes.read_cube(tmp_path / "b.mat", None, "row col band")
-    assert np.array_equal(told.values, a_cube())
-    assert np.array_equal(told.wavelength, WAVELENGTH)
-    assert np.array_equal(cubes.read_cube(tmp_path / "c.mat", "cube", "row col band").values, a_cube())
-    assert np.array_equal(cubes.read_cube(tmp_path / "d.h5", "a/cube", "row col band").values, a_cube())
+    assert np.array_equal(npy.read(tmp_path / "a.npy", None, "band row col").values, a_cube())
+    ordered = cube.read(tmp_path / "b.mat", None, "row col band")
+    assert np.array_equal(ordered.values, a_cube())
+    assert ordered.wavelength is not None
+    assert np.array_equal(ordered.wavelength, WAVELENGTH)
+    assert np.array_equal(cube.read(tmp_path / "c.mat", "cube", "row col band").values, a_cube())
+    assert np.array_equal(cube.read(tmp_path / "d.h5", "a/cube", "row col band").values, a_cube())
     with pytest.raises(InputFileError, match="a/cube, mask"):
-        cubes.read_cube(tmp_path / "d.h5", None, "row col band")
+        cube.read(tmp_path / "d.h5", None, "row col band")
 
 
 def test_exr_channels_and_tiff_pages(tmp_path: Path) -> None:
@@ -147,11 +149,12 @@ def test_exr_channels_and_tiff_pages(tmp_path: Path) -> None:
 
     shuffled = np.random.default_rng(0).permutation(31)
     write_linear(tmp_path / "a.exr", a_cube()[..., shuffled], tuple(f"S0.{WAVELENGTH[i]:.0f},5nm" for i in shuffled))
-    told = cubes.read_channels(tmp_path / "a.exr")
-    assert np.array_equal(told.values, a_cube())
-    assert np.allclose(told.wavelength, WAVELENGTH + 0.5)
+    scene = channels.read(tmp_path / "a.exr")
+    assert np.array_equal(scene.values, a_cube())
+    assert scene.wavelength is not None
+    assert np.allclose(scene.wavelength, WAVELENGTH + 0.5)
     tifffile.imwrite(tmp_path / "b.tif", a_cube().transpose(2, 0, 1), photometric="minisblack")
-    assert np.array_equal(cubes.read_channels(tmp_path / "b.tif").values, a_cube())
+    assert np.array_equal(pages.read(tmp_path / "b.tif").values, a_cube())
 
 
 def test_radiance_divided_by_its_light_is_reflectance(simulated: Callable[[str], list], tmp_path: Path) -> None:
@@ -163,8 +166,8 @@ def test_radiance_divided_by_its_light_is_reflectance(simulated: Callable[[str],
     (relit,) = simulated(f'illuminants = ["D50"]\n{text}light = "A"\n')
     grey = relit.target[:, 0, -1] / relit.white
     assert np.ptp(grey) < 2e-3 * grey.mean()
-    (own,) = simulated(f'illuminants = ["scene"]\n{text}')
-    colour = own.target[:, 0, -1] / own.target[1, 0, -1]
+    (frame,) = simulated(f'illuminants = ["scene"]\n{text}')
+    colour = frame.target[:, 0, -1] / frame.target[1, 0, -1]
     expected = spectra.xyz_weights(WAVELENGTH) @ spectra.illuminant("A", WAVELENGTH)
     assert np.allclose(colour, expected / expected[1], rtol=1e-3)
 
@@ -196,11 +199,11 @@ def test_every_real_scene_opens(
 # ------------------------------------------------------------------------------------------------------- charts
 
 
-def a_drawing(source: sources.Drawn, camera: CameraModel) -> Scene:
+def a_drawing(source: sources.Synthetic, camera: CameraModel) -> Scene:
     return draw(sources.WantedScene(source), 0, camera.wavelength)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("kind", [kind for kind in sources.Drawn.__subclasses__() if kind is not sources.Random])
+@pytest.mark.parametrize("kind", [kind for kind in sources.Synthetic.__subclasses__() if kind is not sources.Random])
 def test_every_chart_of_any_size_is_a_scene(bayer: CameraModel, kind: type) -> None:
     for size in ((16, 16), (50, 97)):
         cube = a_drawing(kind(size=size), bayer).reflectance

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.calibration import responsivity, series
-from l3cli.curve_table import read_table
+from l3cli.curve_file import read_table
 from l3cli.errors import InputFileError
-from l3cli.io.scene_files import read_iset_scene
+from l3cli.io.scenes.iset import read as read_iset_scene
 from l3cli.measurement import BandCapture
 from l3cli.physics import spectra
 from l3cli.scene import Scene, SpectralCube
@@ -40,7 +40,7 @@ def chromaticity(xyz: np.ndarray) -> np.ndarray:
 
 
 def summed_up(grid: np.ndarray, power: np.ndarray) -> np.ndarray:
-    """XYZ of a table, summed over its own samples."""
+    """XYZ of a table, summed over its samples."""
     return spectra.colour_matching_functions(grid) @ (power * spectra.bin_widths(grid))
 
 
@@ -51,8 +51,8 @@ def test_a_line_between_two_nanometres_counts(line: float, turned: int, tmp_path
     table = np.vstack([HALVES, power])[:, ::turned].T
     (tmp_path / "lamp.csv").write_text("".join(f"{x},{y}\n" for x, y in table))
     curve = read_table(tmp_path / "lamp.csv")
-    found = light.make_light("lamp.csv", {"lamp.csv": (curve.wavelength, curve.values)}, SEEN)
-    xyz = spectra.xyz_weights(found.wavelength) @ found.radiance
+    made = light.make_light("lamp.csv", {"lamp.csv": (curve.wavelength, curve.values)}, SEEN)
+    xyz = spectra.xyz_weights(made.wavelength) @ made.radiance
     assert np.allclose(chromaticity(xyz), chromaticity(summed_up(HALVES, power[0])), atol=1e-5)
     if line == 546.5:
         assert np.allclose(chromaticity(xyz), (0.311, 0.483), atol=1e-3)
@@ -63,7 +63,7 @@ def test_a_line_between_two_nanometres_counts(line: float, turned: int, tmp_path
 
 @st.composite
 def grids(draw: Callable, least: int = 1, within: tuple[float, float] = (400.0, 700.0)) -> np.ndarray:
-    """A grid in no step of its own, rising or falling, that may be far finer or coarser than another."""
+    """A grid of uneven steps, rising or falling, that may be far finer or coarser than another."""
     steps = np.array(draw(st.lists(st.floats(0.05, 60.0), min_size=least, max_size=40)))
     first, last = within
     grid = first + (last - first) * np.cumsum(steps) / (steps.sum() + steps[0])
@@ -75,10 +75,10 @@ def grids(draw: Callable, least: int = 1, within: tuple[float, float] = (400.0, 
 def test_power_is_kept_on_any_grid(source: np.ndarray, target: np.ndarray, seed: int) -> None:
     wide = np.concatenate([[100.0, 150.0], np.sort(target), [1100.0, 1150.0]])[:: np.sign(target[1] - target[0]).astype(int)]
     power = np.random.default_rng(seed).random((3, source.size)) ** 8
-    found = spectra.resample(power, source, wide)
-    assert (found >= 0).all()
+    resampled = spectra.resample(power, source, wide)
+    assert (resampled >= 0).all()
     total = (power * spectra.bin_widths(source)).sum(axis=1)
-    assert np.allclose((found * spectra.bin_widths(wide)).sum(axis=1), total, rtol=1e-6)
+    assert np.allclose((resampled * spectra.bin_widths(wide)).sum(axis=1), total, rtol=1e-6)
     same = spectra.resample(power, source, source)
     assert np.allclose(same, power, rtol=1e-9, atol=1e-12)
     assert np.allclose(spectra.average(np.ones(source.size), source, target)[inside(target, source)], 1.0, rtol=1e-9)
@@ -97,8 +97,8 @@ def test_a_finer_grid_is_interpolation_and_a_line_keeps_its_place() -> None:
     grid = np.arange(380.0, 780.0, 0.01)
     for line in (546.07, 546.25, 546.93):
         power = np.where(np.isclose(grid, line), 1.0, 0.0)
-        found = spectra.resample(power, grid, fine)
-        assert found @ fine / found.sum() == pytest.approx(line, abs=1e-6)
+        resampled = spectra.resample(power, grid, fine)
+        assert resampled @ fine / resampled.sum() == pytest.approx(line, abs=1e-6)
 
 
 @pytest.mark.parametrize("grid", [[400.0, 500.0, 500.0], [500.0, 400.0, 500.0]])
@@ -113,17 +113,17 @@ def test_a_wavelength_twice_is_refused(grid: list[float]) -> None:
 
 
 def test_a_lamp_of_lines_gives_a_camera_all_its_light(bayer: CameraModel) -> None:
-    """Electrons and luminance against the sums over the table's own 0.1 nm."""
+    """Electrons and luminance against the sums over the table's 0.1 nm."""
     grid = np.arange(380.0, 780.05, 0.1)
     power = lamp(435.8, 546.1, 577.0, 579.1, 611.3, grid=grid, ground=0.01)
-    found = light.make_light("lamp.csv", {"lamp.csv": (grid, power)}, bayer.wavelength)
+    made = light.make_light("lamp.csv", {"lamp.csv": (grid, power)}, bayer.wavelength)
     first, last = spectra.bin_edges(bayer.wavelength)[[0, -1]]
     curves = np.array([np.interp(grid, bayer.wavelength, curve) for curve in bayer.responsivity])
     curves *= (grid >= first) & (grid <= last)
     curves *= bayer.electron_weights.max() / (bayer.responsivity * spectra.bin_widths(bayer.wavelength)).max()
     photons = spectra.photons_from_energy(grid, power[0])
     expected = curves @ (photons * spectra.bin_widths(grid)) / (spectra.xyz_weights(grid)[1] @ photons)
-    assert np.allclose(light.white_rates(bayer, found), expected, rtol=1e-4)
+    assert np.allclose(light.white_rates(bayer, made), expected, rtol=1e-4)
 
 
 def test_a_scene_of_finer_bands_than_the_cameras_has_electrons(bayer: CameraModel) -> None:
@@ -137,24 +137,24 @@ def test_a_scene_of_finer_bands_than_the_cameras_has_electrons(bayer: CameraMode
 
 
 def test_a_cube_is_divided_by_all_of_its_light() -> None:
-    """A line between two bands lights both; a light on the cube's own bands leaves a white tile white."""
+    """A line between two bands lights both; a light on the cube's bands leaves a white tile white."""
     ramp = np.linspace(0.2, 0.8, 31)
     fine = lamp(546.5)
     bands = np.array([fine[0] @ np.maximum(0, 1 - abs(HALVES - x) / 10) / 20 for x in SEEN])  # of 10 nm half width
     for grid, power in ((HALVES, fine), (SEEN, bands[None]), (SEEN[::-1], bands[None, ::-1])):
         falling = light.recorded_under("lamp.csv", {"lamp.csv": spectra.ascending(grid, power)}, SEEN)
         cube = SpectralCube((bands * ramp * np.ones((16, 16, 1))).astype(np.float32), SEEN)
-        found = scene_of(cube, Cube(file="x", holds="radiance", light="lamp.csv"), "x", falling).reflectance[0, 0]
-        assert np.allclose((found / ramp)[1:-1], (found / ramp)[1], rtol=2e-3)
+        reflectance = scene_of(cube, Cube(file="x", holds="radiance", light="lamp.csv"), "x", falling).reflectance[0, 0]
+        assert np.allclose((reflectance / ramp)[1:-1], (reflectance / ramp)[1], rtol=2e-3)
 
 
-@pytest.mark.parametrize("told", [True, False])
-def test_bands_that_fall_are_turned_round(told: bool, bayer: CameraModel) -> None:
+@pytest.mark.parametrize("listed_in_recipe", [True, False])
+def test_bands_that_fall_are_turned_round(listed_in_recipe: bool, bayer: CameraModel) -> None:
     values = np.random.default_rng(0).random((16, 16, 31)).astype(np.float32)
-    listed = {"wavelengths_nm": SEEN[::-1].tolist()} if told else {}
+    listed = {"wavelengths_nm": SEEN[::-1].tolist()} if listed_in_recipe else {}
     source = Cube(file="x", **listed)
     check_source(source, bayer, "scene 1")
-    scene = scene_of(SpectralCube(values[..., ::-1], None if told else SEEN[::-1]), source, "x", None)
+    scene = scene_of(SpectralCube(values[..., ::-1], None if listed_in_recipe else SEEN[::-1]), source, "x", None)
     assert np.array_equal(scene.wavelength, SEEN)
     assert np.array_equal(scene.reflectance, values)
 
@@ -163,17 +163,18 @@ def test_an_iset_scene_that_falls_is_turned_round(tmp_path: Path) -> None:
     from scipy.io import savemat
 
     values, white = np.random.default_rng(0).random((16, 16, 31)), np.linspace(1.0, 2.0, 31)
-    for turn, own in ((1, 1), (-1, -1), (1, -1), (-1, 1)):
-        of_light = {"data": {"photons": white[::own]}, "spectrum": {"wave": SEEN[::own]}}
+    for turn, light_step in ((1, 1), (-1, -1), (1, -1), (-1, 1)):
+        of_light = {"data": {"photons": white[::light_step]}, "spectrum": {"wave": SEEN[::light_step]}}
         savemat(tmp_path / "scene.mat", {"photons": values[..., ::turn], "wave": SEEN[::turn], "illuminant": of_light})
         scene = read_iset_scene(tmp_path / "scene.mat")
         assert np.array_equal(scene.wavelength, SEEN)
+        assert scene.illuminant is not None
         assert np.allclose(scene.illuminant, white)
         assert np.allclose(scene.reflectance, values / white, rtol=1e-6)
 
 
 def narrow(centre: float) -> np.ndarray:
-    return np.exp(-0.5 * ((HALVES - centre) / 1.0) ** 2)
+    return np.exp(-0.5 * (HALVES - centre) ** 2)
 
 
 CENTRES = (550.0, 552.5, 555.0)
@@ -214,9 +215,9 @@ def test_coarse_spectra_light_every_node() -> None:
     """Spectra every 10 nm on nodes every 5: those between the samples get their share."""
     nodes = np.arange(400.0, 701.0, 5.0)
     radiance = np.ones(31)
-    found = responsivity.node_photons(SEEN, radiance, nodes)
-    assert np.allclose(found[1:-1], 5.0)
-    assert found.sum() == pytest.approx(305.0)  # what lies within the nodes' own steps
+    photons = responsivity.node_photons(SEEN, radiance, nodes)
+    assert np.allclose(photons[1:-1], 5.0)
+    assert photons.sum() == pytest.approx(305.0)  # what lies within the nodes' steps
 
 
 def test_a_bands_centre_does_not_depend_on_where_it_was_sampled_most() -> None:

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,13 +28,15 @@ from l3cli.stages.console import Silent
 from l3cli.stages.training.passes import Execution, first_pass
 from l3cli.stages.training.run import open_run
 from l3cli.training.benchmark import made_up_frame, stage_shares, train
-from l3cli.training.division import BATCH, SUM_BYTES, frame_blocks, portions
-from l3cli.training.lesson import LAST, Lesson, spread_patches
+from l3cli.training.division import BATCH, SUM_BYTES, frame_blocks, work_shares
 from l3cli.training.recipe import LearningRecipe, TrainingRecipe
 from l3cli.training.sums import empty_sums
+from l3cli.training.training_pass import LAST, TrainingPass, spread_patches
 from tests.helpers.training_sets import a_frame, a_set
 
 SMALL = "[classes]\npatch = 3\nlevels = 4\n[learning]\npatches = 2100\nfirst_draws = 1\ndraws = 2\n"
+
+TWO_LAYERS = SMALL + "[[layer]]\nside = 3\nmosaics = 12\nrows = 500\n"
 
 
 def test_patches_are_spread_over_frames_or_by_shares() -> None:
@@ -48,42 +51,42 @@ def test_patches_are_spread_over_frames_or_by_shares() -> None:
 def test_every_set_gets_its_share(sets: list[tuple[int, Fraction]], patches: int) -> None:
     """At least its share of the patches, and less than one more a frame; the same on every frame of the set."""
     frames, shares = zip(*sets, strict=True)
-    found, first = spread_patches(patches, frames, shares), 0
+    counts, first = spread_patches(patches, frames, shares), 0
     for count, share in sets:
-        own = found[first : first + count]
+        of_set = counts[first : first + count]
         first += count
-        assert len(set(own)) == 1
-        assert 0 <= sum(own) - patches * share / sum(shares) < count
-    assert first == len(found)
+        assert len(set(of_set)) == 1
+        assert 0 <= sum(of_set) - patches * share / sum(shares) < count
+    assert first == len(counts)
 
 
-def a_lesson(bayer: CameraModel, patches: tuple[int, ...], **recipe: object) -> Lesson:
+def a_pass(bayer: CameraModel, patches: tuple[int, ...], **recipe: Any) -> TrainingPass:
     rule = make_rule(ClassRecipe(**{"patch": 3, "levels": 4, **recipe}), bayer, np.zeros(8, np.uint16))
     head = TrainingSet(camera=bayer, outputs=("X", "Y", "Z"), target_description="")
-    return Lesson(head, patches, rule, LearningRecipe(), np.ones(3), 0, LAST)
+    return TrainingPass(head, patches, rule, LearningRecipe(), np.ones(3), 0, LAST)
 
 
 @given(st.lists(st.integers(1, 120_000), min_size=1, max_size=40))
 def test_blocks_hold_every_frame_once_and_bounded_patches(bayer: CameraModel, patches: list[int]) -> None:
-    blocks = frame_blocks(a_lesson(bayer, tuple(patches)))
+    blocks = frame_blocks(a_pass(bayer, tuple(patches)))
     assert [index for block in blocks for index in block] == list(range(len(patches)))
     for block in blocks:
         assert sum(patches[index] for index in block) <= BATCH + max(patches[index] for index in block)
 
 
 def test_blocks_are_nearly_equal(bayer: CameraModel) -> None:
-    assert frame_blocks(a_lesson(bayer, (1000,) * 60)) == [range(30), range(30, 60)]
-    assert [len(block) for block in frame_blocks(a_lesson(bayer, (100,) * 1030))] == [344, 343, 343]
+    assert frame_blocks(a_pass(bayer, (1000,) * 60)) == [range(30), range(30, 60)]
+    assert [len(block) for block in frame_blocks(a_pass(bayer, (100,) * 1030))] == [344, 343, 343]
 
 
 @given(st.integers(1, 9), st.integers(1, 12), st.integers(1, 9))
-def test_portions_hold_every_block_of_every_site_once(bayer: CameraModel, jobs: int, count: int, sites: int) -> None:
-    lesson, every = a_lesson(bayer, (100,) * count), list(range(0, 3 * sites, 3))
+def test_work_shares_hold_every_block_of_every_site_once(bayer: CameraModel, jobs: int, count: int, sites: int) -> None:
+    pass_, every = a_pass(bayer, (100,) * count), list(range(0, 3 * sites, 3))
     blocks = [range(index, index + 1) for index in range(count)]
-    parts = portions(lesson, every, blocks, jobs)
-    taken = [(site, block) for part in parts for block, own in part.blocks for site in own]
+    parts = work_shares(pass_, every, blocks, jobs)
+    taken = [(site, block) for part in parts for block, of_block in part.blocks for site in of_block]
     assert sorted(taken, key=str) == sorted(((site, block) for site in every for block in blocks), key=str)
-    sizes = [sum(len(own) for _, own in part.blocks) for part in parts]
+    sizes = [sum(len(of_block) for _, of_block in part.blocks) for part in parts]
     assert max(sizes) - min(sizes) <= 1
     assert len(parts) == min(jobs, len(taken))
     for part in parts:
@@ -91,17 +94,17 @@ def test_portions_hold_every_block_of_every_site_once(bayer: CameraModel, jobs: 
             s for s in part.sites if not any(s in other.sites for other in parts if other is not part)
         )
         assert [block[0] for block, _ in part.blocks] == sorted(block[0] for block, _ in part.blocks)
-    assert portions(lesson, every, [], jobs) == []
+    assert work_shares(pass_, every, [], jobs) == []
 
 
-def test_portions_of_large_sums_have_few_sites(bayer: CameraModel) -> None:
-    lesson = a_lesson(bayer, (100,) * 12, patch=15, levels=40, chromas=1, contrasts=(1.1, 1.4, 2.0, 3.5, 7.0))
-    assert SUM_BYTES / empty_sums(lesson.rule, 3).moments.nbytes < 5
+def test_work_shares_of_large_sums_have_few_sites(bayer: CameraModel) -> None:
+    pass_ = a_pass(bayer, (100,) * 12, patch=15, levels=40, chromas=1, contrasts=(1.1, 1.4, 2.0, 3.5, 7.0))
+    assert SUM_BYTES / empty_sums(pass_.rule, 3).moments.nbytes < 5
     blocks = [range(index, index + 1) for index in range(12)]
     for jobs in (1, 2, 3):
-        parts = portions(lesson, list(range(9)), blocks, jobs)
+        parts = work_shares(pass_, list(range(9)), blocks, jobs)
         assert len(parts) % jobs == 0
-        assert max(len(part.sites) for part in parts) <= max(2, SUM_BYTES // empty_sums(lesson.rule, 3).moments.nbytes)
+        assert max(len(part.sites) for part in parts) <= max(2, SUM_BYTES // empty_sums(pass_.rule, 3).moments.nbytes)
 
 
 def test_workers_stay_for_several_calls() -> None:
@@ -119,7 +122,7 @@ def _process(item: int) -> int:
 
 
 def lit_set(path: Path, camera: CameraModel, count: int, white: tuple[float, float, float]) -> Path:
-    """A training set under a light of its own."""
+    """A training set under another light."""
     head = TrainingSet(camera=camera, outputs=("X", "Y", "Z"), target_description="a known mix of the channels")
     with write_training_set(path, head) as writer:
         for seed in range(count):
@@ -172,6 +175,70 @@ def test_same_bytes_for_jobs_and_shards(bayer: CameraModel, tmp_path: Path, l3: 
     assert "--first goes with --shard" in refused(2, "train", *run, "--first", first, "-o", out)
 
 
+def in_shards(l3: Callable, run: tuple, shards: int, folder: Path, *first: object) -> tuple[list[Path], Path, str]:
+    """Shards of a pass, their table, and what is said of it."""
+    name = f"{len(list(folder.iterdir()))}"
+    paths, table = [folder / f"{name}_{index}.h5" for index in range(1, shards + 1)], folder / f"{name}.h5"
+    for index, path in enumerate(paths, start=1):
+        code, _, err = l3("train", *run, "--shard", f"{index}/{shards}", *first, "-o", path)
+        assert code == 0, err
+    code, _, err = l3("train", "--merge", *paths[::-1], "-o", table)
+    assert code == 0, err
+    return paths, table, err
+
+
+def test_a_second_layer_has_the_same_bytes_in_shards(
+    bayer: CameraModel, tmp_path: Path, l3: Callable, refused: Callable
+) -> None:
+    """One process, two processes, a third pass in two shards and in one: the same table to the last bit."""
+    training = a_set(tmp_path / "training.h5", bayer, 5, smooth=False)
+    more = a_set(tmp_path / "more.h5", bayer, 3, smooth=True)
+    (tmp_path / "classes.toml").write_text(TWO_LAYERS)
+    run = (training, more, "--classes", tmp_path / "classes.toml", "--seed", 5)
+    for jobs in (1, 2):
+        assert l3("train", *run, "-o", tmp_path / f"whole{jobs}.h5", "--jobs", jobs)[0] == 0
+    whole = (tmp_path / "whole1.h5").read_bytes()
+    assert whole == (tmp_path / "whole2.h5").read_bytes()
+    assert [layer.side for layer in load(TransformTable, tmp_path / "whole1.h5").later] == [3]
+
+    _, first, said = in_shards(l3, run, 2, tmp_path)
+    assert f"this is the first pass: go on with --shard I/N --first {first}" in said
+    second, one_layer, said = in_shards(l3, run, 2, tmp_path, "--first", first)
+    assert f"this is the first layer: go on with --shard I/N --first {one_layer}" in said
+    third, table, said = in_shards(l3, run, 3, tmp_path, "--first", one_layer)
+    assert "go on with" not in said
+    assert table.read_bytes() == whole
+    assert in_shards(l3, run, 1, tmp_path, "--first", one_layer, "--jobs", 2)[1].read_bytes() == whole
+    assert in_shards(l3, run, 9, tmp_path, "--first", one_layer)[1].read_bytes() == whole  # more shards than frames
+    code, out, _ = l3("info", third[0])
+    assert (code, "partial sums of a layer" in out) == (0, True)
+
+    out = tmp_path / "no.h5"
+    assert "shards are missing: 2/3" in refused(3, "train", "--merge", third[0], third[2], "-o", out)
+    assert "are the same shard, 1 of 3" in refused(3, "train", "--merge", third[0], *third, "-o", out)
+    assert "different runs or passes" in refused(3, "train", "--merge", third[0], second[1], "-o", out)
+    assert "different runs or passes" in refused(3, "train", "--merge", second[0], third[1], "-o", out)
+    for wrong in (table, tmp_path / "whole1.h5"):
+        told = refused(3, "train", *run, "--shard", "1/3", "--first", wrong, "-o", out)
+        assert "is not the first pass of this run, nor its first layer" in told
+    other = (*run[:-1], 6, "--shard", "1/3")
+    assert "nor its first layer" in refused(3, "train", *other, "--first", one_layer, "-o", out)
+    # the same sets and seed, another recipe
+    (tmp_path / "classes.toml").write_text(TWO_LAYERS.replace("mosaics = 12", "mosaics = 13"))
+    assert "nor its first layer" in refused(3, "train", *run, "--shard", "1/3", "--first", one_layer, "-o", out)
+
+
+def test_a_second_layer_follows_a_single_pass(bayer: CameraModel, tmp_path: Path, l3: Callable) -> None:
+    training = a_set(tmp_path / "training.h5", bayer, 3, smooth=False)
+    (tmp_path / "classes.toml").write_text(TWO_LAYERS.replace("first_draws = 1", "first_draws = 0"))
+    run = (training, "--classes", tmp_path / "classes.toml")
+    assert l3("train", *run, "-o", tmp_path / "whole.h5")[0] == 0
+    _, one_layer, said = in_shards(l3, run, 2, tmp_path)
+    assert "this is the first layer: go on with" in said
+    _, table, _ = in_shards(l3, run, 2, tmp_path, "--first", one_layer)
+    assert table.read_bytes() == (tmp_path / "whole.h5").read_bytes()
+
+
 def test_a_training_set_that_is_replaced_meanwhile_is_noticed(bayer: CameraModel, tmp_path: Path) -> None:
     training, other = a_set(tmp_path / "training.h5", bayer, 2), a_set(tmp_path / "other.h5", bayer, 3)
     run = open_run((training,), None, None, seed=0)
@@ -195,13 +262,13 @@ def test_shares_weigh_training_sets(bayer: CameraModel, tmp_path: Path, l3: Call
         assert code == 0, err
         table = load(TransformTable, out)
         whites[shares] = table.white_point
-        assert table.samples.sum() == 2 * 4 * (6 * -(-700 // 6) + 1400 if shares == "1,2" else 2100)
+        assert table.first.samples.sum() == 2 * 4 * (6 * -(-700 // 6) + 1400 if shares == "1,2" else 2100)
     assert whites["1,2"] == pytest.approx([(0.8 + 2 * 1.2) / 3, 1.0, (1.0 + 2 * 0.6) / 3], rel=2e-3)
     assert table.history[-1].options == {"seed": 0, "shares": "1"}
     # a set without a share is as if it had not been given
     assert l3("train", many, *run[2:], "--shares", "3", "-o", tmp_path / "alone.h5")[0] == 0
     alone = load(TransformTable, tmp_path / "alone.h5")
-    assert (alone.weights == table.weights).all()
+    assert (alone.first.weights == table.first.weights).all()
     assert alone.history[-1].inputs == table.history[-1].inputs
 
 

@@ -1,4 +1,4 @@
-"""Where pictures go, what stands in their way there, and the mark that lets a sequence of them go on."""
+"""Where pictures go, which files stand there already, and the mark that lets a sequence of them go on."""
 
 import contextlib
 import hashlib
@@ -10,10 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from l3cli.errors import RecipeError
-from l3cli.files import atomic_output, refuse_existing, refuse_spared, sole_writer_of_folder
+from l3cli.files import atomic_output, refuse_existing, refuse_spared
 from l3cli.io import images
-from l3cli.io.sequences import PATTERN, Footage, Pending, last_number, numbered_files, numbered_name
+from l3cli.io.numbered import PATTERN, last_number, numbered_files, numbered_name
+from l3cli.io.sequences import Footage, Pending
 from l3cli.io.video import VideoChoice, check_video, is_video, new_video, new_y4m
+from l3cli.locks import sole_writer_of_folder
 from l3cli.stages.claims import Claims, refuse_unwritable
 from l3cli.stages.rendering.mark import Mark, Origins
 from l3cli.stages.rendering.rendition import file_of
@@ -32,7 +34,7 @@ class Destination:
 
     @property
     def one_by_one(self) -> bool:
-        """Whether every frame becomes a file of its own."""
+        """Whether every frame becomes a file."""
         return self.kind in ("pattern", "folder", "file")
 
     @property
@@ -53,7 +55,7 @@ class Destination:
 
     @property
     def mark(self) -> Path:
-        """Lies beside the pictures while a run is under way, and tells `--resume` which run it was."""
+        """Lies beside the pictures while a run lasts, and identifies it to `--resume`."""
         return self.path / ".l3-render" if self.kind == "folder" else self.path.with_name(f".{self.path.name}.l3-render")
 
 
@@ -72,7 +74,7 @@ def destination_of(output: Path, suffix: str, choice: VideoChoice) -> Destinatio
         destination = Destination(output, "pattern" if PATTERN.search(output.name) else kind, suffix)
         images.check_format(destination.file(0, "frame"), choice.bits)
         if choice.codec or choice.crf is not None:
-            raise RecipeError(f"{output}: --codec and --crf are for videos; name a .mp4, .mov or .mkv")
+            raise RecipeError(f"{output}: ‹codec› and ‹crf› are for videos; name a .mp4, .mov or .mkv")
     return destination
 
 
@@ -103,7 +105,7 @@ def refuse_outputs(destination: Destination, footage: Footage, force: bool, mark
     if destination.kind not in ("pattern", "folder"):
         return
     if footage.is_stream:
-        files = _in_the_way(destination, footage)
+        files = _existing(destination, footage)
     else:
         files = [destination.file(pending.number, pending.stem) for pending in footage.frames]
     if len(set(files)) < len(files):
@@ -119,7 +121,7 @@ def refuse_missing(footage: Footage) -> None:
         raise footage.absent(footage.missing[0])
 
 
-def _in_the_way(destination: Destination, footage: Footage) -> list[Path]:
+def _existing(destination: Destination, footage: Footage) -> list[Path]:
     """Pictures that are there and that frames of a stream, which may be endless, would replace."""
     if footage.wanted is None:
         return _pictures(destination)
@@ -143,11 +145,11 @@ def marked(
 ) -> Iterator[Mark | None]:
     """Refuse what cannot be written, then keep the run's mark, for a sequence of pictures, until all is done.
 
-    `key` tells all that the pictures' bytes depend on beside the inputs, which `origins` tell.
+    `key` holds all that the pictures' bytes depend on beside the inputs, which `origins` hold.
     """
     if destination.kind not in ("pattern", "folder"):
         if resume:
-            raise RecipeError(f"--resume goes on with a sequence of pictures; {destination.path} is written in one go")
+            raise RecipeError(f"‹resume› goes on with a sequence of pictures; {destination.path} is written in one go")
         refuse_outputs(destination, footage, force)
         yield None
         return

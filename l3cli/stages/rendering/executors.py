@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from l3cli.errors import InputFileError, L3Error
 from l3cli.files import require_same
 from l3cli.frame import RawFrame, upright
-from l3cli.io.raw_files import KnownBetter, read_raw
+from l3cli.io.raw.files import KnownBetter, read_raw
 from l3cli.io.sequences import Pending
 from l3cli.parallel import Crew
 from l3cli.rendering.display import Display
@@ -72,7 +72,7 @@ class RenderJob:
 
     setup: RenderSetup
     frame: RawFrame | Unread
-    scale: float  # of exposure; 0: the frame's own
+    scale: float  # of exposure; 0: automatic
 
 
 class Remote:

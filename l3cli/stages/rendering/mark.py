@@ -1,8 +1,8 @@
-"""The mark of a sequence of pictures: it lies beside them while a run is under way, tells `l3 render --resume` which run
+"""The mark of a sequence of pictures: it lies beside them while a run lasts, says to `l3 render --resume` which run
 that is, and lists what it has made, of what.
 
 A picture is listed before it gets its name, the list being on the disk by then. So a file that is not listed is none of the
-run's, however it ended; one that is listed, but not there, is made. Files are told by size and time: digests would take as
+run's, however it ended; one that is listed, but not there, is made. Size and time identify a file: digests would take as
 long as a tenth of the rendering.
 """
 
@@ -27,10 +27,10 @@ Dated = tuple[int, int]  # size in bytes, time of the last change in ns
 def _dated(path: Path) -> Dated | None:
     """Size and time of a regular file; None if there is none."""
     try:
-        found = path.stat()
+        state = path.stat()
     except OSError:
         return None
-    return (found.st_size, found.st_mtime_ns) if stat.S_ISREG(found.st_mode) else None
+    return (state.st_size, state.st_mtime_ns) if stat.S_ISREG(state.st_mode) else None
 
 
 class Mark:
@@ -38,7 +38,7 @@ class Mark:
 
     def __init__(self, path: Path, key: str, force: bool) -> None:
         self._path, self._key, self.force = path, key, force
-        self._made: dict[str, tuple[Dated, str]] = {}  # picture → what tells its file, what it was made of
+        self._made: dict[str, tuple[Dated, str]] = {}  # picture → identity of its file, what it was made of
         self._unasked: set[str] = set()  # pictures whose frames have not come up yet
         self._file: BinaryIO | None = None
 
@@ -46,13 +46,13 @@ class Mark:
         """Go on where the run under the path stopped; RecipeError, naming the output, if that was another one."""
         first, *lines = self._path.read_text(encoding="utf-8", errors="replace").split("\n")
         if first.split(" ")[0] != self._key:
-            raise RecipeError(f"{made_by} holds a run with another table, inputs or options; leave --resume out")
+            raise RecipeError(f"{made_by} holds a run with another table, inputs or options; leave ‹resume› out")
         self.force = self.force or first.endswith(" force")
         for line in lines:
             with contextlib.suppress(ValueError):  # a line that was cut off
                 name, dated, origin = json.loads(line)
                 self._made[name] = (tuple(dated), origin)
-        self._made = {name: own for name, own in self._made.items() if self.is_ours(self._path.with_name(name))}
+        self._made = {name: made for name, made in self._made.items() if self.is_ours(self._path.with_name(name))}
         self._unasked = set(self._made)
 
     def is_ours(self, file: Path) -> bool:
@@ -66,20 +66,20 @@ class Mark:
         if origin is None or not self.is_ours(file):
             return False
         if self._made[file.name][1] != origin:
-            raise RecipeError(f"{file} was made of another input than is given now; leave --resume out")
+            raise RecipeError(f"{file} was made of another input than is given now; leave ‹resume› out")
         return True
 
     def refuse_others(self) -> None:
         """RecipeError if pictures are there whose frames have not come up."""
         if self._unasked:
             raise RecipeError(
-                f"{self._path.with_name(min(self._unasked))} was made of a frame that is not given now; leave --resume out"
+                f"{self._path.with_name(min(self._unasked))} was made of a frame that is not given now; leave ‹resume› out"
             )
 
     def begin(self) -> None:
         """Write the mark; what is listed from now on goes behind it."""
         lines = [f"{self._key} force" if self.force else self._key]
-        lines += [json.dumps([name, *own]) for name, own in self._made.items()]
+        lines += [json.dumps([name, *origin]) for name, origin in self._made.items()]
         write_whole(self._path, "\n".join(lines))
         self._file = open(self._path, "ab", buffering=0)  # noqa: SIM115
 
@@ -100,27 +100,27 @@ class Mark:
 
 
 class Origins:
-    """Tells what pictures are made of, frame after frame: by file, number, size and time; by content where there is no file
+    """Records what pictures are made of, frame by frame: by file, number, size and time; by content where there is no file
     to go by. `all_before`: the exposure of a frame depends on every one before it, and so does its picture."""
 
     def __init__(self, whole: Path, all_before: bool) -> None:
-        self._whole, self._all_before = whole, all_before  # `whole`: the file of frames that have none of their own
+        self._whole, self._all_before = whole, all_before  # `whole`: the file of frames that are no files
         self._before = ""
 
     def of(self, pending: Pending) -> Pending:
-        """The frame with its origin, if that can be told before it is read; ask before, lest it change in between."""
+        """The frame with its origin, if that is known before it is read; ask before, lest it change in between."""
         source = pending.source or self._whole
         dated = _dated(source)
-        return pending if dated is None else self._told(pending, [os.path.realpath(source), pending.number, *dated])
+        return pending if dated is None else self._with_origin(pending, [os.path.realpath(source), pending.number, *dated])
 
     def of_read(self, pending: Pending, frame: RawFrame) -> Pending:
         """The frame with its origin."""
         if pending.origin is not None:
             return pending
-        return self._told(pending, [pending.number, hashlib.sha256(frame.values.tobytes()).hexdigest()])
+        return self._with_origin(pending, [pending.number, hashlib.sha256(frame.values.tobytes()).hexdigest()])
 
-    def _told(self, pending: Pending, own: list) -> Pending:
-        origin = hashlib.sha256(json.dumps([self._before, *own]).encode()).hexdigest()
+    def _with_origin(self, pending: Pending, identity: list) -> Pending:
+        origin = hashlib.sha256(json.dumps([self._before, *identity]).encode()).hexdigest()
         if self._all_before:
             self._before = origin
         return replace(pending, origin=origin)

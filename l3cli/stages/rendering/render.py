@@ -12,7 +12,7 @@ from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import RecipeError
 from l3cli.files import sha256
-from l3cli.io.raw_files import KnownBetter
+from l3cli.io.raw.files import KnownBetter
 from l3cli.io.sequences import Footage, find_frames, read_dark
 from l3cli.io.video import VideoChoice
 from l3cli.physics.display import scene_white
@@ -48,8 +48,9 @@ def render(
     numbers of those to take. `dataset`: of an HDF5 input. `known`: what is known better of the inputs than they say; `dark`:
     frames without light, whose mean is taken off. `exposure`: factor of Y, None: automatic. `white`: name or chromaticity of
     the scene's white, None: the table's. `skip_bad`: leave out broken frames. `resume`: go on where a run was stopped.
-    RecipeError, InputFileError, DeviceError or L3Error before anything is written where that can be told.
+    RecipeError, InputFileError, DeviceError or L3Error before anything is written where that is known.
     """
+    # One long sequence: in this order a refusal comes before any work, and no output takes the place of what is read.
     choice = VideoChoice(rate or USUAL_RATE, bits, codec, crf, preset)
     destination = destination_of(output, suffix, choice)
     engine = {name: value for name, value in {"device": device, "variant": variant}.items() if value is not None}
@@ -57,9 +58,9 @@ def render(
         claims.spare(table, *inputs, *dark)
         claim(destination, force, claims)
         if destination.linear and (exposure is not None or white is not None):
-            raise RecipeError(".exr files hold the outputs as they are; --exposure and --white are for pictures")
+            raise RecipeError(".exr files hold the outputs as they are; ‹exposure› and ‹white› are for pictures")
         if engine and backend != "opencl":
-            raise RecipeError(f"--{next(iter(engine))} is for the opencl backend; leave it or --backend {backend} out")
+            raise RecipeError(f"‹{next(iter(engine))}› is for the opencl backend; leave it or ‹backend› {backend} out")
         transforms = load(TransformTable, table)
         if dark:
             known = replace(known, dark=read_dark(_spared(find_frames(dark, transforms, known), claims)))

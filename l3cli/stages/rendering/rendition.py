@@ -9,7 +9,7 @@ import numpy as np
 from l3cli.frame import RawFrame, upright
 from l3cli.io import images
 from l3cli.io.sequences import Pending
-from l3cli.physics.display import automatic_exposure
+from l3cli.physics.display import exposure_scale
 from l3cli.rendering.display import Display, make_display
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ class Unread:
     digest: str  # SHA-256 of the file
 
 
-Exposed = tuple[Pending, Any, float]  # with the frame (RawFrame or Unread) and the scale of its exposure, 0: its own
+Exposed = tuple[Pending, Any, float]  # with the frame (RawFrame or Unread) and the scale of its exposure, 0: automatic
 
 
 def pixels_of(renderer: "Renderer", frame: RawFrame, rendition: Rendition, scale: float) -> Any:
@@ -49,9 +49,9 @@ def linear_of(renderer: "Renderer", frame: RawFrame) -> Any:
 
 
 def display_of(renderer: "Renderer", frame: RawFrame, rendition: Rendition, scale: float) -> Display:
-    """How the outputs of a frame are shown; `scale`: of its exposure, 0: its own."""
+    """How the outputs of a frame are shown; `scale`: of its exposure, 0: automatic."""
     # The exposure of one frame alone needs the whole frame's luminance before the first value is encoded: two runs.
-    return make_display(rendition.white, scale or automatic_exposure(renderer.outputs(frame)[1]), rendition.bits)
+    return make_display(rendition.white, scale or exposure_scale(renderer.outputs(frame)[1]), rendition.bits)
 
 
 def file_of(path: Path, made: Any, outputs: tuple[str, ...]) -> bytes:

@@ -138,10 +138,10 @@ def _upright_shape(frame: RawFrame) -> tuple[int, ...]:
 
 
 def _require_size(frame: RawFrame, size: tuple[int, ...]) -> None:
-    found = _upright_shape(frame)
-    if found != size:
+    shape = _upright_shape(frame)
+    if shape != size:
         raise InputFileError(
-            f"{frame.name} has {found[0]}×{found[1]} pixels, the video {size[0]}×{size[1]}; give frames of one size"
+            f"{frame.name} has {shape[0]}×{shape[1]} pixels, the video {size[0]}×{size[1]}; give frames of one size"
         )
 
 
@@ -153,7 +153,7 @@ def _exposed(
     tally: _Tally,
     console: Console,
 ) -> Iterator[Exposed]:
-    """The frames to render, each with its scale (0: its own exposure); what is broken is raised, or said and counted."""
+    """The frames to render, each with its scale (0: automatic exposure); what is broken is raised, or said and counted."""
     for each in reading:
         if each.error is not None:
             tally.leave_out(each.error, skip_bad, console, each.lost)

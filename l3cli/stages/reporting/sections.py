@@ -45,7 +45,7 @@ def compose(given: Given, backend: str, console: Console) -> tuple[str, str, lis
     files = [(entry.name, entry.artifact.kind, entry.sha256, entry.artifact.history) for entry in given.entries]
     sections.append(history_section(files))
     names = [camera.name for _, camera in cameras] or [table.camera_name for _, table in given.tables]
-    return f"{', '.join(dict.fromkeys(names))}: report", _lead(given, [told for told, _ in judged]), sections
+    return f"{', '.join(dict.fromkeys(names))}: report", _lead(given, [lead for lead, _ in judged]), sections
 
 
 def _warn_of_cameras(given: Given, console: Console) -> None:
@@ -60,12 +60,12 @@ def _warn_of_cameras(given: Given, console: Console) -> None:
             console.warn(f"{entry.name} is of another camera than {known[0][0].name}: {text}")
 
 
-def _lead(given: Given, told: list[str]) -> str:
-    if len(told) == 1:
-        return told[0]
-    if told:
+def _lead(given: Given, leads: list[str]) -> str:
+    if len(leads) == 1:
+        return leads[0]
+    if leads:
         named = (f"{table.name} on {frames.name}" for (table, _), (frames, _) in given.pairs)
-        return " ".join(f"{pair}: {figures}" for pair, figures in zip(named, told, strict=True))
+        return " ".join(f"{pair}: {figures}" for pair, figures in zip(named, leads, strict=True))
     if given.tables and given.training:
         return "The table was trained on every training set given: add frames that it has not seen to have it evaluated."
     if given.tables:
@@ -75,11 +75,11 @@ def _lead(given: Given, told: list[str]) -> str:
 
 def _cameras_within(given: Given) -> list[tuple[str, CameraModel]]:
     """The different cameras of the training sets."""
-    found: list[tuple[str, CameraModel]] = []
+    cameras: list[tuple[str, CameraModel]] = []
     for entry, head in given.training:
-        if not any(equal(head.camera, camera) for _, camera in found):
-            found.append((entry.name, head.camera))
-    return found
+        if not any(equal(head.camera, camera) for _, camera in cameras):
+            cameras.append((entry.name, head.camera))
+    return cameras
 
 
 def _camera_figures(camera: CameraModel) -> dict[str, Any]:
@@ -137,5 +137,5 @@ def _evaluation(
             for index in shown_frames(document):
                 pictures[index] = frame_pictures(*evaluate_frame(again, renderer, reader, index))
     section = evaluation_section(document, pictures, (given.name, seen.name), anchor, limit, jpeg)
-    told = f"{section.lead} But {warning}." if warning else section.lead
-    return told, replace(section, lead=told)
+    lead = f"{section.lead} But {warning}." if warning else section.lead
+    return lead, replace(section, lead=lead)

@@ -19,7 +19,7 @@ MARK = "run"  # names, in a folder of stored frames, the run they belong to
 
 
 def key_of(stage: Stage) -> str:
-    """What tells a run from others: all that its frames depend on."""
+    """What distinguishes a run from others: all that its frames depend on."""
     return hashlib.sha256(json.dumps(dataclasses.asdict(stage), sort_keys=True).encode()).hexdigest()
 
 
@@ -32,14 +32,14 @@ def open_folder(output: Path, key: str, resume: bool, force: bool) -> Path:
         for each in folder.iterdir():
             refuse_spared(each)
         if not mark.is_file() and not all(is_ours(each.name) for each in folder.iterdir()):
-            raise L3Error(f"{folder} is in the way; move it elsewhere")
+            raise L3Error(f"{folder} holds files that l3 did not make; move it elsewhere")
         if resume and mark.is_file():
             if mark.read_text() == key:
                 sweep(folder)
                 return folder
             if not force:
                 raise RecipeError(
-                    f"{folder} is of a run with another recipe, camera, seed or version; leave --resume out or add --force"
+                    f"{folder} is of a run with another recipe, camera, seed or version; leave ‹resume› out or add ‹force›"
                 )
         _remove(folder)
     write_whole(mark, key)

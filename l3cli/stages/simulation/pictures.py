@@ -38,7 +38,7 @@ def _write_pictures(run: SimulationRun, frames: Iterable[TrainingPair], folder: 
 
 def _write_dng(run: SimulationRun, frames: Iterable[TrainingPair], folder: Path) -> None:
     """Each raw frame as DNG, with the white balance of its light where that is known."""
-    from l3cli.io.dng_writer import LIGHT_CODES, RawColour, write_dng
+    from l3cli.io.raw.dng_writer import LIGHT_CODES, RawColour, write_dng
     from l3cli.simulation.light import make_light
     from l3cli.simulation.raw_colour import colour_matrix, neutral
 

@@ -1,4 +1,4 @@
-"""What is checked and looked up before any frame is simulated."""
+"""What is checked and resolved before any frame is simulated."""
 
 import dataclasses
 import re
@@ -9,14 +9,15 @@ from l3cli.artifacts.camera_recipe import recipe_text
 from l3cli.artifacts.schema import Stage
 from l3cli.artifacts.training_set import TrainingSet
 from l3cli.config import read_text
-from l3cli.curve_table import read_table
+from l3cli.curve_file import read_table
 from l3cli.errors import InputFileError, RecipeError, listed
 from l3cli.files import sha256
-from l3cli.io.scene_files import find
+from l3cli.io.scenes.files import find
+from l3cli.io.scenes.registry import is_folder
 from l3cli.simulation import recipe as asked
 from l3cli.simulation.light import OWN, Curve, check_measured, make_light, recorded_under
 from l3cli.simulation.recipe import SceneRecipe
-from l3cli.simulation.sources import BandFolder, FileSource
+from l3cli.simulation.sources import FileSource, name_of
 from l3cli.simulation.targets import make_target
 from l3cli.stages.console import Console
 from l3cli.stages.simulation.run import SimulationRun
@@ -24,7 +25,7 @@ from l3cli.stages.simulation.scenes import files_of, refusals
 
 
 def prepare(recipe: SceneRecipe, path: Path, camera: CameraModel, seed: int) -> tuple[SimulationRun, list[list[Path]]]:
-    """Everything checked and looked up before any work: the run, and the files of each source."""
+    """Everything checked and resolved before any work: the run, and the files of each source."""
     try:
         asked.check(recipe, camera)
         named = asked.curve_files(recipe)
@@ -40,7 +41,7 @@ def prepare(recipe: SceneRecipe, path: Path, camera: CameraModel, seed: int) -> 
     names = _column_names(path.parent / outputs) if outputs in curves else ()
     target = make_target(outputs, curves.get(outputs), names, lights[other] if other else None, fitted)
     patterns = zip(recipe.scene, asked.patterns(recipe), strict=True)
-    files = [find(text, path.parent, isinstance(source, BandFolder)) if text else [] for source, text in patterns]
+    files = [find(text, path.parent, is_folder(name_of(source))) if text else [] for source, text in patterns]
     return SimulationRun(recipe, fitted, target, lights, recorded, seed, path.parent, "", Path()), files
 
 
@@ -57,11 +58,11 @@ def fitting(
         count = sum(map(len, files))
         total = f"{len(bad)} of {count} scenes cannot be taken: " if len(bad) > 1 else ""
         why = [str(error).partition("; ")[0] for error in bad]
-        cure = "give scale, crop or (rgb) shrink, mend the files, or leave them out with --skip-bad"
+        cure = "give scale, crop or (rgb) shrink, mend the files, or leave them out with ‹skip_bad›"
         raise InputFileError(f"{total}{listed(why)}; {cure}")
     kept = [[path for path in paths if path not in errors] for paths, errors in zip(files, refused, strict=True)]
-    drawn = any(not isinstance(source, FileSource) for source in run.recipe.scene)
-    if not (any(kept) or drawn or run.recipe.pair):
+    synthetic = any(not isinstance(source, FileSource) for source in run.recipe.scene)
+    if not (any(kept) or synthetic or run.recipe.pair):
         raise InputFileError(f"{path}: no scene is left of {len(bad)}: {listed(map(str, bad))}")
     for error in bad:
         console.alert(f"l3: {error}")

@@ -12,7 +12,7 @@ from l3cli.simulation.targets import Target
 
 @dataclass(frozen=True)
 class SimulationRun:
-    """A camera, scenes and lights, checked and looked up."""
+    """A camera, scenes and lights, checked and resolved."""
 
     recipe: SceneRecipe
     camera: CameraModel

@@ -1,95 +1,82 @@
-"""Scenes of a simulation: their files, read or drawn, as they lie on the sensor; which of them do not fit there."""
+"""Scenes of a simulation: their files, read or synthetic, as they lie on the sensor; which of them do not fit there."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from l3cli.errors import InputFileError, RecipeError
+from l3cli.io.scenes.registry import format_of
 from l3cli.simulation import sources
 from l3cli.stages.simulation.run import SimulationRun
 
 if TYPE_CHECKING:
-    from l3cli.scene import Scene
+    from l3cli.scene import ChannelPicture, Scene
 
 
 def files_of(source: sources.Source, path: Path) -> list[Path]:
     """What is read of a scene of that name: bands of a folder, an ENVI header and its data, else the file itself."""
-    from l3cli.io.cubes import band_pictures, envi_files
-
-    if isinstance(source, sources.BandFolder):
-        return band_pictures(path)
-    return envi_files(path) if isinstance(source, sources.Envi) else [path]
+    return format_of(sources.name_of(source), path).files(path)
 
 
-def read_scene(wanted: sources.WantedScene, run: SimulationRun) -> "Scene":
-    """The scene, read or drawn, as it lies on the sensor; InputFileError if it does not fit there."""
-    from l3cli.simulation import drawn
-    from l3cli.simulation.framing import framed
+def read_scene(wanted: sources.WantedScene, run: SimulationRun) -> "Scene | ChannelPicture":
+    """The scene, read or synthetic, as it lies on the sensor; InputFileError if it does not fit there."""
+    from l3cli.scene import ChannelPicture
+    from l3cli.simulation import synthetic
+    from l3cli.simulation.framing import framed, framed_picture
 
+    scene: Scene | ChannelPicture
     if wanted.path is None:
-        scene = drawn.draw(wanted, run.seed, run.camera.wavelength)
+        scene = synthetic.draw(wanted, run.seed, run.camera.wavelength)
     else:
-        scene = READERS[type(wanted.source)](wanted, run)
+        scene = _from_file(wanted, wanted.path, run)
     culprit = str(wanted.path or wanted.name)
     try:
-        scene = framed(scene, wanted.source, run.camera)
+        if isinstance(scene, ChannelPicture):
+            scene = framed_picture(scene, wanted.source, run.camera)
+        else:
+            scene = framed(scene, wanted.source, run.camera)
     except ValueError as error:
         raise (RecipeError if wanted.path is None else InputFileError)(f"{culprit}: {error}") from error
-    sources.check_size(scene.reflectance.shape[:2], run.camera, InputFileError, culprit)
+    samples = scene.signal if isinstance(scene, ChannelPicture) else scene.reflectance
+    sources.check_size(samples.shape[:2], run.camera, InputFileError, culprit)
     return scene
 
 
-def _iset(wanted: sources.WantedScene, run: SimulationRun) -> "Scene":
-    from l3cli.io.scene_files import read_iset_scene
+def _from_file(wanted: sources.WantedScene, path: Path, run: SimulationRun) -> "Scene | ChannelPicture":
+    """The scene of a file: read as such, or made of a picture or a cube."""
+    from l3cli.scene import ChannelPicture, Scene, SpectralCube
 
-    assert wanted.path is not None
-    return read_iset_scene(wanted.path, _substitute_light(wanted, run))
+    source = wanted.source
+    content = format_of(sources.name_of(source), path).read(path, **_keys(source, path, run))
+    if isinstance(content, Scene):
+        return content
+    if isinstance(content, SpectralCube):
+        from l3cli.simulation.cubes import scene_of
 
-
-def _substitute_light(wanted: sources.WantedScene, run: SimulationRun) -> Any:
-    """The light that the recipe gives ISET scenes which lack their own: wavelengths in nm and photons, or None."""
-    assert isinstance(wanted.source, sources.IsetScenes)
-    light = run.recorded[wanted.source.light] if wanted.source.light else None
-    return (light.wavelength, light.radiance) if light else None
-
-
-def _rgb(wanted: sources.WantedScene, run: SimulationRun) -> "Scene":
-    from l3cli.io.scene_files import read_rgb_picture
+        assert isinstance(source, sources.Spectral)
+        try:
+            return scene_of(content, source, path.stem, run.recorded[source.light] if source.light else None)
+        except ValueError as error:
+            raise InputFileError(f"{path}: {error}") from error
     from l3cli.simulation import procedural, rgb
 
-    assert wanted.path is not None
-    assert isinstance(wanted.source, sources.RgbPictures)
-    picture = rgb.shrunk(read_rgb_picture(wanted.path), wanted.source.shrink)
-    return rgb.raise_to_spectra(picture, procedural.grid(run.camera.wavelength), wanted.path.stem)
+    assert isinstance(source, sources.RgbPictures)
+    linear = rgb.shrunk(content, source.shrink)
+    if sources.holds_codes(source):
+        order = [sources.CODED.index(channel) for channel in run.camera.channels]
+        try:
+            return ChannelPicture(path.stem, linear[..., order])
+        except ValueError as error:
+            raise InputFileError(f"{path}: {error}") from error
+    return rgb.raise_to_spectra(linear, procedural.grid(run.camera.wavelength), path.stem)
 
 
-def _cube(wanted: sources.WantedScene, run: SimulationRun) -> "Scene":
-    from l3cli.io import cubes
-    from l3cli.simulation.cubes import scene_of
-
-    source, path = wanted.source, wanted.path
-    assert path is not None
-    assert isinstance(source, sources.Spectral)
-    if isinstance(source, sources.Cube):
-        cube = cubes.read_cube(path, source.variable, source.axes)
-    elif isinstance(source, sources.BandFolder):
-        cube = cubes.read_band_folder(path)
-    else:
-        cube = (cubes.read_envi if isinstance(source, sources.Envi) else cubes.read_channels)(path)
-    try:
-        return scene_of(cube, source, path.stem, run.recorded[source.light] if source.light else None)
-    except ValueError as error:
-        raise InputFileError(f"{path}: {error}") from error
-
-
-READERS: dict[type, Callable[[sources.WantedScene, SimulationRun], "Scene"]] = {
-    sources.IsetScenes: _iset,
-    sources.RgbPictures: _rgb,
-    sources.BandFolder: _cube,
-    sources.Envi: _cube,
-    sources.Cube: _cube,
-    sources.ImageChannels: _cube,
-}
+def _keys(source: sources.Source, path: Path, run: SimulationRun) -> dict[str, Any]:
+    """What the reader of a file gets of the recipe; a light by its wavelengths in nm and photons, None without one."""
+    keys = {key: getattr(source, key) for key in format_of(sources.name_of(source), path).keys}
+    if keys.get("light"):
+        light = run.recorded[keys["light"]]
+        keys["light"] = (light.wavelength, light.radiance)
+    return keys
 
 
 # --------------------------------------------------------------------------------------------------- sizes of scenes
@@ -97,7 +84,7 @@ READERS: dict[type, Callable[[sources.WantedScene, SimulationRun], "Scene"]] = {
 
 def refusals(run: SimulationRun, files: list[list[Path]]) -> list[dict[Path, InputFileError]]:
     """Of the files of each source those that cannot be read or do not fit on the sensor, and why, from their headers.
-    RecipeError if a drawn scene does not fit."""
+    RecipeError if a synthetic scene does not fit."""
     bad: list[dict[Path, InputFileError]] = []
     for source, paths in zip(run.recipe.scene, files, strict=True):
         bad.append({})
@@ -111,11 +98,11 @@ def refusals(run: SimulationRun, files: list[list[Path]]) -> list[dict[Path, Inp
 
 
 def _check_size(wanted: sources.WantedScene, run: SimulationRun) -> None:
-    """RecipeError for a drawn scene, InputFileError for a file, if it does not fit on the sensor."""
+    """RecipeError for a synthetic scene, InputFileError for a file, if it does not fit on the sensor."""
     from l3cli.simulation.framing import framed_size
 
     source, error = wanted.source, RecipeError if wanted.path is None else InputFileError
-    size = source.size if isinstance(source, sources.Drawn) else SIZES[type(source)](wanted, run)
+    size = source.size if isinstance(source, sources.Synthetic) else _file_size(wanted, run)
     name = str(wanted.path or wanted.name)
     try:
         sources.check_size(framed_size(size, source, run.camera), run.camera, error, name)
@@ -123,41 +110,9 @@ def _check_size(wanted: sources.WantedScene, run: SimulationRun) -> None:
         raise error(f"{name}: {wrong}") from wrong
 
 
-def _iset_size(wanted: sources.WantedScene, run: SimulationRun) -> tuple[int, int]:
-    from l3cli.io.scene_files import iset_size
-
-    assert wanted.path is not None
-    return iset_size(wanted.path, _substitute_light(wanted, run))
-
-
-def _picture_size(wanted: sources.WantedScene, run: SimulationRun) -> tuple[int, int]:
-    from l3cli.io.images import picture_size
-
-    assert wanted.path is not None
-    rows, cols = picture_size(wanted.path)
-    by = wanted.source.shrink if isinstance(wanted.source, sources.RgbPictures) else 1
-    return rows // by, cols // by
-
-
-def _cube_size(wanted: sources.WantedScene, run: SimulationRun) -> tuple[int, int]:
-    from l3cli.io import cubes
-    from l3cli.io.images import picture_size
-
+def _file_size(wanted: sources.WantedScene, run: SimulationRun) -> tuple[int, int]:
     path, source = wanted.path, wanted.source
     assert path is not None
-    if isinstance(source, sources.Cube):
-        return cubes.cube_size(path, source.variable, source.axes)
-    if isinstance(source, sources.BandFolder) and (pictures := cubes.band_pictures(path)):
-        return picture_size(pictures[0])
-    rows, cols, _ = (cubes.read_envi if isinstance(source, sources.Envi) else cubes.read_band_folder)(path).values.shape
-    return rows, cols  # an ENVI file's data are only mapped; an empty folder is refused
-
-
-SIZES: dict[type, Callable[[sources.WantedScene, SimulationRun], tuple[int, int]]] = {
-    sources.IsetScenes: _iset_size,
-    sources.RgbPictures: _picture_size,
-    sources.BandFolder: _cube_size,
-    sources.Envi: _cube_size,
-    sources.Cube: _cube_size,
-    sources.ImageChannels: _picture_size,
-}
+    rows, cols = format_of(sources.name_of(source), path).size(path, **_keys(source, path, run))
+    by = source.shrink if isinstance(source, sources.RgbPictures) else 1
+    return rows // by, cols // by

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 from l3cli.artifacts.camera_recipe import camera_files, load_camera
 from l3cli.artifacts.training_set import TrainingSet, open_training_set, write_training_set
 from l3cli.config import load_recipe
-from l3cli.files import finished_together, refuse_existing
+from l3cli.files import refuse_existing
+from l3cli.locks import finished_together
 from l3cli.parallel import workers
 from l3cli.simulation.recipe import SceneRecipe, shots
 from l3cli.stages.claims import Claims
@@ -45,6 +46,7 @@ def simulate(
     fit the sensor. RecipeError or InputFileError if recipe, camera or files cannot be used, L3Error if an output cannot be
     written.
     """
+    # One long sequence: in this order a refusal comes before any work, and no output takes the place of what is read.
     folders = list(dict.fromkeys(filter(None, (pictures, dng))))
     with Claims(console) as claims:
         claims.spare(scenes, *camera_files(camera))
@@ -54,7 +56,7 @@ def simulate(
         for folder in folders:
             claims.hold_folder(folder, *WRITTEN)
         if scheduler:
-            scenes = scenes.absolute()  # its files are looked for by workers elsewhere
+            scenes = scenes.absolute()  # its files are searched for by workers elsewhere
         model, recipe = load_camera(camera), load_recipe(scenes, SceneRecipe)
         run, files = prepare(recipe, scenes, model, seed)
         files, bad = fitting(run, files, scenes, skip_bad, console)

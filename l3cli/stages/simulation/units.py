@@ -1,4 +1,4 @@
-"""What the processes of a simulation do: read or draw a scene, simulate its frames, store each in a file of its own."""
+"""What the processes of a simulation do: read or draw a scene, simulate its frames, store each in a file."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -19,7 +19,7 @@ from l3cli.stages.simulation.run import SimulationRun
 from l3cli.stages.simulation.scenes import files_of, read_scene
 
 if TYPE_CHECKING:
-    from l3cli.scene import Scene
+    from l3cli.scene import ChannelPicture, Scene
 
 SENT = 64 << 20  # bytes of frames that a worker of another machine sends at a time, if it is more than one frame
 
@@ -61,10 +61,11 @@ def simulate_unit(unit: WorkUnit) -> int:
     if isinstance(unit.what, Pair):
         write_part(run.part(shots[0].index), _pair(unit.what, run), 0.0, run.key)
         return 1
+    from l3cli.scene import ChannelPicture
     from l3cli.simulation.light import uncovered_share
 
     scene = read_scene(unit.what, run)
-    missing = uncovered_share(run.camera, scene.wavelength)
+    missing = 0.0 if isinstance(scene, ChannelPicture) else uncovered_share(run.camera, scene.wavelength)
     for shot in shots:
         write_part(run.part(shot.index), _frame(scene, shot, run), missing, run.key)
     return len(unit.shots)
@@ -101,11 +102,13 @@ def frame_bytes(run: SimulationRun) -> int:
     return run.camera.rows * run.camera.cols * (4 * len(run.camera.channels) + 2 + 4 * len(run.target.outputs))
 
 
-def _frame(scene: "Scene", shot: Shot, run: SimulationRun) -> Any:
+def _frame(scene: "Scene | ChannelPicture", shot: Shot, run: SimulationRun) -> Any:
+    from l3cli.scene import Scene
     from l3cli.simulation import light
     from l3cli.simulation.frame import Averaging, Saturating, simulate
 
     if shot.illuminant == OWN:
+        assert isinstance(scene, Scene)
         falling = light.own_light(scene, shot.luminance)
     else:
         falling = run.lights[shot.illuminant].at(shot.luminance)
@@ -126,8 +129,8 @@ def _frame(scene: "Scene", shot: Shot, run: SimulationRun) -> Any:
 
 def _pair(pair: Pair, run: SimulationRun) -> Any:
     from l3cli.io.images import read_image
-    from l3cli.io.raw_files import KnownBetter, read_raw
-    from l3cli.io.scene_files import read_rgb_picture
+    from l3cli.io.raw.files import KnownBetter, read_raw
+    from l3cli.io.scenes.rgb import read as read_rgb_picture
     from l3cli.physics.display import xyz_from_srgb_matrix
     from l3cli.simulation.pairs import make_pair
 

@@ -1,4 +1,4 @@
-"""What the processes of a training run do: look at all frames for a pilot, sum up the patches of a pass, learn from whole
+"""What the processes of a training run do: take a pilot of all frames, sum up the patches of a pass, learn from whole
 sums."""
 
 import collections
@@ -13,13 +13,13 @@ from l3cli.parallel import Crew
 from l3cli.stages.console import Console
 from l3cli.stages.training.run import TrainingRun, TrainingSource, frames_of
 from l3cli.training.accumulate import sum_sites
-from l3cli.training.division import Portion, portions
-from l3cli.training.lesson import FIRST, LAST, Lesson, has_two_passes
-from l3cli.training.recipe import TrainingRecipe, check_learning
+from l3cli.training.division import WorkShare, work_shares
+from l3cli.training.recipe import TrainingRecipe, check_layers, check_learning
+from l3cli.training.row_weighting import RowWeighting, row_weighting
 from l3cli.training.solve import Solution
 from l3cli.training.sums import add
-from l3cli.training.table import Pilot, canonical_sites, learn_site, look_at, pilot_patches, survey
-from l3cli.training.weighing import Judge, judge_of
+from l3cli.training.table import Pilot, canonical_sites, learn_site, pilot_patches, survey, take_pilot
+from l3cli.training.training_pass import FIRST, LAST, TrainingPass, has_two_passes
 
 MOST_PILOTED = 256  # frames that a worker looks at in one go before the passes
 
@@ -33,26 +33,29 @@ class Execution:
     console: Console
 
 
-def first_pass(run: TrainingRun, execution: Execution) -> Lesson:
+def first_pass(run: TrainingRun, execution: Execution) -> TrainingPass:
     """The first pass, or the only one, with the class rule that a pilot over all frames finds."""
     learning = run.recipe.learning
     check_learning(learning)
+    check_layers(run.recipe.layer)
     patches = pilot_patches(run.patches)
     size = max(1, min(MOST_PILOTED, len(patches) // (4 * execution.crew.size)))
     chunks = (range(first, min(first + size, len(patches))) for first in range(0, len(patches), size))
     about = (run.training, execution.remote, run.head, run.recipe, run.seed)
     units = [PilotUnit(*about, frames, patches[frames.start : frames.stop]) for frames in chunks]
     pilots = execution.console.progress(execution.crew(_pilot, units), len(units), "pilot")
-    rule, white, exposure = survey(pilots, run.patches, run.head, run.recipe, run.seed)
+    rule, white, exposure, light = survey(pilots, run.patches, run.head, run.recipe, run.seed)
     kinds = f"({rule.chromas} chromas + {rule.cases - 1} saturation cases)"
-    execution.console.say(f"{len(run.patches)} frames, {rule.levels} levels × {rule.contrasts} contrasts × {kinds} a site")
+    further = "".join(f" × {axis.size} values of {axis.name}" for axis in rule.axes)
+    classes = f"{rule.levels} levels × {rule.contrasts} contrasts{further} × {kinds}"
+    execution.console.say(f"{len(run.patches)} frames, {classes} a site")
     number = FIRST if has_two_passes(run.head, learning) else LAST
-    return Lesson(run.head, run.patches, rule, learning, white, run.seed, number, exposure)
+    return TrainingPass(run.head, run.patches, rule, learning, white, run.seed, number, exposure, light)
 
 
 @dataclass(frozen=True)
 class PilotUnit:
-    """A work unit of the pilot: some frames to look at."""
+    """A work unit of the pilot: some frames."""
 
     training: tuple[TrainingSource, ...]
     remote: bool  # as of WorkUnit
@@ -65,7 +68,7 @@ class PilotUnit:
 
 def _pilot(unit: PilotUnit) -> Pilot:
     frames = frames_of(unit.training, unit.frames, unit.remote)
-    return look_at(frames, unit.frames.start, unit.patches, unit.head, unit.recipe, unit.seed)
+    return take_pilot(frames, unit.frames.start, unit.patches, unit.head, unit.recipe, unit.seed)
 
 
 @dataclass(frozen=True)
@@ -74,24 +77,24 @@ class WorkUnit:
 
     training: tuple[TrainingSource, ...]
     remote: bool  # on another machine: its files are to be compared with ours
-    lesson: Lesson
-    portion: Portion
-    judges: dict[int, Judge | None]
+    pass_: TrainingPass
+    share: WorkShare
+    weightings: dict[int, RowWeighting | None]
 
 
 def summed(
-    function: Callable[[WorkUnit], dict[int, Any]], run: TrainingRun, lesson: Lesson, first: TransformTable | None,
+    function: Callable[[WorkUnit], dict[int, Any]], run: TrainingRun, pass_: TrainingPass, first: TransformTable | None,
     blocks: list[range], execution: Execution,
 ) -> Iterator[tuple[int, Any]]:  # fmt: skip
     """What `function` makes of the work units, for each canonical site in order: its sums over `blocks`, added up where
     several processes share a site, or what has been learned from them already."""
     units = []
-    for portion in portions(lesson, canonical_sites(lesson.head, lesson.rule, lesson.recipe), blocks, execution.crew.size):
-        judges = {
-            site: judge_of(first, site, lesson.recipe.error_power) if first is not None else None for site in portion.sites
+    for share in work_shares(pass_, canonical_sites(pass_.head, pass_.rule, pass_.recipe), blocks, execution.crew.size):
+        weightings = {
+            site: row_weighting(first, site, pass_.recipe.error_power) if first is not None else None for site in share.sites
         }
-        units.append(WorkUnit(run.training, execution.remote, lesson, portion, judges))
-    left = collections.Counter(site for unit in units for site in unit.judges)
+        units.append(WorkUnit(run.training, execution.remote, pass_, share, weightings))
+    left = collections.Counter(site for unit in units for site in unit.weightings)
     waiting: dict[int, ClassSums] = {}
     for results in execution.console.progress(execution.crew(function, units), len(units), "sums"):
         for site, result in results.items():
@@ -107,13 +110,13 @@ def summed(
 def sum_unit(unit: WorkUnit) -> dict[int, ClassSums]:
     """Sums of every site."""
     training = unit.training
-    blocks = ((block[0], sites, frames_of(training, block, unit.remote)) for block, sites in unit.portion.blocks)
-    return sum_sites(unit.lesson, blocks, unit.judges)
+    blocks = ((block[0], sites, frames_of(training, block, unit.remote)) for block, sites in unit.share.blocks)
+    return sum_sites(unit.pass_, blocks, unit.weightings)
 
 
 def learn_unit(unit: WorkUnit) -> dict[int, ClassSums | Solution]:
     """Solutions of the sites whose sums are whole, which then need not travel; sums of the others."""
     results: dict[int, Any] = dict(sum_unit(unit))
-    for site in unit.portion.whole:
-        results[site] = learn_site(unit.lesson, [results[site]], site)
+    for site in unit.share.whole:
+        results[site] = learn_site(unit.pass_, [results[site]], site)
     return results

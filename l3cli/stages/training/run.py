@@ -11,8 +11,11 @@ from l3cli.artifacts.training_set import TrainingPair, TrainingSet, open_trainin
 from l3cli.config import load_recipe, read_text
 from l3cli.errors import InputFileError
 from l3cli.files import require_same, sha256, stamp
-from l3cli.training.lesson import FIRST, spread_patches
+from l3cli.recipes import known_recipes
 from l3cli.training.recipe import TrainingRecipe
+from l3cli.training.training_pass import FIRST, spread_patches
+
+FIRST_PASS, FIRST_LAYER = "first", "first layer"  # whose tables are not the end of a run
 
 
 @dataclass(frozen=True)
@@ -33,12 +36,22 @@ class TrainingRun:
     head: TrainingSet
     patches: tuple[int, ...]  # (frame)
     recipe: TrainingRecipe
+    shares: tuple[Fraction, ...] | None  # (set)
     seed: int
     stage: Stage
 
-    def history(self, number: int) -> tuple[Stage, ...]:
-        """History of what comes from pass `number`."""
-        stage = replace(self.stage, options={**self.stage.options, "pass": "first"}) if number == FIRST else self.stage
+    @property
+    def has_later_layers(self) -> bool:
+        """Whether layers follow the first one: they read luminance and chroma, so for XYZ only."""
+        return bool(self.recipe.layer) and self.head.outputs == ("X", "Y", "Z")
+
+    def history_of_pass(self, number: int) -> tuple[Stage, ...]:
+        """History of what a pass of the first layer makes."""
+        return self.history(FIRST_PASS if number == FIRST else FIRST_LAYER if self.has_later_layers else "")
+
+    def history(self, before: str = "") -> tuple[Stage, ...]:
+        """History of what the run makes, or of what it makes `before` its end: the table of a pass, by the pass's name."""
+        stage = replace(self.stage, options={**self.stage.options, "pass": before}) if before else self.stage
         return (*self.head.history, stage)
 
 
@@ -47,7 +60,8 @@ def open_run(
 ) -> TrainingRun:
     """The run of these training sets; InputFileError or RecipeError if they or the recipe cannot be used. A set whose share
     is zero is as if it were not given."""
-    recipe = load_recipe(classes, TrainingRecipe) if classes else TrainingRecipe()
+    classes = classes or known_recipes("classes")["default"]
+    recipe = load_recipe(classes, TrainingRecipe)
     stamps = {path: stamp(path) for path in training}
     head, frames = _common_head(training)
     chosen: dict[str, Any] = {"seed": seed}
@@ -58,9 +72,9 @@ def open_run(
         chosen["shares"] = ",".join(f"{float(share):.12g}" for share in shares)
     patches = spread_patches(recipe.learning.patches, frames, shares)
     inputs = {"training set": [sha256(path) for path in training]}
-    stage = Stage("train", chosen, read_text(classes) if classes else "", inputs)
+    stage = Stage("train", chosen, read_text(classes), inputs)
     sources = tuple(map(TrainingSource, training, frames, inputs["training set"], map(stamps.__getitem__, training)))
-    return TrainingRun(sources, head, patches, recipe, seed, stage)
+    return TrainingRun(sources, head, patches, recipe, shares, seed, stage)
 
 
 def frames_of(training: tuple[TrainingSource, ...], wanted: range, remote: bool) -> Iterator[TrainingPair]:
@@ -74,7 +88,7 @@ def frames_of(training: tuple[TrainingSource, ...], wanted: range, remote: bool)
             continue
         if remote:
             require_same(source.path, source.digest)
-        with open_training_set(source.path, unchanged=True) as reader:  # since _common_head looked at it
+        with open_training_set(source.path, unchanged=True) as reader:  # since _common_head read it
             if not remote and stamp(source.path) != source.stamp:
                 raise InputFileError(f"{source.path} has been replaced while it was trained on; train again")
             yield from map(reader.frame, here)

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from l3cli.artifacts.partial_sums import PartialSums, open_partial_sums, write_partial_sums
+from l3cli.artifacts.layer_sums import PartialLayerSums
+from l3cli.artifacts.partial_sums import Head, PartialSums, PartialSumsReader, open_partial_sums, write_partial_sums
 from l3cli.artifacts.schema import Stage, equal
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
@@ -16,17 +17,21 @@ from l3cli.config import parse_recipe
 from l3cli.errors import InputFileError
 from l3cli.stages.claims import Claims
 from l3cli.stages.console import Console
+from l3cli.stages.training.later_layers import tell_what_is_left_out
+from l3cli.stages.training.layer_shards import merged_layer, write_layer_shard
 from l3cli.stages.training.passes import Execution, first_pass, sum_unit, summed
-from l3cli.stages.training.run import TrainingRun
+from l3cli.stages.training.run import FIRST_LAYER, FIRST_PASS, TrainingRun
 from l3cli.stages.training.whole import executed, say_table
 from l3cli.training.division import frame_blocks
-from l3cli.training.lesson import FIRST, LAST, Lesson
-from l3cli.training.recipe import TrainingRecipe
+from l3cli.training.recipe import TrainingRecipe, check_layers
 from l3cli.training.sums import empty_sums
 from l3cli.training.table import add_up, assemble, canonical_sites, learn_site
+from l3cli.training.training_pass import FIRST, LAST, TrainingPass
 
 if TYPE_CHECKING:
     from l3cli.parallel.cluster import Scheduler
+
+NAMES = {FIRST_PASS: "first pass", FIRST_LAYER: "first layer"}  # of tables that are not the end of a run
 
 
 def train_shard(
@@ -35,50 +40,60 @@ def train_shard(
     scheduler: "Scheduler | None" = None, force: bool = False,
 ) -> None:  # fmt: skip
     """Write the partial sums of one shard, (number from 1, of how many): of the first pass or, with the table `first` that
-    the shards of that one make, of the last. The other parameters and errors are those of `train`; InputFileError if
+    the shards of a pass make, of the next one. The other parameters and errors are those of `train`; InputFileError if
     `first` is of another run."""
     with Claims(console) as claims:
         claims.spare(*training, *filter(None, [classes, first]))
         claims.claim_file(output, force)
         with executed(training, console, classes, shares, seed, jobs, scheduler) as (run, execution):
-            _write_shard(run, shard, first, output, execution)
+            table = load(TransformTable, first) if first else None
+            tell_what_is_left_out(run, console)
+            if table and run.has_later_layers and table.history == run.history(FIRST_LAYER):
+                check_layers(run.recipe.layer)
+                write_layer_shard(run, shard, table, output, execution)
+            else:
+                pass_ = _last_pass(run, table, first) if table else first_pass(run, execution)
+                _write_shard(run, shard, pass_, table, output, execution)
 
 
-def _write_shard(run: TrainingRun, shard: tuple[int, int], first: Path | None, output: Path, execution: Execution) -> None:
-    table = load(TransformTable, first) if first else None
-    lesson = first_pass(run, execution) if table is None else _last_pass(run, table, first)
+def _write_shard(
+    run: TrainingRun, shard: tuple[int, int], pass_: TrainingPass, table: TransformTable | None, output: Path,
+    execution: Execution,
+) -> None:  # fmt: skip
     index, count = shard
-    blocks = frame_blocks(lesson)[index - 1 :: count]
-    sites = canonical_sites(run.head, lesson.rule, lesson.recipe)
-    sums = summed(sum_unit, run, lesson, table, blocks, execution)
+    blocks = frame_blocks(pass_)[index - 1 :: count]
+    sites = canonical_sites(run.head, pass_.rule, pass_.recipe)
+    sums = summed(sum_unit, run, pass_, table, blocks, execution)
     if not blocks:  # more shards than blocks
-        sums = ((site, empty_sums(lesson.rule, len(run.head.outputs))) for site in sites)
+        sums = ((site, empty_sums(pass_.rule, len(run.head.outputs))) for site in sites)
     head = PartialSums(
-        history=run.history(lesson.number),
+        history=run.history_of_pass(pass_.number),
         shard=index,
         shards=count,
-        pass_number=lesson.number,
+        pass_number=pass_.number,
         patches=np.array(run.patches),
         training=run.head,
-        rule=lesson.rule,
-        white_point=lesson.white_point,
+        rule=pass_.rule,
+        white_point=pass_.white_point,
         sites=np.array(sites),
-        exposure=lesson.exposure,
+        exposure=pass_.exposure,
+        light=pass_.light,
     )
-    write_partial_sums(output, head, (add_up(lesson, [site_sums]) for _, site_sums in sums))
-    name = "first" if lesson.number == FIRST else "last"
+    write_partial_sums(output, head, (add_up(pass_, [site_sums]) for _, site_sums in sums))
+    name = "first" if pass_.number == FIRST else "last"
     execution.console.say(f"{output}: shard {index} of {count}, {name} pass")
 
 
-def _last_pass(run: TrainingRun, table: TransformTable, path: Path | None) -> Lesson:
+def _last_pass(run: TrainingRun, table: TransformTable, path: Path | None) -> TrainingPass:
     """The pass after the one that made the table; InputFileError if that is of another run."""
-    if table.history != run.history(FIRST):
+    if table.history != run.history(FIRST_PASS):
+        layer = ", nor its first layer" if run.has_later_layers else ""
         raise InputFileError(
-            f"{path} is not the first pass of this run: other training sets, shares, recipe or seed; "
+            f"{path} is not the first pass of this run{layer}: other training sets, shares, recipe or seed; "
             'make it with "l3 train --merge" of the first pass\'s shards'
         )
-    about = (run.head, run.patches, table.rule, run.recipe.learning, table.white_point, run.seed)
-    return Lesson(*about, LAST, table.exposure)
+    about = (run.head, run.patches, table.first.rule, run.recipe.learning, table.white_point, run.seed)
+    return TrainingPass(*about, LAST, table.exposure, table.light)
 
 
 def merge_shards(shards: tuple[Path, ...], output: Path, console: Console, *, force: bool = False) -> TransformTable:
@@ -86,46 +101,55 @@ def merge_shards(shards: tuple[Path, ...], output: Path, console: Console, *, fo
     with Claims(console) as claims:
         claims.spare(*shards)
         claims.claim_file(output, force)
-        table, number = _merged(shards)
+        table = _merged(shards)
         save(table, output)
         say_table(table, output, console)
-        if number == FIRST:
-            console.say(f"this is the first pass: go on with --shard I/N --first {output}")
+        if made := table.history[-1].options.get("pass"):
+            console.say(
+                f"this is the {made if made == FIRST_LAYER else 'first pass'}: go on with ‹shard› I/N ‹first› {output}"
+            )
         return table
 
 
-def _merged(shards: tuple[Path, ...]) -> tuple[TransformTable, int]:
-    """The table, and the number of its pass."""
+def _merged(shards: tuple[Path, ...]) -> TransformTable:
     with contextlib.ExitStack() as stack:
         readers = [stack.enter_context(open_partial_sums(path)) for path in shards]
         _require_all_shards(shards, [reader.head for reader in readers])
         head = readers[0].head
-        lesson = _lesson_of(head, shards[0])
-        if head.sites.tolist() != canonical_sites(head.training, head.rule, lesson.recipe):
-            raise InputFileError(f"{shards[0]} holds sums of other sites than its camera has; make it again")
-        solutions = {
-            int(site): learn_site(lesson, (reader.site(index) for reader in readers), int(site))
-            for index, site in enumerate(head.sites)
-        }
-    return assemble(lesson, solutions, head.history), lesson.number
+        recipe, seed = _recipe_and_seed(head, shards[0])
+        if isinstance(head, PartialLayerSums):
+            return merged_layer(readers, recipe, seed, shards[0])
+        return _merged_pass(readers, recipe, seed, shards[0])
 
 
-def _lesson_of(head: PartialSums, path: Path) -> Lesson:
-    """The pass that partial sums are of."""
+def _merged_pass(readers: list[PartialSumsReader], recipe: TrainingRecipe, seed: int, path: Path) -> TransformTable:
+    head: PartialSums = readers[0].head
+    about = (head.training, tuple(head.patches.tolist()), head.rule, recipe.learning, head.white_point)
+    pass_ = TrainingPass(*about, seed, head.pass_number, head.exposure, head.light)
+    if head.sites.tolist() != canonical_sites(head.training, head.rule, pass_.recipe):
+        raise InputFileError(f"{path} holds sums of other sites than its camera has; make it again")
+    solutions = {
+        int(site): learn_site(pass_, (reader.site(index) for reader in readers), int(site))
+        for index, site in enumerate(head.sites)
+    }
+    return assemble(pass_, solutions, head.history)
+
+
+def _recipe_and_seed(head: Head, path: Path) -> tuple[TrainingRecipe, int]:
+    """Of the run that partial sums are of."""
     stage = head.history[-1] if head.history else Stage("", {})
     seed = stage.options.get("seed")
-    if type(seed) is not int:
+    recipe = parse_recipe(stage.recipe, TrainingRecipe, str(path))
+    if type(seed) is not int or (isinstance(head, PartialLayerSums) and not recipe.layer):
         raise InputFileError(f"{path} does not tell the run it is a shard of; make it again")
-    recipe = parse_recipe(stage.recipe, TrainingRecipe, str(path)).learning
-    about = (head.training, tuple(head.patches.tolist()), head.rule, recipe, head.white_point)
-    return Lesson(*about, seed, head.pass_number, head.exposure)
+    return recipe, seed
 
 
-def _require_all_shards(paths: tuple[Path, ...], heads: list[PartialSums]) -> None:
+def _require_all_shards(paths: tuple[Path, ...], heads: list[Head]) -> None:
     seen: dict[int, Path] = {}
     for path, head in zip(paths, heads, strict=True):
         same = replace(head, shard=heads[0].shard)
-        if head.history != heads[0].history or not equal(same, heads[0]):
+        if head.history != heads[0].history or type(head) is not type(heads[0]) or not equal(same, heads[0]):
             raise InputFileError(f"{path} and {paths[0]} are of different runs or passes; merge the shards of one")
         if head.shard in seen:
             raise InputFileError(f"{path} and {seen[head.shard]} are the same shard, {head.shard} of {head.shards}")

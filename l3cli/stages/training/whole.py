@@ -14,11 +14,12 @@ from l3cli.errors import RecipeError
 from l3cli.parallel import workers
 from l3cli.stages.claims import Claims
 from l3cli.stages.console import Console
+from l3cli.stages.training.later_layers import learn_later
 from l3cli.stages.training.passes import Execution, first_pass, learn_unit, summed
 from l3cli.stages.training.run import TrainingRun, open_run
 from l3cli.training.division import frame_blocks
-from l3cli.training.lesson import LAST
 from l3cli.training.table import assemble, learn_site
+from l3cli.training.training_pass import LAST
 
 if TYPE_CHECKING:
     from l3cli.parallel.cluster import Scheduler
@@ -63,17 +64,18 @@ def executed(
 
 def _learn(run: TrainingRun, execution: Execution) -> TransformTable:
     """All passes."""
-    lesson, table = first_pass(run, execution), None
-    for number in range(lesson.number, LAST + 1):
-        lesson = replace(lesson, number=number)
-        sums = summed(learn_unit, run, lesson, table, frame_blocks(lesson), execution)
-        solutions = {site: learn_site(lesson, [one], site) if isinstance(one, ClassSums) else one for site, one in sums}
-        table = assemble(lesson, solutions, run.history(number))
+    pass_, table = first_pass(run, execution), None
+    for number in range(pass_.number, LAST + 1):
+        pass_ = replace(pass_, number=number)
+        sums = summed(learn_unit, run, pass_, table, frame_blocks(pass_), execution)
+        solutions = {site: learn_site(pass_, [one], site) if isinstance(one, ClassSums) else one for site, one in sums}
+        table = assemble(pass_, solutions, run.history_of_pass(number))
     assert table is not None  # there is at least one pass
-    return table
+    return learn_later(run, table, execution)
 
 
 def say_table(table: TransformTable, output: Path, console: Console) -> None:
     """What has been learned, in a line."""
-    filled = int((table.samples == 0).sum())
-    console.say(f"{output}: {len(table.weights)} classes, {filled} of them without patches of their own")
+    for number, layer in enumerate(table.layers, start=1):
+        filled, which = int((layer.samples == 0).sum()), f", layer {number}" if table.later else ""
+        console.say(f"{output}{which}: {len(layer.weights)} classes, {filled} of them without patches of their own")

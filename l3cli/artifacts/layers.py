@@ -1,0 +1,52 @@
+"""The layers of a transform table: the first reads the mosaic, later ones the outputs of the layer before
+(docs/method.md#layers)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.class_rule import ClassRule
+from l3cli.artifacts.schema import check, data, group
+from l3cli.artifacts.structure_rule import StructureRule
+
+PLANE_STEP = 2.0**-18  # of the output unit: what a plane's integers count, far below the noise of any sensor
+PLANE_TOP = 2**22 - 1  # 16 times a full scale: differences times a factor of 7 bits stay within 32 bits
+
+
+@dataclass(frozen=True)
+class MosaicLayer:
+    """Transforms of patches of the mosaic: output = weights · (patch − black) / (white − black) + intercept."""
+
+    rule: ClassRule = group()
+    weights: NDArray[np.float32] = data(
+        "float32", "class", "output", "tap", doc="taps row by row; per unit of (DN − black) / (white − black)"
+    )
+    intercept: NDArray[np.float32] = data("float32", "class", "output", doc="added to the weighted sum")
+    samples: NDArray[np.float64] = data("float64", "class", doc="training patches; 0: filled from a neighbour")
+    condition: NDArray[np.float32] = data("float32", "class", doc="condition number of the class's equations; 0: none")
+
+    def __post_init__(self) -> None:
+        check(self)
+        if self.weights.shape[2] != self.rule.patch**2:
+            raise ValueError(f"weights has {self.weights.shape[2]} taps, the rule's patch {self.rule.patch**2}")
+
+
+@dataclass(frozen=True)
+class PlaneLayer:
+    """Transforms of square windows of the planes X − aY, Y, Z − bY (of a white: zero, its Y, zero) of the layer before."""
+
+    side: int = data("int64", unit="pixel", doc="side of the windows")
+    rule: StructureRule = group()
+    weights: NDArray[np.float32] = data(
+        "float32", "plane_class", "output", "plane_tap", doc="taps plane by plane, each row by row; per output unit"
+    )
+    intercept: NDArray[np.float32] = data("float32", "plane_class", "output", doc="added to the weighted sum")
+    samples: NDArray[np.float64] = data("float64", "plane_class", doc="training patches; 0: filled from a neighbour")
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    @property
+    def radius(self) -> int:
+        return self.side // 2

@@ -1,0 +1,74 @@
+"""Structure: strength and direction of the edge at a pixel, from the luminance that the layer before has made
+(docs/method.md#structure).
+
+With Y that luminance in fixed point, f and s the factor and shift of gradients at the pixel's level, so that noise alone
+has a standard deviation of about SIGMA:
+
+    g_x = clamp((Y[r, c + 1] − Y[r, c − 1]) · f >> s, ±4095)     g_y alike down a column
+    xx, yy, xy = Σ w · (g_x², g_y², g_x g_y) over 5 × 5, w the products of 1 2 3 2 1
+    strength = number of strength edges < xx + yy
+    a = ±(xx − yy >> 6)   b = ±(xy >> 5)   t = xx + yy >> 6       the signs turn the site's axes to those it is learned in
+    direction = the nearest of eight multiples of 45° to the angle of (a, b), twice that of the gradient
+    directed = 64 · (length of (a, b) along it) > coherence · t
+    structure = 0 if strength = 0, else 1 + (strength − 1) · 9 + (1 + direction if directed else 0)
+
+All in integers below 2³¹, and so equal wherever it is computed.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.structure_rule import DIRECTIONS, GRADIENT, StructureRule
+from l3cli.classes.windows import Integers
+
+SIGMA = 16  # gradient units a standard deviation of noise
+WINDOW = (1, 2, 3, 2, 1)
+NOISE_TRACE = 2 * 81 * SIGMA**2  # trace of the tensor that noise alone makes on average
+REACH = 3  # pixels beyond a plane that the structure of its edge reads
+
+
+def structures(luminance: Integers, level: Integers, site: Integers, rule: StructureRule) -> Integers:
+    """Structure (row, col) from luminance (row + 2 REACH, col + 2 REACH) and levels of the first layer (row + 4, col + 4),
+    both with a margin of mirrored pixels, and CFA sites (row, col)."""
+    xx, yy, xy = tensor(luminance, rule.gradient_factor.astype(np.int64)[level], rule.gradient_shift.astype(np.int64)[level])
+    trace = xx + yy
+    strength = np.searchsorted(rule.strength_edges.astype(np.int64), trace, side="left")
+    turn = rule.turns.astype(np.int64)[site]
+    direction, along = directions((xx - yy >> 6) * turn[..., 0], (xy >> 5) * turn[..., 1])
+    within = np.where(64 * along > rule.coherence * (trace >> 6), 1 + direction, 0)
+    return np.where(strength > 0, 1 + (strength - 1) * (1 + DIRECTIONS) + within, 0)
+
+
+def tensor(luminance: Integers, factor: Integers, shift: Integers) -> tuple[Integers, Integers, Integers]:
+    """Weighted sums (row, col) of the products of gradients, each scaled by `factor` and `shift` (row + 4, col + 4)."""
+    across = np.clip((luminance[1:-1, 2:] - luminance[1:-1, :-2]) * factor >> shift, -GRADIENT, GRADIENT)
+    down = np.clip((luminance[2:, 1:-1] - luminance[:-2, 1:-1]) * factor >> shift, -GRADIENT, GRADIENT)
+    return _windowed(across * across), _windowed(down * down), _windowed(across * down)
+
+
+def _windowed(values: Integers) -> Integers:
+    for axis in (0, 1):
+        length = values.shape[axis] - len(WINDOW) + 1
+        parts = [weight * values.take(range(i, i + length), axis) for i, weight in enumerate(WINDOW)]
+        values = np.add.reduce(parts)
+    return values
+
+
+def directions(a: Integers, b: Integers) -> tuple[Integers, Integers]:
+    """Number 0…7 of the multiple of 45° nearest the angle of (a, b), and how long (a, b) is along it."""
+    width, height = np.abs(a), np.abs(b)
+    flat, steep = 12 * height < 5 * width, 12 * width < 5 * height  # 22.6°
+    diagonal = np.where(a > 0, np.where(b > 0, 1, 7), np.where(b > 0, 3, 5))
+    direction = np.where(flat, np.where(a > 0, 0, 4), np.where(steep, np.where(b > 0, 2, 6), diagonal))
+    along = np.where(flat, width, np.where(steep, height, (width + height) * 45 >> 6))
+    return direction, along
+
+
+def turn_signs(turn: NDArray[np.int64]) -> tuple[int, int]:
+    """What becomes of (a, b) when a 3 × 3 window is read in the order `turn` (tap): a quarter turn changes both signs, a
+    mirror image that of b, a transposition that of a."""
+    row, col = np.divmod(turn.reshape(3, 3), 3)
+    down, right = (row[2, 1] - row[1, 1], col[2, 1] - col[1, 1]), (row[1, 2] - row[1, 1], col[1, 2] - col[1, 1])
+    swapped = down[0] == 0  # the tap below the centre lies beside it
+    product = (down[1] if swapped else down[0]) * (right[0] if swapped else right[1])
+    return (-1 if swapped else 1), int(product)

@@ -1,0 +1,154 @@
+"""Full-resolution bands from a mosaic, by what is published for filter arrays of many bands: nothing here learns anything
+(docs/method.md#baselines-for-bands).
+
+All take a mosaic (row, col) of CFA phase (0, 0) in which a perfect white is 1 in every band, and give bands (band, row, col)
+that keep the measured samples. Borders are mirrored in phase.
+"""
+
+import itertools
+import math
+from collections.abc import Callable, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.evaluation.quality import cropped
+from l3cli.frame import pad_mosaic
+
+Array = NDArray[np.floating]
+CFA = NDArray[np.uint8]
+Direction = tuple[int, int]  # signs of a row and a column offset
+DIRECTIONS: tuple[Direction, ...] = tuple((down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) if down or right)
+PERIODS = 4  # of margin, beyond the reach of every method; a frame is wrapped round there
+CODES = 255.0  # of a perfect white: the unit of the 1 in PPID's weights
+
+
+def occurs_once(cfa: CFA) -> bool:
+    """Whether every band of a CFA of at least 2×2 occurs once a period."""
+    return min(cfa.shape) > 1 and int(cfa.max()) + 1 == cfa.size == np.unique(cfa).size
+
+
+def bilinear(mosaic: Array, cfa: CFA) -> Array:
+    """Every band by itself: samples nearer than a period weighed by triangles, "weighted bilinear" (Brauers and Aach 2006).
+    Of a Bayer CFA this is bilinear interpolation."""
+    return _by_site(mosaic, cfa, lambda padded: lambda site: _interpolated(padded, cfa, site))
+
+
+def spectral_difference(mosaic: Array, cfa: CFA) -> Array:
+    """Brauers and Aach, "A color filter array based multispectral camera", 2006. Differences of bands are interpolated: at a
+    pixel of band l the differences of all samples from the bilinear plane of l are, and l's sample is added."""
+
+    def method(padded: Array) -> Callable[[Direction], Array]:
+        plain = _all_sites(padded, cfa, lambda site: _interpolated(padded, cfa, site))
+
+        def at(site: Direction) -> Array:
+            return _samples(padded, cfa, site) + _interpolated(padded - plain[cfa[site]], cfa, site)
+
+        return at
+
+    return _by_site(mosaic, cfa, method)
+
+
+def ppi_difference(mosaic: Array, cfa: CFA) -> Array:
+    """PPID (Mihoubi, Losson, Mathon and Macaire, "Multispectral demosaicing using pseudo-panchromatic image", IEEE Trans.
+    Computational Imaging 3, 2017, equations 21 to 34) for a CFA that `occurs_once`: the differences of all samples from the
+    pseudo-panchromatic image, the mean of all bands, are interpolated along edges."""
+
+    def method(padded: Array) -> Callable[[Direction], Array]:
+        values = CODES * padded
+        weights = _edge_weights(values, cfa.shape)
+        panchromatic = _panchromatic(values, cfa.shape, weights)
+
+        def at(site: Direction) -> Array:
+            difference = _interpolated(values - panchromatic, cfa, site, weights)
+            return (_samples(panchromatic, cfa, site) + difference) / CODES
+
+        return at
+
+    return _by_site(mosaic, cfa, method)
+
+
+def _panchromatic(values: Array, period: tuple[int, ...], weights: Mapping[Direction, Array]) -> Array:
+    """The pseudo-panchromatic image (row, col) of a mosaic: its mean over a period, sharpened by what the mosaic's samples
+    of the same band a period away lie off theirs (equations 23 to 28)."""
+    from scipy.ndimage import correlate1d
+
+    smooth = values
+    for axis, length in enumerate(period):
+        kernel = np.ones(length) if length % 2 else np.convolve(np.ones(length), (0.5, 0.5))
+        smooth = correlate1d(smooth, kernel / length, axis, mode="wrap")
+    total, norm = np.zeros(values.shape), np.zeros(values.shape)
+    for each in DIRECTIONS:
+        total += weights[each] * _moved(smooth - values, _step(each, period))
+        norm += weights[each]
+    sharp: Array = values + total / norm
+    return sharp
+
+
+def _edge_weights(values: Array, period: tuple[int, ...]) -> dict[Direction, Array]:
+    """By direction the weight (row, col) of what lies there: small where samples of the same band, a period apart, differ
+    (equations 25 to 27); 1 of the pixel itself."""
+    weights: dict[Direction, Array] = {(0, 0): np.ones(values.shape)}
+    for down, right in DIRECTIONS:
+        change = np.abs(values - _moved(values, _step((down, right), period)))
+        total = np.ones(values.shape)
+        for ahead, aside in itertools.product((0, 1), (-1, 0, 1)):
+            if down and right:
+                place = ((ahead + (aside < 0)) * down, (ahead + (aside > 0)) * right)
+            else:
+                place = (ahead * down + aside * right, ahead * right + aside * down)
+            total += (2 - ahead) * (2 - abs(aside)) * _moved(change, place)
+        weights[down, right] = 1.0 / total
+    return weights
+
+
+# ------------------------------------------------------------------------------------------------------ interpolation
+
+
+def _interpolated(plane: Array, cfa: CFA, site: Direction, weights: Mapping[Direction, Array] | None = None) -> Array:
+    """Bands (band, row, col) at the pixels of a CFA site, from the samples of `plane` less than a period away: weighed by a
+    triangle in either direction, and by `weights` of their direction. The site's own band is the sample there."""
+    total = np.zeros((int(cfa.max()) + 1, *_samples(plane, cfa, site).shape))
+    norm = np.zeros_like(total)
+    for down, right in itertools.product(*(range(1 - length, length) for length in cfa.shape)):
+        band = cfa[(site[0] + down) % cfa.shape[0], (site[1] + right) % cfa.shape[1]]
+        share: float | Array = float((cfa.shape[0] - abs(down)) * (cfa.shape[1] - abs(right)))
+        if weights is not None:
+            share = share * _samples(weights[int(np.sign(down)), int(np.sign(right))], cfa, site)
+        total[band] += share * _samples(plane, cfa, site, (down, right))
+        norm[band] += share
+    bands: Array = total / norm
+    bands[cfa[site]] = _samples(plane, cfa, site)
+    return bands
+
+
+def _by_site(mosaic: Array, cfa: CFA, method: Callable[[Array], Callable[[Direction], Array]]) -> Array:
+    """What a method gives, prepared with the padded mosaic, at the pixels of every site; without the margin."""
+    margin = PERIODS * math.lcm(*cfa.shape)
+    return cropped(_all_sites(padded := pad_mosaic(mosaic, margin, cfa.shape), cfa, method(padded)), margin)
+
+
+def _all_sites(padded: Array, cfa: CFA, at: Callable[[Direction], Array]) -> Array:
+    bands = np.empty((int(cfa.max()) + 1, *padded.shape))
+    for row, col in np.ndindex(*cfa.shape):
+        bands[:, row :: cfa.shape[0], col :: cfa.shape[1]] = at((row, col))
+    return bands
+
+
+def _samples(plane: Array, cfa: CFA, site: Direction, offset: Direction = (0, 0)) -> Array:
+    """The samples of a plane at `offset` from the pixels of a site; beyond the end those of the other end."""
+    rows, cols = (
+        (np.arange(first, length, step) + by) % length
+        for first, length, step, by in zip(site, plane.shape, cfa.shape, offset, strict=True)
+    )
+    return plane[np.ix_(rows, cols)]
+
+
+def _moved(plane: Array, by: tuple[int, ...]) -> Array:
+    """At every pixel what lies at an offset from it."""
+    return np.roll(plane, tuple(-each for each in by), (0, 1))
+
+
+def _step(direction: Direction, period: tuple[int, ...]) -> tuple[int, ...]:
+    """A period in a direction."""
+    return tuple(sign * length for sign, length in zip(direction, period, strict=True))

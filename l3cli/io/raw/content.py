@@ -1,0 +1,69 @@
+"""What raw files hold: of one frame its content, of several a stack; and what a reader is asked for beside the path."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import NotRequired, TypedDict
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.errors import InputFileError
+from l3cli.io.raw.packed import Layout
+
+
+class RawContent(TypedDict):
+    """One frame; the table says what its file does not."""
+
+    values: NDArray[np.unsignedinteger]  # (row, col) DN of at most 16 bits, without masked borders
+    black_level: NotRequired[float]  # DN
+    white_level: NotRequired[float]  # DN
+    pattern: NotRequired[NDArray[np.int64]]  # (row, col) colour codes of the CFA, from pixel (0, 0) on
+    orientation: NotRequired[int]  # LibRaw's flip code
+    exposure: NotRequired[float | None]  # s
+
+
+@dataclass(frozen=True)
+class Request:
+    """What the caller says of a file whose format asks for it."""
+
+    layout: Layout | None = None  # of headerless frames
+    dataset: str | None = None  # name within the file; None: the only one
+
+
+@dataclass(frozen=True)
+class Stack:
+    """The frames of one file, each read when it is wanted."""
+
+    count: int | None  # None: a stream, read in order until there is no more
+    read: Callable[[int], RawContent | None]  # by number, from 0; None: the stream ended before
+    unit: str = "frame"  # what messages call one …
+    first: int = 0  # … and the number that they give the first
+    rate: Fraction | None = None  # frames a second, where the file states them
+    numbered: bool = True  # whether a picture's name has the frame's number even where there is one alone
+
+    def name(self, number: int) -> str:
+        """What messages call a frame."""
+        return f"{self.unit} {self.first + number}"
+
+
+class InOrder:
+    """Reads a stream frame by frame, each number after the one before it; frames between are passed over."""
+
+    def __init__(self, following: Callable[[], NDArray | None]) -> None:
+        self._following = following  # the next frame's pixels; None at the end
+        self._next = 0
+
+    def read(self, number: int) -> RawContent | None:
+        pixels: NDArray | None = None
+        while self._next <= number:
+            self._next += 1  # before reading: a frame that fails has been passed
+            try:
+                pixels = self._following()
+            except InputFileError as error:
+                if self._next <= number:
+                    continue  # nobody wants it
+                raise InputFileError(f"frame {number}: {error}") from error
+            if pixels is None:
+                return None
+        return None if pixels is None else RawContent(values=pixels)

@@ -1,0 +1,109 @@
+"""Raw files → RawFrame. How each format is read: registry.py.
+
+The colour filter array comes from the table. From the file come pixels, black, white, crop, orientation, and where it states
+of its array the phase; an array that is not the table's is refused.
+"""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from l3cli.dark import DarkFrame, without_dark
+from l3cli.errors import InputFileError
+from l3cli.files import STDIN, require_regular
+from l3cli.frame import RawFrame
+from l3cli.io.raw.cfa_codes import Sensor, find_phase
+from l3cli.io.raw.content import RawContent, Request, Stack
+from l3cli.io.raw.headerless import layout_of, stdin
+from l3cli.io.raw.registry import CAMERA_RAW, RawFormat, format_of
+from l3cli.limits import require_picture
+
+RAW_FILE = "give a raw file, or - for headerless frames on stdin"
+TOP = 65535  # DN, the most that 16 bits hold
+LONGEST = 1e5  # s, the longest exposure that is believed
+
+
+@dataclass(frozen=True)
+class KnownBetter:
+    """What the caller knows about a raw file; None: as the file or else the table says."""
+
+    black_level: float | None = None  # DN
+    white_level: float | None = None  # DN
+    phase: tuple[int, int] | None = None  # CFA row and column of pixel (0, 0)
+    size: tuple[int, int] | None = None  # rows, columns of a headerless file
+    packing: str | None = None  # one of packed.PACKINGS, of a headerless file
+    stride: int | None = None  # bytes from row to row of a headerless file
+    exposure: float | None = None  # s
+    dark: DarkFrame | None = None  # what the camera gives without light
+
+
+def read_raw(path: Path, table: Sensor, known: KnownBetter | None = None) -> RawFrame:
+    """The frame in `path`, read by its suffix; InputFileError names file and cure."""
+    known = known or KnownBetter()
+    require_regular(path, RAW_FILE)
+    kind = format_of(path)
+    kind = kind if kind.holds_frame else CAMERA_RAW  # LibRaw says what is wrong
+    try:
+        return frame_of(str(path), kind.read(path, _request(kind, path, table, known)), table, known)
+    except OSError as error:
+        raise InputFileError(f"{path}: {error.strerror or error}") from error
+
+
+def read_stack(path: Path, table: Sensor, known: KnownBetter, dataset: str | None = None) -> Stack | None:
+    """The frames in `path`, the HDF5 file's array `dataset` of them; None if it holds one frame, or is of a format that can
+    hold no more."""
+    kind = format_of(path)
+    return kind.stack(path, _request(kind, path, table, known, dataset)) if kind.stackable else None
+
+
+def read_stdin(table: Sensor, known: KnownBetter) -> Stack:
+    """The headerless frames that come on stdin."""
+    return stdin(layout_of(STDIN, known.size or (table.rows, table.cols), known.packing, known.stride))
+
+
+def _request(kind: RawFormat, path: Path, table: Sensor, known: KnownBetter, dataset: str | None = None) -> Request:
+    size = known.size or (table.rows, table.cols)
+    return Request(layout_of(path, size, known.packing, known.stride) if kind.wants_geometry else None, dataset)
+
+
+def frame_of(name: str, content: RawContent, table: Sensor, known: KnownBetter) -> RawFrame:
+    """The frame of what a file holds; what it does not say is the table's, unless the caller knows better."""
+    values, pattern = content["values"], content.get("pattern")
+    if values.size == 0 or values.ndim != 2:
+        raise InputFileError(f"{name} holds no pixels; give a raw file")
+    require_picture(name, *values.shape)
+    frame = RawFrame(
+        name,
+        np.ascontiguousarray(values, np.uint16),
+        content.get("black_level", table.black),
+        content.get("white_level", table.white),
+        find_phase(name, pattern, table) if pattern is not None and known.phase is None else (0, 0),
+        content.get("orientation", 0),
+        content.get("exposure"),
+    )
+    return _corrected(frame, table, known)
+
+
+def _corrected(frame: RawFrame, table: Sensor, known: KnownBetter) -> RawFrame:
+    """The frame with what the caller knows better in place of what the file says, and what dark current adds to it."""
+    black = frame.black_level if known.black_level is None else known.black_level
+    white = frame.white_level if known.white_level is None else known.white_level
+    phase = frame.phase if known.phase is None else known.phase
+    if not 0 <= black < white <= TOP:
+        raise InputFileError(
+            f"{frame.name}: black level {black:g} and white level {white:g} do not fit; give ‹black› and ‹white_level›"
+        )
+    rows, cols = table.cfa.shape
+    recorded = frame.exposure if frame.exposure is not None and 0 < frame.exposure <= LONGEST else None
+    exposure = recorded if known.exposure is None else known.exposure
+    dark = table.dark_signal(exposure) * (white - black) / (table.white - table.black)
+    if not dark < white - black:
+        raise InputFileError(
+            f"{frame.name}: dark current alone fills a pixel with {dark:.4g} of {white - black:.4g} DN; "
+            "is its exposure time in seconds?"
+        )
+    corrected = replace(
+        frame, black_level=black, white_level=white, phase=(phase[0] % rows, phase[1] % cols), exposure=exposure, dark=dark
+    )
+    return corrected if known.dark is None else without_dark(corrected, known.dark)

@@ -1,0 +1,88 @@
+"""FITS: the first image of a file, a frame (row, col) or frames (frame, row, col) of unsigned integers, through astropy.
+
+astropy and no reader of this package: unsigned values are coded by BZERO, images may be packed (fpack), and headers run over
+blocks. Row order: the first row is the uppermost, unless ROWORDER says BOTTOM-UP; BAYERPAT gives the colours of the upper
+left pixels, displaced by XBAYROFF and YBAYROFF.
+"""
+
+import contextlib
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from l3cli.errors import InputFileError, L3Error
+from l3cli.io.apart import apart
+from l3cli.io.raw.cfa_codes import codes_of
+from l3cli.io.raw.content import RawContent, Request, Stack
+from l3cli.limits import require_picture
+
+INSTALL = 'FITS files need astropy; install it with: pip install "l3cli[fits]"'
+BROKEN = (TypeError, ValueError, KeyError, IndexError, AttributeError)  # what astropy raises over a damaged file
+
+
+def read(path: Path, _: Request) -> RawContent:
+    """The frame of a file that holds one."""
+    return read_fits(path)
+
+
+def stack(path: Path, _: Request) -> Stack | None:
+    """The frames of an image of three axes."""
+    shape = fits_shape(path)
+    return Stack(shape[0], lambda number: read_fits(path, number)) if len(shape) == 3 else None
+
+
+@apart
+def fits_shape(path: Path) -> tuple[int, ...]:
+    """(row, col) or (frame, row, col) of the first image."""
+    with _first_image(path) as image:
+        return tuple(image.shape)
+
+
+@apart
+def read_fits(path: Path, number: int | None = None) -> RawContent:
+    """Pixels (row, col) in DN, of frame `number` where there are several, the colours BAYERPAT names, and the exposure time
+    (s) of EXPTIME or EXPOSURE.
+
+    InputFileError if the file holds anything but unsigned integers of at most 16 bits.
+    """
+    with _first_image(path) as image:
+        values = np.asarray(image.data if number is None else image.section[number])
+        header = image.header
+        pattern, order = str(header.get("BAYERPAT", "")).strip().upper(), str(header.get("ROWORDER", "")).strip().upper()
+        offset = (int(header.get("YBAYROFF", 0)), int(header.get("XBAYROFF", 0)))
+        seconds = header.get("EXPTIME", header.get("EXPOSURE"))
+    if values.ndim != 2 or values.dtype.kind not in "ui" or values.dtype.itemsize > 2 or values.size == 0:
+        raise InputFileError(f"{path} holds {values.dtype.name} {values.shape}; give unsigned 16-bit (rows, columns)")
+    if values.min() < 0:
+        raise InputFileError(f"{path} holds {values.min()} DN; give unsigned values, as BZERO = 32768 codes them")
+    if order == "BOTTOM-UP":
+        values = values[::-1]
+    exposure = float(seconds) if isinstance(seconds, int | float) else None
+    content = RawContent(values=np.ascontiguousarray(values, np.uint16), exposure=exposure)
+    if len(pattern) == 4:
+        square = np.roll(np.array(list(pattern)).reshape(2, 2), (-offset[0], -offset[1]), axis=(0, 1))
+        content["pattern"] = codes_of("".join(square.ravel())).reshape(2, 2)
+    return content
+
+
+@contextlib.contextmanager
+def _first_image(path: Path) -> Iterator[Any]:
+    try:
+        from astropy.io import fits
+    except ModuleNotFoundError as error:
+        raise L3Error(INSTALL) from error
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of sloppy headers; what cannot be read raises
+        try:
+            with fits.open(path, uint=True, lazy_load_hdus=True) as units:
+                image = next((unit for unit in units if unit.is_image and unit.header.get("NAXIS", 0) >= 2), None)
+                if image is None:
+                    raise InputFileError(f"{path} holds no image; give a FITS file with a raw frame")
+                require_picture(str(path), *image.shape[-2:])
+                yield image
+        except (*BROKEN, OSError) as error:
+            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+            raise InputFileError(f"{path} is damaged or no FITS file ({reason}); copy it again") from error

@@ -1,0 +1,86 @@
+"""Camera raws through LibRaw: pixels, levels and colours as the file states them."""
+
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.errors import InputFileError
+from l3cli.frame import with_one_black
+from l3cli.io.apart import apart
+from l3cli.io.names import named_in_utf8
+from l3cli.io.raw.cfa_codes import codes_of
+from l3cli.io.raw.content import RawContent, Request
+from l3cli.limits import require_picture
+
+
+def read(path: Path, _: Request) -> RawContent:
+    """What a camera raw holds within its visible area."""
+    return read_camera_raw(path)
+
+
+@apart
+def read_camera_raw(path: Path) -> RawContent:
+    """What a camera raw holds within its visible area; InputFileError as from `opened`."""
+    with opened(path) as raw:
+        return _visible(path, raw)
+
+
+@contextlib.contextmanager
+def opened(path: Path) -> Iterator[Any]:
+    """rawpy's object of a file with a mosaic. InputFileError if LibRaw cannot read it, or if it is demosaicked already."""
+    import rawpy
+
+    try:
+        with named_in_utf8(path) as name, rawpy.imread(name) as raw:
+            require_picture(str(path), raw.sizes.raw_height, raw.sizes.raw_width)
+            if raw.raw_type != rawpy.RawType.Flat or raw.raw_image_visible.ndim != 2:
+                raise InputFileError(f"{path} is already demosaicked (linear); give the raw file the camera wrote")
+            yield raw
+    except rawpy.LibRawError as error:
+        reason = error.args[0].decode() if error.args and isinstance(error.args[0], bytes) else str(error)
+        raise InputFileError(
+            f"{path} is damaged or no raw file LibRaw can read ({reason}); "
+            "give a camera raw, a one-channel TIFF or PNG, a .npy, or a headerless .raw"
+        ) from error
+
+
+def _visible(path: Path, raw: Any) -> RawContent:
+    """LibRaw's frame without masked borders; black and white levels may differ between its colours."""
+    colours, letters = raw.raw_colors_visible, raw.color_desc.decode("ascii", "replace")
+    if raw.num_colors == 1:  # no filters: LibRaw gives 6, which is none of its colours
+        colours, letters = np.zeros_like(colours), "W"
+    black, white = _levels(raw)
+    if colours.max() >= min(len(letters), len(black)):
+        raise InputFileError(f"{path} names colours that it does not have; it is damaged")
+    used = np.unique(colours)
+    if not (black[used] < white[used]).all():
+        levels = f"{black[used].max():g} is not below its white level {white[used].min():g}"
+        raise InputFileError(f"{path}: its black level {levels}; it is damaged")
+    values = raw.raw_image_visible.copy()
+    if np.ptp(black[used]) == 0:
+        common, top = float(black[used[0]]), float(white[used].min())
+    else:
+        values, common, top = with_one_black(values, black[colours], white[colours])
+    rows, cols = raw.raw_pattern.shape
+    pattern = codes_of(letters)[colours[:rows, :cols]]
+    shot = getattr(raw, "other", None)  # rawpy has it since 0.26
+    exposure = float(shot.shutter_speed) if shot is not None else None
+    return RawContent(
+        values=values,
+        black_level=common,
+        white_level=top,
+        pattern=pattern,
+        orientation=int(raw.sizes.flip),
+        exposure=exposure,
+    )
+
+
+def _levels(raw: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Black and white level (colour) in DN."""
+    black = np.array(raw.black_level_per_channel, np.float64)
+    whites = np.array(raw.camera_white_level_per_channel or (0,), np.float64)
+    return black, np.where(whites > 0, whites, raw.white_level) + np.zeros_like(black)

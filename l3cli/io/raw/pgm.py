@@ -1,0 +1,49 @@
+"""Portable graymaps: binary PGM (P5) of 8 or 16 bits, values as stored.
+
+OpenImageIO stretches values to the whole range of 16 bits, by the header's largest value; a raw mosaic must stay as it is.
+"""
+
+import re
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.errors import InputFileError
+from l3cli.files import open_regular
+from l3cli.io.raw.content import RawContent, Request
+from l3cli.limits import require_picture
+
+GAP = rb"(?:\s|#[^\n\r]*[\n\r])+"
+HEADER = re.compile(rb"P5" + GAP + rb"(\d{1,9})" + GAP + rb"(\d{1,9})" + GAP + rb"(\d{1,5})\s")
+LONGEST_HEADER = 65536  # bytes, comments included
+
+
+def read(path: Path, _: Request) -> RawContent:
+    """The values of a graymap."""
+    return RawContent(values=read_pgm(path))
+
+
+def read_pgm(path: Path) -> NDArray:
+    """Pixels (row, col) in DN, uint8 or uint16 as in the file; InputFileError if it is no single, whole P5 graymap."""
+    with open_regular(path) as stream:
+        start = stream.read(LONGEST_HEADER)
+    header = HEADER.match(start)
+    if header is None:
+        kind = "a PGM in text" if start.startswith(b"P2") else "no binary PGM"
+        raise InputFileError(f"{path} is {kind}; give a P5 graymap of raw values")
+    cols, rows, top = (int(number) for number in header.groups())
+    if not (rows and cols and 0 < top < 65536):
+        raise InputFileError(f"{path} says it has {rows}×{cols} values up to {top}; it is damaged")
+    dtype = np.dtype(np.uint8 if top < 256 else ">u2")
+    wanted, size = rows * cols * dtype.itemsize, path.stat().st_size - header.end()
+    if size != wanted:
+        held = "is truncated" if size < wanted else "holds more than one graymap"
+        raise InputFileError(
+            f"{path} {held}: {size} bytes, {rows}×{cols} values have {wanted}; give whole files of one frame"
+        )
+    require_picture(str(path), rows, cols)
+    values = np.fromfile(path, dtype, offset=header.end()).reshape(rows, cols)
+    if values.max() > top:
+        raise InputFileError(f"{path} holds {values.max()} DN, its header says at most {top}; it is damaged")
+    return values.astype(dtype.newbyteorder("="))

@@ -1,0 +1,85 @@
+"""The raw formats: which suffixes there are, what reads them, and what must be known before. A new one is a module of this
+folder and a line here.
+
+A format's module has `read`, and `stack` and `rate` where its line says so; it is imported when the first file is read.
+"""
+
+import importlib
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+from l3cli.io.raw.content import RawContent, Request, Stack
+from l3cli.io.raw.packed import PACKED
+
+
+@dataclass(frozen=True)
+class RawFormat:
+    """How files of some suffixes are read."""
+
+    suffixes: tuple[str, ...]  # in lower case
+    module: str  # of this folder
+    holds_frame: bool = True  # False: such a file is a sequence, never a frame
+    stackable: bool = False  # may hold several frames
+    sandboxed: bool = True  # decoded in a process apart
+    wants_geometry: bool = False  # Request.layout
+    wants_dataset: bool = False  # Request.dataset
+    has_rate: bool = False  # a file of one frame may state the frames a second of its sequence
+
+    def read(self, path: Path, request: Request) -> RawContent:
+        """The frame of a file that holds one; InputFileError if it does not."""
+        content: RawContent = self._reader.read(path, request)
+        return content
+
+    def stack(self, path: Path, request: Request) -> Stack | None:
+        """The frames of a file that holds several; None if it holds one, which may be broken."""
+        return self._reader.stack(path, request) if self.stackable else None
+
+    def rate(self, path: Path) -> Fraction | None:
+        """Frames a second that a file of one frame states."""
+        return self._reader.rate(path) if self.has_rate else None
+
+    @property
+    def _reader(self) -> Any:
+        return importlib.import_module(f"l3cli.io.raw.{self.module}")
+
+
+PGM = RawFormat((".pgm",), "pgm", sandboxed=False)
+CAMERA_RAW = RawFormat(
+    tuple(
+        "." + name for name in ("3fr", "ari", "arw", "cr2", "cr3", "dcr", "erf", "fff", "iiq", "kdc", "mos", "mrw")
+        + ("nef", "nrw", "orf", "pef", "raf", "rw2", "rwl", "srw", "x3f")
+    ),
+    "libraw",
+)  # fmt: skip
+HEADERLESS = (".raw", ".bin", *("." + packing for packing in PACKED))
+FORMATS = (
+    RawFormat((".tif", ".tiff"), "pages", stackable=True),
+    RawFormat((".png",), "pages"),
+    PGM,
+    RawFormat((".npy",), "npy", stackable=True, sandboxed=False),
+    RawFormat(HEADERLESS, "headerless", stackable=True, sandboxed=False, wants_geometry=True),
+    RawFormat((".fits", ".fit", ".fts"), "fits", stackable=True),
+    RawFormat((".h5", ".hdf5", ".hdf"), "hdf5", holds_frame=False, stackable=True, wants_dataset=True),
+    RawFormat((".mkv", ".mov", ".mp4", ".avi"), "video", holds_frame=False, stackable=True),
+    RawFormat((".dng",), "dng", has_rate=True),
+    CAMERA_RAW,
+)
+BY_SUFFIX = {suffix: each for each in FORMATS for suffix in each.suffixes}
+
+
+def format_of(path: Path) -> RawFormat:
+    """The format that a file's suffix names; of other suffixes that of camera raws, which LibRaw knows by their content."""
+    return BY_SUFFIX.get(path.suffix.lower(), CAMERA_RAW)
+
+
+def is_frame(path: Path) -> bool:
+    """Whether a folder's file of this name is taken for a raw frame."""
+    return path.suffix.lower() in BY_SUFFIX and format_of(path).holds_frame
+
+
+def needs_sandbox(path: Path) -> bool:
+    """Whether a file of this name is decoded in a process apart; a name without suffix, of a folder or of stdin, does not
+    tell."""
+    return bool(path.suffix) and format_of(path).sandboxed

@@ -1,0 +1,18 @@
+"""Which files the name or glob of a scene stands for."""
+
+from pathlib import Path
+
+from l3cli.errors import InputFileError
+
+
+def find(pattern: str, folder: Path, folders: bool = False) -> list[Path]:
+    """The files (or `folders`) of a name or glob relative to `folder`, sorted; InputFileError if there is none."""
+    wanted = Path.is_dir if folders else Path.is_file
+    single = folder / pattern
+    if wanted(single):
+        return [single]
+    root = Path(single.anchor)  # "" for a relative folder
+    paths = sorted(path for path in root.glob(str(single.relative_to(root))) if wanted(path))
+    if not paths:
+        raise InputFileError(f"{single} does not exist; name a scene file or a glob relative to the recipe")
+    return paths

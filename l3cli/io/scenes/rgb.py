@@ -1,0 +1,31 @@
+"""RGB pictures: colours to be raised to spectra, or codes that are channel signals."""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.errors import InputFileError
+from l3cli.io.images import picture_size, read_image
+from l3cli.physics.display import srgb_decoded
+
+
+def size(path: Path, holds: str = "sRGB") -> tuple[int, int]:
+    """(rows, cols) of a picture."""
+    return picture_size(path)
+
+
+def read(path: Path, holds: str = "sRGB") -> NDArray[np.float32]:
+    """A picture (row, col, 3), 1 being white: linear sRGB, integers being decoded from it, floats linear already; or where
+    it `holds` "codes" these as shares of the integer type's largest.
+
+    InputFileError if the file is no colour picture.
+    """
+    pixels, names = read_image(path)
+    if len(names) < 3:
+        raise InputFileError(f"{path} has no red, green and blue; give a colour picture")
+    if pixels.dtype.kind == "f":
+        return np.maximum(np.nan_to_num(pixels[..., :3]), 0.0).astype(np.float32)
+    levels = np.arange(np.iinfo(pixels.dtype).max + 1) / np.iinfo(pixels.dtype).max
+    linear = (levels if holds == "codes" else srgb_decoded(levels)).astype(np.float32)
+    return linear[pixels[..., :3]]

@@ -1,0 +1,42 @@
+"""The plane layer after the first in the float64 reference (docs/method.md#layers)."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.layers import PLANE_STEP, PlaneLayer
+from l3cli.artifacts.table import TransformTable
+from l3cli.classes.later import label_planes, mirrored
+from l3cli.classes.planes import FixedPoint
+from l3cli.classes.windows import Integers
+from l3cli.frame import RawFrame, pad_mosaic
+
+
+def first_planes(frame: RawFrame, labels: Integers, table: TransformTable, fixed: FixedPoint) -> NDArray[np.int32]:
+    """Planes (plane, row, col) that the first layer makes of a frame at the table's levels, by its classes (row, col)."""
+    rows, cols = frame.values.shape
+    patch = table.first.rule.patch
+    padded = pad_mosaic(frame.values, table.first.rule.radius, table.cfa.shape).astype(np.int64)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, (patch, patch))
+    planes = np.empty((fixed.weights.shape[1], rows, cols), np.int32)
+    for row in range(rows):
+        patches, label = windows[row].reshape(cols, 1, patch**2), labels[row]
+        planes[:, row] = fixed.planes((fixed.weights[label] * patches).sum(axis=-1) + fixed.intercept[label]).T
+    return planes
+
+
+def later_labels(planes: NDArray[np.int32], labels: Integers, table: TransformTable) -> Integers:
+    """Classes (row, col) of the layer after the first."""
+    return label_planes(planes, labels, table.later[0].rule, table.first.rule)
+
+
+def later_outputs(planes: NDArray[np.int32], labels: Integers, layer: PlaneLayer) -> NDArray[np.float64]:
+    """Outputs (output, row, col) of a plane layer from what it reads and its classes (row, col)."""
+    _, rows, cols = planes.shape
+    padded = mirrored(planes.astype(np.float64) * PLANE_STEP, layer.radius)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, (layer.side, layer.side), (1, 2))
+    outputs = np.empty((layer.weights.shape[1], rows, cols))
+    for row in range(rows):
+        patches = np.moveaxis(windows[:, row], 0, 1).reshape(cols, -1, 1)
+        weighted = layer.weights[labels[row]].astype(np.float64) @ patches
+        outputs[:, row] = (weighted[..., 0] + layer.intercept[labels[row]]).T
+    return outputs

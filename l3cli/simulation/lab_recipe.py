@@ -1,0 +1,118 @@
+"""The recipe of the virtual lab, and whether a lab can carry it out."""
+
+from typing import ClassVar
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.camera import LONGEST, MOST_WAVELENGTHS, CameraModel
+from l3cli.config import Count, CountOrNone, Positive, Recipe
+from l3cli.errors import RecipeError
+from l3cli.simulation.sensor_defects import DefectRecipe, check_defects
+
+SPARE = 5.0  # nm that the spectrometer sees beyond camera and slits
+MOST_STRAY, MOST_DRIFT = 0.01, 0.2  # beyond, a slit is no slit and a lamp no lamp
+Array = NDArray[np.float64]
+
+
+class MonoRecipe(Recipe):
+    """A monochromator that fills the field; its slit function is a triangle above some stray light."""
+
+    first_nm: float | None = None  # default: the first slit that lies within the camera's responsivities
+    last_nm: float | None = None  # default: the last one
+    step_nm: float = 10.0
+    bandwidth_nm: float = 10.0  # full width at half maximum
+    stray_light: float = 0.0005  # share of the peak at every wavelength
+    trials: Count = 1  # frames a step
+    overexposed: CountOrNone = (
+        4  # steps between the first and the last, as far as there are, that are taken again far too long
+    )
+    level: float = 0.5  # share of full scale that the brightest channel reaches
+    radiance: Positive = 1e18  # photons/s/sr/m² of every step
+    longest_exposure_s: Positive = 2.0  # a step that no channel sees well stays darker
+
+
+class ChartRecipe(Recipe):
+    """A ColorChecker that fills the field."""
+
+    illuminants: tuple[str, ...] = ("D65", "A", "3200K", "FL2")
+    trials: Count = 1
+    luminance: Positive = 500.0  # cd/m² of a perfect white
+    level: float = 0.5  # share of full scale that the brightest channel reaches in the brightest patch
+
+
+class WhiteRecipe(Recipe):
+    """Even light at several exposures."""
+
+    illuminant: str = "D65"
+    luminance: Positive = 500.0  # cd/m²
+    levels: tuple[float, ...] = (0.05, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.6)  # of full scale, in the brightest channel
+    trials: Count = 4
+
+
+class DarkRecipe(Recipe):
+    """Lens-cap frames."""
+
+    exposures_s: tuple[float, ...] = (0.01, 0.5, 1.0, 2.0)
+    trials: Count = 4
+
+
+class LabRecipe(Recipe):
+    """What the lab measures; every key has the default that configs/lab/default.toml spells out."""
+
+    title: ClassVar[str] = "a lab recipe"
+
+    mono: MonoRecipe = msgspec.field(default_factory=MonoRecipe)
+    chart: ChartRecipe = msgspec.field(default_factory=ChartRecipe)
+    white: WhiteRecipe = msgspec.field(default_factory=WhiteRecipe)
+    dark: DarkRecipe = msgspec.field(default_factory=DarkRecipe)
+    flaws: DefectRecipe = msgspec.field(default_factory=DefectRecipe)
+    spectrometer_step_nm: float = 1.0  # sampling of the measured spectra
+    wavelength_error_nm: float = 0.1  # standard deviation of the spectrometer's scale, one error a session
+    lamp_drift: float = 0.01  # relative standard deviation of the lamps, slow
+    monitor_error: float = 0.001  # relative standard deviation of the reading that follows them
+    falloff: float = 0.1  # share of every lamp's light missing in the corners
+
+
+def check(recipe: LabRecipe, camera: CameraModel) -> None:
+    """RecipeError if a lab cannot measure `camera` so."""
+    mono = recipe.mono
+    if not (mono.step_nm > 0 and mono.bandwidth_nm > recipe.spectrometer_step_nm > 0):
+        raise RecipeError("mono needs step_nm above 0, bandwidth_nm above spectrometer_step_nm, and that above 0")
+    _check_grids(recipe, camera)
+    centres = slit_centres(camera, mono)
+    if centres.size < 3 or centres[0] <= mono.bandwidth_nm:
+        raise RecipeError("mono needs three steps or more from first_nm to last_nm, at visible wavelengths")
+    shares = (mono.level, recipe.chart.level, *recipe.white.levels, *recipe.dark.exposures_s)
+    if min(shares) <= 0 or not recipe.white.levels or not recipe.dark.exposures_s:
+        raise RecipeError("levels and exposures must be given and above 0")
+    if min(recipe.white.trials, recipe.dark.trials) < 2:
+        raise RecipeError("white and dark need two trials or more, for noise is measured on pairs of frames")
+    if not (0 <= mono.stray_light < MOST_STRAY and 0 <= recipe.falloff < 1 and 0 <= recipe.lamp_drift < MOST_DRIFT):
+        raise RecipeError(f"stray_light must lie in 0…{MOST_STRAY}, falloff in 0…1, lamp_drift in 0…{MOST_DRIFT}")
+    if min(recipe.monitor_error, recipe.wavelength_error_nm, *msgspec.structs.astuple(recipe.flaws)) < 0:
+        raise RecipeError("monitor_error, wavelength_error_nm and the figures of flaws must not be negative")
+    check_defects(recipe.flaws)
+    if camera.rows < 64 or camera.cols < 96:
+        raise RecipeError(f"a sensor of {camera.rows}×{camera.cols} is too small for a chart; the lab needs 64×96 pixels")
+    if not camera.absolute:
+        raise RecipeError("the camera's responsivity is only relative; the lab needs quantum efficiencies")
+
+
+def _check_grids(recipe: LabRecipe, camera: CameraModel) -> None:
+    """RecipeError if the monochromator or the spectrometer is to take more steps than any does."""
+    mono = recipe.mono
+    first, last = mono.first_nm or camera.wavelength[0], mono.last_nm or camera.wavelength[-1]
+    reach = last - first + 2 * (mono.bandwidth_nm + SPARE)
+    if not (0 < first < last <= LONGEST and mono.bandwidth_nm <= LONGEST):
+        raise RecipeError(f"mono: first_nm and last_nm must lie in 0…{LONGEST}, and bandwidth_nm below")
+    if reach / mono.step_nm > MOST_WAVELENGTHS or reach / recipe.spectrometer_step_nm > MOST_WAVELENGTHS:
+        raise RecipeError(f"step_nm and spectrometer_step_nm must not make more than {MOST_WAVELENGTHS} steps")
+
+
+def slit_centres(camera: CameraModel, mono: MonoRecipe) -> Array:
+    """Wavelengths (step) nm that the monochromator is set to."""
+    first = camera.wavelength[0] + mono.bandwidth_nm if mono.first_nm is None else mono.first_nm
+    last = camera.wavelength[-1] - mono.bandwidth_nm if mono.last_nm is None else mono.last_nm
+    return np.arange(first, last + mono.step_nm / 2, mono.step_nm)

@@ -1,0 +1,72 @@
+"""What a real sensor adds to the model of docs/method.md#sensor: hot and dead pixels, dust, column noise."""
+
+import functools
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.config import Recipe, Share
+from l3cli.errors import RecipeError
+
+MOST_SPECKS, LARGEST_SPECK = 10_000, 1000  # per million pixels; pixels in radius
+
+
+class DefectRecipe(Recipe):
+    """The defects of the virtual lab's sensor."""
+
+    hot_pixels_per_million: float = 25.0
+    hot_current_e_per_s: float = 4000.0  # dark current of a hot pixel
+    dead_pixels_per_million: float = 10.0
+    dust_specks_per_million: float = 4.0  # soft shadows of a few pixels' radius
+    dust_depth: Share = 0.03  # share of the light that a speck takes in its middle
+    dust_radius_px: float = 12.0
+    column_noise_e: float = 2.0  # standard deviation of the columns' offsets
+
+
+def check_defects(recipe: DefectRecipe) -> None:
+    """RecipeError if defects are more than pixels, or dust is nothing that a frame could be cleaned of."""
+    if max(recipe.hot_pixels_per_million, recipe.dead_pixels_per_million) > 1e6:
+        raise RecipeError("flaws: of a million pixels no more than a million can be hot or dead")
+    if not (recipe.dust_specks_per_million <= MOST_SPECKS and 0 < recipe.dust_radius_px <= LARGEST_SPECK):
+        raise RecipeError(
+            f"flaws: give up to {MOST_SPECKS} specks of dust per million pixels, 0…{LARGEST_SPECK} px in radius"
+        )
+
+
+@dataclass(frozen=True)
+class SensorDefects:
+    """The defects of one sensor, the same in every frame."""
+
+    hot: NDArray[np.int64]  # (pixel, 2) row, col
+    dead: NDArray[np.int64]  # (pixel, 2) row, col
+    shade: NDArray[np.float32]  # (row, col) share of the light that dust lets through
+    columns: NDArray[np.float32]  # (col) e-, offset
+
+
+def defects_of(camera: CameraModel, recipe: DefectRecipe) -> SensorDefects:
+    """The defects of a camera, drawn from its fixed-pattern seed."""
+    return _draw(camera.fixed_pattern_seed, camera.rows, camera.cols, msgspec.structs.astuple(recipe))
+
+
+@functools.lru_cache(maxsize=1)
+def _draw(seed: int, rows: int, cols: int, figures: tuple[float, ...]) -> SensorDefects:
+    recipe = DefectRecipe(*figures)
+    rng = np.random.default_rng([seed, 1])
+
+    def scattered(per_million: float) -> NDArray[np.int64]:
+        count = round(per_million * 1e-6 * rows * cols)
+        return np.stack([rng.integers(0, rows, count), rng.integers(0, cols, count)], axis=1)
+
+    hot, dead = scattered(recipe.hot_pixels_per_million), scattered(recipe.dead_pixels_per_million)
+    shade = np.ones((rows, cols), dtype=np.float32)
+    reach = int(np.ceil(4 * recipe.dust_radius_px))
+    for row, col in scattered(recipe.dust_specks_per_million):
+        top, left = max(row - reach, 0), max(col - reach, 0)
+        part = shade[top : row + reach, left : col + reach]
+        y, x = np.arange(part.shape[0]) + top - row, np.arange(part.shape[1]) + left - col
+        part -= (recipe.dust_depth * np.exp(-0.5 * (y[:, None] ** 2 + x**2) / recipe.dust_radius_px**2)).astype(np.float32)
+    columns = (recipe.column_noise_e * rng.standard_normal(cols)).astype(np.float32)
+    return SensorDefects(hot, dead, shade, columns)

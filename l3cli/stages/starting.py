@@ -1,0 +1,73 @@
+"""A folder to start from: the recipes of one kind of camera, and the pipelines from them on; or a benchmark."""
+
+import itertools
+import re
+import textwrap
+import tomllib
+from pathlib import Path
+
+from l3cli.files import atomic_output
+from l3cli.recipes import known_benchmarks, known_recipes, recipe_folder
+from l3cli.stages.claims import Claims
+from l3cli.stages.console import Console
+
+# What a folder of recipes holds beside its camera.toml: name there ← name in configs/.
+COMMON = {
+    "lab.toml": "lab/default.toml",
+    "scenes.toml": "scenes/default.toml",
+    "bands_scenes.toml": "scenes/bands.toml",
+    "unseen.toml": "scenes/demo_unseen.toml",
+    "classes.toml": "classes/default.toml",
+    "bands_classes.toml": "classes/bands.toml",
+    "Makefile": "pipelines/Makefile",
+    "Snakefile": "pipelines/Snakefile",
+    "slurm.sh": "pipelines/slurm.sh",
+}
+
+
+def starters() -> dict[str, Path]:
+    """What a folder may be made of, by name: camera recipes, and folders of benchmarks."""
+    return known_recipes("cameras") | known_benchmarks()
+
+
+def start(starter: Path, folder: Path, console: Console, *, force: bool = False) -> None:
+    """Write the recipe folder of a camera recipe or a benchmark, each file whole or not at all. L3Error if there is
+    something in the folder (unless `force`), or if it cannot be written."""
+    origins = folder_files(starter)
+    with Claims(console) as claims:
+        claims.spare(*origins.values())
+        claims.claim_folder(folder, force, *origins)
+        for name, origin in origins.items():
+            with atomic_output(folder / name) as temporary:
+                temporary.write_bytes(origin.read_bytes())
+                temporary.chmod(0o755 if origin.suffix == ".sh" else 0o644)
+        console.say(f"{folder}: {summary(starter)}; next: make -C {folder}")
+
+
+def summary(starter: Path) -> str:
+    """One line on a camera recipe, or that of a benchmark: the period of its array, its channels, the first sentence of the
+    file's first comment."""
+    camera = starter / "camera.toml" if starter.is_dir() else starter
+    text = camera.read_text(encoding="utf-8")
+    cfa = tomllib.loads((_base(camera) or camera).read_text(encoding="utf-8"))["cfa"]
+    comment = " ".join(
+        line.lstrip("# ") for line in itertools.takewhile(lambda line: line.startswith("#"), text.splitlines())
+    )
+    sentence = textwrap.shorten(re.split(r"[:;] |[.] (?=[A-Z])", comment)[0].rstrip("."), 84, placeholder=" …")
+    period = f"{len(cfa['pattern'])}×{len(cfa['pattern'][0].split())}"
+    return f"{period}, {len(cfa['channels']):2} channels  {sentence}"
+
+
+def folder_files(starter: Path) -> dict[str, Path]:
+    """What the recipe folder of a camera recipe or a benchmark holds, by name: the files it is copied from."""
+    if starter.is_dir():
+        return {path.name: path for path in sorted(starter.iterdir())}
+    base = _base(starter)
+    files = {name: recipe_folder() / source for name, source in COMMON.items()} | {"camera.toml": starter}
+    return files | ({} if base is None else {base.name: base})
+
+
+def _base(camera: Path) -> Path | None:
+    """The camera recipe that this one builds on, beside it."""
+    named = tomllib.loads(camera.read_text(encoding="utf-8")).get("base")
+    return None if named is None else camera.parent / named

@@ -1,0 +1,127 @@
+"""Layers after the first: what the processes of a training run do for them (docs/method.md#layers)."""
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.layer_sums import LayerSums
+from l3cli.artifacts.structure_rule import StructureRule
+from l3cli.artifacts.table import TransformTable
+from l3cli.classes.planes import fixed_point, opponent_basis
+from l3cli.stages.console import Console
+from l3cli.stages.training.passes import Execution
+from l3cli.stages.training.run import TrainingRun, TrainingSource, frames_of
+from l3cli.training.layers.learn import (
+    PILOT_MOSAICS,
+    LayerPass,
+    add_sums,
+    learn_layer,
+    luminance_noise,
+    no_sums,
+    structure_rule,
+    sum_layer,
+)
+from l3cli.training.recipe import TrainingRecipe
+from l3cli.training.training_pass import spread_patches
+
+UNITS = 8  # a process: more tell progress better, but every one hands on its own sums
+
+
+def learn_later(run: TrainingRun, table: TransformTable, execution: Execution) -> TransformTable:
+    """The table with the layers that the recipe wants after the first."""
+    if not run.has_later_layers:
+        tell_what_is_left_out(run, execution.console)
+        return table
+    mosaics = layer_mosaics(run)
+    layer = layer_pass(table, run.recipe, mosaics, run.seed)
+    rule = layer_rule(run, layer, execution)
+    sums = summed_layer(run, layer, rule, range(len(mosaics)), execution)
+    return replace(table, later=(learn_layer(layer, rule, sums),), history=run.history())
+
+
+def tell_what_is_left_out(run: TrainingRun, console: Console) -> None:
+    """Say that layers the recipe asks for are not learned, if that is so."""
+    if run.recipe.layer and not run.has_later_layers:
+        outputs = ", ".join(run.head.outputs)
+        console.alert(f"one layer is learned for the outputs {outputs}; later ones read X, Y and Z")
+
+
+def layer_mosaics(run: TrainingRun) -> tuple[int, ...]:
+    """Training mosaics (frame) of the second layer."""
+    return spread_patches(run.recipe.layer[0].mosaics, [source.frames for source in run.training], run.shares)
+
+
+def layer_pass(table: TransformTable, recipe: TrainingRecipe, mosaics: tuple[int, ...], seed: int) -> LayerPass:
+    """The pass that learns the second layer on a table of one."""
+    assert table.camera is not None  # tables have had one since there are layers
+    return LayerPass(
+        camera=table.camera,
+        rule=table.first.rule,
+        fixed=fixed_point(table),
+        basis=opponent_basis(table.white_point),
+        white_point=table.white_point,
+        recipe=recipe.layer[0],
+        learning=recipe.learning,
+        mosaics=mosaics,
+        exposure=table.exposure,
+        seed=seed,
+    )
+
+
+@dataclass(frozen=True)
+class LayerUnit:
+    """A work unit of a layer's pass: some frames; without a rule it measures the noise that the rule is made from."""
+
+    training: tuple[TrainingSource, ...]
+    remote: bool  # as of WorkUnit
+    layer: LayerPass
+    rule: StructureRule | None
+    frames: range
+
+
+def layer_rule(run: TrainingRun, layer: LayerPass, execution: Execution) -> StructureRule:
+    """The layer's class rule, from a pilot over all frames."""
+    units = _units(run, layer, None, range(len(run.patches)), execution)
+    measured = execution.console.progress(execution.crew(_measure, units), len(units), "pilot")
+    rule = structure_rule(layer, [noise for part in measured for noise in part])
+    kinds = f"({rule.structures} structures + {rule.cases - 1} saturation cases)"
+    execution.console.say(f"second layer: {sum(layer.mosaics)} mosaics, {rule.levels} levels × {kinds} a site")
+    return rule
+
+
+def summed_layer(
+    run: TrainingRun, layer: LayerPass, rule: StructureRule, frames: range, execution: Execution
+) -> dict[int, LayerSums]:
+    """Sums of the canonical sites over `frames`."""
+    sums = no_sums(layer, rule)
+    units = _units(run, layer, rule, frames, execution)
+    for part in execution.console.progress(execution.crew(_sum, units), len(units), "second layer"):
+        add_sums(sums, part)
+    return sums
+
+
+def _units(
+    run: TrainingRun, layer: LayerPass, rule: StructureRule | None, frames: range, execution: Execution
+) -> list[LayerUnit]:
+    about = (run.training, execution.remote, layer, rule)
+    return [LayerUnit(*about, part) for part in parts_of(frames, min(len(frames), UNITS * execution.crew.size))]
+
+
+def parts_of(frames: range, count: int) -> Iterator[range]:
+    """`count` parts of `frames`, of nearly equal numbers."""
+    edges = [frames.start + len(frames) * part // count for part in range(count + 1)] if count else []
+    return (range(first, last) for first, last in itertools.pairwise(edges))
+
+
+def _measure(unit: LayerUnit) -> list[NDArray[np.float64]]:
+    frames = frames_of(unit.training, unit.frames, unit.remote)
+    every = -(-len(unit.layer.mosaics) // PILOT_MOSAICS)
+    return luminance_noise(unit.layer, frames, unit.frames.start, every)
+
+
+def _sum(unit: LayerUnit) -> dict[int, LayerSums]:
+    assert unit.rule is not None
+    return sum_layer(unit.layer, unit.rule, frames_of(unit.training, unit.frames, unit.remote), unit.frames.start)

@@ -1,0 +1,82 @@
+"""The first layer at work on training mosaics: what the next one reads (docs/method.md#layers)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.class_rule import ClassRule
+from l3cli.artifacts.layers import PLANE_TOP
+from l3cli.classes.decide import labels as classes_of
+from l3cli.classes.planes import FixedPoint
+from l3cli.classes.statistics import mosaic_statistics, truncation
+from l3cli.classes.windows import Integers, neighbourhoods
+from l3cli.frame import pad_mosaic
+from l3cli.training.layers.mosaics import Mosaic
+
+Floats = NDArray[np.float32]
+AT_ONCE = 1 << 14  # pixels
+DARKEST_LEVEL = 1e-4  # share of full scale: rows of darker pixels get no more weight
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A mosaic after the first layer."""
+
+    target: Floats  # (row, col, output)
+    label: Integers  # (row, col) class of the first layer
+    brightness: Floats  # (row, col) mean over the channels of their means, share of full scale
+    noisy: NDArray[np.int32]  # (plane, row, col) what the next layer reads, in steps
+    clean: Floats  # (plane, row, col) the same without noise, by the classes of the noisy one
+
+
+class FirstLayer:
+    """A first layer in fixed point."""
+
+    def __init__(self, camera: CameraModel, rule: ClassRule, fixed: FixedPoint) -> None:
+        self.camera, self.rule, self.fixed = camera, rule, fixed
+        self._near = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
+        # Integers, which float64 adds exactly. Contiguous in every process: strides, which pickling does not always keep,
+        # decide how products of float32 are rounded.
+        self._weights = np.ascontiguousarray(np.swapaxes(fixed.weights, 1, 2), np.float64)
+        self._light_weights = self._weights.astype(np.float32)
+
+    def see(self, mosaic: Mosaic) -> Seen:
+        """Classes and planes of a mosaic."""
+        camera, rule = self.camera, self.rule
+        statistics = mosaic_statistics(mosaic.values, rule, self._near, camera.cfa, (0, 0))
+        within = classes_of(rule, statistics)
+        mean = (statistics.sums / self._near.count[statistics.site]).mean(axis=-1) * 2**rule.shift
+        brightness = (mean + truncation(rule.shift) - camera.black) / (camera.white - camera.black)
+        label = rule.on_site(within, statistics.site)
+        noisy = self.fixed.planes(self._sums(mosaic.values, label, self._weights).astype(np.int64))
+        clean = self._sums(mosaic.clean, label, self._light_weights) * np.float32(2.0**-self.fixed.fraction)
+        return Seen(
+            target=np.moveaxis(mosaic.target, 0, -1),
+            label=label,
+            brightness=np.maximum(brightness, DARKEST_LEVEL).astype(np.float32),
+            noisy=noisy,
+            clean=np.clip(clean, -PLANE_TOP, PLANE_TOP),
+        )
+
+    def _sums(self, values: NDArray, label: Integers, weights: NDArray) -> NDArray:
+        """Σ W · DN + B (plane, row, col)."""
+        rows, cols = values.shape
+        padded = pad_mosaic(values, self.rule.radius, self.camera.cfa.shape).astype(weights.dtype)
+        windows = np.lib.stride_tricks.sliding_window_view(padded, (self.rule.patch, self.rule.patch))
+        flat = label.reshape(-1)
+        order = np.argsort(flat, kind="stable")
+        sums = np.empty((flat.size, weights.shape[2]), weights.dtype)
+        for first in range(0, flat.size, AT_ONCE):
+            part = order[first : first + AT_ONCE]
+            taps = windows[part // cols, part % cols].reshape(len(part), -1)
+            for index, run in runs_of(flat[part]):
+                sums[part[run]] = taps[run] @ weights[index] + self.fixed.intercept[index].astype(weights.dtype)
+        return sums.T.reshape(-1, rows, cols)
+
+
+def runs_of(label: Integers) -> list[tuple[int, slice]]:
+    """Each class of sorted labels, and where it lies."""
+    start = np.flatnonzero(np.diff(label, prepend=-1)).tolist()
+    return [(int(label[a]), slice(a, b)) for a, b in zip(start, [*start[1:], len(label)], strict=True)]

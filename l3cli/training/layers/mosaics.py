@@ -1,0 +1,105 @@
+"""Training mosaics: pieces of frames as the camera sees them at some level, noisy and noise-free (docs/method.md#layers)."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.training_set import LightSpectrum, TrainingFrame, TrainingPair
+from l3cli.physics import spectra
+from l3cli.training.patches import expose_patches
+from l3cli.training.recipe import LearningRecipe
+
+Floats = NDArray[np.float32]
+LARGEST_SIDE = 156  # pixels
+Y = 1  # its place among the outputs X, Y, Z
+
+
+@dataclass(frozen=True)
+class Mosaic:
+    """A piece of a frame, CFA phase (0, 0)."""
+
+    values: NDArray[np.uint16]  # (row, col) DN, noisy
+    clean: Floats  # (row, col) DN without noise, clipped at white
+    target: Floats  # (output, row, col) in the table's output unit
+
+
+@dataclass(frozen=True)
+class Exposed:
+    """How frames become mosaics."""
+
+    camera: CameraModel
+    recipe: LearningRecipe
+    dark: float  # DN of dark current in frames that the table is for
+    achromatic: float  # share of the mosaics that show their scene without colour
+
+
+def mosaics_of(frame: TrainingPair, count: int, exposed: Exposed, rng: np.random.Generator) -> Iterator[Mosaic]:
+    """`count` mosaics of a frame. Simulated ones are turned and mirrored at random and shown at drawn levels, the last of
+    them without colour; real pairs, whose noise cannot be told from the scene, as they are."""
+    if not isinstance(frame, TrainingFrame):
+        yield from (_piece_of_pair(frame, exposed.camera, rng) for _ in range(count))
+        return
+    camera = exposed.camera
+    signal = frame.electrons * np.float32(1 / camera.full_scale)
+    target = frame.target * np.float32(frame.exposure / camera.saturation_exposure)
+    white = None if frame.light is None else white_signal(frame.light, camera)
+    coloured = count if white is None else count - round(exposed.achromatic * count)
+    for number in range(count):
+        turn = _drawn_turn(signal.shape[1:], rng)
+        seen, wanted = _turned(signal, turn), _turned(target, turn)
+        if white is not None and number >= coloured:
+            luminance = wanted[Y]
+            seen = white.astype(np.float32)[:, None, None] * luminance
+            wanted = (frame.white / frame.white[Y]).astype(np.float32)[:, None, None] * luminance
+        scale = np.float32(_drawn_level(exposed.recipe, rng) / max(float(seen.mean()), 1e-3))
+        mosaic = scale * _through_cfa(seen, camera)
+        values = expose_patches(mosaic, camera, rng, dark=exposed.dark).astype(np.uint16)
+        clean = np.minimum(mosaic, 1.0) * np.float32(camera.white - camera.black) + np.float32(camera.black)
+        yield Mosaic(values, clean, wanted * scale)
+
+
+def white_signal(light: LightSpectrum, camera: CameraModel) -> NDArray[np.float64]:
+    """Signals (channel), as shares of full scale, of a white of Y = 1 under a light."""
+    radiance = spectra.resample(light.radiance.astype(np.float64), light.wavelength, camera.wavelength)
+    return np.asarray(camera.electron_weights @ radiance * (camera.saturation_exposure / camera.full_scale))
+
+
+def _piece_of_pair(pair: TrainingPair, camera: CameraModel, rng: np.random.Generator) -> Mosaic:
+    starts = [
+        int(rng.integers((length - min(length, LARGEST_SIDE)) // period + 1)) * period
+        for length, period in zip(pair.raw.shape, camera.cfa.shape, strict=True)
+    ]
+    rows, cols = (slice(start, start + LARGEST_SIDE) for start in starts)
+    values = pair.raw[rows, cols]
+    target = pair.target[:, rows, cols] * np.float32(pair.exposure / camera.saturation_exposure)
+    return Mosaic(values, np.minimum(values.astype(np.float32), np.float32(camera.white)), target)
+
+
+def _drawn_turn(shape: tuple[int, ...], rng: np.random.Generator) -> tuple[int, bool, slice, slice]:
+    """Quarter turns, whether mirrored, and rows and columns of the turned frame."""
+    turns, mirrored = int(rng.integers(4)), bool(rng.integers(2))
+    rows, cols = shape[::-1] if turns % 2 else shape
+    height, width = min(rows, LARGEST_SIDE), min(cols, LARGEST_SIDE)
+    row, col = int(rng.integers(rows - height + 1)), int(rng.integers(cols - width + 1))
+    return turns, mirrored, slice(row, row + height), slice(col, col + width)
+
+
+def _turned(planes: Floats, turn: tuple[int, bool, slice, slice]) -> Floats:
+    turns, mirrored, rows, cols = turn
+    turned = np.rot90(planes, turns, (1, 2))
+    return (turned[:, :, ::-1] if mirrored else turned)[:, rows, cols]
+
+
+def _drawn_level(recipe: LearningRecipe, rng: np.random.Generator) -> float:
+    low = recipe.highlight_from if rng.random() < recipe.highlight_share else recipe.darkest
+    return float(low * (recipe.brightest / low) ** rng.random())
+
+
+def _through_cfa(planes: Floats, camera: CameraModel) -> Floats:
+    rows, cols = planes.shape[1:]
+    period = camera.cfa.shape
+    channel = camera.cfa[np.ix_(np.arange(rows) % period[0], np.arange(cols) % period[1])]
+    return np.take_along_axis(planes, channel[None].astype(np.intp), 0)[0]

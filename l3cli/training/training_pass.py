@@ -1,0 +1,62 @@
+"""One pass over the training frames: all that its work, however it is divided, has in common."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.class_rule import ClassRule
+from l3cli.artifacts.training_set import LightSpectrum, TrainingSet
+from l3cli.training.recipe import LearningRecipe
+
+FIRST, LAST = 1, 2  # the passes: errors of the first weigh the rows of the last (docs/method.md#second-pass)
+
+
+@dataclass(frozen=True)
+class TrainingPass:
+    """A pass: what is learned, from how many patches of which frames, by which rule and recipe."""
+
+    head: TrainingSet
+    patches: tuple[int, ...]  # (frame) patches of every canonical site
+    rule: ClassRule
+    recipe: LearningRecipe
+    white_point: NDArray[np.float64]  # (output) a perfect white under the training light, Y = 1
+    seed: int
+    number: int  # FIRST or LAST
+    exposure: float = 0.0  # s, mean of the simulated frames
+    light: LightSpectrum | None = None  # mean of the frames' lights; None: that of some is not known
+
+    @property
+    def dark(self) -> float:
+        """DN above black that dark current makes, on average, in a frame that the table is for."""
+        return self.head.camera.dark_signal(self.exposure)
+
+    @property
+    def draws(self) -> int:
+        """Levels a patch is rescaled to."""
+        return self.recipe.first_draws if self.number == FIRST else self.recipe.draws
+
+    def brightness(self, target: NDArray[np.float32]) -> NDArray[np.float32]:
+        """What errors are relative to (patch), of targets (patch, output): Y if there is one, else the mean."""
+        return np.maximum(brightness_of(target, self.head.outputs), np.float32(0.0))
+
+
+def spread_patches(patches: int, frames: Sequence[int], shares: Sequence[Fraction] | None) -> tuple[int, ...]:
+    """Patches (frame) of training sets with so many `frames` (set): evenly over all frames or, with `shares` (set), in
+    their proportion over the sets and evenly over the frames of each, rounded up (docs/method.md#patches)."""
+    parts = shares if shares is not None else [Fraction(count) for count in frames]
+    each = [math.ceil(patches * part / sum(parts) / count) for part, count in zip(parts, frames, strict=True)]
+    return tuple(here for here, count in zip(each, frames, strict=True) for _ in range(count))
+
+
+def brightness_of(target: NDArray, outputs: tuple[str, ...]) -> NDArray:
+    """Y of targets (…, output), or their mean where no output is called Y."""
+    return target[..., outputs.index("Y")] if "Y" in outputs else target.mean(axis=-1)
+
+
+def has_two_passes(head: TrainingSet, recipe: LearningRecipe) -> bool:
+    """Whether a first pass weighs the rows of the last: errors are judged in Lab, so for XYZ only."""
+    return recipe.first_draws > 0 and head.outputs == ("X", "Y", "Z")

@@ -1,0 +1,40 @@
+// Structure: the formula of l3cli/classes/structure.py, for both variants.
+//
+// What the classes of the layer before say of a pixel stands in two words a class: label_gradient holds the factor of gradients,
+// from bit 8 on their shift and, in bits 14 and 15, whether the tensor's components change their signs in the orientation that the site is learned in;
+// label_start the first class of its site and level, and in bit 31 whether that is the class itself, saturation deciding.
+
+#define STRUCTURE_CONSTANTS __global const uint *restrict label_gradient, __global const uint *restrict label_start, \
+    __global const uint *restrict strength_edges
+#define FACTOR_BITS 0x7f
+#define SHIFT_BITS(word) ((word) >> 8 & 0x1f)
+#define TURN_A 14
+#define TURN_B 15
+#define STRUCTURE_REACH 3  // pixels on each side that a structure reads
+
+// A difference of luminance in units of what noise makes of it.
+INLINE ints gradient(ints difference, uints turned) {
+    const ints scaled = (difference * SAME_BITS(turned & FACTOR_BITS, ints)) >> SAME_BITS(SHIFT_BITS(turned), ints);
+    const ints top = GRADIENT_TOP, below = scaled < top ? scaled : top;
+    return below > -top ? below : -top;
+}
+
+INLINE uints size_of(ints value) { return SAME_BITS(value > 0 ? value : -value, uints); }
+
+// The structure of pixels from the weighted sums of products of their gradients; `turns` as in label_gradient.
+INLINE uints structure_of(uints xx, uints yy, ints xy, uints turns, __global const uint *strength_edges) {
+    const uints trace = xx + yy;
+    uints strength = 0;
+    #pragma unroll
+    for (int k = 0; k < STRENGTHS; k++) strength = trace > strength_edges[k] ? strength + 1 : strength;
+    const ints difference = SAME_BITS(xx - yy, ints) >> 6, product = xy >> 5;
+    const ints a = (turns >> TURN_A & 1) != 0 ? -difference : difference, b = (turns >> TURN_B & 1) != 0 ? -product : product;
+    const uints width = size_of(a), height = size_of(b), both = ((width + height) * 45) >> 6;
+    const uints axis_a = a > 0 ? (uints)0 : (uints)4, axis_b = b > 0 ? (uints)2 : (uints)6;
+    const uints below = b > 0 ? (uints)3 : (uints)5, above = b > 0 ? (uints)1 : (uints)7;
+    const uints diagonal = a > 0 ? above : below;
+    const uints flatter = 12 * width < 5 * height ? axis_b : diagonal, longer = 12 * width < 5 * height ? height : both;
+    const uints direction = 12 * height < 5 * width ? axis_a : flatter, along = 12 * height < 5 * width ? width : longer;
+    const uints within = along * 64 > (trace >> 6) * COHERENCE ? direction + 1 : (uints)0;
+    return strength > 0 ? 1 + (strength - 1) * (1 + DIRECTIONS) + within : (uints)0;
+}

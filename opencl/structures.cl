@@ -1,0 +1,100 @@
+// Processor variant: luminance and classes of the layer before → classes of the next.
+//
+// One work-item labels a tile of TILE columns and BAND rows, row after row. Tensors are separable: products of gradients of the
+// latest five rows are weighed down their columns, then across.
+
+#define WINDOW 5
+#define REACHED (TILE + 2 * STRUCTURE_REACH + 4 * LANES)
+
+typedef struct {
+    int xx[REACHED], yy[REACHED], xy[REACHED];
+} Products;
+
+// A padded row of luminance and of what its pixels' classes say of gradients.
+INLINE void read_row(int *luminance, uint *turned, __global const int *plane, __global const uint *labels,
+                     __global const int *column_source, __global const uint *label_gradient, int x0, int columns) {
+    const int end = min(TILE, columns - x0) + 2 * STRUCTURE_REACH;
+    #pragma clang loop vectorize(disable) unroll_count(4)
+    for (int p = 0; p < end; p++) {
+        const int x = column_source[x0 + p];
+        luminance[p] = plane[x];
+        turned[p] = label_gradient[labels[x]];
+    }
+}
+
+INLINE void multiply(Products *products, const int *above, const int *here, const int *below, const uint *turned, int span) {
+    for (int p = 1; p < span; p += LANES) {
+        const uints scale = LOAD_PRIVATE(uints, turned + p);
+        const ints gx = gradient(LOAD_PRIVATE(ints, here + p + 1) - LOAD_PRIVATE(ints, here + p - 1), scale);
+        const ints gy = gradient(LOAD_PRIVATE(ints, below + p) - LOAD_PRIVATE(ints, above + p), scale);
+        STORE_PRIVATE(ints, products->xx + p) = gx * gx;
+        STORE_PRIVATE(ints, products->yy + p) = gy * gy;
+        STORE_PRIVATE(ints, products->xy + p) = gx * gy;
+    }
+}
+
+// Weighed sums over five rows, the first of which is rows[first].
+INLINE void weigh_rows(Products *sum, const Products *rows, int first, int span) {
+    const Products *r[WINDOW];
+    for (int i = 0; i < WINDOW; i++) r[i] = rows + (first + i) % WINDOW;
+#define DOWN(name, p) (LOAD_PRIVATE(ints, r[0]->name + p) + 2 * LOAD_PRIVATE(ints, r[1]->name + p) \
+                       + 3 * LOAD_PRIVATE(ints, r[2]->name + p) \
+                       + 2 * LOAD_PRIVATE(ints, r[3]->name + p) + LOAD_PRIVATE(ints, r[4]->name + p))
+    for (int p = 1; p < span; p += LANES) {
+        STORE_PRIVATE(ints, sum->xx + p) = DOWN(xx, p);
+        STORE_PRIVATE(ints, sum->yy + p) = DOWN(yy, p);
+        STORE_PRIVATE(ints, sum->xy + p) = DOWN(xy, p);
+    }
+}
+
+// Weighed sums over the five columns from `at` on.
+INLINE ints across(const int *at) {
+    return LOAD_PRIVATE(ints, at) + 2 * LOAD_PRIVATE(ints, at + 1) + 3 * LOAD_PRIVATE(ints, at + 2)
+           + 2 * LOAD_PRIVATE(ints, at + 3) + LOAD_PRIVATE(ints, at + 4);
+}
+
+__kernel __attribute__((reqd_work_group_size(1, 1, 1)))
+void structures(__global const int *restrict planes,       // (plane, source row, col)
+                __global const uint *restrict first_labels,  // (source row, col) of the layer before
+                __global const int *restrict row_source,     // (padded row)
+                __global const int *restrict column_source,  // (padded col)
+                STRUCTURE_CONSTANTS,
+                __global uint *restrict labels,              // (row, col)
+                int source_rows, int rows, int columns) {
+    const int x0 = get_group_id(0) * TILE, y0 = get_group_id(1) * BAND;
+    const int y1 = min(y0 + BAND, rows), width = min(TILE, columns - x0);
+    const int span = width + 2 * STRUCTURE_REACH;
+    __global const int *luminance_plane = planes + (size_t)LUMINANCE * source_rows * columns;
+    int luminance[3][REACHED];
+    uint turned[3][REACHED];
+    Products ring[WINDOW], sum;
+    for (int i = 0; i < 3 * REACHED; i++) luminance[0][i] = turned[0][i] = 0;
+    for (int k = 0; k < y1 - y0 + 2 * STRUCTURE_REACH; k++) {
+        const size_t source = (size_t)row_source[y0 + k] * columns;
+        read_row(luminance[k % 3], turned[k % 3], luminance_plane + source, first_labels + source, column_source, label_gradient,
+                 x0, columns);
+        if (k < 2) continue;
+        multiply(ring + (k - 2) % WINDOW, luminance[(k - 2) % 3], luminance[(k - 1) % 3], luminance[k % 3], turned[(k - 1) % 3],
+                 span);
+        if (k < 2 * STRUCTURE_REACH) continue;
+        weigh_rows(&sum, ring, k - 6, span);
+        const int y = y0 + k - 2 * STRUCTURE_REACH;
+        __global const uint *before = first_labels + (size_t)row_source[y + STRUCTURE_REACH] * columns + x0;
+        __global uint *label_row = labels + (size_t)y * columns + x0;
+        for (int x = 0; x < width; x += LANES) {
+            uint turns[LANES], start[LANES];
+            #pragma clang loop vectorize(disable)
+            for (int i = 0; i < LANES; i++) {
+                const uint label = x + i < width ? before[x + i] : before[0];
+                turns[i] = label_gradient[label];
+                start[i] = label_start[label];
+            }
+            const uints xx = SAME_BITS(across(sum.xx + x + 1), uints), yy = SAME_BITS(across(sum.yy + x + 1), uints);
+            const uints structure = structure_of(xx, yy, across(sum.xy + x + 1), LOAD_PRIVATE(uints, turns), strength_edges);
+            const uints first = LOAD_PRIVATE(uints, start);
+            const uints label = (first >> 31) != 0 ? first & 0x7fffffff : first + structure;
+            if (x + LANES <= width) STORE_GLOBAL(uints, label_row + x) = label;
+            else for (int i = 0; x + i < width; i++) label_row[x + i] = label[i];
+        }
+    }
+}

@@ -1,0 +1,222 @@
+"""A second layer learns what can be known: filters that made its targets, greys, sums that no division changes."""
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.layer_sums import LayerSums
+from l3cli.artifacts.layers import PLANE_STEP, PlaneLayer
+from l3cli.artifacts.store import load
+from l3cli.artifacts.structure_rule import StructureRule
+from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.training_set import open_training_set
+from l3cli.errors import L3Error
+from l3cli.frame import RawFrame
+from l3cli.physics.display import lab
+from l3cli.rendering.reference import ReferenceRenderer
+from l3cli.stages.training.later_layers import layer_pass
+from l3cli.training.layers.first import Seen
+from l3cli.training.layers.learn import LayerPass, add_sums, learn_layer, no_sums, structure_rule, sum_layer
+from l3cli.training.layers.mosaics import white_signal
+from l3cli.training.layers.rows import add_rows, inner_pixels, require_exact
+from l3cli.training.recipe import LayerRecipe, LearningRecipe, TrainingRecipe
+from l3cli.training.sums import STEP
+from tests.helpers.artifacts import a_table
+from tests.helpers.training_sets import a_frame, a_set
+
+SIDE = 3
+LAYER = "[classes]\npatch = 3\nlevels = 4\n[learning]\npatches = 3000\nfirst_draws = 0\ndraws = 2\n[[layer]]\nside = 3\n"
+LEAVES = 'exposure_share = [0.9]\n[[scene]]\nsource = "dead leaves"\nsize = [64, 64]\ncount = 6\n'
+UNSPREAD: dict[str, Any] = {"level_pool": (), "parent_patches": 0, "ridge": 1e-9}
+# Filters (plane of the output, plane, tap) that answer a white with a white, and turned are others.
+TRUTH = np.random.default_rng(3).normal(0, 0.2, (3, 3, SIDE**2))
+TRUTH[:, 1, -1] += np.array([0.0, 1.0, 0.0]) - TRUTH[:, 1].sum(axis=-1)
+
+
+def a_pass(bayer: CameraModel, **recipe: Any) -> LayerPass:
+    table = dataclasses.replace(a_table(bayer), camera=bayer)
+    layer = LayerRecipe(side=SIDE, **{"rows": 2000, **recipe})
+    settings = TrainingRecipe(layer=(layer,), learning=LearningRecipe(symmetry=False))
+    return layer_pass(table, settings, (2,) * 6, seed=1)
+
+
+def a_rule(layer: LayerPass) -> StructureRule:
+    """A rule as if nothing were known of the noise."""
+    return structure_rule(layer, [])
+
+
+def filtered(planes: NDArray) -> NDArray[np.float32]:
+    """What TRUTH makes (row, col, plane) of planes (plane, row, col), zero at the edges."""
+    rows, cols = planes.shape[1:]
+    made = np.zeros((rows, cols, 3), np.float32)
+    windows = np.lib.stride_tricks.sliding_window_view(planes * PLANE_STEP, (SIDE, SIDE), axis=(1, 2))
+    made[1:-1, 1:-1] = np.einsum("opt,prct->rco", TRUTH, windows.reshape(*windows.shape[:3], -1))
+    return made
+
+
+def known_sums(layer: LayerPass, rule: StructureRule, noise: float) -> dict[int, LayerSums]:
+    """Sums of a random mosaic whose targets are made by TRUTH, seen with `noise` (planes' steps), classes at random."""
+    rng = np.random.default_rng(7)
+    shape = (240, 260)
+    clean = rng.normal(0, 2000, (3, *shape)).round().astype(np.float32)
+    noisy = (clean + noise * rng.standard_normal(clean.shape)).round().astype(np.int32)
+    target = filtered(clean) @ np.linalg.inv(layer.basis).astype(np.float32)
+    site = np.arange(shape[0])[:, None] % 2 * 2 + np.arange(shape[1]) % 2
+    label = rule.join(rng.integers(0, rule.levels, shape), rng.integers(0, rule.kinds, shape), site)
+    ones = np.ones(shape, np.float32)
+    seen = Seen(target, np.zeros(shape, np.int64), ones, noisy, clean)
+    sums = no_sums(layer, rule)
+    grid = layer.grid_steps(rule)
+    add_rows(sums, seen, label, rule, layer.reading(SIDE), inner_pixels(shape), ones, layer.basis, grid)
+    return sums
+
+
+def in_planes(layer: LayerPass, learned: PlaneLayer) -> NDArray[np.float64]:
+    """Filters (class, plane of the output, plane, tap)."""
+    weights = np.einsum("cot,op->cpt", learned.weights.astype(np.float64), layer.basis)
+    return weights.reshape(len(weights), 3, 3, -1)
+
+
+def test_a_known_filter_is_learned(bayer: CameraModel) -> None:
+    """In every class of every site, saturated or not, whatever noise there is if noise does not count."""
+    for noise in (0.0, 500.0):
+        layer = a_pass(bayer, luminance_noise=0, chroma_noise=0, **UNSPREAD)
+        rule = a_rule(layer)
+        learned = learn_layer(layer, rule, known_sums(layer, rule, noise))
+        assert (learned.samples > 60).all()
+        assert in_planes(layer, learned) == pytest.approx(np.broadcast_to(TRUTH, (len(learned.weights), 3, 3, 9)), abs=1e-3)
+        assert np.abs(learned.intercept).max() < 1e-3
+
+
+def test_noise_counts_as_its_weight_says(bayer: CameraModel) -> None:
+    """The more it counts the less of it is let through, and the farther are the filters from those that made the targets;
+    luminance and chroma each by its weight."""
+    power = []
+    for weight in (0.0, 1.0, 10.0):
+        layer = a_pass(bayer, luminance_noise=weight, chroma_noise=0, **UNSPREAD)
+        rule = a_rule(layer)
+        power.append((in_planes(layer, learn_layer(layer, rule, known_sums(layer, rule, 2000.0))) ** 2).sum(axis=(0, 2, 3)))
+    assert power[0][1] > 1.3 * power[1][1] > 1.6 * power[2][1]
+    assert power[2][[0, 2]] == pytest.approx(power[0][[0, 2]], rel=1e-3)
+
+
+def test_white_is_answered_by_white(bayer: CameraModel) -> None:
+    """Where nothing is saturated, even if the targets were something else."""
+    layer = a_pass(bayer)
+    rule = a_rule(layer)
+    sums = known_sums(layer, rule, 300.0)
+    for one in sums.values():
+        one.moments[:] *= np.random.default_rng(0).normal(1.0, 0.01, one.moments.shape[1])
+    filters = in_planes(layer, learn_layer(layer, rule, sums))
+    free = rule.case(rule.split(np.arange(len(filters))).kind) == 0
+    response = filters.sum(axis=-1)[free]  # (class, plane of the output, plane)
+    assert response[:, :, 1] == pytest.approx(np.broadcast_to([0.0, 1.0, 0.0], (free.sum(), 3)), abs=1e-5)
+    by_site = response.reshape(4, -1, 3, 3)
+    assert by_site == pytest.approx(np.broadcast_to(by_site[:1], by_site.shape), abs=1e-5)  # flat areas alike at all sites
+
+
+def test_sums_are_the_same_however_frames_are_divided(bayer: CameraModel) -> None:
+    layer = a_pass(bayer)
+    rule = a_rule(layer)
+    frames = [a_frame(bayer, seed, smooth=False) for seed in range(6)]
+
+    def summed(*parts: range) -> dict[int, LayerSums]:
+        sums = no_sums(layer, rule)
+        for part in parts:
+            add_sums(sums, sum_layer(layer, rule, [frames[index] for index in part], part.start))
+        return sums
+
+    whole, divided = summed(range(6)), summed(range(4, 6), range(1), range(1, 4))
+    steps = layer.grid_steps(rule)[rule.split(np.arange(rule.classes_per_site)).level]
+    for site, sums in whole.items():
+        for name in ("moments", "noise", "count"):
+            assert (getattr(sums, name) == getattr(divided[site], name)).all()
+        assert (sums.moments / steps == np.rint(sums.moments / steps)).all()
+        assert (sums.noise / STEP == np.rint(sums.noise / STEP)).all()
+        require_exact(sums, rule, layer.grid_steps(rule))
+        huge = LayerSums(sums.moments * 2.0**40, sums.noise, sums.count)
+        with pytest.raises(L3Error, match="more rows than can be added exactly"):
+            require_exact(huge, rule, layer.grid_steps(rule))
+    assert sum(sums.count.sum() for sums in whole.values()) == 6 * 2 * (48 - 24) * (56 - 24)
+
+
+def test_greys_get_no_further_tint(bayer_recipe: Path, tmp_path: Path, l3: Callable) -> None:
+    """Uniform greys of the training light: what tint they have the first layer has given them."""
+    training = tmp_path / "training.h5"
+    (tmp_path / "scenes.toml").write_text(LEAVES)
+    assert l3("simulate", tmp_path / "scenes.toml", "--camera", bayer_recipe, "-o", training)[0] == 0
+    (tmp_path / "classes.toml").write_text(LAYER + "mosaics = 40\nrows = 2000\n")
+    assert l3("train", training, "--classes", tmp_path / "classes.toml", "-o", tmp_path / "table.h5")[0] == 0
+    table = load(TransformTable, tmp_path / "table.h5")
+    assert table.camera is not None
+    with open_training_set(training) as reader:
+        light = reader.frame(0).light
+        assert light is not None
+        signal = white_signal(light, table.camera)
+    assert signal is not None
+    rng = np.random.default_rng(0)
+    for level in (0.05, 0.2, 0.8):
+        share = np.tile(signal[table.cfa] / signal.max() * level, (24, 24))
+        values = np.floor(table.black + share * (table.white - table.black) + rng.random(share.shape)).astype(np.uint16)
+        chroma, luminance = [], []
+        for each in (dataclasses.replace(table, later=()), table):
+            outputs = ReferenceRenderer(each).exact_outputs(RawFrame("grey", values, table.black, table.white))
+            mean = outputs[:, 6:-6, 6:-6].mean(axis=(1, 2))
+            colour = lab(mean / mean[1], table.white_point)
+            chroma.append(float(np.hypot(colour[1], colour[2])))
+            luminance.append(mean[1])
+        assert chroma[1] < 1.2 * chroma[0] + 0.1, level
+        assert luminance[1] == pytest.approx(luminance[0], rel=2e-3)
+
+
+def test_other_outputs_than_xyz_get_one_layer(bayer: CameraModel, tmp_path: Path, l3: Callable) -> None:
+    training = tmp_path / "training.h5"
+    (tmp_path / "scenes.toml").write_text(
+        'exposure_share = [0.9]\n[[scene]]\nsource = "dead leaves"\nsize = [64, 64]\n[target]\noutputs = "camera"\n'
+    )
+    camera = Path(__file__).parents[2] / "configs/cameras/bayer.toml"
+    assert l3("simulate", tmp_path / "scenes.toml", "--camera", camera, "-o", training)[0] == 0
+    (tmp_path / "classes.toml").write_text(LAYER)
+    run = ("train", training, "--classes", tmp_path / "classes.toml")
+    for shard in ((), ("--shard", "1/1")):
+        code, _, err = l3(*run, *shard, "--force", "-o", tmp_path / "out.h5")
+        assert code == 0, err
+        assert "one layer is learned for the outputs" in err
+    assert l3("train", "--merge", tmp_path / "out.h5", "-o", tmp_path / "table.h5")[0] == 0
+    assert load(TransformTable, tmp_path / "table.h5").later == ()
+
+
+@pytest.mark.parametrize(
+    ("lines", "why"),
+    [
+        ("side = 4", "layer[1].side is 4; windows have odd sides"),
+        ("side = 11", "layer[1].side is 11; the most is 9"),
+        ("[[layer]]", "2 layers after the first; one can be learned"),
+        ("strengths = []", "layer[1].strengths must be one or more numbers"),
+        ("strengths = [3, 2]", "layer[1].strengths must be one or more numbers, each 0.001 above the last"),
+        ("strengths = [-1, 2]", "layer[1].strengths[1] is -1; give more than 0"),
+        ("strengths = [1, 1e6]", "layer[1].strengths exceed 100000"),
+        ("coherence = 1.5", "layer[1].coherence is 1.5; the most is 1"),
+        ("achromatic = -0.1", "layer[1].achromatic is -0.1; the least is 0"),
+        ("ridge = 0", "layer[1].ridge is 0; give more than 0"),
+        ("luminance_noise = -1", "layer[1].luminance_noise is -1; the least is 0"),
+        ("chroma_noise = -1", "layer[1].chroma_noise is -1; the least is 0"),
+        ("level_pool = [0.5, -1]", "layer[1].level_pool[2] is -1; the least is 0"),
+        ("level_step = 0", "layer[1].level_step is 0; the least is 1"),
+        ("mosaics = 0", "layer[1].mosaics is 0; the least is 1"),
+        ("rows = 0", "layer[1].rows is 0; the least is 1"),
+        ("sides = 3", "unknown key `sides` in [layer[1]]"),
+    ],
+)
+def test_a_wrong_layer_is_one_line(lines: str, why: str, bayer: CameraModel, tmp_path: Path, refused: Callable) -> None:
+    """That names the key, before anything is learned."""
+    training = a_set(tmp_path / "training.h5", bayer, 1)
+    layer = LAYER.removesuffix("side = 3\n") if lines.startswith("side ") else LAYER
+    (tmp_path / "classes.toml").write_text(f"{layer}{lines}\n")
+    assert why in refused(2, "train", training, "--classes", tmp_path / "classes.toml", "-o", tmp_path / "no.h5")

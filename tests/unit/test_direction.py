@@ -1,0 +1,205 @@
+"""The feature "direction": what it says of ramps and noise, how it turns with its patch, how tables keep and learn it."""
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.class_rule import Axis, ClassRule
+from l3cli.artifacts.schema import equal
+from l3cli.artifacts.store import describe, load, save
+from l3cli.artifacts.table import TransformTable
+from l3cli.classes import direction
+from l3cli.classes.decide import label_mosaic, label_patches
+from l3cli.classes.names import class_name
+from l3cli.classes.recipe import ClassRecipe
+from l3cli.classes.rule import make_rule
+from l3cli.classes.windows import neighbourhoods, sites
+from l3cli.errors import InputFileError, RecipeError
+from l3cli.frame import RawFrame, pad_mosaic
+from l3cli.rendering.reference import ReferenceRenderer
+from l3cli.training.symmetry import class_stabilisers, orientations, stabilisers, turned_classes
+from tests.helpers.calls import L3
+from tests.helpers.tables import XYZ, random_table, with_first
+
+FOUR, EIGHT = direction.Keys(), direction.Keys(orientations=8, strengths=(3.0, 9.0), coherence=0.5)
+BAYER = [[0, 1], [1, 2]]
+
+
+def a_rule(camera: CameraModel, keys: direction.Keys, patch: int = 9) -> ClassRule:
+    further: dict[str, Any] = {"direction": keys}
+    return make_rule(ClassRecipe(patch=patch, **further), camera, np.zeros(2 ** len(camera.channels), np.uint16))
+
+
+def directions(values: np.ndarray, rule: ClassRule, camera: CameraModel) -> np.ndarray:
+    """Direction (row, col) of every pixel of a mosaic."""
+    labels = label_mosaic(np.rint(values).clip(0, 4095).astype(np.uint16), rule, camera.cfa, len(camera.channels))
+    return rule.split(labels).further
+
+
+@pytest.mark.parametrize("name", ["bayer", "fiveband"])
+@pytest.mark.parametrize("degrees", range(0, 180, 5))
+def test_a_ramp_varies_along_its_angle(name: str, degrees: int, request: pytest.FixtureRequest) -> None:
+    """Of both signs; the share of the angle that is off is at most half a step of the orientations."""
+    camera = request.getfixturevalue(name)
+    row, col = np.mgrid[:40, :40] - 20
+    along = col * np.cos(np.radians(degrees)) + row * np.sin(np.radians(degrees))
+    for keys, slope in ((FOUR, 20), (EIGHT, -20)):
+        rule = a_rule(camera, keys)
+        seen = directions(1500 + slope * along, rule, camera)[18:22, 18:22]
+        assert (seen > 0).all()
+        size = keys.orientations
+        angle = ((seen - 1) % size - (0.5 if size == 8 else 0)) * 180 / size
+        assert np.abs((angle - degrees + 90) % 180 - 90).max() <= 90 / size + 3  # integers, and √2 in 1/64
+        if keys is EIGHT:
+            assert ((seen - 1) // size % 2 == 1).all()  # coherent
+
+
+def test_noise_alone_is_flat_and_checks_are_not_coherent(bayer: CameraModel) -> None:
+    rng = np.random.default_rng(0)
+    rule = a_rule(bayer, EIGHT)
+    span = bayer.white - bayer.black
+    for share in (0.01, 0.1, 0.5):
+        noise = rng.standard_normal((80, 80)) * np.sqrt(bayer.noise_variance(np.array(share * span)))
+        seen = directions(bayer.black + share * span + noise, rule, bayer)
+        assert (seen == 0).mean() > 0.95
+    texture = rng.normal(1500, 700, (16, 16)).repeat(5, 0).repeat(5, 1)
+    seen = directions(texture, rule, bayer)
+    assert (seen > 0).mean() > 0.9
+    assert 0.1 < ((seen[seen > 0] - 1) // 8 % 2 == 0).mean() < 0.9
+
+
+@pytest.mark.parametrize("keys", [FOUR, EIGHT], ids=["4", "8"])
+def test_mosaic_and_patches_are_labelled_alike(fiveband: CameraModel, keys: direction.Keys) -> None:
+    rng = np.random.default_rng(2)
+    rule = a_rule(fiveband, keys)
+    values = rng.integers(100, 4096, (21, 26)).astype(np.uint16)
+    labels = label_mosaic(values, rule, fiveband.cfa, 5, (1, 2))
+    near = neighbourhoods(fiveband.cfa, rule.patch, 5)
+    padded = pad_mosaic(values, rule.radius, fiveband.cfa.shape)
+    patches = np.lib.stride_tricks.sliding_window_view(padded, (9, 9)).reshape(*values.shape, -1)
+    site = sites(21, 26, fiveband.cfa.shape, (1, 2))
+    assert len(np.unique(rule.split(labels).further)) > rule.further / 2
+    for number in range(16):
+        of_site = rule.on_site(label_patches(patches[site == number], rule, near, number), number)
+        np.testing.assert_array_equal(of_site, labels[site == number])
+
+
+@pytest.mark.parametrize("keys", [FOUR, EIGHT], ids=["4", "8"])
+@pytest.mark.parametrize("patch", [5, 9, 11])
+def test_a_turned_patch_has_the_turned_direction(bayer: CameraModel, keys: direction.Keys, patch: int) -> None:
+    """Of a monochrome camera, whose every orientation has the same window."""
+    camera = dataclasses.replace(
+        bayer,
+        cfa=np.zeros((1, 1), np.uint8),
+        channels=("g",),
+        responsivity=bayer.responsivity[:1],
+        responsivity_band=bayer.responsivity_band[:1],
+    )
+    for cfa in ((1, 1), (2, 2), (3, 3)):
+        rule = a_rule(dataclasses.replace(camera, cfa=np.zeros(cfa, np.uint8)), keys, patch)
+        near = neighbourhoods(camera.cfa, patch, 1)
+        patches = np.random.default_rng(1).integers(300, 4096, (500, patch**2)).astype(np.uint16)
+        before = label_patches(patches, rule, near, 0)
+        for turn in orientations(patch):
+            wrong = label_patches(patches[:, turn], rule, near, 0) != turned_classes(rule, turn)[before]
+            assert wrong.mean() < 0.01  # ties, in which the first axis wins
+
+
+def test_only_turns_that_keep_every_direction_average_sums(bayer: CameraModel) -> None:
+    rule = a_rule(bayer, FOUR)
+    window = neighbourhoods(bayer.cfa, rule.patch, 3).channel[0]
+    turns = class_stabilisers(rule, window)
+    assert (len(turns), len(stabilisers(window, rule.patch))) == (2, 8)
+    np.testing.assert_array_equal(turns[1], np.arange(rule.patch**2)[::-1])  # half a turn
+
+
+@pytest.mark.parametrize(
+    ("keys", "patch", "message"),
+    [
+        (direction.Keys(strengths=()), 9, "strengths must be there"),
+        (direction.Keys(strengths=(3.0, 2.0)), 9, "increase"),
+        (direction.Keys(strengths=(-1.0, 2.0)), 9, "positive"),
+        (FOUR, 3, "more than 4 pixels|does not reach"),
+    ],
+)
+def test_an_impossible_direction_is_refused(fiveband: CameraModel, keys: direction.Keys, patch: int, message: str) -> None:
+    with pytest.raises(RecipeError, match=message):
+        a_rule(fiveband, keys, patch)
+
+
+def with_axis(table: TransformTable, axis: Axis) -> TransformTable:
+    assert table.first.rule.features is not None
+    features = type(table.first.rule.features).of((axis,))
+    return with_first(table, rule=dataclasses.replace(table.first.rule, features=features))
+
+
+def test_a_table_keeps_its_direction(tmp_path: Path) -> None:
+    table = random_table(BAYER, direction=EIGHT)
+    save(table, tmp_path / "table.h5")
+    again = load(TransformTable, tmp_path / "table.h5")
+    assert equal(again, table)
+    assert again.first.rule.axes[0].windows == table.first.rule.axes[0].windows
+    names = {class_name(again, index).split(", ")[4] for index in range(again.first.rule.classes_per_site)}
+    assert len(names) == again.first.rule.further == 33
+    assert {"flat", "along 11.25° strength 2 coherent", "along 168.75° strength 1 mixed"} <= names
+
+
+def test_a_table_without_further_features_says_nothing_of_them(tmp_path: Path) -> None:
+    """Not a byte more than before there were any."""
+    save(random_table(BAYER), tmp_path / "plain.h5")
+    save(random_table(BAYER, direction=FOUR), tmp_path / "direction.h5")
+    plain, more = ({item["name"] for item in describe(tmp_path / name)["datasets"]} for name in ("plain.h5", "direction.h5"))
+    assert {name.partition("/features/")[0] for name in more - plain} == {"first/rule"}
+    assert load(TransformTable, tmp_path / "plain.h5").first.rule.features is None
+
+
+def test_a_damaged_direction_is_refused() -> None:
+    """Before a kernel reads past its constants."""
+    table = random_table(BAYER, direction=FOUR)
+    (axis,) = table.first.rule.axes
+    frame = RawFrame("f", np.zeros((9, 9), np.uint16), 0.0, 4095.0)
+    for wrong in (
+        axis._replace(constants=axis.constants[:-1]),
+        axis._replace(constants=axis.constants[:3]),
+        axis._replace(constants=np.append(axis.constants[:2], [5, *axis.constants[3:]]).astype(np.int32)),
+        axis._replace(windows=axis.windows[:2]),
+        axis._replace(name="unheard of"),
+    ):
+        with pytest.raises(InputFileError, match=r"direction is damaged|does not know"):
+            ReferenceRenderer(with_axis(table, wrong)).labels(frame)
+    outside = axis.windows[0]._replace(top=4)
+    with pytest.raises(ValueError, match="within the patch"):
+        with_axis(table, axis._replace(windows=(outside,)))
+
+
+def test_trained_turned_sites_read_one_another(pipeline: Path, tmp_path: Path, l3: L3) -> None:
+    """The two green sites are each other's quarter turn: a turned mosaic gives there the turned outputs, which it does only
+    if their directions turn with their patches."""
+    recipe = tmp_path / "classes.toml"
+    recipe.write_text(
+        "[classes]\npatch = 5\nlevels = 4\nchromas = 1\n[classes.direction]\n[learning]\npatches = 8000\nfirst_draws = 0\n"
+        "equal_response = false\n"
+    )
+    code, _, err = l3("train", pipeline / "training.h5", "--classes", recipe, "-o", tmp_path / "table.h5")
+    assert code == 0, err
+    assert "× 5 values of direction ×" in err
+    code, out, _ = l3("info", tmp_path / "table.h5")
+    assert "along 45°" in out
+    table = load(TransformTable, tmp_path / "table.h5")
+    assert table.outputs == XYZ
+    assert table.first.rule.further == 5
+    row, col = np.mgrid[:64, :64]
+    values = (1200 + 800 * np.sin(0.4 * row + 0.1 * col)).astype(np.uint16)
+    renderer = ReferenceRenderer(table)
+    plain = renderer.exact_outputs(RawFrame("f", values, table.black, table.white))
+    turned = renderer.exact_outputs(RawFrame("f", np.rot90(values), table.black, table.white, (1, 0)))
+    green = (table.cfa == 1)[row % 2, col % 2]
+    difference = np.abs(np.rot90(plain, axes=(1, 2)) - turned)[:, 2:-2, 2:-2]
+    assert difference[:, np.rot90(green)[2:-2, 2:-2]].max() < 1e-6
+    assert (
+        len(np.unique(table.first.rule.split(renderer.labels(RawFrame("f", values, table.black, table.white))).further)) > 2
+    )

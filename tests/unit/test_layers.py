@@ -1,0 +1,91 @@
+"""Tables of several layers: stored, read, checked and described one by one."""
+
+import dataclasses
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from l3cli.artifacts.container import seal
+from l3cli.artifacts.schema import equal
+from l3cli.artifacts.store import load, save
+from l3cli.artifacts.table import TransformTable
+from l3cli.errors import InputFileError, RecipeError
+from l3cli.rendering.renderer import BACKENDS, make_renderer
+from l3cli.training.insight import insight
+from tests.helpers.cameras import BAYER
+from tests.helpers.tables import random_table, with_later
+
+TABLE = with_later(random_table(BAYER, bits=12, black=64.0), 3, 5)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    save(TABLE, tmp_path / "table.h5")
+    return tmp_path / "table.h5"
+
+
+def test_layers_come_back_in_their_order(path: Path) -> None:
+    again = load(TransformTable, path)
+    assert equal(again, TABLE)
+    assert [layer.side for layer in again.later] == [3, 5]
+    assert again.layers == (again.first, *again.later)
+    assert not equal(again, dataclasses.replace(TABLE, later=TABLE.later[:1]))
+    assert not equal(again, dataclasses.replace(TABLE, later=TABLE.later[::-1]))
+    with h5py.File(path) as root:
+        assert (sorted(root["later"]), root["later/1/weights"].shape[2]) == (["0", "1"], 75)
+
+
+def test_layers_agree_in_what_they_share() -> None:
+    one, two = TABLE.later
+    with pytest.raises(ValueError, match=r"later/1/weights .* has 2 along output"):
+        dataclasses.replace(
+            TABLE, later=(one, dataclasses.replace(two, weights=two.weights[:, :2], intercept=two.intercept[:, :2]))
+        )
+    with pytest.raises(ValueError, match="taps"):
+        dataclasses.replace(TABLE, later=(dataclasses.replace(one, side=5), two))
+    longer: dict[str, Any] = {"gradient_factor": np.full(8, 64, np.uint8), "gradient_shift": np.full(8, 6, np.uint8)}
+    with pytest.raises(ValueError, match="for 8 levels"):
+        dataclasses.replace(TABLE, later=(dataclasses.replace(two, rule=dataclasses.replace(two.rule, **longer)),))
+
+
+@pytest.mark.parametrize("lost", ["first", "later/0"])
+def test_a_layer_that_is_missing_is_named(path: Path, lost: str) -> None:
+    with h5py.File(path, "r+") as root:
+        del root[lost]
+    seal(path)
+    with pytest.raises(InputFileError, match=f"lacks the (group|dataset) {lost}"):
+        load(TransformTable, path)
+
+
+def test_more_layers_than_can_be_are_refused(path: Path) -> None:
+    with h5py.File(path, "r+") as root:
+        for index in range(2, 100):
+            root[f"later/{index}"] = root["later/0"]
+    seal(path)
+    with pytest.raises(InputFileError, match="more than 64"):
+        load(TransformTable, path)
+
+
+def test_info_describes_every_layer(l3: Callable, path: Path) -> None:
+    code, out, _ = l3("info", path)
+    assert code == 0
+    assert "layer 2: " in out
+    assert "3 × 3 × 3 taps" in out
+    assert "5 × 5 × 3 taps" in out
+    assert "28 structures: flat, 3 strengths × (none + 8 directions)" in out
+    assert "later/1/rule/strength_edges" in out
+    later = json.loads(l3("info", path, "--json")[1])["insight"]["later"]
+    assert later == insight(TABLE)["later"]
+    samples = TABLE.later[0].samples
+    assert later[0]["classes"] == {"all": len(samples), "trained": len(samples) // 2, "filled": len(samples) // 2}
+
+
+@pytest.mark.parametrize("backend", list(BACKENDS))
+def test_renderers_refuse_more_layers_than_two(backend: str) -> None:
+    with pytest.raises(RecipeError, match="3 layers"):
+        make_renderer(backend, TABLE)

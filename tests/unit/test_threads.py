@@ -1,0 +1,199 @@
+"""Threads that read ahead and write behind: bounded, in order, never waited for in vain, whoever interrupts."""
+
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Generator, Iterator
+
+import pytest
+
+from l3cli import interrupts
+from l3cli.errors import InputFileError
+from l3cli.parallel import threads
+from l3cli.parallel.threads import Behind, ahead
+
+
+def test_reading_runs_ahead_no_further_than_asked() -> None:
+    made: list[int] = []
+
+    def numbers() -> Iterator[int]:
+        for number in range(1000):
+            made.append(number)
+            yield number
+
+    taken = ahead(numbers(), 3)
+    assert isinstance(taken, Generator)
+    for number in range(10):
+        assert next(taken) == number
+        time.sleep(0.01)
+        assert len(made) <= number + 1 + 3
+    taken.close()
+    before = threading.active_count()
+    time.sleep(0.05)
+    assert len(made) < 20
+    assert threading.active_count() <= before
+
+
+def test_writing_falls_behind_no_further_than_asked() -> None:
+    gate, written = threading.Event(), []
+
+    def slow(item: int) -> None:
+        gate.wait()
+        written.append(item)
+
+    put = []
+    writing = Behind(slow, 3)
+
+    def fill() -> None:
+        with writing:
+            for number in range(10):
+                writing.put(number)
+                put.append(number)
+
+    filler = threading.Thread(target=fill)
+    filler.start()
+    time.sleep(0.05)
+    waiting = len(put)
+    gate.set()
+    filler.join()
+    assert waiting <= 3 + 1
+    assert written == list(range(10))
+
+
+def test_errors_cross_threads() -> None:
+    def broken() -> Iterator[int]:
+        yield 1
+        raise InputFileError("broken")
+
+    items = ahead(broken(), 2)
+    assert next(items) == 1
+    with pytest.raises(InputFileError, match="broken"):
+        next(items)
+
+    def fails(item: int) -> None:
+        raise InputFileError(f"item {item}")
+
+    def put_many(writing: Behind) -> None:
+        with writing:
+            for number in range(50):
+                writing.put(number)
+
+    with pytest.raises(InputFileError, match="item 0"):
+        put_many(Behind(fails, 2))
+
+
+def test_a_failing_block_still_writes_what_was_put_an_interrupted_one_does_not() -> None:
+    for error, count in ((InputFileError, 3), (KeyboardInterrupt, 1)):
+        gate = threading.Event()
+        written: list[int] = []
+
+        def slow(item: int, gate: threading.Event = gate, written: list = written) -> None:
+            gate.wait()
+            written.append(item)
+
+        def stopped(writing: Behind, error: type = error, gate: threading.Event = gate) -> None:
+            with writing:
+                for number in range(3):
+                    writing.put(number)
+                time.sleep(0.05)
+                threading.Timer(0.05, gate.set).start()
+                raise error
+
+        with pytest.raises(error):
+            stopped(Behind(slow, 3))
+        assert written == list(range(count))
+
+
+def test_an_interrupt_while_the_last_items_are_waited_for_drops_what_waits() -> None:
+    """What is being done is done: a thread at work when the program ends could abort it."""
+    main_thread = threading.main_thread().ident
+    assert main_thread is not None
+    written: list[int | str] = []
+
+    def slow(item: int) -> None:
+        time.sleep(0.1)
+        if item == 0:
+            signal.pthread_kill(main_thread, signal.SIGINT)
+        time.sleep(0.1)
+        written.append(item)
+
+    def interrupted() -> None:
+        with Behind(slow, 3, threads=2) as writing:
+            for number in range(4):
+                writing.put(number)
+        written.append("taken for all")
+        time.sleep(60)
+
+    before = {each: signal.signal(each, interrupts.end) for each in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            interrupted()
+        time.sleep(0.2)  # the signal comes again, and is not heeded
+    finally:
+        for each, handler in before.items():
+            signal.signal(each, handler)
+    assert sorted(written, key=str) == [0, 1]
+
+
+def test_what_never_ends_is_not_waited_for_after_an_interrupt(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As when nobody reads the pipe that is written to."""
+    monkeypatch.setattr(threads, "WRITING", 0.2)
+    monkeypatch.setattr(threads, "STEP", 0.1)
+    begun, gate = threading.Event(), threading.Event()
+
+    def stuck(item: int) -> None:
+        begun.set()
+        gate.wait(20)
+
+    def interrupted() -> None:
+        with Behind(stuck, 3) as writing:
+            writing.put(0)
+            begun.wait()
+            raise KeyboardInterrupt
+
+    start = time.monotonic()
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert time.monotonic() - start < 10
+    gate.set()
+
+
+def test_no_interrupt_makes_threads_wait_for_ever() -> None:
+    """At any moment of what is handed from thread to thread: half through a notification the next would be lost."""
+    program = """
+import random, signal, sys, time
+from l3cli import interrupts
+from l3cli.parallel import threads
+from l3cli.parallel.threads import Behind, ahead
+
+threads.WRITING = 1e9
+moments, sys.unraisablehook, interrupts.LATER = random.Random(0), interrupts.repeat_lost, 0.02
+for _ in range(100):
+    for each in (signal.SIGALRM, signal.SIGINT, signal.SIGTERM):
+        signal.signal(each, interrupts.end)
+    try:
+        signal.setitimer(signal.ITIMER_REAL, moments.uniform(2e-6, 4e-4))
+        with Behind(abs, 2) as writing:
+            for item in ahead(range(100), 2):
+                writing.put(item)
+        time.sleep(1.0)
+    except interrupts.Terminated:
+        signal.signal(signal.SIGALRM, signal.SIG_IGN)
+        time.sleep(0.05)  # it may come again
+        print("terminated")
+"""
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=50)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, 100 * "terminated\n", "")
+
+
+@pytest.mark.parametrize("number", [1, 2, 3])
+def test_many_threads_end(number: int) -> None:
+    for count in (0, 1, 5):
+        written: list[int] = []
+        with Behind(written.append, 2, number) as writing:
+            for item in range(count):
+                writing.put(item)
+        assert sorted(written) == list(range(count))

@@ -1,0 +1,334 @@
+"""To add a camera array, a scene, a class feature or a raw format takes three places at most (docs/architecture.md).
+
+The additions below are made to a copy of the program, one file or edit a place, and used by its commands there. What needs
+a fourth place fails.
+"""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.helpers.paths import ROOT
+
+MOST = 3  # places
+PAGE = ROOT / "docs/architecture.md"
+
+Edits = list[tuple[str, str]]  # a line as it stands, and what follows it or stands in its place
+
+CAMERA = """
+name = "Diagonal stripes"
+[sensor]
+rows = 96
+cols = 96
+pixel_pitch_um = 4.0
+bits = 12
+gain_dn_per_e = 0.25
+black_dn = 64
+[cfa]
+channels = ["r", "g", "b"]
+pattern = ["r g b", "g b r", "b r g"]
+[responsivity]
+wavelength_nm = [400, 700, 10]
+peak_efficiency = 0.4
+[responsivity.gaussians]
+r = [{ peak = 0.8, centre_nm = 600, sigma_nm = 35 }]
+g = [{ peak = 1.0, centre_nm = 535, sigma_nm = 40 }]
+b = [{ peak = 0.9, centre_nm = 460, sigma_nm = 30 }]
+[noise]
+read_noise_e = 4.0
+dark_current_e_per_s = 5.0
+dsnu_e = 2.0
+prnu = 0.005
+well_capacity_e = 15000
+[optics]
+focal_length_mm = 25
+f_number = 2.8
+"""
+
+RINGS = '''
+"""Rings about the middle, of random reflectance."""
+
+import numpy as np
+
+
+def rings(rng, size, wavelength):
+    """Reflectance (row, col, band)."""
+    row, col = np.mgrid[: size[0], : size[1]] - np.array(size)[:, None, None] / 2
+    spectra = rng.uniform(0.05, 0.95, (64, wavelength.size)).astype(np.float32)
+    return spectra[np.hypot(row, col).astype(int) // 5 % 64]
+'''
+
+GREY_TEXT = '''
+"""Grey scenes as text: a row of reflectances a line."""
+
+import numpy as np
+
+from l3cli.scene import NO_ILLUMINANT, Scene
+
+
+def read(path):
+    """The scene, of equal reflectance from 400 to 700 nm."""
+    grey = np.loadtxt(path, dtype=np.float32)
+    wavelength = np.arange(400.0, 701.0, 10.0)
+    return Scene(path.stem, wavelength, np.repeat(grey[..., None], wavelength.size, axis=2), NO_ILLUMINANT)
+
+
+def size(path):
+    """(rows, cols)."""
+    return read(path).reflectance.shape[:2]
+'''
+
+PEAK = '''
+"""Peak: whether the middle of a neighbourhood lies farther above the whole than it does in half of the pilot."""
+
+import numpy as np
+
+from l3cli.artifacts.class_rule import Axis, Window
+from l3cli.config import Count, Recipe
+
+SNIPPET = "peak.cl"
+
+
+class Keys(Recipe):
+    steps: Count = 2
+
+
+def _above(axis, sums):
+    return sums[..., 0] * int(axis.constants[0]) - sums[..., 1] * 9
+
+
+def axis(keys, camera, rule, dark, observed):
+    whole, middle = rule.patch, rule.radius - 1
+    windows = (Window(0, middle, middle, 3, 3, 1), Window(1, 0, 0, whole, whole, 1))
+    shares = np.arange(1, keys.steps) / keys.steps
+    edges = np.zeros(keys.steps - 1) if observed is None else np.quantile(observed[:, 0], shares)
+    return Axis("peak", keys.steps, windows, np.array([whole**2, *np.rint(edges)], np.int32))
+
+
+def check(axis, rule):
+    if len(axis.constants) != axis.size or axis.sums != 2:
+        raise ValueError("constants are missing")
+
+
+def observe(axis, rule, sums, level):
+    return _above(axis, sums)[:, None].astype(np.float64)
+
+
+def values(axis, rule, sums, level):
+    return (_above(axis, sums)[..., None] > axis.constants[1:]).sum(axis=-1)
+
+
+def turned(axis, transposed, turns):
+    return np.arange(axis.size)
+
+
+def macros(axis, rule):
+    return {"PEAKS": axis.size}
+
+
+def entry(table, index):
+    return {"peak": index}
+
+
+def heading(entry):
+    return f"{entry['peak']}"
+
+
+def name(table, index):
+    return f"peak {index}"
+'''
+
+PEAK_CL = """
+// Peak: the formula of l3cli/classes/peak.py.
+
+INLINE uints peak_of(const ints *sum, uints level, __global const int *constants) {
+    const ints above = sum[0] * constants[0] - sum[1] * 9;
+    uints peak = 0;
+    for (int k = 1; k < PEAKS; k++) peak = above > constants[k] ? peak + 1 : peak;
+    return peak;
+}
+"""
+
+DECIMAL = '''
+"""Raw frames as decimal text."""
+
+import numpy as np
+
+from l3cli.io.raw.content import RawContent
+
+def read(path, request):
+    """Values (row, col) in DN."""
+    return {"values": np.loadtxt(path, dtype=np.uint16, ndmin=2)}
+'''
+
+ADDITIONS: dict[str, dict[str, str | Edits]] = {
+    "camera array": {"configs/cameras/diagonal.toml": CAMERA},
+    "synthetic scene": {
+        "l3cli/simulation/rings.py": RINGS,
+        "l3cli/simulation/sources.py": [
+            (
+                "class GreyRamp(",
+                'class Rings(Random, tag_field="source", tag="rings", kw_only=True):\n    pass\n\n\nclass GreyRamp(',
+            ),
+            ("Source = (\n", "Source = (\n    Rings |"),
+        ],
+        "l3cli/simulation/synthetic.py": [
+            ("import charts, procedural, sources", "import charts, procedural, rings, sources"),
+            (
+                "= {\n    sources.DeadLeaves:",
+                "= {\n    sources.Rings: lambda s, rng, nm: rings.rings(rng, s.size, nm),\n    sources.DeadLeaves:",
+            ),
+        ],
+    },
+    "file scene": {
+        "l3cli/io/scenes/grey_text.py": GREY_TEXT,
+        "l3cli/simulation/sources.py": [
+            (
+                "class IsetScenes(",
+                'class GreyText(FileSource, tag_field="source", tag="grey text"):\n    pass\n\n\nclass IsetScenes(',
+            ),
+            ("Source = (\n", "Source = (\n    GreyText |"),
+        ],
+        "l3cli/io/scenes/registry.py": [
+            ("FORMATS = (\n", 'FORMATS = (\n    SceneFormat("grey text", "grey_text"),\n'),
+        ],
+    },
+    "class feature": {
+        "l3cli/classes/peak.py": PEAK,
+        "opencl/peak.cl": PEAK_CL,
+        "l3cli/classes/features.py": [
+            ("direction, level, saturation", "direction, level, peak, saturation"),
+            ('    "direction": direction,\n', '    "direction": direction,\n    "peak": peak,\n'),
+        ],
+    },
+    "raw format": {
+        "l3cli/io/raw/decimal.py": DECIMAL,
+        "l3cli/io/raw/registry.py": [
+            ("FORMATS = (\n", 'FORMATS = (\n    RawFormat((".txt",), "decimal"),\n'),
+        ],
+    },
+}  # fmt: skip
+
+SCENES = """
+exposure_share = [0.8]
+[[scene]]
+source = "rings"
+size = [64, 64]
+count = 2
+[[scene]]
+source = "grey text"
+file = "grey.txt"
+"""
+CLASSES = """
+[classes]
+patch = 5
+levels = 4
+chromas = 1
+[classes.peak]
+steps = 3
+[classes.direction]
+[learning]
+patches = 2000
+first_draws = 0
+"""
+COMPARED = """
+import numpy as np
+from pathlib import Path
+from l3cli.artifacts.store import load
+from l3cli.artifacts.table import TransformTable
+from l3cli.frame import RawFrame
+from l3cli.rendering.opencl import OpenCLRenderer
+from l3cli.rendering.reference import ReferenceRenderer
+
+table = load(TransformTable, Path("table.h5"))
+assert [axis.name for axis in table.first.rule.axes] == ["direction", "peak"], table.first.rule.axes
+values = np.random.default_rng(0).integers(60, 4096, (70, 300)).astype(np.uint16)
+values[:35] = 1000 + 20 * np.arange(300)[None] % 900
+frame = RawFrame("f", values, table.black, table.white, (1, 2))
+labels = ReferenceRenderer(table).labels(frame)
+directions, peaks = table.first.rule.split_further(table.first.rule.split(labels).further)
+assert np.unique(directions).tolist() == [0, 1, 2, 3, 4] and np.unique(peaks).tolist() == [0, 1, 2]
+for variant in ("processor", "graphics"):
+    np.testing.assert_array_equal(OpenCLRenderer(table, variant=variant).labels(frame), labels)
+"""
+
+
+@pytest.fixture(scope="module")
+def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of the program with all additions made."""
+    folder = tmp_path_factory.mktemp("program")
+    for name in ("l3cli", "opencl", "configs"):
+        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+    for places in ADDITIONS.values():
+        for name, change in places.items():
+            path = folder / name
+            if isinstance(change, str):
+                assert not path.exists()
+                path.write_text(change, encoding="utf-8")
+                continue
+            text = path.read_text(encoding="utf-8")
+            for old, new in change:
+                assert text.count(old) == 1, f"{name}: {old}"
+                text = text.replace(old, new)
+            path.write_text(text, encoding="utf-8")
+    return folder
+
+
+def run(program: Path, folder: Path, *words: str) -> str:
+    """What `python WORDS` prints in `folder` with the changed program."""
+    environment = {**os.environ, "PYTHONPATH": str(program), "PYTHONDONTWRITEBYTECODE": "1"}
+    done = subprocess.run([sys.executable, *words], cwd=folder, env=environment, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    return done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("what", ADDITIONS)
+def test_it_takes_three_places_at_most(what: str) -> None:
+    assert len(ADDITIONS[what]) <= MOST
+
+
+def test_all_five_work_together(copy: Path, tmp_path: Path) -> None:
+    """Simulated, trained and rendered; labels of the new feature by OpenCL are those of numpy."""
+    (tmp_path / "scenes.toml").write_text(SCENES)
+    (tmp_path / "classes.toml").write_text(CLASSES)
+    rng = np.random.default_rng(0)
+    np.savetxt(tmp_path / "grey.txt", rng.uniform(0.02, 0.9, (12, 12)).repeat(4, 0).repeat(4, 1), fmt="%.3f")
+    np.savetxt(tmp_path / "frame.txt", rng.integers(64, 3000, (96, 96)), fmt="%d")
+    l3 = ("-m", "l3cli")
+    run(copy, tmp_path, *l3, "simulate", "scenes.toml", "--camera", "diagonal", "-o", "training.h5", "--quiet")
+    assert "3 frames" in run(copy, tmp_path, *l3, "info", "training.h5")
+    output = run(copy, tmp_path, *l3, "train", "training.h5", "--classes", "classes.toml", "-o", "table.h5")
+    assert "× 5 values of direction × 3 values of peak ×" in output
+    run(copy, tmp_path, "-c", COMPARED)
+    run(copy, tmp_path, *l3, "render", "table.h5", "frame.txt", "-o", "picture.png", "--quiet")
+    assert (tmp_path / "picture.png").stat().st_size > 1000
+    output = run(copy, tmp_path, *l3, "info", "table.h5")
+    assert "peak 2" in output
+    run(copy, tmp_path, *l3, "evaluate", "table.h5", "training.h5", "--quiet")
+    run(copy, tmp_path, *l3, "report", "table.h5", "-o", "page.html", "--quiet")
+
+
+def rows() -> dict[str, list[str]]:
+    """What the page's table says: the places that each addition takes, without what stands in brackets."""
+    section = PAGE.read_text(encoding="utf-8").partition("## To add a …\n")[2].partition("\n## ")[0]
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in section.splitlines() if line[:1] == "|"]
+    return {what: re.sub(r"\(.*?\)", "", places).split(";") for what, places in cells[2:]}
+
+
+def test_the_page_names_the_places() -> None:
+    """Three at most, all of them there; of what is added above, those that it takes."""
+    assert rows().keys() >= {*ADDITIONS, "backend", "output", "picture suffix", "video codec", "command"}
+    for what, places in rows().items():
+        assert 1 <= len(places) <= MOST, what
+        named = {name for place in places for name in re.findall(r"`([\w/.]+/[\w.]*)`", place)}
+        for name in named:
+            assert (ROOT / name).exists(), name
+        for path, change in ADDITIONS.get(what, {}).items():
+            place = path if not isinstance(change, str) else path.rpartition("/")[0] + "/"
+            assert place in named, f"{what}: {place}"
