@@ -89,7 +89,11 @@ def _lines(content: dict[str, Any]) -> list[str]:
     for item in content["datasets"]:
         if not item["name"].startswith("frames/") or item["name"].startswith(f"frames/{min(frames)}/"):
             lines.append(_line(item))
-    return lines + (_learned(content["insight"]) if "insight" in content else [])
+    if "insight" in content:
+        from l3cli.training.text import learned
+
+        lines += learned(content["insight"])
+    return lines
 
 
 def _verified(file: Path, verification: "Verification") -> list[str]:
@@ -117,48 +121,6 @@ def _short(value: Any) -> str:
     if isinstance(value, list):
         return f"[{', '.join(map(_short, value))}]"
     return figure(value, ".6g") if isinstance(value, float) else str(value)
-
-
-def _learned(insight: dict[str, Any]) -> list[str]:
-    """Lines about classes, patches and gains of a table."""
-    classes = insight["classes"]
-    figures = " · ".join(
-        f"{output} {gain['median']:.3g}, {gain['worst']:.3g}" for output, gain in insight["noise_gain"].items()
-    )
-    lines = [
-        f"{classes['all']} classes: {classes['trained']} trained, {classes['thin']} of them on fewer patches than taps; "
-        f"{classes['filled']} without patches of their own",
-        *(
-            "patches: " + " · ".join(f"{value['name']} {value['patches']:.0f}" for value in values)
-            for values in (insight["kinds"], *insight.get("further", {}).values())
-        ),
-        f"noise gain √Σw² (median, worst class): {figures}",
-        f"condition (median, worst class): {insight['condition']['median']:.2g}, {insight['condition']['worst']:.2g}",
-        "gain of a flat signal (median of unsaturated classes):",
-    ]
-    for output, gains in insight["dc_gain"].items():
-        lines.append(f"  {output}: " + "  ".join(f"{channel} {gain:+.3f}" for channel, gain in gains.items()))
-    lines.append("noisiest classes:")
-    lines += [
-        f"  {worst['noise_gain']:8.3g}  {worst['class']}: {worst['patches']:.0f} patches, condition {worst['condition']:.2g}"
-        for worst in insight["worst"]
-    ]
-    for number, layer in enumerate(insight["later"], 2):
-        lines += _later(number, layer)
-    return lines
-
-
-def _later(number: int, layer: dict[str, Any]) -> list[str]:
-    """Lines about a layer after the first."""
-    classes, side = layer["classes"], layer["side"]
-    gains = " · ".join(f"{output} {gain['median']:.3g}, {gain['worst']:.3g}" for output, gain in layer["noise_gain"].items())
-    return [
-        f"layer {number}: {classes['all']} classes: {classes['trained']} trained, "
-        f"{classes['filled']} without patches of their own; {side} × {side} × {layer['planes']} taps",
-        f"  {layer['levels']} levels; {layer['structures']} structures: flat, {layer['strengths']} strengths × (none + "
-        f"{layer['directions']} directions)",
-        f"  noise gain √Σw² (median, worst class): {gains}",
-    ]
 
 
 def _version_lines(versions: dict[str, Any]) -> list[str]:
