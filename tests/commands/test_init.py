@@ -107,7 +107,8 @@ def test_a_benchmark_learns_from_pictures_and_judges_on_others(tmp_path: Path, l
     def make() -> subprocess.CompletedProcess[str]:
         command = ["make", "-C", str(folder), f"L3={sys.executable} -m l3cli", "JOBS=1", "BORDER=4"]
         environment = os.environ | {"PYTHONPATH": str(CONFIGS.parent)}
-        environment.pop("MAKEFLAGS", None)
+        for inherited in ("MAKEFLAGS", "MAKELEVEL"):  # of a make that runs the tests
+            environment.pop(inherited, None)
         return subprocess.run(command, text=True, capture_output=True, check=False, env=environment)
 
     assert "training/ is missing: put RGB pictures into it" in make().stderr
