@@ -182,6 +182,7 @@ def _limit(case: Case) -> Iterator[Callable[[], float] | None]:
             yield once
 
 
+# Long: a rule and a table have many fields, and each is named.
 def made_up_table(case: Case, rng: np.random.Generator) -> TransformTable:
     """Random weights for as many classes as a trained table has: the recipe's levels and chromas, two contrasts, ten
     saturation cases; chroma centres about the grey of `made_up_frame`, so that its pixels change between them."""

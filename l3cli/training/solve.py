@@ -60,6 +60,7 @@ class Transforms:
     condition: Array  # (class)
 
 
+# Long: what is solved once for all classes stands before the one loop over them.
 def solve(
     sums: ClassSums,
     rule: ClassRule,

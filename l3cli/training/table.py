@@ -128,6 +128,7 @@ def learn_site(pass_: TrainingPass, parts: Iterable[ClassSums], site: int) -> So
     return solve(sums, rule, window, alike, pass_.recipe, _goal(pass_))
 
 
+# Long: a table has many fields, and each is named.
 def assemble(pass_: TrainingPass, solutions: dict[int, Solution], history: tuple[Stage, ...]) -> TransformTable:
     """The table of all sites from the solutions of the canonical ones."""
     head, rule, camera = pass_.head, pass_.rule, pass_.head.camera
