@@ -6,11 +6,8 @@
 #ifdef FIXED_POINT
 
 // A fixed-point sum as a plane keeps it (l3cli/classes/planes.py).
-INLINE int plane_value(int sum) {
-#if FRACTION > 0
-    sum = (sum + (1 << (FRACTION - 1))) >> FRACTION;
-#endif
-    return clamp(sum, -PLANE_TOP, PLANE_TOP);
+INLINE int plane_value(int sum, int fraction) {
+    return clamp((sum + (1 << fraction >> 1)) >> fraction, -PLANE_TOP, PLANE_TOP);
 }
 
 #endif

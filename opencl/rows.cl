@@ -2,11 +2,11 @@
 
 #if defined(FIXED_POINT)
 
-// Sums planes[o * TILE + x] → what the next layer reads (output, pixel), in its steps
+// planes[o * TILE + x] → what the next layer reads (output, pixel)
 INLINE void write_row(__global int *picture, const int *planes, __global const float *matrix, size_t at, int width,
                       size_t pixels) {
     for (int o = 0; o < OUTPUTS; o++)
-        for (int x = 0; x < width; x++) picture[o * pixels + at + x] = plane_value(planes[o * TILE + x]);
+        for (int x = 0; x < width; x++) picture[o * pixels + at + x] = planes[o * TILE + x];
 }
 
 #elif defined(PLANES)

@@ -24,6 +24,7 @@
 #define LAST_TAP (VECTORS * GROUP * LANES)       // where a group's last taps lie, behind them its intercepts
 #define GROUP_STRIDE WHOLE(LAST_TAP + 8, 16)
 #define CLASS_STRIDE (GROUPS * GROUP_STRIDE)
+#define FRACTION_PLACE 7  // behind the last taps, of integers to three planes: where a fourth intercept would be
 
 #if 2 * CFA_COLUMNS <= LANES && (CFA_COLUMNS & (CFA_COLUMNS - 1)) == 0
 #define PAIR CFA_COLUMNS
@@ -190,6 +191,12 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
         const size_t at = (size_t)y * columns + x0;
         for (int x = 0; x < width; x++) label[x] = labels[at + x];
         for (int x = 0; x < width; x += LANES) apply(planes, ring + (k - 2 * RADIUS) * SOURCES, label, weights, x);
+#ifdef FIXED_POINT
+        for (int x = 0; x < width; x++) {
+            const int fraction = weights[(size_t)label[x] * CLASS_STRIDE + LAST_TAP + FRACTION_PLACE];
+            for (int o = 0; o < OUTPUTS; o++) planes[o * TILE + x] = plane_value(planes[o * TILE + x], fraction);
+        }
+#endif
         write_row(picture, planes, matrix, at, width, (size_t)rows * columns);
     }
 }

@@ -3,8 +3,9 @@
     plane = clamp(Σ W · DN + B + 2^(F − 1) >> F, ±4194303)
 
 The planes are X − aY, Y and Z − bY, with (a, 1, b) the white under the training light, so that greys have no chroma. W and
-B are the layer's weights and intercept per DN and PLANE_STEP, times 2^F, rounded; F is the largest for which no sum of any
-class and any DN leaves 32 bits.
+B are the layer's weights and intercept per DN and PLANE_STEP, times 2^F, rounded: weights so that those of each channel add
+up to their rounded sum, or else what is rounded off would colour plain areas, and differently at every site. F is that of
+the class, the largest for which no sum over any DN leaves 32 bits.
 """
 
 from dataclasses import dataclass
@@ -14,7 +15,8 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.layers import PLANE_STEP, PLANE_TOP
 from l3cli.artifacts.table import TransformTable
-from l3cli.classes.windows import Integers
+from l3cli.classes.windows import Integers, window_channels
+from l3cli.errors import InputFileError
 
 MOST_FRACTION = 16
 ROOM = 1.01  # for what rounding adds
@@ -27,11 +29,12 @@ class FixedPoint:
 
     weights: NDArray[np.int32]  # (class, plane, tap)
     intercept: NDArray[np.int32]  # (class, plane)
-    fraction: int  # F
+    fraction: NDArray[np.int32]  # (class) F
 
-    def planes(self, sums: Integers) -> NDArray[np.int32]:
-        """Planes of sums Σ W · DN + B."""
-        rounded = (sums + (1 << self.fraction >> 1)) >> self.fraction
+    def planes(self, sums: Integers, label: Integers) -> NDArray[np.int32]:
+        """Planes (plane, …) of sums Σ W · DN + B of pixels (…) of the classes `label`."""
+        fraction = self.fraction.astype(np.int64)[label]
+        rounded = (sums + (1 << fraction >> 1)) >> fraction
         return np.clip(rounded, -PLANE_TOP, PLANE_TOP).astype(np.int32)
 
 
@@ -43,16 +46,34 @@ def opponent_basis(white_point: NDArray[np.floating]) -> NDArray[np.float64]:
 
 
 def fixed_point(table: TransformTable) -> FixedPoint:
-    """The first layer of a table whose outputs are X, Y, Z."""
+    """The first layer of a table whose outputs are X, Y, Z; InputFileError if its transforms are beyond all planes."""
     basis, step = opponent_basis(table.white_point), (table.white - table.black) * PLANE_STEP
     weights = np.moveaxis(_to_planes(np.moveaxis(table.first.weights, 1, -1), basis), -1, 1) / step
     intercept = _to_planes(table.first.intercept, basis) / PLANE_STEP
     offset = intercept - table.black * weights.sum(axis=-1)
-    largest = (np.abs(weights).sum(axis=-1) * (2**table.bits - 1) + np.abs(offset)).max()
-    fraction = int(min(MOST_FRACTION, np.floor(np.log2((2.0**31 - 1) / (ROOM * largest + 1)))))
-    whole = np.rint(weights * 2.0**fraction)
-    back = np.rint(intercept * 2.0**fraction - table.black * whole.sum(axis=-1))
-    return FixedPoint(whole.astype(np.int32), back.astype(np.int32), fraction)
+    largest = (np.abs(weights).sum(axis=-1) * (2**table.bits - 1) + np.abs(offset)).max(axis=-1)
+    fraction = np.minimum(MOST_FRACTION, np.floor(np.log2((2.0**31 - 1) / (ROOM * largest + 1))))
+    if fraction.min() < 0:
+        raise InputFileError("transforms of the table's first layer are too large for the second; train it again")
+    scale = 2.0 ** fraction[:, None]
+    whole = _rounded(weights * scale[..., None], table)
+    back = np.rint(intercept * scale - table.black * whole.sum(axis=-1))
+    return FixedPoint(whole.astype(np.int32), back.astype(np.int32), fraction.astype(np.int32))
+
+
+def _rounded(weights: NDArray[np.float64], table: TransformTable) -> NDArray[np.float64]:
+    """Weights (class, plane, tap) as whole numbers less than one away, of sums over each channel that are the nearest."""
+    rule = table.first.rule
+    channel = window_channels(table.cfa, rule.patch)[np.arange(len(weights)) // rule.classes_per_site]
+    whole = np.floor(weights)
+    missing, order = weights - whole, np.empty(weights.shape, np.int64)
+    for index in range(len(table.channels)):
+        member = (channel == index)[:, None]
+        left = np.where(member, missing, -1.0)  # a tap of another channel comes last
+        np.put_along_axis(order, np.argsort(-left, axis=-1, kind="stable"), np.arange(weights.shape[-1]), axis=-1)
+        up = np.rint((weights * member).sum(axis=-1)) - (whole * member).sum(axis=-1)
+        whole += member & (order < up[..., None])
+    return whole
 
 
 def _to_planes(values: NDArray[np.float32], basis: NDArray[np.float64]) -> NDArray[np.float64]:

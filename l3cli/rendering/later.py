@@ -20,7 +20,8 @@ def first_planes(frame: RawFrame, labels: Integers, table: TransformTable, fixed
     planes = np.empty((fixed.weights.shape[1], rows, cols), np.int32)
     for row in range(rows):
         patches, label = windows[row].reshape(cols, 1, patch**2), labels[row]
-        planes[:, row] = fixed.planes((fixed.weights[label] * patches).sum(axis=-1) + fixed.intercept[label]).T
+        sums = (fixed.weights[label] * patches).sum(axis=-1) + fixed.intercept[label]
+        planes[:, row] = fixed.planes(sums.T, label)
     return planes
 
 

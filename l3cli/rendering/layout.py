@@ -83,9 +83,8 @@ def table_macros(table: TransformTable) -> Macros:
     }
 
 
-def fixed_macros(fixed: FixedPoint) -> Macros:
-    """What the first layer writes for the next to read."""
-    return {"FIXED_POINT": 1, "FRACTION": fixed.fraction, "PLANE_TOP": PLANE_TOP, "CODE": "int"}
+# What the first layer writes for the next to read.
+TO_PLANES: Macros = {"FIXED_POINT": 1, "PLANE_TOP": PLANE_TOP, "CODE": "int"}
 
 
 def later_macros(table: TransformTable) -> Macros:
@@ -153,6 +152,7 @@ class Weights:
 
     taps: NDArray[Any]  # (class, output, tap), taps column by column, in each row by row, plane by plane
     intercept: NDArray[Any]  # (class, output)
+    fraction: NDArray[np.int32] | None = None  # (class) of integers to three planes; lies where a fourth intercept would
 
 
 def first_weights(table: TransformTable) -> Weights:
@@ -163,7 +163,7 @@ def first_weights(table: TransformTable) -> Weights:
 
 def plane_weights(table: TransformTable, fixed: FixedPoint) -> Weights:
     """Of the first of several layers, to planes, in integers."""
-    return Weights(_by_column(fixed.weights, 1), fixed.intercept)
+    return Weights(_by_column(fixed.weights, 1), fixed.intercept, fixed.fraction)
 
 
 def later_weights(table: TransformTable) -> Weights:
@@ -204,6 +204,8 @@ def pack_in_vectors(layer: Weights, lanes: int) -> NDArray:
         packed[:, g, :last] = ordered.reshape(classes, last)
         packed[:, g, last : last + count] = layer.taps[:, chosen, -1]
         packed[:, g, last + 4 : last + 4 + count] = layer.intercept[:, chosen]
+    if layer.fraction is not None:
+        packed[:, 0, last + 7] = layer.fraction
     return packed
 
 
@@ -212,6 +214,8 @@ def pack_in_fours(layer: Weights, lanes: int) -> NDArray:
     classes, outputs, taps = layer.taps.shape
     packed = np.zeros((classes, 1 + taps, -(-outputs // 4) * 4), layer.taps.dtype)
     packed[:, 0, :outputs] = layer.intercept
+    if layer.fraction is not None:
+        packed[:, 0, 3] = layer.fraction
     packed[:, 1:, :outputs] = layer.taps.transpose(0, 2, 1)
     return packed
 

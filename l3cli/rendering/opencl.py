@@ -58,7 +58,7 @@ class OpenCLRenderer:
             self._cut = variant_layout.cut(table, lanes or self._register_lanes())
             self._transforms: dict[tuple[tuple[str, int | str], ...], Any] = {}
             fixed = fixed_point(table) if table.later else None
-            first = self._build_first(layout.OUTPUTS_AS_THEY_ARE if fixed is None else layout.fixed_macros(fixed))
+            first = self._build_first(layout.OUTPUTS_AS_THEY_ARE if fixed is None else layout.TO_PLANES)
             self._classes = cl.Kernel(first, "classes")
             self._class_buffers = [self._constant(array) for array in layout.class_arrays(table)]
             if fixed is None:

@@ -50,8 +50,10 @@ class FirstLayer:
         mean = (statistics.sums / self._near.count[statistics.site]).mean(axis=-1) * 2**rule.shift
         brightness = (mean + truncation(rule.shift) - camera.black) / (camera.white - camera.black)
         label = rule.on_site(within, statistics.site)
-        noisy = self.fixed.planes(self._sums(mosaic.values, label, self._weights).astype(np.int64))
-        clean = self._sums(mosaic.clean, label, self._light_weights) * np.float32(2.0**-self.fixed.fraction)
+        noisy = self.fixed.planes(self._sums(mosaic.values, label, self._weights).astype(np.int64), label)
+        clean = self._sums(mosaic.clean, label, self._light_weights) * (2.0 ** -self.fixed.fraction[label]).astype(
+            np.float32
+        )
         return Seen(
             target=np.moveaxis(mosaic.target, 0, -1),
             label=label,
