@@ -7,9 +7,11 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.layers import PlaneRule, one_rule
 from l3cli.artifacts.schema import Artifact, check, data, group
 from l3cli.artifacts.structure_rule import StructureRule
 from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.tree_rule import TreeRule
 
 
 @dataclass(frozen=True)
@@ -43,11 +45,16 @@ class PartialLayerSums(Artifact):
     shards: int = data("int64", doc="… to this many")
     mosaics: NDArray[np.int64] = data("int64", "frame", doc="mosaics of every training frame, in all shards")
     side: int = data("int64", unit="pixel", doc="side of the windows")
-    rule: StructureRule = group()
     table: TransformTable = group()  # whose outputs the layer reads
     sites: NDArray[np.int64] = data(
         "int64", "canonical_site", doc="CFA sites that are trained, row · cfa columns + column", coordinate=True
     )
+    structure: StructureRule | None = group(default=None)  # the layer's rule …
+    tree: TreeRule | None = group(default=None)  # … is either
+
+    @property
+    def rule(self) -> PlaneRule:
+        return one_rule(self.structure, self.tree)
 
     def __post_init__(self) -> None:
         super().__post_init__()

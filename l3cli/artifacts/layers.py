@@ -2,6 +2,7 @@
 (docs/method.md#layers)."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +10,9 @@ from numpy.typing import NDArray
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.schema import check, data, group
 from l3cli.artifacts.structure_rule import StructureRule
+from l3cli.artifacts.tree_rule import TreeRule
 
+PlaneRule = StructureRule | TreeRule
 PLANE_STEP = 2.0**-18  # of the output unit: what a plane's integers count, far below the noise of any sensor
 PLANE_TOP = 2**22 - 1  # 16 times a full scale: differences times a factor of 7 bits stay within 32 bits
 
@@ -37,16 +40,36 @@ class PlaneLayer:
     """Transforms of square windows of the planes X − aY, Y, Z − bY (of a white: zero, its Y, zero) of the layer before."""
 
     side: int = data("int64", unit="pixel", doc="side of the windows")
-    rule: StructureRule = group()
     weights: NDArray[np.float32] = data(
         "float32", "plane_class", "output", "plane_tap", doc="taps plane by plane, each row by row; per output unit"
     )
     intercept: NDArray[np.float32] = data("float32", "plane_class", "output", doc="added to the weighted sum")
     samples: NDArray[np.float64] = data("float64", "plane_class", doc="training patches; 0: filled from a neighbour")
+    structure: StructureRule | None = group(default=None)  # its classes …
+    tree: TreeRule | None = group(default=None)  # … either by structure or by a tree
 
     def __post_init__(self) -> None:
         check(self)
+        one_rule(self.structure, self.tree)
+
+    @property
+    def rule(self) -> PlaneRule:
+        return one_rule(self.structure, self.tree)
 
     @property
     def radius(self) -> int:
         return self.side // 2
+
+
+def rule_fields(rule: PlaneRule) -> dict[str, Any]:
+    """The rule as the field that holds it."""
+    return {"structure" if isinstance(rule, StructureRule) else "tree": rule}
+
+
+def one_rule(structure: StructureRule | None, tree: TreeRule | None) -> PlaneRule:
+    """The rule that is there; ValueError unless it is one of the two."""
+    if structure is None and tree is not None:
+        return tree
+    if structure is not None and tree is None:
+        return structure
+    raise ValueError("a layer has either a structure rule or a tree")

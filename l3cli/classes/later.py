@@ -4,21 +4,39 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.class_rule import ClassRule
+from l3cli.artifacts.layers import PlaneRule
 from l3cli.artifacts.structure_rule import StructureRule
+from l3cli.classes import tree
 from l3cli.classes.planes import LUMINANCE
 from l3cli.classes.structure import REACH, structures
 from l3cli.classes.windows import Integers
 from l3cli.frame import mirrored_indices
 
 
-def label_planes(planes: NDArray[np.int32], first: Integers, rule: StructureRule, first_rule: ClassRule) -> Integers:
+def label_planes(planes: NDArray[np.int32], first: Integers, rule: PlaneRule, first_rule: ClassRule) -> Integers:
     """Class (row, col) of every pixel, among those of all sites, from the first layer's planes (plane, row, col) and classes
     (row, col)."""
     place = first_rule.split(first)
-    luminance = mirrored(planes[LUMINANCE].astype(np.int64), REACH)
-    structure = structures(luminance, mirrored(place.level, REACH - 1), place.site, rule)
-    kind = rule.kind(structure, first_rule.case(place.kind))
-    return rule.join(place.level // rule.level_step, kind, place.site)
+    kind = rule.kind(_structure(planes, place.level, place.site, rule), first_rule.case(place.kind))
+    return rule.join(rule.level_of(place.level), kind, place.site)
+
+
+def _structure(planes: NDArray[np.int32], level: Integers, site: Integers, rule: PlaneRule) -> Integers:
+    """What the rule tells apart (row, col) where nothing is saturated."""
+    if isinstance(rule, StructureRule):
+        luminance = mirrored(planes[LUMINANCE].astype(np.int64), REACH)
+        return structures(luminance, mirrored(level, REACH - 1), site, rule)
+    return tree.leaves(plane_evidence(planes, level, rule.gradient_factor, rule.gradient_shift), site, rule)
+
+
+def plane_evidence(
+    planes: NDArray[np.int32], level: Integers, factor: NDArray[np.uint8], shift: NDArray[np.uint8]
+) -> tree.Evidence:
+    """What a tree's tests compare, of whole planes (plane, row, col), levels (row, col) and the scale (level) of gradients."""
+    place = mirrored(level, tree.REACH - 1)
+    return tree.evidence(
+        mirrored(planes.astype(np.int64), tree.REACH), factor.astype(np.int64)[place], shift.astype(np.int64)[place]
+    )
 
 
 def mirrored(planes: NDArray, margin: int) -> NDArray:
@@ -27,14 +45,16 @@ def mirrored(planes: NDArray, margin: int) -> NDArray:
     return planes[..., rows[:, None], cols]
 
 
-def first_label_words(rule: StructureRule, first: ClassRule) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
+def first_label_words(rule: PlaneRule, first: ClassRule) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
     """What a kernel reads of each class (class) of the first layer: the factor of gradients and from bit 8 on their shift,
-    with bits 14 and 15 set where the tensor's components change their signs; and the first class of its site and level, with
-    bit 31 set where saturation decides and it is the class itself (opencl/structure.cl)."""
+    with bits 14 and 15 set where the tensor's components change their signs for a structure rule; and the first class of its
+    site and level, with bit 31 set where saturation decides and it is the class itself (opencl/gradient.cl)."""
     place = first.split(np.arange(len(rule.turns) * first.classes_per_site))
-    turned = (rule.turns[place.site] < 0).astype(np.uint32)
     factor, shift = (values[place.level].astype(np.uint32) for values in (rule.gradient_factor, rule.gradient_shift))
-    gradient = factor | shift << 8 | turned[:, 0] << 14 | turned[:, 1] << 15
+    gradient = factor | shift << 8
+    if isinstance(rule, StructureRule):
+        turned = (rule.turns[place.site] < 0).astype(np.uint32)
+        gradient |= turned[:, 0] << 14 | turned[:, 1] << 15
     case = first.case(place.kind)
-    start = rule.join(place.level // rule.level_step, rule.kind(0, case), place.site).astype(np.uint32)
+    start = rule.join(rule.level_of(place.level), rule.kind(0, case), place.site).astype(np.uint32)
     return gradient, start | (case > 0).astype(np.uint32) << 31

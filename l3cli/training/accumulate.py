@@ -120,9 +120,17 @@ class _Batch:
         carried: Floats | None = None if patches.carried is None else patches.carried[here].T[order.taps]
         for row in scale:
             left = None if carried is None else carried * row**2
-            values = expose_patches(signal * row, pass_.head.camera, rng, left, pass_.dark)
+            values = self._exposed_values(signal * row, rng, left)
             seen = patch_statistics(values, pass_.rule, order)
             yield label_sums(seen, pass_.rule, self.near, self.site), self._level(seen.sums)
+
+    def _exposed_values(self, signal: Floats, rng: np.random.Generator, carried: Floats | None) -> NDArray[np.uint32]:
+        """DN (tap, patch) of signals, with noise unless the recipe wants none."""
+        camera = self.pass_.head.camera
+        if self.pass_.recipe.noise != "none":
+            return expose_patches(signal, camera, rng, carried, self.pass_.dark)
+        values = signal * np.float32(camera.white - camera.black) + np.float32(camera.black)
+        return np.clip(np.rint(values), 0.0, np.floor(camera.white)).astype(np.uint32)
 
     def _level(self, sums: NDArray[np.uint32]) -> NDArray[np.float64]:
         """Level (patch) as a share of full scale: mean over the channels of the means of their `sums` (channel, patch)."""
@@ -146,6 +154,8 @@ class _Batch:
         target = self.patches.target[patch] * scale[:, None]
         carried = None if self.patches.carried is None else self.patches.carried[patch] * scale[:, None] ** 2
         variance = noise_share(clean, self.pass_.head.camera, carried, self.pass_.dark)
+        if self.pass_.recipe.noise == "none":
+            variance[:] = 0
         if self.pass_.recipe.noise == "sampled":
             clean += np.sqrt(variance) * rng.standard_normal(clean.shape, dtype=np.float32)
             variance[:] = 0
@@ -153,7 +163,9 @@ class _Batch:
         start = np.flatnonzero(np.diff(label, prepend=label[0] + 1))  # a class begins where the label changes
         runs = list(zip(label[start].tolist(), start.tolist(), [*start[1:].tolist(), len(label)], strict=True))
         brightness = self.pass_.brightness(target) / level + np.float32(TARGET_FLOOR)
-        weight = brightness ** np.float32(-self.pass_.recipe.brightness_power) / level
+        weight = brightness ** np.float32(-self.pass_.recipe.brightness_power) / level ** np.float32(
+            self.pass_.recipe.level_power
+        )
         if self.weighting is not None:
             weight *= self.weighting.weight(clean, variance, target, level, runs)
         taps = clean.shape[1]

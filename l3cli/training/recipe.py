@@ -5,6 +5,7 @@ from typing import Annotated, ClassVar, Literal
 
 import msgspec
 
+from l3cli.artifacts.tree_rule import MOST_LEAVES
 from l3cli.classes.recipe import ClassRecipe
 from l3cli.config import Count, CountOrNone, Positive, Recipe, Share
 from l3cli.errors import RecipeError
@@ -28,7 +29,9 @@ class LearningRecipe(Recipe):
     highlight_share: float = 0.25  # this share of the draws …
     highlight_from: float = 0.15  # … lies between here and the brightest
     rescale: bool = True  # False: patches stay at the level of their frame, however often they are drawn
-    noise: Literal["analytic", "sampled"] = "analytic"  # noise-free patches and a covariance, or patches with noise drawn
+    # noise-free patches and a covariance, patches with noise drawn, or no noise at all, neither in classes nor in patches
+    noise: Literal["analytic", "sampled", "none"] = "analytic"
+    level_power: Share = 1.0  # rows weigh level^-power: 1 for errors relative to the level, 0 for errors as they are
     brightness_power: float = 0.5  # rows weigh (Y / level)^-power, 0…1 (docs/method.md#row-weights)
     error_power: float = 0.25  # second pass: (e² + ¼)^-power, e the error of the first (docs/method.md#second-pass)
     ridge: float = 1e-5  # relative to the mean power of a tap
@@ -46,6 +49,12 @@ class LayerRecipe(Recipe):
     """How a layer is learned that reads the planes of the layer before (docs/method.md#layers)."""
 
     side: Annotated[int, msgspec.Meta(ge=1, le=9)] = 5  # pixels, odd, of the windows of each plane
+    leaves: Annotated[int, msgspec.Meta(ge=0, le=MOST_LEAVES)] = (
+        0  # classes, of a tree grown for them; 0: by structure, as next
+    )
+    tree_rows: Annotated[int, msgspec.Meta(ge=1000, le=1_000_000)] = (
+        40000  # pixels of a canonical CFA position it is grown on
+    )
     level_step: Count = 1  # levels of the first layer that make one
     strengths: tuple[Positive, ...] = (1.7, 8.0)  # edges of the structure tensor's trace, relative to that of noise
     coherence: Share = 0.48  # share of the trace along one direction from which an edge has one

@@ -107,7 +107,7 @@ def some_layer_sums(camera: CameraModel) -> tuple[PartialLayerSums, LayerSums]:
         cases=table.first.rule.cases,
     )
     head = PartialLayerSums(
-        shard=1, shards=1, mosaics=np.array([5]), side=1, rule=rule, table=table, sites=np.array([0]), history=table.history
+        shard=1, shards=1, mosaics=np.array([5]), side=1, structure=rule, table=table, sites=np.array([0]), history=table.history
     )
     return head, LayerSums(*(np.ones(shape) for shape in head.shapes))
 

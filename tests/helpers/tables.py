@@ -44,7 +44,7 @@ def with_later(table: TransformTable, *sides: int, seed: int = 1) -> TransformTa
         classes = sites * rule.classes_per_site
         weights = (rng.normal(size=(classes, outputs, outputs * side**2)) / side).astype(np.float32)
         samples = np.where(np.arange(classes) % 2, 10.0, 0.0)
-        layers.append(PlaneLayer(side, rule, weights, np.zeros((classes, outputs), np.float32), samples))
+        layers.append(PlaneLayer(side, weights, np.zeros((classes, outputs), np.float32), samples, rule))
     return dataclasses.replace(table, later=tuple(layers))
 
 

@@ -22,7 +22,8 @@ from l3cli.physics.display import lab
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.stages.training.later_layers import layer_pass
 from l3cli.training.layers.first import Seen
-from l3cli.training.layers.learn import LayerPass, add_sums, learn_layer, no_sums, structure_rule, sum_layer
+from l3cli.training.layers.learn import LayerPass, add_sums, learn_layer, no_sums, sum_layer
+from l3cli.training.layers.rules import gradient_scale, structure_rule
 from l3cli.training.layers.mosaics import white_signal
 from l3cli.training.layers.rows import add_rows, inner_pixels, require_exact
 from l3cli.training.recipe import LayerRecipe, LearningRecipe, TrainingRecipe
@@ -48,7 +49,7 @@ def a_pass(bayer: CameraModel, **recipe: Any) -> LayerPass:
 
 def a_rule(layer: LayerPass) -> StructureRule:
     """A rule as if nothing were known of the noise."""
-    return structure_rule(layer, [])
+    return structure_rule(layer, gradient_scale(layer, []))
 
 
 def filtered(planes: NDArray) -> NDArray[np.float32]:

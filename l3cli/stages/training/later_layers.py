@@ -8,25 +8,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.layer_sums import LayerSums
-from l3cli.artifacts.structure_rule import StructureRule
+from l3cli.artifacts.layers import PlaneRule
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.planes import fixed_point, opponent_basis
 from l3cli.stages.console import Console
 from l3cli.stages.training.passes import Execution
 from l3cli.stages.training.run import TrainingRun, TrainingSource, frames_of
-from l3cli.training.layers.learn import (
+from l3cli.training.layers.learn import LayerPass, add_sums, learn_layer, no_sums, sum_layer
+from l3cli.training.layers.rules import (
     PILOT_MOSAICS,
-    LayerPass,
-    add_sums,
-    learn_layer,
+    GradientScale,
+    gradient_scale,
     luminance_noise,
-    no_sums,
+    sample_tree,
     structure_rule,
-    sum_layer,
+    tree_rule,
 )
+from l3cli.training.layers.tree import TreeSample
 from l3cli.training.recipe import TrainingRecipe
 from l3cli.training.training_pass import spread_patches
 
+XYZ = ("X", "Y", "Z")
 UNITS = 8  # a process: more tell progress better, but every one hands on its own sums
 
 
@@ -66,6 +68,7 @@ def layer_pass(table: TransformTable, recipe: TrainingRecipe, mosaics: tuple[int
         recipe=recipe.layer[0],
         learning=recipe.learning,
         mosaics=mosaics,
+        pictures=table.outputs == XYZ,
         exposure=table.exposure,
         seed=seed,
     )
@@ -73,27 +76,35 @@ def layer_pass(table: TransformTable, recipe: TrainingRecipe, mosaics: tuple[int
 
 @dataclass(frozen=True)
 class LayerUnit:
-    """A work unit of a layer's pass: some frames; without a rule it measures the noise that the rule is made from."""
+    """A work unit of a layer's pass: some frames, and what has been learned before of how they are classified."""
 
     training: tuple[TrainingSource, ...]
     remote: bool  # as of WorkUnit
     layer: LayerPass
-    rule: StructureRule | None
+    known: GradientScale | PlaneRule | None
     frames: range
 
 
-def layer_rule(run: TrainingRun, layer: LayerPass, execution: Execution) -> StructureRule:
+def layer_rule(run: TrainingRun, layer: LayerPass, execution: Execution) -> PlaneRule:
     """The layer's class rule, from a pilot over all frames."""
-    units = _units(run, layer, None, range(len(run.patches)), execution)
+    frames = range(len(run.patches))
+    units = _units(run, layer, None, frames, execution)
     measured = execution.console.progress(execution.crew(_measure, units), len(units), "pilot")
-    rule = structure_rule(layer, [noise for part in measured for noise in part])
-    kinds = f"({rule.structures} structures + {rule.cases - 1} saturation cases)"
-    execution.console.say(f"second layer: {sum(layer.mosaics)} mosaics, {rule.levels} levels × {kinds} a site")
+    scale = gradient_scale(layer, [noise for part in measured for noise in part])
+    if not layer.recipe.leaves:
+        rule: PlaneRule = structure_rule(layer, scale)
+        classes = f"{rule.levels} levels × ({rule.structures} structures + {rule.cases - 1} saturation cases)"
+    else:
+        units = _units(run, layer, scale, frames, execution)
+        sampled = execution.console.progress(execution.crew(_sample, units), len(units), "tree")
+        rule = tree_rule(layer, scale, [sample for part in sampled for sample in part])
+        classes = f"{rule.structures} leaves, {rule.depth} tests deep, + {rule.cases - 1} saturation cases"
+    execution.console.say(f"second layer: {sum(layer.mosaics)} mosaics, {classes} a site")
     return rule
 
 
 def summed_layer(
-    run: TrainingRun, layer: LayerPass, rule: StructureRule, frames: range, execution: Execution
+    run: TrainingRun, layer: LayerPass, rule: PlaneRule, frames: range, execution: Execution
 ) -> dict[int, LayerSums]:
     """Sums of the canonical sites over `frames`."""
     sums = no_sums(layer, rule)
@@ -104,9 +115,9 @@ def summed_layer(
 
 
 def _units(
-    run: TrainingRun, layer: LayerPass, rule: StructureRule | None, frames: range, execution: Execution
+    run: TrainingRun, layer: LayerPass, known: GradientScale | PlaneRule | None, frames: range, execution: Execution
 ) -> list[LayerUnit]:
-    about = (run.training, execution.remote, layer, rule)
+    about = (run.training, execution.remote, layer, known)
     return [LayerUnit(*about, part) for part in parts_of(frames, min(len(frames), UNITS * execution.crew.size))]
 
 
@@ -122,6 +133,13 @@ def _measure(unit: LayerUnit) -> list[NDArray[np.float64]]:
     return luminance_noise(unit.layer, frames, unit.frames.start, every)
 
 
+def _sample(unit: LayerUnit) -> list[dict[int, TreeSample]]:
+    assert isinstance(unit.known, GradientScale)
+    frames = frames_of(unit.training, unit.frames, unit.remote)
+    return sample_tree(unit.layer, unit.known, frames, unit.frames.start)
+
+
 def _sum(unit: LayerUnit) -> dict[int, LayerSums]:
-    assert unit.rule is not None
-    return sum_layer(unit.layer, unit.rule, frames_of(unit.training, unit.frames, unit.remote), unit.frames.start)
+    assert isinstance(unit.known, PlaneRule)
+    frames = frames_of(unit.training, unit.frames, unit.remote)
+    return sum_layer(unit.layer, unit.known, frames, unit.frames.start)

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from l3cli.artifacts.layer_sums import PartialLayerSums
+from l3cli.artifacts.layers import rule_fields
 from l3cli.artifacts.partial_sums import PartialSumsReader, write_partial_sums
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import InputFileError
@@ -32,7 +33,7 @@ def write_layer_shard(
         shards=count,
         mosaics=np.array(mosaics),
         side=layer.recipe.side,
-        rule=rule,
+        **rule_fields(rule),
         table=table,
         sites=np.array(list(sums)),
     )

@@ -43,7 +43,7 @@ class TrainingRun:
     @property
     def has_later_layers(self) -> bool:
         """Whether layers follow the first one: they read luminance and chroma, so for XYZ only."""
-        return bool(self.recipe.layer) and self.head.outputs == ("X", "Y", "Z")
+        return bool(self.recipe.layer) and len(self.head.outputs) == 3
 
     def history_of_pass(self, number: int) -> tuple[Stage, ...]:
         """History of what a pass of the first layer makes."""

@@ -34,6 +34,7 @@ class Exposed:
     recipe: LearningRecipe
     dark: float  # DN of dark current in frames that the table is for
     achromatic: float  # share of the mosaics that show their scene without colour
+    noisy: bool  # whether the camera's noise is added
 
 
 def mosaics_of(frame: TrainingPair, count: int, exposed: Exposed, rng: np.random.Generator) -> Iterator[Mosaic]:
@@ -54,11 +55,13 @@ def mosaics_of(frame: TrainingPair, count: int, exposed: Exposed, rng: np.random
             luminance = wanted[Y]
             seen = white.astype(np.float32)[:, None, None] * luminance
             wanted = (frame.white / frame.white[Y]).astype(np.float32)[:, None, None] * luminance
-        scale = np.float32(_drawn_level(exposed.recipe, rng) / max(float(seen.mean()), 1e-3))
+        scale = np.float32(
+            _drawn_level(exposed.recipe, rng) / max(float(seen.mean()), 1e-3) if exposed.recipe.rescale else 1
+        )
         mosaic = scale * _through_cfa(seen, camera)
-        values = expose_patches(mosaic, camera, rng, dark=exposed.dark).astype(np.uint16)
         clean = np.minimum(mosaic, 1.0) * np.float32(camera.white - camera.black) + np.float32(camera.black)
-        yield Mosaic(values, clean, wanted * scale)
+        values = expose_patches(mosaic, camera, rng, dark=exposed.dark) if exposed.noisy else np.rint(clean)
+        yield Mosaic(values.astype(np.uint16), clean, wanted * scale)
 
 
 def white_signal(light: LightSpectrum, camera: CameraModel) -> NDArray[np.float64]:

@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.layer_sums import LayerSums
-from l3cli.artifacts.layers import PLANE_STEP
-from l3cli.artifacts.structure_rule import StructureRule
+from l3cli.artifacts.layers import PLANE_STEP, PlaneRule
 from l3cli.classes.later import mirrored
 from l3cli.classes.windows import Integers
 from l3cli.errors import L3Error
 from l3cli.training.accumulate import TARGET_FLOOR
 from l3cli.training.layers.first import Floats, Seen, runs_of
+from l3cli.training.recipe import LearningRecipe
 from l3cli.training.row_weighting import ERROR_FLOOR, lab_error
 from l3cli.training.sums import EXACT, STEP, add_rounded, intercept_scale, pairs, steps_of_columns, width_of
 
@@ -35,7 +35,7 @@ class Reading:
         return int(np.sqrt(self.order.shape[1]))
 
 
-def empty_sums(rule: StructureRule, taps: int, outputs: int) -> LayerSums:
+def empty_sums(rule: PlaneRule, taps: int, outputs: int) -> LayerSums:
     """Sums of no rows."""
     classes, width = rule.classes_per_site, taps + 1 + outputs
     return LayerSums(
@@ -43,12 +43,13 @@ def empty_sums(rule: StructureRule, taps: int, outputs: int) -> LayerSums:
     )
 
 
-def grid_steps(rule: StructureRule, first: ClassRule, camera: CameraModel, taps: int, outputs: int) -> NDArray[np.float64]:
+def grid_steps(rule: PlaneRule, first: ClassRule, camera: CameraModel, taps: int, outputs: int) -> NDArray[np.float64]:
     """Grid steps of the moments (level, pair); the darkest of the first layer's levels tells for those made one."""
-    return steps_of_columns(intercept_scale(first, camera)[:: rule.level_step], taps, outputs)
+    darkest = np.searchsorted(rule.level_of(np.arange(first.levels)), np.arange(rule.levels))
+    return steps_of_columns(intercept_scale(first, camera)[darkest], taps, outputs)
 
 
-def require_exact(sums: LayerSums, rule: StructureRule, steps: NDArray[np.float64]) -> None:
+def require_exact(sums: LayerSums, rule: PlaneRule, steps: NDArray[np.float64]) -> None:
     """L3Error if sums have grown so large that additions may have been rounded, as that of the first layer."""
     (row, col), (tap, other) = pairs(width_of(sums.moments)), pairs(width_of(sums.noise))
     level = rule.split(np.arange(rule.classes_per_site)).level
@@ -75,18 +76,18 @@ def windows_of(planes: NDArray, pixels: Integers, order: Integers) -> Floats:
     return taps.astype(np.float32) * np.float32(PLANE_STEP)
 
 
-def row_weights(
-    seen: Seen, basis: NDArray[np.float64], white: NDArray[np.float64], brightness_power: float, error_power: float
-) -> Floats:
+def row_weights(seen: Seen, basis: NDArray[np.float64], white: NDArray[np.float64], recipe: LearningRecipe) -> Floats:
     """Weight (row, col) of every pixel: relative to its level, less for large errors of the first layer, whose noise is
     averaged over 5 × 5 (docs/method.md#row-weights, docs/method.md#second-pass)."""
+    relative = np.maximum(seen.target[..., Y], 0) / seen.brightness + np.float32(TARGET_FLOOR)
+    weight = relative ** np.float32(-recipe.brightness_power) / seen.brightness ** np.float32(recipe.level_power)
+    if not recipe.error_power:
+        return np.asarray(weight, np.float32)
     back = (np.linalg.inv(basis) * PLANE_STEP).astype(np.float32)
     clean, noisy = (np.moveaxis(planes, 0, -1).astype(np.float32) @ back for planes in (seen.clean, seen.noisy))
     near = (seen.target, seen.brightness, white.astype(np.float32))
     error = lab_error(clean - seen.target, *near) + _averaged(lab_error(noisy - clean, *near))
-    relative = np.maximum(seen.target[..., Y], 0) / seen.brightness + np.float32(TARGET_FLOOR)
-    weight = relative ** np.float32(-brightness_power) / seen.brightness
-    return np.asarray(weight * (error + np.float32(ERROR_FLOOR)) ** np.float32(-error_power), np.float32)
+    return np.asarray(weight * (error + np.float32(ERROR_FLOOR)) ** np.float32(-recipe.error_power), np.float32)
 
 
 def _averaged(values: Floats) -> Floats:
@@ -96,7 +97,7 @@ def _averaged(values: Floats) -> Floats:
 
 
 def add_rows(
-    sums: Mapping[int, LayerSums], seen: Seen, label: Integers, rule: StructureRule, reading: Reading, pixels: Integers,
+    sums: Mapping[int, LayerSums], seen: Seen, label: Integers, rule: PlaneRule, reading: Reading, pixels: Integers,
     weight: Floats, basis: NDArray[np.float64], steps: NDArray[np.float64],
 ) -> None:  # fmt: skip
     """Add the rows of `pixels` with classes `label` (row, col) and weights `weight` (row, col) to the sums of their
@@ -115,7 +116,7 @@ def add_rows(
 
 
 def _add_classes(
-    sums: LayerSums, rule: StructureRule, steps: NDArray[np.float64], label: Integers, rows: Floats, noise: Floats
+    sums: LayerSums, rule: PlaneRule, steps: NDArray[np.float64], label: Integers, rows: Floats, noise: Floats
 ) -> None:
     places, noise_places = (np.ravel_multi_index(pairs(width), (width, width)) for width in (rows.shape[1], noise.shape[1]))
     for index, run in runs_of(label):

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.layer_sums import LayerSums
-from l3cli.artifacts.structure_rule import StructureRule
+from l3cli.artifacts.layers import PlaneRule
 from l3cli.training.solve import _solve_positive
 from l3cli.training.sums import moment_matrix
 
@@ -26,7 +26,7 @@ class LayerGoal:
 
 
 def solve_layer(
-    sums: list[LayerSums], copies: list[int], rule: StructureRule, goal: LayerGoal, equal: bool = True
+    sums: list[LayerSums], copies: list[int], rule: PlaneRule, goal: LayerGoal, equal: bool = True
 ) -> list[Array]:
     """Rows (class, tap + 1, output) of the canonical sites, each of which stands for `copies`, bent so that all answer flat
     areas alike, and white with white: what the layer before makes of greys, also of those that clip, stays as grey as it is.
@@ -76,7 +76,7 @@ def _bent(found: list[Array], member: Array, copies: list[int], white: Array, ou
 class _Parents:
     """Mean sums of a row of each level, and of all levels, of the unsaturated classes; and of each case."""
 
-    def __init__(self, sums: LayerSums, rule: StructureRule) -> None:
+    def __init__(self, sums: LayerSums, rule: PlaneRule) -> None:
         def means(values: Array) -> tuple[Array, Array]:
             by_kind = values.reshape(rule.levels, rule.kinds, -1)
             count = sums.count.reshape(rule.levels, rule.kinds, 1)
@@ -97,9 +97,7 @@ class _Parents:
         self.has_free = sums.count.reshape(rule.levels, rule.kinds)[:, : rule.structures].sum() > 0
 
 
-def _shrunk(
-    sums: LayerSums, parents: _Parents, index: int, rule: StructureRule, goal: LayerGoal
-) -> tuple[Array, Array] | None:
+def _shrunk(sums: LayerSums, parents: _Parents, index: int, rule: PlaneRule, goal: LayerGoal) -> tuple[Array, Array] | None:
     """Sums of a class with its neighbours in level and its parent's pseudo-rows; None: nothing like it was seen."""
     _, level, kind = rule.split(index)
     case = int(rule.case(kind))
@@ -124,7 +122,7 @@ def _shrunk(
     return moments + goal.parent * parents.moments[level], noise + goal.parent * parents.noise[level]
 
 
-def _nearest(filled: NDArray[np.bool_], rule: StructureRule) -> NDArray[np.int64]:
+def _nearest(filled: NDArray[np.bool_], rule: PlaneRule) -> NDArray[np.int64]:
     """For every class the solved one it takes its transform from: itself, the same kind at the nearest level, else a flat
     one of the nearest level."""
     _, level, kind = rule.split(np.arange(filled.size))

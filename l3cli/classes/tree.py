@@ -1,0 +1,164 @@
+"""Trees: threshold tests on what the planes of the layer before show near a pixel (docs/method.md#trees).
+
+With C₁ L C₂ those planes in fixed point and f, s the factor and shift of gradients at a pixel's level, as in `structure`:
+
+    g = clamp((difference of pixels two apart) · f >> s, ±TOP)        of L across and down; of C₁ and C₂ with CHROMA_TOP
+    b = clamp((second difference) · f >> s, ±TOP)                     of L across and down
+    Σ₅, Σ₃ = weighted sums over 5 × 5 and 3 × 3, weights the products of 1 2 3 2 1 and of 1 2 1
+
+A test compares a numerator with threshold times a denominator. Both are integers below 2³¹ that are converted to float32 and
+multiplied by IEEE-754's rules, once: the outcome is the same wherever it is computed.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.tree_rule import TESTS, TreeRule
+from l3cli.classes.planes import LUMINANCE
+from l3cli.classes.structure import NOISE_TRACE
+from l3cli.classes.windows import Integers
+
+TOP, CHROMA_TOP = 2895, 2047  # of gradients: sums of 81 squares of both, and of their differences, stay below 2³¹
+WIDE, NEAR = (1, 2, 3, 2, 1), (1, 2, 1)
+DARK = 512  # 16 pixels of luminance in planes' steps below which colours are not told apart
+REACH = 3  # pixels beyond a plane that the tests at its edge read
+
+ONE, TRACE, CHROMA, LUMA = range(4)  # denominators
+
+
+class Test(NamedTuple):
+    """What a test compares: its name for people, and the denominator of its numerator."""
+
+    name: str
+    denominator: int
+
+
+EVERY = (
+    Test("strength", ONE),
+    Test("across − down", TRACE),
+    Test("diagonal", TRACE),
+    Test("across − down + diagonal", TRACE),
+    Test("across − down − diagonal", TRACE),
+    Test("coherence", TRACE),
+    Test("strength near", TRACE),
+    Test("chroma strength / strength", TRACE),
+    Test("chroma strength", ONE),
+    Test("chroma across − down", CHROMA),
+    Test("first chroma along luminance", TRACE),
+    Test("second chroma along luminance", TRACE),
+    Test("curvature across", TRACE),
+    Test("curvature down", TRACE),
+    Test("bend across", TRACE),
+    Test("bend down", TRACE),
+    Test("slope across", TRACE),
+    Test("slope down", TRACE),
+    Test("first chroma", LUMA),
+    Test("second chroma", LUMA),
+    Test("luminance", ONE),
+)
+assert len(EVERY) == TESTS
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Of the neighbourhoods of pixels."""
+
+    numerators: NDArray[np.float32]  # (test, …)
+    denominators: NDArray[np.float32]  # (denominator, …)
+
+
+def evidence(planes: Integers, factor: Integers, shift: Integers) -> Evidence:
+    """What planes (plane, row + 2 REACH, col + 2 REACH) show, with the `factor` and `shift` (row + 4, col + 4) of gradients,
+    both with a margin of mirrored pixels: of (row, col)."""
+    luminance = planes[LUMINANCE]
+    chroma = [plane for index, plane in enumerate(planes) if index != LUMINANCE]
+
+    def scaled(difference: Integers, top: int) -> Integers:
+        return np.clip(difference * factor >> shift, -top, top)
+
+    def gradients(plane: Integers, top: int) -> tuple[Integers, Integers]:
+        across, down = plane[1:-1, 2:] - plane[1:-1, :-2], plane[2:, 1:-1] - plane[:-2, 1:-1]
+        return scaled(across, top), scaled(down, top)
+
+    def bend(before: Integers, after: Integers) -> Integers:
+        return scaled(before - 2 * luminance[1:-1, 1:-1] + after, TOP)
+
+    gx, gy = gradients(luminance, TOP)
+    (ux, uy), (vx, vy) = (gradients(plane, CHROMA_TOP) for plane in chroma)
+    bx, by = bend(luminance[1:-1, :-2], luminance[1:-1, 2:]), bend(luminance[:-2, 1:-1], luminance[2:, 1:-1])
+    xx, yy, diagonal = _sum(gx * gx, WIDE), _sum(gy * gy, WIDE), 2 * _sum(gx * gy, WIDE)
+    chroma_xx, chroma_yy = _sum(ux * ux + vx * vx, WIDE), _sum(uy * uy + vy * vy, WIDE)
+    trace, chroma_trace, straight = xx + yy, chroma_xx + chroma_yy, xx - yy
+    both = np.abs(straight) + np.abs(diagonal)
+    along = np.maximum(np.maximum(np.abs(straight), np.abs(diagonal)), (both >> 6) * 45)
+    colours = [_sum(_inner(plane, 2), NEAR) for plane in (*chroma, luminance)]
+    numerators = (
+        trace, straight, diagonal, straight + diagonal, straight - diagonal, along, _near(gx * gx + gy * gy),
+        chroma_trace, chroma_trace, chroma_xx - chroma_yy, _sum(gx * ux + gy * uy, WIDE), _sum(gx * vx + gy * vy, WIDE),
+        _near(bx * bx), _near(by * by), _signed_square(_inner(bx, 2)), _signed_square(_inner(by, 2)),
+        _signed_square(_near(gx)), _signed_square(_near(gy)), *colours,
+    )  # fmt: skip
+    denominators = (np.ones_like(trace), trace + NOISE_TRACE, chroma_trace + NOISE_TRACE, np.maximum(colours[2], DARK))
+    return Evidence(np.stack(numerators).astype(np.float32), np.stack(denominators).astype(np.float32))
+
+
+def leaves(seen: Evidence, site: Integers, rule: TreeRule) -> Integers:
+    """Leaf (…) of pixels of CFA `site` (…)."""
+    test, sign = (np.array(each) for each in zip(*(turned_tests(turn) for turn in range(8)), strict=True))
+    numerators = seen.numerators.reshape(TESTS, -1)
+    denominators = seen.denominators.reshape(4, -1)
+    turn = rule.turns.astype(np.int64)[np.broadcast_to(site, seen.numerators.shape[1:]).ravel()]
+    of_test = np.array([each.denominator for each in EVERY])
+    node, pixel = np.zeros(turn.size, np.int64), np.arange(turn.size)
+    for _ in range(rule.depth):
+        asked = rule.test.astype(np.int64)[node]
+        value = numerators[test[turn, asked], pixel] * sign[turn, asked]
+        above = value > rule.threshold[node] * denominators[of_test[asked], pixel]
+        node = np.where(rule.branch[node] > 0, rule.branch[node] + above, node)
+    return rule.leaf[node].reshape(seen.numerators.shape[1:])
+
+
+def turned_tests(turn: int) -> tuple[list[int], list[np.float32]]:
+    """Which numerators of a window as it lies are those of each test after it is read in orientation number `turn` of
+    `orientations`, and with which sign."""
+    transposed, across, down = turned_axes(turn)
+    straight, diagonal = (-1 if transposed else 1), across * down
+    total = [straight * each for each in ((3, 4) if straight == diagonal else (4, 3))]  # straight ± diagonal
+    signed = [0, straight, 2 * diagonal, *total, 5, 6, 7, 8, 9 * straight, 10, 11]
+    signed += [13, 12, 15, 14, across * 17, down * 16] if transposed else [12, 13, 14, 15, across * 16, down * 17]
+    signed += [18, 19, 20]
+    return [abs(each) for each in signed], [np.float32(-1 if each < 0 else 1) for each in signed]
+
+
+def turned_axes(turn: int) -> tuple[bool, int, int]:
+    """Of a window read in orientation number `turn` of `orientations`: whether its columns are rows as it lies, and the
+    signs of its steps across and down."""
+    taps = np.arange(9).reshape(3, 3)
+    row, col = np.divmod(np.rot90(taps.T if turn >= 4 else taps, turn % 4), 3)
+    down = int(row[2, 1] - row[1, 1]), int(col[2, 1] - col[1, 1])
+    across = int(row[1, 2] - row[1, 1]), int(col[1, 2] - col[1, 1])
+    transposed = down[0] == 0
+    return transposed, (across[0] if transposed else across[1]), (down[1] if transposed else down[0])
+
+
+def _near(values: Integers) -> Integers:
+    """Sums over 3 × 3 of values with a margin of 2."""
+    return _sum(_inner(values, 1), NEAR)
+
+
+def _inner(values: Integers, margin: int) -> Integers:
+    return values[margin:-margin, margin:-margin]
+
+
+def _sum(values: Integers, weights: tuple[int, ...]) -> Integers:
+    for axis in (0, 1):
+        length = values.shape[axis] - len(weights) + 1
+        values = np.add.reduce([weight * values.take(range(i, i + length), axis) for i, weight in enumerate(weights)])
+    return values
+
+
+def _signed_square(values: Integers) -> Integers:
+    return values * np.abs(values)

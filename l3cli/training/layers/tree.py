@@ -1,0 +1,154 @@
+"""Growing the tree of a plane layer's classes from a sample of its rows (docs/method.md#trees).
+
+Best first: of all splits of all leaves the one is made by which the squared error of refitted filters falls most, less what
+the freedom of their taps alone would bring. The tree is one for all sites, each of which has filters of its own.
+"""
+
+import heapq
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.tree_rule import DEEPEST, TESTS
+from l3cli.classes.tree import EVERY, Evidence, turned_tests
+from l3cli.training.layers.first import Floats
+
+CUTS = 5  # thresholds that are tried for a test: quantiles of its quotient
+ROWS_PER_TAP = 4  # of a site that a leaf has at least
+RIDGE = 1e-6  # relative to the mean power of a tap
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class TreeSample:
+    """Rows of one canonical site, as it sees them."""
+
+    taps: Floats  # (row, tap) as the layer before makes them of noisy mosaics, weighted
+    target: Floats  # (row, output) weighted, in units of what errors look like
+    numerators: Floats  # (test, row)
+    denominators: Floats  # (denominator, row)
+
+    @classmethod
+    def together(cls, parts: Sequence["TreeSample"]) -> "TreeSample":
+        taps, target = (np.concatenate([getattr(part, name) for part in parts]) for name in ("taps", "target"))
+        numerators, denominators = (
+            np.concatenate([getattr(part, name) for part in parts], axis=1) for name in ("numerators", "denominators")
+        )
+        return cls(taps, target, numerators, denominators)
+
+    def above(self, test: int, threshold: np.float32, rows: Indices) -> NDArray[np.bool_]:
+        """Which of the rows (row) take a test's second branch."""
+        denominator = self.denominators[EVERY[test].denominator, rows]
+        return np.asarray(self.numerators[test, rows] > threshold * denominator)
+
+    def quotient(self, test: int, rows: Indices) -> Floats:
+        """What is compared with thresholds."""
+        return np.asarray(self.numerators[test, rows] / self.denominators[EVERY[test].denominator, rows])
+
+
+def turned_evidence(seen: Evidence, turn: int, pixels: Indices) -> tuple[Floats, Floats]:
+    """Numerators (test, pixel) and denominators of `pixels` as a site sees them that is learned in an orientation."""
+    test, sign = turned_tests(turn)
+    numerators = seen.numerators.reshape(TESTS, -1)[:, pixels][test] * np.array(sign)[:, None]
+    return numerators, seen.denominators.reshape(len(seen.denominators), -1)[:, pixels]
+
+
+class Tree(NamedTuple):
+    """Nodes as TreeRule has them."""
+
+    test: NDArray[np.uint8]
+    threshold: NDArray[np.float32]
+    branch: NDArray[np.int32]
+
+
+class _Split(NamedTuple):
+    gain: float
+    test: int
+    threshold: np.float32
+
+
+def grow(samples: Sequence[TreeSample], leaves: int) -> Tree:
+    """A tree of at most so many leaves from the samples of all canonical sites."""
+    test, threshold, branch, depth = [0], [np.float32(0)], [0], [0]
+    waiting: list[tuple[float, int, _Split, list[Indices]]] = []
+
+    def look(node: int, rows: list[Indices]) -> None:
+        split = _best_split(samples, rows) if depth[node] < DEEPEST else None
+        if split is not None:
+            heapq.heappush(waiting, (-split.gain, node, split, rows))
+
+    look(0, [np.arange(len(one.taps)) for one in samples])
+    for _ in range(leaves - 1):
+        if not waiting:
+            break
+        _, node, split, rows = heapq.heappop(waiting)
+        test[node], threshold[node], branch[node] = split.test, split.threshold, len(test)
+        above = [one.above(split.test, split.threshold, here) for one, here in zip(samples, rows, strict=True)]
+        for side in (False, True):
+            test.append(0)
+            threshold.append(np.float32(0))
+            branch.append(0)
+            depth.append(depth[node] + 1)
+            look(len(test) - 1, [here[up == side] for here, up in zip(rows, above, strict=True)])
+    return Tree(np.array(test, np.uint8), np.array(threshold, np.float32), np.array(branch, np.int32))
+
+
+def _best_split(samples: Sequence[TreeSample], rows: list[Indices]) -> _Split | None:
+    """The split of a leaf's rows of every site that gains most; None if there is none that gains and leaves enough."""
+    least = ROWS_PER_TAP * samples[0].taps.shape[1]
+    if min(map(len, rows)) < 2 * least:
+        return None
+    best = None
+    before = [
+        _error(*(each[-1:] for each in _sums(one, here, [here.size]))) for one, here in zip(samples, rows, strict=True)
+    ]
+    for test in range(TESTS):
+        quotients = [one.quotient(test, here) for one, here in zip(samples, rows, strict=True)]
+        cuts = np.unique(np.quantile(np.concatenate(quotients), np.arange(1, CUTS + 1) / (CUTS + 1)).astype(np.float32))
+        gain = np.zeros(len(cuts))
+        for one, here, quotient, whole in zip(samples, rows, quotients, before, strict=True):
+            gain += _gains(one, here, quotient, cuts, whole[0], least)
+        if gain.max() > (best.gain if best else 0.0):
+            best = _Split(float(gain.max()), test, cuts[gain.argmax()])
+    return best
+
+
+def _gains(sample: TreeSample, rows: Indices, quotient: Floats, cuts: Floats, before: float, least: int) -> Array:
+    """By how much (cut) the error of one site falls; −∞ where too few rows are left on a side."""
+    order = np.argsort(quotient, kind="stable")
+    below = np.searchsorted(quotient[order], cuts, side="right")
+    many = np.array([below, rows.size - below])
+    good = many.min(axis=0) >= least
+    gain = np.full(len(cuts), -np.inf)
+    if good.any():
+        sums = _sums(sample, rows[order], [*below[good].tolist(), rows.size])
+        left = _error(*(each[:-1] for each in sums))
+        right = _error(*(each[-1] - each[:-1] for each in sums))
+        taps, (low, high) = sample.taps.shape[1], many[:, good]
+        gain[good] = before - left - right - taps * (left / low + right / high - before / rows.size)
+    return gain
+
+
+def _sums(sample: TreeSample, rows: Indices, ends: list[int]) -> tuple[Array, Array, Array]:
+    """Σ x xᵀ (end, tap, tap), Σ x yᵀ (end, tap, output), Σ y² (end) of the rows before each of `ends`."""
+    taps, target = sample.taps[rows], sample.target[rows]
+    moments, cross, power = [], [], []
+    for first, last in zip([0, *ends[:-1]], ends, strict=True):
+        x, y = taps[first:last], target[first:last]
+        moments.append((x.T @ x).astype(np.float64))
+        cross.append((x.T @ y).astype(np.float64))
+        power.append(np.float64((y * y).sum()))
+    return np.cumsum(moments, axis=0), np.cumsum(cross, axis=0), np.cumsum(power)
+
+
+def _error(moments: Array, cross: Array, power: Array) -> Array:
+    """Squared error (…) that the best filters of these sums leave."""
+    taps = moments.shape[-1]
+    ridge = RIDGE * np.trace(moments, axis1=1, axis2=2) / taps + 1e-9
+    solved = np.linalg.solve(moments + ridge[:, None, None] * np.eye(taps), cross)
+    return np.asarray(power - (cross * solved).sum(axis=(1, 2)))
