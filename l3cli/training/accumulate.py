@@ -128,7 +128,7 @@ class _Batch:
         """Level (patch) as a share of full scale: mean over the channels of the means of their `sums` (channel, patch)."""
         camera, shift = self.pass_.head.camera, self.pass_.rule.shift
         mean = (1 / (self.near.count[self.site] * len(sums))) @ sums
-        return (mean * 2**shift + (truncation(shift) - camera.black)) / (camera.white - camera.black)
+        return (mean * 2**shift + (truncation(shift) - camera.black_level)) / (camera.white_level - camera.black_level)
 
     def _add_piece(
         self,

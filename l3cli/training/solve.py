@@ -26,8 +26,8 @@ class Goal:
     outputs: tuple[str, ...]
     white: Array  # (output) a perfect white under the training light, Y = 1
     white_signal: Array | None  # (channel) its signals, shares of full scale; None: not known
-    black: float  # DN, of the camera
-    top: float  # DN, at which a pixel of the camera saturates
+    black_level: float  # DN, of the camera
+    white_level: float  # DN, at which a pixel of the camera saturates
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ def solve(
     factors = _noise_factors(recipe, goal)
     basis = _opponent_basis(goal)
     white = white_channels(sums, rule, window, goal.white, goal.white_signal)
-    greys = grey_patches(sums, rule, window, goal.white, goal.black, goal.top, white)
+    greys = grey_patches(sums, rule, window, goal.white, goal.black_level, goal.white_level, white)
     rows = np.zeros((solved.size, groups.size, len(goal.outputs)))
     compliance = np.zeros((solved.size, len(set(factors)), groups.size, len(member)))
     condition, power = np.zeros(solved.size), np.zeros(solved.size)

@@ -38,7 +38,7 @@ cols = 128
 pixel_pitch_um = 4.0
 bits = 12
 gain_dn_per_e = 0.25
-black_dn = 64
+black_level_dn = 64
 fixed_pattern_seed = 3
 [cfa]
 channels = ["r", "g", "b"]
@@ -148,8 +148,8 @@ f_number = 4
 table = "sweep.csv"
 photodiode = "diode.csv"
 [datasheet]
-black_dn = 64
-white_dn = 4000
+black_level_dn = 64
+white_level_dn = 4000
 well_capacity_e = 20000
 """
 CURVES = re.sub(r"\[sweep\].*?(?=\[datasheet\])", '[curves]\nfile = "curves.json"\n', TABLE, flags=re.S)

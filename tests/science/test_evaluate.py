@@ -260,7 +260,7 @@ def a_frame(camera: CameraModel, reflectance: np.ndarray, illuminant: str = "D65
     white, target = (spectra.xyz_weights(wavelength) @ (light * of) for of in (np.ones(wavelength.size), reflectance))
     return TrainingFrame(
         electrons=electrons,
-        raw=np.rint(camera.black + camera.gain * mosaic).astype(np.uint16),
+        raw=np.rint(camera.black_level + camera.gain * mosaic).astype(np.uint16),
         target=np.broadcast_to(target[:, None, None], (3, 24, 28)).astype(np.float32),
         white=white,
         scene="flat",

@@ -46,7 +46,7 @@ def _psnr(table: TransformTable, training: Path) -> float:
     """dB, mean over the bands of the only frame."""
     with open_training_set(training) as reader:
         camera, frame = reader.head.camera, next(iter(reader))
-    raw = RawFrame(frame.scene, frame.raw, camera.black, camera.white)
+    raw = RawFrame(frame.scene, frame.raw, camera.black_level, camera.white_level)
     shown = make_renderer("opencl", table).outputs(raw) * (table.output_unit / frame.exposure)
     error = ((shown - frame.target) / frame.white[:, None, None])[:, MARGIN:-MARGIN, MARGIN:-MARGIN]
     return float(np.mean(-10 * np.log10((error.astype(np.float64) ** 2).mean(axis=(1, 2)))))

@@ -85,7 +85,7 @@ def test_every_file_is_of_its_version_and_intact(l3: Callable, archived: Archive
 def test_cameras_and_frames_hold_what_they_held(archived: Archived, folder: Path) -> None:
     camera = load(CameraModel, folder / "camera.h5")
     assert camera.responsivity.sum() == pytest.approx(9.555008661696863, rel=1e-12)
-    assert (camera.name, camera.noise.well_capacity, camera.black, camera.fit) == ("archived", 15000.0, 64.0, None)
+    assert (camera.name, camera.noise.well_capacity, camera.black_level, camera.fit) == ("archived", 15000.0, 64.0, None)
     with open_training_set(folder / "training.h5") as training:
         frame = training.frame(0)
         assert (len(training), training.head.outputs, training.head.camera.name) == (1, ("X", "Y", "Z"), "archived")

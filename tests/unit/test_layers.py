@@ -20,7 +20,7 @@ from l3cli.training.insight import insight
 from tests.helpers.cameras import BAYER
 from tests.helpers.tables import random_table, with_later
 
-TABLE = with_later(random_table(BAYER, bits=12, black=64.0), 3, 5)
+TABLE = with_later(random_table(BAYER, bits=12, black_level=64.0), 3, 5)
 
 
 @pytest.fixture
