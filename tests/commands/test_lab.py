@@ -114,7 +114,7 @@ def test_same_seed_same_bytes_whatever_the_jobs(
 def test_frames_differ_between_trials_by_noise_alone(bayer: CameraModel) -> None:
     captures = plan(bayer, LabRecipe(), seed=0)
     white = next(capture for capture in captures if capture.kind == "white")
-    first, second = (take(bayer, white, trial, 0, LabRecipe().flaws).astype(float) for trial in (0, 1))
+    first, second = (take(bayer, white, trial, 0, LabRecipe().defects).astype(float) for trial in (0, 1))
     signal = first.mean() - bayer.black_level
     expected = bayer.gain * signal + bayer.gain**2 * bayer.noise.read_noise**2 + 1 / 12
     assert np.var(first - second) / 2 == pytest.approx(expected, rel=0.05)
@@ -161,7 +161,7 @@ def test_an_existing_lab_is_kept_without_force(
         ("[mono]\nstray_light = 0.5", "stray_light"),
         ("falloff = 1.0", "falloff"),
         ("monitor_error = -0.1", "not be negative"),
-        ("[flaws]\ndust_depth = -1", "the least is 0"),
+        ("[defects]\ndust_depth = -1", "the least is 0"),
     ],
 )
 def test_a_recipe_that_cannot_be_is_refused(
@@ -184,18 +184,18 @@ def test_a_sensor_too_small_for_a_chart_is_refused(bayer_recipe: Path, tmp_path:
 
 def test_hot_and_dead_pixels_and_dust_are_where_the_recipe_says(bayer: CameraModel) -> None:
     recipe = DefectRecipe(hot_pixels_per_million=200.0, dead_pixels_per_million=200.0, dust_specks_per_million=60.0)
-    flaws = defects_of(bayer, recipe)
-    assert len(flaws.hot) == len(flaws.dead) == 10
-    assert flaws.shade.min() < 0.98
+    defects = defects_of(bayer, recipe)
+    assert len(defects.hot) == len(defects.dead) == 10
+    assert defects.shade.min() < 0.98
     captures = plan(bayer, LabRecipe(falloff=0.0), seed=0)
     cap = next(capture for capture in captures if capture.kind == "dark" and capture.exposure > 0.4)
     white = next(capture for capture in captures if capture.kind == "white")
     dark, lit = take(bayer, cap, 0, 0, recipe).astype(float), take(bayer, white, 0, 0, recipe).astype(float)
-    assert (dark[tuple(flaws.hot.T)] > np.percentile(dark, 99.9)).all()
-    assert lit[tuple(flaws.dead.T)].max() < bayer.black_level + 10
+    assert (dark[tuple(defects.hot.T)] > np.percentile(dark, 99.9)).all()
+    assert lit[tuple(defects.dead.T)].max() < bayer.black_level + 10
     columns = np.mean([take(bayer, cap, trial, 0, recipe).mean(axis=0) for trial in range(6)], axis=0)
-    cool = np.setdiff1d(np.arange(bayer.cols), flaws.hot[:, 1])
-    assert np.corrcoef(columns[cool], flaws.columns[cool])[0, 1] > 0.8
+    cool = np.setdiff1d(np.arange(bayer.cols), defects.hot[:, 1])
+    assert np.corrcoef(columns[cool], defects.columns[cool])[0, 1] > 0.8
 
 
 def test_the_monitor_follows_the_lamp_and_the_scale_is_off_by_one_error(bayer: CameraModel) -> None:

@@ -78,7 +78,7 @@ trials = 2
 [dark]
 exposures_s = [0.01, 1.0]
 trials = 2
-[flaws]
+[defects]
 hot_pixels_per_million = 400
 """
 DRAWN = 'exposure_share = [0.9]\n[[scene]]\nsource = "grey ramp"\nsize = [16, 20]\n'

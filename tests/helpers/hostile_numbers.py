@@ -56,7 +56,7 @@ KEYS = {  # keys that the recipes above leave out
     "highlight_from = 0.15 brightness_power = 0.5 error_power = 0.2 ridge = 1e-5 luminance_noise = 1 chroma_noise = 1 "
     "parent_patches = 20",
     "lab.toml": "[mono] trials = 1 stray_light = 0.0005 level = 0.5 radiance = 1e18 longest_exposure_s = 2.0 [chart] "
-    "trials = 1 luminance = 500 level = 0.5 [white] luminance = 500 [flaws] hot_current_e_per_s = 4000 "
+    "trials = 1 luminance = 500 level = 0.5 [white] luminance = 500 [defects] hot_current_e_per_s = 4000 "
     "dead_pixels_per_million = 10 dust_specks_per_million = 4 dust_depth = 0.03 dust_radius_px = 12 column_noise_e = 2",
     "lab/MEASUREMENTS.toml": "[uncertainty] lamp_drift = 0.01 wavelength_nm = 0.1",
 }
