@@ -38,11 +38,11 @@ def patch_map(corners: Array, rows: int, cols: int) -> NDArray[np.int64]:
 def _homography(corners: Array) -> Array:
     """(3, 3) from chart cells (0…6, 0…4, 1) to pixels (col, row, 1) times a scale."""
     cells = np.array([[0, 0], [CHART_COLS, 0], [CHART_COLS, CHART_ROWS], [0, CHART_ROWS]], dtype=np.float64)
-    equations, target = [], []
+    equations, right_side = [], []
     for (x, y), (u, v) in zip(cells, corners, strict=True):
         equations += [[x, y, 1, 0, 0, 0, -u * x, -u * y], [0, 0, 0, x, y, 1, -v * x, -v * y]]
-        target += [u, v]
-    return np.append(np.linalg.solve(equations, target), 1.0).reshape(3, 3)
+        right_side += [u, v]
+    return np.append(np.linalg.solve(equations, right_side), 1.0).reshape(3, 3)
 
 
 def patch_values(capture: ChartCapture, body: Body, limit: float, defects: Defects) -> tuple[Array, NDArray[np.bool_]]:

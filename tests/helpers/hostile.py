@@ -254,8 +254,8 @@ def _spoil_member(root: h5py.File, name: str, choices: Choices) -> None:
     if not isinstance(member, h5py.Dataset) or member.size > LARGEST_SPOILT or choices.integer(0, 3) == 0:
         kind = choices.integer(0, 7)
         if kind >= 6:
-            target = root if kind == 6 else member
-            target.attrs[one_of(choices, ("kind", "version", "axes"))] = one_of(
+            holder = root if kind == 6 else member
+            holder.attrs[one_of(choices, ("kind", "version", "axes"))] = one_of(
                 choices,
                 (0, -1, 99, 2**62, "camera model", "x" * 1000, np.arange(5), np.bytes_(b"\xff"), h5py.Empty("f"), np.nan),
             )

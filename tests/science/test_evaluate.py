@@ -357,12 +357,10 @@ def _make(folder: Path, camera: Path) -> None:
         assert run([str(argument) for argument in arguments]) == 0
 
 
-def rewritten(
-    source: Path, target: Path, outputs: tuple[str, ...], frames: Callable[[TrainingFrame], TrainingFrame]
-) -> None:
+def rewritten(source: Path, path: Path, outputs: tuple[str, ...], frames: Callable[[TrainingFrame], TrainingFrame]) -> None:
     with open_training_set(source) as reader:
         head: TrainingSet = dataclasses.replace(reader.head, outputs=outputs)
-        with write_training_set(target, head) as writer:
+        with write_training_set(path, head) as writer:
             for frame in reader:
                 assert isinstance(frame, TrainingFrame)
                 writer.append(frames(frame))
