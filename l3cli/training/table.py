@@ -94,7 +94,7 @@ def survey(
     exposure = float(exposures @ counts / max(counts.sum(), 1))
     observed = _together([pilot.observed for pilot in every])
     rule = make_rule(recipe.classes, head.camera, case_of_code, centres, head.camera.dark_signal(exposure), observed)
-    mean = np.average(np.concatenate([own.lights for own in every]), axis=0, weights=patches)
+    mean = np.average(np.concatenate([pilot.lights for pilot in every]), axis=0, weights=patches)
     light = LightSpectrum(head.camera.wavelength, mean.astype(np.float32)) if np.isfinite(mean).all() else None
     return rule, np.average(whites, axis=0, weights=patches), exposure, light
 

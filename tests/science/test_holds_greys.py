@@ -191,8 +191,8 @@ def test_greys_are_taught_only_where_they_clip(bayer: CameraModel) -> None:
     )
     assert grey_patches(sums, rule, window, white, bayer.black_level, bayer.white_level, None) == {}
     sums.moments[0] = columns[row] * columns[col]
-    signal_found = white_channels(sums, rule, window, white, None)
-    taught = grey_patches(sums, rule, window, white, bayer.black_level, bayer.white_level, signal_found)
+    estimated_signal = white_channels(sums, rule, window, white, None)
+    taught = grey_patches(sums, rule, window, white, bayer.black_level, bayer.white_level, estimated_signal)
     assert taught
     for index, moments in taught.items():
         kind = index % rule.kinds

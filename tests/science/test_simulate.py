@@ -92,7 +92,7 @@ def test_electrons_and_noise_meet_isetcam(isetcam: Path, off_axis: str) -> None:
     white *= table["V"] @ table["illum_energy_D65"]  # cd/m² of a perfect white in that scene
     spread = patches.reshape(6, 4, -1).transpose(1, 0, 2).copy()
     chart = Scene("patches", table["wave"], spread, illuminant.astype(np.float64))
-    frame = simulate(camera, chart, light.own_light(chart, white), given["exp_time"], PLAIN, (0, 0))
+    frame = simulate(camera, chart, light.scene_light(chart, white), given["exp_time"], PLAIN, (0, 0))
     patch_pixels = given["patch_px"] * given["oi_sample_spacing_m"][0] / camera.pixel_pitch
     fall = relative_illumination(camera.optics.image_distance, camera.pixel_pitch, (camera.rows, camera.cols))
     dark = camera.noise.dark_current * given["exp_time"]  # only the noisy frames hold it

@@ -130,10 +130,10 @@ def test_a_scene_of_finer_bands_than_the_cameras_has_electrons(bayer: CameraMode
     """Its bands end where the camera still has samples: these see nothing, and are no 0 / 0."""
     bands = np.arange(430.0, 671.0, 1.0)
     scene = Scene("fine", bands, np.ones((16, 16, bands.size), np.float32), np.ones(bands.size))
-    rates = light.white_rates(bayer, light.own_light(scene, 10.0))
+    rates = light.white_rates(bayer, light.scene_light(scene, 10.0))
     coarse = bands[::5]
     scene = Scene("coarse", coarse, np.ones((16, 16, coarse.size), np.float32), np.ones(coarse.size))
-    assert np.allclose(rates, light.white_rates(bayer, light.own_light(scene, 10.0)), rtol=0.02)
+    assert np.allclose(rates, light.white_rates(bayer, light.scene_light(scene, 10.0)), rtol=0.02)
 
 
 def test_a_cube_is_divided_by_all_of_its_light() -> None:

@@ -76,7 +76,7 @@ class LayerPass:
 def luminance_noise(layer: LayerPass, frames: Iterable[TrainingPair], first: int, every: int) -> list[NDArray[np.float64]]:
     """Of every frame whose index, `first` that of the first, is a multiple of `every`: sums of squared differences that
     noise makes between pixels two apart of the luminance, and their number (2, level)."""
-    see, found = layer.first_layer.see, []
+    see, measured = layer.first_layer.see, []
     for index, frame in enumerate(frames, first):
         if index % every:
             continue
@@ -91,8 +91,8 @@ def luminance_noise(layer: LayerPass, frames: Iterable[TrainingPair], first: int
             level = place.level[1:-1, 1:-1][tells]
             total[0] += np.bincount(level, ((across**2 + down**2) / 2)[tells], layer.rule.levels)
             total[1] += np.bincount(level, minlength=layer.rule.levels)
-        found.append(total)
-    return found
+        measured.append(total)
+    return measured
 
 
 def structure_rule(layer: LayerPass, noise: Iterable[NDArray[np.float64]]) -> StructureRule:
