@@ -85,7 +85,7 @@ def test_patches_are_windows_of_the_turned_mosaic(bayer: CameraModel) -> None:
 
 
 def test_exposed_patches_have_the_noise_of_the_camera(bayer: CameraModel) -> None:
-    """Mean and variance at every signal, clipped at white, and neighbouring taps apart from each other."""
+    """Mean and variance at every signal, clipped at the white level, and neighbouring taps apart from each other."""
     span = bayer.white_level - bayer.black_level
     signal = np.repeat(np.array([0.0, 0.02, 0.3, 0.8, 2.0], np.float32)[:, None], 60000, axis=1)
     values = expose_patches(signal, bayer, np.random.default_rng(1)).astype(np.float64)
