@@ -197,17 +197,17 @@ def _optional(path: Name | None) -> Path | None:
 
 
 def read_raw(
-    path: Name, sensor: TransformTable | CameraModel, *, black: float | None = None, white: float | None = None,
+    path: Name, sensor: TransformTable | CameraModel, *, black_level: float | None = None, white_level: float | None = None,
     phase: tuple[int, int] | None = None, size: tuple[int, int] | None = None, packing: str | None = None,
     stride: int | None = None, exposure: float | None = None,
 ) -> RawFrame:  # fmt: skip
     """The raw frame in a file of any format that `l3 render` reads, `values` (row, col) in DN.
 
-    `black`, `white` (DN), `phase` (CFA row and column of the first pixel), `exposure` (s): known better than the file says;
-    `size` (rows, columns), `packing`, `stride` (bytes): of headerless files. InputFileError if it cannot be read, or has
-    another CFA than the `sensor`.
+    `black_level`, `white_level` (DN), `phase` (CFA row and column of the first pixel), `exposure` (s): known better than
+    the file says; `size` (rows, columns), `packing`, `stride` (bytes): of headerless files. InputFileError if it cannot be
+    read, or has another CFA than the `sensor`.
     """
-    known = KnownBetter(black, white, phase, size, packing, stride, exposure)
+    known = KnownBetter(black_level, white_level, phase, size, packing, stride, exposure)
     return raw_files.read_raw(Path(path), sensor, known)
 
 

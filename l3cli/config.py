@@ -31,7 +31,7 @@ class Recipe(msgspec.Struct, forbid_unknown_fields=True):
 TELLING = {  # keys at the top of a file by which its kind is known: no other kind has them
     "a measurement file": ("sweep", "curves", "band", "datasheet", "uncertainty"),
     "a camera recipe": ("responsivity", "noise"),
-    "a lab recipe": ("flaws", "spectrometer_step_nm", "wavelength_error_nm", "lamp_drift", "monitor_error", "falloff"),
+    "a lab recipe": ("defects", "spectrometer_step_nm", "wavelength_error_nm", "lamp_drift", "monitor_error", "falloff"),
     "a scene recipe": (
         "scene", "pair", "illuminants", "luminances_cd_m2", "exposure_share", "exposure_saturated", "exposure_mean",
         "exposure_s", "lens", "target",

@@ -36,47 +36,48 @@ class RawFrame:
         """Share of full scale that dark current leaves to light."""
         return 1.0 - self.dark / (self.white_level - self.black_level)
 
-    def at_levels(self, black: float, white: float, bits: int) -> "RawFrame":
-        """The light alone on another scale: DN mapped linearly so that black and dark current become `black`, white becomes
-        `white`, within `bits`. Full scale then stands for `light_share` of what it stood for.
+    def at_levels(self, black_level: float, white_level: float, bits: int) -> "RawFrame":
+        """The light alone on another scale: DN mapped linearly so that black level and dark current become `black_level`,
+        the white level becomes `white_level`, within `bits`. Full scale then stands for `light_share` of what it stood for.
 
         Values are shifted by whole DN, so that no level is lost; what is left of the dark current, below half a DN, is in
         the black level of the frame that is returned.
         """
         whole = round(self.dark)
-        scale = (white - black) / (self.white_level - self.black_level - self.dark)
+        scale = (white_level - black_level) / (self.white_level - self.black_level - self.dark)
         values = self.values
-        table = _level_table(self.black_level + whole, black, scale, 2**bits - 1)
+        table = _level_table(self.black_level + whole, black_level, scale, 2**bits - 1)
         if table is not None:
             values = table.take(values)
         elif values.max() >= 2**bits:
             values = np.minimum(values, np.uint16(2**bits - 1))
-        black += (self.dark - whole) * scale
-        return replace(self, values=values, black_level=black, white_level=white, dark=0.0)
+        black_level += (self.dark - whole) * scale
+        return replace(self, values=values, black_level=black_level, white_level=white_level, dark=0.0)
 
 
 @functools.lru_cache(maxsize=8)
-def _level_table(black: float, new_black: float, scale: float, top: int) -> NDArray[np.uint16] | None:
+def _level_table(black_level: float, new_black_level: float, scale: float, top: int) -> NDArray[np.uint16] | None:
     """What each of all 16-bit values becomes, at most `top`; None if all up to `top` stay as they are."""
     every = np.arange(1 << 16)
-    table = np.clip(np.rint((every - black) * scale + new_black), 0, top).astype(np.uint16)
+    table = np.clip(np.rint((every - black_level) * scale + new_black_level), 0, top).astype(np.uint16)
     return None if np.array_equal(table[: top + 1], every[: top + 1]) else table
 
 
-def with_one_black(
-    values: NDArray[np.uint16], black: NDArray[np.floating], white: NDArray[np.floating]
+def with_one_black_level(
+    values: NDArray[np.uint16], black_level: NDArray[np.floating], white_level: NDArray[np.floating]
 ) -> tuple[NDArray[np.uint16], float, float]:
-    """values (row, col) of pixels whose black and white levels differ, shifted to one black level, and that black and white.
+    """values (row, col) of pixels whose black and white levels differ, shifted to one black level, and both levels then.
 
-    `black` and `white` broadcast against the values, in DN. The common black is the rounded mean, and white what the pixel
-    that saturates first above its black can reach: no saturated pixel is then taken for a bright one.
+    `black_level` and `white_level` broadcast against the values, in DN. The common black level is the rounded mean, and the
+    white level what the pixel that saturates first above its black level can reach: no saturated pixel is then taken for a
+    bright one.
     """
-    room = float((white - black).min())
-    if np.ptp(black) == 0:
-        common = float(black.flat[0])
+    room = float((white_level - black_level).min())
+    if np.ptp(black_level) == 0:
+        common = float(black_level.flat[0])
         return values, common, common + room
-    common = float(np.rint(black.mean()))
-    shift = np.broadcast_to(np.rint(common - black).astype(np.int32), values.shape)
+    common = float(np.rint(black_level.mean()))
+    shift = np.broadcast_to(np.rint(common - black_level).astype(np.int32), values.shape)
     return np.clip(values + shift, 0, np.iinfo(np.uint16).max).astype(np.uint16), common, common + room
 
 

@@ -110,8 +110,8 @@ class SensorFigures:
     """What a camera model holds of its sensor, measured or from a data sheet."""
 
     gain: float  # DN/e-
-    black: float  # DN
-    white: float  # DN
+    black_level: float  # DN
+    white_level: float  # DN
     noise: Noise
 
 

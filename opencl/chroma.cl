@@ -5,7 +5,7 @@
 // Add to the scores (chroma) what channel c says; `scaled` is its mean times 65536.
 INLINE void add_scores(ints *score, int c, uints scaled, __global const int *chroma_weights) {
 #if CHROMAS > 1
-    const ints above_black = SAME_BITS(scaled >> (16 - CHROMA_FRACTION), ints) - CHROMA_BLACK;
+    const ints above_black = SAME_BITS(scaled >> (16 - CHROMA_FRACTION), ints) - CHROMA_BLACK_LEVEL;
     const ints signal = above_black > 0 ? above_black : (ints)0;
     #pragma unroll
     for (int k = 0; k < CHROMAS; k++) score[k] += signal * chroma_weights[k * CHANNELS + c];

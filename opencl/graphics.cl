@@ -44,7 +44,7 @@ void classes(__global const ushort *restrict raw,                // (row, col) D
     const int x = x0 + column, y = y0 + line;
     for (int i = item; i < TILE_ROWS * TILE_COLUMNS; i += ITEMS) {
         const int row = i / TILE_COLUMNS, p = i % TILE_COLUMNS;
-        value[row][p] = min(raw[source_of(i, y0, x0, row_source, column_source, rows, columns)], (ushort)WHITE_TOP);
+        value[row][p] = min(raw[source_of(i, y0, x0, row_source, column_source, rows, columns)], (ushort)MAX_RAW);
         bit[row][p] = channel_bit[PADDED_PHASE(y0 + row, phase_row, CFA_ROWS) * PERIOD
                                   + PADDED_PHASE(x0 + p, phase_column, CFA_COLUMNS)];
     }
@@ -132,7 +132,7 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
                __global const tap4 *restrict weights,       // (class, intercept and taps column by column, output)
                __global const float *restrict matrix,       // (3, 3) encoded values from X, Y, Z, before the curve
                __global CODE *restrict picture,             // (output, row, col), or (row, col, 3)
-               float black, int source_rows, int rows, int columns) {
+               float black_level, int source_rows, int rows, int columns) {
     __local tap signal[TILE_ROWS][TILE_COLUMNS][SOURCES];
     const int x0 = get_group_id(0) * TILE, y0 = get_group_id(1) * BAND;
     const int column = column_of(get_local_id(0)), line = get_local_id(1), x = x0 + column, y = y0 + line;
@@ -142,9 +142,9 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
 #if SOURCES > 1
         for (int s = 0; s < SOURCES; s++) to[s] = source[place + (size_t)s * source_rows * columns];
 #elif defined(FIXED_POINT)
-        to[0] = min(source[place], (ushort)WHITE_TOP);
+        to[0] = min(source[place], (ushort)MAX_RAW);
 #else
-        to[0] = min(source[place], (ushort)WHITE_TOP) - black;
+        to[0] = min(source[place], (ushort)MAX_RAW) - black_level;
 #endif
     }
     barrier(CLK_LOCAL_MEM_FENCE);

@@ -16,17 +16,17 @@
 #define PHASE_AFTER(phase, n) (((phase) + (n)) % CFA_COLUMNS)
 #endif
 
-// One raw row → row[p], at most WHITE_TOP, for the tile that begins at column x0.
+// One raw row → row[p], at most MAX_RAW, for the tile that begins at column x0.
 INLINE void ingest(ushort *row, __global const ushort *raw_row, __global const int *column_source, int x0, int columns) {
     const int first = max(0, RADIUS - x0), last = min(TILE + 2 * RADIUS, columns - x0 + RADIUS);
     const int end = min(TILE + 2 * RADIUS, columns - x0 + 2 * RADIUS);
     __global const ushort *inside = raw_row + x0 - RADIUS;
     int p = first;
     for (; p + 2 * LANES <= last; p += 2 * LANES) {
-        const full_shorts v = LOAD_GLOBAL(full_shorts, inside + p), top = (ushort)WHITE_TOP;
+        const full_shorts v = LOAD_GLOBAL(full_shorts, inside + p), top = (ushort)MAX_RAW;
         STORE_PRIVATE(full_shorts, row + p) = v < top ? v : top;
     }
-    for (; p < last; p++) row[p] = min(inside[p], (ushort)WHITE_TOP);
-    for (p = 0; p < first; p++) row[p] = min(raw_row[column_source[x0 + p]], (ushort)WHITE_TOP);
-    for (p = last; p < end; p++) row[p] = min(raw_row[column_source[x0 + p]], (ushort)WHITE_TOP);
+    for (; p < last; p++) row[p] = min(inside[p], (ushort)MAX_RAW);
+    for (p = 0; p < first; p++) row[p] = min(raw_row[column_source[x0 + p]], (ushort)MAX_RAW);
+    for (p = last; p < end; p++) row[p] = min(raw_row[column_source[x0 + p]], (ushort)MAX_RAW);
 }

@@ -132,7 +132,7 @@ INLINE void apply(tap *planes, const tap *patches, const uint *label, __global c
 
 // The newest row into the ring: to is where column 0's pixel falls. The black level is taken off here: zero signal then
 // stays zero in every transform. Integers keep it: their intercepts know it.
-INLINE void into_ring(tap *to, __global const ushort *raw, __global const int *column_source, float black, int x0, int columns,
+INLINE void into_ring(tap *to, __global const ushort *raw, __global const int *column_source, float black_level, int x0, int columns,
                       size_t stride, ushort *row, int span) {
     ingest(row, raw, column_source, x0, columns);
     tap signal[SPAN];
@@ -140,7 +140,7 @@ INLINE void into_ring(tap *to, __global const ushort *raw, __global const int *c
 #ifdef FIXED_POINT
         STORE_PRIVATE(ints, signal + p) = CONVERT(LOAD_PRIVATE(shorts, row + p), ints);
 #else
-        STORE_PRIVATE(floats, signal + p) = CONVERT(CONVERT(LOAD_PRIVATE(shorts, row + p), ints), floats) - black;
+        STORE_PRIVATE(floats, signal + p) = CONVERT(CONVERT(LOAD_PRIVATE(shorts, row + p), ints), floats) - black_level;
 #endif
     #pragma clang loop vectorize(disable) unroll_count(8)
     for (int p = 0; p < span; p++) to[p * COLUMN] = signal[p];
@@ -149,7 +149,7 @@ INLINE void into_ring(tap *to, __global const ushort *raw, __global const int *c
 #define SOURCE int
 
 // The newest row of every plane into the ring.
-INLINE void into_ring(tap *to, __global const int *planes, __global const int *column_source, float black, int x0,
+INLINE void into_ring(tap *to, __global const int *planes, __global const int *column_source, float black_level, int x0,
                       int columns, size_t stride, ushort *row, int span) {
     const int first = max(0, RADIUS - x0), last = min(TILE + 2 * RADIUS, columns - x0 + RADIUS);
     const int end = min(TILE + 2 * RADIUS, columns - x0 + 2 * RADIUS);
@@ -172,7 +172,7 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
                __global const tap *restrict weights,        // (class, group, CLASS_STRIDE) per unit of the source, see above
                __global const float *restrict matrix,       // (3, 3) encoded values from X, Y, Z, before the curve
                __global CODE *restrict picture,
-               float black, int source_rows, int rows, int columns) {
+               float black_level, int source_rows, int rows, int columns) {
     const int x0 = get_group_id(0) * TILE, y0 = get_group_id(1) * BAND;
     const int y1 = min(y0 + BAND, rows), width = min(TILE, columns - x0);
     const int span = WHOLE(WHOLE(width, LANES) + 2 * RADIUS, 16);
@@ -184,7 +184,7 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
     for (int i = 0; i < TILE; i++) label[i] = 0;
     for (int i = 0; i < RING; i++) ring[i] = 0;
     for (int k = 0; k < y1 - y0 + 2 * RADIUS; k++) {
-        into_ring(ring + k * SOURCES, source + (size_t)row_source[y0 + k] * columns, column_source, black, x0, columns, stride,
+        into_ring(ring + k * SOURCES, source + (size_t)row_source[y0 + k] * columns, column_source, black_level, x0, columns, stride,
                   row, span);
         if (k < 2 * RADIUS) continue;
         const int y = y0 + k - 2 * RADIUS;

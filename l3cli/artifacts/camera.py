@@ -63,12 +63,12 @@ class Optics:
         return lens.irradiance_per_radiance(self.f_number, lens.magnification(self.focal_length, self.object_distance))
 
 
-def check_sensor(rows: int, cols: int, bits: int, black: float, white: float) -> None:
+def check_sensor(rows: int, cols: int, bits: int, black_level: float, white_level: float) -> None:
     """ValueError if there is no such sensor."""
     if not (rows > 0 and cols > 0 and rows * cols <= most_pixels() and 1 <= bits <= MAX_BITS):
         raise ValueError(f"rows {rows}, cols {cols}, bits {bits}: no sensor has these, or not up to {MAX_BITS} bits")
-    if not 0 <= black < white <= 2**bits - 1:
-        raise ValueError(f"black {black:g} and white {white:g} do not lie in 0…{2**bits - 1}")
+    if not 0 <= black_level < white_level <= 2**bits - 1:
+        raise ValueError(f"black level {black_level:g} and white level {white_level:g} do not lie in 0…{2**bits - 1}")
 
 
 def check_cfa(cfa: NDArray[np.uint8], channels: tuple[str, ...]) -> None:
@@ -92,7 +92,7 @@ class CameraModel(Artifact):
     """A camera: geometry, colour filter array, responsivities, analog chain, noise, optics."""
 
     kind: ClassVar[str] = "camera model"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
     made_by: ClassVar[str] = '"l3 calibrate"'
 
     name: str = data("str", doc="what the camera is called")
@@ -115,8 +115,10 @@ class CameraModel(Artifact):
     )
     absolute: bool = data("bool", doc="whether responsivity is a quantum efficiency or only relative")
     gain: float = data("float64", unit="DN/e-", doc="conversion gain K")
-    black: float = data("float64", unit="DN", doc="mean value in the dark at zero exposure")
-    white: float = data("float64", unit="DN", doc="value at which a pixel saturates: well or converter")
+    black_level: float = data("float64", unit="DN", doc="mean value in the dark at zero exposure", formerly="black")
+    white_level: float = data(
+        "float64", unit="DN", doc="value at which a pixel saturates: well or converter", formerly="white"
+    )
     fixed_pattern_seed: int = data("int64", doc="seed of this camera's PRNU and DSNU maps")
     noise: Noise = group()
     optics: Optics = group()
@@ -127,7 +129,7 @@ class CameraModel(Artifact):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_sensor(self.rows, self.cols, self.bits, self.black, self.white)
+        check_sensor(self.rows, self.cols, self.bits, self.black_level, self.white_level)
         check_cfa(self.cfa, self.channels)
         check_wavelengths(self.wavelength)
         if not (self.pixel_pitch > 0 and self.gain > 0 and self.responsivity.max() > 0 and self.fixed_pattern_seed >= 0):
@@ -137,8 +139,8 @@ class CameraModel(Artifact):
 
     @property
     def full_scale(self) -> float:
-        """Electrons between black and white."""
-        return (self.white - self.black) / self.gain
+        """Electrons between black and white level."""
+        return (self.white_level - self.black_level) / self.gain
 
     @property
     def electron_weights(self) -> NDArray[np.float64]:
@@ -178,7 +180,7 @@ class CameraModel(Artifact):
         Of `dark` DN the mean has been taken off, and the light that is left stretched to full scale; the shot noise of the
         dark electrons, and what pixels differ in them, stays. ValueError if dark current alone fills a pixel.
         """
-        noise, span = self.noise, self.white - self.black
+        noise, span = self.noise, self.white_level - self.black_level
         if not dark < span:
             raise ValueError(f"dark current alone fills a pixel of camera {self.name}: {dark:.4g} DN of {span:.4g}")
         stretch, prnu = span / (span - dark), noise.prnu**2

@@ -25,8 +25,8 @@ class SensorRecipe(Recipe):
     pixel_pitch_um: float
     bits: int
     gain_dn_per_e: float
-    black_dn: float
-    white_dn: float | None = None  # default: the lower of well and converter
+    black_level_dn: float
+    white_level_dn: float | None = None  # default: the lower of well and converter
     fixed_pattern_seed: Seed = 0
 
 
@@ -128,9 +128,9 @@ def camera_from_recipe(recipe: CameraRecipe, path: Path) -> CameraModel:
     _check_figures(recipe, path)
     sensor, noise = recipe.sensor, recipe.noise
     converter = 2**sensor.bits - 1
-    white = sensor.white_dn
-    if white is None:
-        white = min(converter, np.floor(sensor.black_dn + sensor.gain_dn_per_e * noise.well_capacity_e))
+    white_level = sensor.white_level_dn
+    if white_level is None:
+        white_level = min(converter, np.floor(sensor.black_level_dn + sensor.gain_dn_per_e * noise.well_capacity_e))
     wavelength, responsivity = _responsivity(recipe, path)
     try:
         return CameraModel(
@@ -146,8 +146,8 @@ def camera_from_recipe(recipe: CameraRecipe, path: Path) -> CameraModel:
             responsivity_band=np.zeros_like(responsivity),
             absolute=True,
             gain=sensor.gain_dn_per_e,
-            black=sensor.black_dn,
-            white=float(white),
+            black_level=sensor.black_level_dn,
+            white_level=float(white_level),
             fixed_pattern_seed=sensor.fixed_pattern_seed,
             noise=Noise(
                 read_noise=noise.read_noise_e,

@@ -150,8 +150,11 @@ class ClassRule:
         "uint16", "code", doc="saturation case of each pattern of saturated channels (bit c: channel c)"
     )
 
-    chroma_black: int = data(
-        "int64", unit="(DN >> shift) times 16", doc="black level, taken off channel means for the chroma"
+    chroma_black_level: int = data(
+        "int64",
+        unit="(DN >> shift) times 16",
+        doc="black level, taken off channel means for the chroma",
+        formerly="chroma_black",
     )
     chroma_weights: NDArray[np.int32] = data(
         "int32", "chroma", "channel", doc="weights of the channel means; the chroma of the lowest score wins"

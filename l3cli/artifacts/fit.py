@@ -24,7 +24,9 @@ class NoiseFit:
     linearity_error: NDArray[np.float64] = data(
         "float64", "channel", doc="mean relative deviation of the signal from a line over 5-95 % of saturation"
     )
-    white_reached: bool = data("bool", doc="whether a white frame saturates; if not, white is the converter's top")
+    white_level_reached: bool = data(
+        "bool", doc="whether a white frame saturates; if not, white_level is the converter's top", formerly="white_reached"
+    )
     defects: NDArray[np.int64] = data(
         "int64", "defect", "coordinate", unit="pixel", doc="row, col of hot and dead pixels, left out of every figure"
     )

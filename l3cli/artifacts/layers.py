@@ -19,11 +19,11 @@ PLANE_TOP = 2**22 - 1  # 16 times a full scale: differences times a factor of 7 
 
 @dataclass(frozen=True)
 class MosaicLayer:
-    """Transforms of patches of the mosaic: output = weights · (patch − black) / (white − black) + intercept."""
+    """Transforms of patches of the mosaic: output = weights · (patch − black level) / full scale + intercept."""
 
     rule: ClassRule = group()
     weights: NDArray[np.float32] = data(
-        "float32", "class", "output", "tap", doc="taps row by row; per unit of (DN − black) / (white − black)"
+        "float32", "class", "output", "tap", doc="taps row by row; per unit of (DN − black level) / full scale"
     )
     intercept: NDArray[np.float32] = data("float32", "class", "output", doc="added to the weighted sum")
     samples: NDArray[np.float64] = data("float64", "class", doc="training patches; 0: filled from a neighbour")

@@ -41,7 +41,7 @@ class PartialSums(Artifact):
     """
 
     kind: ClassVar[str] = "partial sums"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
     made_by: ClassVar[str] = '"l3 train --shard I/N"'
 
     shard: int = data("int64", doc="which part of the run this is, from 1 …")

@@ -28,6 +28,7 @@ class Spec:
     unit: str
     doc: str
     coordinate: bool = False  # the coordinate of its one axis: text does, and numbers that are declared so
+    formerly: str = ""  # its name in older files
 
 
 def data(
@@ -37,10 +38,12 @@ def data(
     doc: str = "",
     default: Any = dataclasses.MISSING,
     coordinate: bool = False,
+    formerly: str = "",
 ) -> Any:
     """Declare one dataset: `dtype` ("float64", "uint16", "str"…), axis names (none: a scalar), unit and meaning; with a
-    default it may be absent, as it is from files of older versions. `coordinate`: numbers along an axis of another name."""
-    spec = Spec(dtype, axes, unit, doc, coordinate or (dtype == "str" and len(axes) == 1))
+    default it may be absent, as it is from files of older versions. `coordinate`: numbers along an axis of another name.
+    `formerly`: the dataset's name in older files, which is read where there is none of the field's name."""
+    spec = Spec(dtype, axes, unit, doc, coordinate or (dtype == "str" and len(axes) == 1), formerly)
     return field(metadata={"spec": spec}, default=default)
 
 

@@ -136,8 +136,12 @@ def read_history(root: h5py.File, path: Path) -> tuple[Stage, ...]:
 def read_fields(group: h5py.Group, cls: type, path: Path, **extra: Any) -> Any:
     """An instance of dataclass `cls` from the datasets below `group`."""
     values = dict(extra)
+    held = members(group, path)
     for name, spec, optional in declared(cls):
-        if optional and name not in members(group, path):
+        if isinstance(spec, Spec) and spec.formerly in held and name not in held:
+            values[name] = _read_dataset(group, spec.formerly, spec, path)
+            continue
+        if optional and name not in held:
             continue  # what files of older versions do not hold
         if isinstance(spec, Spec):
             values[name] = _read_dataset(group, name, spec, path)

@@ -27,8 +27,8 @@ class TransformTable(Artifact):
     channels: tuple[str, ...] = data("str", "channel", doc="names of the spectral channels")
     cfa: NDArray[np.uint8] = data("uint8", "cfa_row", "cfa_col", doc="channel of each site of the super-pixel")
     bits: int = data("int64", unit="bit", doc="depth of the raw values")
-    black: float = data("float64", unit="DN", doc="black level of the raw values the table expects")
-    white: float = data("float64", unit="DN", doc="saturation level of the raw values the table expects")
+    black_level: float = data("float64", unit="DN", doc="black level of the raw values the table expects", formerly="black")
+    white_level: float = data("float64", unit="DN", doc="white level of the raw values the table expects", formerly="white")
     outputs: tuple[str, ...] = data("str", "output", doc="names of the outputs")
     target_description: str = data("str", doc="what the outputs are")
     output_unit: float = data(
@@ -45,7 +45,7 @@ class TransformTable(Artifact):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_sensor(self.rows, self.cols, self.bits, self.black, self.white)
+        check_sensor(self.rows, self.cols, self.bits, self.black_level, self.white_level)
         check_cfa(self.cfa, self.channels)
         if self.camera and not (self.camera.channels == self.channels and np.array_equal(self.camera.cfa, self.cfa)):
             raise ValueError("camera has another CFA than the table")

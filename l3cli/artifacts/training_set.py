@@ -117,7 +117,7 @@ class TrainingSet(Artifact):
     pairs/00000…, and are read one by one."""
 
     kind: ClassVar[str] = "training set"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
     made_by: ClassVar[str] = '"l3 simulate"'
 
     camera: CameraModel = group()

@@ -31,8 +31,8 @@ class Sensor:
     @property
     def saturation(self) -> float:
         """DN from which a pixel counts as saturated."""
-        black = self.dark.black.mean()
-        return float(black + noise.SATURATED * (self.transfer.white - black))
+        black_level = self.dark.black_level.mean()
+        return float(black_level + noise.SATURATED * (self.transfer.white_level - black_level))
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ def measure_sensor(measurements: Measurements, each: Each = map) -> Sensor:
     dark = noise.dark_noise(measurements.darks, body, each)
     whites = sorted(measurements.whites, key=lambda capture: capture.exposure)
     levels = list(each(functools.partial(measure_level, body=body, defects=dark.hot), whites))
-    signal = np.array([mean_value(level.counts) - dark.black - dark.slope * level.exposure for level in levels])
+    signal = np.array([mean_value(level.counts) - dark.black_level - dark.slope * level.exposure for level in levels])
     agreement.check_whites(whites, np.array([level.lit for level in levels]), signal)
     transfer = noise.photon_transfer(levels, body, dark)
     prnu, dead = noise.prnu(whites, levels, transfer.used, body, dark.hot, each)
@@ -81,7 +81,7 @@ def measure_sweep(
     histograms = each(functools.partial(count_values, body=body, defects=sensor.defects), captures)
     for capture, counts in zip(captures, histograms, strict=True):
         photons = photons_on_pixel(capture, nodes, body)
-        signal = mean_value(counts) - sensor.dark.black - sensor.dark.slope * capture.exposure
+        signal = mean_value(counts) - sensor.dark.black_level - sensor.dark.slope * capture.exposure
         design.append(photons / photons.sum())
         values.append(signal / photons.sum())
         valid.append(share_from(counts, sensor.saturation) < OVEREXPOSED)

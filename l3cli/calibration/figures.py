@@ -21,8 +21,8 @@ def camera_figures(camera: CameraModel) -> dict[str, tuple[float, str]]:
         "DSNU": (noise.dsnu, "e-"),
         "PRNU": (100.0 * noise.prnu, "%"),
         "saturation capacity": (min(noise.well_capacity, camera.full_scale), "e-"),
-        "black level": (camera.black, "DN"),
-        "saturation level": (camera.white, "DN"),
+        "black level": (camera.black_level, "DN"),
+        "white level": (camera.white_level, "DN"),
     }
 
 
@@ -52,7 +52,7 @@ def figures(camera: CameraModel) -> dict[str, Any]:
         "declared": list(camera.declared),
         "left out": list(left_out),
         "defects": fit.noise.defects.tolist() if fit.noise else [],
-        "saturation reached": bool(fit.noise.white_reached) if fit.noise else None,
+        "saturation reached": bool(fit.noise.white_level_reached) if fit.noise else None,
     }
 
 
@@ -88,7 +88,7 @@ def _lights(camera: CameraModel, chart: ChartFit) -> dict[str, dict[str, float]]
     rows = {}
     for index, light in enumerate(chart.illuminants):
         measured, predicted = chart.measured[index][None], chart.predicted[index][None]
-        rmse = 100.0 * gain.relative_rmse(measured, predicted, camera.black)
+        rmse = 100.0 * gain.relative_rmse(measured, predicted, camera.black_level)
         fits = gain.r_squared(measured, predicted)
         cells = {f"RMSE {name} (%)": float(value) for name, value in zip(camera.channels, rmse, strict=True)}
         rows[f"{index + 1} {light}"] = cells | {f"R² {n}": float(v) for n, v in zip(camera.channels, fits, strict=True)}

@@ -38,11 +38,11 @@ def patch_map(corners: Array, rows: int, cols: int) -> NDArray[np.int64]:
 def _homography(corners: Array) -> Array:
     """(3, 3) from chart cells (0…6, 0…4, 1) to pixels (col, row, 1) times a scale."""
     cells = np.array([[0, 0], [CHART_COLS, 0], [CHART_COLS, CHART_ROWS], [0, CHART_ROWS]], dtype=np.float64)
-    equations, target = [], []
+    equations, right_side = [], []
     for (x, y), (u, v) in zip(cells, corners, strict=True):
         equations += [[x, y, 1, 0, 0, 0, -u * x, -u * y], [0, 0, 0, x, y, 1, -v * x, -v * y]]
-        target += [u, v]
-    return np.append(np.linalg.solve(equations, target), 1.0).reshape(3, 3)
+        right_side += [u, v]
+    return np.append(np.linalg.solve(equations, right_side), 1.0).reshape(3, 3)
 
 
 def patch_values(capture: ChartCapture, body: Body, limit: float, defects: Defects) -> tuple[Array, NDArray[np.bool_]]:
@@ -110,31 +110,31 @@ def _per_label(label: NDArray[np.int64], weights: NDArray, channels: int) -> Arr
     return sums.astype(np.float64).reshape(PATCHES, channels)
 
 
-def fit_gain(photons: Array, values: Array, black: float) -> tuple[float, float]:
+def fit_gain(photons: Array, values: Array, black_level: float) -> tuple[float, float]:
     """Eq. 2 of one channel: (alpha, beta) of values ≈ alpha · photons + beta, alpha ≥ 0.
 
     photons and values (sample) are what the responsivity predicts and the mean DN; weights: docs/method.md#gain-and-offset.
     """
     from scipy.optimize import lsq_linear
 
-    weight = 1.0 / np.hypot(RELATIVE_ERROR * (values - black), ABSOLUTE_ERROR)
+    weight = 1.0 / np.hypot(RELATIVE_ERROR * (values - black_level), ABSOLUTE_ERROR)
     scale = photons.max()
     system = np.stack([photons / scale, np.ones_like(photons)], axis=1) * weight[:, None]
     alpha, beta = lsq_linear(system, values * weight, bounds=([0.0, -np.inf], [np.inf, np.inf])).x
     return float(alpha / scale), float(beta)
 
 
-def gain_error(photons: Array, values: Array, black: float, alpha: float, beta: float, drift: float) -> float:
+def gain_error(photons: Array, values: Array, black_level: float, alpha: float, beta: float, drift: float) -> float:
     """Standard deviation of alpha: its spread over charts (chart, patch) fitted one by one, or the declared drift's."""
-    weight = 1.0 / np.hypot(RELATIVE_ERROR * (values - black), ABSOLUTE_ERROR) ** 2
+    weight = 1.0 / np.hypot(RELATIVE_ERROR * (values - black_level), ABSOLUTE_ERROR) ** 2
     single = (weight * photons * (values - beta)).sum(axis=1) / (weight * photons**2).sum(axis=1)
     charts = len(single)
     return float(max(single.std(ddof=1), drift * alpha) / np.sqrt(charts))
 
 
-def relative_rmse(measured: Array, predicted: Array, black: Array | float) -> Array:
+def relative_rmse(measured: Array, predicted: Array, black_level: Array | float) -> Array:
     """RMSE over the mean signal above black, over the axes (chart, patch) of both; further axes stay."""
-    return np.sqrt(np.mean((measured - predicted) ** 2, axis=(0, 1))) / np.mean(measured - black, axis=(0, 1))
+    return np.sqrt(np.mean((measured - predicted) ** 2, axis=(0, 1))) / np.mean(measured - black_level, axis=(0, 1))
 
 
 def r_squared(measured: Array, predicted: Array) -> Array:
@@ -143,11 +143,11 @@ def r_squared(measured: Array, predicted: Array) -> Array:
     return 1.0 - residual / np.sum((measured - measured.mean(axis=(0, 1))) ** 2, axis=(0, 1))
 
 
-def cross_validate(photons: Array, values: Array, black: float) -> float:
+def cross_validate(photons: Array, values: Array, black_level: float) -> float:
     """Relative RMSE of charts (chart, patch) predicted with alpha and beta from the charts under the other lights."""
     predicted = np.empty_like(values)
     for chart in range(len(values)):
         others = np.arange(len(values)) != chart
-        alpha, beta = fit_gain(photons[others].ravel(), values[others].ravel(), black)
+        alpha, beta = fit_gain(photons[others].ravel(), values[others].ravel(), black_level)
         predicted[chart] = alpha * photons[chart] + beta
-    return float(relative_rmse(values, predicted, black))
+    return float(relative_rmse(values, predicted, black_level))

@@ -34,16 +34,18 @@ def calibrate(measurements: Measurements, each: Each = map) -> CameraModel:
     if measurements.curve is None:
         sweep, left_out = measure_sweep(measurements.mono, body, sensor, each)
         charts = measure_charts(measurements.charts, sweep.nodes, body, sensor, each)
-        curves, sweep_fit = fit_curves(sweep, charts, sensor.dark.black, measurements, left_out)
+        curves, sweep_fit = fit_curves(sweep, charts, sensor.dark.black_level, measurements, left_out)
         if not sweep_fit.odd:
-            check_charts(measurements, charts, sweep, sweep_fit.chosen_smoothing, sensor.dark.black)
+            check_charts(measurements, charts, sweep, sweep_fit.chosen_smoothing, sensor.dark.black_level)
     else:
         curves = finished.without_fit(measurements.curve, body, drift, measurements.wavelength_uncertainty)
         if measurements.charts:
             curves = curves.to_channel_peaks()
             charts = measure_charts(measurements.charts, curves.wavelength, body, sensor, each)
     odd = sweep_fit.odd if sweep_fit else ()
-    chart_fit = fit_charts(charts, curves.relative, sensor.dark.black, drift, body, odd) if measurements.charts else None
+    chart_fit = (
+        fit_charts(charts, curves.relative, sensor.dark.black_level, drift, body, odd) if measurements.charts else None
+    )
     fit = Fit(noise=figures, sweep=sweep_fit, chart=chart_fit)
     return assemble(body, summarise(sensor, figures, body), curves, fit)
 
@@ -53,7 +55,7 @@ def from_data_sheet(measurements: Measurements, figures: SensorFigures) -> Camer
     body, drift, shift = measurements.body, measurements.lamp_drift, measurements.wavelength_uncertainty
     if measurements.curve is not None:
         return assemble(body, figures, finished.without_fit(measurements.curve, body, drift, shift), Fit())
-    curves, fit = fit_series(measurements.bands, measurements.darks, body, figures.black, figures.white)
+    curves, fit = fit_series(measurements.bands, measurements.darks, body, figures.black_level, figures.white_level)
     return assemble(body, figures, curves, Fit(series=fit))
 
 
@@ -61,10 +63,10 @@ def from_data_sheet(measurements: Measurements, figures: SensorFigures) -> Camer
 
 
 def fit_curves(
-    sweep: responsivity.Sweep, charts: Charts, black: Array, measurements: Measurements, left_out: tuple[str, ...]
+    sweep: responsivity.Sweep, charts: Charts, black_level: Array, measurements: Measurements, left_out: tuple[str, ...]
 ) -> tuple[Curves, SweepFit]:
     """Eq. 1 with the smoothing that predicts the charts best, each channel scaled to a peak of 1, and its band."""
-    errors = np.array([_validation_error(sweep, charts, delta, black) for delta in DELTAS])
+    errors = np.array([_validation_error(sweep, charts, delta, black_level) for delta in DELTAS])
     delta = responsivity.choose_smoothing(DELTAS, errors)
     curves = responsivity.solve_channels(sweep, delta)
     drift, shift = measurements.lamp_drift, measurements.wavelength_uncertainty
@@ -74,32 +76,32 @@ def fit_curves(
     return Curves(sweep.nodes, curves, band).to_channel_peaks(), fit
 
 
-def _validation_error(sweep: responsivity.Sweep, charts: Charts, delta: float, black: Array) -> float:
+def _validation_error(sweep: responsivity.Sweep, charts: Charts, delta: float, black_level: Array) -> float:
     """Cross-validated relative RMSE over the charts, mean over channels."""
     photons = charts.photons @ responsivity.solve_channels(sweep, delta).T
-    channels = range(len(black))
-    return float(np.mean([gain.cross_validate(photons[..., c], charts.values[..., c], black[c]) for c in channels]))
+    channels = range(len(black_level))
+    return float(np.mean([gain.cross_validate(photons[..., c], charts.values[..., c], black_level[c]) for c in channels]))
 
 
 def check_charts(
-    measurements: Measurements, charts: Charts, sweep: responsivity.Sweep, smoothing: float, black: Array
+    measurements: Measurements, charts: Charts, sweep: responsivity.Sweep, smoothing: float, black_level: Array
 ) -> None:
     """InputFileError if a chart contradicts the others, or all of them the monochromator."""
     curves = responsivity.solve_channels(sweep, smoothing)
-    measured = (charts.values - black).sum(axis=1)
+    measured = (charts.values - black_level).sum(axis=1)
     predicted = (charts.photons @ curves.T).sum(axis=1)
     absolute = all(capture.absolute for capture in measurements.mono)
     agreement.check_charts(measurements.charts, measured, predicted, absolute)
 
 
 def fit_charts(
-    charts: Charts, relative: Array, black: Array, drift: float, body: Body, odd: tuple[str, ...] = ()
+    charts: Charts, relative: Array, black_level: Array, drift: float, body: Body, odd: tuple[str, ...] = ()
 ) -> ChartFit:
     """Eq. 2 for every channel and its validation; InputFileError if the charts contradict the curves, which is blamed on the
     `odd` captures of these if there are any."""
     photons = charts.photons @ relative.T
     fits = []
-    for channel, level in enumerate(black):
+    for channel, level in enumerate(black_level):
         seen, values = photons[..., channel], charts.values[..., channel]
         alpha, beta = gain.fit_gain(seen.ravel(), values.ravel(), level)
         fits.append((alpha, beta, gain.gain_error(seen, values, level, alpha, beta, drift)))
@@ -117,7 +119,7 @@ def fit_charts(
         alpha_error=errors,
         beta=betas,
         r_squared=r_squared,
-        relative_rmse=gain.relative_rmse(charts.values, predicted, black),
+        relative_rmse=gain.relative_rmse(charts.values, predicted, black_level),
         illuminants=charts.illuminants,
         measured=charts.values,
         predicted=predicted,
@@ -138,9 +140,9 @@ def describe_noise(sensor: Sensor, body: Body) -> NoiseFit:
         dark_current=dark.slope / conversion,
         dsnu=dark.dsnu / conversion,
         prnu=sensor.prnu,
-        saturation_capacity=(transfer.white - dark.black) / conversion,
+        saturation_capacity=(transfer.white_level - dark.black_level) / conversion,
         linearity_error=transfer.linearity_error,
-        white_reached=transfer.white_reached,
+        white_level_reached=transfer.white_level_reached,
         defects=sensor.defects,
         exposure=sensor.exposure,
         photon_transfer_mean=transfer.mean,
@@ -151,19 +153,21 @@ def describe_noise(sensor: Sensor, body: Body) -> NoiseFit:
 def summarise(sensor: Sensor, figures: NoiseFit, body: Body) -> SensorFigures:
     """One figure for all pixels, of those of each channel with its share of the pixels."""
     pixels = channel_shares(body)
-    conversion, black = float(pixels @ sensor.transfer.gain), float(pixels @ sensor.dark.black)
+    conversion, black_level = float(pixels @ sensor.transfer.gain), float(pixels @ sensor.dark.black_level)
 
     def quadratic(deviation: Array) -> float:
         return float(np.sqrt(pixels @ deviation**2))
 
     read_noise, dsnu, prnu = quadratic(figures.read_noise), quadratic(figures.dsnu), quadratic(figures.prnu)
     dark_current = max(float(pixels @ figures.dark_current), 0.0)
-    well = (sensor.transfer.white - black) / conversion
-    return SensorFigures(conversion, black, sensor.transfer.white, Noise(read_noise, dark_current, dsnu, prnu, well))
+    well = (sensor.transfer.white_level - black_level) / conversion
+    return SensorFigures(
+        conversion, black_level, sensor.transfer.white_level, Noise(read_noise, dark_current, dsnu, prnu, well)
+    )
 
 
 def assemble(body: Body, sensor: SensorFigures, curves: Curves, fit: Fit) -> CameraModel:
-    """The camera model, absolute where charts gave the scale; InputFileError if black and white contradict each other."""
+    """The camera model, absolute where charts gave the scale; InputFileError if the levels contradict each other."""
     curve, band = curves.relative, curves.band
     if fit.chart is not None:
         curve, band = efficiency(curves, fit, sensor.gain, body)
@@ -182,12 +186,12 @@ def assemble(body: Body, sensor: SensorFigures, curves: Curves, fit: Fit) -> Cam
             responsivity_band=band,
             absolute=fit.chart is not None,
             gain=sensor.gain,
-            black=sensor.black,
-            white=sensor.white,
+            black_level=sensor.black_level,
+            white_level=sensor.white_level,
             fixed_pattern_seed=0,
             noise=sensor.noise,
             optics=body.optics,
-            declared=() if fit.noise else ("gain", "black", "white", "noise"),
+            declared=() if fit.noise else ("gain", "black level", "white level", "noise"),
             fit=fit,
         )
     except ValueError as error:

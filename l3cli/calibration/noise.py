@@ -28,7 +28,7 @@ from l3cli.errors import InputFileError
 from l3cli.measurement import Body, Capture
 
 QUANTISATION = 1.0 / 12.0  # DN², variance of rounding
-SATURATED = 0.985  # share of the span from black to white that counts as saturated
+SATURATED = 0.985  # share of the span from black to white level that counts as saturated
 TOLERATED = 1e-4  # share of saturated pixels that leaves a variance unharmed
 LINEAR = (0.05, 0.95)  # share of saturation over which EMVA 1288 judges linearity
 WINDOW = 7  # samples of one CFA site in a local mean: 5–9, wider ones see dust (docs/method.md#dark-and-white-frames)
@@ -39,7 +39,7 @@ Array = NDArray[np.float64]
 class DarkNoise:
     """What lens-cap frames give, each (channel)."""
 
-    black: Array  # DN at zero exposure
+    black_level: Array  # DN at zero exposure
     slope: Array  # DN/s
     variance: Array  # DN² at zero exposure, quantisation taken out
     dsnu: Array  # DN
@@ -53,8 +53,8 @@ class PhotonTransfer:
     mean: Array  # (level, channel) DN above black
     variance: Array  # (level, channel) DN²
     used: NDArray[np.bool_]  # (level, channel) below saturation
-    white: float  # DN at which pixels saturate
-    white_reached: bool  # False: no frame saturates, white is the converter's top
+    white_level: float  # DN at which pixels saturate
+    white_level_reached: bool  # False: no frame saturates, the white level is the converter's top
     gain: Array  # (channel) DN/e-, conversion gain K
     gain_error: Array  # (channel) DN/e-, its standard deviation
     linearity_error: Array  # (channel) EMVA 1288 LE, relative
@@ -87,7 +87,7 @@ def dark_noise(captures: Sequence[Capture], body: Body, each: Each = map) -> Dar
     temporal = (intercept**2 / [level.trials for level in levels]) @ variance
     spatial = pooled([_pixel_variance(site) for _, site in by_site(offsets, body.cfa)], body.cfa)
     return DarkNoise(
-        black=intercept @ mean,
+        black_level=intercept @ mean,
         slope=slope @ mean,
         variance=np.maximum(intercept @ variance - QUANTISATION, 0.0),
         dsnu=np.sqrt(np.maximum(spatial - temporal, 0.0)),
@@ -112,12 +112,12 @@ def photon_transfer(levels: Sequence[Level], body: Body, dark: DarkNoise) -> Pho
     Saturation is where the variance falls, be it the well or the converter; levels from there on stay out.
     InputFileError if a channel has fewer than two levels below saturation.
     """
-    mean = np.array([mean_value(level.counts) for level in levels]) - dark.black
+    mean = np.array([mean_value(level.counts) for level in levels]) - dark.black_level
     variance = np.array([level.variance for level in levels])
     if not variance.max(axis=0).all():
         raise InputFileError("the white frames hold no noise: all are saturated, or copies of one frame; take them again")
-    white, reached = saturation(levels, variance, 2**body.bits - 1)
-    limit = dark.black.mean() + SATURATED * (white - dark.black.mean())
+    white_level, reached = saturation(levels, variance, 2**body.bits - 1)
+    limit = dark.black_level.mean() + SATURATED * (white_level - dark.black_level.mean())
     clipped = np.array([share_from(level.counts, limit) for level in levels]) > TOLERATED
     before_fall = np.arange(len(levels))[:, None] <= variance.argmax(axis=0)
     used = before_fall & ~clipped & (variance > 0)
@@ -133,8 +133,8 @@ def photon_transfer(levels: Sequence[Level], body: Body, dark: DarkNoise) -> Pho
     gain, error = np.array(lines).T
     if gain.min() <= 0:
         raise InputFileError("the noise of the white frames does not grow with exposure; check exposures and frames")
-    linearity = linearity_errors(levels, mean, used, dark, white)
-    return PhotonTransfer(mean, variance, used, white, reached, gain, error, linearity)
+    linearity = linearity_errors(levels, mean, used, dark, white_level)
+    return PhotonTransfer(mean, variance, used, white_level, reached, gain, error, linearity)
 
 
 def _transfer_line(levels: Sequence[Level], mean: Array, channel: int) -> tuple[float, float]:
@@ -145,12 +145,14 @@ def _transfer_line(levels: Sequence[Level], mean: Array, channel: int) -> tuple[
     return float(line[0]), float(np.sqrt(covariance[0, 0]))
 
 
-def linearity_errors(levels: Sequence[Level], mean: Array, used: NDArray[np.bool_], dark: DarkNoise, white: float) -> Array:
+def linearity_errors(
+    levels: Sequence[Level], mean: Array, used: NDArray[np.bool_], dark: DarkNoise, white_level: float
+) -> Array:
     """(channel) EMVA 1288 LE: mean relative deviation of the signal from a line; 0 with fewer than three levels."""
     lit, exposure = np.array([(level.lit, level.exposure) for level in levels]).T
     errors = []
     for channel, signal in enumerate((mean - dark.slope * exposure[:, None]).T):
-        share = mean[:, channel] / (white - dark.black[channel])
+        share = mean[:, channel] / (white_level - dark.black_level[channel])
         chosen = used[:, channel] & (share >= LINEAR[0]) & (share <= LINEAR[1]) & (signal > 0)
         errors.append(linearity_error(lit[chosen], signal[chosen]) if chosen.sum() > 2 else 0.0)
     return np.array(errors)

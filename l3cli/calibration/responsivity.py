@@ -59,8 +59,8 @@ def solve(design: Array, values: Array, delta: float) -> Array:
 
     peak = values.max()
     stacked = np.vstack([design, np.sqrt(delta) * roughness(design.shape[1])])
-    target = np.concatenate([values / peak, np.zeros(len(stacked) - len(design))])
-    return nnls(stacked, target)[0] * peak
+    right_side = np.concatenate([values / peak, np.zeros(len(stacked) - len(design))])
+    return nnls(stacked, right_side)[0] * peak
 
 
 def solve_channels(sweep: Sweep, delta: float) -> Array:

@@ -30,14 +30,14 @@ class Series:
 
 
 def fit_series(
-    captures: Sequence[BandCapture], darks: Sequence[Capture], body: Body, black: float, white: float
+    captures: Sequence[BandCapture], darks: Sequence[Capture], body: Body, black_level: float, white_level: float
 ) -> tuple[Curves, SeriesFit]:
     """Responses to each band, and how well signals follow exposure; a patch that saturates in a channel is left out there.
 
     InputFileError if a channel is saturated in all captures of a band, or if a band has a single exposure.
     """
-    limit = black + noise.SATURATED * (white - black)
-    series = measure_series(captures, darks, body, black, limit)
+    limit = black_level + noise.SATURATED * (white_level - black_level)
+    series = measure_series(captures, darks, body, black_level, limit)
     agreement.check_series(captures, series.light, series.values, series.valid)
     rates, predicted, used = follow_exposure(series)
     for band, name in enumerate(series.lights):
@@ -53,7 +53,7 @@ def fit_series(
         exposure=np.array([capture.exposure for capture in captures]),
         response=response / response.max(),
         spread=spread,
-        linearity_error=linearity_errors(series, white - black),
+        linearity_error=linearity_errors(series, white_level - black_level),
         r_squared=np.array([1.0 - np.mean((m - p) ** 2) / m.var() for m, p in compared]),
         relative_rmse=np.array([np.sqrt(np.mean((m - p) ** 2)) / m.mean() for m, p in compared]),
         left_out=named(captures, series, body),
@@ -65,12 +65,12 @@ def fit_series(
 
 
 def measure_series(
-    captures: Sequence[BandCapture], darks: Sequence[Capture], body: Body, black: float, limit: float
+    captures: Sequence[BandCapture], darks: Sequence[Capture], body: Body, black_level: float, limit: float
 ) -> Series:
     """The patches of every capture, bands in the order of their centres."""
     names = list(dict.fromkeys(capture.illuminant for capture in captures))
     names.sort(key=lambda name: next(band_centre(capture) for capture in captures if capture.illuminant == name))
-    dark = dark_levels([capture.exposure for capture in captures], darks, body, black)
+    dark = dark_levels([capture.exposure for capture in captures], darks, body, black_level)
     readings = [gain.patch_values(capture, body, limit, defects.none()) for capture in captures]
     return Series(
         lights=tuple(names),
@@ -81,10 +81,10 @@ def measure_series(
     )
 
 
-def dark_levels(exposures: Sequence[float], darks: Sequence[Capture], body: Body, black: float) -> Array:
-    """(exposure, channel) DN in the dark, interpolated between lens-cap frames; without any, `black`."""
+def dark_levels(exposures: Sequence[float], darks: Sequence[Capture], body: Body, black_level: float) -> Array:
+    """(exposure, channel) DN in the dark, interpolated between lens-cap frames; without any, `black_level`."""
     if not darks:
-        return np.full((len(exposures), len(body.channels)), black)
+        return np.full((len(exposures), len(body.channels)), black_level)
     known = np.array([capture.exposure for capture in darks])
     means = np.array([mean_value(count_values(capture, body, defects.none())) for capture in darks])
     order = np.argsort(known)

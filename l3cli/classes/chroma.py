@@ -1,6 +1,6 @@
 """Chroma: the colour of a neighbourhood in which nothing is saturated (docs/method.md#chroma).
 
-chroma = the first k of least Σ max((S · round(65536 / n) >> 12) − chroma_black, 0) · weight[k] over the channels
+chroma = the first k of least Σ max((S · round(65536 / n) >> 12) − chroma_black_level, 0) · weight[k] over the channels
 
 With f the channel means above black over their sum and q a chroma centre, |f − q|² is least where |q|² Σ f − 2 Σ f q is:
 hence the weights |q|² − 2 q, and no division.
@@ -70,14 +70,14 @@ def chroma_centres(rule: ClassRule) -> NDArray[np.float64]:
     return np.clip((square - weights) / 2.0, 0.0, 1.0)
 
 
-def stored_black(camera: CameraModel, shift: int) -> int:
+def stored_black_level(camera: CameraModel, shift: int) -> int:
     """The rule's black level."""
-    return int(np.rint((camera.black - truncation(shift)) / 2**shift * 2**CHROMA_FRACTION))
+    return int(np.rint((camera.black_level - truncation(shift)) / 2**shift * 2**CHROMA_FRACTION))
 
 
 def chromas(rule: ClassRule, statistics: Statistics) -> Integers:
     """Chroma (…), whatever is saturated."""
-    above_black = np.maximum((statistics.scaled >> (16 - CHROMA_FRACTION)) - rule.chroma_black, 0)
+    above_black = np.maximum((statistics.scaled >> (16 - CHROMA_FRACTION)) - rule.chroma_black_level, 0)
     # below 2⁵³: exact in float64, whose products BLAS does
     return np.argmin(above_black.astype(np.float64) @ rule.chroma_weights.T.astype(np.float64), axis=-1)
 
@@ -100,7 +100,7 @@ def name(table: TransformTable, chroma: int) -> str:
 
 def macros(rule: ClassRule) -> dict[str, int]:
     """What chroma.cl is compiled with."""
-    return {"CHROMAS": rule.chromas, "CHROMA_FRACTION": CHROMA_FRACTION, "CHROMA_BLACK": rule.chroma_black}
+    return {"CHROMAS": rule.chromas, "CHROMA_FRACTION": CHROMA_FRACTION, "CHROMA_BLACK_LEVEL": rule.chroma_black_level}
 
 
 def kernel_array(rule: ClassRule) -> NDArray[np.int32]:

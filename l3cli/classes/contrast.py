@@ -41,7 +41,7 @@ def stored_edges(
 ) -> NDArray[np.uint32]:
     """The rule's contrast edges (edge, level) from the camera's noise at `levels`, shares of full scale, of frames of which
     `dark` DN of dark current have been taken off."""
-    span, channels = camera.white - camera.black, len(camera.channels)
+    span, channels = camera.white_level - camera.black_level, len(camera.channels)
     variance = camera.noise_variance(levels * span, dark) / 4**shift + (1 / 12 if shift else 0.0) + MEAN_TRUNCATED
     limit = 2.0**32 - 1 - channels
     squared = np.array(recipe.contrasts, dtype=np.float64).reshape(-1, 1) ** 2

@@ -96,8 +96,8 @@ def _strength_edges(
         down, across = slice(window.top, window.top + window.rows), slice(window.left, window.left + window.columns)
         counts[window.sum, down, across] += window.sign
     power = ((counts**2).sum(axis=(1, 2)) * multipliers[[0, 1, 0, 1]] ** 2).mean()
-    span = camera.white - camera.black
-    levels = level.centres(level.inner_bounds(rule, camera.black, camera.white))
+    span = camera.white_level - camera.black_level
+    levels = level.centres(level.inner_bounds(rule, camera.black_level, camera.white_level))
     variance = camera.noise_variance(levels * span, dark) / 4**rule.shift + 1 / 12
     edges = np.array(keys.strengths)[:, None] * np.sqrt(variance * power)
     return np.minimum(np.rint(edges), 2**31 - 1).astype(np.int64)

@@ -32,7 +32,7 @@ def _structure(planes: NDArray[np.int32], level: Integers, site: Integers, rule:
 def plane_evidence(
     planes: NDArray[np.int32], level: Integers, factor: NDArray[np.uint8], shift: NDArray[np.uint8]
 ) -> tree.Evidence:
-    """What a tree's tests compare, of whole planes (plane, row, col), levels (row, col) and the scale (level) of gradients."""
+    """What a tree's tests compare, of planes (plane, row, col), levels (row, col) and the scale (level) of gradients."""
     place = mirrored(level, tree.REACH - 1)
     return tree.evidence(
         mirrored(planes.astype(np.int64), tree.REACH), factor.astype(np.int64)[place], shift.astype(np.int64)[place]

@@ -50,8 +50,8 @@ def centres(shares: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def stored_edges(shares: NDArray[np.float64], camera: CameraModel, shift: int) -> NDArray[np.uint32]:
     """The rule's level edges at `shares` of full scale."""
-    span = camera.white - camera.black
-    in_values = (camera.black + shares * span - truncation(shift)) / 2**shift
+    span = camera.white_level - camera.black_level
+    in_values = (camera.black_level + shares * span - truncation(shift)) / 2**shift
     return np.rint(in_values * 2**LEVEL_FRACTION * len(camera.channels)).astype(np.uint32)
 
 
@@ -66,15 +66,15 @@ def level_of_mean(rule: ClassRule, total: float) -> int:
     return int(np.searchsorted(rule.level_edges, total * 2**LEVEL_FRACTION / 2**rule.shift))
 
 
-def inner_bounds(rule: ClassRule, black: float, white: float) -> NDArray[np.float64]:
-    """Shares of full scale at which each level but the darkest begins; `black` and `white` in DN."""
+def inner_bounds(rule: ClassRule, black_level: float, white_level: float) -> NDArray[np.float64]:
+    """Shares of full scale at which each level but the darkest begins; `black_level` and `white_level` in DN."""
     in_dn = rule.level_edges * 2.0**rule.shift / (2**LEVEL_FRACTION * rule.channels)
-    return (in_dn - black) / (white - black)
+    return (in_dn - black_level) / (white_level - black_level)
 
 
 def bounds(table: TransformTable) -> NDArray[np.float64]:
     """Bounds (level + 1) of the levels as shares of full scale, from 0 to 1."""
-    inner = inner_bounds(table.first.rule, table.black, table.white)
+    inner = inner_bounds(table.first.rule, table.black_level, table.white_level)
     return np.concatenate([[0.0], np.clip(inner, 0.0, 1.0), [1.0]])
 
 
@@ -91,7 +91,7 @@ def heading(entry: dict[str, Any]) -> str:
 
 def name(table: TransformTable, level: int) -> str:
     """Such as "level 3 (0.002–0.003 of full scale)"."""
-    inner = inner_bounds(table.first.rule, table.black, table.white)
+    inner = inner_bounds(table.first.rule, table.black_level, table.white_level)
     lower = "0" if level == 0 else f"{inner[level - 1]:.3g}"
     upper = f"{inner[level]:.3g}" if level < len(inner) else "1"
     return f"level {level} ({lower}–{upper} of full scale)"

@@ -47,24 +47,24 @@ def opponent_basis(white_point: NDArray[np.floating]) -> NDArray[np.float64]:
 
 def fixed_point(table: TransformTable) -> FixedPoint:
     """The first layer of a table whose outputs are X, Y, Z; InputFileError if its transforms are beyond all planes."""
-    basis, step = opponent_basis(table.white_point), (table.white - table.black) * PLANE_STEP
+    basis, step = opponent_basis(table.white_point), (table.white_level - table.black_level) * PLANE_STEP
     weights = np.moveaxis(_to_planes(np.moveaxis(table.first.weights, 1, -1), basis), -1, 1) / step
     intercept = _to_planes(table.first.intercept, basis) / PLANE_STEP
-    offset = intercept - table.black * weights.sum(axis=-1)
+    offset = intercept - table.black_level * weights.sum(axis=-1)
     largest = (np.abs(weights).sum(axis=-1) * (2**table.bits - 1) + np.abs(offset)).max(axis=-1)
     fraction = np.minimum(MOST_FRACTION, np.floor(np.log2((2.0**31 - 1) / (ROOM * largest + 1))))
     if fraction.min() < 0:
         raise InputFileError("transforms of the table's first layer are too large for the second; train it again")
     scale = 2.0 ** fraction[:, None]
     whole = _rounded(weights * scale[..., None], table)
-    back = np.rint(intercept * scale - table.black * whole.sum(axis=-1))
+    back = np.rint(intercept * scale - table.black_level * whole.sum(axis=-1))
     return FixedPoint(whole.astype(np.int32), back.astype(np.int32), fraction.astype(np.int32))
 
 
 def _rounded(weights: NDArray[np.float64], table: TransformTable) -> NDArray[np.float64]:
     """Weights (class, plane, tap) as whole numbers less than one away, of sums over each channel that are the nearest."""
     rule = table.first.rule
-    channel = window_channels(table.cfa, rule.patch)[np.arange(len(weights)) // rule.classes_per_site]
+    channel = window_channels(table.cfa, rule.patch)[rule.split(np.arange(len(weights))).site]
     whole = np.floor(weights)
     missing, order = weights - whole, np.empty(weights.shape, np.int64)
     for index in range(len(table.channels)):

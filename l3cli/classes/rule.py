@@ -48,7 +48,7 @@ def make_rule(
             saturation=saturation.stored_threshold(recipe, camera),
             saturation_radius=min(recipe.saturation_radius, recipe.patch // 2),
             case_of_code=case_of_code,
-            chroma_black=chroma.stored_black(camera, shift),
+            chroma_black_level=chroma.stored_black_level(camera, shift),
             chroma_weights=chroma.chroma_weights(
                 np.full((1, channels), 1 / channels) if chroma_centres is None else chroma_centres
             ),

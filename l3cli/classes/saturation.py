@@ -47,7 +47,7 @@ def choose_cases(occurrences: NDArray[np.int64], most: int) -> NDArray[np.uint16
 
 def stored_threshold(recipe: Keys, camera: CameraModel) -> int:
     """The rule's saturation, in DN."""
-    return int(np.ceil(camera.black + recipe.saturation * (camera.white - camera.black)))
+    return int(np.ceil(camera.black_level + recipe.saturation * (camera.white_level - camera.black_level)))
 
 
 def saturation_codes(patches: NDArray[np.unsignedinteger], rule: ClassRule, near: Neighbourhoods, site: int) -> Integers:

@@ -126,7 +126,9 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
     "--white", metavar="NAME|x,y", help="Scene white shown neutral: illuminant or chromaticity [default: table's]."
 )
 @click.option("--bits", type=click.Choice(["8", "16"]), default="8", show_default=True, help="Bits a value of a picture.")
-@click.option("--black", type=LEVEL, metavar="DN", help="Black level of the inputs [default: the file's or the table's].")
+@click.option(
+    "--black-level", type=LEVEL, metavar="DN", help="Black level of the inputs [default: the file's or the table's]."
+)
 @click.option("--white-level", type=LEVEL, metavar="DN", help="White level of the inputs [default: the file's or table's].")
 @click.option(
     "--exposure-time", type=TIME, metavar="SECONDS",
@@ -159,7 +161,7 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
 def render(
     table: Path, inputs: tuple[Path, ...], output: Path, suffix: str, frames: range | None, dataset: str | None,
     fps: Fraction | None, codec: str | None, crf: float | None, preset: str, backend: str, device: str | None,
-    variant: str | None, exposure: float | None, white: str | None, bits: str, black: float | None,
+    variant: str | None, exposure: float | None, white: str | None, bits: str, black_level: float | None,
     white_level: float | None, exposure_time: float | None, dark: tuple[Path, ...],
     phase: tuple[int, int] | None, size: tuple[int, int] | None, packing: str | None,
     stride: int | None, skip_bad: bool, resume: bool, scheduler: "Scheduler | None", force: bool, console: "Console",
@@ -184,10 +186,10 @@ def render(
     from l3cli.io.raw.files import KnownBetter
     from l3cli.stages.rendering.render import render as stage
 
+    known = KnownBetter(black_level, white_level, phase, size, packing, stride, exposure_time)
     left_out = stage(
         table, inputs, output, console, rate=fps, bits=int(bits), codec=codec, crf=crf, preset=preset, suffix=suffix,
-        frames=frames, dataset=dataset, known=KnownBetter(black, white_level, phase, size, packing, stride, exposure_time),
-        dark=dark, exposure=exposure, white=white, backend=backend, device=device, variant=variant, skip_bad=skip_bad,
-        resume=resume, scheduler=scheduler, force=force,
+        frames=frames, dataset=dataset, known=known, dark=dark, exposure=exposure, white=white, backend=backend,
+        device=device, variant=variant, skip_bad=skip_bad, resume=resume, scheduler=scheduler, force=force,
     )  # fmt: skip
     return 1 if left_out else 0

@@ -109,7 +109,7 @@ def develop_bands(frame: TrainingPair, camera: CameraModel, relit: bool, demosai
 
 def _electrons(frame: TrainingPair, camera: CameraModel) -> Array:
     """Photo-electrons (row, col) of a frame's raw."""
-    return (frame.raw - camera.black) / camera.gain - camera.noise.dark_current * frame.dark_time
+    return (frame.raw - camera.black_level) / camera.gain - camera.noise.dark_current * frame.dark_time
 
 
 def light_of(frame: TrainingPair, camera: CameraModel) -> LightSpectrum:

@@ -81,8 +81,8 @@ class Evaluation:
                 planes[name] = develop(frame, self._camera, self._colour(frame), demosaic)
             else:
                 planes[name] = develop_bands(frame, self._camera, self._wanted is not None, demosaic)
-        black = self._camera.black + self._camera.dark_signal(frame.dark_time)
-        level = float(frame.raw.mean() - black) / (self._camera.white - self._camera.black)
+        black_level = self._camera.black_level + self._camera.dark_signal(frame.dark_time)
+        level = float(frame.raw.mean() - black_level) / (self._camera.white_level - self._camera.black_level)
         about = {"scene": frame.scene, "illuminant": frame.illuminant, "luminance": frame.luminance, "level": level}
         figures = {name: self._quality(of, frame, border) for name, of in planes.items()}
         self._frames.append({**about, **figures})

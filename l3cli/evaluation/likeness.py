@@ -74,7 +74,7 @@ def noise_ratio(one: CameraModel, other: CameraModel) -> float:
     """The noise of `other` over that of `one`, both as shares of full scale, where over the range they differ most."""
     spreads = []
     for camera in (one, other):
-        full = camera.white - camera.black
+        full = camera.white_level - camera.black_level
         spreads.append(np.sqrt(camera.noise_variance(np.array(NOISE_SHARES) * full)) / full)
     ratios = spreads[1] / spreads[0]
     return float(ratios[np.abs(np.log(ratios)).argmax()])

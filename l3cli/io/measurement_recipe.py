@@ -83,9 +83,9 @@ class CurvesRecipe(Recipe):
 class DatasheetRecipe(NoiseRecipe, kw_only=True):
     """The sensor as its maker declares it."""
 
-    black_dn: float
-    white_dn: float
-    gain_dn_per_e: float | None = None  # default: white is where the well is full
+    black_level_dn: float
+    white_level_dn: float
+    gain_dn_per_e: float | None = None  # default: the white level is where the well is full
 
 
 class UncertaintyRecipe(Recipe):

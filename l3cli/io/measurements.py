@@ -174,17 +174,18 @@ def _curve(recipe: MeasurementRecipe, path: Path) -> SweepTable | FinishedCurves
 def _datasheet(declared: DatasheetRecipe | None, body: Body, path: Path) -> SensorFigures | None:
     if declared is None:
         return None
-    black, white, well = declared.black_dn, declared.white_dn, declared.well_capacity_e
+    black_level, white_level, well = declared.black_level_dn, declared.white_level_dn, declared.well_capacity_e
     spreads = (declared.read_noise_e, declared.dark_current_e_per_s, declared.dsnu_e, declared.prnu)
-    if not (0 <= black < white <= 2**body.bits - 1 and 0 < well < math.inf and min(spreads) >= 0):
+    if not (0 <= black_level < white_level <= 2**body.bits - 1 and 0 < well < math.inf and min(spreads) >= 0):
         raise RecipeError(
-            f"{path}: datasheet needs 0 ≤ black_dn < white_dn ≤ {2**body.bits - 1}, a well, and no negative figure"
+            f"{path}: datasheet needs 0 ≤ black_level_dn < white_level_dn ≤ {2**body.bits - 1}, a well, "
+            "and no negative figure"
         )
     check_share(declared.prnu, "datasheet.prnu", MOST_PRNU, path)
-    gain = (white - black) / well if declared.gain_dn_per_e is None else declared.gain_dn_per_e
+    gain = (white_level - black_level) / well if declared.gain_dn_per_e is None else declared.gain_dn_per_e
     if not 0 < gain < math.inf:
         raise RecipeError(f"{path}: datasheet.gain_dn_per_e must be above 0")
-    return SensorFigures(gain, black, white, Noise(*spreads, well))
+    return SensorFigures(gain, black_level, white_level, Noise(*spreads, well))
 
 
 def _body(recipe: MeasurementRecipe, path: Path) -> Body:

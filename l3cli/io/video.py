@@ -122,24 +122,24 @@ def _encoding(path: Path, choice: VideoChoice) -> Encoding:
 class _Converter:
     """Pictures (row, col, 3) as FFmpeg's frames of a pixel format."""
 
-    def __init__(self, target: str) -> None:
+    def __init__(self, pixel_format: str) -> None:
         self._reformatter = pyav().video.reformatter.VideoReformatter()  # kept: making one takes longer than using it
-        self.target = target
+        self.pixel_format = pixel_format
 
     def even(self, picture: NDArray) -> NDArray:
         """The picture with its last row or column doubled where the pixel format needs even numbers."""
-        if not self.target.startswith(("yuv420", "yuv422")):
+        if not self.pixel_format.startswith(("yuv420", "yuv422")):
             return picture
         rows, cols = picture.shape[:2]
-        down = rows % 2 if "420" in self.target else 0
+        down = rows % 2 if "420" in self.pixel_format else 0
         return np.pad(picture, ((0, down), (0, cols % 2), (0, 0)), mode="edge") if down or cols % 2 else picture
 
     def frame(self, picture: NDArray) -> Any:
         source = "rgb24" if picture.dtype == np.uint8 else "rgb48le"
         frame = pyav().VideoFrame.from_ndarray(np.ascontiguousarray(self.even(picture)), format=source)
         # One thread: rendering keeps the other cores busy, and sharing the work out costs a fifth of it.
-        coded = {"dst_colorspace": "ITU709", "dst_color_range": "MPEG"} if self.target.startswith("yuv") else {}
-        return self._reformatter.reformat(frame, format=self.target, threads=1, **coded)
+        coded = {"dst_colorspace": "ITU709", "dst_color_range": "MPEG"} if self.pixel_format.startswith("yuv") else {}
+        return self._reformatter.reformat(frame, format=self.pixel_format, threads=1, **coded)
 
 
 class VideoWriter:
@@ -175,7 +175,7 @@ class VideoWriter:
                 options["crf"] = str(choice.crf)
         stream = self._container.add_stream(encoding.encoder, rate=choice.rate, options=options)
         context = stream.codec_context
-        context.width, context.height, context.pix_fmt = cols, rows, self._converter.target
+        context.width, context.height, context.pix_fmt = cols, rows, self._converter.pixel_format
         context.time_base = 1 / choice.rate
         self._tag(context)
         if encoding.tag and self._container.format.name != "matroska":
@@ -187,7 +187,7 @@ class VideoWriter:
         names = pyav().video.reformatter
         where.color_primaries = names.ColorPrimaries.BT709
         where.color_trc = names.ColorTrc[self._encoding.transfer]
-        coded = self._converter.target.startswith("yuv")
+        coded = self._converter.pixel_format.startswith("yuv")
         where.colorspace = names.Colorspace.ITU709 if coded else RGB_MATRIX
         where.color_range = names.ColorRange.MPEG if coded else names.ColorRange.JPEG
 

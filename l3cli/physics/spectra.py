@@ -66,25 +66,25 @@ def _neighbours(grid: Array, at: Array) -> tuple[NDArray[np.intp], Array]:
     return np.stack([right - 1, right]), np.stack([1.0 - share, share])
 
 
-def interpolation_matrix(source: Array, target: Array) -> Array:
-    """M (target, source): a smooth function at points, linear between its samples and zero outside their range."""
-    matrix = np.zeros((target.size, source.size))
-    samples, shares = _neighbours(source, target)
-    inside = (target >= source[0]) & (target <= source[-1])
-    np.add.at(matrix, (np.arange(target.size), samples), shares * inside)
+def interpolation_matrix(source: Array, grid: Array) -> Array:
+    """M (grid, source): a smooth function at points, linear between its samples and zero outside their range."""
+    matrix = np.zeros((grid.size, source.size))
+    samples, shares = _neighbours(source, grid)
+    inside = (grid >= source[0]) & (grid <= source[-1])
+    np.add.at(matrix, (np.arange(grid.size), samples), shares * inside)
     return matrix
 
 
-def _step_matrix(source: Array, target: Array, held: bool) -> Array:
-    """M (target, source): the mean over each of the target's steps, for `sampling_matrix` and, `held`, `average`.
+def _step_matrix(source: Array, grid: Array, held: bool) -> Array:
+    """M (grid, source): the mean over each step of `grid`, for `sampling_matrix` and, `held`, `average`.
 
     The source is linear between its samples and constant in the outer half of its outermost steps; beyond, it is zero or
-    held. Its integral over every piece between samples of either grid is shared between the two samples of the target
-    about them by their distances, as a function that is linear between the target's samples weighs it: so power and the
+    held. Its integral over every piece between samples of either grid is shared between the two samples of `grid`
+    about them by their distances, as a function that is linear between those samples weighs it: so power and the
     power's mean wavelength are kept, and equal grids give the unit matrix. ValueError if a wavelength occurs twice.
     """
-    rising, aim = np.argsort(source), np.argsort(target)
-    low, high = source[rising], target[aim]
+    rising, aim = np.argsort(source), np.argsort(grid)
+    low, high = source[rising], grid[aim]
     if min(np.diff(low, prepend=-np.inf).min(), np.diff(high, prepend=-np.inf).min()) <= 0:
         raise ValueError("a wavelength occurs twice")
     ends, known = bin_edges(high)[[0, -1]], bin_edges(low)[[0, -1]]
@@ -94,30 +94,30 @@ def _step_matrix(source: Array, target: Array, held: bool) -> Array:
     pieces = np.diff(knots) / 2
     widths = np.append(pieces, 0.0) + np.append(0.0, pieces)
     (rows, taken), (columns, given) = _neighbours(high, knots), _neighbours(low, knots)
-    matrix = np.zeros((target.size, source.size))
+    matrix = np.zeros((grid.size, source.size))
     np.add.at(matrix, (aim[rows][:, None], rising[columns][None]), taken[:, None] * given[None] * widths)
     return matrix / bin_widths(high)[np.argsort(aim), None]
 
 
-def sampling_matrix(source: Array, target: Array) -> Array:
-    """M (target, source): a density (power or photons per nm) as means over the steps of another grid, so that the sum of
+def sampling_matrix(source: Array, grid: Array) -> Array:
+    """M (grid, source): a density (power or photons per nm) as means over the steps of another `grid`, so that the sum of
     value × bin width stays what it was, wherever spectral lines lie between the samples. Zero beyond the source's steps.
 
     Grids are in any order. On a finer grid this is linear interpolation, on the same grid it changes nothing.
     """
-    return _step_matrix(source, target, held=False)
+    return _step_matrix(source, grid, held=False)
 
 
-def resample(spectrum: Array, source: Array, target: Array) -> Array:
+def resample(spectrum: Array, source: Array, grid: Array) -> Array:
     """A density (…, source) by `sampling_matrix`."""
-    return spectrum @ sampling_matrix(source, target).T
+    return spectrum @ sampling_matrix(source, grid).T
 
 
-def average(curve: Array, source: Array, target: Array) -> NDArray[np.float64]:
+def average(curve: Array, source: Array, grid: Array) -> NDArray[np.float64]:
     """A ratio (…, source) such as a transmittance or a responsivity, averaged over the steps of another grid like a density
     in `sampling_matrix`; at its ends over what is known of it, and zero at wavelengths outside its range."""
-    inside = (target >= source.min()) & (target <= source.max())
-    return np.asarray(curve @ (_step_matrix(source, target, held=True) * inside[:, None]).T, dtype=np.float64)
+    inside = (grid >= source.min()) & (grid <= source.max())
+    return np.asarray(curve @ (_step_matrix(source, grid, held=True) * inside[:, None]).T, dtype=np.float64)
 
 
 def held_interpolation(bands: Array, wavelength: Array) -> Array:
@@ -131,16 +131,16 @@ def held_interpolation(bands: Array, wavelength: Array) -> Array:
 
 @functools.lru_cache(maxsize=8)
 def _held_interpolation(bands: tuple[float, ...], wavelength: tuple[float, ...]) -> Array:
-    source, target = np.array(bands), np.array(wavelength)
+    source, grid = np.array(bands), np.array(wavelength)
     steps = np.diff(source)
     even = source.size >= 6 and np.ptp(steps) < 1e-6 * steps[0] and steps[0] <= SPRAGUE_STEP
-    if not even or np.array_equal(source, target):
-        return _step_matrix(source, target, held=True)
+    if not even or np.array_equal(source, grid):
+        return _step_matrix(source, grid, held=True)
     sprague = colour_science().SpragueInterpolator
-    fine = np.union1d(source, target)
+    fine = np.union1d(source, grid)
     inside = np.clip(fine, source[0], source[-1])
     smooth = np.stack([sprague(source, unit)(inside) for unit in np.eye(source.size)], axis=1)
-    return _step_matrix(fine, target, held=True) @ smooth
+    return _step_matrix(fine, grid, held=True) @ smooth
 
 
 OBSERVERS = {

@@ -66,7 +66,7 @@ FULL = (
 )
 SMALL = (Case(320, 240, 9, "five-band", "fast"), Case(320, 240, 5, "bayer", "fast"))  # for what is not made for speed here
 TINY = (Case(64, 48, 9, "five-band", "fast"),)
-BITS, BLACK, WHITE, CASE_COUNT = 12, 109, 4095, 10
+BITS, BLACK_LEVEL, WHITE_LEVEL, CASE_COUNT = 12, 109, 4095, 10
 
 
 def jobs(device: str | None, variant: str | None) -> list[Callable[[], dict[str, Any]]]:
@@ -189,7 +189,7 @@ def made_up_table(case: Case, rng: np.random.Generator) -> TransformTable:
     cfa = CFAS[case.cfa]
     channels = int(cfa.max()) + 1
     level_count, chromas = CLASSES[case.classes]
-    levels = BLACK + np.geomspace(0.001, 0.95, level_count - 1) * (WHITE - BLACK)
+    levels = BLACK_LEVEL + np.geomspace(0.001, 0.95, level_count - 1) * (WHITE_LEVEL - BLACK_LEVEL)
     centres = 1 - 0.08 * np.arange(channels) + 0.1 * rng.standard_normal((chromas, channels))
     centres /= centres.sum(axis=1, keepdims=True)
     case_of_code = rng.permutation(np.arange(2**channels) % CASE_COUNT).astype(np.uint16)
@@ -198,13 +198,13 @@ def made_up_table(case: Case, rng: np.random.Generator) -> TransformTable:
         patch=case.patch,
         shift=0,
         level_edges=np.rint(levels * 2**LEVEL_FRACTION * channels).astype(np.uint32),
-        contrast_edges=np.rint(2 * 2**VARIANCE_FRACTION * channels * (30 + 0.4 * np.append(levels, WHITE)))[None].astype(
-            np.uint32
-        ),
+        contrast_edges=np.rint(2 * 2**VARIANCE_FRACTION * channels * (30 + 0.4 * np.append(levels, WHITE_LEVEL)))[
+            None
+        ].astype(np.uint32),
         saturation=4036,
         saturation_radius=2,
         case_of_code=case_of_code,
-        chroma_black=BLACK * 2**CHROMA_FRACTION,
+        chroma_black_level=BLACK_LEVEL * 2**CHROMA_FRACTION,
         chroma_weights=chroma_weights(centres),
     )
     classes = cfa.size * rule.classes_per_site
@@ -215,8 +215,8 @@ def made_up_table(case: Case, rng: np.random.Generator) -> TransformTable:
         channels=tuple("abcdefgh"[:channels]),
         cfa=cfa,
         bits=BITS,
-        black=float(BLACK),
-        white=float(WHITE),
+        black_level=float(BLACK_LEVEL),
+        white_level=float(WHITE_LEVEL),
         outputs=("X", "Y", "Z") if case.outputs == 3 else tuple(f"o{index}" for index in range(case.outputs)),
         target_description="",
         output_unit=1.0,
@@ -238,6 +238,6 @@ def made_up_frame(case: Case, rng: np.random.Generator) -> RawFrame:
     channel = cfa[row % cfa.shape[0], col % cfa.shape[1]]
     level = 0.5 + 0.3 * np.sin(col * 0.01) + 0.29 * np.cos(row * 0.013)
     texture = 1 + 0.25 * np.sign(np.sin(col * 0.9) * np.sin(row * 0.7)) * ((col // 160 + row // 120) % 4 == 0)
-    mean = level * texture * (1 - 0.08 * channel) * (WHITE - BLACK)
-    values = BLACK + mean + rng.standard_normal(mean.shape) * np.sqrt(30 + 0.4 * np.maximum(mean, 0))
-    return RawFrame("made up", np.clip(np.rint(values), 0, WHITE).astype(np.uint16), BLACK, WHITE)
+    mean = level * texture * (1 - 0.08 * channel) * (WHITE_LEVEL - BLACK_LEVEL)
+    values = BLACK_LEVEL + mean + rng.standard_normal(mean.shape) * np.sqrt(30 + 0.4 * np.maximum(mean, 0))
+    return RawFrame("made up", np.clip(np.rint(values), 0, WHITE_LEVEL).astype(np.uint16), BLACK_LEVEL, WHITE_LEVEL)

@@ -47,5 +47,5 @@ class CoverageMeter:
         """The darkest and brightest level that the table has patches of, as shares of full scale."""
         table = self._table
         learned = np.flatnonzero(self._samples.sum(axis=(0, 2, 3, 4)) > 0)
-        edges = np.concatenate([[0.0], level.inner_bounds(table.first.rule, table.black, table.white), [1.0]])
+        edges = np.concatenate([[0.0], level.inner_bounds(table.first.rule, table.black_level, table.white_level), [1.0]])
         return (float(edges[learned[0]]), float(edges[learned[-1] + 1])) if learned.size else (0.0, 1.0)

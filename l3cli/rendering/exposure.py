@@ -34,7 +34,7 @@ class LightMeter:
         patches, site = spread_patches(frame, table)
         classes = table.first.rule.on_site(label_patches(patches.values, table.first.rule, self._near, site), site)
         signal = (patches.values.astype(np.float32) - np.float32(patches.black_level)) / np.float32(
-            table.white - table.black
+            table.white_level - table.black_level
         )
         luminance = np.einsum("nt,nt->n", self._weights[classes], signal) + self._intercept[classes]
         return frame.light_share * float(np.percentile(luminance, WHITE_PERCENTILE))
@@ -50,7 +50,7 @@ def spread_patches(frame: RawFrame, table: TransformTable) -> tuple[RawFrame, in
     row_source = mirrored_indices(rows, table.first.rule.radius, period_row)[row]
     col_source = mirrored_indices(cols, table.first.rule.radius, period_col)[col]
     patches = frame.values[row_source[:, None, :, None], col_source[None, :, None, :]].reshape(-1, table.first.rule.patch**2)
-    levelled = replace(frame, values=patches).at_levels(table.black, table.white, table.bits)
+    levelled = replace(frame, values=patches).at_levels(table.black_level, table.white_level, table.bits)
     return levelled, frame.phase[0] * period_col + frame.phase[1]
 
 

@@ -78,7 +78,7 @@ def table_macros(table: TransformTable) -> Macros:
         "CFA_COLUMNS": table.cfa.shape[1],
         "PERIOD": table.cfa.shape[1] + PERIODS,
         "SHIFT": rule.shift,
-        "WHITE_TOP": 2**table.bits - 1,
+        "MAX_RAW": 2**table.bits - 1,
         **kernel_macros(rule),
     }
 
@@ -97,7 +97,7 @@ def later_macros(table: TransformTable) -> Macros:
         "LUMINANCE": LUMINANCE,
         "OUTPUTS": len(table.outputs),
         "CFA_COLUMNS": table.cfa.shape[1],
-        "WHITE_TOP": 0,
+        "MAX_RAW": 0,
         "STRENGTHS": layer.rule.strengths,
         "DIRECTIONS": DIRECTIONS,
         "COHERENCE": layer.rule.coherence,
@@ -157,7 +157,7 @@ class Weights:
 
 def first_weights(table: TransformTable) -> Weights:
     """Of a table's only layer, per DN above black."""
-    taps = _by_column(table.first.weights, 1) / (table.white - table.black)
+    taps = _by_column(table.first.weights, 1) / (table.white_level - table.black_level)
     return Weights(taps.astype(np.float32), table.first.intercept)
 
 

@@ -144,7 +144,7 @@ class OpenCLRenderer:
     ) -> Work:  # fmt: skip
         """Start to fill `results`, one or several arrays (row, …) that follow one another on the device, with what the
         kernel `transform` with this ending writes, or without one with the labels of `layer`."""
-        levelled, work = frame.at_levels(self.table.black, self.table.white, self.table.bits), Work(self.stages)
+        levelled, work = frame.at_levels(self.table.black_level, self.table.white_level, self.table.bits), Work(self.stages)
         values = np.ascontiguousarray(levelled.values)
         with refusals(self.device):
             kernel = None if ending is None else self._transform_kernel(ending)
@@ -201,7 +201,9 @@ class OpenCLRenderer:
         buffers = (track.planes, track.labels, *band.structure_source, *self._structure_buffers, track.later_labels)
         work.add("structures", self._run(self._structures, track, inner, *buffers, np.int32(shape[0])))
 
-    def _transform(self, kernel: Any, encoding: Any, track: Track, band: Band, size: int, black: float, work: Work) -> None:
+    def _transform(
+        self, kernel: Any, encoding: Any, track: Track, band: Band, size: int, black_level: float, work: Work
+    ) -> None:
         """Transforms of the last layer and encoding of a classified band into the track's result, `size` bytes."""
         track.result = self._scratch(track.result, size)
         if self.table.later:
@@ -209,7 +211,7 @@ class OpenCLRenderer:
         else:
             reads, rows = (track.raw, *band.mosaic_source, track.labels), 0
         shape = (band.rows.stop - band.rows.start, band.columns)
-        last = (self._weights, encoding, track.result, np.float32(black), np.int32(rows))
+        last = (self._weights, encoding, track.result, np.float32(black_level), np.int32(rows))
         work.add("transforms", self._run(kernel, track, shape, *reads, *last))
 
     def _run(self, kernel: Any, track: Track, shape: tuple[int, int], *arguments: Any) -> Any:

@@ -20,9 +20,9 @@ class Track:
         self.later_labels: Any = None
         self.result: Any = None
 
-    def download(self, buffer: Any, target: NDArray, offset: int) -> Any:
-        """Copy `buffer` from byte `offset` on to the contiguous array `target`, without waiting."""
-        copy = pyopencl().enqueue_copy(self.queue, target, buffer, src_offset=offset, is_blocking=False)
+    def download(self, buffer: Any, destination: NDArray, offset: int) -> Any:
+        """Copy `buffer` from byte `offset` on to the contiguous array `destination`, without waiting."""
+        copy = pyopencl().enqueue_copy(self.queue, destination, buffer, src_offset=offset, is_blocking=False)
         self.queue.flush()
         return copy
 

@@ -56,7 +56,7 @@ class ReferenceRenderer:
 
 def at_table_levels(frame: RawFrame, table: TransformTable) -> RawFrame:
     """The frame on the black level, white level and depth that the table was trained for."""
-    return frame.at_levels(table.black, table.white, table.bits)
+    return frame.at_levels(table.black_level, table.white_level, table.bits)
 
 
 def table_labels(frame: RawFrame, table: TransformTable) -> Integers:
@@ -69,7 +69,7 @@ def output_planes(frame: RawFrame, labels: Integers, table: TransformTable) -> N
     classes (row, col)."""
     rows, cols = frame.values.shape
     patch, outputs = table.first.rule.patch, len(table.outputs)
-    signal = (frame.values - frame.black_level) / (table.white - table.black)
+    signal = (frame.values - frame.black_level) / (table.white_level - table.black_level)
     padded = pad_mosaic(signal, table.first.rule.radius, (table.cfa.shape[0], table.cfa.shape[1]))
     windows = np.lib.stride_tricks.sliding_window_view(padded, (patch, patch))
     planes = np.empty((outputs, rows, cols))

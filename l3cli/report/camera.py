@@ -84,7 +84,7 @@ def _facts(camera: CameraModel) -> Table:
         ("Pixels", f"{camera.cols} × {camera.rows}"),
         ("Pixel pitch", f"{tidy(1e6 * camera.pixel_pitch)} µm"),
         ("Converter", f"{camera.bits} bit"),
-        ("Black level, saturation level", f"{tidy(camera.black, 5)} DN, {tidy(camera.white, 5)} DN"),
+        ("Black level, white level", f"{tidy(camera.black_level, 5)} DN, {tidy(camera.white_level, 5)} DN"),
         ("Lens", f"{tidy(1e3 * optics.focal_length)} mm f/{tidy(optics.f_number)}, focused at {distance}"),
         ("Responsivity", "absolute, e⁻/photon" if camera.absolute else "relative, largest value 1"),
     ]
@@ -167,7 +167,7 @@ def _noise_blocks(camera: CameraModel, figures: dict[str, Any], light: Array) ->
     if figures["channels"]:
         blocks.append(table_of("Figures of each channel", "channel", figures["channels"]))
     if figures["saturation reached"] is False:
-        blocks.append(Text("No white frame saturates: the saturation level is taken to be the converter's last value."))
+        blocks.append(Text("No white frame saturates: the white level is taken to be the converter's last value."))
     if figures["defects"]:
         shown = " ".join(f"({row}, {col})" for row, col in figures["defects"][:24])
         more = " …" if len(figures["defects"]) > 24 else ""

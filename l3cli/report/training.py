@@ -71,7 +71,7 @@ def survey_of(reader: TrainingSetReader) -> Survey:
 
 
 def _count_levels(survey: Survey, frame: TrainingPair, camera: CameraModel) -> None:
-    signal = (frame.raw.astype(np.float64) - camera.black) / (camera.white - camera.black)
+    signal = (frame.raw.astype(np.float64) - camera.black_level) / (camera.white_level - camera.black_level)
     rows, cols = camera.cfa.shape
     for (row, col), channel in np.ndenumerate(camera.cfa):
         here = signal[row::rows, col::cols]

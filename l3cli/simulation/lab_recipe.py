@@ -67,7 +67,7 @@ class LabRecipe(Recipe):
     chart: ChartRecipe = msgspec.field(default_factory=ChartRecipe)
     white: WhiteRecipe = msgspec.field(default_factory=WhiteRecipe)
     dark: DarkRecipe = msgspec.field(default_factory=DarkRecipe)
-    flaws: DefectRecipe = msgspec.field(default_factory=DefectRecipe)
+    defects: DefectRecipe = msgspec.field(default_factory=DefectRecipe)
     spectrometer_step_nm: float = 1.0  # sampling of the measured spectra
     wavelength_error_nm: float = 0.1  # standard deviation of the spectrometer's scale, one error a session
     lamp_drift: float = 0.01  # relative standard deviation of the lamps, slow
@@ -91,9 +91,9 @@ def check(recipe: LabRecipe, camera: CameraModel) -> None:
         raise RecipeError("white and dark need two trials or more, for noise is measured on pairs of frames")
     if not (0 <= mono.stray_light < MOST_STRAY and 0 <= recipe.falloff < 1 and 0 <= recipe.lamp_drift < MOST_DRIFT):
         raise RecipeError(f"stray_light must lie in 0…{MOST_STRAY}, falloff in 0…1, lamp_drift in 0…{MOST_DRIFT}")
-    if min(recipe.monitor_error, recipe.wavelength_error_nm, *msgspec.structs.astuple(recipe.flaws)) < 0:
-        raise RecipeError("monitor_error, wavelength_error_nm and the figures of flaws must not be negative")
-    check_defects(recipe.flaws)
+    if min(recipe.monitor_error, recipe.wavelength_error_nm, *msgspec.structs.astuple(recipe.defects)) < 0:
+        raise RecipeError("monitor_error, wavelength_error_nm and the figures of defects must not be negative")
+    check_defects(recipe.defects)
     if camera.rows < 64 or camera.cols < 96:
         raise RecipeError(f"a sensor of {camera.rows}×{camera.cols} is too small for a chart; the lab needs 64×96 pixels")
     if not camera.absolute:

@@ -16,7 +16,7 @@ from l3cli.scene import NO_ILLUMINANT, Scene
 Array = NDArray[np.floating]
 Curve = tuple[Array, Array]  # wavelength (sample) nm, values (curve, sample)
 
-OWN = "scene"  # the name of the light that a scene was measured under
+SCENE_LIGHT = "scene"  # the name of the light that a scene was measured under
 MEASURED = ".csv"
 WIDEST_GAP = 20.0  # nm between samples of a measured light
 DARK = 0.01  # of a measured light's peak: a light that ends brighter was cut off
@@ -101,14 +101,16 @@ def check_measured(curve: Curve, name: str) -> None:
             raise InputFileError(f"{name} ends at {wavelength[end]:g} nm where the light still shines; measure 400–700 nm")
 
 
-def own_light(scene: Scene, luminance: float) -> Light:
+def scene_light(scene: Scene, luminance: float) -> Light:
     """The light the scene came with, at another luminance; nothing is known of it outside the scene's wavelengths.
 
     RecipeError if it has no light of its own, or none that an eye can see.
     """
     if scene.illuminant is NO_ILLUMINANT or spectra.xyz_weights(scene.wavelength)[1] @ scene.illuminant <= 0:
-        raise RecipeError(f'scene {scene.name} has no visible light of its own; leave "{OWN}" out of illuminants')
-    return Light(OWN, luminance, scene.wavelength, spectra.at_luminance(scene.illuminant, scene.wavelength, luminance))
+        raise RecipeError(f'scene {scene.name} has no visible light of its own; leave "{SCENE_LIGHT}" out of illuminants')
+    return Light(
+        SCENE_LIGHT, luminance, scene.wavelength, spectra.at_luminance(scene.illuminant, scene.wavelength, luminance)
+    )
 
 
 def electron_weights(camera: CameraModel, light: Light, bands: Array) -> Array:

@@ -23,7 +23,7 @@ def make_pair(
     a white as bright; without it the scale is that of a grey world. ValueError if the picture reaches beyond the raw frame.
     """
     picture = as_taken(picture, raw.orientation)
-    levelled = raw.at_levels(camera.black, camera.white, camera.bits).values
+    levelled = raw.at_levels(camera.black_level, camera.white_level, camera.bits).values
     rows, cols = picture.shape[:2]
     top, left = pair.offset
     if top + rows > levelled.shape[0] or left + cols > levelled.shape[1]:
@@ -54,7 +54,7 @@ def make_pair(
 
 def _grey_world_scale(values: NDArray[np.uint16], picture: NDArray[np.float32], camera: CameraModel) -> float:
     """Share of full scale per picture value, from the means of both, were the scene grey under D65."""
-    share = (values - camera.black) / (camera.white - camera.black)
+    share = (values - camera.black_level) / (camera.white_level - camera.black_level)
     bright = picture[1] if len(picture) == 3 else picture.mean(axis=0)
     usable = (share < BRIGHT) & (bright < BRIGHT)
     if not usable.any() or bright[usable].mean() <= 0:

@@ -13,7 +13,7 @@ from l3cli.artifacts.camera import CameraModel, Optics
 from l3cli.config import Recipe
 from l3cli.errors import RecipeError, suggestion
 from l3cli.physics import spectra
-from l3cli.simulation.light import MEASURED, OWN, Curve, parts
+from l3cli.simulation.light import MEASURED, SCENE_LIGHT, Curve, parts
 from l3cli.simulation.sensor import with_analog_gain
 from l3cli.simulation.sources import (
     FileSource,
@@ -23,7 +23,7 @@ from l3cli.simulation.sources import (
     WantedScene,
     can_be_relit,
     check_source,
-    has_own_light,
+    has_light,
     holds_codes,
     wanted_scenes,
 )
@@ -93,15 +93,15 @@ class SceneRecipe(Recipe):
         return next(iter(given.items()))
 
 
-def scene_lights(recipe: SceneRecipe) -> list[str]:
-    """The lights that scenes of the recipe were seen under, where it tells them."""
+def recorded_lights(recipe: SceneRecipe) -> list[str]:
+    """The lights that scenes of the recipe were recorded under, where it names them."""
     return [source.light for source in recipe.scene if isinstance(source, Spectral | IsetScenes) and source.light]
 
 
 def curve_files(recipe: SceneRecipe) -> dict[str, str]:
     """Every CSV file that the recipe names, relative to it, and its part: light, transmittance or functions."""
     lights = [*recipe.illuminants, *filter(None, [recipe.target.illuminant])]
-    lights += scene_lights(recipe)
+    lights += recorded_lights(recipe)
     curves = {name: "light" for text in lights for _, name in parts(text) if name.endswith(MEASURED)}
     if isinstance(recipe.lens.transmittance, str):
         curves[recipe.lens.transmittance] = "transmittance"
@@ -141,18 +141,20 @@ def check(recipe: SceneRecipe, camera: CameraModel) -> None:
         _check_exposures(recipe, camera)
     for number, source in enumerate(recipe.scene, 1):
         check_source(source, camera, f"scene {number}")
-        if OWN in recipe.illuminants and not has_own_light(source):
-            raise RecipeError(f'scene {number} has no light of its own; leave "{OWN}" out of illuminants')
-        if recipe.illuminants != [OWN] and not can_be_relit(source):
-            raise RecipeError(f'scene {number} holds radiance without its light; give light, or illuminants = ["{OWN}"]')
+        if SCENE_LIGHT in recipe.illuminants and not has_light(source):
+            raise RecipeError(f'scene {number} has no light of its own; leave "{SCENE_LIGHT}" out of illuminants')
+        if recipe.illuminants != [SCENE_LIGHT] and not can_be_relit(source):
+            raise RecipeError(
+                f'scene {number} holds radiance without its light; give light, or illuminants = ["{SCENE_LIGHT}"]'
+            )
     outputs = recipe.target.outputs
     if any(map(holds_codes, recipe.scene)) and (outputs != CAMERA or recipe.target.illuminant is not None):
         raise RecipeError(f'pictures of codes have no spectra; give target.outputs = "{CAMERA}" and no target.illuminant')
     if outputs not in (*OUTPUTS, CAMERA) and not outputs.endswith(MEASURED):
         known = suggestion(outputs, (*OUTPUTS, CAMERA))
         raise RecipeError(f'target.outputs "{outputs}" is unknown; {known} (or a CSV file)')
-    if recipe.target.illuminant == OWN:
-        raise RecipeError(f'target.illuminant cannot be "{OWN}"; leave it out')
+    if recipe.target.illuminant == SCENE_LIGHT:
+        raise RecipeError(f'target.illuminant cannot be "{SCENE_LIGHT}"; leave it out')
     for pair in recipe.pair:
         if min(pair.offset) < 0 or not (pair.scale is None or pair.scale > 0):
             raise RecipeError(f"pair {pair.raw}: offset must not be negative and scale must be above zero")

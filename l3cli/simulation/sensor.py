@@ -64,9 +64,9 @@ def averaging_exposure(camera: CameraModel, rates: NDArray[np.floating], share: 
 
 
 def with_analog_gain(camera: CameraModel, gain: float) -> CameraModel:
-    """The camera with its analog gain turned up: more DN an electron, the same black, the converter's top sooner reached."""
-    white = min(camera.black + gain * (camera.white - camera.black), 2.0**camera.bits - 1)
-    return replace(camera, gain=gain * camera.gain, white=white)
+    """The camera with its analog gain turned up: more DN an electron, its top sooner reached, black level as is."""
+    white_level = min(camera.black_level + gain * (camera.white_level - camera.black_level), 2.0**camera.bits - 1)
+    return replace(camera, gain=gain * camera.gain, white_level=white_level)
 
 
 def expose(
@@ -108,5 +108,5 @@ def read_out(
         signal *= 1 + pattern.prnu
         signal += pattern.dsnu
     np.minimum(signal, np.float32(noise.well_capacity), out=signal)
-    values = np.rint(np.float32(camera.gain) * signal + np.float32(camera.black))
+    values = np.rint(np.float32(camera.gain) * signal + np.float32(camera.black_level))
     return np.clip(values, 0, 2**camera.bits - 1).astype(np.uint16)

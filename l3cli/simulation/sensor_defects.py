@@ -29,10 +29,10 @@ class DefectRecipe(Recipe):
 def check_defects(recipe: DefectRecipe) -> None:
     """RecipeError if defects are more than pixels, or dust is nothing that a frame could be cleaned of."""
     if max(recipe.hot_pixels_per_million, recipe.dead_pixels_per_million) > 1e6:
-        raise RecipeError("flaws: of a million pixels no more than a million can be hot or dead")
+        raise RecipeError("defects: of a million pixels no more than a million can be hot or dead")
     if not (recipe.dust_specks_per_million <= MOST_SPECKS and 0 < recipe.dust_radius_px <= LARGEST_SPECK):
         raise RecipeError(
-            f"flaws: give up to {MOST_SPECKS} specks of dust per million pixels, 0…{LARGEST_SPECK} px in radius"
+            f"defects: give up to {MOST_SPECKS} specks of dust per million pixels, 0…{LARGEST_SPECK} px in radius"
         )
 
 

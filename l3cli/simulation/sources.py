@@ -208,7 +208,7 @@ def _check_spectral(source: Spectral, name: str) -> None:
         raise RecipeError(f"{name}: reflectance needs no light; leave it out or say what else the cube holds")
 
 
-def has_own_light(source: Source) -> bool:
+def has_light(source: Source) -> bool:
     """Whether scenes of `source` come with the light they were seen under, if only as an unknown part of their radiance."""
     return isinstance(source, IsetScenes) or (isinstance(source, Spectral) and source.holds != "reflectance")
 

@@ -51,7 +51,7 @@ def make_target(
 def output_weights(target: Target, camera: CameraModel, light: Light, bands: Array) -> Array:
     """W (output, band): outputs of unit reflectance in each band when `light` falls on the frame, in cd/m².
 
-    The camera's bands come in the same unit: the share of full scale a second, times the camera's white dose.
+    The camera's bands come in the same unit: the share of full scale a second, times the camera's saturation exposure.
     """
     if target.light:
         light = target.light.at(light.luminance)

@@ -66,7 +66,9 @@ def evaluate_frame(
     """Count a frame of a training set; the frame and the planes of every pipeline, as `Evaluation.add` gives them."""
     frame, camera = reader.frame(index), reader.head.camera
     try:
-        raw = RawFrame(frame.scene, frame.raw, camera.black, camera.white, dark=camera.dark_signal(frame.dark_time))
+        raw = RawFrame(
+            frame.scene, frame.raw, camera.black_level, camera.white_level, dark=camera.dark_signal(frame.dark_time)
+        )
     except ValueError as error:
         raise InputFileError(f"frame {index} of the training set, {error}; make the training set again") from error
     return frame, evaluation.add(frame, renderer.outputs(raw), renderer.labels(raw))

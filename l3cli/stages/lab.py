@@ -50,7 +50,7 @@ def measure(
             refuse_spared(output / name)
         file.unlink(missing_ok=True)  # written last, it never names frames of two runs
         work = [(capture, trial) for capture in captures for trial in range(capture.trials)]
-        write_frame = functools.partial(_write_frame, model, chosen.flaws, output, seed)
+        write_frame = functools.partial(_write_frame, model, chosen.defects, output, seed)
         with workers(jobs) as crew:
             for _ in console.progress(crew(write_frame, work), len(work), "frames"):
                 pass

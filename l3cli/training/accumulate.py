@@ -129,14 +129,14 @@ class _Batch:
         camera = self.pass_.head.camera
         if self.pass_.recipe.noise != "none":
             return expose_patches(signal, camera, rng, carried, self.pass_.dark)
-        values = signal * np.float32(camera.white - camera.black) + np.float32(camera.black)
-        return np.clip(np.rint(values), 0.0, np.floor(camera.white)).astype(np.uint32)
+        values = signal * np.float32(camera.white_level - camera.black_level) + np.float32(camera.black_level)
+        return np.clip(np.rint(values), 0.0, np.floor(camera.white_level)).astype(np.uint32)
 
     def _level(self, sums: NDArray[np.uint32]) -> NDArray[np.float64]:
         """Level (patch) as a share of full scale: mean over the channels of the means of their `sums` (channel, patch)."""
         camera, shift = self.pass_.head.camera, self.pass_.rule.shift
         mean = (1 / (self.near.count[self.site] * len(sums))) @ sums
-        return (mean * 2**shift + (truncation(shift) - camera.black)) / (camera.white - camera.black)
+        return (mean * 2**shift + (truncation(shift) - camera.black_level)) / (camera.white_level - camera.black_level)
 
     def _add_piece(
         self,

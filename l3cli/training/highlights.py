@@ -29,23 +29,23 @@ def grey_patches(
     rule: ClassRule,
     window: NDArray[np.int64],
     white: Array,
-    black: float,
-    top: float,
+    black_level: float,
+    white_level: float,
     signal: Array | None,
 ) -> dict[int, Array]:
     """Moments (column, column) of flat greys for the classes near saturation in which greys come to lie: their mean
     times the number of greys a patch of the class (ODDS).
 
     `window` (tap) names the channel of each tap, `white` (output) is that of the training light at Y = 1 and `signal`
-    (channel) what the camera sees of it, `black` and `top` are the camera's black and saturation level in DN.
+    (channel) what the camera sees of it, `black_level` and `white_level` are the camera's, in DN.
     """
     if signal is None:
         return {}
     rows: dict[int, list[Array]] = {}
-    threshold = (rule.saturation - black) / (top - black)
+    threshold = (rule.saturation - black_level) / (white_level - black_level)
     for grey in np.exp(np.arange(np.log(DARKEST / signal.max()), np.log(BRIGHTEST / signal.min()), np.log(STEP))):
         clipped = np.minimum(grey * signal, 1.0)
-        at = level.level_of_mean(rule, float((clipped * (top - black) + black).sum()))
+        at = level.level_of_mean(rule, float((clipped * (white_level - black_level) + black_level).sum()))
         row = np.concatenate([clipped[window], [1.0], grey * white]) / np.sqrt(clipped.mean() * grey)
         for nearly in NEARLY:
             saturated = clipped >= nearly * threshold

@@ -97,10 +97,10 @@ def sample_pair(
     if not places:
         raise InputFileError(f"pair {pair.scene} is too small for a patch of every site; give a larger picture")
     values = pair.raw.reshape(-1)[np.concatenate(takes)].astype(np.float32)
-    span = np.float32(camera.white - camera.black)
-    signal = (values - np.float32(camera.black)) / span
+    span = np.float32(camera.white_level - camera.black_level)
+    signal = (values - np.float32(camera.black_level)) / span
     carried = (camera.noise_variance(signal * span) / span**2).astype(np.float32)
-    signal[values >= np.floor(camera.white)] = 1.0
+    signal[values >= np.floor(camera.white_level)] = 1.0
     target = pair.target.reshape(len(pair.target), -1)[:, np.concatenate(places)].T
     scaled = target * np.float32(pair.exposure / camera.saturation_exposure)
     return Patches(signal, np.ascontiguousarray(scaled, np.float32), carried)
@@ -173,9 +173,9 @@ def expose_patches(
     np.sqrt(noisy, out=noisy)
     noisy *= _normal(signal.shape, rng)
     noisy += signal
-    noisy *= np.float32(camera.white - camera.black)
-    noisy += np.float32(camera.black + 0.5)  # cast rounds down
-    return np.clip(noisy, 0.0, np.floor(camera.white), out=noisy).astype(np.uint32)
+    noisy *= np.float32(camera.white_level - camera.black_level)
+    noisy += np.float32(camera.black_level + 0.5)  # cast rounds down
+    return np.clip(noisy, 0.0, np.floor(camera.white_level), out=noisy).astype(np.uint32)
 
 
 def noise_share(signal: Floats, camera: CameraModel, carried: Floats | None = None, dark: float = 0.0) -> Floats:
@@ -191,7 +191,7 @@ def _variance(signal: Floats, camera: CameraModel, carried: Floats | None, dark:
     negative, and what rounding will add `later` (DN²)."""
     if carried is not None:
         signal = np.clip(signal, 0.0, np.inf)
-    span = camera.white - camera.black
+    span = camera.white_level - camera.black_level
     constant, linear, quadratic = camera.noise_terms(dark)
     variance = signal * np.float32(quadratic)
     variance += np.float32(linear / span)

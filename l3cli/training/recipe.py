@@ -25,7 +25,7 @@ class LearningRecipe(Recipe):
     # levels drawn a patch in the pass whose errors weigh the rows of the second; 0: one pass only
     first_draws: Annotated[int, msgspec.Meta(ge=0, le=MOST_DRAWS)] = 3
     darkest: float = 0.003  # levels are drawn log-uniformly from here …
-    brightest: float = 2.5  # … to here, clipped at white
+    brightest: float = 2.5  # … to here, clipped at the white level
     highlight_share: float = 0.25  # this share of the draws …
     highlight_from: float = 0.15  # … lies between here and the brightest
     rescale: bool = True  # False: patches stay at the level of their frame, however often they are drawn

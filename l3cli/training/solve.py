@@ -26,8 +26,8 @@ class Goal:
     outputs: tuple[str, ...]
     white: Array  # (output) a perfect white under the training light, Y = 1
     white_signal: Array | None  # (channel) its signals, shares of full scale; None: not known
-    black: float  # DN, of the camera
-    top: float  # DN, at which a pixel of the camera saturates
+    black_level: float  # DN, of the camera
+    white_level: float  # DN, at which a pixel of the camera saturates
 
 
 @dataclass(frozen=True)
@@ -83,12 +83,12 @@ def solve(
     factors = _noise_factors(recipe, goal)
     basis = _opponent_basis(goal)
     white = white_channels(sums, rule, window, goal.white, goal.white_signal)
-    greys = grey_patches(sums, rule, window, goal.white, goal.black, goal.top, white)
+    greys = grey_patches(sums, rule, window, goal.white, goal.black_level, goal.white_level, white)
     rows = np.zeros((solved.size, groups.size, len(goal.outputs)))
     compliance = np.zeros((solved.size, len(set(factors)), groups.size, len(member)))
     condition, power = np.zeros(solved.size), np.zeros(solved.size)
     means = member[:-1, :-1] / member[:-1, :-1].sum(axis=1, keepdims=True)
-    columns = {factor: [column for column, own in enumerate(factors) if own == factor] for factor in sorted(set(factors))}
+    columns = {factor: [column for column, each in enumerate(factors) if each == factor] for factor in sorted(set(factors))}
     for index in np.flatnonzero(solved).tolist():
         packed, noise = _shrunk(sums, parents, index, rule, recipe)
         moments = moment_matrix(packed[places].mean(axis=0), groups.size + len(goal.outputs))
@@ -100,9 +100,9 @@ def solve(
         for number, (factor, wanted) in enumerate(columns.items()):
             system = _system(moments[:used, :used], noise, factor, recipe.ridge)
             cross = moments[:used, groups.size :] @ basis[:, wanted]
-            found, worst = _solve_positive(system, np.concatenate([cross, member.T[:used]], axis=1))
-            rows[index, :used, wanted] = found[:, : len(wanted)].T
-            compliance[index, number, :used] = found[:, len(wanted) :]
+            solution, worst = _solve_positive(system, np.concatenate([cross, member.T[:used]], axis=1))
+            rows[index, :used, wanted] = solution[:, : len(wanted)].T
+            compliance[index, number, :used] = solution[:, len(wanted) :]
             condition[index] = max(condition[index], worst)
     about = solved, sums.count, condition, plain_colours(sums, rule, window), white, power
     return Solution(rows, member @ rows, compliance, member @ compliance, *about)
@@ -166,8 +166,8 @@ def _bent(
                 bend = np.linalg.solve(total, np.broadcast_to(white[:, None], common.shape))
                 missing = of_white[output] - white @ common
                 common = common + bend * (missing / (white @ bend))[:, None]
-            for site, (stiff, own) in enumerate(zip(stiffness, response, strict=True)):
-                change = solutions[site].compliance[here, number][:, :, used] @ (stiff @ (common - own))
+            for site, (stiff, separate) in enumerate(zip(stiffness, response, strict=True)):
+                change = solutions[site].compliance[here, number][:, :, used] @ (stiff @ (common - separate))
                 bent[site][here, :, output] += change[..., 0]
     return bent
 
@@ -175,7 +175,7 @@ def _bent(
 def _exact_white(solutions: list[Solution], goal: Goal) -> Array | None:
     """Signals (channel) of white, if they are known and borne out at every site and the outputs are colours."""
     known, borne = goal.white_signal, [solution.white for solution in solutions]
-    if known is None or goal.outputs != XYZ or not all(own is not None and np.array_equal(own, known) for own in borne):
+    if known is None or goal.outputs != XYZ or not all(each is not None and np.array_equal(each, known) for each in borne):
         return None
     return known
 
@@ -202,7 +202,7 @@ def _shrunk(sums: ClassSums, parents: ClassSums, index: int, rule: ClassRule, re
                 moments += weight * sums.moments[neighbour]
                 count += weight * sums.count[neighbour]
     if count > 0:
-        noise = noise * (count / sums.count[index])  # the class's own, scaled to the new number of patches
+        noise = noise * (count / sums.count[index])  # of the class, scaled to the new number of patches
     return (
         moments + recipe.parent_patches * parents.moments[parent],
         noise + recipe.parent_patches * parents.noise[parent],
@@ -221,12 +221,12 @@ def _parents(sums: ClassSums, rule: ClassRule) -> ClassSums:
     count = by_case(sums.count)
 
     def means(values: Array) -> Array:
-        own = by_case(values)
-        near = own / np.maximum(count, 1e-9)
-        level = own.sum(axis=1, keepdims=True) / np.maximum(count.sum(axis=1, keepdims=True), 1e-9)
-        case = own.sum(axis=(0, 1)) / np.maximum(count.sum(axis=(0, 1)), 1e-9)
+        summed = by_case(values)
+        near = summed / np.maximum(count, 1e-9)
+        level = summed.sum(axis=1, keepdims=True) / np.maximum(count.sum(axis=1, keepdims=True), 1e-9)
+        case = summed.sum(axis=(0, 1)) / np.maximum(count.sum(axis=(0, 1)), 1e-9)
         mean = (1 - CASE_SHARE) * np.where(count > 0, near, level) + CASE_SHARE * case
-        return mean.reshape(-1, own.shape[-1])
+        return mean.reshape(-1, summed.shape[-1])
 
     level_count = np.broadcast_to(count.sum(axis=1, keepdims=True), count.shape)
     return ClassSums(means(sums.moments), means(sums.noise), level_count.reshape(-1).copy())
@@ -255,9 +255,9 @@ def _solve_positive(system: Array, right: Array) -> tuple[Array, float]:
     factor, failed = lapack.dpotrf(system.T, lower=False)
     if failed:  # rounding has made a nearly singular system indefinite
         return np.asarray(np.linalg.solve(system, right), np.float64), float(np.linalg.cond(system, 1))
-    found, _ = lapack.dpotrs(factor, right, lower=False)
+    solution, _ = lapack.dpotrs(factor, right, lower=False)
     reciprocal, _ = lapack.dpocon(factor, np.abs(system).sum(axis=0).max(), uplo="U")
-    return found, 1.0 / max(reciprocal, 1e-30)
+    return solution, 1.0 / max(reciprocal, 1e-30)
 
 
 def _noise_factors(recipe: LearningRecipe, goal: Goal) -> list[float]:

@@ -63,7 +63,7 @@ def grid_steps(rule: ClassRule, camera: CameraModel, outputs: int) -> Array:
 def intercept_scale(rule: ClassRule, camera: CameraModel) -> Array:
     """Scale (level) of the intercept, a power of two: rows are relative to their level, so taps and outputs are of the
     order of one, and the intercept of one over the level."""
-    lower = np.maximum(level.inner_bounds(rule, camera.black, camera.white), 1e-4)
+    lower = np.maximum(level.inner_bounds(rule, camera.black_level, camera.white_level), 1e-4)
     return np.asarray(2.0 ** np.rint(-np.log2(np.append(lower[0] / 2, lower))))
 
 

@@ -94,7 +94,7 @@ def survey(
     exposure = float(exposures @ counts / max(counts.sum(), 1))
     observed = _together([pilot.observed for pilot in every])
     rule = make_rule(recipe.classes, head.camera, case_of_code, centres, head.camera.dark_signal(exposure), observed)
-    mean = np.average(np.concatenate([own.lights for own in every]), axis=0, weights=patches)
+    mean = np.average(np.concatenate([pilot.lights for pilot in every]), axis=0, weights=patches)
     light = LightSpectrum(head.camera.wavelength, mean.astype(np.float32)) if np.isfinite(mean).all() else None
     return rule, np.average(whites, axis=0, weights=patches), exposure, light
 
@@ -155,8 +155,8 @@ def assemble(pass_: TrainingPass, solutions: dict[int, Solution], history: tuple
         channels=camera.channels,
         cfa=camera.cfa,
         bits=camera.bits,
-        black=camera.black,
-        white=camera.white,
+        black_level=camera.black_level,
+        white_level=camera.white_level,
         outputs=head.outputs,
         output_unit=camera.saturation_exposure,
         target_description=head.target_description,
@@ -177,7 +177,7 @@ def assemble(pass_: TrainingPass, solutions: dict[int, Solution], history: tuple
 def _goal(pass_: TrainingPass) -> Goal:
     camera = pass_.head.camera
     signal = None if pass_.light is None else white_signal(pass_.light, camera)
-    return Goal(pass_.head.outputs, pass_.white_point, signal, camera.black, camera.white)
+    return Goal(pass_.head.outputs, pass_.white_point, signal, camera.black_level, camera.white_level)
 
 
 def _light_of(frame: TrainingPair, camera: CameraModel) -> NDArray[np.float64]:
@@ -190,7 +190,7 @@ def _light_of(frame: TrainingPair, camera: CameraModel) -> NDArray[np.float64]:
 def _dark_signal(frame: TrainingPair, camera: CameraModel) -> float:
     """DN of dark current in a frame; InputFileError if that fills its pixels."""
     dark = camera.dark_signal(frame.dark_time)
-    if not dark < camera.white - camera.black:
+    if not dark < camera.white_level - camera.black_level:
         raise InputFileError(
             f"frame of scene {frame.scene}: in {frame.dark_time:.4g} s dark current alone fills a pixel; expose shorter"
         )

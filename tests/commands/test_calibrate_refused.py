@@ -57,7 +57,11 @@ def edit(folder: Path, old: str, new: str, count: int = 1) -> None:
         ("exposure_s = ", "exposure_s = -", "exposure_s and monitor above 0"),
         ("exposure_s = ", "exposure_s = nan #", "mono.exposure_s is nan"),
         ("monitor = ", "monitor = inf #", "mono.monitor is inf"),
-        ("[sensor]", "[datasheet]\nwell_capacity_e = 1\nblack_dn = 0\nwhite_dn = 1\n[sensor]", "or its [datasheet]"),
+        (
+            "[sensor]",
+            "[datasheet]\nwell_capacity_e = 1\nblack_level_dn = 0\nwhite_level_dn = 1\n[sensor]",
+            "or its [datasheet]",
+        ),
         ("[sensor]", '[curves]\nfile = "x.csv"\n[sensor]', "given: mono and curves"),
         ("lamp_drift = ", "lamp_drift = -", "lamp_drift in 0…1"),
     ],
@@ -206,7 +210,7 @@ def test_a_table_makes_a_relative_camera(table: Path, tmp_path: Path, l3: L3) ->
         ("MEASUREMENTS.toml", '"diode.csv"', '"none.csv"', 3, "none.csv"),
         ("MEASUREMENTS.toml", '["r", "g", "b"]', '["r", "g", "b", "w"]', 2, "cfa.pattern"),
         ("MEASUREMENTS.toml", '"r g", "g b"', '"r g", "g g"', 2, "cfa.pattern"),
-        ("MEASUREMENTS.toml", "white_dn = 4000", "white_dn = 5000", 2, "white_dn ≤ 4095"),
+        ("MEASUREMENTS.toml", "white_level_dn = 4000", "white_level_dn = 5000", 2, "white_level_dn ≤ 4095"),
         ("MEASUREMENTS.toml", "well_capacity_e = 20000", "well_capacity_e = 0", 2, "a well"),
         ("MEASUREMENTS.toml", "[datasheet]", "[data_sheet]", 2, "data_sheet"),
         (

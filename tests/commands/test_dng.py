@@ -37,13 +37,13 @@ size = [96, 144]
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder of frames of the small Bayer camera, as TIFF and as DNG, with their table."""
     folder = tmp_path_factory.mktemp("dng")
-    (folder / "camera.toml").write_text(bayer_camera().replace("black_dn = 64", "black_dn = 64.25"))
+    (folder / "camera.toml").write_text(bayer_camera().replace("black_level_dn = 64", "black_level_dn = 64.25"))
     (folder / "scenes.toml").write_text(SCENES)
     arguments = ["simulate", "scenes.toml", "--camera", "camera.toml", "-o", "t.h5", "--pictures", "p", "--dng", "d"]
     paths = {name: str(folder / name) for name in ("scenes.toml", "camera.toml", "t.h5", "p", "d")}
     assert run([paths.get(each, each) for each in arguments] + ["--quiet"]) == 0
-    table = random_table(BAYER, bits=12, black=64.25, patch=5)
-    save(dataclasses.replace(table, white=3814.0), folder / "table.h5")
+    table = random_table(BAYER, bits=12, black_level=64.25, patch=5)
+    save(dataclasses.replace(table, white_level=3814.0), folder / "table.h5")
     return folder
 
 
@@ -123,11 +123,16 @@ def test_same_frames_same_bytes(made: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("recipe", ["fiveband", "xtrans", "quad_bayer", "rgbw4x4", "rgbir", "cmy", "snapshot16"])
 def test_any_array_comes_back(tmp_path: Path, recipe: str) -> None:
     camera = load_camera(CONFIGS / f"cameras/{recipe}.toml")
-    values = np.random.default_rng(0).integers(0, round(camera.white) + 1, (40, 60)).astype(np.uint16)
+    values = np.random.default_rng(0).integers(0, round(camera.white_level) + 1, (40, 60)).astype(np.uint16)
     write_dng(tmp_path / "a.dng", values, camera, _colour(camera), None, 1e-5)
     frame = read_raw(tmp_path / "a.dng", camera)
     np.testing.assert_array_equal(frame.values, values)
-    assert (frame.black_level, frame.white_level, frame.phase, frame.orientation) == (camera.black, camera.white, (0, 0), 0)
+    assert (frame.black_level, frame.white_level, frame.phase, frame.orientation) == (
+        camera.black_level,
+        camera.white_level,
+        (0, 0),
+        0,
+    )
     with rawpy.imread(str(tmp_path / "a.dng")) as raw:
         np.testing.assert_array_equal(raw.raw_image, values)
 

@@ -101,8 +101,8 @@ def test_the_worked_example_finds_its_recipes_in_an_installed_wheel(tmp_path: Pa
     code = (
         "import click, pathlib\nfrom l3cli.cli import l3\n"
         f"for name, *words in {asked!r}:\n"
-        "    found = l3.get_command(click.Context(l3), name).make_context(name, words).params\n"
-        "    print(*(v for v in found.values() if isinstance(v, pathlib.Path) and v.suffix == '.toml'), sep='\\n')\n"
+        "    given = l3.get_command(click.Context(l3), name).make_context(name, words).params\n"
+        "    print(*(v for v in given.values() if isinstance(v, pathlib.Path) and v.suffix == '.toml'), sep='\\n')\n"
     )
     environment = {**os.environ, "PYTHONPATH": str(package.parent)}
     run = subprocess.run(

@@ -233,7 +233,7 @@ def test_all_bands_come_out_better_than_interpolated(name: str, tmp_path: Path, 
     np.save(folder / "raw.npy", frame.raw)
     assert l3("render", folder / "bands.h5", folder / "raw.npy", "-o", folder / "bands.exr", "--quiet")[0] == 0
     bands, _ = read_image(folder / "bands.exr")
-    interpolated = interpolate(frame.raw - model.black, model.cfa)
+    interpolated = interpolate(frame.raw - model.black_level, model.cfa)
     ours, basic = (fidelity(planes, frame.target) for planes in (np.moveaxis(bands, -1, 0), interpolated))
     assert ours.min() > basic.min()
     assert ours.mean() > basic.mean() + 1.0

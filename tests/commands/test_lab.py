@@ -72,14 +72,14 @@ def test_every_named_file_is_there_and_no_other(folder: Path, bayer: CameraModel
 
 def test_exposures_put_the_brightest_channel_at_half_scale(folder: Path, bayer: CameraModel) -> None:
     text = tomllib.loads((folder / "MEASUREMENTS.toml").read_text())
-    half = bayer.black + 0.5 * (bayer.white - bayer.black)
+    half = bayer.black_level + 0.5 * (bayer.white_level - bayer.black_level)
     for capture in (text["chart"][0], text["mono"][0]):
         frame = read_frame(folder / capture["frames"][0], (bayer.rows, bayer.cols), bayer.bits)
         channels = [frame[0::2, 0::2], frame[0::2, 1::2], frame[1::2, 1::2]]
         brightest = max(float(np.percentile(channel, 99)) for channel in channels)
         assert half * 0.95 < brightest < half * 1.15
     saturated = read_frame(folder / text["white"][-1]["frames"][0], (bayer.rows, bayer.cols), bayer.bits)
-    assert np.median(saturated[0::2, 1::2]) == bayer.white
+    assert np.median(saturated[0::2, 1::2]) == bayer.white_level
 
 
 def test_a_patch_has_the_value_that_its_measured_radiance_says(folder: Path, bayer: CameraModel) -> None:
@@ -94,7 +94,7 @@ def test_a_patch_has_the_value_that_its_measured_radiance_says(folder: Path, bay
     sight = np.pi / (4 * 2.8**2 + 1) * (4e-6) ** 2 * chart["exposure_s"]
     efficiency = np.interp(wavelength, bayer.wavelength, bayer.responsivity[1], left=0, right=0)
     electrons = sight * np.sum(efficiency * radiance[21]) * (wavelength[1] - wavelength[0])
-    measured = np.mean([core[0::2, 1::2].mean(), core[1::2, 0::2].mean()]) - bayer.black
+    measured = np.mean([core[0::2, 1::2].mean(), core[1::2, 0::2].mean()]) - bayer.black_level
     assert measured == pytest.approx(bayer.gain * electrons, rel=0.01)  # ~130 pixels of ~1000 e-: 0.3 %
 
 
@@ -114,8 +114,8 @@ def test_same_seed_same_bytes_whatever_the_jobs(
 def test_frames_differ_between_trials_by_noise_alone(bayer: CameraModel) -> None:
     captures = plan(bayer, LabRecipe(), seed=0)
     white = next(capture for capture in captures if capture.kind == "white")
-    first, second = (take(bayer, white, trial, 0, LabRecipe().flaws).astype(float) for trial in (0, 1))
-    signal = first.mean() - bayer.black
+    first, second = (take(bayer, white, trial, 0, LabRecipe().defects).astype(float) for trial in (0, 1))
+    signal = first.mean() - bayer.black_level
     expected = bayer.gain * signal + bayer.gain**2 * bayer.noise.read_noise**2 + 1 / 12
     assert np.var(first - second) / 2 == pytest.approx(expected, rel=0.05)
 
@@ -161,7 +161,7 @@ def test_an_existing_lab_is_kept_without_force(
         ("[mono]\nstray_light = 0.5", "stray_light"),
         ("falloff = 1.0", "falloff"),
         ("monitor_error = -0.1", "not be negative"),
-        ("[flaws]\ndust_depth = -1", "the least is 0"),
+        ("[defects]\ndust_depth = -1", "the least is 0"),
     ],
 )
 def test_a_recipe_that_cannot_be_is_refused(
@@ -184,18 +184,18 @@ def test_a_sensor_too_small_for_a_chart_is_refused(bayer_recipe: Path, tmp_path:
 
 def test_hot_and_dead_pixels_and_dust_are_where_the_recipe_says(bayer: CameraModel) -> None:
     recipe = DefectRecipe(hot_pixels_per_million=200.0, dead_pixels_per_million=200.0, dust_specks_per_million=60.0)
-    flaws = defects_of(bayer, recipe)
-    assert len(flaws.hot) == len(flaws.dead) == 10
-    assert flaws.shade.min() < 0.98
+    defects = defects_of(bayer, recipe)
+    assert len(defects.hot) == len(defects.dead) == 10
+    assert defects.shade.min() < 0.98
     captures = plan(bayer, LabRecipe(falloff=0.0), seed=0)
     cap = next(capture for capture in captures if capture.kind == "dark" and capture.exposure > 0.4)
     white = next(capture for capture in captures if capture.kind == "white")
     dark, lit = take(bayer, cap, 0, 0, recipe).astype(float), take(bayer, white, 0, 0, recipe).astype(float)
-    assert (dark[tuple(flaws.hot.T)] > np.percentile(dark, 99.9)).all()
-    assert lit[tuple(flaws.dead.T)].max() < bayer.black + 10
+    assert (dark[tuple(defects.hot.T)] > np.percentile(dark, 99.9)).all()
+    assert lit[tuple(defects.dead.T)].max() < bayer.black_level + 10
     columns = np.mean([take(bayer, cap, trial, 0, recipe).mean(axis=0) for trial in range(6)], axis=0)
-    cool = np.setdiff1d(np.arange(bayer.cols), flaws.hot[:, 1])
-    assert np.corrcoef(columns[cool], flaws.columns[cool])[0, 1] > 0.8
+    cool = np.setdiff1d(np.arange(bayer.cols), defects.hot[:, 1])
+    assert np.corrcoef(columns[cool], defects.columns[cool])[0, 1] > 0.8
 
 
 def test_the_monitor_follows_the_lamp_and_the_scale_is_off_by_one_error(bayer: CameraModel) -> None:
@@ -224,4 +224,4 @@ def test_stray_light_is_in_the_measured_spectrum(bayer: CameraModel) -> None:
 def test_steps_taken_too_long_saturate(folder: Path, bayer: CameraModel) -> None:
     (name,) = (path for path in (folder / "mono").iterdir() if "too-long" in path.name)
     frame = read_frame(name, (bayer.rows, bayer.cols), bayer.bits)
-    assert max(np.median(site) for site in (frame[0::2, 0::2], frame[0::2, 1::2], frame[1::2, 1::2])) == bayer.white
+    assert max(np.median(site) for site in (frame[0::2, 0::2], frame[0::2, 1::2], frame[1::2, 1::2])) == bayer.white_level

@@ -293,9 +293,9 @@ def frames_of(table: TransformTable, level: float, count: int) -> Iterator[RawFr
     """Noisy grey frames at a share of full scale."""
     rng = np.random.default_rng(0)
     for number in range(count):
-        mean = table.black + level * (table.white - table.black)
+        mean = table.black_level + level * (table.white_level - table.black_level)
         values = np.clip(rng.normal(mean, 2.0, (60, 90)), 0, 4095).astype(np.uint16)
-        yield RawFrame(f"frame {number}", values, table.black, table.white)
+        yield RawFrame(f"frame {number}", values, table.black_level, table.white_level)
 
 
 def test_levels_without_training_are_counted(pipeline: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -328,7 +328,7 @@ def test_looking_costs_milliseconds(pipeline: Path) -> None:
     table = load(TransformTable, pipeline / "table.h5")
     meter = CoverageMeter(table)
     values = np.random.default_rng(0).integers(64, 3000, (1164, 2048)).astype(np.uint16)
-    frame = RawFrame("large", values, table.black, table.white)
+    frame = RawFrame("large", values, table.black_level, table.white_level)
     meter.coverage(frame)
     times = []
     for _ in range(7):

@@ -181,7 +181,7 @@ MISTAKES = """
     2 render table.h5 raw.tif -o new.png --white-level -5
         -5 is not within 0…65535 DN; the nearest is 0
     3 render table.h5 raw.tif -o new.png --white-level 5
-        give --black and --white-level
+        give --black-level and --white-level
     2 render table.h5 raw.tif -o new.png --white D651
         illuminant "D651" is unknown; did you mean "D65"
     2 render table.h5 raw.tif -o new.png --backend opencll

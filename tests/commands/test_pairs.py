@@ -19,7 +19,7 @@ PAIR = Pair(raw="a.tif", picture="a.png", scale=0.5)
 
 
 def raw_of(values: np.ndarray, camera: CameraModel, phase: tuple[int, int] = (0, 0), orientation: int = 0) -> RawFrame:
-    return RawFrame("a", values.astype(np.uint16), camera.black, camera.white, phase, orientation)
+    return RawFrame("a", values.astype(np.uint16), camera.black_level, camera.white_level, phase, orientation)
 
 
 @pytest.mark.parametrize("phase", [(0, 0), (1, 0), (3, 2)])
@@ -67,7 +67,7 @@ def test_patches_of_a_pair_have_the_layout_of_their_site(fiveband: CameraModel) 
     for site in sorted({samples.canonical for samples in maps}):
         samples = sample_pair(pair, fiveband, near, site, 200, np.random.default_rng(0))
         assert len(samples.signal) == 200
-        taps = np.rint((samples.signal * (fiveband.white - fiveband.black) + fiveband.black - 300) / 500)
+        taps = np.rint((samples.signal * (fiveband.white_level - fiveband.black_level) + fiveband.black_level - 300) / 500)
         assert np.array_equal(taps, np.broadcast_to(near.channel[site], taps.shape))
         assert np.allclose(samples.target, near.channel[site][40])
 
@@ -75,11 +75,11 @@ def test_patches_of_a_pair_have_the_layout_of_their_site(fiveband: CameraModel) 
 def test_noise_that_a_pair_carries_is_not_counted_twice(bayer: CameraModel) -> None:
     near = neighbourhoods(bayer.cfa, 5, 3)
     rng = np.random.default_rng(0)
-    mean = 0.5 * (bayer.white - bayer.black)
-    noisy = bayer.black + mean + rng.standard_normal((128, 128)) * np.sqrt(bayer.noise_variance(np.array(mean)))
+    mean = 0.5 * (bayer.white_level - bayer.black_level)
+    noisy = bayer.black_level + mean + rng.standard_normal((128, 128)) * np.sqrt(bayer.noise_variance(np.array(mean)))
     samples = sample_pair(a_pair(bayer, np.rint(noisy), np.ones((3, 128, 128))), bayer, near, 0, 4000, rng)
     assert samples.carried is not None
-    span = bayer.white - bayer.black
+    span = bayer.white_level - bayer.black_level
     assert np.array_equal(samples.possible(np.full(4000, 3.0)), np.ones(4000))
     for scale in (1.0, 0.25):
         signal = samples.signal * np.float32(scale)
@@ -88,7 +88,7 @@ def test_noise_that_a_pair_carries_is_not_counted_twice(bayer: CameraModel) -> N
         expected = bayer.noise_variance(np.array(mean * scale)) / span**2
         assert signal.var() + variance.mean() == pytest.approx(expected, rel=0.02)
         assert values.var() == pytest.approx(expected * span**2, rel=0.03)
-    clipped = np.where(rng.random((128, 128)) < 0.5, bayer.white, 500)
+    clipped = np.where(rng.random((128, 128)) < 0.5, bayer.white_level, 500)
     samples = sample_pair(a_pair(bayer, clipped, np.ones((3, 128, 128))), bayer, near, 0, 100, rng)
     assert np.array_equal(samples.possible(np.full(100, 0.1)), np.ones(100))
 

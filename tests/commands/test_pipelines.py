@@ -64,10 +64,11 @@ script.write_bytes(asked.script.read_bytes())  # Slurm runs a copy from its spoo
 script.chmod(0o755)
 first, _, last = (asked.array or "0").partition("-")
 for task in range(int(first), int(last or first) + 1) if state == "done" else ():
-    own = dict(SLURM_JOB_ID=job, SLURM_CPUS_PER_TASK="1") | (dict(SLURM_ARRAY_TASK_ID=str(task)) if asked.array else dict())
+    variables = dict(SLURM_JOB_ID=job, SLURM_CPUS_PER_TASK="1")
+    variables |= dict(SLURM_ARRAY_TASK_ID=str(task)) if asked.array else dict()
     log = asked.output.replace("%x", asked.job_name).replace("%A", job).replace("%a", str(task))
     with open(log, "w") as written:
-        done = subprocess.run([script, *asked.arguments], env=os.environ | own, stdout=written, stderr=written)
+        done = subprocess.run([script, *asked.arguments], env=os.environ | variables, stdout=written, stderr=written)
     state = state if done.returncode == 0 else "failed"
 (jobs / job / "state").write_text(state)
 print(job)

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from l3cli.artifacts.store import save
 from l3cli.errors import InputFileError, RecipeError
-from l3cli.frame import with_one_black
+from l3cli.frame import with_one_black_level
 from l3cli.io.frames import read_frame
 from l3cli.io.images import read_image
 from l3cli.io.raw.cfa_codes import channel_codes, find_phase
@@ -28,7 +28,7 @@ from tests.helpers.cameras import BAYER, FIVE_BAND
 from tests.helpers.dng_files import BYTE, LONG, RATIONAL, SHORT, SRATIONAL, lossless_jpeg, packed, write_dng
 from tests.helpers.tables import random_table
 
-RGGB = dataclasses.replace(random_table(BAYER, bits=12, black=64.0), camera_name="RGGB", rows=32, cols=40)
+RGGB = dataclasses.replace(random_table(BAYER, bits=12, black_level=64.0), camera_name="RGGB", rows=32, cols=40)
 X_TRANS = np.array(
     [[1, 2, 1, 1, 0, 1], [0, 1, 0, 2, 1, 2], [1, 2, 1, 1, 0, 1], [1, 0, 1, 1, 2, 1], [2, 1, 2, 0, 1, 0], [1, 0, 1, 1, 2, 1]]
 )
@@ -45,8 +45,8 @@ class Sensor:
     cfa: np.ndarray
     rows: int = 32
     cols: int = 40
-    black: float = 64.0
-    white: float = 4095.0
+    black_level: float = 64.0
+    white_level: float = 4095.0
 
     def dark_signal(self, exposure: float | None) -> float:
         return 0.0
@@ -111,7 +111,7 @@ def test_the_bytes_of_the_standard() -> None:
 
 def test_packed_files_and_stacks_render_as_their_values(l3: L3, tmp_path: Path, table: Path, mosaic: np.ndarray) -> None:
     np.save(tmp_path / "a.npy", np.stack([mosaic >> 2, mosaic >> 3]))
-    levels = ("--black", 16, "--white-level", 1023, "--exposure", 0.8, "--backend", "reference", "--quiet")
+    levels = ("--black-level", 16, "--white-level", 1023, "--exposure", 0.8, "--backend", "reference", "--quiet")
     assert l3("render", table, tmp_path / "a.npy", "-o", tmp_path / "truth", *levels) == (0, "", "")
     content = [pack(values, "raw10", 64) for values in (mosaic >> 2, mosaic >> 3)]
     (tmp_path / "a.raw10").write_bytes(b"".join(content))
@@ -214,7 +214,7 @@ def test_fits_keeps_unsigned_values(tmp_path: Path, mosaic: np.ndarray, name: st
     fits.writeto(tmp_path / name, mosaic)
     frame = read_raw(tmp_path / name, RGGB)
     np.testing.assert_array_equal(frame.values, mosaic)
-    assert (frame.black_level, frame.white_level, frame.phase) == (RGGB.black, RGGB.white, (0, 0))
+    assert (frame.black_level, frame.white_level, frame.phase) == (RGGB.black_level, RGGB.white_level, (0, 0))
     fits.writeto(tmp_path / name, (mosaic >> 8).astype(np.uint8), overwrite=True)
     np.testing.assert_array_equal(read_raw(tmp_path / name, RGGB).values, mosaic >> 8)
 
@@ -388,18 +388,18 @@ def test_black_levels_that_differ_become_one(tmp_path: Path) -> None:
         50716: (SRATIONAL, [part for step in rows for part in (step, 1)]),
     }
     frame = read_bayer(write_dng(tmp_path / "a.dng", values, PATTERN, tags=tags))
-    black = np.tile([[60, 64], [68, 64]], (14, 18)) + np.array(columns) + np.array(rows)[:, None]
-    np.testing.assert_array_equal(frame.values - frame.black_level, 1000 - black)
-    assert frame.black_level == round(black.mean())
-    assert frame.white_level - frame.black_level == 4000 - black.max()  # the pixel that saturates first
+    black_level = np.tile([[60, 64], [68, 64]], (14, 18)) + np.array(columns) + np.array(rows)[:, None]
+    np.testing.assert_array_equal(frame.values - frame.black_level, 1000 - black_level)
+    assert frame.black_level == round(black_level.mean())
+    assert frame.white_level - frame.black_level == 4000 - black_level.max()  # the pixel that saturates first
 
 
 def test_saturation_survives_levelling() -> None:
-    black, white = np.array([[96.0, 104.0]]), np.array([[1000.0, 1000.0]])
-    values, common, top = with_one_black(np.array([[1000, 1000], [96, 104]], np.uint16), black, white)
+    black_level, white_level = np.array([[96.0, 104.0]]), np.array([[1000.0, 1000.0]])
+    values, common, top = with_one_black_level(np.array([[1000, 1000], [96, 104]], np.uint16), black_level, white_level)
     assert (common, top) == (100, 996)
     assert values.tolist() == [[1004, 996], [100, 100]]
-    assert with_one_black(values, np.array([[64.5]]), np.array(900.0))[1:] == (64.5, 900.0)
+    assert with_one_black_level(values, np.array([[64.5]]), np.array(900.0))[1:] == (64.5, 900.0)
 
 
 def test_linearisation_table_is_applied(tmp_path: Path, mosaic: np.ndarray) -> None:
@@ -462,6 +462,6 @@ def test_libraw_black_levels_of_the_colours_become_one(tmp_path: Path, mosaic: n
     tags = {50713: (SHORT, [2, 2]), 50714: (SHORT, [60, 64, 66, 70])}
     mosaic = np.maximum(mosaic, 100)
     frame = read_bayer(write_dng(tmp_path / "a.nef", mosaic, PATTERN, tags=tags))
-    black = np.tile([[60, 64], [66, 70]], (16, 20))
-    np.testing.assert_array_equal(frame.values - frame.black_level, mosaic - black)
+    black_level = np.tile([[60, 64], [66, 70]], (16, 20))
+    np.testing.assert_array_equal(frame.values - frame.black_level, mosaic - black_level)
     assert frame.white_level - frame.black_level == 3930

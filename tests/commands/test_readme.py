@@ -142,12 +142,12 @@ def test_the_worked_example_prints_what_is_shown(small: Path, l3: Callable, monk
 
 
 def test_links_lead_somewhere() -> None:
-    for target in re.findall(r"\]\(([^)#]+)\)", README):
-        if target.startswith("build/"):
+    for link in re.findall(r"\]\(([^)#]+)\)", README):
+        if link.startswith("build/"):
             made = (ROOT / "Makefile").read_text().replace("$(DEMO)", "build/demo")
-            assert target in made, f"make demo does not make {target}"
-        elif "://" not in target:
-            assert (ROOT / target).exists(), target
+            assert link in made, f"make demo does not make {link}"
+        elif "://" not in link:
+            assert (ROOT / link).exists(), link
 
 
 def test_files_named_exist() -> None:

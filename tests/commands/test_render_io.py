@@ -29,7 +29,7 @@ from tests.helpers.tables import XYZ, random_table
 
 ENDING = (signal.SIGALRM, signal.SIGINT, signal.SIGTERM)
 
-RGGB = dataclasses.replace(random_table(BAYER, bits=14, black=512.0), camera_name="RGGB")
+RGGB = dataclasses.replace(random_table(BAYER, bits=14, black_level=512.0), camera_name="RGGB")
 
 
 @pytest.fixture
@@ -143,7 +143,7 @@ def test_plain_files_hold_the_same_frame(tmp_path: Path, mosaic: np.ndarray, raw
     for path in paths:
         frame = read_raw(path, RGGB)
         np.testing.assert_array_equal(frame.values, mosaic)
-        assert (frame.black_level, frame.white_level, frame.phase) == (RGGB.black, RGGB.white, (0, 0))
+        assert (frame.black_level, frame.white_level, frame.phase) == (RGGB.black_level, RGGB.white_level, (0, 0))
 
 
 def test_narrow_files_keep_their_values(tmp_path: Path, mosaic: np.ndarray) -> None:
@@ -167,7 +167,7 @@ def test_what_the_caller_knows_better_wins(tmp_path: Path, mosaic: np.ndarray) -
 
 
 def expected_picture(mosaic: np.ndarray, white: str, scale: float, bits: int) -> np.ndarray:
-    frame = RawFrame("f", mosaic, RGGB.black, RGGB.white)
+    frame = RawFrame("f", mosaic, RGGB.black_level, RGGB.white_level)
     return ReferenceRenderer(RGGB).picture(frame, make_display(scene_white(white), scale, bits))
 
 
@@ -189,7 +189,7 @@ def test_automatic_exposure_shows_one_percent_white(l3: L3, tmp_path: Path, tabl
     assert l3("render", table, raw, "-o", tmp_path / "a.exr")[0] == 0
     planes, names = read_image(tmp_path / "a.exr")
     assert names == XYZ
-    frame = RawFrame("f", np.load(raw), RGGB.black, RGGB.white)
+    frame = RawFrame("f", np.load(raw), RGGB.black_level, RGGB.white_level)
     exact = np.moveaxis(ReferenceRenderer(RGGB).exact_outputs(frame), 0, -1)
     np.testing.assert_allclose(planes, exact, atol=1e-5)
     display = make_display(RGGB.white_point, 1 / np.percentile(exact[..., 1], 99), 8)
@@ -224,7 +224,7 @@ def test_several_inputs_fill_a_folder_and_failures_can_be_left_out(
 def test_picture_is_turned_upright(
     l3: L3, tmp_path: Path, table: Path, mosaic: np.ndarray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    frame = RawFrame("f", mosaic[:6, :10], RGGB.black, RGGB.white, orientation=6)
+    frame = RawFrame("f", mosaic[:6, :10], RGGB.black_level, RGGB.white_level, orientation=6)
     monkeypatch.setattr("l3cli.io.sequences.read_raw", lambda *_: frame)
     for name in ("a.png", "a.exr"):
         assert l3("render", table, "frame.dng", "-o", tmp_path / name)[0] == 0
@@ -336,7 +336,7 @@ def test_broken_inputs_are_refused_in_one_line(
         line = refused(3, "render", table, tmp_path / name, "-o", output)
         assert name in line
         assert word in line
-    assert "--white-level" in refused(3, "render", table, raw, "-o", output, "--black", 20000)
+    assert "--white-level" in refused(3, "render", table, raw, "-o", output, "--black-level", 20000)
     assert "l3 train" in refused(3, "render", raw, raw, "-o", output)
 
 
@@ -366,9 +366,14 @@ def test_a_frame_is_rendered_without_colour_science_by_its_very_numbers(tmp_path
 
 def test_real_raws_keep_size_levels_and_phase(l3: L3, l3_data: Path, tmp_path: Path, table: Path) -> None:
     facts = {"colorchart.dng": ((1156, 1734), 2056, 15000, (0, 0)), "kodak_dc50.kdc": ((512, 768), 0, 16383, (0, 1))}
-    for name, (shape, black, white, phase) in facts.items():
+    for name, (shape, black_level, white_level, phase) in facts.items():
         frame = read_raw(l3_data / "raw" / name, RGGB)
-        assert (frame.values.shape, frame.black_level, frame.white_level, frame.phase) == (shape, black, white, phase)
+        assert (frame.values.shape, frame.black_level, frame.white_level, frame.phase) == (
+            shape,
+            black_level,
+            white_level,
+            phase,
+        )
         assert frame.orientation == 0
         output = tmp_path / name.replace(name[-3:], "png")
         assert l3("render", table, l3_data / "raw" / name, "-o", output)[0] == 0
@@ -377,7 +382,7 @@ def test_real_raws_keep_size_levels_and_phase(l3: L3, l3_data: Path, tmp_path: P
 
 def test_real_headerless_raw(l3: L3, l3_data: Path, tmp_path: Path, table: Path) -> None:
     source = l3_data / "raw" / "openisp_test_1920x1080_10bit_u16le_RGGB.raw"
-    options = ("--size", "1080x1920", "--black", 0, "--white-level", 1020)
+    options = ("--size", "1080x1920", "--black-level", 0, "--white-level", 1020)
     assert l3("render", table, source, "-o", tmp_path / "a.jpg", *options)[0] == 0
     assert read_image(tmp_path / "a.jpg")[0].shape == (1080, 1920, 3)
 

@@ -209,7 +209,7 @@ def test_a_camera_that_was_accepted_although_it_falls_short_says_so(stages: Path
     assert camera.fit.chart is not None
     assert camera.fit.noise is not None
     chart = replace(camera.fit.chart, relative_rmse=np.array([0.01, 0.05, 0.01]))
-    noise = replace(camera.fit.noise, white_reached=False)
+    noise = replace(camera.fit.noise, white_level_reached=False)
     save(replace(camera, fit=replace(camera.fit, chart=chart, noise=noise)), tmp_path / "camera.h5")
     assert l3("report", tmp_path / "camera.h5", "-o", tmp_path / "report.html")[0] == 0
     text = (tmp_path / "report.html").read_text()

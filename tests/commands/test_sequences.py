@@ -430,7 +430,7 @@ def test_what_is_there_is_refused_before_any_work(refused: Refused, tmp_path: Pa
 
 @pytest.mark.parametrize("cfa", [BAYER, FIVE_BAND])
 def test_the_meter_reads_what_the_table_would_show(cfa: list[list[int]]) -> None:
-    table = random_table(cfa, bits=12, black=100.0)
+    table = random_table(cfa, bits=12, black_level=100.0)
     # Weights like those of a trained table: all sites answer alike.
     table = with_first(table, weights=np.abs(table.first.weights), intercept=np.zeros_like(table.first.intercept))
     rows, cols = np.mgrid[:120, :160]

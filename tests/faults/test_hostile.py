@@ -264,7 +264,7 @@ def test_who_trusts_decodes_here(limited: None, monkeypatch: pytest.MonkeyPatch)
 def test_trust_is_an_option(l3: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     seen = []
     monkeypatch.setattr(apart._Child, "ask", lambda *_: seen.append("asked"))
-    table = dataclasses.replace(random_table(BAYER, bits=12, black=64.0), rows=20, cols=24)
+    table = dataclasses.replace(random_table(BAYER, bits=12, black_level=64.0), rows=20, cols=24)
     save(table, tmp_path / "table.h5")
     write_mosaic(tmp_path / "a.tif", np.full((20, 24), 900, np.uint16))
     call = ("render", tmp_path / "table.h5", tmp_path / "a.tif", "--backend", "reference", "-o", tmp_path / "a.png")
@@ -355,7 +355,7 @@ def test_bombs_are_refused_before_they_go_off(
     refused: Callable[..., str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(MEGAPIXELS, "60")
-    save(random_table(BAYER, bits=12, black=64.0), tmp_path / "table.h5")
+    save(random_table(BAYER, bits=12, black_level=64.0), tmp_path / "table.h5")
     for name, content in BOMBS.items():
         (tmp_path / name).write_bytes(content)
         start = time.monotonic()
@@ -365,7 +365,7 @@ def test_bombs_are_refused_before_they_go_off(
 
 
 def test_a_sparse_file_of_honest_size_is_refused_too(refused: Callable[..., str], tmp_path: Path) -> None:
-    save(random_table(BAYER, bits=12, black=64.0), tmp_path / "table.h5")
+    save(random_table(BAYER, bits=12, black_level=64.0), tmp_path / "table.h5")
     with open(tmp_path / "big.npy", "wb") as file:
         file.write(npy_header("(30000, 20000)"))
         file.truncate(128 + 2 * 30000 * 20000)
@@ -413,7 +413,7 @@ def test_hdf5_reaches_nowhere_else(refused: Callable[..., str], tmp_path: Path) 
         layout[:] = h5py.VirtualSource(str(tmp_path / "other.h5"), "frames", (2, 20, 24))
         return layout
 
-    save(random_table(BAYER, bits=12, black=64.0), tmp_path / "table.h5")
+    save(random_table(BAYER, bits=12, black_level=64.0), tmp_path / "table.h5")
     for name, make in makers.items():
         with h5py.File(tmp_path / name, "w") as root:
             make(root, "frames")
@@ -421,14 +421,14 @@ def test_hdf5_reaches_nowhere_else(refused: Callable[..., str], tmp_path: Path) 
             line = refused(3, "render", tmp_path / "table.h5", tmp_path / name, "-o", tmp_path / "a.png", *more)
             assert name in line
     with h5py.File(tmp_path / "table.h5", "r+") as root:
-        del root["black"]
-        root.create_dataset("black", (2,), "f8", external=[(str(secret), 0, 16)])
+        del root["black_level"]
+        root.create_dataset("black_level", (2,), "f8", external=[(str(secret), 0, 16)])
     seal(tmp_path / "table.h5")
     assert "another file" in refused(3, "info", tmp_path / "table.h5")
 
 
 def test_groups_in_a_circle_are_walked_once(l3: Callable, tmp_path: Path) -> None:
-    save(random_table(BAYER, bits=12, black=64.0), tmp_path / "table.h5")
+    save(random_table(BAYER, bits=12, black_level=64.0), tmp_path / "table.h5")
     with h5py.File(tmp_path / "table.h5", "r+") as root:
         for name in ("round", "and", "again"):
             root[f"first/rule/{name}"] = root
@@ -441,7 +441,7 @@ def test_groups_in_a_circle_are_walked_once(l3: Callable, tmp_path: Path) -> Non
 
 def test_a_playlist_is_no_video(refused: Callable[..., str], tmp_path: Path) -> None:
     """FFmpeg would open what it names."""
-    save(random_table(BAYER, bits=12, black=64.0), tmp_path / "table.h5")
+    save(random_table(BAYER, bits=12, black_level=64.0), tmp_path / "table.h5")
     (tmp_path / "list.mkv").write_text("ffconcat version 1.0\nfile secret.mkv\n")
     (tmp_path / "stream.mkv").write_text("#EXTM3U\n#EXTINF:1,\nhttp://127.0.0.1:9/a.ts\n#EXT-X-ENDLIST\n")
     for name in ("list.mkv", "stream.mkv"):
@@ -464,7 +464,7 @@ def test_names_within_files_never_become_paths(l3: Callable, tmp_path: Path) -> 
         root["frames/00000/scene"] = np.bytes_(b"../../../hurt/\x1b[31m")
     seal(tmp_path / "t.h5")
     table = tmp_path / "table.h5"
-    save(random_table(BAYER, bits=12, black=64.0), table)
+    save(random_table(BAYER, bits=12, black_level=64.0), table)
     before = set(tmp_path.rglob("*"))
     code, out, err = l3("evaluate", table, tmp_path / "t.h5", "--backend", "reference", "--pictures", tmp_path / "e")
     assert code in (0, 3), err
@@ -474,7 +474,7 @@ def test_names_within_files_never_become_paths(l3: Callable, tmp_path: Path) -> 
 
 
 def test_no_control_character_reaches_the_terminal(l3: Callable, tmp_path: Path) -> None:
-    table = dataclasses.replace(random_table(BAYER, bits=12, black=64.0), camera_name="a\x1b[2J\x07b")
+    table = dataclasses.replace(random_table(BAYER, bits=12, black_level=64.0), camera_name="a\x1b[2J\x07b")
     save(table, tmp_path / "table.h5")
     code, out, _ = l3("info", tmp_path / "table.h5")
     assert code == 0

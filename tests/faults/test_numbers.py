@@ -118,7 +118,7 @@ REFUSED = f"""
         0 is not within 1…1000000000000; the nearest is 1
     render a b -o c.mp4 --crf nan
         "nan" is no number; give one within 0…51
-    render a b -o c.png --black nan
+    render a b -o c.png --black-level nan
         "nan" is no number; give one within 0…65535 DN
     render a b -o c.png --white-level inf
         "inf" is no number; give one within 0…65535 DN

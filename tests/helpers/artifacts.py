@@ -66,7 +66,7 @@ def a_table(camera: CameraModel) -> TransformTable:
         saturation=4000,
         saturation_radius=1,
         case_of_code=np.arange(8, dtype=np.uint16),
-        chroma_black=64 * 16,
+        chroma_black_level=64 * 16,
         chroma_weights=np.array([[1, 2, 3], [-4, 5, 6]], np.int32),
     )
     classes = camera.cfa.size * rule.classes_per_site
@@ -78,8 +78,8 @@ def a_table(camera: CameraModel) -> TransformTable:
         channels=camera.channels,
         cfa=camera.cfa,
         bits=camera.bits,
-        black=camera.black,
-        white=camera.white,
+        black_level=camera.black_level,
+        white_level=camera.white_level,
         outputs=("X", "Y", "Z"),
         target_description="",
         output_unit=0.5,
@@ -107,7 +107,14 @@ def some_layer_sums(camera: CameraModel) -> tuple[PartialLayerSums, LayerSums]:
         cases=table.first.rule.cases,
     )
     head = PartialLayerSums(
-        shard=1, shards=1, mosaics=np.array([5]), side=1, structure=rule, table=table, sites=np.array([0]), history=table.history
+        shard=1,
+        shards=1,
+        mosaics=np.array([5]),
+        side=1,
+        structure=rule,
+        table=table,
+        sites=np.array([0]),
+        history=table.history,
     )
     return head, LayerSums(*(np.ones(shape) for shape in head.shapes))
 

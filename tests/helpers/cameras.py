@@ -17,7 +17,7 @@ cols = 256
 pixel_pitch_um = 4.0
 bits = {bits}
 gain_dn_per_e = {0.25 * 2.0 ** (bits - 12)}
-black_dn = {64 * 2 ** (bits - 12)}
+black_level_dn = {64 * 2 ** (bits - 12)}
 fixed_pattern_seed = 3
 [cfa]
 channels = ["r", "g", "b"]
@@ -41,7 +41,7 @@ f_number = 2.8
 """
 
 
-def random_camera(cfa: ArrayLike, channels: int, bits: int, black: float) -> CameraModel:
+def random_camera(cfa: ArrayLike, channels: int, bits: int, black_level: float) -> CameraModel:
     top = 2**bits - 1
     return CameraModel(
         name="random",
@@ -56,8 +56,8 @@ def random_camera(cfa: ArrayLike, channels: int, bits: int, black: float) -> Cam
         responsivity_band=np.zeros((channels, 2)),
         absolute=True,
         gain=top / 20000,
-        black=black,
-        white=float(top),
+        black_level=black_level,
+        white_level=float(top),
         fixed_pattern_seed=0,
         noise=Noise(5.0, 1.0, 2.0, 0.01, 20000.0),
         optics=Optics(0.05, 2.8, 0.0),

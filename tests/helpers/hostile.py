@@ -38,7 +38,7 @@ cols = 128
 pixel_pitch_um = 4.0
 bits = 12
 gain_dn_per_e = 0.25
-black_dn = 64
+black_level_dn = 64
 fixed_pattern_seed = 3
 [cfa]
 channels = ["r", "g", "b"]
@@ -78,7 +78,7 @@ trials = 2
 [dark]
 exposures_s = [0.01, 1.0]
 trials = 2
-[flaws]
+[defects]
 hot_pixels_per_million = 400
 """
 DRAWN = 'exposure_share = [0.9]\n[[scene]]\nsource = "grey ramp"\nsize = [16, 20]\n'
@@ -148,8 +148,8 @@ f_number = 4
 table = "sweep.csv"
 photodiode = "diode.csv"
 [datasheet]
-black_dn = 64
-white_dn = 4000
+black_level_dn = 64
+white_level_dn = 4000
 well_capacity_e = 20000
 """
 CURVES = re.sub(r"\[sweep\].*?(?=\[datasheet\])", '[curves]\nfile = "curves.json"\n', TABLE, flags=re.S)
@@ -254,8 +254,8 @@ def _spoil_member(root: h5py.File, name: str, choices: Choices) -> None:
     if not isinstance(member, h5py.Dataset) or member.size > LARGEST_SPOILT or choices.integer(0, 3) == 0:
         kind = choices.integer(0, 7)
         if kind >= 6:
-            target = root if kind == 6 else member
-            target.attrs[one_of(choices, ("kind", "version", "axes"))] = one_of(
+            holder = root if kind == 6 else member
+            holder.attrs[one_of(choices, ("kind", "version", "axes"))] = one_of(
                 choices,
                 (0, -1, 99, 2**62, "camera model", "x" * 1000, np.arange(5), np.bytes_(b"\xff"), h5py.Empty("f"), np.nan),
             )

@@ -85,7 +85,7 @@ def make_desk(folder: Path) -> None:
     from tests.helpers.cameras import BAYER
     from tests.helpers.tables import random_table, with_first
 
-    table = random_table(BAYER, bits=12, black=64.0)
+    table = random_table(BAYER, bits=12, black_level=64.0)
     cases = table.first.rule.case_of_code.copy()
     cases[0] = 0  # what does not clip is not taken for clipped
     save(with_first(table, rule=replace(table.first.rule, case_of_code=cases)), folder / "table.h5")

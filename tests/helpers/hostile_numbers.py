@@ -28,7 +28,7 @@ OPTIONS = (  # {n} is the number; "=" holds on to what begins with a minus
     "evaluate table.h5 training.h5 --backend reference --border={n}", MOVIE + " --fps={n}", MOVIE + " --crf={n}",
     "render table.h5 stack.npy -o {out}/a.y4m --backend reference --fps={n}",
     RENDER + " --exposure={n}", RENDER + " --white={n},0.33", RENDER + " --white=0.31,{n}", RENDER + " --white={n}K",
-    RENDER + " --white=D{n}K", RENDER + " --black={n}", RENDER + " --white-level={n}", RENDER + " --phase={n},0",
+    RENDER + " --white=D{n}K", RENDER + " --black-level={n}", RENDER + " --white-level={n}", RENDER + " --phase={n},0",
     RENDER + " --exposure-time={n}",
     BARE + " --size={n}x24", BARE + " --size=20x{n}", BARE + " --size=20x24 --stride={n}",
     "render table.h5 - -o {out}/%d.png --backend reference --size={n}x{n}", RENDER + " --device={n}",
@@ -51,12 +51,12 @@ RECIPES = {  # each with a command that reads it, as {file}
     "lab/MEASUREMENTS.toml": "calibrate {file} -o {out}/c.h5 --accept",
 }
 KEYS = {  # keys that the recipes above leave out
-    "camera.toml": "[sensor] white_dn = 4000",
+    "camera.toml": "[sensor] white_level_dn = 4000",
     "classes.toml": "[classes] saturation = 0.9 saturation_radius = 2 highest_level = 0.9 [learning] highlight_share = 0.25 "
     "highlight_from = 0.15 brightness_power = 0.5 error_power = 0.2 ridge = 1e-5 luminance_noise = 1 chroma_noise = 1 "
     "parent_patches = 20",
     "lab.toml": "[mono] trials = 1 stray_light = 0.0005 level = 0.5 radiance = 1e18 longest_exposure_s = 2.0 [chart] "
-    "trials = 1 luminance = 500 level = 0.5 [white] luminance = 500 [flaws] hot_current_e_per_s = 4000 "
+    "trials = 1 luminance = 500 level = 0.5 [white] luminance = 500 [defects] hot_current_e_per_s = 4000 "
     "dead_pixels_per_million = 10 dust_specks_per_million = 4 dust_depth = 0.03 dust_radius_px = 12 column_noise_e = 2",
     "lab/MEASUREMENTS.toml": "[uncertainty] lamp_drift = 0.01 wavelength_nm = 0.1",
 }

@@ -40,7 +40,7 @@ trials = 2
 JOULE = 1.602176634e-19 * 1239.841984  # J nm a photon
 KINDS = ("mono", "chart", "white", "dark")
 WITHIN = 0.03  # of the peak: responsivities of such a small lab against the truth; whole, they are within a third of it
-FIGURES = {"gain": 0.05, "black": 0.01, "white": 0.01}
+FIGURES = {"gain": 0.05, "black_level": 0.01, "white_level": 0.01}
 NOISE = {"read_noise": 0.1, "dark_current": 0.2, "prnu": 0.2}
 
 

@@ -10,7 +10,7 @@ from l3cli.io.images import read_image
 from tests.helpers.cameras import BAYER
 from tests.helpers.tables import random_table
 
-RGGB = dataclasses.replace(random_table(BAYER, bits=12, black=64.0), camera_name="RGGB", rows=20, cols=28)
+RGGB = dataclasses.replace(random_table(BAYER, bits=12, black_level=64.0), camera_name="RGGB", rows=20, cols=28)
 COUNT = 5
 RUN = "import sys; from l3cli.cli import run; sys.exit(run(sys.argv[1:]))"
 FAST = ("--backend", "reference", "--quiet")

@@ -54,7 +54,7 @@ XYZ = ("X", "Y", "Z")
 def random_table(
     cfa: ArrayLike,
     bits: int = 12,
-    black: float = 0.0,
+    black_level: float = 0.0,
     patch: int = 5,
     outputs: tuple[str, ...] = XYZ,
     contrasts: tuple[float, ...] = (1.4,),
@@ -66,7 +66,7 @@ def random_table(
     further features by their names."""
     rng = np.random.default_rng(seed)
     channels = int(np.max(cfa)) + 1
-    camera = random_camera(cfa, channels, bits, black)
+    camera = random_camera(cfa, channels, bits, black_level)
     case_of_code = rng.integers(0, 5, 2**channels).astype(np.uint16)
     recipe = ClassRecipe(
         patch=patch,
@@ -89,8 +89,8 @@ def random_table(
         channels=camera.channels,
         cfa=camera.cfa,
         bits=bits,
-        black=camera.black,
-        white=camera.white,
+        black_level=camera.black_level,
+        white_level=camera.white_level,
         outputs=outputs,
         target_description="",
         output_unit=1.0,

@@ -56,7 +56,7 @@ def body(bayer: CameraModel) -> Body:
     return Body(b.name, b.rows, b.cols, b.pixel_pitch, b.bits, b.channels, b.cfa, b.optics)
 
 
-DARK = noise.DarkNoise(black=np.full(3, 64.0), slope=np.zeros(3), variance=np.zeros(3), dsnu=np.zeros(3))
+DARK = noise.DarkNoise(black_level=np.full(3, 64.0), slope=np.zeros(3), variance=np.zeros(3), dsnu=np.zeros(3))
 
 
 def white_transfer() -> noise.PhotonTransfer:
@@ -77,8 +77,8 @@ def test_the_truth_comes_back(folder: Path, bayer: CameraModel, bayer_recipe: Pa
     truth = json.loads(out)["truth"]
     for name, goal in GOALS.items():
         assert abs(truth["camera"][name]["error %"]) < goal, name
-    assert truth["camera"]["saturation level"]["recovered"] == bayer.white == 3814
-    assert abs(truth["camera"]["black level"]["recovered"] - bayer.black) < 0.3
+    assert truth["camera"]["white level"]["recovered"] == bayer.white_level == 3814
+    assert abs(truth["camera"]["black level"]["recovered"] - bayer.black_level) < 0.3
     assert json.loads(out)["saturation reached"] is True
     for channel in truth["channels"].values():
         assert channel["responsivity RMS error (% of peak)"] < 1.0
@@ -93,7 +93,7 @@ def test_the_truth_comes_back(folder: Path, bayer: CameraModel, bayer_recipe: Pa
     assert camera.responsivity_band.max() < 0.02 * true.max()
     assert camera.fit is not None
     assert camera.fit.chart is not None
-    assert abs(camera.fit.chart.beta - bayer.black).max() < 0.5
+    assert abs(camera.fit.chart.beta - bayer.black_level).max() < 0.5
     assert camera.fit.chart.r_squared.min() > 0.9995
     assert camera.fit.chart.relative_rmse.max() < 0.01
     assert camera.fit.chart.illuminants == ("D65", "A", "3200K", "FL2")
@@ -151,7 +151,7 @@ def test_a_sweep_that_never_saturates_says_so(copied: Path, tmp_path: Path, l3: 
     assert code == 0
     assert "no white frame saturates" in err
     camera = load(CameraModel, tmp_path / "camera.h5")
-    assert camera.white == 4095
+    assert camera.white_level == 4095
     assert camera.gain == pytest.approx(0.25, rel=0.01)
 
 
@@ -329,7 +329,7 @@ def test_dark_frames_give_read_noise_dark_current_and_dsnu(body: Body) -> None:
     np.testing.assert_allclose(dark.dsnu, 1.0, rtol=0.05)
     assert dark.hot.tolist() == [[100, 50], [101, 51]]
     np.testing.assert_allclose(dark.slope, 5.0, atol=1.5)  # frames drift by 1 DN
-    np.testing.assert_allclose(dark.black, 64.0, atol=3.0)
+    np.testing.assert_allclose(dark.black_level, 64.0, atol=3.0)
 
 
 def white_levels(well: float, exposures: list[float], trials: int) -> tuple[list[Capture], np.ndarray]:
@@ -350,8 +350,8 @@ def test_photon_transfer_stops_where_the_well_is_full(body: Body) -> None:
     captures, _ = white_levels(9000.0, [0.1, 0.25, 0.4, 0.55, 0.74, 2.0], trials=4)
     levels = [measure_level(capture, body, defects.none()) for capture in captures]
     transfer = noise.photon_transfer(levels, body, DARK)
-    assert transfer.white == 9000 * 0.25 + 64
-    assert transfer.white_reached
+    assert transfer.white_level == 9000 * 0.25 + 64
+    assert transfer.white_level_reached
     assert transfer.used.tolist() == [[True] * 3] * 4 + [[False] * 3] * 2  # 0.74: the brightest pixels are full
     np.testing.assert_allclose(transfer.gain, 0.25, rtol=0.02)
     everything = np.polyfit(transfer.mean[:, 1], transfer.variance[:, 1], 1)[0]

@@ -1,4 +1,4 @@
-"""What a real lab does wrong and calibration knows of: flawed pixels, drifting lamps, stray light; EMVA 1288's table."""
+"""What a real lab does wrong and calibration knows of: defective pixels, drifting lamps, stray light; EMVA 1288's table."""
 
 import json
 from dataclasses import replace
@@ -28,7 +28,7 @@ wavelength_error_nm = 0.0
 stray_light = 0.001
 [white]
 trials = 8
-[flaws]
+[defects]
 hot_pixels_per_million = 400
 dead_pixels_per_million = 400
 """
@@ -36,7 +36,7 @@ dead_pixels_per_million = 400
 
 @pytest.fixture(scope="module")
 def mean_lab(fine_bayer_recipe: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The small Bayer camera in a lab of much stray light and drift, with forty flawed pixels."""
+    """The small Bayer camera in a lab of much stray light and drift, with forty defective pixels."""
     folder = tmp_path_factory.mktemp("mean")
     (folder / "lab.toml").write_text(MEAN)
     assert run(["lab", str(fine_bayer_recipe), "-o", str(folder), "--recipe", str(folder / "lab.toml"), "--quiet"]) == 0
@@ -57,11 +57,11 @@ def worst(result: dict, name: str) -> float:
 RMS = "responsivity RMS error (% of peak)"
 
 
-def test_flawed_pixels_are_listed_and_left_out(mean_lab: Path, fine_bayer_recipe: Path, tmp_path: Path, l3: L3) -> None:
+def test_defective_pixels_are_listed_and_left_out(mean_lab: Path, fine_bayer_recipe: Path, tmp_path: Path, l3: L3) -> None:
     result = compared(mean_lab, "MEASUREMENTS.toml", fine_bayer_recipe, tmp_path / "camera.h5", l3)
     recipe = DefectRecipe(hot_pixels_per_million=400.0, dead_pixels_per_million=400.0)
-    flaws = defects_of(load_camera(fine_bayer_recipe), recipe)
-    known = defects.join(flaws.hot, flaws.dead)
+    simulated = defects_of(load_camera(fine_bayer_recipe), recipe)
+    known = defects.join(simulated.hot, simulated.dead)
     assert len(known) == 40
     assert result["defects"] == known.tolist()
     errors = {name: entry["error %"] for name, entry in result["truth"]["camera"].items()}

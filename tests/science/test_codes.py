@@ -37,7 +37,7 @@ def test_mosaic_and_target_are_the_codes(codes: np.ndarray, tmp_path: Path, l3: 
         camera, frames = reader.head.camera, [reader.frame(0), reader.frame(1)]
     sampled = np.take_along_axis(codes, tiled(camera.cfa, codes.shape[:2])[..., None].astype(int), axis=2)[..., 0]
     for frame, share in zip(frames, (0.9, 0.5), strict=True):
-        assert np.abs(frame.raw - sampled / 255 * share * camera.white).max() <= 0.51
+        assert np.abs(frame.raw - sampled / 255 * share * camera.white_level).max() <= 0.51
         assert frame.white == pytest.approx(np.full(3, frame.white[0]))
         target = np.moveaxis(frame.target, 0, -1) / frame.white[0] * 255
         assert target == pytest.approx(codes, abs=1e-3)

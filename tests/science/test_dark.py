@@ -41,21 +41,21 @@ seed = 5
 @settings(max_examples=30, deadline=None)
 @given(st.sampled_from([BAYER, FIVE_BAND, X_TRANS]), st.floats(-20, 2000), st.integers(0, 2**32 - 1))
 def test_a_frame_is_rendered_as_if_there_were_no_dark_current(cfa: list, dark: float, seed: int) -> None:
-    table, rng = random_table(cfa, black=100.0, patch=7), np.random.default_rng(seed)
+    table, rng = random_table(cfa, black_level=100.0, patch=7), np.random.default_rng(seed)
     whole = round(dark)
     values = rng.integers(100, 2000, (24, 31)).astype(np.uint16)
-    frame = RawFrame("f", (values.astype(int) + whole).astype(np.uint16), 100.0, table.white, (1, 0), dark=dark)
+    frame = RawFrame("f", (values.astype(int) + whole).astype(np.uint16), 100.0, table.white_level, (1, 0), dark=dark)
     device, reference = OpenCLRenderer(table), ReferenceRenderer(table)
     np.testing.assert_array_equal(device.labels(frame), reference.labels(frame))
     np.testing.assert_allclose(device.outputs(frame), reference.exact_outputs(frame), atol=5e-6)
     # The same light, were white nearer by what dark current takes, without dark current: levels alone are another scale.
-    light = RawFrame("f", values, 100.0, table.white - whole, (1, 0), dark=dark - whole)
+    light = RawFrame("f", values, 100.0, table.white_level - whole, (1, 0), dark=dark - whole)
     np.testing.assert_allclose(
-        reference.exact_outputs(frame) * (table.white - 100),
+        reference.exact_outputs(frame) * (table.white_level - 100),
         reference.exact_outputs(light) * (light.white_level - 100),
         rtol=1e-9,
     )
-    assert LightMeter(table).brightness(frame) * (table.white - 100) == pytest.approx(
+    assert LightMeter(table).brightness(frame) * (table.white_level - 100) == pytest.approx(
         LightMeter(table).brightness(light) * (light.white_level - 100)
     )
 
@@ -81,9 +81,11 @@ def test_noise_of_dark_electrons_is_in_the_noise_model(bayer: CameraModel) -> No
     assert dark == pytest.approx(camera.gain * 1200)
     for electrons in (0.0, 500.0, 5000.0):
         raw = sensor.expose(camera, np.full((400, 400), electrons), exposure, rng)
-        levelled = RawFrame("f", raw, camera.black, camera.white, dark=dark).at_levels(camera.black, camera.white, 12)
+        levelled = RawFrame("f", raw, camera.black_level, camera.white_level, dark=dark).at_levels(
+            camera.black_level, camera.white_level, 12
+        )
         signal = levelled.values - levelled.black_level
-        share = 1 - dark / (camera.white - camera.black)
+        share = 1 - dark / (camera.white_level - camera.black_level)
         assert signal.mean() * share == pytest.approx(camera.gain * electrons, abs=2.0)
         assert signal.var() == pytest.approx(camera.noise_variance(signal.mean(), dark), rel=0.03)
         assert signal.var() > 1.15 * camera.noise_variance(signal.mean())
@@ -121,13 +123,13 @@ def test_dark_frames_take_off_hot_pixels_and_fixed_pattern_but_add_no_noise(baye
     def exposed(electrons: float, seed: int) -> RawFrame:
         light = np.full(shape, electrons, np.float32)
         values = sensor.expose(camera, light, exposure, np.random.default_rng(seed)) + extra
-        return RawFrame("f", np.minimum(values, 4095).astype(np.uint16), camera.black, camera.white)
+        return RawFrame("f", np.minimum(values, 4095).astype(np.uint16), camera.black_level, camera.white_level)
 
     light = exposed(2000.0, 1)
     spread = light.values.std()
     for count, most in ((1, 1.05), (4, 0.89), (16, 0.86)):
         dark = average_dark(exposed(0.0, 100 + seed) for seed in range(count))
-        assert dark.level == pytest.approx(camera.black + camera.dark_signal(exposure), abs=0.5)
+        assert dark.level == pytest.approx(camera.black_level + camera.dark_signal(exposure), abs=0.5)
         frame = without_dark(light, dark)
         assert frame.dark == pytest.approx(camera.dark_signal(exposure), abs=0.5)
         usual = light.values[~hot].std()
@@ -139,8 +141,8 @@ def test_clipped_pixels_stay_clipped(bayer: CameraModel) -> None:
     values = np.full((8, 8), 4095, np.uint16)
     darks = np.full((8, 8), 80, np.uint16)
     darks[2, 3] = 900
-    dark = average_dark([RawFrame("d", darks, bayer.black, bayer.white)])
-    frame = without_dark(RawFrame("f", values, bayer.black, 4095.0), dark)
+    dark = average_dark([RawFrame("d", darks, bayer.black_level, bayer.white_level)])
+    frame = without_dark(RawFrame("f", values, bayer.black_level, 4095.0), dark)
     np.testing.assert_array_equal(frame.values, 4095)
 
 
@@ -169,7 +171,7 @@ def leaky(tmp_path: Path) -> Path:
     """A table of a camera whose dark current makes 100 DN/s, and a grey frame of 3 s as .npy, 300 DN too bright."""
     camera = random_camera(BAYER, 3, 12, 100.0)
     camera = replace(camera, noise=replace(camera.noise, dark_current=100.0 / camera.gain))
-    table = replace(random_table(BAYER, black=100.0, patch=3), exposure=0.1, camera=camera)
+    table = replace(random_table(BAYER, black_level=100.0, patch=3), exposure=0.1, camera=camera)
     save(table, tmp_path / "table.h5")
     rng = np.random.default_rng(1)
     np.save(tmp_path / "light.npy", rng.integers(900, 1500, (24, 32)).astype(np.uint16))

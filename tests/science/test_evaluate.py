@@ -260,7 +260,7 @@ def a_frame(camera: CameraModel, reflectance: np.ndarray, illuminant: str = "D65
     white, target = (spectra.xyz_weights(wavelength) @ (light * of) for of in (np.ones(wavelength.size), reflectance))
     return TrainingFrame(
         electrons=electrons,
-        raw=np.rint(camera.black + camera.gain * mosaic).astype(np.uint16),
+        raw=np.rint(camera.black_level + camera.gain * mosaic).astype(np.uint16),
         target=np.broadcast_to(target[:, None, None], (3, 24, 28)).astype(np.float32),
         white=white,
         scene="flat",
@@ -357,12 +357,10 @@ def _make(folder: Path, camera: Path) -> None:
         assert run([str(argument) for argument in arguments]) == 0
 
 
-def rewritten(
-    source: Path, target: Path, outputs: tuple[str, ...], frames: Callable[[TrainingFrame], TrainingFrame]
-) -> None:
+def rewritten(source: Path, path: Path, outputs: tuple[str, ...], frames: Callable[[TrainingFrame], TrainingFrame]) -> None:
     with open_training_set(source) as reader:
         head: TrainingSet = dataclasses.replace(reader.head, outputs=outputs)
-        with write_training_set(target, head) as writer:
+        with write_training_set(path, head) as writer:
             for frame in reader:
                 assert isinstance(frame, TrainingFrame)
                 writer.append(frames(frame))

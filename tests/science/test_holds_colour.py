@@ -57,7 +57,7 @@ def chart_errors(table: Path, chart: Path) -> np.ndarray:
     with open_training_set(chart) as frames:
         camera = frames.head.camera
         for frame in frames:
-            outputs = renderer.outputs(RawFrame("chart", frame.raw, camera.black, camera.white))
+            outputs = renderer.outputs(RawFrame("chart", frame.raw, camera.black_level, camera.white_level))
             planes = outputs * transforms.output_unit / frame.exposure
             labs = [lab(np.moveaxis(np.asarray(xyz), 0, -1), frame.white) for xyz in (planes, frame.target)]
             error = delta_e_2000(*labs)

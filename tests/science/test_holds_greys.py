@@ -62,7 +62,7 @@ class Learned:
         mosaic = sensor.mosaic(electrons, self.camera.cfa)
         noises = "none" if rng is None else "all"
         values = sensor.expose(self.camera, mosaic, 0.0, rng or np.random.default_rng(0), noises)
-        return RawFrame("grey", values, self.camera.black, self.camera.white)
+        return RawFrame("grey", values, self.camera.black_level, self.camera.white_level)
 
 
 @pytest.fixture(scope="module", params=EVERY, ids=lambda each: "-".join(map(str, each)))
@@ -146,7 +146,7 @@ def test_highlights_have_no_cast(learned: Learned) -> None:
 
 def test_greys_are_grey_at_every_level(learned: Learned) -> None:
     """C*ab of plain greys of the training light, from the dark to clipping, without noise. In the dark a DN is a colour."""
-    renderer, step = make_renderer("opencl", learned.table), learned.camera.white - learned.camera.black
+    renderer, step = make_renderer("opencl", learned.table), learned.camera.white_level - learned.camera.black_level
     exposures = EXPOSURES[EXPOSURES < 0.98]
     ramp = np.array([renderer.outputs(learned.raw(each, 24, None))[:, 8:-8, 8:-8].mean(axis=(1, 2)) for each in exposures])
     shown = lab(ramp / (learned.unit * exposures[:, None]), learned.white)  # each as bright as white
@@ -165,7 +165,7 @@ def test_clipped_areas_of_a_picture_are_neither_black_nor_magenta(tmp_path: Path
     electrons = (learned.rates[:, None, None] * share).astype(np.float32)
     rng = np.random.default_rng(1)
     values = sensor.expose(learned.camera, sensor.mosaic(electrons, learned.camera.cfa), 0.0, rng, "all")
-    raw = RawFrame("bars", values, learned.camera.black, learned.camera.white)
+    raw = RawFrame("bars", values, learned.camera.black_level, learned.camera.white_level)
     planes = make_renderer("opencl", learned.table).outputs(raw) / learned.unit
     assert np.isfinite(planes).all()
     assert planes[1][share > 1].min() > 0.2
@@ -189,10 +189,10 @@ def test_greys_are_taught_only_where_they_clip(bayer: CameraModel) -> None:
     sums = ClassSums(
         np.zeros((rule.classes_per_site, row.size)), np.zeros((rule.classes_per_site, 9)), np.ones(rule.classes_per_site)
     )
-    assert grey_patches(sums, rule, window, white, bayer.black, bayer.white, None) == {}
+    assert grey_patches(sums, rule, window, white, bayer.black_level, bayer.white_level, None) == {}
     sums.moments[0] = columns[row] * columns[col]
-    signal_found = white_channels(sums, rule, window, white, None)
-    taught = grey_patches(sums, rule, window, white, bayer.black, bayer.white, signal_found)
+    estimated_signal = white_channels(sums, rule, window, white, None)
+    taught = grey_patches(sums, rule, window, white, bayer.black_level, bayer.white_level, estimated_signal)
     assert taught
     for index, moments in taught.items():
         kind = index % rule.kinds

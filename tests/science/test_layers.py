@@ -23,9 +23,9 @@ from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.stages.training.later_layers import layer_pass
 from l3cli.training.layers.first import Seen
 from l3cli.training.layers.learn import LayerPass, add_sums, learn_layer, no_sums, sum_layer
-from l3cli.training.layers.rules import gradient_scale, structure_rule
 from l3cli.training.layers.mosaics import white_signal
 from l3cli.training.layers.rows import add_rows, inner_pixels, require_exact
+from l3cli.training.layers.rules import gradient_scale, structure_rule
 from l3cli.training.recipe import LayerRecipe, LearningRecipe, TrainingRecipe
 from l3cli.training.sums import STEP
 from tests.helpers.artifacts import a_table
@@ -164,10 +164,12 @@ def test_greys_get_no_further_tint(bayer_recipe: Path, tmp_path: Path, l3: Calla
     rng = np.random.default_rng(0)
     for level in (0.05, 0.2, 0.8):
         share = np.tile(signal[table.cfa] / signal.max() * level, (24, 24))
-        values = np.floor(table.black + share * (table.white - table.black) + rng.random(share.shape)).astype(np.uint16)
+        values = np.floor(
+            table.black_level + share * (table.white_level - table.black_level) + rng.random(share.shape)
+        ).astype(np.uint16)
         chroma, luminance = [], []
         for each in (dataclasses.replace(table, later=()), table):
-            outputs = ReferenceRenderer(each).exact_outputs(RawFrame("grey", values, table.black, table.white))
+            outputs = ReferenceRenderer(each).exact_outputs(RawFrame("grey", values, table.black_level, table.white_level))
             mean = outputs[:, 6:-6, 6:-6].mean(axis=(1, 2))
             colour = lab(mean / mean[1], table.white_point)
             chroma.append(float(np.hypot(colour[1], colour[2])))

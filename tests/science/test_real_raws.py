@@ -22,8 +22,8 @@ cols = 1734
 pixel_pitch_um = 4.3
 bits = 14
 gain_dn_per_e = 0.6
-black_dn = 2056
-white_dn = 15000
+black_level_dn = 2056
+white_level_dn = 15000
 [cfa]
 channels = ["r", "g", "b"]
 pattern = ["r g", "g b"]

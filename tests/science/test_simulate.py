@@ -67,8 +67,8 @@ def isetcam_camera(folder: Path) -> CameraModel:
         responsivity_band=np.zeros_like(efficiency),
         absolute=True,
         gain=4095 / well,
-        black=0.0,
-        white=4095.0,
+        black_level=0.0,
+        white_level=4095.0,
         fixed_pattern_seed=0,
         noise=Noise(
             read_noise=volts["read_noise_volts"],
@@ -92,7 +92,7 @@ def test_electrons_and_noise_meet_isetcam(isetcam: Path, off_axis: str) -> None:
     white *= table["V"] @ table["illum_energy_D65"]  # cd/m² of a perfect white in that scene
     spread = patches.reshape(6, 4, -1).transpose(1, 0, 2).copy()
     chart = Scene("patches", table["wave"], spread, illuminant.astype(np.float64))
-    frame = simulate(camera, chart, light.own_light(chart, white), given["exp_time"], PLAIN, (0, 0))
+    frame = simulate(camera, chart, light.scene_light(chart, white), given["exp_time"], PLAIN, (0, 0))
     patch_pixels = given["patch_px"] * given["oi_sample_spacing_m"][0] / camera.pixel_pitch
     fall = relative_illumination(camera.optics.image_distance, camera.pixel_pitch, (camera.rows, camera.cols))
     dark = camera.noise.dark_current * given["exp_time"]  # only the noisy frames hold it
@@ -130,7 +130,7 @@ def test_mean_and_variance_of_a_flat_frame_are_those_of_the_method(fiveband: Cam
     flat = np.full((fiveband.rows, fiveband.cols), electrons)
     raw = sensor.expose(fiveband, flat, exposure, np.random.default_rng(1)).astype(float)
     mean = electrons + noise.dark_current * exposure
-    assert (raw.mean() - fiveband.black) / fiveband.gain == pytest.approx(mean, rel=5e-4)
+    assert (raw.mean() - fiveband.black_level) / fiveband.gain == pytest.approx(mean, rel=5e-4)
     pattern = noise.prnu**2
     variance = (mean + noise.read_noise**2) * (1 + pattern) + pattern * mean**2 + noise.dsnu**2
     assert raw.var() == pytest.approx(fiveband.gain**2 * variance + 1 / 12, rel=0.02)
@@ -139,7 +139,7 @@ def test_mean_and_variance_of_a_flat_frame_are_those_of_the_method(fiveband: Cam
 def test_saturated_pixels_stay_within_the_converter(bayer: CameraModel) -> None:
     for electrons in (1e6, 1e25):
         raw = sensor.expose(bayer, np.full((32, 32), electrons), 1.0, np.random.default_rng(0))
-        assert raw.min() == raw.max() == bayer.white
+        assert raw.min() == raw.max() == bayer.white_level
 
 
 def test_fixed_pattern_belongs_to_the_camera(bayer: CameraModel) -> None:
@@ -154,7 +154,7 @@ def test_noise_modes_leave_out_what_they_say(fiveband: CameraModel) -> None:
     raw = {mode: sensor.expose(fiveband, flat, 0.5, np.random.default_rng(1), mode).astype(float) for mode in sensor.NOISES}
     mean = 3000.0 + fiveband.noise.dark_current * 0.5
     for mode in raw:
-        assert (raw[mode].mean() - fiveband.black) / fiveband.gain == pytest.approx(mean, rel=2e-3)
+        assert (raw[mode].mean() - fiveband.black_level) / fiveband.gain == pytest.approx(mean, rel=2e-3)
     assert np.ptp(raw["none"]) == 0
     assert raw["shot"].var() == pytest.approx(fiveband.gain**2 * mean + 1 / 12, rel=0.03)
     assert raw["all"].var() == pytest.approx(fiveband.noise_variance(np.array(fiveband.gain * mean)), rel=0.03)
@@ -171,8 +171,10 @@ def test_column_noise_belongs_to_the_columns(bayer: CameraModel) -> None:
 
 def test_analog_gain_reaches_the_converters_top_sooner(bayer: CameraModel) -> None:
     bright = sensor.with_analog_gain(bayer, 4.0)
-    assert (bright.gain, bright.white, bright.black) == (4 * bayer.gain, 4095.0, bayer.black)
-    assert sensor.with_analog_gain(bayer, 0.5).white == pytest.approx(bayer.black + (bayer.white - bayer.black) / 2)
+    assert (bright.gain, bright.white_level, bright.black_level) == (4 * bayer.gain, 4095.0, bayer.black_level)
+    assert sensor.with_analog_gain(bayer, 0.5).white_level == pytest.approx(
+        bayer.black_level + (bayer.white_level - bayer.black_level) / 2
+    )
 
 
 # -------------------------------------------------------------------------------------------------------- light

@@ -85,14 +85,14 @@ def test_patches_are_windows_of_the_turned_mosaic(bayer: CameraModel) -> None:
 
 
 def test_exposed_patches_have_the_noise_of_the_camera(bayer: CameraModel) -> None:
-    """Mean and variance at every signal, clipped at white, and neighbouring taps apart from each other."""
-    span = bayer.white - bayer.black
+    """Mean and variance at every signal, clipped at the white level, and neighbouring taps apart from each other."""
+    span = bayer.white_level - bayer.black_level
     signal = np.repeat(np.array([0.0, 0.02, 0.3, 0.8, 2.0], np.float32)[:, None], 60000, axis=1)
     values = expose_patches(signal, bayer, np.random.default_rng(1)).astype(np.float64)
     expected = bayer.noise_variance(signal[:4, 0].astype(np.float64) * span)  # with that of quantisation
-    assert values[:4].mean(axis=1) == pytest.approx(bayer.black + signal[:4, 0] * span, abs=0.3)
+    assert values[:4].mean(axis=1) == pytest.approx(bayer.black_level + signal[:4, 0] * span, abs=0.3)
     assert values[:4].var(axis=1) == pytest.approx(expected, rel=0.03)
-    assert (values[4] == np.floor(bayer.white)).all()
+    assert (values[4] == np.floor(bayer.white_level)).all()
     among = np.asarray(np.corrcoef(values[1:4]))
     assert abs(among[np.triu_indices(3, 1)]).max() < 0.02
     assert abs(np.corrcoef(values[2, :-1], values[2, 1:])[0, 1]) < 0.02
@@ -157,7 +157,7 @@ def test_flat_fields_give_their_true_output(bayer: CameraModel, tmp_path: Path, 
         share = level * share / share.mean()
         truth = MIX @ share
         for site in range(4):
-            patch = camera.black + share[near.channel[site]] * (camera.white - camera.black)
+            patch = camera.black_level + share[near.channel[site]] * (camera.white_level - camera.black_level)
             label = label_patches(np.rint(patch).astype(np.uint16)[None], table.first.rule, near, site)[0]
             index = site * table.first.rule.classes_per_site + label
             result = table.first.weights[index] @ share[near.channel[site]] + table.first.intercept[index]
@@ -226,7 +226,7 @@ def test_other_outputs_than_xyz(
     assert table.white_point == pytest.approx(white / (white[0] if outputs == ("Y",) else white.mean()))
     assert (np.abs(table.first.weights).sum(axis=(1, 2)) > 0).all()
     share = np.array([0.3, 0.25, 0.2])
-    mosaic = camera.black + share[np.tile(camera.cfa, (16, 16))] * (camera.white - camera.black)
+    mosaic = camera.black_level + share[np.tile(camera.cfa, (16, 16))] * (camera.white_level - camera.black_level)
     np.save(tmp_path / "raw.npy", np.rint(mosaic).astype(np.uint16))
     raw, exr = tmp_path / "raw.npy", tmp_path / "linear.exr"
     code, _, err = l3("render", tmp_path / "table.h5", raw, "-o", exr, "--backend", "reference")
@@ -276,7 +276,7 @@ def test_saturation_cases_are_named_by_their_pattern(fiveband: CameraModel) -> N
     occurrences[[0, 0b00010, 0b10010, 0b11111]] = 1000, 100, 100, 300
     rule = make_rule(ClassRecipe(), fiveband, choose_cases(occurrences, 12))
     first = SimpleNamespace(rule=rule)
-    table = SimpleNamespace(first=first, channels=fiveband.channels, cfa=fiveband.cfa, black=100.0, white=4095.0)
+    table = SimpleNamespace(first=first, channels=fiveband.channels, cfa=fiveband.cfa, black_level=100.0, white_level=4095.0)
     names = [kind_name(table, kind) for kind in range(rule.kinds)]  # type: ignore[arg-type]
     everything = "saturated " + "+".join(fiveband.channels)
     c, g = fiveband.channels[4], fiveband.channels[1]

@@ -46,7 +46,7 @@ def _psnr(table: TransformTable, training: Path) -> float:
     """dB, mean over the bands of the only frame."""
     with open_training_set(training) as reader:
         camera, frame = reader.head.camera, next(iter(reader))
-    raw = RawFrame(frame.scene, frame.raw, camera.black, camera.white)
+    raw = RawFrame(frame.scene, frame.raw, camera.black_level, camera.white_level)
     shown = make_renderer("opencl", table).outputs(raw) * (table.output_unit / frame.exposure)
     error = ((shown - frame.target) / frame.white[:, None, None])[:, MARGIN:-MARGIN, MARGIN:-MARGIN]
     return float(np.mean(-10 * np.log10((error.astype(np.float64) ** 2).mean(axis=(1, 2)))))
@@ -61,7 +61,7 @@ def test_no_switch_is_better_off(tmp_path: Path, l3_data: Path) -> None:
     unseen = [_simulated(tmp_path, f"unseen{index}", head + source) for index, source in enumerate(sources)]
     leaves = _simulated(tmp_path, "leaves", (CONFIGS / "scenes/bands.toml").read_text())
     shipped = (CONFIGS / "classes/default.toml").read_text()
-    found = {}
+    psnr = {}
     for name, key in {"nothing": "", **WITHOUT}.items():
         lines = [line for line in shipped.splitlines() if not key or not line.startswith(f"{key.split()[0]} ")]
         (tmp_path / "classes.toml").write_text("\n".join(lines).replace("[learning]", f"[learning]\n{key}"))
@@ -76,7 +76,7 @@ def test_no_switch_is_better_off(tmp_path: Path, l3_data: Path) -> None:
             "--quiet",
         ]
         assert run([str(argument) for argument in arguments]) == 0
-        found[name] = np.mean([_psnr(load(TransformTable, tmp_path / "table.h5"), one) for one in unseen])
-        print(f"without {name:24} {found[name]:6.2f} dB", flush=True)
-    assert found["nothing"] >= 38.4
-    assert max(found.values()) <= found["nothing"] + NOISE_DIFFERENCE
+        psnr[name] = np.mean([_psnr(load(TransformTable, tmp_path / "table.h5"), one) for one in unseen])
+        print(f"without {name:24} {psnr[name]:6.2f} dB", flush=True)
+    assert psnr["nothing"] >= 38.4
+    assert max(psnr.values()) <= psnr["nothing"] + NOISE_DIFFERENCE

@@ -44,8 +44,8 @@ def one_seed(seed: int, recipe: Path, folder: Path, l3: L3) -> dict[str, np.ndar
     errors = {name: np.array([entry["error %"]]) for name, entry in truth["camera"].items() if name in LIMITS}
     for name in next(iter(truth["channels"].values())):
         errors[name] = np.array([channel[name] for channel in truth["channels"].values()])
-    black = truth["camera"]["black level"]["true"]
-    errors["offset error (DN)"] = np.array([channel["offset (DN)"] - black for channel in result["channels"].values()])
+    black_level = truth["camera"]["black level"]["true"]
+    errors["offset error (DN)"] = np.array([channel["offset (DN)"] - black_level for channel in result["channels"].values()])
     return errors
 
 

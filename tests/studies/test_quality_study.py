@@ -87,7 +87,7 @@ class Studio:
         before, rest = text.split("[responsivity]")
         optics = rest[rest.index("[optics]") :]
         gain = (4095 - 108.93) / 10000
-        text = before.replace("gain_dn_per_e = 0.30259", f"gain_dn_per_e = {gain:.9g}\nwhite_dn = 4095")
+        text = before.replace("gain_dn_per_e = 0.30259", f"gain_dn_per_e = {gain:.9g}\nwhite_level_dn = 4095")
         text += '[responsivity]\nwavelength_nm = [400, 680, 10]\npeak_efficiency = 0.25\nfile = "responsivities.csv"\n'
         text += f"[noise]\nread_noise_e = 10.0\nwell_capacity_e = 24000.0\n{optics}"
         path = self.folder / "camera.toml"

@@ -54,8 +54,8 @@ name = "{source.name}"
 table = "sweep.csv"
 photodiode = {json.dumps(str(photodiode))}
 [datasheet]
-black_dn = {camera[0::2].mean():.1f}
-white_dn = 15000
+black_level_dn = {camera[0::2].mean():.1f}
+white_level_dn = 15000
 well_capacity_e = 60000
 read_noise_e = 4.0
 [uncertainty]
@@ -82,9 +82,9 @@ def test_a_real_sweep_gives_the_published_response(name: str, l3_data: Path, tmp
     camera = load(CameraModel, tmp_path / "camera.h5")
     assert not camera.absolute
     assert camera.responsivity.max() == 1.0
-    assert camera.declared == ("gain", "black", "white", "noise")
+    assert camera.declared == ("gain", "black level", "white level", "noise")
     assert json.loads(out)["responsivity"] == "relative"
-    assert camera.gain == pytest.approx((camera.white - camera.black) / 60000)
+    assert camera.gain == pytest.approx((camera.white_level - camera.black_level) / 60000)
     np.testing.assert_allclose(
         camera.responsivity * camera.wavelength / (camera.responsivity * camera.wavelength).max(), exported, atol=1e-6
     )
@@ -96,7 +96,7 @@ def test_exported_curves_come_back(l3_data: Path, tmp_path: Path, l3: L3) -> Non
     """A published camera of rawtoaces through [curves] and out again: the same JSON numbers."""
     source = l3_data / "sensitivities/rawtoaces/data/camera/Nikon_D800E_380_780_5.json"
     sensor = SENSOR.format(rows=300, cols=400, pitch=5.0, bits=14, pattern='"r g", "g b"')
-    rest = "[datasheet]\nblack_dn = 600\nwhite_dn = 15000\nwell_capacity_e = 60000\n"
+    rest = "[datasheet]\nblack_level_dn = 600\nwhite_level_dn = 15000\nwell_capacity_e = 60000\n"
     file = tmp_path / "MEASUREMENTS.toml"
     file.write_text(f'name = "Nikon D800E"\n{sensor}\n[curves]\nfile = {json.dumps(str(source))}\n{rest}')
     command = ("calibrate", file, "-o", tmp_path / "a.h5", "--export", tmp_path / "out", "--quiet")
@@ -154,7 +154,7 @@ radiance = "{band}.csv"
         blocks.append(f"\n[[dark]]\nframes = [{json.dumps(str(path))}]\nexposure_s = {seconds}\n")
     file = folder / "MEASUREMENTS.toml"
     sensor = SENSOR.format(rows=SHAPE[0], cols=SHAPE[1], pitch=3.45, bits=8, pattern='"g b", "r g"')
-    sheet = "[datasheet]\nblack_dn = 0\nwhite_dn = 249\nwell_capacity_e = 8000\nread_noise_e = 10\n"
+    sheet = "[datasheet]\nblack_level_dn = 0\nwhite_level_dn = 249\nwell_capacity_e = 8000\nread_noise_e = 10\n"
     file.write_text(f'name = "Flea3"\n{sensor}\n{sheet}' + "".join(blocks))
     return file
 

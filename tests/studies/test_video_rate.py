@@ -50,7 +50,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def write_pan(clean: np.ndarray, frames: Path) -> None:
     camera = load_camera(CONFIGS / "cameras/fiveband.toml")
     rng = np.random.default_rng(0)
-    spread = np.sqrt(camera.gain * np.maximum(clean - camera.black, 0) + (camera.gain * camera.noise.read_noise) ** 2)
+    spread = np.sqrt(camera.gain * np.maximum(clean - camera.black_level, 0) + (camera.gain * camera.noise.read_noise) ** 2)
     frames.mkdir()
     for number in range(FRAMES):
         path = frames / f"{number:05d}.raw"

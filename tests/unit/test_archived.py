@@ -85,7 +85,7 @@ def test_every_file_is_of_its_version_and_intact(l3: Callable, archived: Archive
 def test_cameras_and_frames_hold_what_they_held(archived: Archived, folder: Path) -> None:
     camera = load(CameraModel, folder / "camera.h5")
     assert camera.responsivity.sum() == pytest.approx(9.555008661696863, rel=1e-12)
-    assert (camera.name, camera.noise.well_capacity, camera.black, camera.fit) == ("archived", 15000.0, 64.0, None)
+    assert (camera.name, camera.noise.well_capacity, camera.black_level, camera.fit) == ("archived", 15000.0, 64.0, None)
     with open_training_set(folder / "training.h5") as training:
         frame = training.frame(0)
         assert (len(training), training.head.outputs, training.head.camera.name) == (1, ("X", "Y", "Z"), "archived")
@@ -112,6 +112,8 @@ def test_a_table_without_layers_opens_as_one_of_one_layer(archived: Archived, fo
     save(table, folder / "again.h5")
     with h5py.File(folder / "again.h5") as root:
         assert (int(root.attrs["version"]), "weights" in root, "first/weights" in root) == (3, False, True)
+        assert (root["black_level"][()], root["white_level"][()]) == (64.0, 3814.0)
+        assert not {"black", "white"} & set(root)
     assert equal(load(TransformTable, folder / "again.h5"), table)
 
 

@@ -82,7 +82,7 @@ def test_a_failed_writer_leaves_nothing(fiveband: CameraModel, tmp_path: Path) -
         ({"channels": ("r", "g")}, "channel"),
         ({"cfa": np.array([[9]], np.uint8)}, "cfa names channel 9"),
         ({"gain": "high"}, "gain"),
-        ({"black": 5000.0}, "black 5000"),
+        ({"black_level": 5000.0}, "black level 5000"),
     ],
 )
 def test_a_constructor_refuses_what_cannot_be(fiveband: CameraModel, changes: dict, message: str) -> None:
@@ -201,7 +201,7 @@ def test_info_lists_every_dataset_with_unit(fiveband: CameraModel, tmp_path: Pat
     save(a_camera(fiveband), path)
     code, out, err = l3("info", path)
     assert (code, err) == (0, "")
-    assert "camera model, format version 2" in out
+    assert "camera model, format version 3" in out
     for word in ("responsivity (channel, wavelength) 5×65 float64 e-/photon", "gain", "DN/e-", "made by l3 calibrate"):
         assert word in out
     shutil.copy(path, tmp_path / "cut.h5")

@@ -65,7 +65,7 @@ def extreme_patches(taps: int) -> np.ndarray:
 @pytest.mark.parametrize("patch", [5, 9, 15])
 def test_the_sums_fit_32_bits(fiveband: CameraModel, patch: int) -> None:
     """The formulas evaluated in wrapping 32-bit arithmetic, as a kernel does, for the extremes of 16-bit values."""
-    camera = dataclasses.replace(fiveband, bits=16, white=65535.0)
+    camera = dataclasses.replace(fiveband, bits=16, white_level=65535.0)
     rule = make_rule(ClassRecipe(patch=patch, contrasts=(1.4, 4.0)), camera, np.zeros(32, np.uint16), np.eye(5))
     near = neighbourhoods(camera.cfa, patch, 5)
     patches = extreme_patches(patch**2)
@@ -83,7 +83,7 @@ def test_the_sums_fit_32_bits(fiveband: CameraModel, patch: int) -> None:
             mean = scaled >> np.uint32(16)
             deviation = square - mean * (total + total - np.uint32(near.count[site, channel]) * mean)
             level_sum += scaled >> np.uint32(8)
-            signal = np.maximum((scaled >> np.uint32(12)).astype(np.int32) - np.int32(rule.chroma_black), 0)
+            signal = np.maximum((scaled >> np.uint32(12)).astype(np.int32) - np.int32(rule.chroma_black_level), 0)
             score += signal * rule.chroma_weights[:, channel, None]
             product = deviation * np.uint32(near.variance_reciprocal[site, channel])
             contrast_sum += np.minimum(product, np.uint32((2**32 - 1) // 5))
@@ -98,7 +98,7 @@ def test_level_contrast_and_case_mean_what_they_say(fiveband: CameraModel) -> No
     case_of_code = np.zeros(32, np.uint16)
     case_of_code[0b00010] = 1
     rule = make_rule(ClassRecipe(), fiveband, case_of_code)
-    span = fiveband.white - fiveband.black
+    span = fiveband.white_level - fiveband.black_level
 
     def label(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         labels = label_mosaic(values.astype(np.uint16), rule, fiveband.cfa, 5)
@@ -109,7 +109,7 @@ def test_level_contrast_and_case_mean_what_they_say(fiveband: CameraModel) -> No
 
     previous = -1.0
     for share in (0.002, 0.02, 0.2, 0.8):
-        mean = fiveband.black + share * span
+        mean = fiveband.black_level + share * span
         noisy = mean + rng.standard_normal((60, 60)) * np.sqrt(fiveband.noise_variance(np.array(share * span)))
         level, contrast, case = label(np.rint(noisy).clip(0, 4095))
         assert np.abs(level - np.median(level)).max() <= 1
@@ -150,9 +150,9 @@ def test_level_edges_are_spaced_or_given(fiveband: CameraModel) -> None:
     def edges(**keys: Any) -> np.ndarray:
         rule = make_rule(ClassRecipe(**keys), fiveband, np.zeros(32, np.uint16))
         values = rule.level_edges / (2**LEVEL_FRACTION * 5)
-        return (values - fiveband.black) / (fiveband.white - fiveband.black)
+        return (values - fiveband.black_level) / (fiveband.white_level - fiveband.black_level)
 
-    step = 1 / (2**LEVEL_FRACTION * 5) / (fiveband.white - fiveband.black)
+    step = 1 / (2**LEVEL_FRACTION * 5) / (fiveband.white_level - fiveband.black_level)
     assert edges(levels=5, lowest_level=0.2, highest_level=0.8, spacing="linear") == pytest.approx(
         [0.2, 0.4, 0.6, 0.8], abs=step
     )

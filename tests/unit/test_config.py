@@ -25,7 +25,8 @@ from tests.helpers.paths import CONFIGS
         ('"g b"', '"g b b"', "rows of cfa.pattern must name equally many channels"),
         ('"g b"', '"g x"', "do not name the same channels"),
         ("wavelength_nm = [400, 700, 10]", "wavelength_nm = [700, 400, 10]", "first < last"),
-        ("black_dn = 64", "black_dn = 5000", "black 5000"),
+        ("black_level_dn = 64", "black_level_dn = 5000", "black level 5000"),
+        ("black_level_dn = 64", "black_dn = 64", 'unknown key `black_dn` in [sensor]; did you mean "black_level_dn"?'),
     ],
 )
 def test_a_wrong_recipe_is_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
@@ -88,7 +89,7 @@ def test_the_fiveband_recipe_is_the_camera_of_method_1_1() -> None:
     names = np.array(camera.channels)[camera.cfa]
     assert [" ".join(row) for row in names] == ["b g c g", "g o g r", "c g b g", "g r g o"]
     assert np.bincount(camera.cfa.ravel()).tolist() == [2, 8, 2, 2, 2]
-    assert camera.black / 4095 == pytest.approx(0.0266, abs=1e-4)
+    assert camera.black_level / 4095 == pytest.approx(0.0266, abs=1e-4)
     peaks = camera.wavelength[camera.responsivity.argmax(axis=1)]
     assert np.abs(peaks - [615, 535, 440, 565, 515]).max() <= 10
 

@@ -61,10 +61,10 @@ def test_a_ramp_varies_along_its_angle(name: str, degrees: int, request: pytest.
 def test_noise_alone_is_flat_and_checks_are_not_coherent(bayer: CameraModel) -> None:
     rng = np.random.default_rng(0)
     rule = a_rule(bayer, EIGHT)
-    span = bayer.white - bayer.black
+    span = bayer.white_level - bayer.black_level
     for share in (0.01, 0.1, 0.5):
         noise = rng.standard_normal((80, 80)) * np.sqrt(bayer.noise_variance(np.array(share * span)))
-        seen = directions(bayer.black + share * span + noise, rule, bayer)
+        seen = directions(bayer.black_level + share * span + noise, rule, bayer)
         assert (seen == 0).mean() > 0.95
     texture = rng.normal(1500, 700, (16, 16)).repeat(5, 0).repeat(5, 1)
     seen = directions(texture, rule, bayer)
@@ -195,11 +195,16 @@ def test_trained_turned_sites_read_one_another(pipeline: Path, tmp_path: Path, l
     row, col = np.mgrid[:64, :64]
     values = (1200 + 800 * np.sin(0.4 * row + 0.1 * col)).astype(np.uint16)
     renderer = ReferenceRenderer(table)
-    plain = renderer.exact_outputs(RawFrame("f", values, table.black, table.white))
-    turned = renderer.exact_outputs(RawFrame("f", np.rot90(values), table.black, table.white, (1, 0)))
+    plain = renderer.exact_outputs(RawFrame("f", values, table.black_level, table.white_level))
+    turned = renderer.exact_outputs(RawFrame("f", np.rot90(values), table.black_level, table.white_level, (1, 0)))
     green = (table.cfa == 1)[row % 2, col % 2]
     difference = np.abs(np.rot90(plain, axes=(1, 2)) - turned)[:, 2:-2, 2:-2]
     assert difference[:, np.rot90(green)[2:-2, 2:-2]].max() < 1e-6
     assert (
-        len(np.unique(table.first.rule.split(renderer.labels(RawFrame("f", values, table.black, table.white))).further)) > 2
+        len(
+            np.unique(
+                table.first.rule.split(renderer.labels(RawFrame("f", values, table.black_level, table.white_level))).further
+            )
+        )
+        > 2
     )

@@ -20,7 +20,7 @@ from l3cli.training.insight import insight
 from tests.helpers.cameras import BAYER
 from tests.helpers.tables import random_table, with_later
 
-TABLE = with_later(random_table(BAYER, bits=12, black=64.0), 3, 5)
+TABLE = with_later(random_table(BAYER, bits=12, black_level=64.0), 3, 5)
 
 
 @pytest.fixture
@@ -50,7 +50,7 @@ def test_layers_agree_in_what_they_share() -> None:
         dataclasses.replace(TABLE, later=(dataclasses.replace(one, side=5), two))
     longer: dict[str, Any] = {"gradient_factor": np.full(8, 64, np.uint8), "gradient_shift": np.full(8, 6, np.uint8)}
     with pytest.raises(ValueError, match="for 8 levels"):
-        dataclasses.replace(TABLE, later=(dataclasses.replace(two, rule=dataclasses.replace(two.rule, **longer)),))
+        dataclasses.replace(TABLE, later=(dataclasses.replace(two, structure=dataclasses.replace(two.rule, **longer)),))
 
 
 @pytest.mark.parametrize("lost", ["first", "later/0"])

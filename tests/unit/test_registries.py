@@ -53,7 +53,7 @@ def test_a_raw_format_is_a_module_and_a_line(fiveband: CameraModel, tmp_path: Pa
     np.savetxt(tmp_path / "a.txt", values, "%d")
     frame = read_raw(tmp_path / "a.txt", fiveband)
     assert np.array_equal(frame.values, values)
-    assert (frame.exposure, frame.black_level) == (0.5, fiveband.black)
+    assert (frame.exposure, frame.black_level) == (0.5, fiveband.black_level)
     assert raw.is_frame(tmp_path / "a.txt")
     assert not raw.needs_sandbox(tmp_path / "a.txt")
 

@@ -47,19 +47,21 @@ WORST_16_BIT = 2
 STRIPES = [[0, 1, 2, 0, 1], [1, 2, 0, 1, 2], [2, 0, 1, 2, 0]]
 SIXTEEN = np.arange(16).reshape(4, 4)
 TABLES = {
-    "bayer": lambda: random_table(BAYER, bits=10, black=64.0),
-    "five-band": lambda: random_table(FIVE_BAND, bits=12, black=108.93, patch=9, contrasts=(1.1, 2.0)),
-    "x-trans": lambda: random_table(X_TRANS, bits=16, black=2048.0, patch=7, contrasts=(1.2, 2.0, 5.0), wild=True),
-    "white": lambda: random_table([[0, 3, 1, 3], [3, 0, 3, 1], [1, 3, 2, 3], [3, 1, 3, 2]], bits=14, black=512.5, patch=9),
+    "bayer": lambda: random_table(BAYER, bits=10, black_level=64.0),
+    "five-band": lambda: random_table(FIVE_BAND, bits=12, black_level=108.93, patch=9, contrasts=(1.1, 2.0)),
+    "x-trans": lambda: random_table(X_TRANS, bits=16, black_level=2048.0, patch=7, contrasts=(1.2, 2.0, 5.0), wild=True),
+    "white": lambda: random_table(
+        [[0, 3, 1, 3], [3, 0, 3, 1], [1, 3, 2, 3], [3, 1, 3, 2]], bits=14, black_level=512.5, patch=9
+    ),
     "stripes": lambda: random_table(STRIPES, bits=8, patch=3, outputs=XYZ + ("N", "U"), contrasts=()),
     "sixteen": lambda: random_table(SIXTEEN, bits=13, patch=15, outputs=("a",), contrasts=(1.4, 3.0), wild=True),
     "mono": lambda: random_table([[0]], bits=16, patch=11, outputs=tuple("abcdefghijklmnop"), wild=True),
-    "directions": lambda: random_table(BAYER, bits=14, black=256.0, patch=9, direction=direction.Keys()),
+    "directions": lambda: random_table(BAYER, bits=14, black_level=256.0, patch=9, direction=direction.Keys()),
     "8 directions": lambda: random_table(
-        FIVE_BAND, black=100.0, direction=direction.Keys(orientations=8, strengths=(1.5, 6.0), coherence=0.4)
+        FIVE_BAND, black_level=100.0, direction=direction.Keys(orientations=8, strengths=(1.5, 6.0), coherence=0.4)
     ),
-    "two layers": lambda: with_later(random_table(FIVE_BAND, black=100.0, patch=9), 5),
-    "two layers of 16 bits": lambda: with_later(random_table(X_TRANS, bits=16, black=2048.0, patch=7), 3),
+    "two layers": lambda: with_later(random_table(FIVE_BAND, black_level=100.0, patch=9), 5),
+    "two layers of 16 bits": lambda: with_later(random_table(X_TRANS, bits=16, black_level=2048.0, patch=7), 3),
     "two wide layers": lambda: with_later(random_table(BAYER, bits=8, patch=5), 7, seed=3),
 }
 
@@ -96,12 +98,14 @@ def frames(draw: st.DrawFn, table: TransformTable) -> RawFrame:
     rng = np.random.default_rng(draw(st.integers(0, 2**32)))
     top = 2 ** draw(st.sampled_from([table.bits, table.bits, 16])) - 1
     level, spread = draw(st.floats(0, 1.1)), draw(st.sampled_from([0.0, 0.001, 0.05, 0.5, 2.0]))
-    values = table.black + top * level * rng.uniform(0.3, 1.0) * (1 + spread * rng.normal(size=(rows, cols)))
-    for value in draw(st.lists(st.sampled_from([0.0, table.black, float(table.first.rule.saturation), top]), max_size=3)):
+    values = table.black_level + top * level * rng.uniform(0.3, 1.0) * (1 + spread * rng.normal(size=(rows, cols)))
+    for value in draw(
+        st.lists(st.sampled_from([0.0, table.black_level, float(table.first.rule.saturation), top]), max_size=3)
+    ):
         row, col = rng.integers(0, rows), rng.integers(0, cols)
         values[row : row + rng.integers(1, 9), col : col + rng.integers(1, 9)] = value
     phase = (draw(st.integers(0, table.cfa.shape[0] - 1)), draw(st.integers(0, table.cfa.shape[1] - 1)))
-    return RawFrame("drawn", np.clip(values, 0, top).astype(np.uint16), table.black, table.white, phase)
+    return RawFrame("drawn", np.clip(values, 0, top).astype(np.uint16), table.black_level, table.white_level, phase)
 
 
 def assert_equal_to_reference(reference: ReferenceRenderer, device: OpenCLRenderer, frame: RawFrame) -> None:
@@ -129,8 +133,8 @@ def test_frames_of_one_value_and_of_one_line(renderers: tuple[ReferenceRenderer,
     reference, device = renderers
     table = reference.table
     for shape in ((1, 1), (1, 70), (70, 1), (17, 33)):
-        for value in (0, int(table.black), table.first.rule.saturation, 2**table.bits - 1):
-            frame = RawFrame("f", np.full(shape, value, np.uint16), table.black, table.white)
+        for value in (0, int(table.black_level), table.first.rule.saturation, 2**table.bits - 1):
+            frame = RawFrame("f", np.full(shape, value, np.uint16), table.black_level, table.white_level)
             np.testing.assert_array_equal(device.labels(frame), reference.labels(frame))
             exact = reference.exact_outputs(frame)
             np.testing.assert_allclose(
@@ -163,8 +167,10 @@ def test_any_colour_filter_array(data: st.DataObject) -> None:
 @pytest.mark.parametrize("kind", ["processor", "graphics"])
 @pytest.mark.parametrize("sides", [(), (5,)], ids=["one layer", "two layers"])
 def test_bands_change_nothing(monkeypatch: pytest.MonkeyPatch, sides: tuple[int, ...], kind: str) -> None:
-    table = with_later(random_table(STRIPES, bits=12, black=100.0, patch=5), *sides)
-    frame = RawFrame("f", np.random.default_rng(0).integers(0, 4096, (61, 83)).astype(np.uint16), 100.0, table.white, (2, 1))
+    table = with_later(random_table(STRIPES, bits=12, black_level=100.0, patch=5), *sides)
+    frame = RawFrame(
+        "f", np.random.default_rng(0).integers(0, 4096, (61, 83)).astype(np.uint16), 100.0, table.white_level, (2, 1)
+    )
     display = make_display(table.white_point, 1.0, 8)
     whole = OpenCLRenderer(table, **KINDS[kind])
     labels = [whole.labels(frame, layer) for layer in range(len(table.layers))]
@@ -182,7 +188,7 @@ def test_sequences_are_rendered_in_order() -> None:
     table = random_table(BAYER, patch=3)
     rng = np.random.default_rng(0)
     shapes = [(20, 30)] * 5 + [(31, 17), (20, 30)]
-    sequence = [RawFrame("f", rng.integers(0, 4096, shape).astype(np.uint16), 0.0, table.white) for shape in shapes]
+    sequence = [RawFrame("f", rng.integers(0, 4096, shape).astype(np.uint16), 0.0, table.white_level) for shape in shapes]
     displays = [make_display(table.white_point, 1.0 + index / 3, 8) for index in range(len(sequence))]
     device = OpenCLRenderer(table)
     pictures = list(device.pictures(zip(sequence, displays, strict=True)))
@@ -196,7 +202,7 @@ def test_other_threads_run_while_a_frame_is_rendered() -> None:
     """As decoding and encoding do beside the rendering of a video."""
     table = random_table(BAYER, patch=3)
     device, display = OpenCLRenderer(table), make_display(table.white_point, 1.0, 8)
-    frame = RawFrame("f", np.zeros((2000, 4000), np.uint16), table.black, table.white)
+    frame = RawFrame("f", np.zeros((2000, 4000), np.uint16), table.black_level, table.white_level)
     device.picture(frame, display)
     ticks, done = 0, threading.Event()
 
@@ -251,7 +257,7 @@ def test_encodings_on_the_device(kind: str) -> None:
     centre = np.zeros_like(table.first.weights)
     centre[:, :, 4] = 1.0
     table = with_first(table, weights=centre, intercept=np.full_like(table.first.intercept, -0.01))
-    frame = RawFrame("ramp", np.arange(65536, dtype=np.uint16).reshape(256, 256), table.black, table.white)
+    frame = RawFrame("ramp", np.arange(65536, dtype=np.uint16).reshape(256, 256), table.black_level, table.white_level)
     device, reference = OpenCLRenderer(table, **KINDS[kind]), ReferenceRenderer(table)
     for bits, share in ENCODINGS:
         display = Display(np.diag([1.0, 1.7, 0.01]), bits)
@@ -264,7 +270,7 @@ def test_encodings_on_the_device(kind: str) -> None:
 
 
 def test_centre_tap_of_the_reference_gives_the_signal_back() -> None:
-    table = random_table(BAYER, bits=10, black=64.0)
+    table = random_table(BAYER, bits=10, black_level=64.0)
     centre = np.zeros_like(table.first.weights)
     centre[:, 1, 12] = 1.0
     table = with_first(table, weights=centre, intercept=np.zeros_like(table.first.intercept))
@@ -292,7 +298,7 @@ def test_weights_follow_class_tap_and_phase(backend: str) -> None:
 
 @pytest.mark.parametrize("backend", list(BACKENDS))
 def test_frames_on_other_levels_are_rescaled(backend: str) -> None:
-    table = random_table(BAYER, bits=10, black=64.0)
+    table = random_table(BAYER, bits=10, black_level=64.0)
     renderer = make_renderer(backend, table)
     values = np.random.default_rng(0).integers(64, 1024, (6, 8)).astype(np.uint16)
     wide = ((values.astype(int) - 64) * 16 + 2000).astype(np.uint16)
@@ -305,7 +311,7 @@ def test_renderer_is_made_once_for_frames_of_changing_size() -> None:
     device, reference = OpenCLRenderer(table), ReferenceRenderer(table)
     rng = np.random.default_rng(0)
     for shape in ((5, 300), (1, 1), (70, 3), (5, 300)):
-        frame = RawFrame("f", rng.integers(0, 4096, shape).astype(np.uint16), table.black, table.white)
+        frame = RawFrame("f", rng.integers(0, 4096, shape).astype(np.uint16), table.black_level, table.white_level)
         np.testing.assert_array_equal(device.labels(frame), reference.labels(frame))
     times = device.stage_times(frame, make_display(table.white_point, 1.0, 8))
     assert list(times) == ["upload", "classes", "transforms", "encode", "download"]
@@ -358,7 +364,7 @@ def test_pictures_need_xyz() -> None:
     with pytest.raises(RecipeError, match=r"\.exr"):
         require_xyz(("r", "g", "b"))
     table = random_table(BAYER, outputs=("Y",))
-    frame = RawFrame("f", np.zeros((2, 2), np.uint16), table.black, table.white)
+    frame = RawFrame("f", np.zeros((2, 2), np.uint16), table.black_level, table.white_level)
     for backend in BACKENDS:
         with pytest.raises(RecipeError, match="X, Y, Z"):
             make_renderer(backend, table).picture(frame, Display(np.eye(3), 8))

@@ -72,8 +72,8 @@ def grids(draw: Callable, least: int = 1, within: tuple[float, float] = (400.0, 
 
 @settings(max_examples=80, deadline=None)
 @given(grids(), grids(least=2, within=(200.0, 1000.0)), st.integers(0, 2**32 - 1))
-def test_power_is_kept_on_any_grid(source: np.ndarray, target: np.ndarray, seed: int) -> None:
-    wide = np.concatenate([[100.0, 150.0], np.sort(target), [1100.0, 1150.0]])[:: np.sign(target[1] - target[0]).astype(int)]
+def test_power_is_kept_on_any_grid(source: np.ndarray, grid: np.ndarray, seed: int) -> None:
+    wide = np.concatenate([[100.0, 150.0], np.sort(grid), [1100.0, 1150.0]])[:: np.sign(grid[1] - grid[0]).astype(int)]
     power = np.random.default_rng(seed).random((3, source.size)) ** 8
     resampled = spectra.resample(power, source, wide)
     assert (resampled >= 0).all()
@@ -81,12 +81,12 @@ def test_power_is_kept_on_any_grid(source: np.ndarray, target: np.ndarray, seed:
     assert np.allclose((resampled * spectra.bin_widths(wide)).sum(axis=1), total, rtol=1e-6)
     same = spectra.resample(power, source, source)
     assert np.allclose(same, power, rtol=1e-9, atol=1e-12)
-    assert np.allclose(spectra.average(np.ones(source.size), source, target)[inside(target, source)], 1.0, rtol=1e-9)
+    assert np.allclose(spectra.average(np.ones(source.size), source, grid)[inside(grid, source)], 1.0, rtol=1e-9)
     assert np.allclose(spectra.resample(np.ones(wide.size), wide, source), 1.0, rtol=1e-9)
 
 
-def inside(target: np.ndarray, source: np.ndarray) -> np.ndarray:
-    return (target >= source.min()) & (target <= source.max())
+def inside(grid: np.ndarray, source: np.ndarray) -> np.ndarray:
+    return (grid >= source.min()) & (grid <= source.max())
 
 
 def test_a_finer_grid_is_interpolation_and_a_line_keeps_its_place() -> None:
@@ -130,10 +130,10 @@ def test_a_scene_of_finer_bands_than_the_cameras_has_electrons(bayer: CameraMode
     """Its bands end where the camera still has samples: these see nothing, and are no 0 / 0."""
     bands = np.arange(430.0, 671.0, 1.0)
     scene = Scene("fine", bands, np.ones((16, 16, bands.size), np.float32), np.ones(bands.size))
-    rates = light.white_rates(bayer, light.own_light(scene, 10.0))
+    rates = light.white_rates(bayer, light.scene_light(scene, 10.0))
     coarse = bands[::5]
     scene = Scene("coarse", coarse, np.ones((16, 16, coarse.size), np.float32), np.ones(coarse.size))
-    assert np.allclose(rates, light.white_rates(bayer, light.own_light(scene, 10.0)), rtol=0.02)
+    assert np.allclose(rates, light.white_rates(bayer, light.scene_light(scene, 10.0)), rtol=0.02)
 
 
 def test_a_cube_is_divided_by_all_of_its_light() -> None:

@@ -29,7 +29,7 @@ cols = 96
 pixel_pitch_um = 4.0
 bits = 12
 gain_dn_per_e = 0.25
-black_dn = 64
+black_level_dn = 64
 [cfa]
 channels = ["r", "g", "b"]
 pattern = ["r g b", "g b r", "b r g"]
@@ -250,7 +250,7 @@ table = load(TransformTable, Path("table.h5"))
 assert [axis.name for axis in table.first.rule.axes] == ["direction", "peak"], table.first.rule.axes
 values = np.random.default_rng(0).integers(60, 4096, (70, 300)).astype(np.uint16)
 values[:35] = 1000 + 20 * np.arange(300)[None] % 900
-frame = RawFrame("f", values, table.black, table.white, (1, 2))
+frame = RawFrame("f", values, table.black_level, table.white_level, (1, 2))
 labels = ReferenceRenderer(table).labels(frame)
 directions, peaks = table.first.rule.split_further(table.first.rule.split(labels).further)
 assert np.unique(directions).tolist() == [0, 1, 2, 3, 4] and np.unique(peaks).tolist() == [0, 1, 2]

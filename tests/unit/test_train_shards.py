@@ -219,8 +219,8 @@ def test_a_second_layer_has_the_same_bytes_in_shards(
     assert "different runs or passes" in refused(3, "train", "--merge", third[0], second[1], "-o", out)
     assert "different runs or passes" in refused(3, "train", "--merge", second[0], third[1], "-o", out)
     for wrong in (table, tmp_path / "whole1.h5"):
-        told = refused(3, "train", *run, "--shard", "1/3", "--first", wrong, "-o", out)
-        assert "is not the first pass of this run, nor its first layer" in told
+        message = refused(3, "train", *run, "--shard", "1/3", "--first", wrong, "-o", out)
+        assert "is not the first pass of this run, nor its first layer" in message
     other = (*run[:-1], 6, "--shard", "1/3")
     assert "nor its first layer" in refused(3, "train", *other, "--first", one_layer, "-o", out)
     # the same sets and seed, another recipe

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
-from l3cli.frame import with_one_black
+from l3cli.frame import with_one_black_level
 from l3cli.io.apart import apart
 from l3cli.io.raw.cfa_codes import LETTERS
 from l3cli.io.raw.content import RawContent, Request
@@ -46,10 +46,10 @@ class Mosaic:
     pattern: NDArray[np.int64]  # (row, col) colour codes, from the upper left corner of the active area
     active: tuple[int, int, int, int]  # top, left, bottom, right of the pixels that see light
     crop: tuple[int, int, int, int]  # row, column within the active area, rows, columns: what is to be shown
-    black: NDArray[np.float64]  # (row, col) DN, repeating from the corner of the active area
+    black_level: NDArray[np.float64]  # (row, col) DN, repeating from the corner of the active area
     black_of_row: NDArray[np.float64]  # (active row), DN added
     black_of_col: NDArray[np.float64]  # (active col), DN added
-    white: float  # DN
+    white_level: float  # DN
     exposure: float | None  # s
 
 
@@ -72,17 +72,17 @@ def described(path: Path, stored: NDArray[np.uint16]) -> RawContent:
     top, left, bottom, right = mosaic.active
     row, col, rows, cols = mosaic.crop
     shown = np.s_[row : row + rows, col : col + cols]
-    black = _black_levels(mosaic, (bottom - top, right - left))
-    black = black if black.size == 1 else black[shown]
-    if not (black.min() >= 0 and (black < mosaic.white).all()):
-        raise InputFileError(f"{path}: its black levels are not below its white level {mosaic.white:g}; it is damaged")
+    black_level = _black_levels(mosaic, (bottom - top, right - left))
+    black_level = black_level if black_level.size == 1 else black_level[shown]
+    if not (black_level.min() >= 0 and (black_level < mosaic.white_level).all()):
+        raise InputFileError(f"{path}: its black levels are not below its white level {mosaic.white_level:g}; it is damaged")
     pixels = stored[top:bottom, left:right][shown].copy()  # LibRaw takes its memory back
-    values, common, white = with_one_black(pixels, black, np.array(mosaic.white))
+    values, common, white_level = with_one_black_level(pixels, black_level, np.array(mosaic.white_level))
     pattern = np.roll(mosaic.pattern, (-row, -col), axis=(0, 1))
     return RawContent(
         values=values,
         black_level=common,
-        white_level=white,
+        white_level=white_level,
         pattern=pattern,
         orientation=mosaic.orientation,
         exposure=mosaic.exposure,
@@ -91,10 +91,10 @@ def described(path: Path, stored: NDArray[np.uint16]) -> RawContent:
 
 def _black_levels(mosaic: Mosaic, shape: tuple[int, int]) -> NDArray[np.float64]:
     """(row, col) of the active area, or (1, 1) where all pixels have the same."""
-    if np.ptp(mosaic.black) == 0 and not mosaic.black_of_row.any() and not mosaic.black_of_col.any():
-        return mosaic.black[:1, :1]
-    repeats = [-(-length // period) for length, period in zip(shape, mosaic.black.shape, strict=True)]
-    tiled = np.tile(mosaic.black, repeats)[: shape[0], : shape[1]]
+    if np.ptp(mosaic.black_level) == 0 and not mosaic.black_of_row.any() and not mosaic.black_of_col.any():
+        return mosaic.black_level[:1, :1]
+    repeats = [-(-length // period) for length, period in zip(shape, mosaic.black_level.shape, strict=True)]
+    tiled = np.tile(mosaic.black_level, repeats)[: shape[0], : shape[1]]
     return tiled + mosaic.black_of_row[:, None] + mosaic.black_of_col
 
 
@@ -174,10 +174,10 @@ def _mosaic(path: Path, first: Any, raw: Any, shape: tuple[int, ...]) -> Mosaic:
         pattern=_pattern(path, raw),
         active=(top, left, bottom, right),
         crop=crop,
-        black=_repeating(_numbers(raw, TiffTag.BLACK_LEVEL, (0,)), black_shape).astype(np.float64),
+        black_level=_repeating(_numbers(raw, TiffTag.BLACK_LEVEL, (0,)), black_shape).astype(np.float64),
         black_of_row=_of_length(raw, TiffTag.BLACK_LEVEL_DELTA_V, rows),
         black_of_col=_of_length(raw, TiffTag.BLACK_LEVEL_DELTA_H, cols),
-        white=float(_numbers(raw, TiffTag.WHITE_LEVEL, (2**raw.bitspersample - 1,))[0]),
+        white_level=float(_numbers(raw, TiffTag.WHITE_LEVEL, (2**raw.bitspersample - 1,))[0]),
         exposure=exposure_time(first),
     )
 

@@ -84,8 +84,8 @@ def _mosaic_tags(camera: CameraModel, shape: Sequence[int]) -> list[Tag]:
         _tag(TiffTag.CFA_PLANE_COLOR, BYTE, codes[_planes(camera)]),
         _tag(TiffTag.CFA_LAYOUT, SHORT, [RECTANGULAR]),
         _tag(TiffTag.BLACK_LEVEL_REPEAT_DIM, SHORT, [1, 1]),
-        _tag(TiffTag.BLACK_LEVEL, RATIONAL, [camera.black]),
-        _tag(TiffTag.WHITE_LEVEL, LONG, [camera.white]),
+        _tag(TiffTag.BLACK_LEVEL, RATIONAL, [camera.black_level]),
+        _tag(TiffTag.WHITE_LEVEL, LONG, [camera.white_level]),
         _tag(TiffTag.DEFAULT_SCALE, RATIONAL, [1, 1]),
         _tag(TiffTag.DEFAULT_CROP_ORIGIN, LONG, [0, 0]),
         _tag(TiffTag.DEFAULT_CROP_SIZE, LONG, [cols, rows]),
@@ -100,9 +100,9 @@ def _colour_tags(camera: CameraModel, colour: RawColour, neutral: NDArray[np.flo
         tags.append(_tag(ILLUMINANTS[index], SHORT, [code]))
     if neutral is not None:
         tags.append(_tag(TiffTag.AS_SHOT_NEUTRAL, RATIONAL, neutral[planes]))
-    full_scale = camera.white - camera.black
+    full_scale = camera.white_level - camera.black_level
     constant, linear, _ = camera.noise_terms()
-    noise = (linear / full_scale, constant / full_scale**2)  # variance = S · x + O of values x between black and white
+    noise = (linear / full_scale, constant / full_scale**2)  # variance = S · x + O of values x between black and white level
     return [*tags, _tag(TiffTag.NOISE_PROFILE, DOUBLE, noise)]
 
 

@@ -1,6 +1,6 @@
 """Raw files → RawFrame. How each format is read: registry.py.
 
-The colour filter array comes from the table. From the file come pixels, black, white, crop, orientation, and where it states
+The colour filter array comes from the table. From the file come pixels, levels, crop, orientation, and where it states
 of its array the phase; an array that is not the table's is refused.
 """
 
@@ -76,8 +76,8 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: KnownBetter) 
     frame = RawFrame(
         name,
         np.ascontiguousarray(values, np.uint16),
-        content.get("black_level", table.black),
-        content.get("white_level", table.white),
+        content.get("black_level", table.black_level),
+        content.get("white_level", table.white_level),
         find_phase(name, pattern, table) if pattern is not None and known.phase is None else (0, 0),
         content.get("orientation", 0),
         content.get("exposure"),
@@ -87,23 +87,29 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: KnownBetter) 
 
 def _corrected(frame: RawFrame, table: Sensor, known: KnownBetter) -> RawFrame:
     """The frame with what the caller knows better in place of what the file says, and what dark current adds to it."""
-    black = frame.black_level if known.black_level is None else known.black_level
-    white = frame.white_level if known.white_level is None else known.white_level
+    black_level = frame.black_level if known.black_level is None else known.black_level
+    white_level = frame.white_level if known.white_level is None else known.white_level
     phase = frame.phase if known.phase is None else known.phase
-    if not 0 <= black < white <= TOP:
+    if not 0 <= black_level < white_level <= TOP:
         raise InputFileError(
-            f"{frame.name}: black level {black:g} and white level {white:g} do not fit; give ‹black› and ‹white_level›"
+            f"{frame.name}: black level {black_level:g} and white level {white_level:g} do not fit; "
+            "give ‹black_level› and ‹white_level›"
         )
     rows, cols = table.cfa.shape
     recorded = frame.exposure if frame.exposure is not None and 0 < frame.exposure <= LONGEST else None
     exposure = recorded if known.exposure is None else known.exposure
-    dark = table.dark_signal(exposure) * (white - black) / (table.white - table.black)
-    if not dark < white - black:
+    dark = table.dark_signal(exposure) * (white_level - black_level) / (table.white_level - table.black_level)
+    if not dark < white_level - black_level:
         raise InputFileError(
-            f"{frame.name}: dark current alone fills a pixel with {dark:.4g} of {white - black:.4g} DN; "
+            f"{frame.name}: dark current alone fills a pixel with {dark:.4g} of {white_level - black_level:.4g} DN; "
             "is its exposure time in seconds?"
         )
     corrected = replace(
-        frame, black_level=black, white_level=white, phase=(phase[0] % rows, phase[1] % cols), exposure=exposure, dark=dark
+        frame,
+        black_level=black_level,
+        white_level=white_level,
+        phase=(phase[0] % rows, phase[1] % cols),
+        exposure=exposure,
+        dark=dark,
     )
     return corrected if known.dark is None else without_dark(corrected, known.dark)

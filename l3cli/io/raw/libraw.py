@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
-from l3cli.frame import with_one_black
+from l3cli.frame import with_one_black_level
 from l3cli.io.apart import apart
 from l3cli.io.names import named_in_utf8
 from l3cli.io.raw.cfa_codes import codes_of
@@ -53,18 +53,18 @@ def _visible(path: Path, raw: Any) -> RawContent:
     colours, letters = raw.raw_colors_visible, raw.color_desc.decode("ascii", "replace")
     if raw.num_colors == 1:  # no filters: LibRaw gives 6, which is none of its colours
         colours, letters = np.zeros_like(colours), "W"
-    black, white = _levels(raw)
-    if colours.max() >= min(len(letters), len(black)):
+    black_level, white_level = _levels(raw)
+    if colours.max() >= min(len(letters), len(black_level)):
         raise InputFileError(f"{path} names colours that it does not have; it is damaged")
     used = np.unique(colours)
-    if not (black[used] < white[used]).all():
-        levels = f"{black[used].max():g} is not below its white level {white[used].min():g}"
+    if not (black_level[used] < white_level[used]).all():
+        levels = f"{black_level[used].max():g} is not below its white level {white_level[used].min():g}"
         raise InputFileError(f"{path}: its black level {levels}; it is damaged")
     values = raw.raw_image_visible.copy()
-    if np.ptp(black[used]) == 0:
-        common, top = float(black[used[0]]), float(white[used].min())
+    if np.ptp(black_level[used]) == 0:
+        common, top = float(black_level[used[0]]), float(white_level[used].min())
     else:
-        values, common, top = with_one_black(values, black[colours], white[colours])
+        values, common, top = with_one_black_level(values, black_level[colours], white_level[colours])
     rows, cols = raw.raw_pattern.shape
     pattern = codes_of(letters)[colours[:rows, :cols]]
     shot = getattr(raw, "other", None)  # rawpy has it since 0.26
@@ -81,6 +81,6 @@ def _visible(path: Path, raw: Any) -> RawContent:
 
 def _levels(raw: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Black and white level (colour) in DN."""
-    black = np.array(raw.black_level_per_channel, np.float64)
+    black_level = np.array(raw.black_level_per_channel, np.float64)
     whites = np.array(raw.camera_white_level_per_channel or (0,), np.float64)
-    return black, np.where(whites > 0, whites, raw.white_level) + np.zeros_like(black)
+    return black_level, np.where(whites > 0, whites, raw.white_level) + np.zeros_like(black_level)

@@ -15,7 +15,7 @@ from l3cli.files import sha256
 from l3cli.io.scenes.files import find
 from l3cli.io.scenes.registry import is_folder
 from l3cli.simulation import recipe as asked
-from l3cli.simulation.light import OWN, Curve, check_measured, make_light, recorded_under
+from l3cli.simulation.light import SCENE_LIGHT, Curve, check_measured, make_light, recorded_under
 from l3cli.simulation.recipe import SceneRecipe
 from l3cli.simulation.sources import FileSource, name_of
 from l3cli.simulation.targets import make_target
@@ -32,9 +32,9 @@ def prepare(recipe: SceneRecipe, path: Path, camera: CameraModel, seed: int) -> 
         curves = {name: _curve(path.parent / name, role) for name, role in named.items()}
         fitted = asked.set_up(camera, recipe, curves)
         other = recipe.target.illuminant
-        wanted = {*recipe.illuminants, *filter(None, [other])} - {OWN}
+        wanted = {*recipe.illuminants, *filter(None, [other])} - {SCENE_LIGHT}
         lights = {name: make_light(name, curves, fitted.wavelength) for name in sorted(wanted)}
-        recorded = {name: recorded_under(name, curves, fitted.wavelength) for name in asked.scene_lights(recipe)}
+        recorded = {name: recorded_under(name, curves, fitted.wavelength) for name in asked.recorded_lights(recipe)}
     except RecipeError as error:
         raise RecipeError(f"{path}: {error}") from error
     outputs = recipe.target.outputs

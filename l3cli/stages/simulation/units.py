@@ -13,7 +13,7 @@ from l3cli.files import require_same, write_whole
 from l3cli.parallel import Crew
 from l3cli.parallel.cluster import scratch_folder
 from l3cli.simulation import sources
-from l3cli.simulation.light import OWN
+from l3cli.simulation.light import SCENE_LIGHT
 from l3cli.simulation.recipe import Pair, Shot
 from l3cli.stages.simulation.run import SimulationRun
 from l3cli.stages.simulation.scenes import files_of, read_scene
@@ -107,9 +107,9 @@ def _frame(scene: "Scene | ChannelPicture", shot: Shot, run: SimulationRun) -> A
     from l3cli.simulation import light
     from l3cli.simulation.frame import Averaging, Saturating, simulate
 
-    if shot.illuminant == OWN:
+    if shot.illuminant == SCENE_LIGHT:
         assert isinstance(scene, Scene)
-        falling = light.own_light(scene, shot.luminance)
+        falling = light.scene_light(scene, shot.luminance)
     else:
         falling = run.lights[shot.illuminant].at(shot.luminance)
     control, _ = run.recipe.exposures()

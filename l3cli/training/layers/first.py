@@ -48,7 +48,7 @@ class FirstLayer:
         statistics = mosaic_statistics(mosaic.values, rule, self._near, camera.cfa, (0, 0))
         within = classes_of(rule, statistics)
         mean = (statistics.sums / self._near.count[statistics.site]).mean(axis=-1) * 2**rule.shift
-        brightness = (mean + truncation(rule.shift) - camera.black) / (camera.white - camera.black)
+        brightness = (mean + truncation(rule.shift) - camera.black_level) / (camera.white_level - camera.black_level)
         label = rule.on_site(within, statistics.site)
         noisy = self.fixed.planes(self._sums(mosaic.values, label, self._weights).astype(np.int64), label)
         clean = self._sums(mosaic.clean, label, self._light_weights) * (2.0 ** -self.fixed.fraction[label]).astype(

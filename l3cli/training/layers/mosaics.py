@@ -22,7 +22,7 @@ class Mosaic:
     """A piece of a frame, CFA phase (0, 0)."""
 
     values: NDArray[np.uint16]  # (row, col) DN, noisy
-    clean: Floats  # (row, col) DN without noise, clipped at white
+    clean: Floats  # (row, col) DN without noise, clipped at the white level
     target: Floats  # (output, row, col) in the table's output unit
 
 
@@ -59,7 +59,9 @@ def mosaics_of(frame: TrainingPair, count: int, exposed: Exposed, rng: np.random
             _drawn_level(exposed.recipe, rng) / max(float(seen.mean()), 1e-3) if exposed.recipe.rescale else 1
         )
         mosaic = scale * _through_cfa(seen, camera)
-        clean = np.minimum(mosaic, 1.0) * np.float32(camera.white - camera.black) + np.float32(camera.black)
+        clean = np.minimum(mosaic, 1.0) * np.float32(camera.white_level - camera.black_level) + np.float32(
+            camera.black_level
+        )
         values = expose_patches(mosaic, camera, rng, dark=exposed.dark) if exposed.noisy else np.rint(clean)
         yield Mosaic(values.astype(np.uint16), clean, wanted * scale)
 
@@ -78,7 +80,7 @@ def _piece_of_pair(pair: TrainingPair, camera: CameraModel, rng: np.random.Gener
     rows, cols = (slice(start, start + LARGEST_SIDE) for start in starts)
     values = pair.raw[rows, cols]
     target = pair.target[:, rows, cols] * np.float32(pair.exposure / camera.saturation_exposure)
-    return Mosaic(values, np.minimum(values.astype(np.float32), np.float32(camera.white)), target)
+    return Mosaic(values, np.minimum(values.astype(np.float32), np.float32(camera.white_level)), target)
 
 
 def _drawn_turn(shape: tuple[int, ...], rng: np.random.Generator) -> tuple[int, bool, slice, slice]:

@@ -44,8 +44,8 @@ def solve_layer(
             continue
         solved[index] = True
         for output, factor in enumerate(goal.noise):
-            found = [_solution(moments, noise, factor, goal.ridge, output, member) for moments, noise in whole]
-            bent = _bent(found, member, copies, goal.white, output) if equal else [one[:, 0] for one in found]
+            estimates = [_solution(moments, noise, factor, goal.ridge, output, member) for moments, noise in whole]
+            bent = _bent(estimates, member, copies, goal.white, output) if equal else [one[:, 0] for one in estimates]
             for site, row in enumerate(bent):
                 rows[site][index, :taps, output] = row
     source = _nearest(solved, rule)
@@ -61,16 +61,16 @@ def _solution(moments: Array, noise: Array, factor: float, ridge: float, output:
     return _solve_positive(system, np.column_stack([moments[:taps, taps + 1 + output], member]))[0]
 
 
-def _bent(found: list[Array], member: Array, copies: list[int], white: Array, output: int) -> list[Array]:
+def _bent(estimates: list[Array], member: Array, copies: list[int], white: Array, output: int) -> list[Array]:
     """Rows (tap) of the sites with one flat response, of all that answer white with white the one of least squared error."""
-    stiff = [np.linalg.pinv(member.T @ one[:, 1:]) for one in found]
-    response = [member.T @ one[:, 0] for one in found]
+    stiff = [np.linalg.pinv(member.T @ one[:, 1:]) for one in estimates]
+    response = [member.T @ one[:, 0] for one in estimates]
     total = sum((copy * k for copy, k in zip(copies, stiff, strict=True)), np.zeros((len(white), len(white))))
     total += 1e-9 * np.trace(total) / len(white) * np.eye(len(white))
     pull = sum((copy * k @ r for copy, k, r in zip(copies, stiff, response, strict=True)), np.zeros(len(white)))
     common, bend = np.linalg.solve(total, pull), np.linalg.solve(total, white)
     common += bend * (white[output] - white @ common) / (white @ bend)
-    return [one[:, 0] + one[:, 1:] @ (k @ (common - r)) for one, k, r in zip(found, stiff, response, strict=True)]
+    return [one[:, 0] + one[:, 1:] @ (k @ (common - r)) for one, k, r in zip(estimates, stiff, response, strict=True)]
 
 
 class _Parents:
