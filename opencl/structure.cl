@@ -1,23 +1,8 @@
 // Structure: the formula of l3cli/classes/structure.py, for both variants.
-//
-// What the classes of the layer before say of a pixel stands in two words a class: label_gradient holds the factor of gradients,
-// from bit 8 on their shift and, in bits 14 and 15, whether the tensor's components change their signs in the orientation that the site is learned in;
-// label_start the first class of its site and level, and in bit 31 whether that is the class itself, saturation deciding.
 
-#define STRUCTURE_CONSTANTS __global const uint *restrict label_gradient, __global const uint *restrict label_start, \
-    __global const uint *restrict strength_edges
-#define FACTOR_BITS 0x7f
-#define SHIFT_BITS(word) ((word) >> 8 & 0x1f)
-#define TURN_A 14
+#define STRUCTURE_CONSTANTS LABEL_CONSTANTS, __global const uint *restrict strength_edges
+#define TURN_A 14  // bits of label_gradient
 #define TURN_B 15
-#define STRUCTURE_REACH 3  // pixels on each side that a structure reads
-
-// A difference of luminance in units of what noise makes of it.
-INLINE ints gradient(ints difference, uints turned) {
-    const ints scaled = (difference * SAME_BITS(turned & FACTOR_BITS, ints)) >> SAME_BITS(SHIFT_BITS(turned), ints);
-    const ints top = GRADIENT_TOP, below = scaled < top ? scaled : top;
-    return below > -top ? below : -top;
-}
 
 INLINE uints size_of(ints value) { return SAME_BITS(value > 0 ? value : -value, uints); }
 

@@ -25,8 +25,8 @@ INLINE void read_row(int *luminance, uint *turned, __global const int *plane, __
 INLINE void multiply(Products *products, const int *above, const int *here, const int *below, const uint *turned, int span) {
     for (int p = 1; p < span; p += LANES) {
         const uints scale = LOAD_PRIVATE(uints, turned + p);
-        const ints gx = gradient(LOAD_PRIVATE(ints, here + p + 1) - LOAD_PRIVATE(ints, here + p - 1), scale);
-        const ints gy = gradient(LOAD_PRIVATE(ints, below + p) - LOAD_PRIVATE(ints, above + p), scale);
+        const ints gx = gradient(LOAD_PRIVATE(ints, here + p + 1) - LOAD_PRIVATE(ints, here + p - 1), scale, GRADIENT_TOP);
+        const ints gy = gradient(LOAD_PRIVATE(ints, below + p) - LOAD_PRIVATE(ints, above + p), scale, GRADIENT_TOP);
         STORE_PRIVATE(ints, products->xx + p) = gx * gx;
         STORE_PRIVATE(ints, products->yy + p) = gy * gy;
         STORE_PRIVATE(ints, products->xy + p) = gx * gy;
@@ -92,7 +92,7 @@ void structures(__global const int *restrict planes,       // (plane, source row
             const uints xx = SAME_BITS(across(sum.xx + x + 1), uints), yy = SAME_BITS(across(sum.yy + x + 1), uints);
             const uints structure = structure_of(xx, yy, across(sum.xy + x + 1), LOAD_PRIVATE(uints, turns), strength_edges);
             const uints first = LOAD_PRIVATE(uints, start);
-            const uints label = (first >> 31) != 0 ? first & 0x7fffffff : first + structure;
+            const uints label = DECIDED(first) != 0 ? FIRST_CLASS(first) : first + structure;
             if (x + LANES <= width) STORE_GLOBAL(uints, label_row + x) = label;
             else for (int i = 0; x + i < width; i++) label_row[x + i] = label[i];
         }

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.class_rule import ClassRule
-from l3cli.artifacts.layers import PLANE_STEP, PLANE_TOP
-from l3cli.artifacts.structure_rule import DIRECTIONS, GRADIENT
+from l3cli.artifacts.layers import PLANE_STEP, PLANE_TOP, PlaneRule
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.kernel import joined, kernel_arrays, kernel_macros, snippets
 from l3cli.classes.later import first_label_words
+from l3cli.classes.plane_kernel import rule_constants, rule_macros, rule_snippets
 from l3cli.classes.planes import LUMINANCE, FixedPoint
 from l3cli.classes.windows import Integers, neighbourhoods
 from l3cli.physics.display import srgb_curve
@@ -55,9 +55,10 @@ def first_source(variant: str, rule: ClassRule) -> str:
     return "\n".join([*features, _texts(VARIANTS[variant].sources)])
 
 
-def later_source(variant: str) -> str:
-    """The .cl files of a variant for a layer that reads planes."""
-    return _texts(VARIANTS[variant].later_sources)
+def later_source(variant: str, rule: PlaneRule) -> str:
+    """The .cl files of a variant for a layer that reads planes, with the formula of its rule."""
+    formula, kernels = rule_snippets(rule)
+    return _texts(("vectors.cl", "encoding.cl", "gradient.cl", formula, *VARIANTS[variant].later_sources, kernels[variant]))
 
 
 def _texts(names: tuple[str, ...]) -> str:
@@ -98,10 +99,7 @@ def later_macros(table: TransformTable) -> Macros:
         "OUTPUTS": len(table.outputs),
         "CFA_COLUMNS": table.cfa.shape[1],
         "MAX_RAW": 0,
-        "STRENGTHS": layer.rule.strengths,
-        "DIRECTIONS": DIRECTIONS,
-        "COHERENCE": layer.rule.coherence,
-        "GRADIENT_TOP": GRADIENT,
+        **rule_macros(layer.rule),
     }
 
 
@@ -172,10 +170,11 @@ def later_weights(table: TransformTable) -> Weights:
     return Weights((_by_column(layer.weights, PLANES) * PLANE_STEP).astype(np.float32), layer.intercept)
 
 
-def structure_arrays(table: TransformTable) -> tuple[NDArray, ...]:
-    """The constants of the kernel `structures`, in the order of its arguments; what they are stands in structure.cl."""
+def rule_arrays(table: TransformTable) -> tuple[NDArray, ...]:
+    """The constants of the kernel `structures`, in the order of its arguments; what they are stands in gradient.cl and in
+    structure.cl or tree.cl."""
     rule = table.later[0].rule
-    return (*first_label_words(rule, table.first.rule), rule.strength_edges)
+    return (*first_label_words(rule, table.first.rule), *rule_constants(rule))
 
 
 def _by_column(weights: NDArray, planes: int) -> NDArray:
@@ -238,15 +237,14 @@ class Variant:
 
 
 SHARED = ("rule.cl", "encoding.cl")
-LATER_SHARED = ("vectors.cl", "encoding.cl", "structure.cl")
 VARIANTS = {
     # Few and long work-items, each vectorised within: over pixels for the classes, over taps for the transforms.
     "processor": Variant(
         (*SHARED, "ingest.cl", "statistics.cl", "classes.cl", "rows.cl", "transform.cl"),
-        (*LATER_SHARED, "ingest.cl", "structures.cl", "rows.cl", "transform.cl"),
+        ("ingest.cl", "rows.cl", "transform.cl"),
         lambda table, lanes: Cut(256, 48, (1, 1), lanes),
         pack_in_vectors,
     ),
     # A work-item a pixel; the device lays them side by side itself.
-    "graphics": Variant((*SHARED, "graphics.cl"), (*LATER_SHARED, "graphics.cl"), _cut_for_graphics, pack_in_fours),
+    "graphics": Variant((*SHARED, "graphics.cl"), ("graphics.cl",), _cut_for_graphics, pack_in_fours),
 }

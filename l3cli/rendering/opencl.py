@@ -68,7 +68,7 @@ class OpenCLRenderer:
                 self._plane_weights = self._constant(
                     variant_layout.pack(layout.plane_weights(table, fixed), self._cut.lanes)
                 )
-                self._structure_buffers = [self._constant(array) for array in layout.structure_arrays(table)]
+                self._structure_buffers = [self._constant(array) for array in layout.rule_arrays(table)]
                 self._weights = self._constant(variant_layout.pack(layout.later_weights(table), self._cut.lanes))
                 self._structures = cl.Kernel(self._build_last(layout.OUTPUTS_AS_THEY_ARE), "structures")
             self._tracks = deque(Track(self._context) for _ in range(TRACKS))
@@ -233,7 +233,9 @@ class OpenCLRenderer:
         """The program of the last layer."""
         if not self.table.later:
             return self._build_first(ending)
-        return self._build(layout.later_source(self.variant), {**layout.later_macros(self.table), **ending})
+        return self._build(
+            layout.later_source(self.variant, self.table.later[0].rule), {**layout.later_macros(self.table), **ending}
+        )
 
     def _build_first(self, ending: layout.Macros) -> Any:
         """The program of the layer that reads the mosaic."""

@@ -49,13 +49,20 @@ def _later_table(insight: dict[str, Any]) -> Table:
             *(str(layer["classes"][key]) for key in ("all", "trained", "filled")),
             f"{layer['side']} × {layer['side']} × {layer['planes']}",
             str(layer["levels"]),
-            f"flat, {layer['strengths']} strengths × (none + {layer['directions']} directions): {layer['structures']}",
+            _structures(layer),
             *(tidy(gain["median"]) for gain in layer["noise_gain"].values()),
         )
         for number, layer in enumerate(insight["later"], 2)
     )
     headings = ("layer", "classes", "trained", "filled", "taps", "levels", "structures", *gains)
     return Table("Layers that read the outputs of the layer before", headings, rows)
+
+
+def _structures(layer: dict[str, Any]) -> str:
+    """What a later layer tells apart where nothing is saturated."""
+    if "leaves" in layer:
+        return f"a tree of {layer['leaves']} leaves, {layer['depth']} tests deep"
+    return f"flat, {layer['strengths']} strengths × (none + {layer['directions']} directions): {layer['structures']}"
 
 
 def level_middles(table: TransformTable) -> Array:

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.layers import PlaneLayer
-from l3cli.artifacts.structure_rule import DIRECTIONS
+from l3cli.artifacts.layers import PlaneLayer, PlaneRule
+from l3cli.artifacts.structure_rule import DIRECTIONS, StructureRule
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.features import further_features
 from l3cli.classes.names import class_name, kind_name
@@ -64,7 +64,8 @@ def insight(table: TransformTable) -> dict[str, Any]:
 
 def later_layer(layer: PlaneLayer, outputs: tuple[str, ...]) -> dict[str, Any]:
     """Figures of a layer after the first: its classes, side (pixel) and number of its windows, levels, structures (flat, and
-    each strength without a direction and in each of them), noise_gain as in `insight`."""
+    each strength without a direction and in each of them; or the leaves of a tree, and its depth), noise_gain as in
+    `insight`."""
     trained, rule = layer.samples > 0, layer.rule
     gain = np.sqrt((layer.weights.astype(np.float64) ** 2).sum(axis=2))
     return {
@@ -73,10 +74,16 @@ def later_layer(layer: PlaneLayer, outputs: tuple[str, ...]) -> dict[str, Any]:
         "planes": len(outputs),
         "levels": rule.levels,
         "structures": rule.structures,
-        "strengths": rule.strengths,
-        "directions": DIRECTIONS,
+        **_apart(rule),
         "noise_gain": _spread(gain[trained], outputs),
     }
+
+
+def _apart(rule: PlaneRule) -> dict[str, int]:
+    """What a rule tells structures apart by."""
+    if isinstance(rule, StructureRule):
+        return {"strengths": rule.strengths, "directions": DIRECTIONS}
+    return {"leaves": rule.structures, "depth": rule.depth}
 
 
 def _further(table: TransformTable, together: NDArray[np.int64]) -> dict[str, list[dict[str, Any]]]:

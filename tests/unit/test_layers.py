@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 
 from l3cli.artifacts.container import seal
+from l3cli.artifacts.layers import PlaneLayer
 from l3cli.artifacts.schema import equal
 from l3cli.artifacts.store import load, save
+from l3cli.artifacts.structure_rule import StructureRule
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.rendering.renderer import BACKENDS, make_renderer
@@ -40,6 +42,11 @@ def test_layers_come_back_in_their_order(path: Path) -> None:
         assert (sorted(root["later"]), root["later/1/weights"].shape[2]) == (["0", "1"], 75)
 
 
+def structure_of(layer: PlaneLayer) -> StructureRule:
+    assert layer.structure is not None
+    return layer.structure
+
+
 def test_layers_agree_in_what_they_share() -> None:
     one, two = TABLE.later
     with pytest.raises(ValueError, match=r"later/1/weights .* has 2 along output"):
@@ -50,7 +57,9 @@ def test_layers_agree_in_what_they_share() -> None:
         dataclasses.replace(TABLE, later=(dataclasses.replace(one, side=5), two))
     longer: dict[str, Any] = {"gradient_factor": np.full(8, 64, np.uint8), "gradient_shift": np.full(8, 6, np.uint8)}
     with pytest.raises(ValueError, match="for 8 levels"):
-        dataclasses.replace(TABLE, later=(dataclasses.replace(two, structure=dataclasses.replace(two.rule, **longer)),))
+        dataclasses.replace(
+            TABLE, later=(dataclasses.replace(two, structure=dataclasses.replace(structure_of(two), **longer)),)
+        )
 
 
 @pytest.mark.parametrize("lost", ["first", "later/0"])

@@ -18,6 +18,7 @@ from l3cli.training.layers.first import Floats
 
 CUTS = 5  # thresholds that are tried for a test: quantiles of its quotient
 ROWS_PER_TAP = 4  # of a site that a leaf has at least
+SMALLEST = 1e-30  # of thresholds but zero: some devices take products below float32's normal range for zero
 RIDGE = 1e-6  # relative to the mean power of a tap
 
 Array = NDArray[np.float64]
@@ -109,7 +110,8 @@ def _best_split(samples: Sequence[TreeSample], rows: list[Indices]) -> _Split | 
     ]
     for test in range(TESTS):
         quotients = [one.quotient(test, here) for one, here in zip(samples, rows, strict=True)]
-        cuts = np.unique(np.quantile(np.concatenate(quotients), np.arange(1, CUTS + 1) / (CUTS + 1)).astype(np.float32))
+        cuts = np.quantile(np.concatenate(quotients), np.arange(1, CUTS + 1) / (CUTS + 1)).astype(np.float32)
+        cuts = np.unique(np.where(np.abs(cuts) < SMALLEST, np.float32(0), cuts))
         gain = np.zeros(len(cuts))
         for one, here, quotient, whole in zip(samples, rows, quotients, before, strict=True):
             gain += _gains(one, here, quotient, cuts, whole[0], least)

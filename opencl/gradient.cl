@@ -1,0 +1,21 @@
+// Gradients of planes: their scale, and the words by which the classes of the layer before name it (l3cli/classes/later.py), for
+// both variants.
+//
+// What a class says of its pixels stands in two words: label_gradient holds the factor of gradients and from bit 8 on their shift,
+// for structures also, in bits 14 and 15, whether the tensor's components change their signs in the orientation that the site is
+// learned in; label_start the first class of its site and level, and in bit 31 whether that is the class itself, saturation
+// deciding.
+
+#define LABEL_CONSTANTS __global const uint *restrict label_gradient, __global const uint *restrict label_start
+#define FACTOR_BITS 0x7f
+#define SHIFT_BITS(word) ((word) >> 8 & 0x1f)
+#define DECIDED(start) ((start) >> 31)
+#define FIRST_CLASS(start) ((start) & 0x7fffffff)
+#define STRUCTURE_REACH 3  // pixels on each side that a class reads
+
+// A difference of a plane's pixels in units of what noise makes of it, within ±top.
+INLINE ints gradient(ints difference, uints scale, int top) {
+    const ints scaled = (difference * SAME_BITS(scale & FACTOR_BITS, ints)) >> SAME_BITS(SHIFT_BITS(scale), ints);
+    const ints most = top, below = scaled < most ? scaled : most;
+    return below > -most ? below : -most;
+}

@@ -1,0 +1,34 @@
+// Graphics variant: luminance and classes of the layer before → classes of the next, a work-item a pixel.
+
+__kernel __attribute__((reqd_work_group_size(TILE, BAND, 1)))
+void structures(__global const int *restrict planes,       // (plane, source row, col)
+                __global const uint *restrict first_labels,  // (source row, col) of the layer before
+                __global const int *restrict row_source,     // (padded row)
+                __global const int *restrict column_source,  // (padded col)
+                STRUCTURE_CONSTANTS,
+                __global uint *restrict labels,              // (row, col)
+                int source_rows, int rows, int columns) {
+    const int x = get_group_id(0) * TILE + get_local_id(0), y = get_group_id(1) * BAND + get_local_id(1);
+    if (x >= columns || y >= rows) return;
+    __global const int *luminance = planes + (size_t)LUMINANCE * source_rows * columns;
+    uint xx = 0, yy = 0;
+    int xy = 0;
+    for (int i = 1; i < 2 * STRUCTURE_REACH; i++) {
+        const size_t above = (size_t)row_source[y + i - 1] * columns, here = (size_t)row_source[y + i] * columns;
+        const size_t below = (size_t)row_source[y + i + 1] * columns;
+        for (int j = 1; j < 2 * STRUCTURE_REACH; j++) {
+            const int left = column_source[x + j - 1], at = column_source[x + j], right = column_source[x + j + 1];
+            const uint scale = label_gradient[first_labels[here + at]];
+            const int gx = gradient(luminance[here + right] - luminance[here + left], scale, GRADIENT_TOP);
+            const int gy = gradient(luminance[below + at] - luminance[above + at], scale, GRADIENT_TOP);
+            const int weight = (3 - abs(i - STRUCTURE_REACH)) * (3 - abs(j - STRUCTURE_REACH));
+            xx += weight * gx * gx;
+            yy += weight * gy * gy;
+            xy += weight * gx * gy;
+        }
+    }
+    const uint label = first_labels[(size_t)row_source[y + STRUCTURE_REACH] * columns + column_source[x + STRUCTURE_REACH]];
+    const uint first = label_start[label];
+    const uint structure = structure_of(xx, yy, xy, label_gradient[label], strength_edges);
+    labels[(size_t)y * columns + x] = DECIDED(first) ? FIRST_CLASS(first) : first + structure;
+}

@@ -1,0 +1,59 @@
+// Trees: the formula of l3cli/classes/tree.py, for both variants.
+//
+// A node is two words: the bits of its threshold; and which numerator it compares, from bit 5 on whether with the other sign,
+// from bit 6 on with which denominator, from bit 8 on the first of its two branches, which follow one another. A leaf is its own
+// branch, and nothing exceeds its threshold.
+
+#define STRUCTURE_CONSTANTS LABEL_CONSTANTS, __global const uint *restrict nodes, __global const uint *restrict leaf_of_node
+
+// Sums over the neighbourhood of a pixel: of u and v, the planes of chroma, and of luminance.
+typedef struct {
+    ints xx, yy, xy, chroma_xx, chroma_yy, u_along, v_along;         // over 5 × 5, of products of gradients
+    ints near, bend_xx, bend_yy, slope_x, slope_y, u, v, luminance;  // over 3 × 3
+    ints bend_x, bend_y;
+} Sums;
+
+typedef struct {
+    floats numerator[TESTS], denominator[4];
+} Evidence;
+
+INLINE ints size_of(ints value) { return value > 0 ? value : -value; }
+INLINE ints larger(ints a, ints b) { return a > b ? a : b; }
+INLINE floats signed_square(ints value) { return CONVERT(value * size_of(value), floats); }
+
+INLINE void weigh(Evidence *e, const Sums *s) {
+    const ints trace = s->xx + s->yy, straight = s->xx - s->yy, diagonal = 2 * s->xy;
+    const ints chroma = s->chroma_xx + s->chroma_yy, both = ((size_of(straight) + size_of(diagonal)) >> 6) * 45;
+    floats *n = e->numerator, *d = e->denominator;
+    n[0] = CONVERT(trace, floats);
+    n[1] = CONVERT(straight, floats);
+    n[2] = CONVERT(diagonal, floats);
+    n[3] = CONVERT(straight + diagonal, floats);
+    n[4] = CONVERT(straight - diagonal, floats);
+    n[5] = CONVERT(larger(larger(size_of(straight), size_of(diagonal)), both), floats);
+    n[6] = CONVERT(s->near, floats);
+    n[7] = n[8] = CONVERT(chroma, floats);
+    n[9] = CONVERT(s->chroma_xx - s->chroma_yy, floats);
+    n[10] = CONVERT(s->u_along, floats);
+    n[11] = CONVERT(s->v_along, floats);
+    n[12] = CONVERT(s->bend_xx, floats);
+    n[13] = CONVERT(s->bend_yy, floats);
+    n[14] = signed_square(s->bend_x);
+    n[15] = signed_square(s->bend_y);
+    n[16] = signed_square(s->slope_x);
+    n[17] = signed_square(s->slope_y);
+    n[18] = CONVERT(s->u, floats);
+    n[19] = CONVERT(s->v, floats);
+    n[20] = CONVERT(s->luminance, floats);
+    d[0] = (floats)1.0f;
+    d[1] = CONVERT(trace + NOISE_TRACE, floats);
+    d[2] = CONVERT(chroma + NOISE_TRACE, floats);
+    d[3] = CONVERT(larger(s->luminance, (ints)DARKEST_LUMINANCE), floats);
+}
+
+// The node that follows: one product and one comparison in float32, which are the same on every device.
+INLINE uint next_node(uint node, const float *numerator, const float *denominator, __global const uint *nodes) {
+    const uint word = nodes[2 * node + 1];
+    const float value = numerator[(word & 0x1f) * LANES], size = denominator[(word >> 6 & 3) * LANES];
+    return (word >> 8) + ((word & 0x20 ? -value : value) > as_float(nodes[2 * node]) * size);
+}

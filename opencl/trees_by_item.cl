@@ -1,0 +1,61 @@
+// Graphics variant: planes and classes of the layer before → classes of the next by a tree, a work-item a pixel.
+
+__kernel __attribute__((reqd_work_group_size(TILE, BAND, 1)))
+void structures(__global const int *restrict planes,       // (plane, source row, col)
+                __global const uint *restrict first_labels,  // (source row, col) of the layer before
+                __global const int *restrict row_source,     // (padded row)
+                __global const int *restrict column_source,  // (padded col)
+                STRUCTURE_CONSTANTS,
+                __global uint *restrict labels,              // (row, col)
+                int source_rows, int rows, int columns) {
+    const int x = get_group_id(0) * TILE + get_local_id(0), y = get_group_id(1) * BAND + get_local_id(1);
+    if (x >= columns || y >= rows) return;
+    const size_t stride = (size_t)source_rows * columns;
+    __global const int *u = planes, *luminance = planes + stride, *v = planes + 2 * stride;
+    Sums s = {0};
+    for (int i = 1; i < 2 * STRUCTURE_REACH; i++) {
+        const size_t above = (size_t)row_source[y + i - 1] * columns, here = (size_t)row_source[y + i] * columns;
+        const size_t below = (size_t)row_source[y + i + 1] * columns;
+        for (int j = 1; j < 2 * STRUCTURE_REACH; j++) {
+            const int left = column_source[x + j - 1], at = column_source[x + j], right = column_source[x + j + 1];
+            const uint scale = label_gradient[first_labels[here + at]];
+#define ACROSS_OF(plane, top) gradient(plane[here + right] - plane[here + left], scale, top)
+#define DOWN_OF(plane, top) gradient(plane[below + at] - plane[above + at], scale, top)
+            const int gx = ACROSS_OF(luminance, GRADIENT_TOP), gy = DOWN_OF(luminance, GRADIENT_TOP);
+            const int ux = ACROSS_OF(u, CHROMA_TOP), uy = DOWN_OF(u, CHROMA_TOP);
+            const int vx = ACROSS_OF(v, CHROMA_TOP), vy = DOWN_OF(v, CHROMA_TOP);
+            const int from_row = abs(i - STRUCTURE_REACH), from_column = abs(j - STRUCTURE_REACH);
+            const int wide = (3 - from_row) * (3 - from_column);
+            s.xx += wide * gx * gx;
+            s.yy += wide * gy * gy;
+            s.xy += wide * gx * gy;
+            s.chroma_xx += wide * (ux * ux + vx * vx);
+            s.chroma_yy += wide * (uy * uy + vy * vy);
+            s.u_along += wide * (gx * ux + gy * uy);
+            s.v_along += wide * (gx * vx + gy * vy);
+            if (from_row > 1 || from_column > 1) continue;
+            const int narrow = (2 - from_row) * (2 - from_column), twice = 2 * luminance[here + at];
+            const int bend_x = gradient(luminance[here + left] - twice + luminance[here + right], scale, GRADIENT_TOP);
+            const int bend_y = gradient(luminance[above + at] - twice + luminance[below + at], scale, GRADIENT_TOP);
+            s.near += narrow * (gx * gx + gy * gy);
+            s.bend_xx += narrow * bend_x * bend_x;
+            s.bend_yy += narrow * bend_y * bend_y;
+            s.slope_x += narrow * gx;
+            s.slope_y += narrow * gy;
+            s.u += narrow * u[here + at];
+            s.v += narrow * v[here + at];
+            s.luminance += narrow * luminance[here + at];
+            if (from_row == 0 && from_column == 0) {
+                s.bend_x = bend_x;
+                s.bend_y = bend_y;
+            }
+        }
+    }
+    Evidence evidence;
+    weigh(&evidence, &s);
+    const uint label = first_labels[(size_t)row_source[y + STRUCTURE_REACH] * columns + column_source[x + STRUCTURE_REACH]];
+    const uint first = label_start[label];
+    uint node = FIRST_CLASS(first) / KINDS * NODES;
+    for (int step = 0; step < DEPTH; step++) node = next_node(node, evidence.numerator, evidence.denominator, nodes);
+    labels[(size_t)y * columns + x] = FIRST_CLASS(first) + (DECIDED(first) ? 0 : leaf_of_node[node % NODES]);
+}
