@@ -87,7 +87,7 @@ def test_info_describes_every_layer(l3: Callable, path: Path) -> None:
     assert "3 × 3 × 3 taps" in out
     assert "5 × 5 × 3 taps" in out
     assert "28 structures: flat, 3 strengths × (none + 8 directions)" in out
-    assert "later/1/rule/strength_edges" in out
+    assert "later/1/structure/strength_edges" in out
     later = json.loads(l3("info", path, "--json")[1])["insight"]["later"]
     assert later == insight(TABLE)["later"]
     samples = TABLE.later[0].samples
