@@ -6,8 +6,8 @@
 #ifdef FIXED_POINT
 
 // A fixed-point sum as a plane keeps it (l3cli/classes/planes.py).
-INLINE int plane_value(int sum, int fraction) {
-    return clamp((sum + (1 << fraction >> 1)) >> fraction, -PLANE_TOP, PLANE_TOP);
+INLINE int plane_value(tap sum, tap fraction) {
+    return (int)clamp((sum + ((tap)1 << fraction >> 1)) >> fraction, -(tap)PLANE_TOP, (tap)PLANE_TOP);
 }
 
 #endif

@@ -105,7 +105,7 @@ void classes(__global const ushort *restrict raw,                // (row, col) D
 
 #if defined(FIXED_POINT)
 // Where a fourth intercept would be stands the fraction of the class.
-INLINE void write(__global int *picture, const int *output, __global const float *matrix, size_t at, size_t pixels) {
+INLINE void write(__global int *picture, const tap *output, __global const float *matrix, size_t at, size_t pixels) {
     for (int o = 0; o < OUTPUTS; o++) picture[o * pixels + at] = plane_value(output[o], output[3]);
 }
 #elif defined(PLANES)

@@ -55,8 +55,9 @@ INLINE ints across(const int *at) {
 
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
 void structures(__global const int *restrict planes,       // (plane, source row, col)
-                __global const uint *restrict first_labels,  // (source row, col) of the layer before
-                __global const int *restrict row_source,     // (padded row)
+                __global const uint *restrict first_labels,  // (source row, col) of the first layer
+                __global const int *restrict row_source,     // (padded row) of the planes …
+                __global const int *restrict label_source,   // … and of the first layer's classes
                 __global const int *restrict column_source,  // (padded col)
                 STRUCTURE_CONSTANTS,
                 __global uint *restrict labels,              // (row, col)
@@ -70,16 +71,15 @@ void structures(__global const int *restrict planes,       // (plane, source row
     Products ring[WINDOW], sum;
     for (int i = 0; i < 3 * REACHED; i++) luminance[0][i] = turned[0][i] = 0;
     for (int k = 0; k < y1 - y0 + 2 * STRUCTURE_REACH; k++) {
-        const size_t source = (size_t)row_source[y0 + k] * columns;
-        read_row(luminance[k % 3], turned[k % 3], luminance_plane + source, first_labels + source, column_source, label_gradient,
-                 x0, columns);
+        read_row(luminance[k % 3], turned[k % 3], luminance_plane + (size_t)row_source[y0 + k] * columns,
+                 first_labels + (size_t)label_source[y0 + k] * columns, column_source, label_gradient, x0, columns);
         if (k < 2) continue;
         multiply(ring + (k - 2) % WINDOW, luminance[(k - 2) % 3], luminance[(k - 1) % 3], luminance[k % 3], turned[(k - 1) % 3],
                  span);
         if (k < 2 * STRUCTURE_REACH) continue;
         weigh_rows(&sum, ring, k - 6, span);
         const int y = y0 + k - 2 * STRUCTURE_REACH;
-        __global const uint *before = first_labels + (size_t)row_source[y + STRUCTURE_REACH] * columns + x0;
+        __global const uint *before = first_labels + (size_t)label_source[y + STRUCTURE_REACH] * columns + x0;
         __global uint *label_row = labels + (size_t)y * columns + x0;
         for (int x = 0; x < width; x += LANES) {
             uint turns[LANES], start[LANES];

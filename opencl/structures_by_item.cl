@@ -2,8 +2,9 @@
 
 __kernel __attribute__((reqd_work_group_size(TILE, BAND, 1)))
 void structures(__global const int *restrict planes,       // (plane, source row, col)
-                __global const uint *restrict first_labels,  // (source row, col) of the layer before
-                __global const int *restrict row_source,     // (padded row)
+                __global const uint *restrict first_labels,  // (source row, col) of the first layer
+                __global const int *restrict row_source,     // (padded row) of the planes …
+                __global const int *restrict label_source,   // … and of the first layer's classes
                 __global const int *restrict column_source,  // (padded col)
                 STRUCTURE_CONSTANTS,
                 __global uint *restrict labels,              // (row, col)
@@ -15,10 +16,10 @@ void structures(__global const int *restrict planes,       // (plane, source row
     int xy = 0;
     for (int i = 1; i < 2 * STRUCTURE_REACH; i++) {
         const size_t above = (size_t)row_source[y + i - 1] * columns, here = (size_t)row_source[y + i] * columns;
-        const size_t below = (size_t)row_source[y + i + 1] * columns;
+        const size_t below = (size_t)row_source[y + i + 1] * columns, labelled = (size_t)label_source[y + i] * columns;
         for (int j = 1; j < 2 * STRUCTURE_REACH; j++) {
             const int left = column_source[x + j - 1], at = column_source[x + j], right = column_source[x + j + 1];
-            const uint scale = label_gradient[first_labels[here + at]];
+            const uint scale = label_gradient[first_labels[labelled + at]];
             const int gx = gradient(luminance[here + right] - luminance[here + left], scale, GRADIENT_TOP);
             const int gy = gradient(luminance[below + at] - luminance[above + at], scale, GRADIENT_TOP);
             const int weight = (3 - abs(i - STRUCTURE_REACH)) * (3 - abs(j - STRUCTURE_REACH));
@@ -27,7 +28,7 @@ void structures(__global const int *restrict planes,       // (plane, source row
             xy += weight * gx * gy;
         }
     }
-    const uint label = first_labels[(size_t)row_source[y + STRUCTURE_REACH] * columns + column_source[x + STRUCTURE_REACH]];
+    const uint label = first_labels[(size_t)label_source[y + STRUCTURE_REACH] * columns + column_source[x + STRUCTURE_REACH]];
     const uint first = label_start[label];
     const uint structure = structure_of(xx, yy, xy, label_gradient[label], strength_edges);
     labels[(size_t)y * columns + x] = DECIDED(first) ? FIRST_CLASS(first) : first + structure;

@@ -193,7 +193,7 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
         for (int x = 0; x < width; x += LANES) apply(planes, ring + (k - 2 * RADIUS) * SOURCES, label, weights, x);
 #ifdef FIXED_POINT
         for (int x = 0; x < width; x++) {
-            const int fraction = weights[(size_t)label[x] * CLASS_STRIDE + LAST_TAP + FRACTION_PLACE];
+            const tap fraction = weights[(size_t)label[x] * CLASS_STRIDE + LAST_TAP + FRACTION_PLACE];
             for (int o = 0; o < OUTPUTS; o++) planes[o * TILE + x] = plane_value(planes[o * TILE + x], fraction);
         }
 #endif

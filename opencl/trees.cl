@@ -124,8 +124,9 @@ INLINE void classify(uint *label, const Evidence *e, __global const uint *before
 
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
 void structures(__global const int *restrict planes,       // (plane, source row, col)
-                __global const uint *restrict first_labels,  // (source row, col) of the layer before
-                __global const int *restrict row_source,     // (padded row)
+                __global const uint *restrict first_labels,  // (source row, col) of the first layer
+                __global const int *restrict row_source,     // (padded row) of the planes …
+                __global const int *restrict label_source,   // … and of the first layer's classes
                 __global const int *restrict column_source,  // (padded col)
                 STRUCTURE_CONSTANTS,
                 __global uint *restrict labels,              // (row, col)
@@ -142,9 +143,8 @@ void structures(__global const int *restrict planes,       // (plane, source row
         for (int p = 0; p < REACHED; p++) plane_rows[i].u[p] = plane_rows[i].luminance[p] = plane_rows[i].v[p] = 0;
     for (int p = 0; p < REACHED; p++) scale[0][p] = scale[1][p] = 0;
     for (int k = 0; k < y1 - y0 + 2 * STRUCTURE_REACH; k++) {
-        const size_t source = (size_t)row_source[y0 + k] * columns;
-        read_row(plane_rows + k % PLANE_ROWS, scale[k % 2], planes + source, stride, first_labels + source, column_source,
-                 label_gradient, x0, columns);
+        read_row(plane_rows + k % PLANE_ROWS, scale[k % 2], planes + (size_t)row_source[y0 + k] * columns, stride,
+                 first_labels + (size_t)label_source[y0 + k] * columns, column_source, label_gradient, x0, columns);
         if (k < 2) continue;
         multiply(product_rows + k % ROWS, plane_rows + (k - 2) % PLANE_ROWS, plane_rows + (k - 1) % PLANE_ROWS,
                  plane_rows + k % PLANE_ROWS, scale[(k - 1) % 2], span);
@@ -155,7 +155,7 @@ void structures(__global const int *restrict planes,       // (plane, source row
         for (int i = 1; i < 4; i++) q[i] = plane_rows + (k - 5 + i) % PLANE_ROWS;
         weigh_rows(&sums, r, q, span);
         const int y = y0 + k - 2 * STRUCTURE_REACH;
-        __global const uint *before = first_labels + (size_t)row_source[y + STRUCTURE_REACH] * columns + x0;
+        __global const uint *before = first_labels + (size_t)label_source[y + STRUCTURE_REACH] * columns + x0;
         __global uint *label_row = labels + (size_t)y * columns + x0;
         for (int x = 0; x < width; x += LANES) {
             uint label[LANES];

@@ -24,6 +24,8 @@ VECTOR(int, ints, LANES);
 VECTOR(float, floats, LANES);
 VECTOR(float, four_floats, 4);
 VECTOR(int, four_ints, 4);
+VECTOR(long, longs, LANES);
+VECTOR(long, four_longs, 4);
 VECTOR(short, signed_shorts, LANES);
 VECTOR(ushort, shorts, LANES);           // as many as there are uints: half a register
 VECTOR(ushort, full_shorts, 2 * LANES);  // a whole register
@@ -39,8 +41,16 @@ VECTOR(ushort, full_shorts, 2 * LANES);  // a whole register
 #endif
 
 // What a layer reads and sums up: values of a mosaic, or planes, in floating point or, so that planes are the same on every
-// device, a mosaic's DN in integers.
-#ifdef FIXED_POINT
+// device, in integers: DN in 32 bits, planes in 64.
+#if defined(FIXED_POINT) && SOURCES > 1
+#define SAME_KIND(floating, integer) WIDE_##integer
+#define WIDE_int long
+#define WIDE_int4 long4
+#define WIDE_ints longs
+#define WIDE_ints_unaligned longs_unaligned
+#define WIDE_four_ints four_longs
+#define WIDE_four_ints_unaligned four_longs_unaligned
+#elif defined(FIXED_POINT)
 #define SAME_KIND(floating, integer) integer
 #else
 #define SAME_KIND(floating, integer) floating

@@ -60,8 +60,8 @@ class PartialLayerSums(Artifact):
         super().__post_init__()
         if not 1 <= self.shard <= self.shards:
             raise ValueError(f"shard {self.shard} of {self.shards} cannot be")
-        if self.table.camera is None or self.table.later:
-            raise ValueError("table must hold its camera, and one layer")
+        if self.table.camera is None:
+            raise ValueError("table must hold its camera")
         if self.side < 1 or self.side % 2 == 0:
             raise ValueError(f"side is {self.side}, not odd")
         below = self.table.first.rule

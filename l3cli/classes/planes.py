@@ -13,12 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.layers import PLANE_STEP, PLANE_TOP
+from l3cli.artifacts.layers import PLANE_STEP, PLANE_TOP, PlaneLayer
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.windows import Integers, window_channels
 from l3cli.errors import InputFileError
 
-MOST_FRACTION = 16
+MOST_FRACTION, LATER_FRACTION = 16, 20
 ROOM = 1.01  # for what rounding adds
 LUMINANCE = 1  # the plane that is Y
 
@@ -27,12 +27,12 @@ LUMINANCE = 1  # the plane that is Y
 class FixedPoint:
     """A layer's transforms to planes, as integers."""
 
-    weights: NDArray[np.int32]  # (class, plane, tap)
-    intercept: NDArray[np.int32]  # (class, plane)
+    weights: NDArray[np.signedinteger]  # (class, plane, tap); 32 bits for the first layer, 64 for those that read planes
+    intercept: NDArray[np.signedinteger]  # (class, plane)
     fraction: NDArray[np.int32]  # (class) F
 
     def planes(self, sums: Integers, label: Integers) -> NDArray[np.int32]:
-        """Planes (plane, …) of sums Σ W · DN + B of pixels (…) of the classes `label`."""
+        """Planes (plane, …) of sums Σ W · DN + B, or Σ W · plane + B, of pixels (…) of the classes `label`."""
         fraction = self.fraction.astype(np.int64)[label]
         rounded = (sums + (1 << fraction >> 1)) >> fraction
         return np.clip(rounded, -PLANE_TOP, PLANE_TOP).astype(np.int32)
@@ -59,6 +59,17 @@ def fixed_point(table: TransformTable) -> FixedPoint:
     whole = _rounded(weights * scale[..., None], table)
     back = np.rint(intercept * scale - table.black_level * whole.sum(axis=-1))
     return FixedPoint(whole.astype(np.int32), back.astype(np.int32), fraction.astype(np.int32))
+
+
+def later_fixed_point(layer: PlaneLayer, basis: NDArray[np.float64]) -> FixedPoint:
+    """A layer that reads planes and after which another does; InputFileError if its transforms are beyond all planes."""
+    scale = 2.0**LATER_FRACTION
+    weights = np.rint(np.moveaxis(_to_planes(np.moveaxis(layer.weights, 1, -1), basis), -1, 1) * scale)
+    intercept = np.rint(_to_planes(layer.intercept, basis) / PLANE_STEP * scale)
+    if (np.abs(weights).sum(axis=-1) * PLANE_TOP + np.abs(intercept)).max() >= 2.0**52:  # which float64 adds exactly
+        raise InputFileError("transforms of a layer are too large for the next; train the table again")
+    fraction = np.full(len(weights), LATER_FRACTION, np.int32)
+    return FixedPoint(weights.astype(np.int64), intercept.astype(np.int64), fraction)
 
 
 def _rounded(weights: NDArray[np.float64], table: TransformTable) -> NDArray[np.float64]:

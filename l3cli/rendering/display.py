@@ -9,7 +9,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.errors import RecipeError
 from l3cli.physics.display import CODES, adaptation_matrix, srgb_codes, srgb_from_xyz_matrix
 
-MOST_LAYERS = 2
+MOST_LAYERS = 4
 
 
 @dataclass(frozen=True)

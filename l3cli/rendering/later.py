@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.layers import PLANE_STEP, PlaneLayer
 from l3cli.artifacts.table import TransformTable
-from l3cli.classes.later import label_planes, mirrored
+from l3cli.classes.later import mirrored
 from l3cli.classes.planes import FixedPoint
 from l3cli.classes.windows import Integers
 from l3cli.frame import RawFrame, pad_mosaic
@@ -25,19 +25,30 @@ def first_planes(frame: RawFrame, labels: Integers, table: TransformTable, fixed
     return planes
 
 
-def later_labels(planes: NDArray[np.int32], labels: Integers, table: TransformTable) -> Integers:
-    """Classes (row, col) of the layer after the first."""
-    return label_planes(planes, labels, table.later[0].rule, table.first.rule)
+def later_planes(planes: NDArray[np.int32], labels: Integers, layer: PlaneLayer, fixed: FixedPoint) -> NDArray[np.int32]:
+    """Planes (plane, row, col) that a layer makes of those of the layer before, by its classes (row, col)."""
+    _, rows, cols = planes.shape
+    windows = _windows(planes.astype(np.int64), layer)
+    made = np.empty_like(planes)
+    for row in range(rows):
+        patches, label = np.moveaxis(windows[:, row], 0, 1).reshape(cols, 1, -1), labels[row]
+        sums = (fixed.weights[label] * patches).sum(axis=-1) + fixed.intercept[label]
+        made[:, row] = fixed.planes(sums.T, label)
+    return made
 
 
 def later_outputs(planes: NDArray[np.int32], labels: Integers, layer: PlaneLayer) -> NDArray[np.float64]:
     """Outputs (output, row, col) of a plane layer from what it reads and its classes (row, col)."""
     _, rows, cols = planes.shape
-    padded = mirrored(planes.astype(np.float64) * PLANE_STEP, layer.radius)
-    windows = np.lib.stride_tricks.sliding_window_view(padded, (layer.side, layer.side), (1, 2))
+    windows = _windows(planes.astype(np.float64) * PLANE_STEP, layer)
     outputs = np.empty((layer.weights.shape[1], rows, cols))
     for row in range(rows):
         patches = np.moveaxis(windows[:, row], 0, 1).reshape(cols, -1, 1)
         weighted = layer.weights[labels[row]].astype(np.float64) @ patches
         outputs[:, row] = (weighted[..., 0] + layer.intercept[labels[row]]).T
     return outputs
+
+
+def _windows(planes: NDArray, layer: PlaneLayer) -> NDArray:
+    """Windows (plane, row, col, window row, window col) of planes (plane, row, col)."""
+    return np.lib.stride_tricks.sliding_window_view(mirrored(planes, layer.radius), (layer.side, layer.side), (1, 2))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.class_rule import ClassRule
-from l3cli.artifacts.layers import PLANE_STEP, PLANE_TOP, PlaneRule
+from l3cli.artifacts.layers import PLANE_STEP, PLANE_TOP, PlaneLayer, PlaneRule
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.kernel import joined, kernel_arrays, kernel_macros, snippets
 from l3cli.classes.later import first_label_words
@@ -88,9 +88,8 @@ def table_macros(table: TransformTable) -> Macros:
 TO_PLANES: Macros = {"FIXED_POINT": 1, "PLANE_TOP": PLANE_TOP, "CODE": "int"}
 
 
-def later_macros(table: TransformTable) -> Macros:
-    """Everything about the layer after the first that a kernel's loops and formulas depend on."""
-    layer = table.later[0]
+def later_macros(table: TransformTable, layer: PlaneLayer) -> Macros:
+    """Everything about a layer after the first that a kernel's loops and formulas depend on."""
     return {
         "PATCH": layer.side,
         "RADIUS": layer.radius,
@@ -159,21 +158,19 @@ def first_weights(table: TransformTable) -> Weights:
     return Weights(taps.astype(np.float32), table.first.intercept)
 
 
-def plane_weights(table: TransformTable, fixed: FixedPoint) -> Weights:
-    """Of the first of several layers, to planes, in integers."""
-    return Weights(_by_column(fixed.weights, 1), fixed.intercept, fixed.fraction)
+def plane_weights(fixed: FixedPoint, planes: int = 1) -> Weights:
+    """Of a layer that another follows, to planes, in integers; it reads the mosaic or `planes`."""
+    return Weights(_by_column(fixed.weights, planes), fixed.intercept, fixed.fraction)
 
 
-def later_weights(table: TransformTable) -> Weights:
-    """Of the layer after the first, per step of a plane."""
-    layer = table.later[0]
+def later_weights(layer: PlaneLayer) -> Weights:
+    """Of the last layer, if it reads planes, per step of a plane."""
     return Weights((_by_column(layer.weights, PLANES) * PLANE_STEP).astype(np.float32), layer.intercept)
 
 
-def rule_arrays(table: TransformTable) -> tuple[NDArray, ...]:
+def rule_arrays(table: TransformTable, rule: PlaneRule) -> tuple[NDArray, ...]:
     """The constants of the kernel `structures`, in the order of its arguments; what they are stands in gradient.cl and in
     structure.cl or tree.cl."""
-    rule = table.later[0].rule
     return (*first_label_words(rule, table.first.rule), *rule_constants(rule))
 
 

@@ -14,17 +14,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.layers import PlaneLayer
 from l3cli.artifacts.table import TransformTable
-from l3cli.classes.planes import fixed_point
-from l3cli.classes.structure import REACH as STRUCTURE_REACH
+from l3cli.classes.planes import fixed_point, later_fixed_point, opponent_basis
 from l3cli.errors import RecipeError
-from l3cli.frame import RawFrame, mirrored_indices
+from l3cli.frame import RawFrame
 from l3cli.rendering import kernels, layout
 from l3cli.rendering.display import Display, require_known_layers, require_xyz
+from l3cli.rendering.opencl_bands import bands
 from l3cli.rendering.opencl_devices import choose_device, pyopencl, refusals
-from l3cli.rendering.opencl_work import Band, Track, Work
+from l3cli.rendering.opencl_work import Band, PlaneStep, Track, Work
 
-BAND_PIXELS = 1 << 22  # of a band, margins aside
 TRACKS = 2
 STAGES = ("upload", "classes", "transforms", "encode", "download")
 LATER_STAGES = ("upload", "classes", "planes", "structures", "transforms", "encode", "download")
@@ -57,21 +57,13 @@ class OpenCLRenderer:
             variant_layout = layout.VARIANTS[self.variant]
             self._cut = variant_layout.cut(table, lanes or self._register_lanes())
             self._transforms: dict[tuple[tuple[str, int | str], ...], Any] = {}
-            fixed = fixed_point(table) if table.later else None
-            first = self._build_first(layout.OUTPUTS_AS_THEY_ARE if fixed is None else layout.TO_PLANES)
+            first = self._build_first(layout.TO_PLANES if table.later else layout.OUTPUTS_AS_THEY_ARE)
             self._classes = cl.Kernel(first, "classes")
             self._class_buffers = [self._constant(array) for array in layout.class_arrays(table)]
-            if fixed is None:
-                self._weights = self._constant(variant_layout.pack(layout.first_weights(table), self._cut.lanes))
-            else:
-                self._planes = cl.Kernel(first, "transform")
-                self._plane_weights = self._constant(
-                    variant_layout.pack(layout.plane_weights(table, fixed), self._cut.lanes)
-                )
-                self._structure_buffers = [self._constant(array) for array in layout.rule_arrays(table)]
-                self._weights = self._constant(variant_layout.pack(layout.later_weights(table), self._cut.lanes))
-                self._structures = cl.Kernel(self._build_last(layout.OUTPUTS_AS_THEY_ARE), "structures")
-            self._tracks = deque(Track(self._context) for _ in range(TRACKS))
+            last = layout.later_weights(table.later[-1]) if table.later else layout.first_weights(table)
+            self._weights = self._constant(variant_layout.pack(last, self._cut.lanes))
+            self._later = [self._plane_step(number, first) for number in range(len(table.later))]
+            self._tracks = deque(Track(self._context, len(table.later)) for _ in range(TRACKS))
             self._frame_bands: tuple[tuple[int, ...], tuple[Band, ...]] | None = None
 
     @property
@@ -153,16 +145,15 @@ class OpenCLRenderer:
                 track = self._tracks[0]
                 self._tracks.rotate()
                 self._classify(values, frame.phase, track, band, work)
-                if self.table.later and not (kernel is None and layer == 0):
-                    self._classify_later(track, band, work)
+                for number in range(layer if kernel is None else len(self._later)):
+                    self._classify_later(number, track, band, work)
                 offset, sizes = 0, [result[band.rows].nbytes for result in results]
                 if kernel is not None:
                     self._transform(kernel, encoding, track, band, sum(sizes), levelled.black_level, work)
                     source = track.result
-                elif layer:
-                    source = track.later_labels
                 else:
-                    source, offset = track.labels, 4 * (band.rows.start - band.wide.start) * band.columns
+                    source = track.later_labels[layer - 1] if layer else track.labels
+                    offset = 4 * (band.rows.start - band.reads[layer].start) * band.columns
                 for result, size in zip(results, sizes, strict=True):
                     work.add("download", track.download(source, result[band.rows], offset))
                     offset += size
@@ -180,39 +171,42 @@ class OpenCLRenderer:
 
     def _classify(self, values: NDArray, phase: tuple[int, int], track: Track, band: Band, work: Work) -> None:
         """Upload and classes of a band, with the rows beside it that a later layer reads."""
-        source, rows = values[band.raw_rows], band.wide.stop - band.wide.start
+        source, (rows, columns) = values[band.raw_rows], band.shape(0)
         track.raw = self._scratch(track.raw, source.nbytes)
-        track.labels = self._scratch(track.labels, 4 * rows * band.columns)
+        track.labels = self._scratch(track.labels, 4 * rows * columns)
         work.sources.append(source)
         work.add("upload", pyopencl().enqueue_copy(track.queue, track.raw, source, is_blocking=False))
-        site = ((phase[0] + band.wide.start) % self.table.cfa.shape[0], phase[1])
+        site = ((phase[0] + band.reads[0].start) % self.table.cfa.shape[0], phase[1])
         buffers = (track.raw, *band.mosaic_source, *self._class_buffers, track.labels)
-        work.add("classes", self._run(self._classes, track, (rows, band.columns), *buffers, *map(np.int32, site)))
+        work.add("classes", self._run(self._classes, track, (rows, columns), *buffers, *map(np.int32, site)))
 
-    def _classify_later(self, track: Track, band: Band, work: Work) -> None:
-        """Planes of the first layer, and by their structure the classes of the one after it."""
-        shape = (band.wide.stop - band.wide.start, band.columns)
-        track.planes = self._scratch(track.planes, 4 * layout.PLANES * shape[0] * shape[1])
-        nothing = self._constant(np.zeros(9), np.float32)
-        buffers = (track.raw, *band.mosaic_source, track.labels, self._plane_weights, nothing, track.planes)
-        work.add("planes", self._run(self._planes, track, shape, *buffers, np.float32(0), np.int32(0)))
-        inner = (band.rows.stop - band.rows.start, band.columns)
-        track.later_labels = self._scratch(track.later_labels, 4 * inner[0] * inner[1])
-        buffers = (track.planes, track.labels, *band.structure_source, *self._structure_buffers, track.later_labels)
-        work.add("structures", self._run(self._structures, track, inner, *buffers, np.int32(shape[0])))
+    def _classify_later(self, number: int, track: Track, band: Band, work: Work) -> None:
+        """What later layer `number` reads of a band: the planes of the layer before it, and the classes they give."""
+        step, (rows, columns), made = self._later[number], band.shape(number), band.shape(number + 1)
+        track.planes[number] = self._scratch(track.planes[number], 4 * layout.PLANES * rows * columns)
+        buffers = (*self._reads(number, track, band), step.weights, step.nothing, track.planes[number], np.float32(0))
+        work.add("planes", self._run(step.planes, track, (rows, columns), *buffers, self._source_rows(number, band)))
+        track.later_labels[number] = self._scratch(track.later_labels[number], 4 * made[0] * columns)
+        buffers = (track.planes[number], track.labels, *band.later[number].classes, *step.rule, track.later_labels[number])
+        work.add("structures", self._run(step.classes, track, made, *buffers, np.int32(rows)))
+
+    def _reads(self, number: int, track: Track, band: Band) -> tuple[Any, ...]:
+        """What the transforms of a layer read, 0 being the first: source, where its padded rows and columns lie, classes."""
+        if not number:
+            return track.raw, *band.mosaic_source, track.labels
+        return track.planes[number - 1], *band.later[number - 1].transforms, track.later_labels[number - 1]
+
+    def _source_rows(self, number: int, band: Band) -> np.int32:
+        return np.int32(band.shape(number - 1)[0] if number else 0)
 
     def _transform(
         self, kernel: Any, encoding: Any, track: Track, band: Band, size: int, black_level: float, work: Work
     ) -> None:
         """Transforms of the last layer and encoding of a classified band into the track's result, `size` bytes."""
         track.result = self._scratch(track.result, size)
-        if self.table.later:
-            reads, rows = (track.planes, *band.plane_source, track.later_labels), band.wide.stop - band.wide.start
-        else:
-            reads, rows = (track.raw, *band.mosaic_source, track.labels), 0
-        shape = (band.rows.stop - band.rows.start, band.columns)
-        last = (self._weights, encoding, track.result, np.float32(black_level), np.int32(rows))
-        work.add("transforms", self._run(kernel, track, shape, *reads, *last))
+        number = len(self._later)
+        last = (self._weights, encoding, track.result, np.float32(black_level), self._source_rows(number, band))
+        work.add("transforms", self._run(kernel, track, band.shape(number), *self._reads(number, track, band), *last))
 
     def _run(self, kernel: Any, track: Track, shape: tuple[int, int], *arguments: Any) -> Any:
         """Enqueue a kernel over rows and columns, which are the last arguments of each."""
@@ -231,10 +225,27 @@ class OpenCLRenderer:
 
     def _build_last(self, ending: layout.Macros) -> Any:
         """The program of the last layer."""
-        if not self.table.later:
-            return self._build_first(ending)
+        return self._build_later(self.table.later[-1], ending) if self.table.later else self._build_first(ending)
+
+    def _plane_step(self, number: int, first: Any) -> PlaneStep:
+        """How a later layer comes to its planes and classes; `first` is the program of the first layer."""
+        cl, table, pack = pyopencl(), self.table, layout.VARIANTS[self.variant].pack
+        layer, before = table.later[number], table.later[number - 1] if number else None
+        if before is None:
+            weights, maker = layout.plane_weights(fixed_point(table)), first
+        else:
+            fixed = later_fixed_point(before, opponent_basis(table.white_point))
+            weights, maker = layout.plane_weights(fixed, layout.PLANES), self._build_later(before, layout.TO_PLANES)
+        program = self._build_later(layer, layout.OUTPUTS_AS_THEY_ARE if layer is table.later[-1] else layout.TO_PLANES)
+        kernels = cl.Kernel(maker, "transform"), cl.Kernel(program, "structures")
+        rule = tuple(self._constant(array) for array in layout.rule_arrays(table, layer.rule))
+        nothing = self._constant(np.zeros(9, np.float32))
+        return PlaneStep(*kernels, self._constant(pack(weights, self._cut.lanes)), rule, nothing)
+
+    def _build_later(self, layer: PlaneLayer, ending: layout.Macros) -> Any:
+        """The program of a layer that reads planes."""
         return self._build(
-            layout.later_source(self.variant, self.table.later[0].rule), {**layout.later_macros(self.table), **ending}
+            layout.later_source(self.variant, layer.rule), {**layout.later_macros(self.table, layer), **ending}
         )
 
     def _build_first(self, ending: layout.Macros) -> Any:
@@ -263,29 +274,9 @@ class OpenCLRenderer:
     def _bands(self, shape: tuple[int, ...]) -> tuple[Band, ...]:
         """The bands of frames of a shape (row, col), kept until a frame of another shape comes."""
         if self._frame_bands is None or self._frame_bands[0] != shape:
-            self._frame_bands = shape, tuple(self._cut_into_bands(*shape))
+            self._frame_bands = shape, tuple(bands(self.table, shape, self._constant))
             self._kept = False  # the driver may compile a kernel once more for grids of another size
         return self._frame_bands[1]
-
-    def _cut_into_bands(self, rows: int, columns: int) -> Iterator[Band]:
-        radius, cfa = self.table.first.rule.radius, self.table.cfa
-        row_source = mirrored_indices(rows, radius, cfa.shape[0])
-        column_source = self._constant(mirrored_indices(columns, radius, cfa.shape[1]), np.int32)
-        margins = [STRUCTURE_REACH, *(layer.radius for layer in self.table.later)] if self.table.later else [0]
-        height = max(1, BAND_PIXELS // columns)
-        for first in range(0, rows, height):
-            last = min(first + height, rows)
-            wide = slice(max(0, first - max(margins)), min(rows, last + max(margins)))
-            seen = row_source[wide.start : wide.stop + 2 * radius]
-            raw_rows = slice(int(seen.min()), int(seen.max()) + 1)
-            mosaic_source = (self._constant(seen - raw_rows.start, np.int32), column_source)
-            beside = [self._beside(rows, columns, first, last, wide.start, margin) for margin in margins]
-            yield Band(slice(first, last), wide, raw_rows, columns, mosaic_source, beside[0], beside[-1])
-
-    def _beside(self, rows: int, columns: int, first: int, last: int, start: int, margin: int) -> tuple[Any, Any]:
-        """Rows and columns of planes, whose first row is `start`, for rows `first` to `last` and `margin` more."""
-        row_source = mirrored_indices(rows, margin, 1)[first : last + 2 * margin] - start
-        return self._constant(row_source, np.int32), self._constant(mirrored_indices(columns, margin, 1), np.int32)
 
     def _constant(self, array: NDArray, dtype: Any = None) -> Any:
         cl = pyopencl()

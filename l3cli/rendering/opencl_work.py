@@ -7,17 +7,20 @@ from numpy.typing import NDArray
 
 from l3cli.rendering.opencl_devices import pyopencl
 
+Source = Any  # a buffer of indices
+
 
 class Track:
     """A queue and the buffers of one band; buffers grow to what is asked of them."""
 
-    def __init__(self, context: Any) -> None:
+    def __init__(self, context: Any, layers: int) -> None:
+        """For a table of so many later layers."""
         cl = pyopencl()
         self.queue = cl.CommandQueue(context, properties=cl.command_queue_properties.PROFILING_ENABLE)
         self.raw: Any = None
         self.labels: Any = None
-        self.planes: Any = None
-        self.later_labels: Any = None
+        self.planes: list[Any] = [None] * layers  # that each later layer reads
+        self.later_labels: list[Any] = [None] * layers
         self.result: Any = None
 
     def download(self, buffer: Any, destination: NDArray, offset: int) -> Any:
@@ -46,15 +49,38 @@ class Work:
 
 
 @dataclass(frozen=True)
-class Band:
-    """Rows of a frame, with those beside them that a later layer reads, and the raw rows that the patches of all these
-    touch. Each source (padded row), (padded col) names which row and column each padded one repeats: of the raw rows, or of
-    the planes of the wide rows, as structures and as transforms see them."""
+class PlaneStep:
+    """How a layer that reads planes comes to them and to its classes."""
 
-    rows: slice
-    wide: slice
-    raw_rows: slice
+    planes: Any  # kernel of the layer before
+    classes: Any  # kernel of its rule
+    weights: Any  # of the layer before
+    rule: tuple[Any, ...]
+    nothing: Any  # where other transforms have a display's matrix
+
+
+@dataclass(frozen=True)
+class PlaneSource:
+    """For a layer that reads planes, which of their rows and columns each padded one repeats."""
+
+    classes: tuple[Source, Source, Source]  # (padded row) of the planes and of the first layer's classes, (padded col)
+    transforms: tuple[Source, Source]  # (padded row), (padded col)
+
+
+@dataclass(frozen=True)
+class Band:
+    """Rows of a frame, and what every layer reads for them."""
+
+    reads: tuple[slice, ...]  # rows of planes that each later layer reads, and at the end the band's own
+    raw_rows: slice  # that the patches of the first of them touch
     columns: int
-    mosaic_source: tuple[Any, Any]
-    structure_source: tuple[Any, Any]
-    plane_source: tuple[Any, Any]
+    mosaic_source: tuple[Source, Source]  # (padded row) of the raw rows, (padded col)
+    later: tuple[PlaneSource, ...]
+
+    @property
+    def rows(self) -> slice:
+        return self.reads[-1]
+
+    def shape(self, number: int) -> tuple[int, int]:
+        """Rows and columns of `reads`."""
+        return self.reads[number].stop - self.reads[number].start, self.columns

@@ -1,5 +1,6 @@
 """The plain truth of rendering in float64: what every other backend is held against (docs/method.md#rendering)."""
 
+import itertools
 from collections.abc import Iterable, Iterator
 
 import numpy as np
@@ -7,11 +8,12 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.decide import label_mosaic
-from l3cli.classes.planes import fixed_point
+from l3cli.classes.later import label_planes
+from l3cli.classes.planes import fixed_point, later_fixed_point, opponent_basis
 from l3cli.classes.windows import Integers
 from l3cli.frame import RawFrame, pad_mosaic
 from l3cli.rendering.display import Display, encode, require_known_layers, require_xyz
-from l3cli.rendering.later import first_planes, later_labels, later_outputs
+from l3cli.rendering.later import first_planes, later_outputs, later_planes
 
 
 class ReferenceRenderer:
@@ -25,7 +27,7 @@ class ReferenceRenderer:
         """Class (row, col) of every pixel in a layer of the table."""
         levelled = at_table_levels(frame, self.table)
         labels = table_labels(levelled, self.table)
-        return later_labels(self._planes(levelled, labels), labels, self.table) if layer else labels
+        return self._later(levelled, labels, layer)[1] if layer else labels
 
     def outputs(self, frame: RawFrame) -> NDArray[np.float32]:
         """Outputs of the table, (output, row, col)."""
@@ -46,12 +48,19 @@ class ReferenceRenderer:
         labels = table_labels(levelled, self.table)
         if not self.table.later:
             return frame.light_share * output_planes(levelled, labels, self.table)
-        planes = self._planes(levelled, labels)
-        return frame.light_share * later_outputs(planes, later_labels(planes, labels, self.table), self.table.later[0])
+        planes, later_labels = self._later(levelled, labels, len(self.table.later))
+        return frame.light_share * later_outputs(planes, later_labels, self.table.later[-1])
 
-    def _planes(self, levelled: RawFrame, labels: Integers) -> NDArray[np.int32]:
-        """What the first of several layers makes of a frame at the table's levels."""
-        return first_planes(levelled, labels, self.table, fixed_point(self.table))
+    def _later(self, levelled: RawFrame, first_labels: Integers, number: int) -> tuple[NDArray[np.int32], Integers]:
+        """What layer `number` after the first reads of a frame at the table's levels, and the classes it sorts it into."""
+        table = self.table
+        planes = first_planes(levelled, first_labels, table, fixed_point(table))
+        labels = label_planes(planes, first_labels, table.later[0].rule, table.first.rule)
+        for before, layer in itertools.pairwise(table.later[:number]):
+            fixed = later_fixed_point(before, opponent_basis(table.white_point))
+            planes = later_planes(planes, labels, before, fixed)
+            labels = label_planes(planes, first_labels, layer.rule, table.first.rule)
+        return planes, labels
 
 
 def at_table_levels(frame: RawFrame, table: TransformTable) -> RawFrame:

@@ -11,6 +11,7 @@ from l3cli.config import Count, CountOrNone, Positive, Recipe, Share
 from l3cli.errors import RecipeError
 
 MOST_PATCHES = 1_000_000_000
+MOST_LATER = 3  # layers after the first
 MOST_STRENGTH = 1e5  # an edge of the structure tensor's trace: what gradients reach lies far below
 LEAST_STEP = 0.001  # between such edges, which are stored as integers
 NotNegative = Annotated[float, msgspec.Meta(ge=0)]
@@ -93,8 +94,8 @@ def check_learning(recipe: LearningRecipe) -> None:
 
 def check_layers(layers: tuple[LayerRecipe, ...]) -> None:
     """RecipeError if the layers after the first cannot be learned."""
-    if len(layers) > 1:
-        raise RecipeError(f"layer: {len(layers)} layers after the first; one can be learned")
+    if len(layers) > MOST_LATER:
+        raise RecipeError(f"layer: {len(layers)} layers after the first; {MOST_LATER} can be learned")
     for number, recipe in enumerate(layers, start=1):
         if recipe.side % 2 == 0:
             raise RecipeError(f"layer[{number}].side is {recipe.side}; windows have odd sides")

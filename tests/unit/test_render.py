@@ -28,7 +28,7 @@ from l3cli.physics.display import (
     srgb_from_xyz_matrix,
     xyz_from_srgb_matrix,
 )
-from l3cli.rendering import opencl, opencl_devices
+from l3cli.rendering import opencl_bands, opencl_devices
 from l3cli.rendering.display import Display, encode, make_display, require_xyz
 from l3cli.rendering.opencl import OpenCLRenderer
 from l3cli.rendering.opencl_devices import choose_device, devices
@@ -176,7 +176,7 @@ def test_bands_change_nothing(monkeypatch: pytest.MonkeyPatch, sides: tuple[int,
     labels = [whole.labels(frame, layer) for layer in range(len(table.layers))]
     planes, picture = whole.outputs(frame), whole.picture(frame, display)
     for rows in (1, 7, 30):
-        monkeypatch.setattr(opencl, "BAND_PIXELS", rows * 83)
+        monkeypatch.setattr(opencl_bands, "BAND_PIXELS", rows * 83)
         banded = OpenCLRenderer(table, **KINDS[kind])
         for layer, expected in enumerate(labels):
             np.testing.assert_array_equal(banded.labels(frame, layer), expected)

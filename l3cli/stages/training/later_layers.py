@@ -37,27 +37,28 @@ def learn_later(run: TrainingRun, table: TransformTable, execution: Execution) -
     if not run.has_later_layers:
         tell_what_is_left_out(run, execution.console)
         return table
-    mosaics = layer_mosaics(run)
-    layer = layer_pass(table, run.recipe, mosaics, run.seed)
-    rule = layer_rule(run, layer, execution)
-    sums = summed_layer(run, layer, rule, range(len(mosaics)), execution)
-    return replace(table, later=(learn_layer(layer, rule, sums),), history=run.history())
+    while len(table.later) < len(run.recipe.layer):
+        layer = layer_pass(table, run.recipe, layer_mosaics(run, len(table.later)), run.seed)
+        rule = layer_rule(run, layer, execution)
+        sums = summed_layer(run, layer, rule, range(len(layer.mosaics)), execution)
+        table = replace(table, later=(*table.later, learn_layer(layer, rule, sums)), history=run.history())
+    return table
 
 
 def tell_what_is_left_out(run: TrainingRun, console: Console) -> None:
     """Say that layers the recipe asks for are not learned, if that is so."""
     if run.recipe.layer and not run.has_later_layers:
         outputs = ", ".join(run.head.outputs)
-        console.alert(f"one layer is learned for the outputs {outputs}; later ones read X, Y and Z")
+        console.alert(f"one layer is learned for the outputs {outputs}; later ones read three, the second of them luminance")
 
 
-def layer_mosaics(run: TrainingRun) -> tuple[int, ...]:
-    """Training mosaics (frame) of the second layer."""
-    return spread_patches(run.recipe.layer[0].mosaics, [source.frames for source in run.training], run.shares)
+def layer_mosaics(run: TrainingRun, number: int) -> tuple[int, ...]:
+    """Training mosaics (frame) of later layer `number`, the first of them being 0."""
+    return spread_patches(run.recipe.layer[number].mosaics, [source.frames for source in run.training], run.shares)
 
 
 def layer_pass(table: TransformTable, recipe: TrainingRecipe, mosaics: tuple[int, ...], seed: int) -> LayerPass:
-    """The pass that learns the second layer on a table of one."""
+    """The pass that learns the next layer on a table."""
     assert table.camera is not None  # tables have had one since there are layers
     return LayerPass(
         camera=table.camera,
@@ -65,7 +66,8 @@ def layer_pass(table: TransformTable, recipe: TrainingRecipe, mosaics: tuple[int
         fixed=fixed_point(table),
         basis=opponent_basis(table.white_point),
         white_point=table.white_point,
-        recipe=recipe.layer[0],
+        before=table.later,
+        recipe=recipe.layer[len(table.later)],
         learning=recipe.learning,
         mosaics=mosaics,
         pictures=table.outputs == XYZ,
@@ -99,7 +101,7 @@ def layer_rule(run: TrainingRun, layer: LayerPass, execution: Execution) -> Plan
         sampled = execution.console.progress(execution.crew(_sample, units), len(units), "tree")
         rule = tree_rule(layer, scale, [sample for part in sampled for sample in part])
         classes = f"{rule.structures} leaves, {rule.depth} tests deep, + {rule.cases - 1} saturation cases"
-    execution.console.say(f"second layer: {sum(layer.mosaics)} mosaics, {classes} a site")
+    execution.console.say(f"layer {layer.number}: {sum(layer.mosaics)} mosaics, {classes} a site")
     return rule
 
 
@@ -109,7 +111,7 @@ def summed_layer(
     """Sums of the canonical sites over `frames`."""
     sums = no_sums(layer, rule)
     units = _units(run, layer, rule, frames, execution)
-    for part in execution.console.progress(execution.crew(_sum, units), len(units), "second layer"):
+    for part in execution.console.progress(execution.crew(_sum, units), len(units), f"layer {layer.number}"):
         add_sums(sums, part)
     return sums
 

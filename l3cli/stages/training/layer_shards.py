@@ -21,14 +21,14 @@ def write_layer_shard(
     run: TrainingRun, shard: tuple[int, int], table: TransformTable, output: Path, execution: Execution
 ) -> None:
     """Write what a shard (number from 1, of how many) sums up for the layer on `table`."""
-    mosaics = layer_mosaics(run)
+    mosaics = layer_mosaics(run, len(table.later))
     layer = layer_pass(table, run.recipe, mosaics, run.seed)
     rule = layer_rule(run, layer, execution)
     index, count = shard
     frames = list(parts_of(range(len(mosaics)), count))[index - 1]
     sums = summed_layer(run, layer, rule, frames, execution)
     head = PartialLayerSums(
-        history=run.history(),
+        history=run.history_of_layers(layer.number),
         shard=index,
         shards=count,
         mosaics=np.array(mosaics),
@@ -38,7 +38,7 @@ def write_layer_shard(
         sites=np.array(list(sums)),
     )
     write_partial_sums(output, head, sums.values())
-    execution.console.say(f"{output}: shard {index} of {count}, second layer")
+    execution.console.say(f"{output}: shard {index} of {count}, layer {layer.number}")
 
 
 def merged_layer(readers: list[PartialSumsReader], recipe: TrainingRecipe, seed: int, path: Path) -> TransformTable:
@@ -52,4 +52,4 @@ def merged_layer(readers: list[PartialSumsReader], recipe: TrainingRecipe, seed:
     for index, site in enumerate(sums):
         for reader in readers:
             add_sums({site: sums[site]}, {site: reader.site(index)})
-    return replace(head.table, later=(learn_layer(layer, head.rule, sums),), history=head.history)
+    return replace(head.table, later=(*head.table.later, learn_layer(layer, head.rule, sums)), history=head.history)

@@ -15,7 +15,8 @@ from l3cli.recipes import known_recipes
 from l3cli.training.recipe import TrainingRecipe
 from l3cli.training.training_pass import FIRST, spread_patches
 
-FIRST_PASS, FIRST_LAYER = "first", "first layer"  # whose tables are not the end of a run
+FIRST_PASS = "first"  # whose table is not the end of a run, as those of layers after which others follow are not
+LAYERS = ("first layer", "second layer", "third layer", "fourth layer")
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,12 @@ class TrainingRun:
 
     def history_of_pass(self, number: int) -> tuple[Stage, ...]:
         """History of what a pass of the first layer makes."""
-        return self.history(FIRST_PASS if number == FIRST else FIRST_LAYER if self.has_later_layers else "")
+        return self.history(FIRST_PASS) if number == FIRST else self.history_of_layers(1)
+
+    def history_of_layers(self, count: int) -> tuple[Stage, ...]:
+        """History of a table of so many layers."""
+        whole = 1 + len(self.recipe.layer) if self.has_later_layers else 1
+        return self.history(LAYERS[count - 1] if count < whole else "")
 
     def history(self, before: str = "") -> tuple[Stage, ...]:
         """History of what the run makes, or of what it makes `before` its end: the table of a pass, by the pass's name."""

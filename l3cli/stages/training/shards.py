@@ -20,7 +20,7 @@ from l3cli.stages.console import Console
 from l3cli.stages.training.later_layers import tell_what_is_left_out
 from l3cli.stages.training.layer_shards import merged_layer, write_layer_shard
 from l3cli.stages.training.passes import Execution, first_pass, sum_unit, summed
-from l3cli.stages.training.run import FIRST_LAYER, FIRST_PASS, TrainingRun
+from l3cli.stages.training.run import FIRST_PASS, LAYERS, TrainingRun
 from l3cli.stages.training.whole import executed, say_table
 from l3cli.training.division import frame_blocks
 from l3cli.training.recipe import TrainingRecipe, check_layers
@@ -31,7 +31,7 @@ from l3cli.training.training_pass import FIRST, LAST, TrainingPass
 if TYPE_CHECKING:
     from l3cli.parallel.cluster import Scheduler
 
-NAMES = {FIRST_PASS: "first pass", FIRST_LAYER: "first layer"}  # of tables that are not the end of a run
+NAMES = {FIRST_PASS: "first pass"} | dict(zip(LAYERS, LAYERS, strict=True))  # of tables that are not the end of a run
 
 
 def train_shard(
@@ -48,7 +48,7 @@ def train_shard(
         with executed(training, console, classes, shares, seed, jobs, scheduler) as (run, execution):
             table = load(TransformTable, first) if first else None
             tell_what_is_left_out(run, console)
-            if table and run.has_later_layers and table.history == run.history(FIRST_LAYER):
+            if table and run.has_later_layers and table.history == run.history(LAYERS[len(table.later)]):
                 check_layers(run.recipe.layer)
                 write_layer_shard(run, shard, table, output, execution)
             else:
@@ -105,9 +105,7 @@ def merge_shards(shards: tuple[Path, ...], output: Path, console: Console, *, fo
         save(table, output)
         say_table(table, output, console)
         if made := table.history[-1].options.get("pass"):
-            console.say(
-                f"this is the {made if made == FIRST_LAYER else 'first pass'}: go on with ‹shard› I/N ‹first› {output}"
-            )
+            console.say(f"this is the {NAMES[str(made)]}: go on with ‹shard› I/N ‹first› {output}")
         return table
 
 

@@ -1,6 +1,7 @@
 """A plane layer from training frames: its class rule, its sums, its transforms (docs/method.md#layers)."""
 
-from collections.abc import Iterable
+import functools
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,14 +15,12 @@ from l3cli.artifacts.training_set import TrainingPair
 from l3cli.classes.later import label_planes
 from l3cli.classes.planes import FixedPoint
 from l3cli.classes.windows import neighbourhoods
-from l3cli.training.layers.first import FirstLayer
-from l3cli.training.layers.mosaics import Exposed, mosaics_of
+from l3cli.training.layers.first import FirstLayer, PlaneStage, Seen
+from l3cli.training.layers.mosaics import Exposed, Mosaic, mosaics_of
 from l3cli.training.layers.rows import Reading, add_rows, empty_sums, grid_steps, inner_pixels, require_exact, row_weights
 from l3cli.training.layers.solve import LayerGoal, solve_layer
 from l3cli.training.recipe import LayerRecipe, LearningRecipe
 from l3cli.training.symmetry import orientations, site_maps
-
-PASS = 3  # of the training run, after the two of the first layer
 
 
 @dataclass(frozen=True)
@@ -31,6 +30,7 @@ class LayerPass:
     camera: CameraModel
     rule: ClassRule  # of the first layer
     fixed: FixedPoint  # its transforms to the opponent basis
+    before: tuple[PlaneLayer, ...]  # learned already, between the first and the one to be learned
     basis: NDArray[np.float64]  # (X Y Z, plane)
     white_point: NDArray[np.float64]  # (output) a perfect white under the training light, Y = 1
     recipe: LayerRecipe
@@ -46,8 +46,23 @@ class LayerPass:
         return Exposed(self.camera, self.learning, dark, self.recipe.achromatic, self.learning.noise != "none")
 
     @property
-    def first_layer(self) -> FirstLayer:
-        return FirstLayer(self.camera, self.rule, self.fixed)
+    def number(self) -> int:
+        """Of the layer to be learned, the first being 1."""
+        return 2 + len(self.before)
+
+    def rng(self, frame: int, purpose: int) -> np.random.Generator:
+        """The generator of a frame of the training run, for one purpose."""
+        return np.random.default_rng([self.seed, self.number + 1, frame, purpose])
+
+    def seer(self) -> Callable[[Mosaic], Seen]:
+        """What sees a mosaic as the layers before make it."""
+        first = FirstLayer(self.camera, self.rule, self.fixed)
+        stages = [PlaneStage(layer, self.rule, self.basis) for layer in self.before]
+
+        def see(mosaic: Mosaic) -> Seen:
+            return functools.reduce(lambda seen, stage: stage.see(seen), stages, first.see(mosaic))
+
+        return see
 
     def reading(self, side: int) -> Reading:
         """How windows of `side` are read at every site."""
@@ -78,16 +93,16 @@ def no_sums(layer: LayerPass, rule: PlaneRule) -> dict[int, LayerSums]:
 
 def sum_layer(layer: LayerPass, rule: PlaneRule, frames: Iterable[TrainingPair], first: int) -> dict[int, LayerSums]:
     """Sums of every canonical site over frames, `first` being the index of the first."""
-    see, reading, sums = layer.first_layer.see, layer.reading(layer.recipe.side), no_sums(layer, rule)
+    see, reading, sums = layer.seer(), layer.reading(layer.recipe.side), no_sums(layer, rule)
     steps = layer.grid_steps(rule)
     for index, frame in enumerate(frames, first):
-        rng = np.random.default_rng([layer.seed, PASS, index, 1])
+        rng = layer.rng(index, 1)
         for mosaic in mosaics_of(frame, layer.mosaics[index], layer.exposed, rng):
             seen = see(mosaic)
             inner = inner_pixels(seen.label.shape)
             label = label_planes(seen.noisy, seen.label, rule, layer.rule)
             pixels = rng.choice(inner, min(layer.recipe.rows, inner.size), replace=False)
-            weight = row_weights(seen, layer.basis, layer.white_point, layer.learning)
+            weight = row_weights(seen, layer.basis, layer.white_point, layer.learning, layer.pictures)
             add_rows(sums, seen, label, rule, reading, pixels, weight, layer.basis, steps)
     return sums
 

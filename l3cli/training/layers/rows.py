@@ -19,6 +19,7 @@ from l3cli.training.recipe import LearningRecipe
 from l3cli.training.row_weighting import ERROR_FLOOR, lab_error
 from l3cli.training.sums import EXACT, STEP, add_rounded, intercept_scale, pairs, steps_of_columns, width_of
 
+MEAN_FLOOR = 1e-5  # squared error, in output units, below which mosaics count alike
 BORDER = 12  # pixels at a mosaic's edge without rows: what they see is mirrored
 Y = 1
 
@@ -76,18 +77,30 @@ def windows_of(planes: NDArray, pixels: Integers, order: Integers) -> Floats:
     return taps.astype(np.float32) * np.float32(PLANE_STEP)
 
 
-def row_weights(seen: Seen, basis: NDArray[np.float64], white: NDArray[np.float64], recipe: LearningRecipe) -> Floats:
+def row_weights(
+    seen: Seen, basis: NDArray[np.float64], white: NDArray[np.float64], recipe: LearningRecipe, pictures: bool
+) -> Floats:
     """Weight (row, col) of every pixel: relative to its level, less for large errors of the first layer, whose noise is
-    averaged over 5 × 5 (docs/method.md#row-weights, docs/method.md#second-pass)."""
+    averaged over 5 × 5 (docs/method.md#row-weights, docs/method.md#second-pass); of what is no picture, for those of the
+    whole mosaic."""
     relative = np.maximum(seen.target[..., Y], 0) / seen.brightness + np.float32(TARGET_FLOOR)
     weight = relative ** np.float32(-recipe.brightness_power) / seen.brightness ** np.float32(recipe.level_power)
     if not recipe.error_power:
         return np.asarray(weight, np.float32)
+    if not pictures:
+        return np.asarray(weight * _of_mosaic(seen, basis) ** -recipe.error_power, np.float32)
     back = (np.linalg.inv(basis) * PLANE_STEP).astype(np.float32)
     clean, noisy = (np.moveaxis(planes, 0, -1).astype(np.float32) @ back for planes in (seen.clean, seen.noisy))
     near = (seen.target, seen.brightness, white.astype(np.float32))
     error = lab_error(clean - seen.target, *near) + _averaged(lab_error(noisy - clean, *near))
     return np.asarray(weight * (error + np.float32(ERROR_FLOOR)) ** np.float32(-recipe.error_power), np.float32)
+
+
+def _of_mosaic(seen: Seen, basis: NDArray[np.float64]) -> float:
+    """Mean squared error of what the layers before make of a mosaic, above a floor: errors of what is no picture are judged
+    mosaic by mosaic, as PSNR does."""
+    error = np.moveaxis(seen.noisy, 0, -1) @ (np.linalg.inv(basis) * PLANE_STEP) - seen.target
+    return float((error[BORDER:-BORDER, BORDER:-BORDER] ** 2).mean()) + MEAN_FLOOR
 
 
 def _averaged(values: Floats) -> Floats:

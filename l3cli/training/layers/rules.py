@@ -13,7 +13,7 @@ from l3cli.artifacts.tree_rule import TreeRule
 from l3cli.classes import structure
 from l3cli.classes.later import plane_evidence
 from l3cli.classes.planes import LUMINANCE
-from l3cli.training.layers.learn import PASS, LayerPass
+from l3cli.training.layers.learn import LayerPass
 from l3cli.training.layers.mosaics import mosaics_of
 from l3cli.training.layers.rows import inner_pixels, row_weights, windows_of
 from l3cli.training.layers.tree import TreeSample, grow, turned_evidence
@@ -28,12 +28,12 @@ LAB_SLOPES = (500.0, 116.0, 200.0)  # of a*, L* and b* with the planes of a whit
 def luminance_noise(layer: LayerPass, frames: Iterable[TrainingPair], first: int, every: int) -> list[NDArray[np.float64]]:
     """Of every frame whose index, `first` that of the first, is a multiple of `every`: sums of squared differences that
     noise makes between pixels two apart of the luminance, and their number (2, level)."""
-    see, noisy, measured = layer.first_layer.see, replace(layer.exposed, noisy=True), []
+    see, noisy, measured = layer.seer(), replace(layer.exposed, noisy=True), []
     for index, frame in enumerate(frames, first):
         if index % every:
             continue
         total = np.zeros((2, layer.rule.levels))
-        rng = np.random.default_rng([layer.seed, PASS, index, 0])
+        rng = layer.rng(index, 0)
         for mosaic in mosaics_of(frame, 1, noisy, rng):
             seen = see(mosaic)
             noise = seen.noisy[LUMINANCE] - seen.clean[LUMINANCE]
@@ -84,17 +84,17 @@ def sample_tree(
     layer: LayerPass, scale: GradientScale, frames: Iterable[TrainingPair], first: int
 ) -> list[dict[int, TreeSample]]:
     """Of every frame, the first of which has the index `first`, rows of each canonical site that a tree is grown on."""
-    see, reading, sampled = layer.first_layer.see, layer.reading(layer.recipe.side), []
+    see, reading, sampled = layer.seer(), layer.reading(layer.recipe.side), []
     judged, turns = _judged(layer), layer.turns
     rows = -(-layer.recipe.tree_rows // sum(layer.mosaics))
     for index, frame in enumerate(frames, first):
-        rng = np.random.default_rng([layer.seed, PASS, index, 2])
+        rng = layer.rng(index, 2)
         parts: dict[int, list[TreeSample]] = {}
         for mosaic in mosaics_of(frame, layer.mosaics[index], layer.exposed, rng):
             seen = see(mosaic)
             place = layer.rule.split(seen.label)
             site = np.broadcast_to(place.site, seen.label.shape).ravel()
-            weight = row_weights(seen, layer.basis, layer.white_point, layer.learning).ravel()
+            weight = row_weights(seen, layer.basis, layer.white_point, layer.learning, layer.pictures).ravel()
             target = seen.target.reshape(-1, seen.target.shape[-1]) @ judged
             evidence = plane_evidence(seen.noisy, place.level, *scale)
             inner = inner_pixels(seen.label.shape)
