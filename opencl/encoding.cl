@@ -6,8 +6,14 @@
 #ifdef FIXED_POINT
 
 // A fixed-point sum as a plane keeps it (l3cli/classes/planes.py).
+#if SOURCES > 1
+typedef long whole;
+#else
+typedef int whole;
+#endif
 INLINE int plane_value(tap sum, tap fraction) {
-    return (int)clamp((sum + ((tap)1 << fraction >> 1)) >> fraction, -(tap)PLANE_TOP, (tap)PLANE_TOP);
+    const whole total = (whole)sum, shift = (whole)fraction;
+    return (int)clamp((total + ((whole)1 << shift >> 1)) >> shift, -(whole)PLANE_TOP, (whole)PLANE_TOP);
 }
 
 #endif

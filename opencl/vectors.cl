@@ -22,10 +22,6 @@ typedef float floats;
 VECTOR(uint, uints, LANES);
 VECTOR(int, ints, LANES);
 VECTOR(float, floats, LANES);
-VECTOR(float, four_floats, 4);
-VECTOR(int, four_ints, 4);
-VECTOR(long, longs, LANES);
-VECTOR(long, four_longs, 4);
 VECTOR(short, signed_shorts, LANES);
 VECTOR(ushort, shorts, LANES);           // as many as there are uints: half a register
 VECTOR(ushort, full_shorts, 2 * LANES);  // a whole register
@@ -41,26 +37,20 @@ VECTOR(ushort, full_shorts, 2 * LANES);  // a whole register
 #endif
 
 // What a layer reads and sums up: values of a mosaic, or planes, in floating point or, so that planes are the same on every
-// device, in integers: DN in 32 bits, planes in 64.
+// device, as whole numbers: DN in 32 bits, planes in a type that holds 53, which a double does without rounding.
 #if defined(FIXED_POINT) && SOURCES > 1
-#define SAME_KIND(floating, integer) WIDE_##integer
-#define WIDE_int long
-#define WIDE_int4 long4
-#define WIDE_ints longs
-#define WIDE_ints_unaligned longs_unaligned
-#define WIDE_four_ints four_longs
-#define WIDE_four_ints_unaligned four_longs_unaligned
+#define TAP EXACT
 #elif defined(FIXED_POINT)
-#define SAME_KIND(floating, integer) integer
+#define TAP int
 #else
-#define SAME_KIND(floating, integer) floating
+#define TAP float
 #endif
-typedef SAME_KIND(float, int) tap;
+typedef TAP tap;
 #if LANES == 1
-typedef SAME_KIND(float4, int4) tap4;
+#define JOINED(a, b) a##b
+#define JOIN_NAMES(a, b) JOINED(a, b)
+typedef JOIN_NAMES(TAP, 4) tap4;
 #else
-typedef SAME_KIND(floats, ints) taps;
-typedef SAME_KIND(floats_unaligned, ints_unaligned) taps_unaligned;
-typedef SAME_KIND(four_floats, four_ints) four_taps;
-typedef SAME_KIND(four_floats_unaligned, four_ints_unaligned) four_taps_unaligned;
+VECTOR(tap, taps, LANES);
+VECTOR(tap, four_taps, 4);
 #endif

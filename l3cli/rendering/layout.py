@@ -84,8 +84,14 @@ def table_macros(table: TransformTable) -> Macros:
     }
 
 
-# What the first layer writes for the next to read.
+# What a layer writes for the next to read.
 TO_PLANES: Macros = {"FIXED_POINT": 1, "PLANE_TOP": PLANE_TOP, "CODE": "int"}
+
+
+def exact_type(doubles: bool) -> tuple[str, type[np.generic]]:
+    """What whole numbers of planes are summed up in, in a kernel and in its weights: doubles where the device computes
+    them, which are exact as far as sums go and twice as fast there as integers."""
+    return ("double", np.float64) if doubles else ("long", np.int64)
 
 
 def later_macros(table: TransformTable, layer: PlaneLayer) -> Macros:
@@ -158,9 +164,9 @@ def first_weights(table: TransformTable) -> Weights:
     return Weights(taps.astype(np.float32), table.first.intercept)
 
 
-def plane_weights(fixed: FixedPoint, planes: int = 1) -> Weights:
-    """Of a layer that another follows, to planes, in integers; it reads the mosaic or `planes`."""
-    return Weights(_by_column(fixed.weights, planes), fixed.intercept, fixed.fraction)
+def plane_weights(fixed: FixedPoint, planes: int = 1, kind: type[np.generic] = np.int32) -> Weights:
+    """Of a layer that another follows, to planes, as whole numbers of a kind; it reads the mosaic or `planes`."""
+    return Weights(_by_column(fixed.weights, planes).astype(kind), fixed.intercept, fixed.fraction)
 
 
 def later_weights(layer: PlaneLayer) -> Weights:

@@ -235,8 +235,10 @@ class OpenCLRenderer:
             weights, maker = layout.plane_weights(fixed_point(table)), first
         else:
             fixed = later_fixed_point(before, opponent_basis(table.white_point))
-            weights, maker = layout.plane_weights(fixed, layout.PLANES), self._build_later(before, layout.TO_PLANES)
-        program = self._build_later(layer, layout.OUTPUTS_AS_THEY_ARE if layer is table.later[-1] else layout.TO_PLANES)
+            exact, kind = layout.exact_type(self.variant == "processor" and bool(self.device.double_fp_config))
+            weights = layout.plane_weights(fixed, layout.PLANES, kind)
+            maker = self._build_later(before, {**layout.TO_PLANES, "EXACT": exact})
+        program = self._build_later(layer, layout.OUTPUTS_AS_THEY_ARE)
         kernels = cl.Kernel(maker, "transform"), cl.Kernel(program, "structures")
         rule = tuple(self._constant(array) for array in layout.rule_arrays(table, layer.rule))
         nothing = self._constant(np.zeros(9, np.float32))
