@@ -1,5 +1,6 @@
 """The plain truth of rendering in float64: what every other backend is held against (docs/method.md#rendering)."""
 
+import functools
 from collections.abc import Iterable, Iterator
 
 import numpy as np
@@ -7,7 +8,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.decide import label_mosaic
-from l3cli.classes.planes import fixed_point
+from l3cli.classes.planes import FixedPoint, fixed_point
 from l3cli.classes.windows import Integers
 from l3cli.frame import RawFrame, pad_mosaic
 from l3cli.rendering.display import Display, encode, require_known_layers, require_xyz
@@ -49,9 +50,13 @@ class ReferenceRenderer:
         planes = self._planes(levelled, labels)
         return frame.light_share * later_outputs(planes, later_labels(planes, labels, self.table), self.table.later[0])
 
+    @functools.cached_property
+    def _fixed_point(self) -> FixedPoint:
+        return fixed_point(self.table)
+
     def _planes(self, levelled: RawFrame, labels: Integers) -> NDArray[np.int32]:
         """What the first of several layers makes of a frame at the table's levels."""
-        return first_planes(levelled, labels, self.table, fixed_point(self.table))
+        return first_planes(levelled, labels, self.table, self._fixed_point)
 
 
 def at_table_levels(frame: RawFrame, table: TransformTable) -> RawFrame:
