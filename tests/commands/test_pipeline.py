@@ -39,18 +39,6 @@ def test_the_history_names_every_stage(pipeline: Path) -> None:
     assert str(pipeline) not in text
 
 
-def test_same_bytes_for_any_number_of_jobs(pipeline: Path, tmp_path: Path, l3: Callable) -> None:
-    simulate = ("simulate", pipeline / "scenes.toml", "--camera", pipeline / "camera.h5", "--jobs", 2)
-    assert l3(*simulate, "-o", tmp_path / "training.h5")[0] == 0
-    assert (tmp_path / "training.h5").read_bytes() == (pipeline / "training.h5").read_bytes()
-    classes = ("--classes", pipeline / "classes.toml", "--jobs", 2)
-    assert l3("train", tmp_path / "training.h5", *classes, "-o", tmp_path / "table.h5")[0] == 0
-    assert (tmp_path / "table.h5").read_bytes() == (pipeline / "table.h5").read_bytes()
-    raw = next((pipeline / "unseen").glob("*_raw.tif"))
-    assert l3("render", tmp_path / "table.h5", raw, "-o", tmp_path / "picture.png")[0] == 0
-    assert (tmp_path / "picture.png").read_bytes() == (pipeline / "picture.png").read_bytes()
-
-
 def test_an_existing_output_is_refused_before_any_work(pipeline: Path, refused: Callable) -> None:
     raw = next((pipeline / "unseen").glob("*_raw.tif"))
     for arguments in (
