@@ -21,8 +21,8 @@ def test_an_unseen_scene_comes_out_better_than_by_the_basic_pipeline(pipeline: P
     figures = json.loads(out)["mean"]
     ours, basic = figures["ours"], figures["basic"]  # of the same frames
     assert ours["mean_delta_e"] < 0.85 * basic["mean_delta_e"]  # in fact 0.76
-    assert ours["scielab"] < 0.95 * basic["scielab"]  # in fact 0.88
-    assert ours["psnr"] > basic["psnr"] + 3  # in fact 4.7 dB
+    assert ours["scielab"] < 0.95 * basic["scielab"]  # in fact 0.87
+    assert ours["psnr"] > basic["psnr"] + 3  # in fact 4.5 dB
     picture, _ = read_image(pipeline / "picture.png")
     ideal, _ = read_image(next((pipeline / "unseen").glob("*_ideal.png")))
     assert picture.shape == ideal.shape == (160, 240, 3)
