@@ -41,7 +41,7 @@ demo-steps:
 	@ls $(CURDIR)/$(DEMO)/report.html $(CURDIR)/$(DEMO)/rendered.png $(CURDIR)/$(DEMO)/unseen/*_ideal.png
 
 test: $(VENV)/installed ## the test suite
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile
 
 study: $(VENV)/installed ## calibration over 21 seeds, quality, time and memory of large inputs (ten minutes)
 	$(BIN)/python -m pytest -m slow -s --ignore tests/studies/test_video_rate.py

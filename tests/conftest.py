@@ -14,6 +14,13 @@ from tests.helpers.paths import CONFIGS
 from tests.helpers.recipes import CLASSES, SCENES, UNSEEN
 
 
+@pytest.fixture(scope="session", autouse=True)
+def no_terminal_size() -> None:
+    """Who runs the tests in several processes gives each a terminal of eighty columns."""
+    for name in ("COLUMNS", "LINES"):
+        os.environ.pop(name, None)
+
+
 @pytest.fixture(scope="session")
 def fiveband() -> CameraModel:
     """The five-band camera of its recipe."""

@@ -89,8 +89,17 @@ class Artifact:
 # ------------------------------------------------------------------------------------------------ declarations
 
 
-def declared(cls: type) -> Iterator[tuple[str, Spec | Group, bool]]:
+_DECLARED: dict[type, tuple[tuple[str, Spec | Group, bool], ...]] = {}  # of each dataclass that has been asked for
+
+
+def declared(cls: type) -> tuple[tuple[str, Spec | Group, bool], ...]:
     """(name, dataset or group, optional) of each stored field of a dataclass."""
+    if cls not in _DECLARED:
+        _DECLARED[cls] = tuple(_declared(cls))
+    return _DECLARED[cls]
+
+
+def _declared(cls: type) -> Iterator[tuple[str, Spec | Group, bool]]:
     hints = typing.get_type_hints(cls)
     for item in dataclasses.fields(cls):
         spec = item.metadata.get("spec")
@@ -123,7 +132,7 @@ def check(instance: Any) -> None:
 
 
 def _check(instance: Any, lengths: dict[str, tuple[int, str]], scopes: dict[str, str], prefix: str) -> None:
-    fields = list(declared(type(instance)))
+    fields = declared(type(instance))
     scopes = scopes | {name: prefix for name, spec, _ in fields if isinstance(spec, Spec) and spec.axes == (name,)}
     for name, spec, _ in fields:
         value = getattr(instance, name)

@@ -1,5 +1,6 @@
 """The plain truth of rendering in float64: what every other backend is held against (docs/method.md#rendering)."""
 
+import functools
 import itertools
 from collections.abc import Iterable, Iterator
 
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.decide import label_mosaic
 from l3cli.classes.later import label_planes
-from l3cli.classes.planes import fixed_point, later_fixed_point, opponent_basis
+from l3cli.classes.planes import FixedPoint, fixed_point, later_fixed_point, opponent_basis
 from l3cli.classes.windows import Integers
 from l3cli.frame import RawFrame, pad_mosaic
 from l3cli.rendering.display import Display, encode, require_known_layers, require_xyz
@@ -51,13 +52,18 @@ class ReferenceRenderer:
         planes, later_labels = self._later(levelled, labels, len(self.table.later))
         return frame.light_share * later_outputs(planes, later_labels, self.table.later[-1])
 
+    @functools.cached_property
+    def _fixed_points(self) -> list[FixedPoint]:
+        """Of all layers but the last."""
+        basis = opponent_basis(self.table.white_point)
+        return [fixed_point(self.table), *(later_fixed_point(layer, basis) for layer in self.table.later[:-1])]
+
     def _later(self, levelled: RawFrame, first_labels: Integers, number: int) -> tuple[NDArray[np.int32], Integers]:
         """What layer `number` after the first reads of a frame at the table's levels, and the classes it sorts it into."""
         table = self.table
-        planes = first_planes(levelled, first_labels, table, fixed_point(table))
+        planes = first_planes(levelled, first_labels, table, self._fixed_points[0])
         labels = label_planes(planes, first_labels, table.later[0].rule, table.first.rule)
-        for before, layer in itertools.pairwise(table.later[:number]):
-            fixed = later_fixed_point(before, opponent_basis(table.white_point))
+        for (before, layer), fixed in zip(itertools.pairwise(table.later[:number]), self._fixed_points[1:], strict=False):
             planes = later_planes(planes, labels, before, fixed)
             labels = label_planes(planes, first_labels, layer.rule, table.first.rule)
         return planes, labels

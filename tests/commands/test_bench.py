@@ -1,14 +1,17 @@
 """l3 bench on small frames: what it prints, what it leaves out without a compiler."""
 
+import functools
 import json
 import shutil
 
 import pytest
 
 from l3cli import parallel
+from l3cli.classes.recipe import ClassRecipe
 from l3cli.rendering import benchmark
 from l3cli.simulation import benchmark as simulation
 from l3cli.training import benchmark as training
+from l3cli.training.recipe import TrainingRecipe
 from tests.helpers.calls import L3, Refused
 
 FIELDS = {
@@ -30,6 +33,8 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_json_says_what_was_measured_how(l3: L3, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(training, "CASES", (training.Case(300),))
     monkeypatch.setattr(training, "REPEATS", 1)
+    few = functools.partial(TrainingRecipe, classes=ClassRecipe(patch=5, levels=4, chromas=2))  # of many it takes longer
+    monkeypatch.setattr(training, "TrainingRecipe", few)
     monkeypatch.setattr(parallel, "alone", lambda function, case: function(case))
     code, out, err = l3("bench", "--json", "--quiet")
     assert (code, err) == (0, "")

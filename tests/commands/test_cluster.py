@@ -1,5 +1,5 @@
-"""Many machines: a real dask scheduler and four workers on loopback give the bytes of a single process, also when one worker
-is killed; what goes wrong with them is one line within bounded time."""
+"""Many machines: a real dask scheduler and three workers on loopback give the bytes of a single process, also when one is
+killed; what goes wrong with them is one line within bounded time."""
 
 import contextlib
 import os
@@ -25,7 +25,7 @@ from l3cli.parallel.cluster import Scheduler
 from tests.helpers.paths import ROOT
 from tests.helpers.tasks import PATIENCE, refusing, squared
 
-WORKERS = 4
+WORKERS = 3
 SCENES = """
 illuminants = ["D65", "A"]
 luminances_cd_m2 = [100.0]
@@ -186,7 +186,7 @@ def test_a_killed_worker_changes_nothing(
     """One is killed while it works and holds results; dask has others do its work again."""
     output = tmp_path / "training.h5"
     (tmp_path / "picture.png").write_bytes((made / "picture.png").read_bytes())
-    (tmp_path / "scenes.toml").write_text(SCENES.replace("[32, 40]", "[128, 128]").replace("count = 6", "count = 12"))
+    (tmp_path / "scenes.toml").write_text(SCENES.replace("[32, 40]", "[96, 96]").replace("count = 6", "count = 12"))
     command = ("simulate", tmp_path / "scenes.toml", "--camera", bayer_recipe, "--quiet", "-o")
     assert l3(*command, tmp_path / "here.h5")[0] == 0
     left: list[int] = []

@@ -179,8 +179,9 @@ def test_all_pictures_that_do_not_fit_are_named_before_any_work(
 ) -> None:
     from l3cli.stages.simulation import simulate as stage
 
+    monkeypatch.chdir(pictures.parent)  # a line of many names is cut short, and how long a path is differs
     monkeypatch.setattr(stage, "simulate_unit", lambda unit: pytest.fail("work has begun"))
-    line = refused(3, "simulate", pictures, "--camera", bayer_recipe, "-o", pictures.parent / "out.h5")
+    line = refused(3, "simulate", pictures.name, "--camera", bayer_recipe, "-o", "out.h5")
     for part in ("4 of 6 scenes", "b.png is 300×400", "d.png is 193×60", "192×256", "e.png is 10×90", "16×16", "f.png"):
         assert part in line
     assert all(cure in line for cure in ("scale", "shrink", "--skip-bad"))
@@ -189,7 +190,7 @@ def test_all_pictures_that_do_not_fit_are_named_before_any_work(
     for number in range(40):
         shutil.copy(pictures.parent / "b.png", many / f"{number}.png")
     pictures.write_text(pictures.read_text().replace("*.png", "many/*.png"))
-    line = refused(3, "simulate", pictures, "--camera", bayer_recipe, "-o", pictures.parent / "out.h5")
+    line = refused(3, "simulate", pictures.name, "--camera", bayer_recipe, "-o", "out.h5")
     assert "40 of 40 scenes" in line
     assert " more" in line
     assert len(line) < 1000

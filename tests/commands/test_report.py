@@ -40,7 +40,7 @@ size = [128, 192]
 count = 2
 seed = 5
 """
-CLASSES = "[classes]\npatch = 5\nlevels = 8\nchromas = 2\n[learning]\npatches = 12000\n"
+CLASSES = "[classes]\npatch = 5\nlevels = 8\nchromas = 2\n[learning]\npatches = 4000\n"
 EVIL = "<script>window.hurt=1</script>\"'&"
 
 

@@ -225,7 +225,7 @@ def simulate(folder: Path, camera: Path, count: int, capsys: pytest.CaptureFixtu
 def test_hundreds_of_frames_are_rendered(
     clip: Callable[[int], tuple[str, Path]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    render(clip, tmp_path, 400, capsys, lasting=False)
+    render(clip, tmp_path, 240, capsys, lasting=False)
 
 
 def test_a_hundred_frames_are_simulated(tmp_path: Path, bayer_recipe: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import tracemalloc
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -369,7 +370,12 @@ def test_a_sparse_file_of_honest_size_is_refused_too(refused: Callable[..., str]
     with open(tmp_path / "big.npy", "wb") as file:
         file.write(npy_header("(30000, 20000)"))
         file.truncate(128 + 2 * 30000 * 20000)
-    line = refused(3, "render", tmp_path / "table.h5", tmp_path / "big.npy", "-o", tmp_path / "a.png")
+    tracemalloc.start()
+    try:
+        line = refused(3, "render", tmp_path / "table.h5", tmp_path / "big.npy", "-o", tmp_path / "a.png")
+        assert tracemalloc.get_traced_memory()[1] < 100e6  # bytes: nothing of the file's 1.2 GB
+    finally:
+        tracemalloc.stop()
     assert "30000×20000 pixels" in line
     assert MEGAPIXELS in line
 

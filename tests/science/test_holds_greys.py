@@ -1,6 +1,7 @@
 """What must hold of greys: plain areas show no CFA pattern, highlights no cast, at any level, through clipping and noise."""
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from pathlib import Path
 
@@ -31,11 +32,12 @@ exposure_share = [0.9]
 [[scene]]
 source = "dead leaves"
 size = [128, 128]
-count = 12
+count = 6
 """
-SMALLER = {"patches": "4000", "draws": "6", "patch": "{patch}", "mosaics": "60", "rows": "3000"}
+SMALLER = {"patches": "2000", "draws": "6", "patch": "{patch}", "mosaics": "24", "rows": "2000"}
 PLANES_ROUNDED = 2.0**-17  # of full scale: what the first of two layers rounds off
 EXPOSURES = np.geomspace(0.001, 3.0, 160)  # of that at which a perfect white fills its brightest channel
+AREA, MARGIN, ACROSS = 48, 16, 16  # of a ramp's areas: side, rim beyond which no output reaches (pixels), areas a row
 EVERY = [
     ("fiveband", "single", "D65", 5),
     ("fiveband", "fast", "A", 5),
@@ -56,17 +58,42 @@ class Learned:
     white: np.ndarray  # (output) of the same white, Y = 1
     unit: float  # output Y of that white
 
-    def raw(self, exposure: float, size: int, rng: np.random.Generator | None) -> RawFrame:
-        """A flat grey: how much of `exposure` fills the brightest channel; noisy with an rng."""
+    def raw(self, exposure: float, size: int, rng: np.random.Generator) -> RawFrame:
+        """A flat grey with noise: how much of `exposure` fills the brightest channel."""
         electrons = np.broadcast_to((self.rates * exposure)[:, None, None], (len(self.rates), size, size)).astype(np.float32)
         mosaic = sensor.mosaic(electrons, self.camera.cfa)
-        noises = "none" if rng is None else "all"
-        values = sensor.expose(self.camera, mosaic, 0.0, rng or np.random.default_rng(0), noises)
+        values = sensor.expose(self.camera, mosaic, 0.0, rng, "all")
         return RawFrame("grey", values, self.camera.black_level, self.camera.white_level)
+
+    def ramp(self, exposures: np.ndarray) -> RawFrame:
+        """Flat greys without noise in one frame, for they are many: areas of AREA × AREA, ACROSS a row."""
+        grid = np.full((-(-len(exposures) // ACROSS), ACROSS), EXPOSURES[-1])
+        grid.flat[: len(exposures)] = exposures
+        areas = grid.repeat(AREA, axis=0).repeat(AREA, axis=1)
+        mosaic = sensor.mosaic((self.rates[:, None, None] * areas).astype(np.float32), self.camera.cfa)
+        values = sensor.expose(self.camera, mosaic, 0.0, np.random.default_rng(0), "none")
+        return RawFrame("greys", values, self.camera.black_level, self.camera.white_level)
+
+
+@pytest.fixture(scope="module")
+def training_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Path, str], str]:
+    """The training set of a camera and a light, which several recipes of classes learn from."""
+    folder = tmp_path_factory.mktemp("scenes")
+
+    @functools.cache
+    def simulated(camera: Path, light: str) -> str:
+        name = f"{folder}/{camera.stem}-{light}"
+        Path(f"{name}.toml").write_text(SCENES.format(light=light))
+        assert run(["simulate", f"{name}.toml", "--camera", str(camera), "-o", f"{name}.h5", "--quiet"]) == 0
+        return f"{name}.h5"
+
+    return simulated
 
 
 @pytest.fixture(scope="module", params=EVERY, ids=lambda each: "-".join(map(str, each)))
-def learned(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Learned:
+def learned(
+    request: pytest.FixtureRequest, training_of: Callable[[Path, str], str], tmp_path_factory: pytest.TempPathFactory
+) -> Learned:
     name, classes, light, patch = request.param
     folder = tmp_path_factory.mktemp("greys")
     path = CONFIGS / f"cameras/{name}.toml"
@@ -74,10 +101,8 @@ def learned(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     for key, value in SMALLER.items():
         lines = [f"{key} = {value.format(patch=patch)}" if line.startswith(f"{key} ") else line for line in lines]
     (folder / "classes.toml").write_text("\n".join(lines))
-    (folder / "scenes.toml").write_text(SCENES.format(light=light))
-    training, table = str(folder / "training.h5"), str(folder / "table.h5")
-    assert run(["simulate", str(folder / "scenes.toml"), "--camera", str(path), "-o", training, "--quiet"]) == 0
-    assert run(["train", training, "--classes", str(folder / "classes.toml"), "-o", table, "--quiet"]) == 0
+    table = str(folder / "table.h5")
+    assert run(["train", training_of(path, light), "--classes", str(folder / "classes.toml"), "-o", table, "--quiet"]) == 0
     camera, lamp = load_camera(path), make_light(light, {}, load_camera(path).wavelength)
     rates = white_rates(camera, lamp)
     seconds = camera.full_scale / rates.max()
@@ -85,21 +110,28 @@ def learned(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     return Learned(camera, load(TransformTable, Path(table)), rates * seconds, spectra.white_point(light), unit)
 
 
-def site_means(planes: np.ndarray, camera: CameraModel, margin: int) -> np.ndarray:
-    """Mean outputs (site, output) of planes (output, row, col), a margin left out that keeps the phase."""
+def site_means(planes: np.ndarray, camera: CameraModel) -> np.ndarray:
+    """Mean outputs (site, output) of planes (output, row, col) that begin with the CFA's first site."""
     down, across = camera.cfa.shape
-    inner = planes[:, margin:-margin, margin:-margin].astype(np.float64)
+    inner = planes.astype(np.float64)
     return np.array([inner[:, row::down, col::across].mean(axis=(1, 2)) for row in range(down) for col in range(across)])
+
+
+def areas(planes: np.ndarray, count: int) -> np.ndarray:
+    """The inner parts (area, output, row, col) of a ramp's `count` areas, of planes (output, row, col)."""
+    each = planes.reshape(len(planes), -1, AREA, ACROSS, AREA).transpose(1, 3, 0, 2, 4)
+    return each.reshape(-1, len(planes), AREA, AREA)[:count, :, MARGIN:-MARGIN, MARGIN:-MARGIN]
 
 
 def test_plain_areas_show_no_pattern_at_any_level(learned: Learned) -> None:
     """Without noise all sites answer alike at every level, on both sides of transitions and through clipping. Only where a
     grey lies on an edge itself do integer means put sites into different classes: at very few levels, all of them dark."""
-    renderer, on_an_edge = make_renderer("opencl", learned.table), []
-    for exposure in EXPOSURES:
-        raw = learned.raw(exposure, 24, None)
-        means = site_means(renderer.outputs(raw), learned.camera, 8)
-        if np.unique(renderer.labels(raw)[8:-8, 8:-8] % learned.table.first.rule.classes_per_site).size > 1:
+    renderer, raw, on_an_edge = make_renderer("opencl", learned.table), learned.ramp(EXPOSURES), []
+    outputs = areas(renderer.outputs(raw), len(EXPOSURES))
+    labels = areas(renderer.labels(raw)[None] % learned.table.first.rule.classes_per_site, len(EXPOSURES))
+    for exposure, planes, label in zip(EXPOSURES, outputs, labels, strict=True):
+        means = site_means(planes, learned.camera)
+        if np.unique(label).size > 1:
             on_an_edge.append(exposure)
         else:
             rounded = PLANES_ROUNDED if learned.table.later else 0.0
@@ -115,7 +147,7 @@ def test_plain_areas_show_no_pattern_under_noise(learned: Learned) -> None:
     clip = learned.rates / learned.rates.max()
     for exposure in (0.01, 0.03, 0.1, 0.2, 0.4, 0.6, 0.8, 1.05, 1.15, 1.3, 1.5, 2.0, 3.0):
         planes = renderer.outputs(learned.raw(exposure, 272, rng))
-        means = site_means(planes, learned.camera, 8)
+        means = site_means(planes[:, 8:-8, 8:-8], learned.camera)
         count = 256**2 / learned.camera.cfa.size
         chance = planes[:, 8:-8, 8:-8].std(axis=(1, 2)) * 4.5 / np.sqrt(count)  # the spread of up to 16 means
         about_to_clip = (np.abs(exposure * clip - 0.99) < 0.04).any()
@@ -129,7 +161,7 @@ def test_highlights_have_no_cast(learned: Learned) -> None:
     renderer = make_renderer("opencl", learned.table)
     all_clip = learned.rates.max() / learned.rates.min()  # the exposure from which every channel clips
     exposures = np.append(EXPOSURES[(EXPOSURES > 0.3) & (all_clip > EXPOSURES)], all_clip * np.array([1.03, 1.1, 1.3, 1.6]))
-    ramp = np.array([renderer.outputs(learned.raw(each, 24, None))[:, 8:-8, 8:-8].mean(axis=(1, 2)) for each in exposures])
+    ramp = areas(renderer.outputs(learned.ramp(exposures)), len(exposures)).mean(axis=(2, 3))
     assert np.isfinite(ramp).all()
     assert ramp.min() > 0
     shown = ramp / learned.unit  # Y = 1: the white that just fills its brightest channel
@@ -148,7 +180,7 @@ def test_greys_are_grey_at_every_level(learned: Learned) -> None:
     """C*ab of plain greys of the training light, from the dark to clipping, without noise. In the dark a DN is a colour."""
     renderer, step = make_renderer("opencl", learned.table), learned.camera.white_level - learned.camera.black_level
     exposures = EXPOSURES[EXPOSURES < 0.98]
-    ramp = np.array([renderer.outputs(learned.raw(each, 24, None))[:, 8:-8, 8:-8].mean(axis=(1, 2)) for each in exposures])
+    ramp = areas(renderer.outputs(learned.ramp(exposures)), len(exposures)).mean(axis=(2, 3))
     shown = lab(ramp / (learned.unit * exposures[:, None]), learned.white)  # each as bright as white
     chroma = np.hypot(shown[:, 1], shown[:, 2])
     rounding = 300.0 / (step * exposures * learned.rates.min() / learned.rates.max())  # half a DN in one channel

@@ -24,9 +24,9 @@ exposure_share = [0.9]
 [[scene]]
 source = "dead leaves"
 size = [128, 128]
-count = 12
+count = 6
 """
-CLASSES = "[classes]\npatch = 5\nlevels = 10\n[learning]\npatches = 8000\ndraws = 6\n"
+CLASSES = "[classes]\npatch = 5\nlevels = 10\n[learning]\npatches = 4000\ndraws = 4\n"
 
 
 @pytest.fixture(scope="module")

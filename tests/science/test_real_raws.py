@@ -47,9 +47,9 @@ exposure_share = [0.9]
 [[scene]]
 source = "dead leaves"
 size = [128, 128]
-count = 20
+count = 12
 """
-CLASSES = "[learning]\npatches = 20000\n"
+CLASSES = "[classes]\npatch = 7\n[learning]\npatches = 20000\n"
 PATCH_ROWS, PATCH_COLS = (624, 722, 822, 926), (716, 820, 926, 1032, 1144, 1252)  # centres of the chart's patches, pixels
 
 

@@ -95,6 +95,6 @@ def test_info_describes_every_layer(l3: Callable, path: Path) -> None:
 
 
 @pytest.mark.parametrize("backend", list(BACKENDS))
-def test_renderers_refuse_more_layers_than_two(backend: str) -> None:
-    with pytest.raises(RecipeError, match="3 layers"):
-        make_renderer(backend, TABLE)
+def test_renderers_refuse_more_layers_than_four(backend: str) -> None:
+    with pytest.raises(RecipeError, match="5 layers"):
+        make_renderer(backend, with_later(random_table(BAYER, patch=3), 3, 3, 3, 3))

@@ -62,6 +62,8 @@ TABLES = {
     ),
     "two layers": lambda: with_later(random_table(FIVE_BAND, black_level=100.0, patch=9), 5),
     "two layers of 16 bits": lambda: with_later(random_table(X_TRANS, bits=16, black_level=2048.0, patch=7), 3),
+    "three layers": lambda: with_later(random_table(FIVE_BAND, black_level=100.0, patch=7), 5, 3, seed=2),
+    "four layers": lambda: with_later(random_table(X_TRANS, bits=14, patch=5), 3, 7, 5, seed=4),
     "two wide layers": lambda: with_later(random_table(BAYER, bits=8, patch=5), 7, seed=3),
 }
 
@@ -165,7 +167,7 @@ def test_any_colour_filter_array(data: st.DataObject) -> None:
 
 
 @pytest.mark.parametrize("kind", ["processor", "graphics"])
-@pytest.mark.parametrize("sides", [(), (5,)], ids=["one layer", "two layers"])
+@pytest.mark.parametrize("sides", [(), (5,), (3, 7, 5)], ids=["one layer", "two layers", "four layers"])
 def test_bands_change_nothing(monkeypatch: pytest.MonkeyPatch, sides: tuple[int, ...], kind: str) -> None:
     table = with_later(random_table(STRIPES, bits=12, black_level=100.0, patch=5), *sides)
     frame = RawFrame(

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from l3cli.errors import InputFileError
 from l3cli.io.arrays import map_array
 from l3cli.io.raw.content import RawContent, Request, Stack
+from l3cli.limits import require_picture
 
 
 def read(path: Path, _: Request) -> RawContent:
@@ -27,9 +28,10 @@ def stack(path: Path, _: Request) -> Stack | None:
 
 
 def _mapped(path: Path, axes: int) -> NDArray:
-    """The array of a .npy file, mapped. InputFileError unless it has `axes` axes of DN."""
+    """The array of a .npy file, mapped. InputFileError unless it has `axes` axes of DN, and frames of a size that may be."""
     values = map_array(path)
     if values.ndim != axes or values.dtype.kind != "u" or values.dtype.itemsize > 2:
         held = f"{values.ndim}-dimensional {values.dtype}"
         raise InputFileError(f"{path} holds {held}; give a uint16 array of rows × columns, or of frames × rows × columns")
+    require_picture(str(path), *values.shape[-2:])
     return values

@@ -122,6 +122,8 @@ def learn_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]) -
     recipe, reading = layer.recipe, layer.reading(layer.recipe.side)
     copies = [int((reading.canonical == site).sum()) for site in sums]
     noise = (recipe.chroma_noise, recipe.luminance_noise, recipe.chroma_noise)
+    if not layer.pictures:
+        noise = (min(recipe.luminance_noise, 1.0),) * 3  # as in the first layer
     goal = LayerGoal(recipe.level_pool, recipe.parent_patches, recipe.ridge, noise, np.array([0.0, 1.0, 0.0]))
     solved = dict(
         zip(sums, solve_layer(list(sums.values()), copies, rule, goal, layer.learning.equal_response), strict=True)
