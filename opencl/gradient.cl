@@ -1,10 +1,9 @@
 // Gradients of planes: their scale, and the words by which the classes of the layer before name it (l3cli/classes/later.py), for
 // both variants.
 //
-// What a class says of its pixels stands in two words: label_gradient holds the factor of gradients and from bit 8 on their shift,
-// for structures also, in bits 14 and 15, whether the tensor's components change their signs in the orientation that the site is
-// learned in; label_start the first class of its site and level, and in bit 31 whether that is the class itself, saturation
-// deciding.
+// What a class says of its pixels stands in two words: label_gradient holds the factor of gradients, from bit 8 on their shift and
+// from bit 14 on how the site is turned that it is learned as; label_start the first class of its site and level, and in bit 31
+// whether that is the class itself, saturation deciding.
 
 #define LABEL_CONSTANTS __global const uint *restrict label_gradient, __global const uint *restrict label_start
 #define FACTOR_BITS 0x7f

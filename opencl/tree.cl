@@ -1,10 +1,4 @@
 // Trees: the formula of l3cli/classes/tree.py, for both variants.
-//
-// A node is two words: the bits of its threshold; and which numerator it compares, from bit 5 on whether with the other sign,
-// from bit 6 on with which denominator, from bit 8 on the first of its two branches, which follow one another. A leaf is its own
-// branch, and nothing exceeds its threshold.
-
-#define STRUCTURE_CONSTANTS LABEL_CONSTANTS, __global const uint *restrict nodes, __global const uint *restrict leaf_of_node
 
 // Sums over the neighbourhood of a pixel: of u and v, the planes of chroma, and of luminance.
 typedef struct {
@@ -20,6 +14,25 @@ typedef struct {
 INLINE ints size_of(ints value) { return value > 0 ? value : -value; }
 INLINE ints larger(ints a, ints b) { return a > b ? a : b; }
 INLINE floats signed_square(ints value) { return CONVERT(value * size_of(value), floats); }
+
+#define TRANSPOSED 14  // bits of label_gradient: how the site's orientation turns what is seen
+#define MIRRORED_ACROSS 15
+#define MIRRORED_DOWN 16
+#define SWAP_WHERE(condition, a, b) { const ints kept = a; a = (condition) ? b : a; b = (condition) ? kept : b; }
+
+// What a site sees in the orientation that it is learned in.
+INLINE void turn(Sums *s, uints turns) {
+    const ints transposed = (turns >> TRANSPOSED & 1) != 0, across = (turns >> MIRRORED_ACROSS & 1) != 0;
+    const ints down = (turns >> MIRRORED_DOWN & 1) != 0;
+    SWAP_WHERE(transposed, s->xx, s->yy)
+    SWAP_WHERE(transposed, s->chroma_xx, s->chroma_yy)
+    SWAP_WHERE(transposed, s->bend_xx, s->bend_yy)
+    SWAP_WHERE(transposed, s->bend_x, s->bend_y)
+    SWAP_WHERE(transposed, s->slope_x, s->slope_y)
+    s->slope_x = across ? -s->slope_x : s->slope_x;
+    s->slope_y = down ? -s->slope_y : s->slope_y;
+    s->xy = across != down ? -s->xy : s->xy;
+}
 
 INLINE void weigh(Evidence *e, const Sums *s) {
     const ints trace = s->xx + s->yy, straight = s->xx - s->yy, diagonal = 2 * s->xy;
@@ -49,11 +62,4 @@ INLINE void weigh(Evidence *e, const Sums *s) {
     d[1] = CONVERT(trace + NOISE_TRACE, floats);
     d[2] = CONVERT(chroma + NOISE_TRACE, floats);
     d[3] = CONVERT(larger(s->luminance, (ints)DARKEST_LUMINANCE), floats);
-}
-
-// The node that follows: one product and one comparison in float32, which are the same on every device.
-INLINE uint next_node(uint node, const float *numerator, const float *denominator, __global const uint *nodes) {
-    const uint word = nodes[2 * node + 1];
-    const float value = numerator[(word & 0x1f) * LANES], size = denominator[(word >> 6 & 3) * LANES];
-    return (word >> 8) + ((word & 0x20 ? -value : value) > as_float(nodes[2 * node]) * size);
 }

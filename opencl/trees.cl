@@ -3,6 +3,7 @@
 // One work-item labels a tile of TILE columns and BAND rows, row after row. Gradients and bends of the latest five rows are kept;
 // sums are separable: weighed down the columns, then across.
 
+#define STRUCTURE_CONSTANTS LABEL_CONSTANTS, __global const uint *restrict tests
 #define ROWS 5       // of gradients
 #define PLANE_ROWS 5
 #define REACHED (TILE + 2 * STRUCTURE_REACH + 4 * LANES)
@@ -94,32 +95,46 @@ INLINE void weigh_rows(Columns *to, const Products *r[ROWS], const Planes *q[PLA
 INLINE ints wide(const int *at) { return AT(at, 0) + AT(at, 4) + 2 * (AT(at, 1) + AT(at, 3)) + 3 * AT(at, 2); }
 INLINE ints narrow(const int *at) { return AT(at, 1) + AT(at, 3) + 2 * AT(at, 2); }
 
-INLINE void look(Evidence *e, const Columns *c, const Products *middle, int p) {
-    const Sums sums = {
+INLINE void look(Evidence *e, const Columns *c, const Products *middle, uints turns, int p) {
+    Sums sums = {
         wide(c->xx + p), wide(c->yy + p), wide(c->xy + p), wide(c->chroma_xx + p), wide(c->chroma_yy + p), wide(c->u_along + p),
         wide(c->v_along + p), narrow(c->near + p), narrow(c->bend_xx + p), narrow(c->bend_yy + p), narrow(c->slope_x + p),
         narrow(c->slope_y + p), narrow(c->u + p), narrow(c->v + p), narrow(c->luminance + p),
         AT(middle->bend_x, p + 2), AT(middle->bend_y, p + 2)};
+    turn(&sums, turns);
     weigh(e, &sums);
 }
 
-// Classes of LANES pixels, `count` of which are there, from what is seen of them and the classes before.
-INLINE void classify(uint *label, const Evidence *e, __global const uint *before, int count, LABEL_CONSTANTS,
-                     __global const uint *nodes, __global const uint *leaf_of_node) {
-    uint node[LANES], start[LANES];
-    #pragma clang loop vectorize(disable)
-    for (int i = 0; i < LANES; i++) {
-        start[i] = label_start[before[i < count ? i : 0]];
-        node[i] = FIRST_CLASS(start[i]) / KINDS * NODES;
+// All tests of a tree are made of all pixels, without a branch: leaves are numbered from left to right, a test that is passed
+// rules out those below its first branch, and of the leaves that are left at the end the first is the pixel's. A test is four
+// words: the bits of its threshold; its numerator and, from bit 6 on, its denominator; the first and the last leaf that it rules
+// out. Products and comparisons of float32 are the same on every device.
+#define WORDS ((LEAVES + 31) / 32)
+
+INLINE void rule_out(uints alive[WORDS], const Evidence *e, __global const uint *tests) {
+    for (int w = 0; w < WORDS; w++) alive[w] = (uints)0xffffffffu;
+    for (int t = 0; t < LEAVES - 1; t++) {
+        const uint asked = tests[4 * t + 1], first = tests[4 * t + 2], last = tests[4 * t + 3];
+        const ints passed = e->numerator[asked & 0x3f] > as_float(tests[4 * t]) * e->denominator[asked >> 6];
+        for (uint w = first / 32; w <= last / 32; w++) {
+            const uint from = w == first / 32 ? 0xffffffffu << first % 32 : 0xffffffffu;
+            const uint to = w == last / 32 ? 0xffffffffu >> (31 - last % 32) : 0xffffffffu;
+            alive[w] &= ~(SAME_BITS(passed, uints) & (from & to));
+        }
     }
-    const float *numerator = (const float *)e->numerator, *denominator = (const float *)e->denominator;
-    for (int step = 0; step < DEPTH; step++) {
-        #pragma clang loop vectorize(disable) unroll(full)
-        for (int i = 0; i < LANES; i++) node[i] = next_node(node[i], numerator + i, denominator + i, nodes);
+}
+
+// Leaves of LANES pixels.
+INLINE void leaves_of(uint *leaf, const uints alive[WORDS]) {
+    uints found = (uints)0, bits = alive[WORDS - 1], base = (uints)(32 * (WORDS - 1));
+    for (int w = WORDS - 2; w >= 0; w--) {
+        base = alive[w] != 0 ? (uints)(32 * w) : base;
+        bits = alive[w] != 0 ? alive[w] : bits;
     }
-    #pragma clang loop vectorize(disable)
-    for (int i = 0; i < LANES; i++)
-        label[i] = FIRST_CLASS(start[i]) + (DECIDED(start[i]) ? 0 : leaf_of_node[node[i] % NODES]);
+    found = bits & -bits;  // the lowest of them alone, whose number a float's exponent tells
+    const floats power = CONVERT(found >> 1, floats) * 2.0f + CONVERT(found & 1, floats);
+    const uints number = (SAME_BITS(power, uints) >> 23) - 127;
+    STORE_PRIVATE(uints, leaf) = base + number;
 }
 
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
@@ -158,10 +173,19 @@ void structures(__global const int *restrict planes,       // (plane, source row
         __global const uint *before = first_labels + (size_t)label_source[y + STRUCTURE_REACH] * columns + x0;
         __global uint *label_row = labels + (size_t)y * columns + x0;
         for (int x = 0; x < width; x += LANES) {
-            uint label[LANES];
-            look(&evidence, &sums, r[2], x + 1);
-            classify(label, &evidence, before + x, width - x, label_gradient, label_start, nodes, leaf_of_node);
-            for (int i = 0; i < LANES && x + i < width; i++) label_row[x + i] = label[i];
+            uint turns[LANES], start[LANES], leaf[LANES];
+            #pragma clang loop vectorize(disable)
+            for (int i = 0; i < LANES; i++) {
+                const uint label = before[x + i < width ? x + i : 0];
+                turns[i] = label_gradient[label];
+                start[i] = label_start[label];
+            }
+            uints alive[WORDS];
+            look(&evidence, &sums, r[2], LOAD_PRIVATE(uints, turns), x + 1);
+            rule_out(alive, &evidence, tests);
+            leaves_of(leaf, alive);
+            for (int i = 0; i < LANES && x + i < width; i++)
+                label_row[x + i] = FIRST_CLASS(start[i]) + (DECIDED(start[i]) ? 0 : leaf[i]);
         }
     }
 }

@@ -1,5 +1,15 @@
 // Graphics variant: planes and classes of the layer before → classes of the next by a tree, a work-item a pixel.
 
+// A node is two words: the bits of its threshold; and which numerator it compares, from bit 6 on with which denominator, from bit
+// 8 on the first of its two branches, which follow one another. A leaf is its own branch, and nothing exceeds its threshold.
+#define STRUCTURE_CONSTANTS LABEL_CONSTANTS, __global const uint *restrict nodes, __global const uint *restrict leaf_of_node
+
+// The node that follows: one product and one comparison in float32, which are the same on every device.
+INLINE uint next_node(uint node, const Evidence *e, __global const uint *nodes) {
+    const uint word = nodes[2 * node + 1];
+    return (word >> 8) + (e->numerator[word & 0x3f] > as_float(nodes[2 * node]) * e->denominator[word >> 6 & 3]);
+}
+
 __kernel __attribute__((reqd_work_group_size(TILE, BAND, 1)))
 void structures(__global const int *restrict planes,       // (plane, source row, col)
                 __global const uint *restrict first_labels,  // (source row, col) of the first layer
@@ -52,11 +62,12 @@ void structures(__global const int *restrict planes,       // (plane, source row
             }
         }
     }
-    Evidence evidence;
-    weigh(&evidence, &s);
     const uint label = first_labels[(size_t)label_source[y + STRUCTURE_REACH] * columns + column_source[x + STRUCTURE_REACH]];
     const uint first = label_start[label];
-    uint node = FIRST_CLASS(first) / KINDS * NODES;
-    for (int step = 0; step < DEPTH; step++) node = next_node(node, evidence.numerator, evidence.denominator, nodes);
-    labels[(size_t)y * columns + x] = FIRST_CLASS(first) + (DECIDED(first) ? 0 : leaf_of_node[node % NODES]);
+    Evidence evidence;
+    turn(&s, label_gradient[label]);
+    weigh(&evidence, &s);
+    uint node = 0;
+    for (int step = 0; step < DEPTH; step++) node = next_node(node, &evidence, nodes);
+    labels[(size_t)y * columns + x] = FIRST_CLASS(first) + (DECIDED(first) ? 0 : leaf_of_node[node]);
 }

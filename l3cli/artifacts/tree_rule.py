@@ -61,8 +61,17 @@ class TreeRule(PlaneClasses):
 
     @property
     def leaf(self) -> NDArray[np.int64]:
-        """Number (node) of each leaf, in the order of nodes; of what is none, that of the last leaf before it."""
-        return np.maximum(np.cumsum(self.branch == 0) - 1, 0)
+        """Number (node) of the first leaf below each node, or of the leaf that it is itself; leaves are numbered as they are
+        met when first branches are taken first."""
+        below = np.ones(len(self.branch), np.int64)  # leaves
+        inner = np.flatnonzero(self.branch).tolist()
+        for node in reversed(inner):  # branches lie behind their node
+            below[node] = below[self.branch[node]] + below[self.branch[node] + 1]
+        first = np.zeros(len(self.branch), np.int64)
+        for node in inner:
+            left = self.branch[node]
+            first[left], first[left + 1] = first[node], first[node] + below[left]
+        return first
 
     @property
     def depth(self) -> int:

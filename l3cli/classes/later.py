@@ -46,15 +46,18 @@ def mirrored(planes: NDArray, margin: int) -> NDArray:
 
 
 def first_label_words(rule: PlaneRule, first: ClassRule) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-    """What a kernel reads of each class (class) of the first layer: the factor of gradients and from bit 8 on their shift,
-    with bits 14 and 15 set where the tensor's components change their signs for a structure rule; and the first class of its
-    site and level, with bit 31 set where saturation decides and it is the class itself (opencl/gradient.cl)."""
+    """What a kernel reads of each class (class) of the first layer: the factor of gradients, from bit 8 on their shift, from
+    bit 14 on how its site is turned, as the rule's formula has it; and the first class of its site and level, with bit 31 set
+    where saturation decides and it is the class itself (opencl/gradient.cl)."""
     place = first.split(np.arange(len(rule.turns) * first.classes_per_site))
     factor, shift = (values[place.level].astype(np.uint32) for values in (rule.gradient_factor, rule.gradient_shift))
     gradient = factor | shift << 8
     if isinstance(rule, StructureRule):
-        turned = (rule.turns[place.site] < 0).astype(np.uint32)
-        gradient |= turned[:, 0] << 14 | turned[:, 1] << 15
+        turned = (rule.turns < 0).astype(np.uint32) @ np.array([1, 2], np.uint32)
+    else:
+        axes = np.array([tree.turned_axes(turn) for turn in rule.turns.tolist()])
+        turned = (axes * [1, -1, -1] > 0).astype(np.uint32) @ np.array([1, 2, 4], np.uint32)
+    gradient |= turned[place.site] << 14
     case = first.case(place.kind)
     start = rule.join(rule.level_of(place.level), rule.kind(0, case), place.site).astype(np.uint32)
     return gradient, start | (case > 0).astype(np.uint32) << 31

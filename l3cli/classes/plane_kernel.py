@@ -30,9 +30,8 @@ def rule_macros(rule: PlaneRule) -> dict[str, int]:
         }
     return {
         "TESTS": TESTS,
-        "NODES": len(rule.branch),
+        "LEAVES": rule.structures,
         "DEPTH": rule.depth,
-        "KINDS": rule.kinds,
         "GRADIENT_TOP": tree.TOP,
         "CHROMA_TOP": tree.CHROMA_TOP,
         "NOISE_TRACE": NOISE_TRACE,
@@ -40,23 +39,32 @@ def rule_macros(rule: PlaneRule) -> dict[str, int]:
     }
 
 
-def rule_constants(rule: PlaneRule) -> tuple[NDArray[np.uint32], ...]:
-    """The constants of the formula, in the order in which kernels take them."""
+def rule_constants(rule: PlaneRule, variant: str) -> tuple[NDArray[np.uint32], ...]:
+    """The constants of the formula, in the order in which the kernels of a variant take them."""
     if isinstance(rule, StructureRule):
         return (rule.strength_edges,)
-    return _nodes(rule), rule.leaf.astype(np.uint32)
+    return (_tests(rule),) if variant == "processor" else (_nodes(rule), rule.leaf.astype(np.uint32))
+
+
+def _tests(rule: TreeRule) -> NDArray[np.uint32]:
+    """(test, word) as trees.cl has them."""
+    inner = np.flatnonzero(rule.branch)
+    if not inner.size:
+        return np.zeros((1, 4), np.uint32)
+    first, second = rule.branch[inner], rule.branch[inner] + 1
+    words = rule.threshold[inner].view(np.uint32), _asked(rule)[inner], rule.leaf[first], rule.leaf[second] - 1
+    return np.stack(words, axis=1).astype(np.uint32)
 
 
 def _nodes(rule: TreeRule) -> NDArray[np.uint32]:
-    """(site, node, word) as tree.cl has them, each site in the orientation that it is learned in."""
-    number, leaf = np.arange(len(rule.branch), dtype=np.uint32), rule.branch == 0
-    denominator = np.array([test.denominator for test in tree.EVERY], np.uint32)[rule.test]
-    words = np.empty((len(rule.turns), len(number), 2), np.uint32)
-    words[..., 0] = np.where(leaf, NEVER, rule.threshold).astype(np.float32).view(np.uint32)
-    for site, turn in enumerate(rule.turns.tolist()):
-        test, sign = (np.array(each)[rule.test] for each in tree.turned_tests(turn))
-        node = np.where(leaf, number, rule.branch) + np.uint32(site * len(number))
-        words[site, :, 1] = (
-            test.astype(np.uint32) | (sign < 0).astype(np.uint32) << 5 | denominator << 6 | node.astype(np.uint32) << 8
-        )
-    return words
+    """(node, word) as trees_by_item.cl has them."""
+    leaf = rule.branch == 0
+    threshold = np.where(leaf, NEVER, rule.threshold).astype(np.float32)
+    node = np.where(leaf, np.arange(len(leaf)), rule.branch).astype(np.uint32)
+    return np.stack([threshold.view(np.uint32), _asked(rule) | node << np.uint32(8)], axis=1)
+
+
+def _asked(rule: TreeRule) -> NDArray[np.uint32]:
+    """Numerator (node) of each test and, from bit 6 on, its denominator."""
+    denominator = np.array([test.denominator for test in tree.EVERY], np.uint32)
+    return np.asarray(rule.test | denominator[rule.test] << 6, np.uint32)

@@ -174,10 +174,10 @@ def later_weights(layer: PlaneLayer) -> Weights:
     return Weights((_by_column(layer.weights, PLANES) * PLANE_STEP).astype(np.float32), layer.intercept)
 
 
-def rule_arrays(table: TransformTable, rule: PlaneRule) -> tuple[NDArray, ...]:
+def rule_arrays(table: TransformTable, rule: PlaneRule, variant: str) -> tuple[NDArray, ...]:
     """The constants of the kernel `structures`, in the order of its arguments; what they are stands in gradient.cl and in
     structure.cl or tree.cl."""
-    return (*first_label_words(rule, table.first.rule), *rule_constants(rule))
+    return (*first_label_words(rule, table.first.rule), *rule_constants(rule, variant))
 
 
 def _by_column(weights: NDArray, planes: int) -> NDArray:

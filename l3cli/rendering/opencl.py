@@ -240,7 +240,7 @@ class OpenCLRenderer:
             maker = self._build_later(before, {**layout.TO_PLANES, "EXACT": exact})
         program = self._build_later(layer, layout.OUTPUTS_AS_THEY_ARE)
         kernels = cl.Kernel(maker, "transform"), cl.Kernel(program, "structures")
-        rule = tuple(self._constant(array) for array in layout.rule_arrays(table, layer.rule))
+        rule = tuple(self._constant(array) for array in layout.rule_arrays(table, layer.rule, self.variant))
         nothing = self._constant(np.zeros(9, np.float32))
         return PlaneStep(*kernels, self._constant(pack(weights, self._cut.lanes)), rule, nothing)
 
