@@ -106,21 +106,17 @@ INLINE void look(Evidence *e, const Columns *c, const Products *middle, uints tu
 }
 
 // All tests of a tree are made of all pixels, without a branch: leaves are numbered from left to right, a test that is passed
-// rules out those below its first branch, and of the leaves that are left at the end the first is the pixel's. A test is four
-// words: the bits of its threshold; its numerator and, from bit 6 on, its denominator; the first and the last leaf that it rules
-// out. Products and comparisons of float32 are the same on every device.
+// rules out those below its first branch, and of the leaves that are left at the end the first is the pixel's. A test is three
+// words: the bits of its threshold; its numerator, from bit 6 on its denominator, from bit 8 on which 32 leaves it is about; and
+// those of them that it rules out. Products and comparisons of float32 are the same on every device.
 #define WORDS ((LEAVES + 31) / 32)
 
 INLINE void rule_out(uints alive[WORDS], const Evidence *e, __global const uint *tests) {
     for (int w = 0; w < WORDS; w++) alive[w] = (uints)0xffffffffu;
-    for (int t = 0; t < LEAVES - 1; t++) {
-        const uint asked = tests[4 * t + 1], first = tests[4 * t + 2], last = tests[4 * t + 3];
-        const ints passed = e->numerator[asked & 0x3f] > as_float(tests[4 * t]) * e->denominator[asked >> 6];
-        for (uint w = first / 32; w <= last / 32; w++) {
-            const uint from = w == first / 32 ? 0xffffffffu << first % 32 : 0xffffffffu;
-            const uint to = w == last / 32 ? 0xffffffffu >> (31 - last % 32) : 0xffffffffu;
-            alive[w] &= ~(SAME_BITS(passed, uints) & (from & to));
-        }
+    for (int t = 0; t < RULED_OUT; t++) {
+        const uint asked = tests[3 * t + 1];
+        const ints passed = e->numerator[asked & 0x3f] > as_float(tests[3 * t]) * e->denominator[asked >> 6 & 3];
+        alive[asked >> 8] &= ~(SAME_BITS(passed, uints) & tests[3 * t + 2]);
     }
 }
 

@@ -47,8 +47,8 @@ def mirrored(planes: NDArray, margin: int) -> NDArray:
 
 def first_label_words(rule: PlaneRule, first: ClassRule) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
     """What a kernel reads of each class (class) of the first layer: the factor of gradients, from bit 8 on their shift, from
-    bit 14 on how its site is turned, as the rule's formula has it; and the first class of its site and level, with bit 31 set
-    where saturation decides and it is the class itself (opencl/gradient.cl)."""
+    bit 14 on how its site is turned; and the first class of its site and level, with bit 31 set where saturation decides and
+    it is the class itself (opencl/gradient.cl)."""
     place = first.split(np.arange(len(rule.turns) * first.classes_per_site))
     factor, shift = (values[place.level].astype(np.uint32) for values in (rule.gradient_factor, rule.gradient_shift))
     gradient = factor | shift << 8

@@ -31,6 +31,7 @@ def rule_macros(rule: PlaneRule) -> dict[str, int]:
     return {
         "TESTS": TESTS,
         "LEAVES": rule.structures,
+        "RULED_OUT": len(_tests(rule)),
         "DEPTH": rule.depth,
         "GRADIENT_TOP": tree.TOP,
         "CHROMA_TOP": tree.CHROMA_TOP,
@@ -47,13 +48,14 @@ def rule_constants(rule: PlaneRule, variant: str) -> tuple[NDArray[np.uint32], .
 
 
 def _tests(rule: TreeRule) -> NDArray[np.uint32]:
-    """(test, word) as trees.cl has them."""
-    inner = np.flatnonzero(rule.branch)
-    if not inner.size:
-        return np.zeros((1, 4), np.uint32)
-    first, second = rule.branch[inner], rule.branch[inner] + 1
-    words = rule.threshold[inner].view(np.uint32), _asked(rule)[inner], rule.leaf[first], rule.leaf[second] - 1
-    return np.stack(words, axis=1).astype(np.uint32)
+    """(test and 32 leaves, word) as trees.cl has them."""
+    tests = []
+    for node, asked in zip(np.flatnonzero(rule.branch).tolist(), _asked(rule)[rule.branch > 0].tolist(), strict=True):
+        first, end = rule.leaf[[rule.branch[node], rule.branch[node] + 1]].tolist()
+        for word in range(first // 32, (end - 1) // 32 + 1):
+            bits = range(max(first - 32 * word, 0), min(end - 32 * word, 32))
+            tests.append((rule.threshold[node].view(np.uint32), asked | word << 8, sum(1 << bit for bit in bits)))
+    return np.array(tests, np.uint32).reshape(-1, 3)
 
 
 def _nodes(rule: TreeRule) -> NDArray[np.uint32]:
