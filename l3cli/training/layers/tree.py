@@ -12,13 +12,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.tree_rule import DEEPEST, TESTS
+from l3cli.artifacts.tree_rule import DEEPEST, SMALLEST, TESTS
 from l3cli.classes.tree import EVERY, Evidence, turned_tests
 from l3cli.training.layers.first import Floats
 
 CUTS = 5  # thresholds that are tried for a test: quantiles of its quotient
 ROWS_PER_TAP = 4  # of a site that a leaf has at least
-SMALLEST = 1e-30  # of thresholds but zero: some devices take products below float32's normal range for zero
 RIDGE = 1e-6  # relative to the mean power of a tap
 
 Array = NDArray[np.float64]
