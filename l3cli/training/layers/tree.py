@@ -73,7 +73,7 @@ class _Split(NamedTuple):
 
 
 def grow(samples: Sequence[TreeSample], leaves: int) -> Tree:
-    """A tree of at most so many leaves from the samples of all canonical sites."""
+    """A tree of at most so many leaves from the samples of all canonical sites; of one leaf if there are none."""
     test, threshold, branch, depth = [0], [np.float32(0)], [0], [0]
     waiting: list[tuple[float, int, _Split, list[Indices]]] = []
 
@@ -82,7 +82,8 @@ def grow(samples: Sequence[TreeSample], leaves: int) -> Tree:
         if split is not None:
             heapq.heappush(waiting, (-split.gain, node, split, rows))
 
-    look(0, [np.arange(len(one.taps)) for one in samples])
+    if samples:
+        look(0, [np.arange(len(one.taps)) for one in samples])
     for _ in range(leaves - 1):
         if not waiting:
             break
