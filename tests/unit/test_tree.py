@@ -255,6 +255,15 @@ def test_growth_finds_the_test_and_the_threshold_that_made_the_targets(test: int
     assert close <= max(0.12, abs(root.threshold[0] - threshold) / 3)
 
 
+def test_growth_stops_where_one_filter_made_everything() -> None:
+    """Whatever the noise: of many tests the best seems to gain something by chance alone."""
+    for seed in range(6):
+        one = a_sample(0, -1e9, seed, noise=10.0**-seed)
+        assert len(grow([one, a_sample(3, -1e9, seed + 9, noise=0.1)], 64).branch) <= 3
+    constant = dataclasses.replace(one, numerators=one.numerators * 0)
+    assert grow([constant], 64).branch.tolist() == [0]
+
+
 def test_a_leaf_keeps_rows_for_its_filters_at_every_site() -> None:
     samples = [a_sample(2, 0.1, 1, rows=500), a_sample(2, 0.1, 2, rows=90)]
     rule = a_rule(**grow(samples, 64)._asdict())
@@ -264,6 +273,23 @@ def test_a_leaf_keeps_rows_for_its_filters_at_every_site() -> None:
         fallen = tree.leaves(seen, np.zeros(len(one.taps), np.int64), rule)
         assert np.bincount(fallen, minlength=rule.structures).min() >= ROWS_PER_TAP * 5
     assert grow([a_sample(2, 0.1, 1, rows=39)], 64).branch.tolist() == [0]
+
+
+def test_rows_on_a_threshold_fall_where_they_do_when_rendering() -> None:
+    """Not where their quotient, which is rounded, is not above it."""
+    ratios = [(n, d) for n in range(1, 99) for d in range(1, 99) if np.float32(n / d) * np.float32(d) < np.float32(n)]
+    numerator, denominator = ratios[0]
+    one = a_sample(1, 0.0, 1, noise=0.1, rows=1200)
+    rows = np.arange(1200)
+    tied, low = rows < 700, rows >= 1190
+    numerators = np.zeros_like(one.numerators)
+    numerators[1] = np.where(tied, numerator, np.where(low, -1, numerator + 5))
+    one = dataclasses.replace(one, numerators=numerators, denominators=np.full_like(one.denominators, denominator))
+    rng = np.random.default_rng(0)
+    target = np.where(tied[:, None], one.taps @ rng.normal(size=(5, 3)), one.taps @ rng.normal(size=(5, 3)))
+    rule = a_rule(**grow([dataclasses.replace(one, target=target.astype(np.float32))], 64)._asdict())
+    fallen = tree.leaves(tree.Evidence(one.numerators, one.denominators), rows * 0, rule)
+    assert np.bincount(fallen, minlength=rule.structures).min() >= ROWS_PER_TAP * 5
 
 
 def test_growth_gives_the_same_tree_again_and_as_many_leaves_as_may_be() -> None:

@@ -1,7 +1,8 @@
 """Growing the tree of a plane layer's classes from a sample of its rows (docs/method.md#trees).
 
 Best first: of all splits of all leaves the one is made by which the squared error of refitted filters falls most, less what
-the freedom of their taps alone would bring. The tree is one for all sites, each of which has filters of its own.
+the freedom of their taps alone would bring, if that is more than chance. The tree is one for all sites, each of which has
+filters of its own.
 """
 
 import heapq
@@ -19,6 +20,7 @@ from l3cli.training.layers.first import Floats
 CUTS = 5  # thresholds that are tried for a test: quantiles of its quotient
 ROWS_PER_TAP = 4  # of a site that a leaf has at least
 RIDGE = 1e-6  # relative to the mean power of a tap
+SURE = 3.0  # standard deviations of what a split gains by chance that it has to gain: the best of many is seldom farther off
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -101,37 +103,41 @@ def grow(samples: Sequence[TreeSample], leaves: int) -> Tree:
 
 def _best_split(samples: Sequence[TreeSample], rows: list[Indices]) -> _Split | None:
     """The split of a leaf's rows of every site that gains most; None if there is none that gains and leaves enough."""
-    least = ROWS_PER_TAP * samples[0].taps.shape[1]
-    if min(map(len, rows)) < 2 * least:
+    taps = samples[0].taps.shape[1]
+    if min(map(len, rows)) < 2 * ROWS_PER_TAP * taps:
         return None
     best = None
     before = [
-        _error(*(each[-1:] for each in _sums(one, here, [here.size]))) for one, here in zip(samples, rows, strict=True)
+        float(_error(*(each[-1:] for each in _sums(one, here, [here.size])))[0])
+        for one, here in zip(samples, rows, strict=True)
     ]
+    noise = np.array([error / here.size for error, here in zip(before, rows, strict=True)])
+    chance = SURE * np.sqrt(2 * taps * np.square(noise).sum())
     for test in range(TESTS):
-        quotients = [one.quotient(test, here) for one, here in zip(samples, rows, strict=True)]
-        cuts = np.quantile(np.concatenate(quotients), np.arange(1, CUTS + 1) / (CUTS + 1)).astype(np.float32)
+        quotients = np.concatenate([one.quotient(test, here) for one, here in zip(samples, rows, strict=True)])
+        cuts = np.quantile(quotients, np.arange(1, CUTS + 1) / (CUTS + 1)).astype(np.float32)
         cuts = np.unique(np.where(np.abs(cuts) < SMALLEST, np.float32(0), cuts))
         gain = np.zeros(len(cuts))
-        for one, here, quotient, whole in zip(samples, rows, quotients, before, strict=True):
-            gain += _gains(one, here, quotient, cuts, whole[0], least)
-        if gain.max() > (best.gain if best else 0.0):
+        for one, here, error in zip(samples, rows, before, strict=True):
+            gain += _gains(one, here, test, cuts, error)
+        if gain.max() > (best.gain if best else chance):
             best = _Split(float(gain.max()), test, cuts[gain.argmax()])
     return best
 
 
-def _gains(sample: TreeSample, rows: Indices, quotient: Floats, cuts: Floats, before: float, least: int) -> Array:
+def _gains(sample: TreeSample, rows: Indices, test: int, cuts: Floats, before: float) -> Array:
     """By how much (cut) the error of one site falls; −∞ where too few rows are left on a side."""
-    order = np.argsort(quotient, kind="stable")
-    below = np.searchsorted(quotient[order], cuts, side="right")
+    taps = sample.taps.shape[1]
+    passed = np.add.reduce([sample.above(test, cut, rows).astype(np.intp) for cut in cuts])  # of increasing cuts
+    order, below = np.argsort(passed, kind="stable"), np.cumsum(np.bincount(passed, minlength=len(cuts)))[: len(cuts)]
     many = np.array([below, rows.size - below])
-    good = many.min(axis=0) >= least
+    good = many.min(axis=0) >= ROWS_PER_TAP * taps
     gain = np.full(len(cuts), -np.inf)
     if good.any():
         sums = _sums(sample, rows[order], [*below[good].tolist(), rows.size])
         left = _error(*(each[:-1] for each in sums))
         right = _error(*(each[-1] - each[:-1] for each in sums))
-        taps, (low, high) = sample.taps.shape[1], many[:, good]
+        low, high = many[:, good]
         gain[good] = before - left - right - taps * (left / low + right / high - before / rows.size)
     return gain
 
