@@ -292,6 +292,21 @@ def test_rows_on_a_threshold_fall_where_they_do_when_rendering() -> None:
     assert np.bincount(fallen, minlength=rule.structures).min() >= ROWS_PER_TAP * 5
 
 
+def test_growth_adds_up_exactly_and_so_the_same_tree_from_rows_in_any_order() -> None:
+    one = a_sample(5, 0.3, 1, noise=0.5, rows=3001, taps=19)
+    order = np.random.default_rng(0).permutation(3001)
+    other = TreeSample(one.taps[order], one.target[order], one.numerators[:, order], one.denominators[:, order])
+    for name in ("taps", "target"):
+        exact, again = (getattr(each.on_grid(), name).astype(np.float64) for each in (one, other))
+        np.testing.assert_array_equal(exact.T @ exact, again.T @ again)
+        plain, permuted = (getattr(each, name).astype(np.float64) for each in (one, other))
+        assert not np.array_equal(plain.T @ plain, permuted.T @ permuted)
+        assert np.abs(exact - plain).max() <= np.abs(plain).max() * 2.0**-16
+    trees = [a_rule(**grow([each], 12)._asdict()) for each in (one, other)]
+    assert trees[0].structures > 2
+    assert equal(*trees)
+
+
 def test_growth_gives_the_same_tree_again_and_as_many_leaves_as_may_be() -> None:
     samples = [a_sample(6, 0.2, seed, rows=3000) for seed in (1, 2)]
     for leaves in (1, 2, 7):

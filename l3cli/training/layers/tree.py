@@ -7,7 +7,7 @@ filters of its own.
 
 import heapq
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +19,9 @@ from l3cli.training.layers.first import Floats
 
 CUTS = 5  # thresholds that are tried for a test: quantiles of its quotient
 ROWS_PER_TAP = 4  # of a site that a leaf has at least
+FINE = (
+    2.0**16
+)  # steps of the largest value of a column: products of a million rows add up to less than 2^53 without rounding
 RIDGE = 1e-6  # relative to the mean power of a tap
 SURE = 3.0  # standard deviations of what a split gains by chance that it has to gain: the best of many is seldom farther off
 
@@ -43,6 +46,10 @@ class TreeSample:
         )
         return cls(taps, target, numerators, denominators)
 
+    def on_grid(self) -> "TreeSample":
+        """Taps and targets rounded, so that sums of their products are exact in whatever order they are added."""
+        return replace(self, taps=_rounded(self.taps), target=_rounded(self.target))
+
     def above(self, test: int, threshold: np.float32, rows: Indices) -> NDArray[np.bool_]:
         """Which of the rows (row) take a test's second branch."""
         denominator = self.denominators[EVERY[test].denominator, rows]
@@ -51,6 +58,13 @@ class TreeSample:
     def quotient(self, test: int, rows: Indices) -> Floats:
         """What is compared with thresholds."""
         return np.asarray(self.numerators[test, rows] / self.denominators[EVERY[test].denominator, rows])
+
+
+def _rounded(values: Floats) -> Floats:
+    """Values (row, column) as multiples of a power of two for each column."""
+    _, power = np.frexp(np.abs(values).max(axis=0, initial=SMALLEST))
+    step = np.ldexp(1 / FINE, power).astype(np.float32)
+    return np.asarray(np.rint(values / step) * step, np.float32)
 
 
 def turned_evidence(seen: Evidence, turn: int, pixels: Indices) -> tuple[Floats, Floats]:
@@ -76,6 +90,7 @@ class _Split(NamedTuple):
 
 def grow(samples: Sequence[TreeSample], leaves: int) -> Tree:
     """A tree of at most so many leaves from the samples of all canonical sites; of one leaf if there are none."""
+    samples = [one.on_grid() for one in samples]
     test, threshold, branch, depth = [0], [np.float32(0)], [0], [0]
     waiting: list[tuple[float, int, _Split, list[Indices]]] = []
 
@@ -143,14 +158,14 @@ def _gains(sample: TreeSample, rows: Indices, test: int, cuts: Floats, before: f
 
 
 def _sums(sample: TreeSample, rows: Indices, ends: list[int]) -> tuple[Array, Array, Array]:
-    """Σ x xᵀ (end, tap, tap), Σ x yᵀ (end, tap, output), Σ y² (end) of the rows before each of `ends`."""
+    """Σ x xᵀ (end, tap, tap), Σ x yᵀ (end, tap, output), Σ y² (end) of the rows before each of `ends`, exact."""
     taps, target = sample.taps[rows], sample.target[rows]
     moments, cross, power = [], [], []
     for first, last in zip([0, *ends[:-1]], ends, strict=True):
-        x, y = taps[first:last], target[first:last]
-        moments.append((x.T @ x).astype(np.float64))
-        cross.append((x.T @ y).astype(np.float64))
-        power.append(np.float64((y * y).sum()))
+        x, y = taps[first:last].astype(np.float64), target[first:last].astype(np.float64)
+        moments.append(x.T @ x)
+        cross.append(x.T @ y)
+        power.append((y * y).sum())
     return np.cumsum(moments, axis=0), np.cumsum(cross, axis=0), np.cumsum(power)
 
 
