@@ -170,7 +170,8 @@ def test_three_outputs_of_any_name_get_a_tree(leaves: Path, trained: Trained, tm
 
 
 def test_without_noise_the_noise_weights_weigh_nothing(leaves: Path, trained: Trained) -> None:
-    """As one expects of a switch: nobody has to set the weights to zero as well."""
+    """As one expects of a switch: nobody has to set those of the first layer to zero as well. The second layer's weigh what
+    rounding to whole DN does to its planes, which is left."""
     tables = []
     for weight in (0.0, 50.0):
         weights = f"luminance_noise = {weight}\nchroma_noise = {weight}\n"
