@@ -15,6 +15,7 @@ MOST_LEAVES = 2048
 DEEPEST = 24  # tests from the root to a leaf: kernels take as many steps as the deepest leaf lies below the root
 TESTS = 21
 ORIENTATIONS = 8  # of a square
+SMALLEST, LARGEST = 1e-30, 2.0**31  # of thresholds but zero: what lies below float32's normal range is zero on some devices
 
 
 @dataclass(frozen=True)
@@ -40,12 +41,17 @@ class TreeRule(PlaneClasses):
             raise ValueError(f"cases must be at least 1, turns below {ORIENTATIONS}, tests below {TESTS}")
         if self.gradient_factor.max(initial=0) > FACTORS[1] or self.gradient_shift.max(initial=0) > MOST_SHIFT:
             raise ValueError(f"gradient_factor exceeds {FACTORS[1]}, or gradient_shift {MOST_SHIFT}")
+        size = np.abs(self.threshold[self.threshold != 0])
+        if size.size and not SMALLEST <= size.min() <= size.max() <= LARGEST:
+            raise ValueError(f"thresholds must be zero, or of a size within {SMALLEST:g}…{LARGEST:g}")
         inner = np.flatnonzero(self.branch)
         every = np.concatenate([[0], self.branch[inner], self.branch[inner] + 1])
         if (self.branch[inner] <= inner).any() or not np.array_equal(np.sort(every), np.arange(len(self.branch))):
-            raise ValueError("branch is no tree")
-        if self.structures > MOST_LEAVES or self.depth > DEEPEST:
-            raise ValueError(f"the tree has more than {MOST_LEAVES} leaves, or is deeper than {DEEPEST}")
+            raise ValueError("branch is no tree: every node but the first must be a branch of one before it")
+        if self.structures > MOST_LEAVES:
+            raise ValueError(f"the tree has {self.structures} leaves, more than {MOST_LEAVES}")
+        if self.depth > DEEPEST:
+            raise ValueError(f"the tree is {self.depth} tests deep, more than {DEEPEST}")
 
     @property
     def levels(self) -> int:

@@ -61,7 +61,7 @@ def _later_table(insight: dict[str, Any]) -> Table:
 def _structures(layer: dict[str, Any]) -> str:
     """What a later layer tells apart where nothing is saturated."""
     if "leaves" in layer:
-        return f"a tree of {layer['leaves']} leaves, {layer['depth']} tests deep"
+        return f"leaves of a tree, depth {layer['depth']}: {layer['leaves']}"
     return f"flat, {layer['strengths']} strengths × (none + {layer['directions']} directions): {layer['structures']}"
 
 

@@ -10,6 +10,7 @@ from l3cli.artifacts.structure_rule import DIRECTIONS, StructureRule
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.features import further_features
 from l3cli.classes.names import class_name, kind_name
+from l3cli.classes.tree import EVERY
 from l3cli.classes.windows import window_channels
 
 WORST = 8  # classes named
@@ -64,8 +65,8 @@ def insight(table: TransformTable) -> dict[str, Any]:
 
 def later_layer(layer: PlaneLayer, outputs: tuple[str, ...]) -> dict[str, Any]:
     """Figures of a layer after the first: its classes, side (pixel) and number of its windows, levels, structures (flat, and
-    each strength without a direction and in each of them; or the leaves of a tree, and its depth), noise_gain as in
-    `insight`."""
+    each strength without a direction and in each of them; or the leaves of a tree, its depth, and how many of its
+    nodes compare what, by name), noise_gain as in `insight`."""
     trained, rule = layer.samples > 0, layer.rule
     gain = np.sqrt((layer.weights.astype(np.float64) ** 2).sum(axis=2))
     return {
@@ -79,11 +80,14 @@ def later_layer(layer: PlaneLayer, outputs: tuple[str, ...]) -> dict[str, Any]:
     }
 
 
-def _apart(rule: PlaneRule) -> dict[str, int]:
+def _apart(rule: PlaneRule) -> dict[str, Any]:
     """What a rule tells structures apart by."""
     if isinstance(rule, StructureRule):
         return {"strengths": rule.strengths, "directions": DIRECTIONS}
-    return {"leaves": rule.structures, "depth": rule.depth}
+    nodes = np.bincount(rule.test[rule.branch > 0], minlength=len(EVERY)).tolist()
+    commonest = sorted((index for index, count in enumerate(nodes) if count), key=lambda index: -nodes[index])
+    tests = {EVERY[index].name: nodes[index] for index in commonest}
+    return {"leaves": rule.structures, "depth": rule.depth, "tests": tests}
 
 
 def _further(table: TransformTable, together: NDArray[np.int64]) -> dict[str, list[dict[str, Any]]]:

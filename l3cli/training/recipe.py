@@ -30,7 +30,8 @@ class LearningRecipe(Recipe):
     highlight_share: float = 0.25  # this share of the draws …
     highlight_from: float = 0.15  # … lies between here and the brightest
     rescale: bool = True  # False: patches stay at the level of their frame, however often they are drawn
-    # noise-free patches and a covariance, patches with noise drawn, or no noise at all, neither in classes nor in patches
+    # noise-free patches and a covariance, patches with noise drawn, or no noise at all, neither in classes nor in patches;
+    # without a covariance the weights below weigh nothing, and without noise those of a layer only rounding to DN
     noise: Literal["analytic", "sampled", "none"] = "analytic"
     level_power: Share = 1.0  # rows weigh level^-power: 1 for errors relative to the level, 0 for errors as they are
     brightness_power: float = 0.5  # rows weigh (Y / level)^-power, 0…1 (docs/method.md#row-weights)

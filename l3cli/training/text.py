@@ -39,7 +39,18 @@ def _later(number: int, layer: dict[str, Any]) -> list[str]:
     return [
         f"layer {number}: {classes['all']} classes: {classes['trained']} trained, "
         f"{classes['filled']} without patches of their own; {side} × {side} × {layer['planes']} taps",
-        f"  {layer['levels']} levels; {layer['structures']} structures: flat, {layer['strengths']} strengths × (none + "
-        f"{layer['directions']} directions)",
+        f"  {_apart(layer)}",
         f"  noise gain √Σw² (median, worst class): {gains}",
     ]
+
+
+def _apart(layer: dict[str, Any]) -> str:
+    """What a later layer tells apart where nothing is saturated."""
+    if "leaves" in layer:
+        tests = ", ".join(f"{name} {count}" for name, count in layer["tests"].items())
+        counted = f"; nodes by test: {tests}" if tests else ""
+        return f"leaves of a tree: {layer['leaves']}, depth {layer['depth']}{counted}"
+    return (
+        f"{layer['levels']} levels; {layer['structures']} structures: flat, {layer['strengths']} strengths × (none + "
+        f"{layer['directions']} directions)"
+    )

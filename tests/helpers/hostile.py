@@ -21,8 +21,11 @@ import h5py
 import numpy as np
 
 from l3cli.artifacts import container
+from l3cli.artifacts.store import load, save
+from l3cli.artifacts.table import TransformTable
 from l3cli.cli import run
 from l3cli.limits import MEGAPIXELS
+from tests.helpers.tables import with_tree
 
 CACHE = str(Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser(), "l3cli"))  # l3's cache of kernels
 SECONDS = 10  # of processor time: an input that takes longer hangs …
@@ -239,11 +242,21 @@ def spoiled_hdf5(content: bytes, choices: Choices) -> bytes:
     """Some members or values of an HDF5 file replaced by what l3 never writes; now and then some bytes."""
     if choices.integer(0, 2) == 0:
         return spoiled_bytes(content, choices)
+    return _spoiled_members(content, choices, "")
+
+
+def spoiled_layer(content: bytes, choices: Choices) -> bytes:
+    """Some members or values of a table's second layer replaced by what l3 never writes."""
+    return _spoiled_members(content, choices, "later/0")
+
+
+def _spoiled_members(content: bytes, choices: Choices, below: str) -> bytes:
     image = io.BytesIO(content)
     with h5py.File(image, "r+") as root:
         for _ in range(choices.integer(1, 2)):
             names: list[str] = []
             root.visit(names.append)
+            names = [name for name in names if name.startswith(below)]
             if names:
                 _spoil_member(root, one_of(choices, names), choices)
     return image.getvalue()
@@ -348,6 +361,7 @@ SUBJECTS = (
         ("info {file}", "info {file} --json", DRAW_WITH, REPORT),
     ),
     Subject("table.h5", spoiled_hdf5, ("info {file}", "render {file} frame.npy -o {out}/a.png --backend reference", REPORT)),
+    Subject("tree.h5", spoiled_layer, ("info {file}", "render {file} frame.npy -o {out}/a.png --backend reference", REPORT)),
     Subject(
         "training.h5",
         spoiled_hdf5,
@@ -437,6 +451,7 @@ def make_inputs(folder: Path) -> None:
         ):
             with contextlib.redirect_stdout(io.StringIO()):
                 assert run(command.split()) == 0, command
+        save(with_tree(load(TransformTable, Path("table.h5")), leaves=9), Path("tree.h5"))
     import OpenImageIO as oiio
 
     for path in sorted((folder / "lab/dark").glob("015*.tif")):

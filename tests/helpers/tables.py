@@ -4,13 +4,20 @@ import dataclasses
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from l3cli.artifacts.layers import MosaicLayer, PlaneLayer
 from l3cli.artifacts.structure_rule import StructureRule
 from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.tree_rule import TESTS, TreeRule
+from l3cli.classes.decide import label_mosaic
+from l3cli.classes.later import plane_evidence
+from l3cli.classes.planes import fixed_point
 from l3cli.classes.recipe import ClassRecipe
 from l3cli.classes.rule import make_rule
+from l3cli.classes.tree import EVERY, Evidence
+from l3cli.frame import RawFrame
+from l3cli.rendering.later import first_planes
 from tests.helpers.cameras import random_camera
 
 
@@ -46,6 +53,60 @@ def with_later(table: TransformTable, *sides: int, seed: int = 1) -> TransformTa
         samples = np.where(np.arange(classes) % 2, 10.0, 0.0)
         layers.append(PlaneLayer(side, weights, np.zeros((classes, outputs), np.float32), samples, rule))
     return dataclasses.replace(table, later=tuple(layers))
+
+
+def with_tree(table: TransformTable, side: int = 3, leaves: int = 40, seed: int = 1) -> TransformTable:
+    """The table with a second layer of random weights, whose classes are the leaves of a random tree that a random frame
+    falls into; sites are learned in random orientations."""
+    rng = np.random.default_rng(seed)
+    sites, outputs, below = table.cfa.size, len(table.outputs), table.first.rule
+    factor = rng.integers(64, 128, below.levels).astype(np.uint8)
+    shift = rng.integers(3, 12, below.levels).astype(np.uint8)
+    frame = frame_of_all_levels(table, rng, (157, 190))
+    label = label_mosaic(frame.values, below, table.cfa, len(table.channels), frame.phase)
+    place = below.split(label)
+    seen = plane_evidence(first_planes(frame, label, table, fixed_point(table)), place.level, factor, shift)
+    free = below.case(place.kind) == 0
+    tree = random_tree(Evidence(seen.numerators[:, free], seen.denominators[:, free]), leaves, rng)
+    rule = TreeRule(factor, shift, *tree, rng.integers(0, 8, sites).astype(np.uint8), below.cases)
+    classes = sites * rule.classes_per_site
+    weights = (rng.normal(size=(classes, outputs, outputs * side**2)) / side).astype(np.float32)
+    samples = np.where(np.arange(classes) % 2, 10.0, 0.0)
+    layer = PlaneLayer(side, weights, np.zeros((classes, outputs), np.float32), samples, tree=rule)
+    return dataclasses.replace(table, later=(layer,))
+
+
+def frame_of_all_levels(
+    table: TransformTable, rng: np.random.Generator, shape: tuple[int, int], phase: tuple[int, int] = (0, 0)
+) -> RawFrame:
+    """A frame that is dark on the left and saturated on the right, of plain areas and fine texture."""
+    level = np.geomspace(0.002, 1.5, shape[1]) * (table.white_level - table.black_level)
+    blocks = rng.normal(size=(shape[0] // 8 + 1, shape[1] // 8 + 1)).repeat(8, 0).repeat(8, 1)[: shape[0], : shape[1]]
+    values = table.black_level + level * (1 + 0.2 * blocks + 0.2 * rng.normal(size=shape) * (blocks > 0))
+    raw = np.clip(values, 0, 2**table.bits - 1).astype(np.uint16)
+    return RawFrame("all levels", raw, table.black_level, table.white_level, phase)
+
+
+def random_tree(
+    seen: Evidence, leaves: int, rng: np.random.Generator
+) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.int32]]:
+    """Tests, thresholds and branches (node) of a tree into whose leaves fall some of the pixels seen: the fullest leaf is
+    split by a random test that some of its pixels pass."""
+    quotient = (seen.numerators / seen.denominators[[test.denominator for test in EVERY]]).reshape(TESTS, -1)
+    test, threshold, branch, pixels = [0], [0.0], [0], [np.arange(quotient.shape[1])]
+    while len(test) < 2 * leaves - 1:
+        node = max(range(len(test)), key=lambda each: 0 if branch[each] else pixels[each].size)
+        asked = int(rng.integers(TESTS))
+        values = quotient[asked, pixels[node]]
+        limit = np.quantile(values, rng.uniform(0.3, 0.7)).astype(np.float32)
+        above = values > limit
+        if above.all() or not above.any():
+            continue
+        test[node], threshold[node], branch[node] = asked, float(limit), len(test)
+        for side in (~above, above):
+            test, threshold, branch = [*test, 0], [*threshold, 0.0], [*branch, 0]
+            pixels.append(pixels[node][side])
+    return np.array(test, np.uint8), np.array(threshold, np.float32), np.array(branch, np.int32)
 
 
 XYZ = ("X", "Y", "Z")

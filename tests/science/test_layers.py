@@ -29,6 +29,7 @@ from l3cli.training.layers.rules import gradient_scale, structure_rule
 from l3cli.training.recipe import LayerRecipe, LearningRecipe, TrainingRecipe
 from l3cli.training.sums import STEP
 from tests.helpers.artifacts import a_table
+from tests.helpers.paths import CONFIGS
 from tests.helpers.training_sets import a_frame, a_set
 
 SIDE = 3
@@ -183,9 +184,9 @@ def test_other_than_three_outputs_get_one_layer(tmp_path: Path, l3: Callable) ->
     (tmp_path / "scenes.toml").write_text(
         'exposure_share = [0.9]\n[[scene]]\nsource = "dead leaves"\nsize = [64, 64]\n[target]\noutputs = "camera"\n'
     )
-    camera = Path(__file__).parents[2] / "configs/cameras/rgbw.toml"
+    camera = CONFIGS / "cameras/fiveband.toml"
     assert l3("simulate", tmp_path / "scenes.toml", "--camera", camera, "-o", training)[0] == 0
-    (tmp_path / "classes.toml").write_text(LAYER)
+    (tmp_path / "classes.toml").write_text(LAYER.replace("patch = 3", "patch = 5"))
     run = ("train", training, "--classes", tmp_path / "classes.toml")
     for shard in ((), ("--shard", "1/1")):
         code, _, err = l3(*run, *shard, "--force", "-o", tmp_path / "out.h5")

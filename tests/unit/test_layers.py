@@ -20,7 +20,7 @@ from l3cli.errors import InputFileError, RecipeError
 from l3cli.rendering.renderer import BACKENDS, make_renderer
 from l3cli.training.insight import insight
 from tests.helpers.cameras import BAYER
-from tests.helpers.tables import random_table, with_later
+from tests.helpers.tables import random_table, with_later, with_tree
 
 TABLE = with_later(random_table(BAYER, bits=12, black_level=64.0), 3, 5)
 
@@ -45,6 +45,28 @@ def test_layers_come_back_in_their_order(path: Path) -> None:
 def structure_of(layer: PlaneLayer) -> StructureRule:
     assert layer.structure is not None
     return layer.structure
+
+
+def test_trees_come_back_and_have_the_first_layers_levels_and_sites(tmp_path: Path) -> None:
+    table = with_tree(TABLE, leaves=9)
+    (layer,) = table.later
+    assert layer.tree is not None
+    save(table, tmp_path / "table.h5")
+    assert equal(load(TransformTable, tmp_path / "table.h5"), table)
+    with h5py.File(tmp_path / "table.h5", "r+") as root:
+        assert {"tree", "weights"} < set(root["later/0"])
+        assert "structure" not in root["later/0"]
+        root["later/0/tree/branch"][0] = 2
+    seal(tmp_path / "table.h5")
+    with pytest.raises(InputFileError, match="branch is no tree"):
+        load(TransformTable, tmp_path / "table.h5")
+    for structure, tree in ((None, None), (structure_of(TABLE.later[0]), layer.tree)):
+        with pytest.raises(ValueError, match="a layer has either a structure rule or a tree"):
+            dataclasses.replace(layer, structure=structure, tree=tree)
+    longer: dict[str, Any] = {"gradient_factor": np.full(8, 64, np.uint8), "gradient_shift": np.full(8, 6, np.uint8)}
+    for fields, why in ((longer, "for 8 levels"), ({"turns": np.zeros(3, np.uint8)}, "weights holds|turns holds 3 sites")):
+        with pytest.raises(ValueError, match=why):
+            dataclasses.replace(table, later=(dataclasses.replace(layer, tree=dataclasses.replace(layer.tree, **fields)),))
 
 
 def test_layers_agree_in_what_they_share() -> None:

@@ -35,7 +35,7 @@ from l3cli.rendering.opencl_devices import choose_device, devices
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.rendering.renderer import BACKENDS, make_renderer
 from tests.helpers.cameras import BAYER, FIVE_BAND, X_TRANS
-from tests.helpers.tables import XYZ, random_table, with_first, with_later
+from tests.helpers.tables import XYZ, frame_of_all_levels, random_table, with_first, with_later, with_tree
 
 # float32 sums of at most 225 products, each term below 1 and rounded to 6e-8: 225 · 6e-8 at worst, a tenth of it in fact.
 OUTPUT_TOLERANCE = 1e-5
@@ -65,7 +65,15 @@ TABLES = {
     "three layers": lambda: with_later(random_table(FIVE_BAND, black_level=100.0, patch=7), 5, 3, seed=2),
     "four layers": lambda: with_later(random_table(X_TRANS, bits=14, patch=5), 3, 7, 5, seed=4),
     "two wide layers": lambda: with_later(random_table(BAYER, bits=8, patch=5), 7, seed=3),
+    "tree of 8 bits": lambda: with_tree(random_table(BAYER, bits=8, patch=5, seed=11), 5, leaves=100),
+    "tree of five bands": lambda: with_tree(random_table(FIVE_BAND, black_level=108.93, patch=9, seed=11), seed=2),
+    "tree of 16 bits": lambda: with_tree(
+        random_table(X_TRANS, bits=16, black_level=2048.0, patch=7, seed=14), leaves=400, seed=3
+    ),
+    "tree of stripes": lambda: with_tree(random_table(STRIPES, bits=14, black_level=512.5, patch=5, seed=11), 7, seed=4),
+    "tree of one leaf": lambda: with_tree(random_table(BAYER, patch=3), leaves=1, seed=5),
 }
+TREES = [name for name in TABLES if name.startswith("tree")][:-1]  # of several leaves
 
 
 KINDS: dict[str, dict[str, Any]] = {  # how a table is rendered: arguments of OpenCLRenderer
@@ -80,6 +88,7 @@ RENDERED += [("five-band", "graphics"), ("x-trans", "graphics"), ("stripes", "gr
 RENDERED += [("8 directions", "8 lanes"), ("8 directions", "16 lanes")]
 RENDERED += [("directions", "graphics"), ("8 directions", "graphics")]
 RENDERED += [("two layers", "8 lanes"), ("two layers", "graphics"), ("two layers of 16 bits", "graphics")]
+RENDERED += [("tree of five bands", "graphics"), ("tree of stripes", "graphics"), ("tree of one leaf", "graphics")]
 
 
 @pytest.fixture(scope="module", params=RENDERED, ids="-".join)
@@ -144,6 +153,19 @@ def test_frames_of_one_value_and_of_one_line(renderers: tuple[ReferenceRenderer,
             )
 
 
+@pytest.mark.parametrize("name", TREES)
+@pytest.mark.parametrize("kind", ["8 lanes", "16 lanes", "graphics"])
+def test_leaves_of_a_frame_that_falls_into_most_of_them(name: str, kind: str) -> None:
+    table = TABLES[name]()
+    rule = table.later[0].rule
+    frame = frame_of_all_levels(table, np.random.default_rng(0), (157, 190), phase=(1, 1))
+    reference, device = ReferenceRenderer(table), OpenCLRenderer(table, **KINDS[kind])
+    assert_equal_to_reference(reference, device, frame)
+    fallen = rule.split(reference.labels(frame, 1)).kind
+    assert np.unique(fallen[rule.case(fallen) == 0]).size > 0.8 * rule.structures
+    assert 0.02 < (rule.case(fallen) > 0).mean() < 0.5
+
+
 @settings(max_examples=4, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_any_colour_filter_array(data: st.DataObject) -> None:
@@ -167,9 +189,11 @@ def test_any_colour_filter_array(data: st.DataObject) -> None:
 
 
 @pytest.mark.parametrize("kind", ["processor", "graphics"])
-@pytest.mark.parametrize("sides", [(), (5,), (3, 7, 5)], ids=["one layer", "two layers", "four layers"])
-def test_bands_change_nothing(monkeypatch: pytest.MonkeyPatch, sides: tuple[int, ...], kind: str) -> None:
-    table = with_later(random_table(STRIPES, bits=12, black_level=100.0, patch=5), *sides)
+@pytest.mark.parametrize("layers", ["one layer", "two layers", "tree", "four layers"])
+def test_bands_change_nothing(monkeypatch: pytest.MonkeyPatch, layers: str, kind: str) -> None:
+    table = random_table(STRIPES, bits=12, black_level=100.0, patch=5)
+    several = {"two layers": with_later(table, 5), "four layers": with_later(table, 3, 7, 5), "tree": with_tree(table, 5)}
+    table = several.get(layers, table)
     frame = RawFrame(
         "f", np.random.default_rng(0).integers(0, 4096, (61, 83)).astype(np.uint16), 100.0, table.white_level, (2, 1)
     )

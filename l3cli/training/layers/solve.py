@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.layer_sums import LayerSums
 from l3cli.artifacts.layers import PlaneRule
+from l3cli.errors import L3Error
 from l3cli.training.solve import _solve_positive
 from l3cli.training.sums import moment_matrix
 
@@ -30,6 +31,7 @@ def solve_layer(
 ) -> list[Array]:
     """Rows (class, tap + 1, output) of the canonical sites, each of which stands for `copies`, bent so that all answer flat
     areas alike, and white with white: what the layer before makes of greys, also of those that clip, stays as grey as it is.
+    L3Error if no class can be solved.
     """
     taps = int((np.sqrt(8 * sums[0].noise.shape[1] + 1) - 1) / 2)
     outputs, planes = len(goal.noise), len(goal.white)
@@ -48,6 +50,8 @@ def solve_layer(
             bent = _bent(estimates, member, copies, goal.white, output) if equal else [one[:, 0] for one in estimates]
             for site, row in enumerate(bent):
                 rows[site][index, :taps, output] = row
+    if not solved.any():
+        raise L3Error("no class of the second layer has training rows of every site; train on more, or larger, frames")
     source = _nearest(solved, rule)
     return [one[source] for one in rows]
 

@@ -1,25 +1,29 @@
 """Growing the tree of a plane layer's classes from a sample of its rows (docs/method.md#trees).
 
 Best first: of all splits of all leaves the one is made by which the squared error of refitted filters falls most, less what
-the freedom of their taps alone would bring. The tree is one for all sites, each of which has filters of its own.
+the freedom of their taps alone would bring, if that is more than chance. The tree is one for all sites, each of which has
+filters of its own.
 """
 
 import heapq
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.tree_rule import DEEPEST, TESTS
+from l3cli.artifacts.tree_rule import DEEPEST, SMALLEST, TESTS
 from l3cli.classes.tree import EVERY, Evidence, turned_tests
 from l3cli.training.layers.first import Floats
 
 CUTS = 5  # thresholds that are tried for a test: quantiles of its quotient
 ROWS_PER_TAP = 4  # of a site that a leaf has at least
-SMALLEST = 1e-30  # of thresholds but zero: some devices take products below float32's normal range for zero
+FINE = (
+    2.0**16
+)  # steps of the largest value of a column: products of a million rows add up to less than 2^53 without rounding
 RIDGE = 1e-6  # relative to the mean power of a tap
+SURE = 3.0  # standard deviations of what a split gains by chance that it has to gain: the best of many is seldom farther off
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -42,6 +46,10 @@ class TreeSample:
         )
         return cls(taps, target, numerators, denominators)
 
+    def on_grid(self) -> "TreeSample":
+        """Taps and targets rounded, so that sums of their products are exact in whatever order they are added."""
+        return replace(self, taps=_rounded(self.taps), target=_rounded(self.target))
+
     def above(self, test: int, threshold: np.float32, rows: Indices) -> NDArray[np.bool_]:
         """Which of the rows (row) take a test's second branch."""
         denominator = self.denominators[EVERY[test].denominator, rows]
@@ -50,6 +58,13 @@ class TreeSample:
     def quotient(self, test: int, rows: Indices) -> Floats:
         """What is compared with thresholds."""
         return np.asarray(self.numerators[test, rows] / self.denominators[EVERY[test].denominator, rows])
+
+
+def _rounded(values: Floats) -> Floats:
+    """Values (row, column) as multiples of a power of two for each column."""
+    _, power = np.frexp(np.abs(values).max(axis=0, initial=SMALLEST))
+    step = np.ldexp(1 / FINE, power).astype(np.float32)
+    return np.asarray(np.rint(values / step) * step, np.float32)
 
 
 def turned_evidence(seen: Evidence, turn: int, pixels: Indices) -> tuple[Floats, Floats]:
@@ -74,7 +89,8 @@ class _Split(NamedTuple):
 
 
 def grow(samples: Sequence[TreeSample], leaves: int) -> Tree:
-    """A tree of at most so many leaves from the samples of all canonical sites."""
+    """A tree of at most so many leaves from the samples of all canonical sites; of one leaf if there are none."""
+    samples = [one.on_grid() for one in samples]
     test, threshold, branch, depth = [0], [np.float32(0)], [0], [0]
     waiting: list[tuple[float, int, _Split, list[Indices]]] = []
 
@@ -83,7 +99,8 @@ def grow(samples: Sequence[TreeSample], leaves: int) -> Tree:
         if split is not None:
             heapq.heappush(waiting, (-split.gain, node, split, rows))
 
-    look(0, [np.arange(len(one.taps)) for one in samples])
+    if samples:
+        look(0, [np.arange(len(one.taps)) for one in samples])
     for _ in range(leaves - 1):
         if not waiting:
             break
@@ -101,50 +118,54 @@ def grow(samples: Sequence[TreeSample], leaves: int) -> Tree:
 
 def _best_split(samples: Sequence[TreeSample], rows: list[Indices]) -> _Split | None:
     """The split of a leaf's rows of every site that gains most; None if there is none that gains and leaves enough."""
-    least = ROWS_PER_TAP * samples[0].taps.shape[1]
-    if min(map(len, rows)) < 2 * least:
+    taps = samples[0].taps.shape[1]
+    if min(map(len, rows)) < 2 * ROWS_PER_TAP * taps:
         return None
     best = None
     before = [
-        _error(*(each[-1:] for each in _sums(one, here, [here.size]))) for one, here in zip(samples, rows, strict=True)
+        float(_error(*(each[-1:] for each in _sums(one, here, [here.size])))[0])
+        for one, here in zip(samples, rows, strict=True)
     ]
+    noise = np.array([error / here.size for error, here in zip(before, rows, strict=True)])
+    chance = SURE * np.sqrt(2 * taps * np.square(noise).sum())
     for test in range(TESTS):
-        quotients = [one.quotient(test, here) for one, here in zip(samples, rows, strict=True)]
-        cuts = np.quantile(np.concatenate(quotients), np.arange(1, CUTS + 1) / (CUTS + 1)).astype(np.float32)
+        quotients = np.concatenate([one.quotient(test, here) for one, here in zip(samples, rows, strict=True)])
+        cuts = np.quantile(quotients, np.arange(1, CUTS + 1) / (CUTS + 1)).astype(np.float32)
         cuts = np.unique(np.where(np.abs(cuts) < SMALLEST, np.float32(0), cuts))
         gain = np.zeros(len(cuts))
-        for one, here, quotient, whole in zip(samples, rows, quotients, before, strict=True):
-            gain += _gains(one, here, quotient, cuts, whole[0], least)
-        if gain.max() > (best.gain if best else 0.0):
+        for one, here, error in zip(samples, rows, before, strict=True):
+            gain += _gains(one, here, test, cuts, error)
+        if gain.max() > (best.gain if best else chance):
             best = _Split(float(gain.max()), test, cuts[gain.argmax()])
     return best
 
 
-def _gains(sample: TreeSample, rows: Indices, quotient: Floats, cuts: Floats, before: float, least: int) -> Array:
+def _gains(sample: TreeSample, rows: Indices, test: int, cuts: Floats, before: float) -> Array:
     """By how much (cut) the error of one site falls; −∞ where too few rows are left on a side."""
-    order = np.argsort(quotient, kind="stable")
-    below = np.searchsorted(quotient[order], cuts, side="right")
+    taps = sample.taps.shape[1]
+    passed = np.add.reduce([sample.above(test, cut, rows).astype(np.intp) for cut in cuts])  # of increasing cuts
+    order, below = np.argsort(passed, kind="stable"), np.cumsum(np.bincount(passed, minlength=len(cuts)))[: len(cuts)]
     many = np.array([below, rows.size - below])
-    good = many.min(axis=0) >= least
+    good = many.min(axis=0) >= ROWS_PER_TAP * taps
     gain = np.full(len(cuts), -np.inf)
     if good.any():
         sums = _sums(sample, rows[order], [*below[good].tolist(), rows.size])
         left = _error(*(each[:-1] for each in sums))
         right = _error(*(each[-1] - each[:-1] for each in sums))
-        taps, (low, high) = sample.taps.shape[1], many[:, good]
+        low, high = many[:, good]
         gain[good] = before - left - right - taps * (left / low + right / high - before / rows.size)
     return gain
 
 
 def _sums(sample: TreeSample, rows: Indices, ends: list[int]) -> tuple[Array, Array, Array]:
-    """Σ x xᵀ (end, tap, tap), Σ x yᵀ (end, tap, output), Σ y² (end) of the rows before each of `ends`."""
+    """Σ x xᵀ (end, tap, tap), Σ x yᵀ (end, tap, output), Σ y² (end) of the rows before each of `ends`, exact."""
     taps, target = sample.taps[rows], sample.target[rows]
     moments, cross, power = [], [], []
     for first, last in zip([0, *ends[:-1]], ends, strict=True):
-        x, y = taps[first:last], target[first:last]
-        moments.append((x.T @ x).astype(np.float64))
-        cross.append((x.T @ y).astype(np.float64))
-        power.append(np.float64((y * y).sum()))
+        x, y = taps[first:last].astype(np.float64), target[first:last].astype(np.float64)
+        moments.append(x.T @ x)
+        cross.append(x.T @ y)
+        power.append((y * y).sum())
     return np.cumsum(moments, axis=0), np.cumsum(cross, axis=0), np.cumsum(power)
 
 

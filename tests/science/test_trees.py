@@ -1,0 +1,209 @@
+"""A second layer whose classes are the leaves of a tree: learned alike however it is divided, told, rendered, refused."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.layers import PlaneLayer
+from l3cli.artifacts.store import load
+from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.training_set import TrainingPair, TrainingSet, write_training_set
+from l3cli.cli import run
+from l3cli.frame import RawFrame
+from l3cli.rendering.opencl import OpenCLRenderer
+from l3cli.rendering.reference import ReferenceRenderer
+from tests.helpers.cameras import bayer_camera
+from tests.helpers.training_sets import MIX, a_set
+
+SCENES = 'exposure_share = [0.9]\n[[scene]]\nsource = "dead leaves"\nsize = [64, 64]\ncount = 6\n'
+CLASSES = "[classes]\npatch = 3\nlevels = 4\n[learning]\npatches = 3000\nfirst_draws = 0\ndraws = 2\n"
+LAYER = "[[layer]]\nside = 3\nleaves = 8\ntree_rows = 4000\nmosaics = 24\nrows = 2000\n"
+Trained = Callable[..., tuple[TransformTable, str]]
+
+
+@pytest.fixture(scope="module")
+def leaves(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A training set of small dead leaves of a Bayer camera."""
+    folder = tmp_path_factory.mktemp("leaves")
+    (folder / "scenes.toml").write_text(SCENES)
+    (folder / "camera.toml").write_text(bayer_camera())
+    made = ("simulate", folder / "scenes.toml", "--camera", folder / "camera.toml", "-o", folder / "training.h5", "--quiet")
+    assert run([str(each) for each in made]) == 0
+    return folder / "training.h5"
+
+
+@pytest.fixture
+def trained(tmp_path: Path, l3: Callable) -> Trained:
+    """Train on a set with a recipe: the table, and what was said."""
+
+    def train(training: Path, recipe: str, *options: object) -> tuple[TransformTable, str]:
+        (tmp_path / "classes.toml").write_text(recipe)
+        output = tmp_path / "table.h5"
+        code, _, err = l3("train", training, "--classes", tmp_path / "classes.toml", "-o", output, "--force", *options)
+        assert code == 0, err
+        return load(TransformTable, output), err
+
+    return train
+
+
+def require_backends_agree(table: TransformTable) -> None:
+    """Of a small frame of edges and noise, partly saturated."""
+    rng = np.random.default_rng(0)
+    share = np.kron(rng.uniform(0, 1.2, (4, 5)), np.ones((8, 9))) * rng.normal(1, 0.05, (32, 45))
+    values = np.clip(table.black_level + share * (table.white_level - table.black_level), 0, 2**table.bits - 1)
+    frame = RawFrame("edges", values.astype(np.uint16), table.black_level, table.white_level)
+    reference, device = ReferenceRenderer(table), OpenCLRenderer(table)
+    np.testing.assert_array_equal(device.labels(frame, 1), reference.labels(frame, 1))
+    np.testing.assert_allclose(device.outputs(frame), reference.exact_outputs(frame), rtol=0, atol=1e-4)
+
+
+def tree_of(table: TransformTable) -> PlaneLayer:
+    """The second layer, whose rule must be a tree."""
+    (layer,) = table.later
+    assert layer.tree is not None
+    return layer
+
+
+def test_a_tree_has_the_same_bytes_in_processes_and_shards(
+    leaves: Path, trained: Trained, tmp_path: Path, l3: Callable
+) -> None:
+    table, said = trained(leaves, CLASSES + LAYER)
+    rule = tree_of(table).rule
+    assert 4 <= rule.structures <= 8
+    assert f"{rule.structures} leaves" in said
+    whole = (tmp_path / "table.h5").read_bytes()
+    trained(leaves, CLASSES + LAYER, "--jobs", 2)
+    assert (tmp_path / "table.h5").read_bytes() == whole
+
+    def merged(name: str, *options: object) -> Path:
+        shards = [tmp_path / f"{name}{index}.h5" for index in (1, 2)]
+        for index, shard in enumerate(shards, 1):
+            which = ("--shard", f"{index}/2", *options, "-o", shard)
+            assert l3("train", leaves, "--classes", tmp_path / "classes.toml", *which)[0] == 0
+        assert l3("train", "--merge", *shards, "-o", tmp_path / f"{name}.h5")[0] == 0
+        return tmp_path / f"{name}.h5"
+
+    table_of_shards = merged("second", "--first", merged("first"))
+    assert table_of_shards.read_bytes() == whole
+    assert "later/0/tree/threshold" in l3("info", table_of_shards)[1]
+    assert " tree/threshold (node)" in l3("info", tmp_path / "second2.h5")[1]
+    require_backends_agree(table)
+
+
+def test_info_and_report_tell_of_the_tree(leaves: Path, trained: Trained, tmp_path: Path, l3: Callable) -> None:
+    table, _ = trained(leaves, CLASSES + LAYER)
+    rule = tree_of(table).tree
+    assert rule is not None
+    code, out, _ = l3("info", tmp_path / "table.h5")
+    assert code == 0
+    line = next(line for line in out.splitlines() if "nodes by test" in line)
+    assert line.startswith(f"  leaves of a tree: {rule.structures}, depth {rule.depth}; nodes by test: ")
+    (later,) = json.loads(l3("info", tmp_path / "table.h5", "--json")[1])["insight"]["later"]
+    assert (later["leaves"], later["depth"], later["structures"]) == (rule.structures, rule.depth, rule.structures)
+    assert sum(later["tests"].values()) == rule.structures - 1
+    assert list(later["tests"].values()) == sorted(later["tests"].values(), reverse=True)
+    assert l3("report", tmp_path / "table.h5", "-o", tmp_path / "report.html")[0] == 0
+    assert f"leaves of a tree, depth {rule.depth}: {rule.structures}" in (tmp_path / "report.html").read_text()
+
+
+@pytest.mark.parametrize("rows", ["leaves = 1", "leaves = 8"], ids=["one leaf wanted", "rows for one leaf"])
+def test_a_tree_of_one_leaf_is_a_layer_like_others(
+    rows: str, bayer: CameraModel, trained: Trained, tmp_path: Path, l3: Callable
+) -> None:
+    """Whether the recipe wants no more, or there are too few rows for two."""
+    training = a_set(tmp_path / "small.h5", bayer, 1, smooth=False, size=(32, 32))
+    layer = (
+        LAYER.replace("leaves = 8", rows)
+        .replace("mosaics = 24", "mosaics = 1")
+        .replace("tree_rows = 4000", "tree_rows = 1000")
+    )
+    table, _ = trained(training, CLASSES + layer)
+    rule = tree_of(table).rule
+    assert (rule.structures, rule.kinds) == (1, rule.cases)
+    require_backends_agree(table)
+    assert "leaves of a tree: 1, depth 0\n" in l3("info", tmp_path / "table.h5")[1]
+    assert l3("report", tmp_path / "table.h5", "-o", tmp_path / "report.html")[0] == 0
+
+
+@pytest.mark.parametrize("rule", ["leaves = 8", "strengths = [3]"])
+def test_frames_without_inner_pixels_are_one_line(rule: str, bayer: CameraModel, tmp_path: Path, refused: Callable) -> None:
+    """A later layer learns only from pixels whose neighbourhoods lie within their mosaic."""
+    training = a_set(tmp_path / "small.h5", bayer, 1, smooth=False, size=(24, 24))
+    (tmp_path / "classes.toml").write_text(CLASSES + LAYER.replace("leaves = 8", rule))
+    said = refused(1, "train", training, "--classes", tmp_path / "classes.toml", "-o", tmp_path / "no.h5", "--quiet")
+    assert "no class of the second layer has training rows of every site; train on more, or larger, frames" in said
+
+
+def test_a_tree_is_grown_from_real_pairs(bayer: CameraModel, trained: Trained, tmp_path: Path) -> None:
+    """Whose mosaics are theirs: no turns, no noise that is drawn."""
+    rng = np.random.default_rng(2)
+    with write_training_set(tmp_path / "pairs.h5", TrainingSet(bayer, ("X", "Y", "Z"), "a known mix")) as writer:
+        for number in range(4):
+            share = np.kron(rng.uniform(0.05, 0.8, (3, 8, 9)), np.ones((10, 10))).astype(np.float32)
+            row, col = np.ogrid[:80, :90]
+            signal = np.take_along_axis(share, bayer.cfa[row % 2, col % 2][None].astype(np.intp), 0)[0]
+            noisy = bayer.black_level + signal * (bayer.white_level - bayer.black_level) + rng.normal(0, 8, (80, 90))
+            target = np.einsum("oc,crk->ork", MIX, share) * bayer.saturation_exposure / 0.01
+            about: dict[str, Any] = {"white": np.array([95.0, 100.0, 109.0]), "scene": f"pair {number}", "illuminant": "D65"}
+            writer.append(
+                TrainingPair(noisy.astype(np.uint16), target.astype(np.float32), **about, luminance=100.0, exposure=0.01)
+            )
+    table, _ = trained(tmp_path / "pairs.h5", CLASSES + LAYER)
+    assert tree_of(table).rule.structures > 2
+    require_backends_agree(table)
+
+
+def test_three_outputs_of_any_name_get_a_tree(leaves: Path, trained: Trained, tmp_path: Path, l3: Callable) -> None:
+    (tmp_path / "scenes.toml").write_text(SCENES + '[target]\noutputs = "camera"\n')
+    (tmp_path / "camera.toml").write_text(bayer_camera())
+    codes = tmp_path / "codes.h5"
+    assert l3("simulate", tmp_path / "scenes.toml", "--camera", tmp_path / "camera.toml", "-o", codes)[0] == 0
+    table, _ = trained(codes, CLASSES + LAYER)
+    assert table.outputs == ("r", "g", "b")
+    assert tree_of(table).rule.structures > 2
+    require_backends_agree(table)
+
+
+def test_without_noise_the_noise_weights_weigh_nothing(leaves: Path, trained: Trained) -> None:
+    """As one expects of a switch: nobody has to set those of the first layer to zero as well. The second layer's weigh what
+    rounding to whole DN does to its planes, which is left."""
+    tables = []
+    for weight in (0.0, 50.0):
+        weights = f"luminance_noise = {weight}\nchroma_noise = {weight}\n"
+        table, _ = trained(
+            leaves, f'{CLASSES}noise = "none"\nlevel_power = 0\n{weights}{LAYER}luminance_noise = 0\nchroma_noise = 0\n'
+        )
+        tables.append(table)
+    np.testing.assert_array_equal(tables[0].first.weights, tables[1].first.weights)
+    np.testing.assert_array_equal(tables[0].later[0].weights, tables[1].later[0].weights)
+    noisy, _ = trained(
+        leaves, f"{CLASSES}luminance_noise = 0\nchroma_noise = 0\n{LAYER}luminance_noise = 0\nchroma_noise = 0\n"
+    )
+    assert not np.array_equal(noisy.first.weights, tables[0].first.weights)
+
+
+@pytest.mark.parametrize(
+    ("was", "line", "why"),
+    [
+        ("leaves = 8", "leaves = -1", "layer[1].leaves is -1; the least is 0"),
+        ("leaves = 8", "leaves = 2049", "layer[1].leaves is 2049; the most is 2048"),
+        ("leaves = 8", "leaves = 2.5", "Expected `int`, got `float` in [layer[1].leaves]"),
+        ("leaves = 8", "leafs = 8", 'unknown key `leafs` in [layer[1]]; did you mean "leaves"?'),
+        ("tree_rows = 4000", "tree_rows = 999", "layer[1].tree_rows is 999; the least is 1000"),
+        ("tree_rows = 4000", "tree_rows = 1_000_001", "layer[1].tree_rows is 1000001; the most is 1000000"),
+        ("draws = 2\n", 'draws = 2\nnoise = "no"\n', "Invalid enum value 'no' in [learning.noise]"),
+        ("draws = 2\n", "draws = 2\nlevel_power = 1.1\n", "learning.level_power is 1.1; the most is 1"),
+        ("draws = 2\n", "draws = 2\nlevel_power = -1\n", "learning.level_power is -1; the least is 0"),
+    ],
+)
+def test_wrong_keys_are_one_line(
+    was: str, line: str, why: str, bayer: CameraModel, tmp_path: Path, refused: Callable
+) -> None:
+    training = a_set(tmp_path / "training.h5", bayer, 1)
+    (tmp_path / "classes.toml").write_text((CLASSES + LAYER).replace(was, line, 1))
+    assert why in refused(2, "train", training, "--classes", tmp_path / "classes.toml", "-o", tmp_path / "no.h5")
