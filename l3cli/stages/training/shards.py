@@ -80,8 +80,9 @@ def _write_shard(
         light=pass_.light,
     )
     write_partial_sums(output, head, (add_up(pass_, [site_sums]) for _, site_sums in sums))
-    name = "first" if pass_.number == FIRST else "last"
-    execution.console.say(f"{output}: shard {index} of {count}, {name} pass")
+    last = "layer 1" if run.has_later_layers else "last pass"
+    what = "first pass" if pass_.number == FIRST else last
+    execution.console.say(f"{output}: shard {index} of {count}, {what}")
 
 
 def _last_pass(run: TrainingRun, table: TransformTable, path: Path | None) -> TrainingPass:
