@@ -18,8 +18,12 @@ folder=slurm/$tasks
 shard=$(printf %04d "${SLURM_ARRAY_TASK_ID:-0}")
 jobs=${SLURM_CPUS_PER_TASK:-1}
 camera=${CAMERA:-camera.h5}
-last_pass=second
-if grep -Eq '^ *\[\[ *layer *\]\]' classes.toml; then last_pass=third; fi
+# Each pass reads the table of the one before: errors of the first weigh the rows of the second, and every [[layer]] in classes.toml
+# is one more pass. With first_draws = 0 in classes.toml there is no first pass: remove "first" here.
+passes=(first second)
+layers=$(grep -Ec '^ *\[\[ *layer *\]\]' classes.toml) || true # grep fails if there are none
+for ((layer = 2; layer <= layers + 1; layer++)); do passes+=("layer$layer"); done
+last_pass=${passes[-1]}
 
 submit() { # STEP OPTIONS…: submit a step that waits for all tasks of the step before
   last=$(sbatch --parsable --job-name="l3-$1" --output="$folder/log/%x-%A-%a.txt" --kill-on-invalid-dep=yes \
@@ -31,9 +35,14 @@ make_of() { # OUTPUT COMMAND…: run the command unless the output exists
   [[ -e $1 ]] || "${@:2}" -o "$1"
 }
 
-learn() { # PASS OPTIONS…: the partial sums of this task's share
+learn() { # PASS: the partial sums of this task's share
+  local pass before=
+  for pass in "${passes[@]}"; do
+    [[ $pass != "$1" ]] || break
+    before=$folder/$pass.h5
+  done
   make_of "$folder/$1_$shard.h5" l3 train "$folder"/training_*.h5 --classes classes.toml \
-    --shard "$SLURM_ARRAY_TASK_ID/$tasks" --jobs "$jobs" "${@:2}"
+    --shard "$SLURM_ARRAY_TASK_ID/$tasks" --jobs "$jobs" ${before:+--first "$before"}
 }
 
 case $step in
@@ -43,14 +52,8 @@ case $step in
     make_of "$folder/training_$shard.h5" l3 simulate scenes.toml --camera "$camera" --seed "$SLURM_ARRAY_TASK_ID" \
       --resume --jobs "$jobs"
     ;;
-  # Errors of the first pass weigh the rows of the second. With first_draws = 0 in classes.toml there is only one pass: remove
-  # "first" and "merge", and "--first" with its file.
-  first) learn first ;;
-  merge) make_of "$folder/first.h5" l3 train --merge "$folder"/first_*.h5 ;;
-  second) learn second --first "$folder/first.h5" ;;
-  # A second layer, if classes.toml asks for one, is learned in a third pass, on the table that the others make.
-  layer) make_of "$folder/one_layer.h5" l3 train --merge "$folder"/second_*.h5 ;;
-  third) learn third --first "$folder/one_layer.h5" ;;
+  first | second | layer[0-9]) learn "$step" ;;
+  merge-*) make_of "$folder/${step#merge-}.h5" l3 train --merge "$folder/${step#merge-}"_*.h5 ;;
   finish)
     make_of "$folder/table.h5" l3 train --merge "$folder/${last_pass}"_*.h5
     make_of "$folder/picture.png" l3 render "$folder/table.h5" unseen/00000_*_raw.tif
@@ -63,13 +66,10 @@ case $step in
     mkdir -p "$folder/log"
     submit camera
     submit simulate --array="1-$tasks"
-    submit first --array="1-$tasks"
-    submit merge
-    submit second --array="1-$tasks"
-    if [[ $last_pass == third ]]; then
-      submit layer
-      submit third --array="1-$tasks"
-    fi
+    for pass in "${passes[@]}"; do
+      submit "$pass" --array="1-$tasks"
+      [[ $pass == "$last_pass" ]] || submit "merge-$pass"
+    done
     submit finish
     ;;
   *) echo "slurm.sh: no step $step" >&2; exit 2 ;;

@@ -74,7 +74,8 @@ for task in range(int(first), int(last or first) + 1) if state == "done" else ()
 print(job)
 """
 needs_snakemake = pytest.mark.skipif(not shutil.which("snakemake", path=PATH), reason="snakemake is not installed")
-LAYER = "\n[[layer]]\nside = 3\nmosaics = 8\nrows = 300\n"
+STRUCTURE = "\n[[layer]]\nside = 3\nmosaics = 8\nrows = 300\n"
+TREE = "\n[[layer]]\nside = 1\nleaves = 3\ntree_rows = 1000\nmosaics = 8\nrows = 300\n"
 CALL = re.compile(r"^ *l3 [a-z]+ ", re.MULTILINE)
 MADE = ("camera.h5", "training.h5", "table.h5", "unseen.h5", "picture.png", "quality.txt", "report.html")
 
@@ -349,7 +350,7 @@ def test_a_slurm_cluster_learns_in_arrays(workplace: Workplace, folder: Path) ->
     classes = (folder / "classes.toml").read_text()
     (folder / "classes.toml").write_text("[classes]\npatch = 4\n")
     out, calls = workplace.do(folder, "./slurm.sh 2")
-    steps = ["camera", "simulate", "first", "merge", "second", "finish"]
+    steps = ["camera", "simulate", "first", "merge-first", "second", "finish"]
     assert out.splitlines() == [f"{step}: job {101 + index}" for index, step in enumerate(steps)]
     arrays = {step: [f"{step}_000{task}.h5" for task in (1, 2)] for step in ("training", "first", "second")}
     assert [call.split("/")[-1] for call in calls] == [*arrays["training"], *arrays["first"]]
@@ -367,20 +368,31 @@ def test_a_slurm_cluster_learns_in_arrays(workplace: Workplace, folder: Path) ->
     assert (folder / "slurm/2/table.h5").read_bytes() == whole.read_bytes()
 
 
-def test_a_slurm_cluster_learns_two_layers(workplace: Workplace, folder: Path) -> None:
+@pytest.fixture
+def three_layers(folder: Path) -> Path:
+    """The folder with a class recipe of three layers."""
     with (folder / "classes.toml").open("a") as classes:
-        classes.write(LAYER)
-    out, calls = workplace.do(folder, "./slurm.sh 1")
+        classes.write(STRUCTURE + TREE)
+    return folder
+
+
+def test_a_slurm_cluster_learns_further_layers(workplace: Workplace, three_layers: Path) -> None:
+    out, calls = workplace.do(three_layers, "./slurm.sh 1")
     assert [line.split(":")[0] for line in out.splitlines()][2:] == [
-        "first", "merge", "second", "layer", "third", "finish",
+        "first", "merge-first", "second", "merge-second", "layer2", "merge-layer2", "layer3", "finish",
     ]  # fmt: skip
-    passes = ["first_0001.h5", "first.h5", "second_0001.h5", "one_layer.h5", "third_0001.h5", "table.h5"]
-    assert [call.split("/")[-1] for call in calls][1:7] == passes
-    whole = ["train", "slurm/1/training_0001.h5", "--classes", "classes.toml", "-o", "whole.h5", "--quiet"]
+    passes = ["first_0001.h5", "first.h5", "second_0001.h5", "second.h5"]
+    passes += ["layer2_0001.h5", "layer2.h5", "layer3_0001.h5", "table.h5"]
+    assert [call.split("/")[-1] for call in calls][1:9] == passes
+    require_three_layers(three_layers, "slurm/1/table.h5", "slurm/1/training_0001.h5")
+
+
+def require_three_layers(folder: Path, made: str, *sets: str) -> None:
+    """The table `made` has all layers of the recipe, and the bytes of one that is trained in one go."""
     with contextlib.chdir(folder):
-        assert run(whole) == 0
-    assert (folder / "slurm/1/table.h5").read_bytes() == (folder / "whole.h5").read_bytes()
-    assert load(TransformTable, folder / "slurm/1/table.h5").later[0].side == 3
+        assert run(["train", *sets, "--classes", "classes.toml", "-o", "whole.h5", "--jobs", "1", "--quiet"]) == 0
+    assert (folder / made).read_bytes() == (folder / "whole.h5").read_bytes()
+    assert [layer.side for layer in load(TransformTable, folder / made).later] == [3, 1]
 
 
 @pytest.mark.parametrize("call", ["./slurm.sh", "./slurm.sh many", "./slurm.sh simulat 2"])
@@ -393,9 +405,8 @@ def test_a_wrong_call_of_the_slurm_script_is_refused(call: str, workplace: Workp
 SNAKEMAKE = "snakemake --cores 2 --config shards=2 camera=camera.toml"
 RULES = {
     "simulate": 2,
-    "first": 2,
+    "learn": 4,
     "merge": 1,
-    "second": 2,
     "table": 1,
     "unseen": 1,
     "picture": 1,
@@ -404,24 +415,25 @@ RULES = {
 }
 
 
-@needs_snakemake
-def test_snakemake_plans_what_depends_on_what(workplace: Workplace, folder: Path) -> None:
+def planned(workplace: Workplace, folder: Path) -> dict[str, int]:
+    """How often Snakemake would run each rule."""
     out, calls = workplace.do(folder, f"{SNAKEMAKE} --dry-run --quiet rules")
     assert calls == []
-    planned = dict(line.split() for line in out.splitlines() if len(line.split()) == 2 and line.split()[1].isdecimal())
-    assert {rule: int(planned[rule]) for rule in RULES} == RULES
-    assert int(planned["total"]) == sum(RULES.values()) + 1
+    pairs = (line.split() for line in out.splitlines() if len(line.split()) == 2)
+    return {rule: int(times) for rule, times in pairs if times.isdecimal()}
 
 
 @needs_snakemake
-def test_snakemake_plans_a_third_pass_for_a_second_layer(workplace: Workplace, folder: Path) -> None:
-    with (folder / "classes.toml").open("a") as classes:
-        classes.write(LAYER)
-    out, _ = workplace.do(folder, f"{SNAKEMAKE} --dry-run --quiet rules")
-    planned = dict(line.split() for line in out.splitlines() if len(line.split()) == 2 and line.split()[1].isdecimal())
-    assert {rule: int(planned[rule]) for rule in ("second", "layer", "third", "table")} == {
-        "second": 2, "layer": 1, "third": 2, "table": 1,
-    }  # fmt: skip
+def test_snakemake_plans_what_depends_on_what(workplace: Workplace, folder: Path) -> None:
+    assert planned(workplace, folder) == RULES | {"all": 1, "total": sum(RULES.values()) + 1}
+
+
+@needs_snakemake
+def test_snakemake_learns_further_layers(workplace: Workplace, three_layers: Path) -> None:
+    _, calls = workplace.do(three_layers, "snakemake snakemake/table.h5 --cores 1 --config shards=1 camera=camera.toml")
+    learned = ["first_1.h5", "first.h5", "second_1.h5", "second.h5", "layer2_1.h5", "layer2.h5", "layer3_1.h5", "table.h5"]
+    assert [call.split("/")[-1] for call in calls][1:] == learned
+    require_three_layers(three_layers, "snakemake/table.h5", "snakemake/training_1.h5")
 
 
 @needs_snakemake

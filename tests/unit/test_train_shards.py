@@ -37,6 +37,7 @@ from tests.helpers.training_sets import a_frame, a_set
 SMALL = "[classes]\npatch = 3\nlevels = 4\n[learning]\npatches = 2100\nfirst_draws = 1\ndraws = 2\n"
 
 TWO_LAYERS = SMALL.replace("2100", "900") + "[[layer]]\nside = 3\nmosaics = 12\nrows = 500\n"
+THREE_LAYERS = TWO_LAYERS + "[[layer]]\nside = 1\nleaves = 3\ntree_rows = 1000\nmosaics = 7\nrows = 500\n"
 
 
 def test_patches_are_spread_over_frames_or_by_shares() -> None:
@@ -226,6 +227,39 @@ def test_a_second_layer_has_the_same_bytes_in_shards(
     # the same sets and seed, another recipe
     (tmp_path / "classes.toml").write_text(TWO_LAYERS.replace("mosaics = 12", "mosaics = 13"))
     assert "nor its first layer" in refused(3, "train", *run, "--shard", "1/3", "--first", one_layer, "-o", out)
+
+
+def test_three_layers_have_the_same_bytes_in_shards(
+    bayer: CameraModel, tmp_path: Path, l3: Callable, refused: Callable
+) -> None:
+    """A layer by structure and one by a tree, each in a pass of its own; a shard takes only the table of the pass before."""
+    training = a_set(tmp_path / "training.h5", bayer, 3, smooth=False)
+    (tmp_path / "classes.toml").write_text(THREE_LAYERS)
+    run = (training, "--classes", tmp_path / "classes.toml", "--seed", 5)
+    assert l3("train", *run, "-o", tmp_path / "whole.h5")[0] == 0
+    assert [layer.side for layer in load(TransformTable, tmp_path / "whole.h5").later] == [3, 1]
+
+    before: tuple = ()
+    shards, tables = [], []
+    for made in ("first pass", "first layer", "second layer"):
+        parts, table, said = in_shards(l3, run, 2, tmp_path, *before)
+        assert f"this is the {made}: go on with --shard I/N --first {table}" in said
+        before = ("--first", table)
+        shards.append(parts)
+        tables.append(table)
+    parts, table, said = in_shards(l3, run, 2, tmp_path, *before)
+    assert "go on with" not in said
+    assert table.read_bytes() == (tmp_path / "whole.h5").read_bytes()
+
+    out = tmp_path / "no.h5"
+    assert "different runs or passes" in refused(3, "train", "--merge", parts[0], shards[2][1], "-o", out)
+    of_this_run = "is not the first pass of this run, nor its first layer or second layer: "
+    assert of_this_run in refused(3, "train", *run, "--shard", "1/2", "--first", table, "-o", out)  # nothing follows it
+    for of_other_run in tables:
+        assert of_this_run in refused(3, "train", *run[:-1], 6, "--shard", "1/2", "--first", of_other_run, "-o", out)
+    (tmp_path / "two.toml").write_text(TWO_LAYERS)  # with which two layers are all
+    assert l3("train", training, "--classes", tmp_path / "two.toml", "--seed", 5, "-o", tmp_path / "two.h5")[0] == 0
+    assert of_this_run in refused(3, "train", *run, "--shard", "1/2", "--first", tmp_path / "two.h5", "-o", out)
 
 
 def test_a_second_layer_follows_a_single_pass(bayer: CameraModel, tmp_path: Path, l3: Callable) -> None:

@@ -91,14 +91,14 @@ def layer_rule(run: TrainingRun, layer: LayerPass, execution: Execution) -> Plan
     """The layer's class rule, from a pilot over all frames."""
     frames = range(len(run.patches))
     units = _units(run, layer, None, frames, execution)
-    measured = execution.console.progress(execution.crew(_measure, units), len(units), "pilot")
+    measured = execution.console.progress(execution.crew(_measure, units), len(units), f"layer {layer.number}, pilot")
     scale = gradient_scale(layer, [noise for part in measured for noise in part])
     if not layer.recipe.leaves:
         rule: PlaneRule = structure_rule(layer, scale)
         classes = f"{rule.levels} levels × ({rule.structures} structures + {rule.cases - 1} saturation cases)"
     else:
         units = _units(run, layer, scale, frames, execution)
-        sampled = execution.console.progress(execution.crew(_sample, units), len(units), "tree")
+        sampled = execution.console.progress(execution.crew(_sample, units), len(units), f"layer {layer.number}, tree")
         rule = tree_rule(layer, scale, [sample for part in sampled for sample in part])
         classes = f"{rule.structures} leaves, {rule.depth} tests deep, + {rule.cases - 1} saturation cases"
     execution.console.say(f"layer {layer.number}: {sum(layer.mosaics)} mosaics, {classes} a site")

@@ -80,17 +80,18 @@ def _write_shard(
         light=pass_.light,
     )
     write_partial_sums(output, head, (add_up(pass_, [site_sums]) for _, site_sums in sums))
-    name = "first" if pass_.number == FIRST else "last"
-    execution.console.say(f"{output}: shard {index} of {count}, {name} pass")
+    last = "layer 1" if run.has_later_layers else "last pass"
+    what = "first pass" if pass_.number == FIRST else last
+    execution.console.say(f"{output}: shard {index} of {count}, {what}")
 
 
 def _last_pass(run: TrainingRun, table: TransformTable, path: Path | None) -> TrainingPass:
     """The pass after the one that made the table; InputFileError if that is of another run."""
     if table.history != run.history(FIRST_PASS):
-        layer = ", nor its first layer" if run.has_later_layers else ""
+        layers = f", nor its {' or '.join(LAYERS[: len(run.recipe.layer)])}" if run.has_later_layers else ""
         raise InputFileError(
-            f"{path} is not the first pass of this run{layer}: other training sets, shares, recipe or seed; "
-            'make it with "l3 train --merge" of the first pass\'s shards'
+            f"{path} is not the first pass of this run{layers}: other training sets, shares, recipe or seed; "
+            'make it with "l3 train --merge" of the shards of the pass before'
         )
     about = (run.head, run.patches, table.first.rule, run.recipe.learning, table.white_point, run.seed)
     return TrainingPass(*about, LAST, table.exposure, table.light)
