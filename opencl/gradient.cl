@@ -6,6 +6,15 @@
 // whether that is the class itself, saturation deciding.
 
 #define LABEL_CONSTANTS __global const uint *restrict label_gradient, __global const uint *restrict label_start
+
+// Parameters of the kernel `structures`, of whatever rule and variant: planes (plane, source row, col) of the layer before; classes
+// (source row, col) of the first layer; which rows (padded row) of the one and of the other, and which columns (padded col), each
+// padded one repeats; the constants of the rule; and labels (row, col) to be written.
+#define STRUCTURES_PARAMETERS \
+    __global const int *restrict planes, __global const uint *restrict first_labels, __global const int *restrict row_source, \
+    __global const int *restrict label_source, __global const int *restrict column_source, STRUCTURE_CONSTANTS, \
+    __global uint *restrict labels, int source_rows, int rows, int columns
+
 #define FACTOR_BITS 0x7f
 #define SHIFT_BITS(word) ((word) >> 8 & 0x1f)
 #define DECIDED(start) ((start) >> 31)

@@ -54,14 +54,7 @@ INLINE ints across(const int *at) {
 }
 
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
-void structures(__global const int *restrict planes,       // (plane, source row, col)
-                __global const uint *restrict first_labels,  // (source row, col) of the first layer
-                __global const int *restrict row_source,     // (padded row) of the planes …
-                __global const int *restrict label_source,   // … and of the first layer's classes
-                __global const int *restrict column_source,  // (padded col)
-                STRUCTURE_CONSTANTS,
-                __global uint *restrict labels,              // (row, col)
-                int source_rows, int rows, int columns) {
+void structures(STRUCTURES_PARAMETERS) {
     const int x0 = get_group_id(0) * TILE, y0 = get_group_id(1) * BAND;
     const int y1 = min(y0 + BAND, rows), width = min(TILE, columns - x0);
     const int span = width + 2 * STRUCTURE_REACH;

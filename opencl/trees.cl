@@ -122,26 +122,19 @@ INLINE void rule_out(uints alive[WORDS], const Evidence *e, __global const uint 
 
 // Leaves of LANES pixels.
 INLINE void leaves_of(uint *leaf, const uints alive[WORDS]) {
-    uints found = (uints)0, bits = alive[WORDS - 1], base = (uints)(32 * (WORDS - 1));
+    uints bits = alive[WORDS - 1], base = (uints)(32 * (WORDS - 1));
     for (int w = WORDS - 2; w >= 0; w--) {
         base = alive[w] != 0 ? (uints)(32 * w) : base;
         bits = alive[w] != 0 ? alive[w] : bits;
     }
-    found = bits & -bits;  // the lowest of them alone, whose number a float's exponent tells
-    const floats power = CONVERT(found >> 1, floats) * 2.0f + CONVERT(found & 1, floats);
+    const uints lowest = bits & -bits;  // that one alone, whose number a float's exponent tells
+    const floats power = CONVERT(lowest >> 1, floats) * 2.0f + CONVERT(lowest & 1, floats);
     const uints number = (SAME_BITS(power, uints) >> 23) - 127;
     STORE_PRIVATE(uints, leaf) = base + number;
 }
 
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
-void structures(__global const int *restrict planes,       // (plane, source row, col)
-                __global const uint *restrict first_labels,  // (source row, col) of the first layer
-                __global const int *restrict row_source,     // (padded row) of the planes …
-                __global const int *restrict label_source,   // … and of the first layer's classes
-                __global const int *restrict column_source,  // (padded col)
-                STRUCTURE_CONSTANTS,
-                __global uint *restrict labels,              // (row, col)
-                int source_rows, int rows, int columns) {
+void structures(STRUCTURES_PARAMETERS) {
     const int x0 = get_group_id(0) * TILE, y0 = get_group_id(1) * BAND;
     const int y1 = min(y0 + BAND, rows), width = min(TILE, columns - x0), span = width + 2 * STRUCTURE_REACH;
     const size_t stride = (size_t)source_rows * columns;

@@ -11,14 +11,7 @@ INLINE uint next_node(uint node, const Evidence *e, __global const uint *nodes) 
 }
 
 __kernel __attribute__((reqd_work_group_size(TILE, BAND, 1)))
-void structures(__global const int *restrict planes,       // (plane, source row, col)
-                __global const uint *restrict first_labels,  // (source row, col) of the first layer
-                __global const int *restrict row_source,     // (padded row) of the planes …
-                __global const int *restrict label_source,   // … and of the first layer's classes
-                __global const int *restrict column_source,  // (padded col)
-                STRUCTURE_CONSTANTS,
-                __global uint *restrict labels,              // (row, col)
-                int source_rows, int rows, int columns) {
+void structures(STRUCTURES_PARAMETERS) {
     const int x = get_group_id(0) * TILE + get_local_id(0), y = get_group_id(1) * BAND + get_local_id(1);
     if (x >= columns || y >= rows) return;
     const size_t stride = (size_t)source_rows * columns;

@@ -231,14 +231,14 @@ class OpenCLRenderer:
         """How a later layer comes to its planes and classes; `first` is the program of the first layer."""
         cl, table, pack = pyopencl(), self.table, layout.VARIANTS[self.variant].pack
         layer, before = table.later[number], table.later[number - 1] if number else None
+        exact, kind = layout.exact_type(self.variant == "processor" and bool(self.device.double_fp_config))
+        between = {**layout.TO_PLANES, "EXACT": exact}
         if before is None:
             weights, maker = layout.plane_weights(fixed_point(table)), first
         else:
             fixed = later_fixed_point(before, opponent_basis(table.white_point))
-            exact, kind = layout.exact_type(self.variant == "processor" and bool(self.device.double_fp_config))
-            weights = layout.plane_weights(fixed, layout.PLANES, kind)
-            maker = self._build_later(before, {**layout.TO_PLANES, "EXACT": exact})
-        program = self._build_later(layer, layout.OUTPUTS_AS_THEY_ARE)
+            weights, maker = layout.plane_weights(fixed, layout.PLANES, kind), self._build_later(before, between)
+        program = self._build_later(layer, layout.OUTPUTS_AS_THEY_ARE if layer is table.later[-1] else between)
         kernels = cl.Kernel(maker, "transform"), cl.Kernel(program, "structures")
         rule = tuple(self._constant(array) for array in layout.rule_arrays(table, layer.rule, self.variant))
         nothing = self._constant(np.zeros(9, np.float32))
