@@ -34,7 +34,7 @@ def grey_patches(
     signal: Array | None,
 ) -> dict[int, Array]:
     """Moments (column, column) of flat greys for the classes near saturation in which greys come to lie: their mean
-    times the number of greys a patch of the class (ODDS).
+    times the number of greys a patch of the class (ODDS). Where every channel clips they are fully clipped.
 
     `window` (tap) names the channel of each tap, `white` (output) is that of the training light at Y = 1 and `signal`
     (channel) what the camera sees of it, `black_level` and `white_level` are the camera's, in DN.
@@ -50,7 +50,9 @@ def grey_patches(
         for nearly in NEARLY:
             saturated = clipped >= nearly * threshold
             case = int(saturation.cases(rule, saturation.code_of(saturated)))
-            if not case:
+            # Where all channels clip, greys are one point. Those whose last channel is still short of it would lay all that
+            # greys rise by into its last per cent, and textures, whose taps are far from it, came out black.
+            if not case or (saturated.all() and clipped.min() < 1.0):
                 continue
             share = saturated.mean()
             weight = np.sqrt(min(ODDS * share / max(1.0 - share, 1e-9), SUREST))
