@@ -23,7 +23,7 @@ from l3cli.physics.display import lab
 from l3cli.rendering.renderer import make_renderer
 from l3cli.simulation import sensor
 from l3cli.simulation.light import make_light, white_rates
-from l3cli.training.highlights import grey_patches, white_channels
+from l3cli.training.highlights import grey_patches, misleading, white_channels
 from tests.helpers.paths import CONFIGS
 
 SCENES = """
@@ -45,6 +45,7 @@ EVERY = [
     ("bayer", "single", "A", 5),
     ("bayer", "fast", "D65", 5),
     ("bayer", "default", "D65", 5),
+    ("rgbir", "fast", "D65", 5),
 ]
 
 
@@ -208,6 +209,15 @@ def test_clipped_areas_of_a_picture_are_neither_black_nor_magenta(tmp_path: Path
     bright = planes[:, inside & (share > 1)].mean(axis=1)
     bright_lab = lab(bright, learned.white)
     assert np.hypot(bright_lab[1], bright_lab[2]) < 5.0
+
+
+def test_surfaces_mislead_about_white_where_a_camera_sees_infrared() -> None:
+    """There the signals of white are those of its light, however surfaces look; elsewhere surfaces speak against a lens."""
+    for name, least, most in (("bayer", 0.0, 0.1), ("fiveband", 0.0, 0.1), ("rgbir", 0.3, 3.0)):
+        camera = load_camera(CONFIGS / f"cameras/{name}.toml")
+        misled = misleading(make_light("D65", {}, camera.wavelength).spectrum, camera)
+        assert misled.min() >= least
+        assert misled.max() < most
 
 
 def test_greys_are_taught_only_where_they_clip(bayer: CameraModel) -> None:
