@@ -14,7 +14,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import TrainingFrame, TrainingSet
 from l3cli.training.accumulate import sum_sites
 from l3cli.training.division import frame_blocks
-from l3cli.training.recipe import LearningRecipe, TrainingRecipe
+from l3cli.training.recipe import LearningRecipe, TrainingRecipe, for_camera
 from l3cli.training.row_weighting import row_weighting
 from l3cli.training.table import assemble, canonical_sites, learn_site, pilot_patches, survey, take_pilot
 from l3cli.training.training_pass import FIRST, LAST, TrainingPass, spread_patches
@@ -45,7 +45,7 @@ def measure(camera: CameraModel, case: Case) -> dict[str, Any]:
     """The faster of REPEATS trainings from frames in memory to a table, told apart by stages, and the peak memory of this
     process, which parallel.alone keeps to one thread. A row is a patch at one of the levels it is rescaled to."""
     frames = [made_up_frame(camera, seed) for seed in range(FRAMES)]
-    recipe = TrainingRecipe(learning=LearningRecipe(patches=case.patches))
+    recipe = for_camera(TrainingRecipe(learning=LearningRecipe(patches=case.patches)), camera)
     times, rows = [], 0
     for _ in range(REPEATS):
         start = time.process_time()

@@ -1,10 +1,12 @@
 """What a class recipe (configs/classes) may say."""
 
 import itertools
+import math
 from typing import Annotated, ClassVar, Literal
 
 import msgspec
 
+from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.tree_rule import MOST_LEAVES
 from l3cli.classes.recipe import ClassRecipe
 from l3cli.config import Count, CountOrNone, Positive, Recipe, Share
@@ -13,6 +15,7 @@ from l3cli.errors import RecipeError
 MOST_PATCHES = 1_000_000_000
 MOST_LATER = 3  # layers after the first
 MOST_STRENGTH = 1e5  # an edge of the structure tensor's trace: what gradients reach lies far below
+MOST_OF_HIGHLIGHTS = 0.5  # where highlights begin: darker than that are the darkest levels of a camera that sees noise alone
 LEAST_STEP = 0.001  # between such edges, which are stored as integers
 NotNegative = Annotated[float, msgspec.Meta(ge=0)]
 MOST_DRAWS = 1000  # levels of one patch: more tell nothing new
@@ -25,7 +28,7 @@ class LearningRecipe(Recipe):
     draws: Annotated[int, msgspec.Meta(ge=1, le=MOST_DRAWS)] = 8  # levels drawn a patch (docs/method.md#level-rescaling)
     # levels drawn a patch in the pass whose errors weigh the rows of the second; 0: one pass only
     first_draws: Annotated[int, msgspec.Meta(ge=0, le=MOST_DRAWS)] = 3
-    darkest: float = 0.003  # levels are drawn log-uniformly from here …
+    darkest: float = 0.0  # levels are drawn log-uniformly from here; 0: from where the camera's noise equals the signal …
     brightest: float = 2.5  # … to here, clipped at the white level
     highlight_share: float = 0.25  # this share of the draws …
     highlight_from: float = 0.15  # … lies between here and the brightest
@@ -81,10 +84,23 @@ class TrainingRecipe(Recipe):
     layer: tuple[LayerRecipe, ...] = ()  # layers after the first
 
 
+def for_camera(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
+    """The recipe with what it leaves to the camera: the darkest level, where it names none, is that of a signal as large as
+    its noise, but not below the levels of the classes (docs/method.md#level-rescaling)."""
+    if recipe.learning.darkest:
+        return recipe
+    constant, linear, quadratic = camera.noise_terms()
+    power = max(1 - quadratic, 1e-6)  # of s² = constant + linear s + quadratic s²
+    signal = (linear + math.sqrt(linear**2 + 4 * power * constant)) / (2 * power)
+    level = max(signal / (camera.white_level - camera.black_level), recipe.classes.lowest_level)
+    darkest = min(level, MOST_OF_HIGHLIGHTS * recipe.learning.highlight_from)
+    return msgspec.structs.replace(recipe, learning=msgspec.structs.replace(recipe.learning, darkest=darkest))
+
+
 def check_learning(recipe: LearningRecipe) -> None:
     """RecipeError if a number of the learning recipe cannot be."""
-    if not 0 < recipe.darkest < recipe.highlight_from < recipe.brightest:
-        raise RecipeError("learning needs 0 < darkest < highlight_from < brightest")
+    if not 0 <= recipe.darkest < recipe.highlight_from < recipe.brightest:
+        raise RecipeError("learning needs 0 ≤ darkest < highlight_from < brightest")
     if not 0 <= recipe.highlight_share <= 1:
         raise RecipeError("learning.highlight_share must lie in 0…1")
     if recipe.ridge <= 0 or recipe.luminance_noise < 0 or recipe.chroma_noise < 0:

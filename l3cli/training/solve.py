@@ -1,7 +1,7 @@
 """From sums to transforms: a Wiener solution a class, thin ones shrunk, empty ones filled (docs/method.md#solution)."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,14 @@ class Goal:
     misled: Array | float = 0.0  # (channel) how far off, relatively, surfaces make the signals of white
 
 
+class Equations(NamedTuple):
+    """How the equations of an output differ from those of the others."""
+
+    noise: float  # how much noise weighs against bias (docs/method.md#noise-weights)
+    greys: bool  # whether what clips is taught to be grey (docs/method.md#clipped-areas): luminance, only where plain areas
+    # have classes for themselves, for textures that clip have other means
+
+
 @dataclass(frozen=True)
 class Solution:
     """Wiener solutions of the classes of one canonical site, in the opponent basis, and what it costs to bend them.
@@ -41,8 +49,8 @@ class Solution:
 
     rows: Array  # (class, tap + 1, output)
     response: Array  # (class, channel + 1, output)
-    compliance: Array  # (class, noise factor, tap + 1, channel + 1)
-    softness: Array  # (class, noise factor, channel + 1, channel + 1): the response of the compliance
+    compliance: Array  # (class, equations, tap + 1, channel + 1)
+    softness: Array  # (class, equations, channel + 1, channel + 1): the response of the compliance
     solved: NDArray[np.bool_]  # (class)
     samples: Array  # (class) patches of its own
     condition: Array  # (class) of the equations for the least noisy row; 0: not solved
@@ -81,26 +89,28 @@ def solve(
     places = symmetric_places(stabilisers, window.size + 1 + len(goal.outputs))
     groups = np.append(window, window.max() + 1)  # every channel, and the intercept as one more
     member = (groups[None] == np.arange(groups.max() + 1)[:, None]).astype(np.float64)
-    factors = _noise_factors(recipe, goal)
+    equations = _equations(recipe, goal, rule)
     basis = _opponent_basis(goal)
     white = white_channels(sums, rule, window, goal.white, goal.white_signal, goal.misled)
     greys = grey_patches(sums, rule, window, goal.white, goal.black_level, goal.white_level, white)
     rows = np.zeros((solved.size, groups.size, len(goal.outputs)))
-    compliance = np.zeros((solved.size, len(set(factors)), groups.size, len(member)))
+    compliance = np.zeros((solved.size, len(set(equations)), groups.size, len(member)))
     condition, power = np.zeros(solved.size), np.zeros(solved.size)
     means = member[:-1, :-1] / member[:-1, :-1].sum(axis=1, keepdims=True)
-    columns = {factor: [column for column, each in enumerate(factors) if each == factor] for factor in sorted(set(factors))}
+    columns = {one: [column for column, each in enumerate(equations) if each == one] for one in sorted(set(equations))}
     for index in np.flatnonzero(solved).tolist():
         packed, noise = _shrunk(sums, parents, index, rule, recipe)
         moments = moment_matrix(packed[places].mean(axis=0), groups.size + len(goal.outputs))
         noise = noise[np.array(stabilisers)].mean(axis=0)
+        taught = moments
         if index in greys:
-            moments += (sums.count[index] + recipe.parent_patches) * greys[index]
+            taught = moments + (sums.count[index] + recipe.parent_patches) * greys[index]
         power[index] = np.einsum("ct,tu,cu->", means, moments[: window.size, : window.size], means)
         used = groups.size if rule.case(rule.split(index).kind) else groups.size - 1  # an intercept if saturated
-        for number, (factor, wanted) in enumerate(columns.items()):
-            system = _system(moments[:used, :used], noise, factor, recipe.ridge)
-            cross = moments[:used, groups.size :] @ basis[:, wanted]
+        for number, ((factor, with_greys), wanted) in enumerate(columns.items()):
+            of = taught if with_greys else moments
+            system = _system(of[:used, :used], noise, factor, recipe.ridge)
+            cross = of[:used, groups.size :] @ basis[:, wanted]
             solution, worst = _solve_positive(system, np.concatenate([cross, member.T[:used]], axis=1))
             rows[index, :used, wanted] = solution[:, : len(wanted)].T
             compliance[index, number, :used] = solution[:, len(wanted) :]
@@ -117,13 +127,12 @@ def equal_responses(
     solution for are filled from the nearest, at all sites from the same one. L3Error if there is no class that all sites
     have a solution for.
     """
-    factors = _noise_factors(recipe, goal)
     solved = np.all([solution.solved for solution in solutions], axis=0)
     if not solved.any():
         raise L3Error("no class has training patches at every CFA site; simulate more frames")
     bent = [solution.rows for solution in solutions]
     if recipe.equal_response:
-        bent = _bent(solutions, copies, rule, solved, goal, factors)
+        bent = _bent(solutions, copies, rule, solved, goal, _equations(recipe, goal, rule))
     back = np.linalg.inv(_opponent_basis(goal))
     transforms = []
     for solution, rows in zip(solutions, bent, strict=True):
@@ -138,7 +147,7 @@ def _bent(
     rule: ClassRule,
     solved: NDArray[np.bool_],
     goal: Goal,
-    factors: list[float],
+    equations: list[Equations],
 ) -> list[Array]:
     """Rows (class, tap + 1, output) of the sites. Of all common responses the one of least total squared error is taken."""
     bent = [solution.rows.copy() for solution in solutions]
@@ -151,8 +160,8 @@ def _bent(
     for kind in (False, True):
         used = slice(None) if kind else slice(0, -1)  # without an intercept there is none to equalise
         here = np.flatnonzero(solved & (saturated == kind))
-        for output, factor in enumerate(factors):
-            number = sorted(set(factors)).index(factor)
+        for output, each in enumerate(equations):
+            number = sorted(set(equations)).index(each)
             stiffness = []
             for solution in solutions:
                 softness = solution.softness[here, number][:, used, used]
@@ -261,11 +270,12 @@ def _solve_positive(system: Array, right: Array) -> tuple[Array, float]:
     return solution, 1.0 / max(reciprocal, 1e-30)
 
 
-def _noise_factors(recipe: LearningRecipe, goal: Goal) -> list[float]:
-    """How much each row of the opponent basis weighs noise against bias (docs/method.md#noise-weights)."""
-    if goal.outputs == XYZ:
-        return [recipe.chroma_noise, recipe.luminance_noise, recipe.chroma_noise]
-    return [min(recipe.luminance_noise, 1.0)] * len(goal.outputs)  # what is no picture has no eyes to please
+def _equations(recipe: LearningRecipe, goal: Goal, rule: ClassRule) -> list[Equations]:
+    """Of each row of the opponent basis."""
+    if goal.outputs != XYZ:  # what is no picture has no eyes to please
+        return [Equations(min(recipe.luminance_noise, 1.0), True)] * len(goal.outputs)
+    chroma = Equations(recipe.chroma_noise, True)
+    return [chroma, Equations(recipe.luminance_noise, rule.contrasts > 1), chroma]
 
 
 def _opponent_basis(goal: Goal) -> Array:

@@ -143,7 +143,7 @@ def test_plain_areas_show_no_pattern_at_any_level(learned: Learned) -> None:
 def test_plain_areas_show_no_pattern_under_noise(learned: Learned) -> None:
     """Noise sorts the pixels of a plain area into different classes, at some sites more often than at others: within 0.2 %
     and what the mean of so many pixels can be off by chance; up to 1 % in the dark, where noise decides the class, and where
-    a channel is just about to clip (README, Limits)."""
+    a channel is just about to clip, or 2.5 % if plain areas have no classes for themselves there (README, Limits)."""
     renderer, rng = make_renderer("opencl", learned.table), np.random.default_rng(3)
     clip = learned.rates / learned.rates.max()
     for exposure in (0.01, 0.03, 0.1, 0.2, 0.4, 0.6, 0.8, 1.05, 1.15, 1.3, 1.5, 2.0, 3.0):
@@ -153,6 +153,8 @@ def test_plain_areas_show_no_pattern_under_noise(learned: Learned) -> None:
         chance = planes[:, 8:-8, 8:-8].std(axis=(1, 2)) * 4.5 / np.sqrt(count)  # the spread of up to 16 means
         about_to_clip = (np.abs(exposure * clip - 0.99) < 0.04).any()
         bound = 0.01 if about_to_clip or exposure <= 0.01 else 0.002
+        if about_to_clip and learned.table.first.rule.contrasts == 1:
+            bound = 0.025  # less than one step of L*
         spread = np.ptp(means, axis=0) / means.mean(axis=0)
         assert (spread <= bound + chance / means.mean(axis=0)).all(), (exposure, spread)
 

@@ -44,7 +44,7 @@ TRUTH[:, 1, -1] += np.array([0.0, 1.0, 0.0]) - TRUTH[:, 1].sum(axis=-1)
 def a_pass(bayer: CameraModel, **recipe: Any) -> LayerPass:
     table = dataclasses.replace(a_table(bayer), camera=bayer)
     layer = LayerRecipe(side=SIDE, **{"rows": 2000, **recipe})
-    settings = TrainingRecipe(layer=(layer,), learning=LearningRecipe(symmetry=False))
+    settings = TrainingRecipe(layer=(layer,), learning=LearningRecipe(symmetry=False, darkest=0.003))
     return layer_pass(table, settings, (2,) * 6, seed=1)
 
 

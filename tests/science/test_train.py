@@ -28,7 +28,7 @@ from l3cli.errors import L3Error
 from l3cli.io.images import read_image
 from l3cli.training.accumulate import sum_sites
 from l3cli.training.patches import draw_levels, expose_patches, sample_patches
-from l3cli.training.recipe import LayerRecipe, LearningRecipe, TrainingRecipe
+from l3cli.training.recipe import LayerRecipe, LearningRecipe, TrainingRecipe, for_camera
 from l3cli.training.sums import EXACT, STEP, add_rounded, grid_steps, moment_matrix
 from l3cli.training.symmetry import orientations, site_maps, stabilisers
 from l3cli.training.table import add_up
@@ -112,13 +112,29 @@ def test_contributions_are_rounded_to_whole_steps() -> None:
 @settings(deadline=None)
 @given(st.integers(0, 1000))
 def test_levels_cover_the_declared_range(seed: int) -> None:
-    recipe = LearningRecipe()
+    recipe = LearningRecipe(darkest=0.003)
     levels = draw_levels(recipe, 4000, np.random.default_rng(seed))
     assert levels.min() >= recipe.darkest
     assert levels.max() <= recipe.brightest
     uniform = np.log(recipe.brightest / recipe.highlight_from) / np.log(recipe.brightest / recipe.darkest)
     expected = recipe.highlight_share + (1 - recipe.highlight_share) * uniform
     assert (levels > recipe.highlight_from).mean() == pytest.approx(expected, abs=0.04)
+
+
+@settings(deadline=None)
+@given(read=st.floats(0.5, 60), well=st.floats(2000, 60000), prnu=st.floats(0, 0.02))
+def test_the_darkest_level_is_where_noise_equals_the_signal(
+    fiveband: CameraModel, read: float, well: float, prnu: float
+) -> None:
+    noise = dataclasses.replace(fiveband.noise, read_noise=read, prnu=prnu)
+    camera = dataclasses.replace(fiveband, noise=noise, gain=4095 / well)
+    asked = TrainingRecipe(classes=ClassRecipe(lowest_level=1e-5))
+    level = for_camera(asked, camera).learning.darkest
+    signal = level * (camera.white_level - camera.black_level)
+    assert camera.noise_variance(np.array(signal)) == pytest.approx(signal**2, rel=1e-6)
+    assert for_camera(TrainingRecipe(), camera).learning.darkest == max(level, 0.001)
+    named = TrainingRecipe(learning=LearningRecipe(darkest=0.02))
+    assert for_camera(named, camera) == named
 
 
 def test_rare_saturation_patterns_join_the_nearest_kept_one() -> None:
@@ -169,7 +185,7 @@ def test_sums_are_exact_in_any_order(bayer: CameraModel) -> None:
     rule = make_rule(ClassRecipe(patch=3, levels=4), bayer, np.zeros(8, np.uint16))
     near = neighbourhoods(bayer.cfa, 3, 3)
     head = TrainingSet(camera=bayer, outputs=("X", "Y", "Z"), target_description="")
-    pass_ = TrainingPass(head, (1000,) * 6, rule, LearningRecipe(patches=6000, draws=2), np.ones(3), 1, LAST)
+    pass_ = TrainingPass(head, (1000,) * 6, rule, LearningRecipe(patches=6000, draws=2, darkest=0.003), np.ones(3), 1, LAST)
     frames = [a_frame(bayer, seed, smooth=False) for seed in range(6)]
     parts = [sum_sites(pass_, [(index, (1,), iter([frame]))], {1: None})[1] for index, frame in enumerate(frames)]
     forward, backward = add_up(pass_, parts), add_up(pass_, parts[::-1])

@@ -64,7 +64,7 @@ def test_every_set_gets_its_share(sets: list[tuple[int, Fraction]], patches: int
 def a_pass(bayer: CameraModel, patches: tuple[int, ...], **recipe: Any) -> TrainingPass:
     rule = make_rule(ClassRecipe(**{"patch": 3, "levels": 4, **recipe}), bayer, np.zeros(8, np.uint16))
     head = TrainingSet(camera=bayer, outputs=("X", "Y", "Z"), target_description="")
-    return TrainingPass(head, patches, rule, LearningRecipe(), np.ones(3), 0, LAST)
+    return TrainingPass(head, patches, rule, LearningRecipe(darkest=0.003), np.ones(3), 0, LAST)
 
 
 @given(st.lists(st.integers(1, 120_000), min_size=1, max_size=40))
@@ -351,7 +351,7 @@ def test_the_benchmark_accounts_for_its_time(fiveband: CameraModel) -> None:
     few = ClassRecipe(patch=5, levels=4, chromas=2)
     frames = [made_up_frame(fiveband, seed) for seed in range(2)]
     with cProfile.Profile() as profile:
-        rows = train(frames, fiveband, TrainingRecipe(classes=few, learning=LearningRecipe(patches=500)))
+        rows = train(frames, fiveband, TrainingRecipe(classes=few, learning=LearningRecipe(patches=500, darkest=0.003)))
     assert rows == 5 * 500 * (3 + 8)
     shares = stage_shares(profile)
     assert sum(shares.values()) == pytest.approx(1.0)

@@ -12,7 +12,7 @@ from l3cli.config import load_recipe, read_text
 from l3cli.errors import InputFileError
 from l3cli.files import require_same, sha256, stamp
 from l3cli.recipes import known_recipes
-from l3cli.training.recipe import TrainingRecipe
+from l3cli.training.recipe import TrainingRecipe, for_camera
 from l3cli.training.training_pass import FIRST, spread_patches
 
 FIRST_PASS = "first"  # whose table is not the end of a run, as those of layers after which others follow are not
@@ -70,6 +70,7 @@ def open_run(
     recipe = load_recipe(classes, TrainingRecipe)
     stamps = {path: stamp(path) for path in training}
     head, frames = _common_head(training)
+    recipe = for_camera(recipe, head.camera)
     chosen: dict[str, Any] = {"seed": seed}
     if shares is not None:
         training, frames, shares = zip(
