@@ -9,9 +9,12 @@ do; among textures, where other pixels tell the colour, they would only cost det
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.partial_sums import ClassSums
+from l3cli.artifacts.training_set import LightSpectrum
 from l3cli.classes import level, saturation
+from l3cli.physics import spectra
 from l3cli.training.sums import moment_matrix
 
 Array = NDArray[np.float64]
@@ -20,7 +23,7 @@ DARKEST, BRIGHTEST, STEP = 0.3, 1.6, 1.02  # greys, of those that just clip the 
 NEARLY = (0.94, 0.97, 1.0)  # of the saturation threshold: noise lets greys this bright clip
 ODDS = 4.0  # greys a patch of the class, times clipped channels per one that is not; 1 leaves seams between classes …
 SUREST = 30.0  # … and this many where every channel clips
-FARTHEST = 0.1  # white's signals from what patches make likely
+FARTHEST = 0.1  # white's signals from what patches make likely, or as far as measured surfaces mislead about them
 FAINTEST = 1e-6  # of the largest: directions in which the outputs vary less are not followed
 
 
@@ -34,7 +37,7 @@ def grey_patches(
     signal: Array | None,
 ) -> dict[int, Array]:
     """Moments (column, column) of flat greys for the classes near saturation in which greys come to lie: their mean
-    times the number of greys a patch of the class (ODDS).
+    times the number of greys a patch of the class (ODDS). Where every channel clips they are fully clipped.
 
     `window` (tap) names the channel of each tap, `white` (output) is that of the training light at Y = 1 and `signal`
     (channel) what the camera sees of it, `black_level` and `white_level` are the camera's, in DN.
@@ -50,7 +53,9 @@ def grey_patches(
         for nearly in NEARLY:
             saturated = clipped >= nearly * threshold
             case = int(saturation.cases(rule, saturation.code_of(saturated)))
-            if not case:
+            # Where all channels clip, greys are one point. Those whose last channel is still short of it would lay all that
+            # greys rise by into its last per cent, and textures, whose taps are far from it, came out black.
+            if not case or (saturated.all() and clipped.min() < 1.0):
                 continue
             share = saturated.mean()
             weight = np.sqrt(min(ODDS * share / max(1.0 - share, 1e-9), SUREST))
@@ -62,14 +67,33 @@ def grey_patches(
 
 
 def white_channels(
-    sums: ClassSums, rule: ClassRule, window: NDArray[np.int64], white: Array, known: Array | None
+    sums: ClassSums,
+    rule: ClassRule,
+    window: NDArray[np.int64],
+    white: Array,
+    known: Array | None,
+    misled: Array | float = 0.0,
 ) -> Array | None:
     """Signals (channel) of the training light's white at Y = 1: those `known`, unless the patches speak against it, as they
-    do of frames through another lens; else those that they make likely. None if there are no patches."""
+    do of frames through another lens; else those that they make likely. None if there are no patches. `misled` (channel):
+    how far off, relatively, surfaces are known to make them."""
     likely = _channels_of(_flat_moments(sums, rule, window.size + 1 + white.size), window, white)
-    if known is None or likely is None or np.abs(known / likely - 1).max() > FARTHEST:
+    if known is None or likely is None or (np.abs(known / likely - 1) > np.maximum(misled, FARTHEST)).any():
         return likely
     return known
+
+
+def misleading(light: LightSpectrum, camera: CameraModel) -> Array:
+    """How far from the truth (channel), relatively, the signals of white are that measured surfaces under a light make
+    likely: a few per cent for visible light, much where a camera sees infrared, of which X, Y, Z tell nothing."""
+    radiance = spectra.resample(light.radiance.astype(np.float64), light.wavelength, camera.wavelength)
+    lit = np.vstack([radiance, spectra.reflectance_library(camera.wavelength) * radiance])
+    outputs, signals = lit @ spectra.xyz_weights(camera.wavelength).T, lit @ camera.electron_weights.T
+    if not (outputs[:, 1].min() > 0 and signals[0].min() > 0):
+        return np.zeros(len(camera.channels))
+    outputs, signals = outputs / outputs[:, 1:2], signals / outputs[:, 1:2]
+    of_outputs = np.linalg.lstsq(outputs[1:], signals[1:], rcond=None)[0]
+    return np.abs(outputs[0] @ of_outputs / signals[0] - 1.0)
 
 
 def plain_colours(sums: ClassSums, rule: ClassRule, window: NDArray[np.int64]) -> Array:

@@ -28,6 +28,7 @@ class Goal:
     white_signal: Array | None  # (channel) its signals, shares of full scale; None: not known
     black_level: float  # DN, of the camera
     white_level: float  # DN, at which a pixel of the camera saturates
+    misled: Array | float = 0.0  # (channel) how far off, relatively, surfaces make the signals of white
 
 
 class Equations(NamedTuple):
@@ -90,7 +91,7 @@ def solve(
     member = (groups[None] == np.arange(groups.max() + 1)[:, None]).astype(np.float64)
     equations = _equations(recipe, goal, rule)
     basis = _opponent_basis(goal)
-    white = white_channels(sums, rule, window, goal.white, goal.white_signal)
+    white = white_channels(sums, rule, window, goal.white, goal.white_signal, goal.misled)
     greys = grey_patches(sums, rule, window, goal.white, goal.black_level, goal.white_level, white)
     rows = np.zeros((solved.size, groups.size, len(goal.outputs)))
     compliance = np.zeros((solved.size, len(set(equations)), groups.size, len(member)))

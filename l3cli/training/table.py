@@ -20,6 +20,7 @@ from l3cli.classes.saturation import choose_cases, saturation_codes
 from l3cli.classes.windows import neighbourhoods
 from l3cli.errors import InputFileError
 from l3cli.physics import spectra
+from l3cli.training.highlights import misleading
 from l3cli.training.layers.mosaics import white_signal
 from l3cli.training.patches import draw_levels, expose_patches, patches_of
 from l3cli.training.recipe import LearningRecipe, TrainingRecipe
@@ -176,8 +177,11 @@ def assemble(pass_: TrainingPass, solutions: dict[int, Solution], history: tuple
 
 def _goal(pass_: TrainingPass) -> Goal:
     camera = pass_.head.camera
-    signal = None if pass_.light is None else white_signal(pass_.light, camera)
-    return Goal(pass_.head.outputs, pass_.white_point, signal, camera.black_level, camera.white_level)
+    levels = camera.black_level, camera.white_level
+    if pass_.light is None:
+        return Goal(pass_.head.outputs, pass_.white_point, None, *levels)
+    signal, misled = white_signal(pass_.light, camera), misleading(pass_.light, camera)
+    return Goal(pass_.head.outputs, pass_.white_point, signal, *levels, misled)
 
 
 def _light_of(frame: TrainingPair, camera: CameraModel) -> NDArray[np.float64]:

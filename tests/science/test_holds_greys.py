@@ -23,7 +23,7 @@ from l3cli.physics.display import lab
 from l3cli.rendering.renderer import make_renderer
 from l3cli.simulation import sensor
 from l3cli.simulation.light import make_light, white_rates
-from l3cli.training.highlights import grey_patches, white_channels
+from l3cli.training.highlights import grey_patches, misleading, white_channels
 from tests.helpers.paths import CONFIGS
 
 SCENES = """
@@ -45,6 +45,7 @@ EVERY = [
     ("bayer", "single", "A", 5),
     ("bayer", "fast", "D65", 5),
     ("bayer", "default", "D65", 5),
+    ("rgbir", "fast", "D65", 5),
 ]
 
 
@@ -212,6 +213,15 @@ def test_clipped_areas_of_a_picture_are_neither_black_nor_magenta(tmp_path: Path
     assert np.hypot(bright_lab[1], bright_lab[2]) < 5.0
 
 
+def test_surfaces_mislead_about_white_where_a_camera_sees_infrared() -> None:
+    """There the signals of white are those of its light, however surfaces look; elsewhere surfaces speak against a lens."""
+    for name, least, most in (("bayer", 0.0, 0.1), ("fiveband", 0.0, 0.1), ("rgbir", 0.3, 3.0)):
+        camera = load_camera(CONFIGS / f"cameras/{name}.toml")
+        misled = misleading(make_light("D65", {}, camera.wavelength).spectrum, camera)
+        assert misled.min() >= least
+        assert misled.max() < most
+
+
 def test_greys_are_taught_only_where_they_clip(bayer: CameraModel) -> None:
     """Sums of grey patches alone: white's channels follow from them, and every taught row is a clipped grey."""
     cases = np.arange(8).astype(np.uint16)
@@ -235,5 +245,7 @@ def test_greys_are_taught_only_where_they_clip(bayer: CameraModel) -> None:
         assert 1 in saturated  # green clips first
         taps = np.sqrt(np.diag(moments)[:9] / moments[9, 9])
         assert taps[np.isin(window, saturated)] == pytest.approx(1.0, abs=0.08)
+        if len(saturated) == 3:
+            assert taps == pytest.approx(1.0)
         outputs = moments[10:, 9] / moments[9, 9]
         assert outputs / outputs[1] == pytest.approx(white)
