@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.partial_sums import ClassSums
 from l3cli.errors import L3Error
-from l3cli.training.highlights import grey_patches, plain_colours, white_channels
+from l3cli.training.highlights import flat_moments, grey_patches, plain_colours, white_channels
 from l3cli.training.recipe import LearningRecipe
+from l3cli.training.single_bands import output_gains, single_bands, teaches
 from l3cli.training.sums import moment_matrix, symmetric_places
 
 Array = NDArray[np.float64]
@@ -24,6 +25,7 @@ class Goal:
     """What the transforms are to give."""
 
     outputs: tuple[str, ...]
+    channels: tuple[str, ...]
     white: Array  # (output) a perfect white under the training light, Y = 1
     white_signal: Array | None  # (channel) its signals, shares of full scale; None: not known
     black_level: float  # DN, of the camera
@@ -84,6 +86,9 @@ def solve(
     basis = _opponent_basis(goal)
     white = white_channels(sums, rule, window, goal.white, goal.white_signal)
     greys = grey_patches(sums, rule, window, goal.white, goal.black_level, goal.white_level, white)
+    gains = None
+    if goal.outputs == goal.channels:
+        gains = output_gains(flat_moments(sums, rule, groups.size + len(goal.outputs)), window)
     rows = np.zeros((solved.size, groups.size, len(goal.outputs)))
     compliance = np.zeros((solved.size, len(set(factors)), groups.size, len(member)))
     condition, power = np.zeros(solved.size), np.zeros(solved.size)
@@ -95,6 +100,8 @@ def solve(
         noise = noise[np.array(stabilisers)].mean(axis=0)
         if index in greys:
             moments += (sums.count[index] + recipe.parent_patches) * greys[index]
+        if gains is not None and teaches(rule, index):
+            moments += single_bands(moments, window, gains)
         power[index] = np.einsum("ct,tu,cu->", means, moments[: window.size, : window.size], means)
         used = groups.size if rule.case(rule.split(index).kind) else groups.size - 1  # an intercept if saturated
         for number, (factor, wanted) in enumerate(columns.items()):

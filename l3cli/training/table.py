@@ -177,7 +177,7 @@ def assemble(pass_: TrainingPass, solutions: dict[int, Solution], history: tuple
 def _goal(pass_: TrainingPass) -> Goal:
     camera = pass_.head.camera
     signal = None if pass_.light is None else white_signal(pass_.light, camera)
-    return Goal(pass_.head.outputs, pass_.white_point, signal, camera.black_level, camera.white_level)
+    return Goal(pass_.head.outputs, camera.channels, pass_.white_point, signal, camera.black_level, camera.white_level)
 
 
 def _light_of(frame: TrainingPair, camera: CameraModel) -> NDArray[np.float64]:
