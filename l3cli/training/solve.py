@@ -16,7 +16,8 @@ from l3cli.training.sums import moment_matrix, symmetric_places
 
 Array = NDArray[np.float64]
 XYZ = ("X", "Y", "Z")
-CASE_SHARE = 0.1  # of the pseudo-patches come from all levels of a case
+CASE_SHARE = 0.1  # of the pseudo-patches come from all levels of a case …
+THIN_PARENT = 100.0  # … and half of the others, where a level of the case has so few patches
 PLAIN = 0.2  # plain patches, a patch of a textured class, on which a difference between sites counts as an error
 
 
@@ -218,24 +219,25 @@ def _shrunk(sums: ClassSums, parents: ClassSums, index: int, rule: ClassRule, re
 
 def _parents(sums: ClassSums, rule: ClassRule) -> ClassSums:
     """Mean sums of a patch of each parent: the classes of its level, contrast and saturation case, whatever their chroma
-    and further features, or where none of them has patches those of any contrast; and a share of its case's
-    (docs/method.md#thin-classes). A parent's count is that of its level and case."""
+    and further features, or where none of them has patches those of any contrast; and a share of its case's,
+    the larger the fewer patches there are (docs/method.md#thin-classes). A parent's count is that of its level and case."""
     first = np.unique(rule.case(np.arange(rule.kinds)), return_index=True)[1]  # kind of each case
 
     def by_case(values: Array) -> Array:
         return np.add.reduceat(values.reshape(*rule.shape, -1), first, axis=3).sum(axis=2)
 
     count = by_case(sums.count)
+    level_count = np.broadcast_to(count.sum(axis=1, keepdims=True), count.shape)
 
     def means(values: Array) -> Array:
         summed = by_case(values)
         near = summed / np.maximum(count, 1e-9)
         level = summed.sum(axis=1, keepdims=True) / np.maximum(count.sum(axis=1, keepdims=True), 1e-9)
         case = summed.sum(axis=(0, 1)) / np.maximum(count.sum(axis=(0, 1)), 1e-9)
-        mean = (1 - CASE_SHARE) * np.where(count > 0, near, level) + CASE_SHARE * case
+        known = (1 - CASE_SHARE) * level_count / (level_count + THIN_PARENT)
+        mean = known * np.where(count > 0, near, level) + (1 - known) * case
         return mean.reshape(-1, summed.shape[-1])
 
-    level_count = np.broadcast_to(count.sum(axis=1, keepdims=True), count.shape)
     return ClassSums(means(sums.moments), means(sums.noise), level_count.reshape(-1).copy())
 
 

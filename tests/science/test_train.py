@@ -31,6 +31,7 @@ from l3cli.rendering.renderer import make_renderer
 from l3cli.training.accumulate import sum_sites
 from l3cli.training.patches import draw_levels, expose_patches, sample_patches
 from l3cli.training.recipe import LayerRecipe, LearningRecipe, TrainingRecipe
+from l3cli.training.solve import _parent_of, _parents
 from l3cli.training.sums import EXACT, STEP, add_rounded, grid_steps, moment_matrix
 from l3cli.training.symmetry import orientations, site_maps, stabilisers
 from l3cli.training.table import add_up
@@ -333,6 +334,18 @@ def test_plain_areas_show_no_cfa_pattern(bayer: CameraModel, tmp_path: Path, l3:
     assert trained.sum() > 5
     spread = np.ptp(response[:, trained], axis=0)
     assert spread.max() < 2e-3 * np.abs(response[:, trained]).max()
+
+
+def test_a_parent_of_few_patches_leans_on_its_case(bayer: CameraModel) -> None:
+    """A handful of patches cannot stand for all colours of a level, as they did for pixels near highlights."""
+    rule = make_rule(ClassRecipe(patch=3, levels=6), bayer, np.arange(8).astype(np.uint16))
+    thin, thick = (rule.join(level, 0, rule.chromas - 1 + 3) for level in (1, 4))
+    count = np.zeros(rule.classes_per_site)
+    count[thin], count[thick] = 4, 5000
+    one = np.where(np.arange(count.size) == thin, 100.0, 1.0)[:, None]  # what a patch of each class adds
+    parents = _parents(ClassSums(count[:, None] * one, count[:, None] * one, count), rule)
+    assert parents.moments[_parent_of(thin, rule), 0] == pytest.approx(1.0, abs=5.0)
+    assert parents.moments[_parent_of(thick, rule), 0] == pytest.approx(1.0, abs=0.1)
 
 
 def test_plain_areas_may_have_spectra_that_training_lacks(bayer: CameraModel, tmp_path: Path, l3: Callable) -> None:
