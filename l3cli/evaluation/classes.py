@@ -24,7 +24,7 @@ class ClassErrors:
         self._sums = {name: np.zeros(table.first.rule.shape) for name in pipelines}
 
     def add(self, labels: NDArray[np.integer], errors: dict[str, Array]) -> None:
-        """Count a frame: class (row, col) of every pixel and the error (row, col) of every pipeline there."""
+        """Count pixels of a frame: the class (…) of each and the error (…) of every pipeline there."""
         rule = self._rule
         within, classes = rule.within_site(labels.ravel()), rule.classes_per_site
         self._pixels += rule.by_axis(np.bincount(within, minlength=classes))[0]

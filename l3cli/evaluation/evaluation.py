@@ -89,7 +89,8 @@ class Evaluation:
         if not self._pictures:
             self._bands.append({name: band_figures(of, frame.target, frame.white, border) for name, of in planes.items()})
         errors = {name: cropped(self._errors(of, frame), border) for name, of in planes.items()}
-        self._classes.add(cropped(labels, border), errors)
+        judged = np.isfinite(errors[OURS])  # the target alone decides
+        self._classes.add(cropped(labels, border)[judged], {name: error[judged] for name, error in errors.items()})
         return planes
 
     def document(self) -> dict[str, Any]:
@@ -105,7 +106,8 @@ class Evaluation:
         by_level       from, to (of the frames' level, a factor of two), frames, then per pipeline the mean figures
         by_illuminant  illuminant, frames, then as by_level
         by_band        outputs that are not XYZ: band, then per pipeline psnr, output_psnr and ssim, means over the frames
-        by_class       level, contrast, chroma, saturation: lists of what names a class, pixels, per pipeline the mean error
+        by_class       level, contrast, chroma, saturation: lists of what names a class, pixels, per pipeline the mean error;
+                       pixels without an angle are left out
         worst_classes  level, from, to, contrast, chroma (null if saturated), case, pixels, per pipeline the mean error
         """
         first = self._frames[0]
@@ -139,7 +141,7 @@ class Evaluation:
         return dataclasses.asdict(band_quality(planes, frame.target, frame.white, border))
 
     def _errors(self, planes: Array, frame: TrainingPair) -> Array:
-        """ΔE00 as displayed, or spectral angle in degrees, of every pixel (row, col)."""
+        """ΔE00 as displayed, or spectral angle in degrees, of every pixel (row, col); NaN where the target has no angle."""
         if not self._pictures:
             return spectral_angle(planes, frame.target)
         scale = white_luminance(frame.target[1])

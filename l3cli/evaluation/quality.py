@@ -32,7 +32,7 @@ class Quality:
 class BandQuality:
     """Figures of one frame of bands, or of any outputs that are not XYZ."""
 
-    mean_angle: float  # degrees, spectral angle of each pixel; 0 of a single output
+    mean_angle: float  # degrees, of the spectral angles of all pixels whose target has one; 0 of a single output
     median_angle: float
     p95_angle: float
     psnr: float  # dB over all outputs, of 8-bit codes linear in them: the frame's white is 255, what is brighter is cut
@@ -68,6 +68,7 @@ def band_quality(rendered: Array, target: Array, white: Array, border: int = 0) 
     peaks = _peaks(target, white)
     rendered, target = cropped(rendered, border), cropped(target, border)
     angle = spectral_angle(rendered, target)
+    angle = angle[np.isfinite(angle)] if np.isfinite(angle).any() else np.zeros(1)  # all of the target is black
     shares = [_shares(planes, white) for planes in (rendered, target)]
     return BandQuality(
         mean_angle=float(angle.mean()),

@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.floating]
 LEAST_ERROR = 1e-12  # mean square, of equal pictures: 120 dB
 WINDOW_SIGMA, WINDOW_REACH = 1.5, 5  # pixels, of the 11 × 11 Gaussian window of SSIM
+FAINTEST = float(np.finfo(np.float32).eps)  # spectra as much shorter than the picture's longest are rounding errors
 STABILISERS = (0.01**2, 0.03**2)  # C1 and C2 of SSIM for values in 0…1
 
 
@@ -34,11 +35,15 @@ def ssim(one: Array, other: Array) -> float:
     return float(similarity.mean())
 
 
-def spectral_angle(one: Array, other: Array) -> Array:
-    """Angle in degrees (row, col) between the spectra of two cubes (band, row, col); 0 where both, 90 where one is dark."""
-    lengths = [np.sqrt((cube.astype(np.float64) ** 2).sum(axis=0)) for cube in (one, other)]
-    units = [cube / np.where(length > 0, length, 1.0) for cube, length in zip((one, other), lengths, strict=True)]
+def spectral_angle(rendered: Array, target: Array) -> Array:
+    """Angle in degrees (row, col) between the spectra of two cubes (band, row, col).
+
+    NaN where the target has no direction, since its spectrum is zero, or shorter than float32 resolves beside the longest of
+    the picture; 90 where only the rendered spectrum is zero (docs/method.md#quality-figures).
+    """
+    cubes = [cube.astype(np.float64) for cube in (rendered, target)]
+    lengths = [np.sqrt((cube**2).sum(axis=0)) for cube in cubes]
+    units = [cube / np.where(length > 0, length, 1.0) for cube, length in zip(cubes, lengths, strict=True)]
     chord = np.sqrt(((units[0] - units[1]) ** 2).sum(axis=0))  # 2 sin(angle / 2): exact for small angles, unlike arccos
-    angle = np.degrees(2.0 * np.arcsin(np.minimum(chord / 2.0, 1.0)))
-    dark = [length <= 0 for length in lengths]
-    return np.where(dark[0] & dark[1], 0.0, np.where(dark[0] | dark[1], 90.0, angle))
+    angle = np.where(lengths[0] > 0, np.degrees(2.0 * np.arcsin(np.minimum(chord / 2.0, 1.0))), 90.0)
+    return np.where(lengths[1] > FAINTEST * lengths[1].max(), angle, np.nan)

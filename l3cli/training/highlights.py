@@ -77,7 +77,7 @@ def white_channels(
     """Signals (channel) of the training light's white at Y = 1: those `known`, unless the patches speak against it, as they
     do of frames through another lens; else those that they make likely. None if there are no patches. `misled` (channel):
     how far off, relatively, surfaces are known to make them."""
-    likely = _channels_of(_flat_moments(sums, rule, window.size + 1 + white.size), window, white)
+    likely = _channels_of(flat_moments(sums, rule, window.size + 1 + white.size), window, white)
     if known is None or likely is None or (np.abs(known / likely - 1) > np.maximum(misled, FARTHEST)).any():
         return likely
     return known
@@ -101,12 +101,12 @@ def plain_colours(sums: ClassSums, rule: ClassRule, window: NDArray[np.int64]) -
     trace 1."""
     width = int((np.sqrt(8 * sums.moments.shape[1] + 1) - 1) / 2)
     means = (window == np.arange(window.max() + 1)[:, None]) / np.bincount(window)[:, None]
-    colours = means @ _flat_moments(sums, rule, width)[: window.size, : window.size] @ means.T
+    colours = means @ flat_moments(sums, rule, width)[: window.size, : window.size] @ means.T
     colours += 1e-9 * np.eye(len(means)) * max(float(np.trace(colours)), 1e-9)
     return np.asarray(colours / np.trace(colours))
 
 
-def _flat_moments(sums: ClassSums, rule: ClassRule, width: int) -> Array:
+def flat_moments(sums: ClassSums, rule: ClassRule, width: int) -> Array:
     """Summed moments (column, column) of all unsaturated patches of the lowest contrast."""
     return moment_matrix(rule.by_axis(sums.moments)[0, :, 0, :, rule.kinds_of(0)].sum(axis=(0, 1, 2)), width)
 

@@ -1,7 +1,7 @@
 """From sums to transforms: a Wiener solution a class, thin ones shrunk, empty ones filled (docs/method.md#solution)."""
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,13 +9,14 @@ from numpy.typing import NDArray
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.partial_sums import ClassSums
 from l3cli.errors import L3Error
-from l3cli.training.highlights import grey_patches, plain_colours, white_channels
+from l3cli.training.highlights import flat_moments, grey_patches, plain_colours, white_channels
 from l3cli.training.recipe import LearningRecipe
+from l3cli.training.single_bands import output_gains, single_bands, teaches
 from l3cli.training.sums import moment_matrix, symmetric_places
+from l3cli.training.thin_classes import parent_of, parents_of, shrunk
 
 Array = NDArray[np.float64]
 XYZ = ("X", "Y", "Z")
-CASE_SHARE = 0.1  # of the pseudo-patches come from all levels of a case
 PLAIN = 0.2  # plain patches, a patch of a textured class, on which a difference between sites counts as an error
 
 
@@ -24,6 +25,7 @@ class Goal:
     """What the transforms are to give."""
 
     outputs: tuple[str, ...]
+    channels: tuple[str, ...]
     white: Array  # (output) a perfect white under the training light, Y = 1
     white_signal: Array | None  # (channel) its signals, shares of full scale; None: not known
     black_level: float  # DN, of the camera
@@ -35,8 +37,8 @@ class Equations(NamedTuple):
     """How the equations of an output differ from those of the others."""
 
     noise: float  # how much noise weighs against bias (docs/method.md#noise-weights)
-    greys: bool  # whether what clips is taught to be grey (docs/method.md#clipped-areas): luminance, only where plain areas
-    # have classes for themselves, for textures that clip have other means
+    taught: bool  # whether what clips is taught to be grey (docs/method.md#clipped-areas), and plain areas single bands:
+    # luminance only where plain areas have classes for themselves, for textures that clip have other means
 
 
 @dataclass(frozen=True)
@@ -81,8 +83,8 @@ def solve(
     """Solutions for every class of a site that has patches or a parent with patches: T = Y Xᵀ (X Xᵀ + Λ)⁻¹, thin classes
     helped by their neighbours; `window` (tap) names the channel of each tap, and `stabilisers` (tap) are the orientations
     that leave it as it is, over which sums are averaged. Raises L3Error if no class has any patches."""
-    parents = _parents(sums, rule)
-    parent = _parent_of(np.arange(sums.count.size), rule)
+    parents = parents_of(sums, rule)
+    parent = parent_of(np.arange(sums.count.size), rule)
     solved = parents.count[parent] > 0 if recipe.parent_patches else sums.count > 0
     if not solved.any():
         raise L3Error("no class has training patches; simulate more frames")
@@ -93,22 +95,27 @@ def solve(
     basis = _opponent_basis(goal)
     white = white_channels(sums, rule, window, goal.white, goal.white_signal, goal.misled)
     greys = grey_patches(sums, rule, window, goal.white, goal.black_level, goal.white_level, white)
+    gains = None
+    if goal.outputs == goal.channels:
+        gains = output_gains(flat_moments(sums, rule, groups.size + len(goal.outputs)), window)
     rows = np.zeros((solved.size, groups.size, len(goal.outputs)))
     compliance = np.zeros((solved.size, len(set(equations)), groups.size, len(member)))
     condition, power = np.zeros(solved.size), np.zeros(solved.size)
     means = member[:-1, :-1] / member[:-1, :-1].sum(axis=1, keepdims=True)
     columns = {one: [column for column, each in enumerate(equations) if each == one] for one in sorted(set(equations))}
     for index in np.flatnonzero(solved).tolist():
-        packed, noise = _shrunk(sums, parents, index, rule, recipe)
+        packed, noise = shrunk(sums, parents, index, rule, recipe)
         moments = moment_matrix(packed[places].mean(axis=0), groups.size + len(goal.outputs))
         noise = noise[np.array(stabilisers)].mean(axis=0)
         taught = moments
         if index in greys:
             taught = moments + (sums.count[index] + recipe.parent_patches) * greys[index]
-        power[index] = np.einsum("ct,tu,cu->", means, moments[: window.size, : window.size], means)
+        elif gains is not None and teaches(rule, index):
+            taught = moments + single_bands(moments, window, gains)
+        power[index] = np.einsum("ct,tu,cu->", means, taught[: window.size, : window.size], means)
         used = groups.size if rule.case(rule.split(index).kind) else groups.size - 1  # an intercept if saturated
-        for number, ((factor, with_greys), wanted) in enumerate(columns.items()):
-            of = taught if with_greys else moments
+        for number, ((factor, is_taught), wanted) in enumerate(columns.items()):
+            of = taught if is_taught else moments
             system = _system(of[:used, :used], noise, factor, recipe.ridge)
             cross = of[:used, groups.size :] @ basis[:, wanted]
             solution, worst = _solve_positive(system, np.concatenate([cross, member.T[:used]], axis=1))
@@ -197,55 +204,6 @@ def _slack(solutions: list[Solution], copies: list[int]) -> Array:
     if white is not None:
         slack -= np.outer(slack @ white, slack @ white) / (white @ slack @ white)  # greys are answered alike to the last bit
     return np.asarray(slack)
-
-
-def _shrunk(sums: ClassSums, parents: ClassSums, index: int, rule: ClassRule, recipe: LearningRecipe) -> tuple[Array, Array]:
-    """Moments (pair) and noise (tap) of a class with help (docs/method.md#thin-classes): unsaturated, sums of the levels
-    beside it, which add since sums are relative to the level; and pseudo-patches of its parent."""
-    (_, level, contrast, further, kind), parent = rule.split(index), _parent_of(index, rule)
-    moments, noise, count = sums.moments[index].copy(), sums.noise[index], sums.count[index]
-    pool = recipe.level_pool if count > 0 and not rule.case(kind) else ()
-    for distance, weight in enumerate(pool, start=1):
-        for other in (level - distance, level + distance):
-            if 0 <= other < rule.levels:
-                neighbour = rule.join(other, contrast, kind, further=further)
-                moments += weight * sums.moments[neighbour]
-                count += weight * sums.count[neighbour]
-    if count > 0:
-        noise = noise * (count / sums.count[index])  # of the class, scaled to the new number of patches
-    return (
-        moments + recipe.parent_patches * parents.moments[parent],
-        noise + recipe.parent_patches * parents.noise[parent],
-    )
-
-
-def _parents(sums: ClassSums, rule: ClassRule) -> ClassSums:
-    """Mean sums of a patch of each parent: the classes of its level, contrast and saturation case, whatever their chroma
-    and further features, or where none of them has patches those of any contrast; and a share of its case's
-    (docs/method.md#thin-classes). A parent's count is that of its level and case."""
-    first = np.unique(rule.case(np.arange(rule.kinds)), return_index=True)[1]  # kind of each case
-
-    def by_case(values: Array) -> Array:
-        return np.add.reduceat(values.reshape(*rule.shape, -1), first, axis=3).sum(axis=2)
-
-    count = by_case(sums.count)
-
-    def means(values: Array) -> Array:
-        summed = by_case(values)
-        near = summed / np.maximum(count, 1e-9)
-        level = summed.sum(axis=1, keepdims=True) / np.maximum(count.sum(axis=1, keepdims=True), 1e-9)
-        case = summed.sum(axis=(0, 1)) / np.maximum(count.sum(axis=(0, 1)), 1e-9)
-        mean = (1 - CASE_SHARE) * np.where(count > 0, near, level) + CASE_SHARE * case
-        return mean.reshape(-1, summed.shape[-1])
-
-    level_count = np.broadcast_to(count.sum(axis=1, keepdims=True), count.shape)
-    return ClassSums(means(sums.moments), means(sums.noise), level_count.reshape(-1).copy())
-
-
-def _parent_of(index: Any, rule: ClassRule) -> Any:
-    """The parent of classes `index`, which tells saturation cases but neither chromas nor further features apart."""
-    place = rule.split(index)
-    return rule.join_cases(place.level, place.contrast, rule.case(place.kind))
 
 
 def _system(power: Array, noise: Array, factor: float, ridge: float) -> Array:

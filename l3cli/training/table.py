@@ -179,9 +179,9 @@ def _goal(pass_: TrainingPass) -> Goal:
     camera = pass_.head.camera
     levels = camera.black_level, camera.white_level
     if pass_.light is None:
-        return Goal(pass_.head.outputs, pass_.white_point, None, *levels)
+        return Goal(pass_.head.outputs, camera.channels, pass_.white_point, None, *levels)
     signal, misled = white_signal(pass_.light, camera), misleading(pass_.light, camera)
-    return Goal(pass_.head.outputs, pass_.white_point, signal, *levels, misled)
+    return Goal(pass_.head.outputs, camera.channels, pass_.white_point, signal, *levels, misled)
 
 
 def _light_of(frame: TrainingPair, camera: CameraModel) -> NDArray[np.float64]:

@@ -131,8 +131,20 @@ def test_the_spectral_angle_ignores_brightness() -> None:
     right = np.zeros((2, 1, 3))
     right[0] = 1, 1, 1
     other = np.array([[[0.0, 1.0, 0.0]], [[2.0, 1.0, 0.0]]])
-    assert spectral_angle(right, other)[0] == pytest.approx([90, 45, 90])
-    assert spectral_angle(np.zeros((2, 1, 1)), np.zeros((2, 1, 1)))[0, 0] == 0
+    assert spectral_angle(other, right)[0] == pytest.approx([90, 45, 90])
+
+
+def test_a_black_target_has_no_spectral_angle() -> None:
+    target = np.random.default_rng(0).random((4, 12, 12)).astype(np.float32) + 0.1
+    rendered = target * np.array([1.0, 1.1, 0.9, 1.0])[:, None, None]
+    lit = band_quality(rendered[:, :6], target[:, :6], np.ones(4))
+    target[:, 6] = 0.0
+    target[:, 7:] *= 1e-9  # what rounding leaves of nothing
+    assert np.array_equal(np.isnan(spectral_angle(rendered, target)), np.indices((12, 12))[0] >= 6)
+    assert band_quality(rendered, target, np.ones(4)).mean_angle == pytest.approx(lit.mean_angle)
+    rendered[:, :6] = 0.0
+    assert band_quality(rendered, target, np.ones(4)).mean_angle == 90
+    assert band_quality(rendered, np.zeros_like(target), np.ones(4)).mean_angle == 0
 
 
 def test_the_error_map_runs_from_black_to_white() -> None:
@@ -461,6 +473,24 @@ def test_bands_are_judged_as_spectra(trained: Path, l3: Callable, refused: Calla
     assert "outputs differ" in refused(3, "evaluate", tmp_path / "table.h5", trained / "training.h5")
     pictures = ("--pictures", tmp_path / "pictures")
     assert "X, Y, Z" in refused(2, "evaluate", tmp_path / "table.h5", tmp_path / "bands.h5", *pictures)
+
+
+def test_black_areas_have_no_angle_and_no_class(trained: Path, l3: Callable, tmp_path: Path) -> None:
+    def half_black(frame: TrainingFrame) -> TrainingFrame:
+        return dataclasses.replace(frame, target=frame.target * (np.arange(frame.target.shape[2]) < 28))
+
+    (tmp_path / "classes.toml").write_text(CLASSES)
+    bands = ("450 nm", "550 nm", "650 nm")
+    rewritten(trained / "training.h5", tmp_path / "bands.h5", bands, lambda frame: frame)
+    rewritten(trained / "training.h5", tmp_path / "black.h5", bands, half_black)
+    arguments = ("--classes", tmp_path / "classes.toml", "-o", tmp_path / "table.h5", "--quiet")
+    assert l3("train", tmp_path / "bands.h5", *arguments)[0] == 0
+    code, out, _ = l3("evaluate", tmp_path / "table.h5", tmp_path / "black.h5", "--border", "0", "--json")
+    assert code == 0
+    document = json.loads(out)
+    assert sum(entry["pixels"] for entry in document["by_class"]["level"]) == len(document["frames"]) * 48 * 28
+    assert 0 < document["mean"]["ours"]["mean_angle"] < 20
+    assert max(entry["ours"]["mean_angle"] for entry in document["by_class"]["contrast"]) < 20
 
 
 BAND_SCENES = """

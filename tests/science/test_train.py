@@ -25,13 +25,16 @@ from l3cli.classes.saturation import choose_cases
 from l3cli.classes.windows import neighbourhoods
 from l3cli.config import load_recipe
 from l3cli.errors import L3Error
+from l3cli.frame import RawFrame
 from l3cli.io.images import read_image
+from l3cli.rendering.renderer import make_renderer
 from l3cli.training.accumulate import sum_sites
 from l3cli.training.patches import draw_levels, expose_patches, sample_patches
 from l3cli.training.recipe import LayerRecipe, LearningRecipe, TrainingRecipe, for_camera
 from l3cli.training.sums import EXACT, STEP, add_rounded, grid_steps, moment_matrix
 from l3cli.training.symmetry import orientations, site_maps, stabilisers
 from l3cli.training.table import add_up
+from l3cli.training.thin_classes import parent_of, parents_of
 from l3cli.training.training_pass import LAST, TrainingPass
 from tests.helpers.paths import CONFIGS
 from tests.helpers.training_sets import MIX, a_frame, a_set
@@ -347,6 +350,38 @@ def test_plain_areas_show_no_cfa_pattern(bayer: CameraModel, tmp_path: Path, l3:
     assert trained.sum() > 5
     spread = np.ptp(response[:, trained], axis=0)
     assert spread.max() < 2e-3 * np.abs(response[:, trained]).max()
+
+
+def test_a_parent_of_few_patches_leans_on_its_case(bayer: CameraModel) -> None:
+    """A handful of patches cannot stand for all colours of a level, as they did for pixels near highlights."""
+    rule = make_rule(ClassRecipe(patch=3, levels=6), bayer, np.arange(8).astype(np.uint16))
+    thin, thick = (rule.join(level, 0, rule.chromas - 1 + 3) for level in (1, 4))
+    count = np.zeros(rule.classes_per_site)
+    count[thin], count[thick] = 4, 5000
+    one = np.where(np.arange(count.size) == thin, 100.0, 1.0)[:, None]  # what a patch of each class adds
+    parents = parents_of(ClassSums(count[:, None] * one, count[:, None] * one, count), rule)
+    assert parents.moments[parent_of(thin, rule), 0] == pytest.approx(1.0, abs=5.0)
+    assert parents.moments[parent_of(thick, rule), 0] == pytest.approx(1.0, abs=0.1)
+
+
+def test_plain_areas_may_have_spectra_that_training_lacks(bayer: CameraModel, tmp_path: Path, l3: Callable) -> None:
+    """Trained on one colour alone, a table of the camera's channels answers any other in plain areas."""
+    camera = dataclasses.replace(bayer, noise=Noise(13.0, 0.0, 0.0, 0.0, 15000.0))
+    seen, unseen = np.array([0.2, 0.4, 0.3]), np.array([0.28, 0.36, 0.24])
+    head = TrainingSet(camera=camera, outputs=camera.channels, target_description="the camera's channels")
+    with write_training_set(tmp_path / "training.h5", head) as writer:
+        for seed in range(4):
+            share = np.broadcast_to(seen[:, None, None], (3, 48, 56)).astype(np.float32)
+            target = share * camera.saturation_exposure / 0.01
+            electrons = share * np.float32(camera.full_scale)
+            writer.append(dataclasses.replace(a_frame(camera, seed, smooth=True), electrons=electrons, target=target))
+    (tmp_path / "classes.toml").write_text(SMALL)
+    assert l3("train", tmp_path / "training.h5", "--classes", tmp_path / "classes.toml", "-o", tmp_path / "table.h5")[0] == 0
+    table = load(TransformTable, tmp_path / "table.h5")
+    mosaic = camera.black_level + unseen[np.tile(camera.cfa, (12, 12))] * (camera.white_level - camera.black_level)
+    raw = RawFrame("unseen", np.rint(mosaic).astype(np.uint16), camera.black_level, camera.white_level)
+    planes = make_renderer("opencl", table).outputs(raw)
+    assert planes.mean(axis=(1, 2)) == pytest.approx(unseen, rel=0.04)  # 0.5 without the single bands
 
 
 def test_the_default_recipe_file_spells_out_the_built_in_default() -> None:
