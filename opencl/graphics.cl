@@ -139,10 +139,12 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
     for (int i = line * TILE + get_local_id(0); i < TILE_ROWS * TILE_COLUMNS; i += ITEMS) {
         const size_t place = source_of(i, y0, x0, row_source, column_source, rows, columns);
         __local tap *to = signal[i / TILE_COLUMNS][i % TILE_COLUMNS];
-#if SOURCES > 1
+#if SOURCES > 1 && defined(FIXED_POINT)
+        for (int s = 0; s < SOURCES; s++) to[s] = coarse(source[place + (size_t)s * source_rows * columns]);
+#elif SOURCES > 1
         for (int s = 0; s < SOURCES; s++) to[s] = source[place + (size_t)s * source_rows * columns];
 #elif defined(FIXED_POINT)
-        to[0] = min(source[place], (ushort)MAX_RAW);
+        to[0] = min(source[place], (ushort)MAX_RAW) - RAW_MIDDLE;
 #else
         to[0] = min(source[place], (ushort)MAX_RAW) - black_level;
 #endif

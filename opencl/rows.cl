@@ -3,10 +3,10 @@
 #if defined(FIXED_POINT)
 
 // planes[o * TILE + x] → what the next layer reads (output, pixel)
-INLINE void write_row(__global int *picture, const tap *planes, __global const float *matrix, size_t at, int width,
+INLINE void write_row(__global int *picture, const total *planes, __global const float *matrix, size_t at, int width,
                       size_t pixels) {
     for (int o = 0; o < OUTPUTS; o++)
-        for (int x = 0; x < width; x++) picture[o * pixels + at + x] = (int)planes[o * TILE + x];
+        for (int x = 0; x < width; x++) picture[o * pixels + at + x] = planes[o * TILE + x];
 }
 
 #elif defined(PLANES)

@@ -31,7 +31,6 @@ def rule_macros(rule: PlaneRule) -> dict[str, int]:
     return {
         "TESTS": TESTS,
         "LEAVES": rule.structures,
-        "RULED_OUT": len(_tests(rule)),
         "DEPTH": rule.depth,
         "GRADIENT_TOP": tree.TOP,
         "CHROMA_TOP": tree.CHROMA_TOP,
@@ -48,14 +47,15 @@ def rule_constants(rule: PlaneRule, variant: str) -> tuple[NDArray[np.uint32], .
 
 
 def _tests(rule: TreeRule) -> NDArray[np.uint32]:
-    """(test and 32 leaves, word) as trees.cl has them."""
-    tests = []
-    for node, asked in zip(np.flatnonzero(rule.branch).tolist(), _asked(rule)[rule.branch > 0].tolist(), strict=True):
+    """Where the tests of each 32 leaves begin, and where the last end, then three words a test, as trees.cl has them."""
+    tests: list[list[tuple[int, int, int]]] = [[] for _ in range(-(-rule.structures // 32))]
+    for node, asked in zip(np.flatnonzero(rule.branch).tolist(), _asked(rule, 8)[rule.branch > 0].tolist(), strict=True):
         first, end = rule.leaf[[rule.branch[node], rule.branch[node] + 1]].tolist()
         for word in range(first // 32, (end - 1) // 32 + 1):
             bits = range(max(first - 32 * word, 0), min(end - 32 * word, 32))
-            tests.append((rule.threshold[node].view(np.uint32), asked | word << 8, sum(1 << bit for bit in bits)))
-    return np.array(tests, np.uint32).reshape(-1, 3)
+            tests[word].append((int(rule.threshold[node].view(np.uint32)), asked, sum(1 << bit for bit in bits)))
+    start = np.cumsum([len(tests) + 1, *(3 * len(those) for those in tests)])
+    return np.concatenate([start, np.array([test for those in tests for test in those]).reshape(-1)]).astype(np.uint32)
 
 
 def _nodes(rule: TreeRule) -> NDArray[np.uint32]:
@@ -63,10 +63,10 @@ def _nodes(rule: TreeRule) -> NDArray[np.uint32]:
     leaf = rule.branch == 0
     threshold = np.where(leaf, NEVER, rule.threshold).astype(np.float32)
     node = np.where(leaf, np.arange(len(leaf)), rule.branch).astype(np.uint32)
-    return np.stack([threshold.view(np.uint32), _asked(rule) | node << np.uint32(8)], axis=1)
+    return np.stack([threshold.view(np.uint32), _asked(rule, 6) | node << np.uint32(8)], axis=1)
 
 
-def _asked(rule: TreeRule) -> NDArray[np.uint32]:
-    """Numerator (node) of each test and, from bit 6 on, its denominator."""
+def _asked(rule: TreeRule, place: int) -> NDArray[np.uint32]:
+    """Numerator (node) of each test and, from bit `place` on, its denominator."""
     denominator = np.array([test.denominator for test in tree.EVERY], np.uint32)
-    return np.asarray(rule.test | denominator[rule.test] << 6, np.uint32)
+    return np.asarray(rule.test | denominator[rule.test] << np.uint32(place), np.uint32)
