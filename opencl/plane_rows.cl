@@ -26,8 +26,9 @@ INLINE void read_words(Words *to, __global const uint *labels, __global const in
 // The two words of LANES pixels from p on.
 VECTOR(uint, words, 2 * LANES);
 #define WORDS_AT(row, p) (*(const words_unaligned *)((row)->of + (p)))
-INLINE uints gradient_words(const Words *row, int p) { return __builtin_shufflevector(WORDS_AT(row, p), WORDS_AT(row, p), ALL_LANES(EVEN)); }
-INLINE uints start_words(const Words *row, int p) { return __builtin_shufflevector(WORDS_AT(row, p), WORDS_AT(row, p), ALL_LANES(ODD)); }
+#define HALVES_AT(row, p, which) __builtin_shufflevector(WORDS_AT(row, p), WORDS_AT(row, p), ALL_LANES(which))
+INLINE uints gradient_words(const Words *row, int p) { return HALVES_AT(row, p, EVEN); }
+INLINE uints start_words(const Words *row, int p) { return HALVES_AT(row, p, ODD); }
 
 // Classes of LANES pixels of a row that is `width` wide from x on.
 INLINE void write_labels(__global uint *row, uints label, int x, int width) {

@@ -90,12 +90,15 @@ INLINE void look(Evidence *e, const Columns *c, const Products *middle, uints tu
     weigh(e, &sums);
 }
 
-// All tests of a tree are made of all pixels, without a branch: leaves are numbered from left to right, a test that is passed
-// rules out those below its first branch, and of the leaves that are left at the end the first is the pixel's. Leaves are taken 32 at
-// a time, until no pixel is without. `tests` holds for each 32 leaves where their tests begin, and where the last end; a test is
-// three words from there on: the bits of its threshold; its numerator and, from bit 8 on, its denominator; and the leaves that it
+// A tree is cut into PARTS of at most 32 leaves each; which part is a pixel's is decided first, then the parts that are some
+// pixel's are taken. Within a part all tests are made of all pixels, without a branch: leaves are numbered from left to right, a
+// test that is passed rules out those below its first branch, and of the leaves that are left at the end the first is the pixel's.
+// Parts are decided in the same way, 32 at a time.
+//
+// `tests` holds where the tests of each 32 parts begin, where those of each part, and where the last end; then the first leaf of each
+// part; then the tests, three words each: the bits of the threshold; its numerator and, from bit 8 on, its denominator; and what it
 // rules out. Products and comparisons of float32 are the same on every device.
-#define WORDS ((LEAVES + 31) / 32)
+#define WORDS ((PARTS + 31) / 32)
 #define AT_ONCE 2  // times LANES pixels, which share the reading of tests
 
 // Number of the lowest bit that is set.
@@ -105,35 +108,50 @@ INLINE uints lowest_bit(uints bits) {
     return (SAME_BITS(power, uints) >> 23) - 127;
 }
 
-INLINE bool any_zero(uints a, uints b) {
-    const signed_chars zero = CONVERT((a == 0) | (b == 0), signed_chars);
+INLINE bool some(ints mask) {
     ulong word[LANES / 8], all = 0;
-    *(signed_chars_unaligned *)word = zero;
+    *(signed_chars_unaligned *)word = CONVERT(mask, signed_chars);
+    #pragma unroll
     for (int i = 0; i < LANES / 8; i++) all |= word[i];
     return all != 0;
 }
 
-INLINE void leaves_of(uints leaf[AT_ONCE], const Evidence e[AT_ONCE], __global const uint *tests) {
-    uints left[AT_ONCE];
-    for (int i = 0; i < AT_ONCE; i++) leaf[i] = left[i] = (uints)0;
-    for (int w = 0; w < WORDS; w++) {
-        uints alive[AT_ONCE];
-        for (int i = 0; i < AT_ONCE; i++) alive[i] = (uints)0xffffffffu;
-        for (uint t = tests[w]; t < tests[w + 1]; t += 3) {
-            const float threshold = as_float(tests[t]);
-            const uint asked = tests[t + 1], ruled_out = tests[t + 2];
-            #pragma unroll
-            for (int i = 0; i < AT_ONCE; i++) {
-                const ints passed = e[i].numerator[asked & 0xff] > threshold * e[i].denominator[asked >> 8];
-                alive[i] = passed ? alive[i] & ~ruled_out : alive[i];
-            }
-        }
+// What is left after the tests numbered `group`.
+INLINE void rule_out(uints left[AT_ONCE], const Evidence e[AT_ONCE], __global const uint *tests, int group) {
+    for (int i = 0; i < AT_ONCE; i++) left[i] = (uints)0xffffffffu;
+    for (uint t = tests[group]; t < tests[group + 1]; t += 3) {
+        const float threshold = as_float(tests[t]);
+        const uint asked = tests[t + 1], ruled_out = tests[t + 2];
         #pragma unroll
         for (int i = 0; i < AT_ONCE; i++) {
-            leaf[i] = left[i] == 0 ? 32 * w + lowest_bit(alive[i]) : leaf[i];
-            left[i] |= alive[i];
+            const ints passed = e[i].numerator[asked & 0xff] > threshold * e[i].denominator[asked >> 8];
+            left[i] = passed ? left[i] & ~ruled_out : left[i];
         }
-        if (w + 1 < WORDS && !any_zero(left[0], left[1])) break;
+    }
+}
+
+INLINE void leaves_of(uints leaf[AT_ONCE], const Evidence e[AT_ONCE], __global const uint *tests) {
+    __global const uint *first_leaf = tests + WORDS + PARTS + 1;
+    uints part[AT_ONCE], left[AT_ONCE];
+    ints undecided[AT_ONCE];
+    for (int i = 0; i < AT_ONCE; i++) {
+        leaf[i] = part[i] = (uints)0;
+        undecided[i] = (ints)-1;
+    }
+    for (int w = 0; w < WORDS && some(undecided[0] | undecided[1]); w++) {
+        rule_out(left, e, tests, w);
+        #pragma unroll
+        for (int i = 0; i < AT_ONCE; i++) {
+            part[i] = undecided[i] ? 32 * w + lowest_bit(left[i]) : part[i];
+            undecided[i] &= left[i] == 0;
+        }
+    }
+    for (int k = 0; k < PARTS; k++) {
+        const uints here = (uint)k;
+        if (!some((part[0] == here) | (part[1] == here))) continue;
+        rule_out(left, e, tests, WORDS + k);
+        #pragma unroll
+        for (int i = 0; i < AT_ONCE; i++) leaf[i] = part[i] == here ? first_leaf[k] + lowest_bit(left[i]) : leaf[i];
     }
 }
 

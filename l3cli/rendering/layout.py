@@ -219,17 +219,15 @@ def pack_in_vectors(layer: Weights, lanes: int) -> NDArray:
 
 
 def pack_whole_in_vectors(layer: WholeWeights, lanes: int) -> NDArray[np.int16]:
-    """(class, …) for transform.cl: vectors (vector, plane, lane) of twice as many taps, then in 32 bits each three
-    intercepts and the fraction, and zeros up to a multiple of 32."""
+    """(class, …) for fixed_point.cl: in 32 bits three intercepts and the fraction, each before three zeros; then, eight taps
+    at a time, those of the three planes and zeros."""
     classes, planes, taps = layer.taps.shape
-    vectors = -(-taps // (2 * lanes))
-    in_lanes = np.zeros((classes, planes, vectors * 2 * lanes), np.int16)
-    in_lanes[:, :, :taps] = layer.taps
-    last = in_lanes[0].size
-    packed = np.zeros((classes, -(-(last + 8) // 32) * 32), np.int16)
-    packed[:, :last] = in_lanes.reshape(classes, planes, vectors, -1).transpose(0, 2, 1, 3).reshape(classes, last)
-    packed[:, last : last + 8] = np.column_stack([layer.intercept, layer.fraction]).astype(np.int32).view(np.int16)
-    return packed
+    first = np.zeros((classes, 4, 4), np.int32)
+    first[:, :, 0] = np.column_stack([layer.intercept, layer.fraction])
+    in_eights = np.zeros((classes, 4, -(-taps // 8) * 8), np.int16)
+    in_eights[:, :planes, :taps] = layer.taps
+    beside = in_eights.reshape(classes, 4, -1, 8).transpose(0, 2, 1, 3)
+    return np.concatenate([first.reshape(classes, 16).view(np.int16), beside.reshape(classes, -1)], axis=1)
 
 
 def pack_in_fours(layer: Weights, lanes: int) -> NDArray:
@@ -269,11 +267,12 @@ class Variant:
 
 
 SHARED = ("rule.cl", "encoding.cl")
+TRANSFORM = ("folding.cl", "floating_point.cl", "fixed_point.cl", "transform.cl")
 VARIANTS = {
     # Few and long work-items, each vectorised within: over pixels for the classes, over taps for the transforms.
     "processor": Variant(
-        (*SHARED, "ingest.cl", "statistics.cl", "classes.cl", "rows.cl", "transform.cl"),
-        ("ingest.cl", "rows.cl", "transform.cl", "plane_rows.cl"),
+        (*SHARED, "ingest.cl", "statistics.cl", "classes.cl", "rows.cl", *TRANSFORM),
+        ("ingest.cl", "rows.cl", *TRANSFORM, "plane_rows.cl"),
         lambda table, lanes: Cut(256, 48, (1, 1), lanes),
         pack_in_vectors,
         pack_whole_in_vectors,
