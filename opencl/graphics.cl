@@ -58,7 +58,7 @@ void classes(__global const ushort *restrict raw,                // (row, col) D
     }
     const int site_row = (y + phase_row) % CFA_ROWS, site = (x + phase_column) % CFA_COLUMNS;
     Evidence evidence;
-    no_evidence(&evidence);
+    no_evidence(&evidence, RULE);
     for (int c = 0; c < CHANNELS; c++) {
         for (int i = item; i < BAND * TILE_COLUMNS; i += ITEMS) {
             const int row = i / TILE_COLUMNS, p = i % TILE_COLUMNS;

@@ -26,6 +26,7 @@ VECTOR(char, signed_chars, LANES);
 VECTOR(short, signed_shorts, LANES);
 VECTOR(ushort, shorts, LANES);           // as many as there are uints: half a register
 VECTOR(ushort, full_shorts, 2 * LANES);  // a whole register
+VECTOR(short, pairs, 2 * LANES);
 
 #if LANES == 16
 #define ALL_LANES(index) index(0), index(1), index(2), index(3), index(4), index(5), index(6), index(7), \
@@ -45,6 +46,18 @@ VECTOR(ushort, full_shorts, 2 * LANES);  // a whole register
 #define STORE_PRIVATE(type, p) (*(type##_unaligned *)(p))
 #define LOAD_GLOBAL(type, p) (*(__global const type##_unaligned *)(p))
 #define STORE_GLOBAL(type, p) (*(__global type##_unaligned *)(p))
+
+// Products of neighbours, added in pairs and to `sum`: one instruction where the compiler has it.
+INLINE ints add_pairs(ints sum, pairs a, pairs b) {
+#if LANES == 16 && defined(__AVX512BW__)
+    return sum + SAME_BITS(__builtin_ia32_pmaddwd512(a, b), ints);
+#elif LANES == 8 && defined(__AVX2__)
+    return sum + SAME_BITS(__builtin_ia32_pmaddwd256(a, b), ints);
+#else
+#define HALF_OF(v, place) CONVERT(__builtin_shufflevector(v, v, ALL_LANES(place)), ints)
+    return sum + HALF_OF(a, EVEN) * HALF_OF(b, EVEN) + HALF_OF(a, ODD) * HALF_OF(b, ODD);
+#endif
+}
 #endif
 
 // What a layer reads and sums up: values of a mosaic, or planes, in floating point; or, so that planes are the same on every
@@ -65,17 +78,7 @@ VECTOR(int, totals, LANES);
 VECTOR(short, taps, TAP_LANES);
 VECTOR(int, four_totals, 4);
 
-// Products of neighbours, added in pairs and to `sum`: one instruction where the compiler has it.
-INLINE totals add_products(totals sum, taps a, taps b) {
-#if LANES == 16 && defined(__AVX512BW__)
-    return sum + SAME_BITS(__builtin_ia32_pmaddwd512(a, b), totals);
-#elif LANES == 8 && defined(__AVX2__)
-    return sum + SAME_BITS(__builtin_ia32_pmaddwd256(a, b), totals);
-#else
-#define HALF_OF(v, place) CONVERT(__builtin_shufflevector(v, v, ALL_LANES(place)), ints)
-    return sum + HALF_OF(a, EVEN) * HALF_OF(b, EVEN) + HALF_OF(a, ODD) * HALF_OF(b, ODD);
-#endif
-}
+INLINE totals add_products(totals sum, taps a, taps b) { return add_pairs(sum, a, b); }
 #else
 #define TAP_LANES LANES
 typedef float tap;
