@@ -1,5 +1,6 @@
 """How the kernels see a table: macros for shapes, arrays for values, sources in their order (opencl/*.cl)."""
 
+import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -114,6 +115,7 @@ def display_macros(display: Display) -> Macros:
     return macros | (curve_macros(2, 5) if display.bits == 8 else curve_macros(3, 8))
 
 
+@functools.cache
 def curve_macros(steps: int, degree: int) -> Macros:
     """The power part of the sRGB curve as a polynomial in the fourth root (encoding.cl), fitted at Chebyshev's nodes."""
     lowest = 0.0031308**0.25
