@@ -44,7 +44,7 @@ void classes(__global const ushort *restrict raw,                // (row, col) D
         __global uint *label_row = labels + (size_t)y * columns + x0;
         for (int x = 0, phase = first_phase; x < width; x += LANES, phase = PHASE_AFTER(phase, LANES)) {
             Evidence evidence;
-            no_evidence(&evidence);
+            no_evidence(&evidence, RULE);
             #pragma unroll
             for (int c = 0; c < CHANNELS; c++) {
                 const int at = (c * CFA_ROWS + site_row) * PERIOD + phase;

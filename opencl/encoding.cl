@@ -6,14 +6,15 @@
 #ifdef FIXED_POINT
 
 // A fixed-point sum as a plane keeps it (l3cli/classes/planes.py).
-#if SOURCES > 1
-typedef long whole;
-#else
-typedef int whole;
-#endif
-INLINE int plane_value(tap sum, tap fraction) {
-    const whole total = (whole)sum, shift = (whole)fraction;
-    return (int)clamp((total + ((whole)1 << shift >> 1)) >> shift, -(whole)PLANE_TOP, (whole)PLANE_TOP);
+INLINE ints plane_value(ints sum, ints fraction) {
+    const ints top = PLANE_TOP, value = (sum + ((ints)1 << fraction >> 1)) >> fraction, below = value < top ? value : top;
+    return below > -top ? below : -top;
+}
+
+// … and as a layer between reads it, in 16 bits.
+INLINE ints coarse(ints plane) {
+    const ints top = COARSE_TOP, value = (plane + (1 << COARSE >> 1)) >> COARSE, below = value < top ? value : top;
+    return below > -top ? below : -top;
 }
 
 #endif

@@ -1,11 +1,11 @@
 // Gradients of planes: their scale, and the words by which the classes of the layer before name it (l3cli/classes/later.py), for
 // both variants.
 //
-// What a class says of its pixels stands in two words: label_gradient holds the factor of gradients, from bit 8 on their shift and
-// from bit 14 on how the site is turned that it is learned as; label_start the first class of its site and level, and in bit 31
-// whether that is the class itself, saturation deciding.
+// What a class of the first layer says of its pixels stands in two words, the lower and the upper one of label_words: its gradient
+// word holds the factor of gradients, from bit 8 on their shift and from bit 14 on how the site is turned that it is learned as; its
+// start word the first class of its site and level, and in bit 31 whether that is the class itself, saturation deciding.
 
-#define LABEL_CONSTANTS __global const uint *restrict label_gradient, __global const uint *restrict label_start
+#define LABEL_CONSTANTS __global const ulong *restrict label_words  // (class)
 
 // Parameters of the kernel `structures`, of whatever rule and variant: planes (plane, source row, col) of the layer before; classes
 // (source row, col) of the first layer; which rows (padded row) of the one and of the other, and which columns (padded col), each

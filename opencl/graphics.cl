@@ -58,7 +58,7 @@ void classes(__global const ushort *restrict raw,                // (row, col) D
     }
     const int site_row = (y + phase_row) % CFA_ROWS, site = (x + phase_column) % CFA_COLUMNS;
     Evidence evidence;
-    no_evidence(&evidence);
+    no_evidence(&evidence, RULE);
     for (int c = 0; c < CHANNELS; c++) {
         for (int i = item; i < BAND * TILE_COLUMNS; i += ITEMS) {
             const int row = i / TILE_COLUMNS, p = i % TILE_COLUMNS;
@@ -139,10 +139,12 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
     for (int i = line * TILE + get_local_id(0); i < TILE_ROWS * TILE_COLUMNS; i += ITEMS) {
         const size_t place = source_of(i, y0, x0, row_source, column_source, rows, columns);
         __local tap *to = signal[i / TILE_COLUMNS][i % TILE_COLUMNS];
-#if SOURCES > 1
+#if SOURCES > 1 && defined(FIXED_POINT)
+        for (int s = 0; s < SOURCES; s++) to[s] = coarse(source[place + (size_t)s * source_rows * columns]);
+#elif SOURCES > 1
         for (int s = 0; s < SOURCES; s++) to[s] = source[place + (size_t)s * source_rows * columns];
 #elif defined(FIXED_POINT)
-        to[0] = min(source[place], (ushort)MAX_RAW);
+        to[0] = min(source[place], (ushort)MAX_RAW) - RAW_MIDDLE;
 #else
         to[0] = min(source[place], (ushort)MAX_RAW) - black_level;
 #endif

@@ -2,11 +2,18 @@
 
 #if defined(FIXED_POINT)
 
-// planes[o * TILE + x] → what the next layer reads (output, pixel)
-INLINE void write_row(__global int *picture, const tap *planes, __global const float *matrix, size_t at, int width,
+// planes[o * TILE + x] → what the next layer reads (output, pixel), past the caches where vectors lie on whole lines: it is read
+// when all is written, and no cache holds all.
+INLINE void write_row(__global int *picture, const total *planes, __global const float *matrix, size_t at, int width,
                       size_t pixels) {
-    for (int o = 0; o < OUTPUTS; o++)
-        for (int x = 0; x < width; x++) picture[o * pixels + at + x] = (int)planes[o * TILE + x];
+    for (int o = 0; o < OUTPUTS; o++) {
+        __global int *to = picture + o * pixels + at;
+        const bool whole_lines = (size_t)to % sizeof(ints) == 0;
+        int x = 0;
+        for (; whole_lines && x + LANES <= width; x += LANES)
+            __builtin_nontemporal_store(LOAD_PRIVATE(ints, planes + o * TILE + x), (__global ints *)(to + x));
+        for (; x < width; x++) to[x] = planes[o * TILE + x];
+    }
 }
 
 #elif defined(PLANES)

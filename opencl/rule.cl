@@ -17,16 +17,15 @@
 
 typedef struct {
     uints level_sum, variance_sum;  // over the channels seen so far
-    ints score[CHROMAS];            // of each chroma; the lowest wins
+    Colour colour;
 #ifdef EACH_WINDOW
     ints window_sum[WINDOW_SUMS];   // of the further features
 #endif
 } Evidence;
 
-INLINE void no_evidence(Evidence *e) {
+INLINE void no_evidence(Evidence *e, RULE_CONSTANTS) {
     e->level_sum = e->variance_sum = (uints)0;
-    #pragma unroll
-    for (int k = 0; k < CHROMAS; k++) e->score[k] = (ints)0;
+    no_colour(&e->colour, chroma_weights);
 #ifdef EACH_WINDOW
     for (int s = 0; s < WINDOW_SUMS; s++) e->window_sum[s] = (ints)0;
 #endif
@@ -38,12 +37,12 @@ INLINE void add_evidence(Evidence *e, int c, uints count, uints sum, uints squar
     const uints scaled = sum * mean_reciprocal;
     e->level_sum += level_part(scaled);
     e->variance_sum += variance_part(count, sum, square, scaled >> 16, variance_reciprocal);
-    add_scores(e->score, c, scaled, chroma_weights);
+    add_colour(&e->colour, c, scaled, chroma_weights);
 }
 
 // The chroma, or where saturation decides its case behind the chromas.
 INLINE uints kind_of(const Evidence *e, patterns code, RULE_CONSTANTS) {
-    const uints chroma = chroma_of(e->score);
+    const uints chroma = chroma_of(&e->colour, chroma_weights);
     if (!any_case(code, case_of_code)) return chroma;
     const uints saturation = case_of(code, case_of_code);
     return saturation > 0 ? CHROMAS - 1 + saturation : chroma;

@@ -35,6 +35,7 @@ INLINE void slide(Columns *columns, const ushort *entering, __global const ushor
             STORE_PRIVATE(full_shorts, sum) = LOAD_PRIVATE(full_shorts, sum) + change;
         }
     }
+#if CONTRASTS > 1  // else nobody asks for squares
     for (int p = 0, at = phase; p < span; p += LANES, at = PHASE_AFTER(at, LANES)) {
         const uints in = CONVERT(LOAD_PRIVATE(shorts, entering + p) >> SHIFT, uints);
         const uints out = CONVERT(LOAD_PRIVATE(shorts, leaving + p) >> SHIFT, uints);
@@ -47,6 +48,7 @@ INLINE void slide(Columns *columns, const ushort *entering, __global const ushor
             STORE_PRIVATE(uints, square) = LOAD_PRIVATE(uints, square) + change;
         }
     }
+#endif
 }
 
 // Saturated channels of one row's pixels; channel_bit is 1 << channel along its CFA row.
@@ -69,10 +71,14 @@ INLINE void add_runs(Runs *runs, const Columns *columns, int span) {
             #pragma unroll
             for (int j = 0; j < RUN; j++) {
                 sum += CONVERT(LOAD_PRIVATE(shorts, columns->sum[c] + p + j), uints);
+#if CONTRASTS > 1
                 square += LOAD_PRIVATE(uints, columns->square[c] + p + j);
+#endif
             }
             STORE_PRIVATE(uints, runs->sum[c] + p) = sum;
+#if CONTRASTS > 1
             STORE_PRIVATE(uints, runs->square[c] + p) = square;
+#endif
         }
     }
     for (int p = 0; p < span; p += 2 * LANES) {

@@ -1,12 +1,12 @@
 // Structure: the formula of l3cli/classes/structure.py, for both variants.
 
 #define STRUCTURE_CONSTANTS LABEL_CONSTANTS, __global const uint *restrict strength_edges
-#define TURN_A 14  // bits of label_gradient
+#define TURN_A 14  // bits of the gradient word
 #define TURN_B 15
 
 INLINE uints size_of(ints value) { return SAME_BITS(value > 0 ? value : -value, uints); }
 
-// The structure of pixels from the weighted sums of products of their gradients; `turns` as in label_gradient.
+// The structure of pixels from the weighted sums of products of their gradients; `turns` is the gradient word.
 INLINE uints structure_of(uints xx, uints yy, ints xy, uints turns, __global const uint *strength_edges) {
     const uints trace = xx + yy;
     uints strength = 0;

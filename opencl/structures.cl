@@ -4,27 +4,14 @@
 // latest five rows are weighed down their columns, then across.
 
 #define WINDOW 5
-#define REACHED (TILE + 2 * STRUCTURE_REACH + 4 * LANES)
 
 typedef struct {
     int xx[REACHED], yy[REACHED], xy[REACHED];
 } Products;
 
-// A padded row of luminance and of what its pixels' classes say of gradients.
-INLINE void read_row(int *luminance, uint *turned, __global const int *plane, __global const uint *labels,
-                     __global const int *column_source, __global const uint *label_gradient, int x0, int columns) {
-    const int end = min(TILE, columns - x0) + 2 * STRUCTURE_REACH;
-    #pragma clang loop vectorize(disable) unroll_count(4)
-    for (int p = 0; p < end; p++) {
-        const int x = column_source[x0 + p];
-        luminance[p] = plane[x];
-        turned[p] = label_gradient[labels[x]];
-    }
-}
-
-INLINE void multiply(Products *products, const int *above, const int *here, const int *below, const uint *turned, int span) {
+INLINE void multiply(Products *products, const int *above, const int *here, const int *below, const Words *words, int span) {
     for (int p = 1; p < span; p += LANES) {
-        const uints scale = LOAD_PRIVATE(uints, turned + p);
+        const uints scale = gradient_words(words, p);
         const ints gx = gradient(LOAD_PRIVATE(ints, here + p + 1) - LOAD_PRIVATE(ints, here + p - 1), scale, GRADIENT_TOP);
         const ints gy = gradient(LOAD_PRIVATE(ints, below + p) - LOAD_PRIVATE(ints, above + p), scale, GRADIENT_TOP);
         STORE_PRIVATE(ints, products->xx + p) = gx * gx;
@@ -60,34 +47,26 @@ void structures(STRUCTURES_PARAMETERS) {
     const int span = width + 2 * STRUCTURE_REACH;
     __global const int *luminance_plane = planes + (size_t)LUMINANCE * source_rows * columns;
     int luminance[3][REACHED];
-    uint turned[3][REACHED];
+    Words words[4];
     Products ring[WINDOW], sum;
-    for (int i = 0; i < 3 * REACHED; i++) luminance[0][i] = turned[0][i] = 0;
+    for (int i = 0; i < 3 * REACHED; i++) luminance[0][i] = 0;
+    for (int i = 0; i < 4 * REACHED; i++) words[0].of[i] = 0;
     for (int k = 0; k < y1 - y0 + 2 * STRUCTURE_REACH; k++) {
-        read_row(luminance[k % 3], turned[k % 3], luminance_plane + (size_t)row_source[y0 + k] * columns,
-                 first_labels + (size_t)label_source[y0 + k] * columns, column_source, label_gradient, x0, columns);
+        read_plane(luminance[k % 3], luminance_plane + (size_t)row_source[y0 + k] * columns, column_source, x0, span, columns);
+        read_words(words + k % 4, first_labels + (size_t)label_source[y0 + k] * columns, column_source, label_words, x0, span,
+                   columns);
         if (k < 2) continue;
-        multiply(ring + (k - 2) % WINDOW, luminance[(k - 2) % 3], luminance[(k - 1) % 3], luminance[k % 3], turned[(k - 1) % 3],
+        multiply(ring + (k - 2) % WINDOW, luminance[(k - 2) % 3], luminance[(k - 1) % 3], luminance[k % 3], words + (k - 1) % 4,
                  span);
         if (k < 2 * STRUCTURE_REACH) continue;
         weigh_rows(&sum, ring, k - 6, span);
-        const int y = y0 + k - 2 * STRUCTURE_REACH;
-        __global const uint *before = first_labels + (size_t)label_source[y + STRUCTURE_REACH] * columns + x0;
-        __global uint *label_row = labels + (size_t)y * columns + x0;
+        const Words *here = words + (k - STRUCTURE_REACH) % 4;
+        __global uint *label_row = labels + (size_t)(y0 + k - 2 * STRUCTURE_REACH) * columns + x0;
         for (int x = 0; x < width; x += LANES) {
-            uint turns[LANES], start[LANES];
-            #pragma clang loop vectorize(disable)
-            for (int i = 0; i < LANES; i++) {
-                const uint label = x + i < width ? before[x + i] : before[0];
-                turns[i] = label_gradient[label];
-                start[i] = label_start[label];
-            }
             const uints xx = SAME_BITS(across(sum.xx + x + 1), uints), yy = SAME_BITS(across(sum.yy + x + 1), uints);
-            const uints structure = structure_of(xx, yy, across(sum.xy + x + 1), LOAD_PRIVATE(uints, turns), strength_edges);
-            const uints first = LOAD_PRIVATE(uints, start);
-            const uints label = DECIDED(first) != 0 ? FIRST_CLASS(first) : first + structure;
-            if (x + LANES <= width) STORE_GLOBAL(uints, label_row + x) = label;
-            else for (int i = 0; x + i < width; i++) label_row[x + i] = label[i];
+            const uints turns = gradient_words(here, x + STRUCTURE_REACH), first = start_words(here, x + STRUCTURE_REACH);
+            const uints structure = structure_of(xx, yy, across(sum.xy + x + 1), turns, strength_edges);
+            write_labels(label_row, DECIDED(first) != 0 ? FIRST_CLASS(first) : first + structure, x, width);
         }
     }
 }

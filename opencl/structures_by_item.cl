@@ -12,7 +12,7 @@ void structures(STRUCTURES_PARAMETERS) {
         const size_t below = (size_t)row_source[y + i + 1] * columns, labelled = (size_t)label_source[y + i] * columns;
         for (int j = 1; j < 2 * STRUCTURE_REACH; j++) {
             const int left = column_source[x + j - 1], at = column_source[x + j], right = column_source[x + j + 1];
-            const uint scale = label_gradient[first_labels[labelled + at]];
+            const uint scale = (uint)label_words[first_labels[labelled + at]];
             const int gx = gradient(luminance[here + right] - luminance[here + left], scale, GRADIENT_TOP);
             const int gy = gradient(luminance[below + at] - luminance[above + at], scale, GRADIENT_TOP);
             const int weight = (3 - abs(i - STRUCTURE_REACH)) * (3 - abs(j - STRUCTURE_REACH));
@@ -22,7 +22,8 @@ void structures(STRUCTURES_PARAMETERS) {
         }
     }
     const uint label = first_labels[(size_t)label_source[y + STRUCTURE_REACH] * columns + column_source[x + STRUCTURE_REACH]];
-    const uint first = label_start[label];
-    const uint structure = structure_of(xx, yy, xy, label_gradient[label], strength_edges);
+    const ulong words = label_words[label];
+    const uint first = words >> 32;
+    const uint structure = structure_of(xx, yy, xy, (uint)words, strength_edges);
     labels[(size_t)y * columns + x] = DECIDED(first) ? FIRST_CLASS(first) : first + structure;
 }

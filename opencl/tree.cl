@@ -15,7 +15,7 @@ INLINE ints size_of(ints value) { return value > 0 ? value : -value; }
 INLINE ints larger(ints a, ints b) { return a > b ? a : b; }
 INLINE floats signed_square(ints value) { return CONVERT(value * size_of(value), floats); }
 
-#define TRANSPOSED 14  // bits of label_gradient: how the site's orientation turns what is seen
+#define TRANSPOSED 14  // bits of the gradient word: how the site's orientation turns what is seen
 #define MIRRORED_ACROSS 15
 #define MIRRORED_DOWN 16
 #define SWAP_WHERE(condition, a, b) { const ints kept = a; a = (condition) ? b : a; b = (condition) ? kept : b; }

@@ -4,9 +4,8 @@
 // sums are separable: weighed down the columns, then across.
 
 #define STRUCTURE_CONSTANTS LABEL_CONSTANTS, __global const uint *restrict tests
-#define ROWS 5       // of gradients
+#define ROWS 5  // of gradients
 #define PLANE_ROWS 5
-#define REACHED (TILE + 2 * STRUCTURE_REACH + 4 * LANES)
 
 typedef struct {
     int xx[REACHED], yy[REACHED], xy[REACHED], chroma_xx[REACHED], chroma_yy[REACHED], u_along[REACHED], v_along[REACHED];
@@ -24,28 +23,14 @@ typedef struct {
     int u[REACHED], v[REACHED], luminance[REACHED];
 } Columns;
 
-// A padded row of the planes and of what its pixels' classes say of gradients.
-INLINE void read_row(Planes *to, uint *scale, __global const int *planes, size_t stride, __global const uint *labels,
-                     __global const int *column_source, __global const uint *label_gradient, int x0, int columns) {
-    const int end = min(TILE, columns - x0) + 2 * STRUCTURE_REACH;
-    #pragma clang loop vectorize(disable) unroll_count(4)
-    for (int p = 0; p < end; p++) {
-        const int x = column_source[x0 + p];
-        to->u[p] = planes[x];
-        to->luminance[p] = planes[stride + x];
-        to->v[p] = planes[2 * stride + x];
-        scale[p] = label_gradient[labels[x]];
-    }
-}
-
 #define AT(row, p) LOAD_PRIVATE(ints, (row) + (p))
 #define PUT(row, p) STORE_PRIVATE(ints, (row) + (p))
 #define ACROSS_OF(plane, top) gradient(AT(here->plane, p + 1) - AT(here->plane, p - 1), scale, top)
 #define DOWN_OF(plane, top) gradient(AT(below->plane, p) - AT(above->plane, p), scale, top)
 
-INLINE void multiply(Products *to, const Planes *above, const Planes *here, const Planes *below, const uint *scales, int span) {
+INLINE void multiply(Products *to, const Planes *above, const Planes *here, const Planes *below, const Words *words, int span) {
     for (int p = 1; p < span; p += LANES) {
-        const uints scale = LOAD_PRIVATE(uints, scales + p);
+        const uints scale = gradient_words(words, p);
         const ints gx = ACROSS_OF(luminance, GRADIENT_TOP), gy = DOWN_OF(luminance, GRADIENT_TOP);
         const ints ux = ACROSS_OF(u, CHROMA_TOP), uy = DOWN_OF(u, CHROMA_TOP);
         const ints vx = ACROSS_OF(v, CHROMA_TOP), vy = DOWN_OF(v, CHROMA_TOP), twice = 2 * AT(here->luminance, p);
@@ -105,32 +90,69 @@ INLINE void look(Evidence *e, const Columns *c, const Products *middle, uints tu
     weigh(e, &sums);
 }
 
-// All tests of a tree are made of all pixels, without a branch: leaves are numbered from left to right, a test that is passed
-// rules out those below its first branch, and of the leaves that are left at the end the first is the pixel's. A test is three
-// words: the bits of its threshold; its numerator, from bit 6 on its denominator, from bit 8 on which 32 leaves it is about; and
-// those of them that it rules out. Products and comparisons of float32 are the same on every device.
-#define WORDS ((LEAVES + 31) / 32)
+// A tree is cut into PARTS of at most 32 leaves each; which part is a pixel's is decided first, then the parts that are some
+// pixel's are taken. Within a part all tests are made of all pixels, without a branch: leaves are numbered from left to right, a
+// test that is passed rules out those below its first branch, and of the leaves that are left at the end the first is the pixel's.
+// Parts are decided in the same way, 32 at a time.
+//
+// `tests` holds where the tests of each 32 parts begin, where those of each part, and where the last end; then the first leaf of each
+// part; then the tests, three words each: the bits of the threshold; its numerator and, from bit 8 on, its denominator; and what it
+// rules out. Products and comparisons of float32 are the same on every device.
+#define WORDS ((PARTS + 31) / 32)
+#define AT_ONCE 2  // times LANES pixels, which share the reading of tests
 
-INLINE void rule_out(uints alive[WORDS], const Evidence *e, __global const uint *tests) {
-    for (int w = 0; w < WORDS; w++) alive[w] = (uints)0xffffffffu;
-    for (int t = 0; t < RULED_OUT; t++) {
-        const uint asked = tests[3 * t + 1];
-        const ints passed = e->numerator[asked & 0x3f] > as_float(tests[3 * t]) * e->denominator[asked >> 6 & 3];
-        alive[asked >> 8] &= ~(SAME_BITS(passed, uints) & tests[3 * t + 2]);
+// Number of the lowest bit that is set.
+INLINE uints lowest_bit(uints bits) {
+    const uints lowest = bits & -bits;  // that one alone, whose number a float's exponent tells
+    const floats power = CONVERT(lowest >> 1, floats) * 2.0f + CONVERT(lowest & 1, floats);
+    return (SAME_BITS(power, uints) >> 23) - 127;
+}
+
+INLINE bool some(ints mask) {
+    ulong word[LANES / 8], all = 0;
+    *(signed_chars_unaligned *)word = CONVERT(mask, signed_chars);
+    #pragma unroll
+    for (int i = 0; i < LANES / 8; i++) all |= word[i];
+    return all != 0;
+}
+
+// What is left after the tests numbered `group`.
+INLINE void rule_out(uints left[AT_ONCE], const Evidence e[AT_ONCE], __global const uint *tests, int group) {
+    for (int i = 0; i < AT_ONCE; i++) left[i] = (uints)0xffffffffu;
+    for (uint t = tests[group]; t < tests[group + 1]; t += 3) {
+        const float threshold = as_float(tests[t]);
+        const uint asked = tests[t + 1], ruled_out = tests[t + 2];
+        #pragma unroll
+        for (int i = 0; i < AT_ONCE; i++) {
+            const ints passed = e[i].numerator[asked & 0xff] > threshold * e[i].denominator[asked >> 8];
+            left[i] = passed ? left[i] & ~ruled_out : left[i];
+        }
     }
 }
 
-// Leaves of LANES pixels.
-INLINE void leaves_of(uint *leaf, const uints alive[WORDS]) {
-    uints bits = alive[WORDS - 1], base = (uints)(32 * (WORDS - 1));
-    for (int w = WORDS - 2; w >= 0; w--) {
-        base = alive[w] != 0 ? (uints)(32 * w) : base;
-        bits = alive[w] != 0 ? alive[w] : bits;
+INLINE void leaves_of(uints leaf[AT_ONCE], const Evidence e[AT_ONCE], __global const uint *tests) {
+    __global const uint *first_leaf = tests + WORDS + PARTS + 1;
+    uints part[AT_ONCE], left[AT_ONCE];
+    ints undecided[AT_ONCE];
+    for (int i = 0; i < AT_ONCE; i++) {
+        leaf[i] = part[i] = (uints)0;
+        undecided[i] = (ints)-1;
     }
-    const uints lowest = bits & -bits;  // that one alone, whose number a float's exponent tells
-    const floats power = CONVERT(lowest >> 1, floats) * 2.0f + CONVERT(lowest & 1, floats);
-    const uints number = (SAME_BITS(power, uints) >> 23) - 127;
-    STORE_PRIVATE(uints, leaf) = base + number;
+    for (int w = 0; w < WORDS && some(undecided[0] | undecided[1]); w++) {
+        rule_out(left, e, tests, w);
+        #pragma unroll
+        for (int i = 0; i < AT_ONCE; i++) {
+            part[i] = undecided[i] ? 32 * w + lowest_bit(left[i]) : part[i];
+            undecided[i] &= left[i] == 0;
+        }
+    }
+    for (int k = 0; k < PARTS; k++) {
+        const uints here = (uint)k;
+        if (!some((part[0] == here) | (part[1] == here))) continue;
+        rule_out(left, e, tests, WORDS + k);
+        #pragma unroll
+        for (int i = 0; i < AT_ONCE; i++) leaf[i] = part[i] == here ? first_leaf[k] + lowest_bit(left[i]) : leaf[i];
+    }
 }
 
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
@@ -141,40 +163,42 @@ void structures(STRUCTURES_PARAMETERS) {
     Planes plane_rows[PLANE_ROWS];
     Products product_rows[ROWS];
     Columns sums;
-    Evidence evidence;
-    uint scale[2][REACHED];
+    Evidence evidence[AT_ONCE];
+    Words words[4];
     for (int i = 0; i < PLANE_ROWS; i++)
         for (int p = 0; p < REACHED; p++) plane_rows[i].u[p] = plane_rows[i].luminance[p] = plane_rows[i].v[p] = 0;
-    for (int p = 0; p < REACHED; p++) scale[0][p] = scale[1][p] = 0;
+    for (int i = 0; i < 4 * REACHED; i++) words[0].of[i] = 0;
     for (int k = 0; k < y1 - y0 + 2 * STRUCTURE_REACH; k++) {
-        read_row(plane_rows + k % PLANE_ROWS, scale[k % 2], planes + (size_t)row_source[y0 + k] * columns, stride,
-                 first_labels + (size_t)label_source[y0 + k] * columns, column_source, label_gradient, x0, columns);
+        __global const int *row = planes + (size_t)row_source[y0 + k] * columns;
+        Planes *entering = plane_rows + k % PLANE_ROWS;
+        read_plane(entering->u, row, column_source, x0, span, columns);
+        read_plane(entering->luminance, row + stride, column_source, x0, span, columns);
+        read_plane(entering->v, row + 2 * stride, column_source, x0, span, columns);
+        read_words(words + k % 4, first_labels + (size_t)label_source[y0 + k] * columns, column_source, label_words, x0, span,
+                   columns);
         if (k < 2) continue;
-        multiply(product_rows + k % ROWS, plane_rows + (k - 2) % PLANE_ROWS, plane_rows + (k - 1) % PLANE_ROWS,
-                 plane_rows + k % PLANE_ROWS, scale[(k - 1) % 2], span);
+        multiply(product_rows + k % ROWS, plane_rows + (k - 2) % PLANE_ROWS, plane_rows + (k - 1) % PLANE_ROWS, entering,
+                 words + (k - 1) % 4, span);
         if (k < 2 * STRUCTURE_REACH) continue;
         const Products *r[ROWS];
         const Planes *q[PLANE_ROWS];
         for (int i = 0; i < ROWS; i++) r[i] = product_rows + (k - 4 + i) % ROWS;       // about padded row k - 3
         for (int i = 1; i < 4; i++) q[i] = plane_rows + (k - 5 + i) % PLANE_ROWS;
         weigh_rows(&sums, r, q, span);
-        const int y = y0 + k - 2 * STRUCTURE_REACH;
-        __global const uint *before = first_labels + (size_t)label_source[y + STRUCTURE_REACH] * columns + x0;
-        __global uint *label_row = labels + (size_t)y * columns + x0;
-        for (int x = 0; x < width; x += LANES) {
-            uint turns[LANES], start[LANES], leaf[LANES];
-            #pragma clang loop vectorize(disable)
-            for (int i = 0; i < LANES; i++) {
-                const uint label = before[x + i < width ? x + i : 0];
-                turns[i] = label_gradient[label];
-                start[i] = label_start[label];
+        const Words *here = words + (k - STRUCTURE_REACH) % 4;
+        __global uint *label_row = labels + (size_t)(y0 + k - 2 * STRUCTURE_REACH) * columns + x0;
+        for (int x = 0; x < width; x += AT_ONCE * LANES) {
+            uints leaf[AT_ONCE];
+            for (int i = 0; i < AT_ONCE; i++) {
+                const int p = x + i * LANES;
+                look(evidence + i, &sums, r[2], gradient_words(here, p + STRUCTURE_REACH), p + 1);
             }
-            uints alive[WORDS];
-            look(&evidence, &sums, r[2], LOAD_PRIVATE(uints, turns), x + 1);
-            rule_out(alive, &evidence, tests);
-            leaves_of(leaf, alive);
-            for (int i = 0; i < LANES && x + i < width; i++)
-                label_row[x + i] = FIRST_CLASS(start[i]) + (DECIDED(start[i]) ? 0 : leaf[i]);
+            leaves_of(leaf, evidence, tests);
+            for (int i = 0; i < AT_ONCE; i++) {
+                const uints first = start_words(here, x + i * LANES + STRUCTURE_REACH);
+                const uints label = DECIDED(first) != 0 ? FIRST_CLASS(first) : first + leaf[i];
+                write_labels(label_row, label, x + i * LANES, width);
+            }
         }
     }
 }

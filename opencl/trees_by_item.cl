@@ -22,7 +22,7 @@ void structures(STRUCTURES_PARAMETERS) {
         const size_t below = (size_t)row_source[y + i + 1] * columns, labelled = (size_t)label_source[y + i] * columns;
         for (int j = 1; j < 2 * STRUCTURE_REACH; j++) {
             const int left = column_source[x + j - 1], at = column_source[x + j], right = column_source[x + j + 1];
-            const uint scale = label_gradient[first_labels[labelled + at]];
+            const uint scale = (uint)label_words[first_labels[labelled + at]];
 #define ACROSS_OF(plane, top) gradient(plane[here + right] - plane[here + left], scale, top)
 #define DOWN_OF(plane, top) gradient(plane[below + at] - plane[above + at], scale, top)
             const int gx = ACROSS_OF(luminance, GRADIENT_TOP), gy = DOWN_OF(luminance, GRADIENT_TOP);
@@ -56,9 +56,10 @@ void structures(STRUCTURES_PARAMETERS) {
         }
     }
     const uint label = first_labels[(size_t)label_source[y + STRUCTURE_REACH] * columns + column_source[x + STRUCTURE_REACH]];
-    const uint first = label_start[label];
+    const ulong words = label_words[label];
+    const uint first = words >> 32;
     Evidence evidence;
-    turn(&s, label_gradient[label]);
+    turn(&s, (uint)words);
     weigh(&evidence, &s);
     uint node = 0;
     for (int step = 0; step < DEPTH; step++) node = next_node(node, &evidence, nodes);

@@ -22,9 +22,21 @@ typedef float floats;
 VECTOR(uint, uints, LANES);
 VECTOR(int, ints, LANES);
 VECTOR(float, floats, LANES);
+VECTOR(char, signed_chars, LANES);
 VECTOR(short, signed_shorts, LANES);
 VECTOR(ushort, shorts, LANES);           // as many as there are uints: half a register
 VECTOR(ushort, full_shorts, 2 * LANES);  // a whole register
+VECTOR(short, pairs, 2 * LANES);
+
+#if LANES == 16
+#define ALL_LANES(index) index(0), index(1), index(2), index(3), index(4), index(5), index(6), index(7), \
+    index(8), index(9), index(10), index(11), index(12), index(13), index(14), index(15)
+#else
+#define ALL_LANES(index) index(0), index(1), index(2), index(3), index(4), index(5), index(6), index(7)
+#endif
+
+#define EVEN(i) (2 * (i))
+#define ODD(i) (2 * (i) + 1)
 
 #define CONVERT(value, type) __builtin_convertvector(value, type)
 #define SAME_BITS(value, type) __builtin_astype(value, type)
@@ -34,23 +46,46 @@ VECTOR(ushort, full_shorts, 2 * LANES);  // a whole register
 #define STORE_PRIVATE(type, p) (*(type##_unaligned *)(p))
 #define LOAD_GLOBAL(type, p) (*(__global const type##_unaligned *)(p))
 #define STORE_GLOBAL(type, p) (*(__global type##_unaligned *)(p))
+
+// Products of neighbours, added in pairs and to `sum`: one instruction where the compiler has it.
+INLINE ints add_pairs(ints sum, pairs a, pairs b) {
+#if LANES == 16 && defined(__AVX512BW__)
+    return sum + SAME_BITS(__builtin_ia32_pmaddwd512(a, b), ints);
+#elif LANES == 8 && defined(__AVX2__)
+    return sum + SAME_BITS(__builtin_ia32_pmaddwd256(a, b), ints);
+#else
+#define HALF_OF(v, place) CONVERT(__builtin_shufflevector(v, v, ALL_LANES(place)), ints)
+    return sum + HALF_OF(a, EVEN) * HALF_OF(b, EVEN) + HALF_OF(a, ODD) * HALF_OF(b, ODD);
+#endif
+}
 #endif
 
-// What a layer reads and sums up: values of a mosaic, or planes, in floating point or, so that planes are the same on every
-// device, as whole numbers: DN in 32 bits, planes in a type that holds 53, which a double does without rounding.
-#if defined(FIXED_POINT) && SOURCES > 1
-#define TAP EXACT
-#elif defined(FIXED_POINT)
-#define TAP int
-#else
-#define TAP float
-#endif
-typedef TAP tap;
+// What a layer reads and sums up: values of a mosaic, or planes, in floating point; or, so that planes are the same on every
+// device, in whole numbers of 16 bits with sums of 32, two products a lane.
 #if LANES == 1
-#define JOINED(a, b) a##b
-#define JOIN_NAMES(a, b) JOINED(a, b)
-typedef JOIN_NAMES(TAP, 4) tap4;
+#ifdef FIXED_POINT
+typedef int tap;
+typedef int4 tap4;
 #else
-VECTOR(tap, taps, LANES);
-VECTOR(tap, four_taps, 4);
+typedef float tap;
+typedef float4 tap4;
+#endif
+#elif defined(FIXED_POINT)
+#define TAP_LANES (2 * LANES)
+typedef short tap;
+typedef int total;
+VECTOR(int, totals, LANES);
+VECTOR(short, taps, TAP_LANES);
+VECTOR(int, four_totals, 4);
+
+INLINE totals add_products(totals sum, taps a, taps b) { return add_pairs(sum, a, b); }
+#else
+#define TAP_LANES LANES
+typedef float tap;
+typedef float total;
+VECTOR(float, totals, LANES);
+VECTOR(float, taps, TAP_LANES);
+VECTOR(float, four_totals, 4);
+
+INLINE totals add_products(totals sum, taps a, taps b) { return sum + a * b; }
 #endif

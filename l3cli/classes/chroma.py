@@ -1,6 +1,6 @@
 """Chroma: the colour of a neighbourhood in which nothing is saturated (docs/method.md#chroma).
 
-chroma = the first k of least Σ max((S · round(65536 / n) >> 12) − chroma_black_level, 0) · weight[k] over the channels
+chroma = the first k of least Σ clamp((S · round(65536 / n) >> 12) − chroma_black_level, 0…65535) · weight[k] over channels
 
 With f the channel means above black over their sum and q a chroma centre, |f − q|² is least where |q|² Σ f − 2 Σ f q is:
 hence the weights |q|² − 2 q, and no division.
@@ -21,6 +21,7 @@ from l3cli.classes.windows import Integers, Neighbourhoods
 from l3cli.config import Recipe
 
 CHROMA_FRACTION = 4  # fractional bits of a channel mean above black in the chroma scores
+TOP = 2**16 - 1  # of what enters the scores, which only values at the top of the range pass
 SNIPPET = "chroma.cl"
 
 
@@ -77,7 +78,7 @@ def stored_black_level(camera: CameraModel, shift: int) -> int:
 
 def chromas(rule: ClassRule, statistics: Statistics) -> Integers:
     """Chroma (…), whatever is saturated."""
-    above_black = np.maximum((statistics.scaled >> (16 - CHROMA_FRACTION)) - rule.chroma_black_level, 0)
+    above_black = np.clip((statistics.scaled >> (16 - CHROMA_FRACTION)) - rule.chroma_black_level, 0, TOP)
     # below 2⁵³: exact in float64, whose products BLAS does
     return np.argmin(above_black.astype(np.float64) @ rule.chroma_weights.T.astype(np.float64), axis=-1)
 
@@ -100,9 +101,18 @@ def name(table: TransformTable, chroma: int) -> str:
 
 def macros(rule: ClassRule) -> dict[str, int]:
     """What chroma.cl is compiled with."""
-    return {"CHROMAS": rule.chromas, "CHROMA_FRACTION": CHROMA_FRACTION, "CHROMA_BLACK_LEVEL": rule.chroma_black_level}
+    black_level = rule.chroma_black_level
+    return {
+        "CHROMAS": rule.chromas,
+        "CHROMA_FRACTION": CHROMA_FRACTION,
+        "CHROMA_TOP": TOP,
+        "CHROMA_BLACK_LEVEL": black_level,
+    }
 
 
 def kernel_array(rule: ClassRule) -> NDArray[np.int32]:
-    """(chroma, channel)"""
-    return rule.chroma_weights
+    """(chroma, 1 + pair of channels), as chroma.cl has them."""
+    pairs = np.zeros((rule.chromas, (rule.channels + 1) // 2, 2), np.int16)  # which the weights fit
+    pairs.reshape(rule.chromas, -1)[:, : rule.channels] = rule.chroma_weights
+    start = 2**15 * rule.chroma_weights.sum(axis=1, keepdims=True, dtype=np.int32)
+    return np.concatenate([start, pairs.view(np.int32)[..., 0]], axis=1)

@@ -45,19 +45,19 @@ def mirrored(planes: NDArray, margin: int) -> NDArray:
     return planes[..., rows[:, None], cols]
 
 
-def first_label_words(rule: PlaneRule, first: ClassRule) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-    """What a kernel reads of each class (class) of the first layer: the factor of gradients, from bit 8 on their shift, from
-    bit 14 on how its site is turned; and the first class of its site and level, with bit 31 set where saturation decides and
-    it is the class itself (opencl/gradient.cl)."""
+def first_label_words(rule: PlaneRule, first: ClassRule) -> NDArray[np.uint64]:
+    """What a kernel reads of each class (class) of the first layer. In its lower half, the factor of gradients, from bit 8
+    on their shift, from bit 14 on how its site is turned; in its upper half the first class of its site and level, with the
+    highest bit set where saturation decides and it is the class itself (opencl/gradient.cl)."""
     place = first.split(np.arange(len(rule.turns) * first.classes_per_site))
-    factor, shift = (values[place.level].astype(np.uint32) for values in (rule.gradient_factor, rule.gradient_shift))
-    gradient = factor | shift << 8
+    factor, shift = (values[place.level].astype(np.uint64) for values in (rule.gradient_factor, rule.gradient_shift))
     if isinstance(rule, StructureRule):
-        turned = (rule.turns < 0).astype(np.uint32) @ np.array([1, 2], np.uint32)
+        turned = (rule.turns < 0) @ np.array([1, 2])
     else:
         axes = np.array([tree.turned_axes(turn) for turn in rule.turns.tolist()])
-        turned = (axes * [1, -1, -1] > 0).astype(np.uint32) @ np.array([1, 2, 4], np.uint32)
-    gradient |= turned[place.site] << 14
+        turned = (axes * [1, -1, -1] > 0) @ np.array([1, 2, 4])
     case = first.case(place.kind)
-    start = rule.join(rule.level_of(place.level), rule.kind(0, case), place.site).astype(np.uint32)
-    return gradient, start | (case > 0).astype(np.uint32) << 31
+    start = rule.join(rule.level_of(place.level), rule.kind(0, case), place.site)
+    upper = start | (case > 0).astype(np.int64) << 31
+    lower = factor | shift << np.uint64(8) | turned.astype(np.uint64)[place.site] << np.uint64(14)
+    return lower | upper.astype(np.uint64) << np.uint64(32)

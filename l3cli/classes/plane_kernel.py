@@ -1,5 +1,7 @@
 """How kernels see the rule of a layer that reads planes: files of opencl/, macros for shapes, arrays for values."""
 
+import bisect
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,6 +11,7 @@ from l3cli.artifacts.tree_rule import TESTS, TreeRule
 from l3cli.classes import tree
 from l3cli.classes.structure import NOISE_TRACE
 
+TOGETHER = 16  # leaves at most that are decided together
 NEVER = np.finfo(np.float32).max  # what nothing exceeds: the threshold of leaves
 
 
@@ -30,8 +33,7 @@ def rule_macros(rule: PlaneRule) -> dict[str, int]:
         }
     return {
         "TESTS": TESTS,
-        "LEAVES": rule.structures,
-        "RULED_OUT": len(_tests(rule)),
+        "PARTS": len(_parts(rule)),
         "DEPTH": rule.depth,
         "GRADIENT_TOP": tree.TOP,
         "CHROMA_TOP": tree.CHROMA_TOP,
@@ -48,14 +50,48 @@ def rule_constants(rule: PlaneRule, variant: str) -> tuple[NDArray[np.uint32], .
 
 
 def _tests(rule: TreeRule) -> NDArray[np.uint32]:
-    """(test and 32 leaves, word) as trees.cl has them."""
-    tests = []
-    for node, asked in zip(np.flatnonzero(rule.branch).tolist(), _asked(rule)[rule.branch > 0].tolist(), strict=True):
-        first, end = rule.leaf[[rule.branch[node], rule.branch[node] + 1]].tolist()
-        for word in range(first // 32, (end - 1) // 32 + 1):
-            bits = range(max(first - 32 * word, 0), min(end - 32 * word, 32))
-            tests.append((rule.threshold[node].view(np.uint32), asked | word << 8, sum(1 << bit for bit in bits)))
-    return np.array(tests, np.uint32).reshape(-1, 3)
+    """The tests of a tree's parts, as trees.cl has them."""
+    first, end = _parts(rule), _leaf_ends(rule).tolist()
+    words = -(-len(first) // 32)
+    groups: list[list[tuple[int, int, int]]] = [[] for _ in range(words + len(first))]
+    leaf, asked = rule.leaf.tolist(), _asked(rule, 8).tolist()
+    for node in np.flatnonzero(rule.branch).tolist():
+        part, behind = bisect.bisect_right(first, leaf[node]) - 1, leaf[rule.branch[node] + 1]
+        if end[node] <= [*first, rule.structures][part + 1]:  # within a part: leaves are ruled out
+            chosen = {words + part: range(leaf[node] - first[part], behind - first[part])}
+        else:  # above them: parts
+            parts = range(part, bisect.bisect_left(first, behind))
+            chosen = {
+                word: range(max(parts.start - 32 * word, 0), min(parts.stop - 32 * word, 32))
+                for word in range(parts.start // 32, (parts.stop - 1) // 32 + 1)
+            }
+        for group, bits in chosen.items():
+            groups[group].append((int(rule.threshold[node].view(np.uint32)), asked[node], sum(1 << bit for bit in bits)))
+    start = np.cumsum([len(groups) + 1 + len(first), *(3 * len(group) for group in groups)])
+    tests = np.array([test for group in groups for test in group], np.int64).reshape(-1)
+    return np.concatenate([start, first, tests]).astype(np.uint32)
+
+
+def _parts(rule: TreeRule) -> list[int]:
+    """First leaves of the parts that a tree is cut into: the largest branches of at most TOGETHER leaves, from left to
+    right."""
+    leaf, end = rule.leaf, _leaf_ends(rule)
+    first, above = [], [0]
+    while above:
+        node = above.pop()
+        if end[node] - leaf[node] <= TOGETHER:
+            first.append(int(leaf[node]))
+        else:
+            above += [int(rule.branch[node]) + 1, int(rule.branch[node])]
+    return first
+
+
+def _leaf_ends(rule: TreeRule) -> NDArray[np.int64]:
+    """Number (node) of the leaf behind those below each node."""
+    end = rule.leaf + 1
+    for node in np.flatnonzero(rule.branch)[::-1].tolist():  # branches lie behind their node
+        end[node] = end[rule.branch[node] + 1]
+    return end
 
 
 def _nodes(rule: TreeRule) -> NDArray[np.uint32]:
@@ -63,10 +99,10 @@ def _nodes(rule: TreeRule) -> NDArray[np.uint32]:
     leaf = rule.branch == 0
     threshold = np.where(leaf, NEVER, rule.threshold).astype(np.float32)
     node = np.where(leaf, np.arange(len(leaf)), rule.branch).astype(np.uint32)
-    return np.stack([threshold.view(np.uint32), _asked(rule) | node << np.uint32(8)], axis=1)
+    return np.stack([threshold.view(np.uint32), _asked(rule, 6) | node << np.uint32(8)], axis=1)
 
 
-def _asked(rule: TreeRule) -> NDArray[np.uint32]:
-    """Numerator (node) of each test and, from bit 6 on, its denominator."""
+def _asked(rule: TreeRule, place: int) -> NDArray[np.uint32]:
+    """Numerator (node) of each test and, from bit `place` on, its denominator."""
     denominator = np.array([test.denominator for test in tree.EVERY], np.uint32)
-    return np.asarray(rule.test | denominator[rule.test] << 6, np.uint32)
+    return np.asarray(rule.test | denominator[rule.test] << np.uint32(place), np.uint32)

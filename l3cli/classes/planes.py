@@ -1,11 +1,13 @@
-"""The first layer in fixed point: planes whose integers are the same wherever they are computed (docs/method.md#layers).
+"""Layers in fixed point: planes whose integers are the same wherever they are computed (docs/method.md#planes).
 
     plane = clamp(Σ W · DN + B + 2^(F − 1) >> F, ±4194303)
 
 The planes are X − aY, Y and Z − bY, with (a, 1, b) the white under the training light, so that greys have no chroma. W and
 B are the layer's weights and intercept per DN and PLANE_STEP, times 2^F, rounded: weights so that those of each channel add
 up to their rounded sum, or else what is rounded off would colour plain areas, and differently at every site. F is that of
-the class, the largest for which no sum over any DN leaves 32 bits.
+the class, the largest for which weights fit 16 bits and no sum over any values leaves 32: processors multiply 16 bits twice
+as fast as floats. A layer between reads planes in steps 2^COARSE times as large, so that they fit 16 bits, for DN and for
+channels.
 """
 
 from dataclasses import dataclass
@@ -18,8 +20,9 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.classes.windows import Integers, window_channels
 from l3cli.errors import InputFileError
 
-MOST_FRACTION, LATER_FRACTION = 16, 20
-ROOM = 1.01  # for what rounding adds
+MOST_FRACTION = 16
+MOST_WEIGHT, MOST_SUM = 2.0**15 - 2, 2.0**31 - 2**MOST_FRACTION  # before rounding, which adds less than 1 to a weight
+COARSE, COARSE_TOP = 5, 2**15 - 1  # bits by which a layer between reads planes coarser, and within which size
 LUMINANCE = 1  # the plane that is Y
 
 
@@ -27,12 +30,12 @@ LUMINANCE = 1  # the plane that is Y
 class FixedPoint:
     """A layer's transforms to planes, as integers."""
 
-    weights: NDArray[np.signedinteger]  # (class, plane, tap); 32 bits for the first layer, 64 for those that read planes
-    intercept: NDArray[np.signedinteger]  # (class, plane)
+    weights: NDArray[np.int16]  # (class, plane, tap)
+    intercept: NDArray[np.int64]  # (class, plane)
     fraction: NDArray[np.int32]  # (class) F
 
     def planes(self, sums: Integers, label: Integers) -> NDArray[np.int32]:
-        """Planes (plane, …) of sums Σ W · DN + B, or Σ W · plane + B, of pixels (…) of the classes `label`."""
+        """Planes (plane, …) of sums Σ W · DN + B, or of coarse planes, of pixels (…) of the classes `label`."""
         fraction = self.fraction.astype(np.int64)[label]
         rounded = (sums + (1 << fraction >> 1)) >> fraction
         return np.clip(rounded, -PLANE_TOP, PLANE_TOP).astype(np.int32)
@@ -47,38 +50,60 @@ def opponent_basis(white_point: NDArray[np.floating]) -> NDArray[np.float64]:
 
 def fixed_point(table: TransformTable) -> FixedPoint:
     """The first layer of a table whose outputs are X, Y, Z; InputFileError if its transforms are beyond all planes."""
-    basis, step = opponent_basis(table.white_point), (table.white_level - table.black_level) * PLANE_STEP
+    rule, step = table.first.rule, (table.white_level - table.black_level) * PLANE_STEP
+    basis = opponent_basis(table.white_point)
     weights = np.moveaxis(_to_planes(np.moveaxis(table.first.weights, 1, -1), basis), -1, 1) / step
     intercept = _to_planes(table.first.intercept, basis) / PLANE_STEP
-    offset = intercept - table.black_level * weights.sum(axis=-1)
-    largest = (np.abs(weights).sum(axis=-1) * (2**table.bits - 1) + np.abs(offset)).max(axis=-1)
-    fraction = np.minimum(MOST_FRACTION, np.floor(np.log2((2.0**31 - 1) / (ROOM * largest + 1))))
-    if fraction.min() < 0:
-        raise InputFileError("transforms of the table's first layer are too large for the second; train it again")
+    middle = raw_middle(table.bits)
+    largest = max(2**table.bits - 1 - middle, middle)
+    back = np.abs(intercept) + abs(table.black_level - middle) * np.abs(weights.sum(axis=-1))
+    fraction = _fraction(weights, largest, back)
+    channel = window_channels(table.cfa, rule.patch)[rule.split(np.arange(len(weights))).site]
     scale = 2.0 ** fraction[:, None]
-    whole = _rounded(weights * scale[..., None], table)
+    whole = _rounded(weights * scale[..., None], channel)
     back = np.rint(intercept * scale - table.black_level * whole.sum(axis=-1))
-    return FixedPoint(whole.astype(np.int32), back.astype(np.int32), fraction.astype(np.int32))
+    return FixedPoint(whole.astype(np.int16), back.astype(np.int64), fraction)
 
 
 def later_fixed_point(layer: PlaneLayer, basis: NDArray[np.float64]) -> FixedPoint:
     """A layer that reads planes and after which another does; InputFileError if its transforms are beyond all planes."""
-    scale = 2.0**LATER_FRACTION
-    weights = np.rint(np.moveaxis(_to_planes(np.moveaxis(layer.weights, 1, -1), basis), -1, 1) * scale)
-    intercept = np.rint(_to_planes(layer.intercept, basis) / PLANE_STEP * scale)
-    if (np.abs(weights).sum(axis=-1) * PLANE_TOP + np.abs(intercept)).max() >= 2.0**52:  # which float64 adds exactly
+    weights = np.moveaxis(_to_planes(np.moveaxis(layer.weights, 1, -1), basis), -1, 1) * 2**COARSE
+    intercept = _to_planes(layer.intercept, basis) / PLANE_STEP
+    fraction = _fraction(weights, COARSE_TOP, np.abs(intercept))
+    scale = 2.0 ** fraction[:, None]
+    source = np.repeat(np.arange(weights.shape[1]), layer.side**2)
+    whole = _rounded(weights * scale[..., None], np.broadcast_to(source, (len(weights), source.size)))
+    return FixedPoint(whole.astype(np.int16), np.rint(intercept * scale).astype(np.int64), fraction)
+
+
+def coarse(planes: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Planes as a layer between reads them."""
+    return np.clip(planes + (1 << COARSE >> 1) >> COARSE, -COARSE_TOP, COARSE_TOP)
+
+
+def raw_middle(bits: int) -> int:
+    """What is taken off raw values of so many bits, so that they fit 16 bits with a sign."""
+    return 2**15 if bits == 16 else 0
+
+
+def _fraction(weights: NDArray[np.float64], largest: float, offset: NDArray[np.float64]) -> NDArray[np.int32]:
+    """F (class) of weights (class, plane, tap) of values of at most a `largest` size and with an offset (class, plane)."""
+    size = np.abs(weights)
+    sums = (size.sum(axis=-1) * largest + offset).max(axis=-1)
+    rounding = 2 * weights.shape[-1] * largest  # what it may add to sum and offset
+    room = np.minimum(MOST_WEIGHT / (size.max(axis=(1, 2)) + 1e-30), (MOST_SUM - rounding) / (sums + 1e-30))
+    fraction = np.minimum(MOST_FRACTION, np.floor(np.log2(room)))
+    if fraction.min() < 0:
         raise InputFileError("transforms of a layer are too large for the next; train the table again")
-    fraction = np.full(len(weights), LATER_FRACTION, np.int32)
-    return FixedPoint(weights.astype(np.int64), intercept.astype(np.int64), fraction)
+    return fraction.astype(np.int32)
 
 
-def _rounded(weights: NDArray[np.float64], table: TransformTable) -> NDArray[np.float64]:
-    """Weights (class, plane, tap) as whole numbers less than one away, of sums over each channel that are the nearest."""
-    rule = table.first.rule
-    channel = window_channels(table.cfa, rule.patch)[rule.split(np.arange(len(weights))).site]
+def _rounded(weights: NDArray[np.float64], channel: Integers) -> NDArray[np.float64]:
+    """Weights (class, plane, tap) of channels (class, tap) as whole numbers less than one away, of sums over each channel
+    that are the nearest."""
     whole = np.floor(weights)
     missing, order = weights - whole, np.empty(weights.shape, np.int64)
-    for index in range(len(table.channels)):
+    for index in range(int(channel.max()) + 1):
         member = (channel == index)[:, None]
         left = np.where(member, missing, -1.0)  # a tap of another channel comes last
         np.put_along_axis(order, np.argsort(-left, axis=-1, kind="stable"), np.arange(weights.shape[-1]), axis=-1)

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.layers import PLANE_STEP, PlaneLayer
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.later import mirrored
-from l3cli.classes.planes import FixedPoint
+from l3cli.classes.planes import FixedPoint, coarse
 from l3cli.classes.windows import Integers
 from l3cli.frame import RawFrame, pad_mosaic
 
@@ -28,7 +28,7 @@ def first_planes(frame: RawFrame, labels: Integers, table: TransformTable, fixed
 def later_planes(planes: NDArray[np.int32], labels: Integers, layer: PlaneLayer, fixed: FixedPoint) -> NDArray[np.int32]:
     """Planes (plane, row, col) that a layer makes of those of the layer before, by its classes (row, col)."""
     _, rows, cols = planes.shape
-    windows = _windows(planes.astype(np.int64), layer)
+    windows = _windows(coarse(planes).astype(np.int64), layer)
     made = np.empty_like(planes)
     for row in range(rows):
         patches, label = np.moveaxis(windows[:, row], 0, 1).reshape(cols, 1, -1), labels[row]

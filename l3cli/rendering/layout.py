@@ -1,5 +1,6 @@
 """How the kernels see a table: macros for shapes, arrays for values, sources in their order (opencl/*.cl)."""
 
+import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.classes.kernel import joined, kernel_arrays, kernel_macros, snippets
 from l3cli.classes.later import first_label_words
 from l3cli.classes.plane_kernel import rule_constants, rule_macros, rule_snippets
-from l3cli.classes.planes import LUMINANCE, FixedPoint
+from l3cli.classes.planes import COARSE, COARSE_TOP, LUMINANCE, FixedPoint, raw_middle
 from l3cli.classes.windows import Integers, neighbourhoods
 from l3cli.physics.display import srgb_curve
 from l3cli.rendering.display import Display
@@ -80,18 +81,13 @@ def table_macros(table: TransformTable) -> Macros:
         "PERIOD": table.cfa.shape[1] + PERIODS,
         "SHIFT": rule.shift,
         "MAX_RAW": 2**table.bits - 1,
+        "RAW_MIDDLE": raw_middle(table.bits),
         **kernel_macros(rule),
     }
 
 
 # What a layer writes for the next to read.
-TO_PLANES: Macros = {"FIXED_POINT": 1, "PLANE_TOP": PLANE_TOP, "CODE": "int"}
-
-
-def exact_type(doubles: bool) -> tuple[str, type[np.generic]]:
-    """What whole numbers of planes are summed up in, in a kernel and in its weights: doubles where the device computes
-    them, which are exact as far as sums go and twice as fast there as integers."""
-    return ("double", np.float64) if doubles else ("long", np.int64)
+TO_PLANES: Macros = {"FIXED_POINT": 1, "PLANE_TOP": PLANE_TOP, "COARSE": COARSE, "COARSE_TOP": COARSE_TOP, "CODE": "int"}
 
 
 def later_macros(table: TransformTable, layer: PlaneLayer) -> Macros:
@@ -119,6 +115,7 @@ def display_macros(display: Display) -> Macros:
     return macros | (curve_macros(2, 5) if display.bits == 8 else curve_macros(3, 8))
 
 
+@functools.cache
 def curve_macros(steps: int, degree: int) -> Macros:
     """The power part of the sRGB curve as a polynomial in the fourth root (encoding.cl), fitted at Chebyshev's nodes."""
     lowest = 0.0031308**0.25
@@ -155,7 +152,15 @@ class Weights:
 
     taps: NDArray[Any]  # (class, output, tap), taps column by column, in each row by row, plane by plane
     intercept: NDArray[Any]  # (class, output)
-    fraction: NDArray[np.int32] | None = None  # (class) of integers to three planes; lies where a fourth intercept would
+
+
+@dataclass(frozen=True)
+class WholeWeights:
+    """The same of a layer in fixed point, to three planes."""
+
+    taps: NDArray[np.int16]  # (class, plane, tap) in the same order
+    intercept: NDArray[np.int32]  # (class, plane)
+    fraction: NDArray[np.int32]  # (class)
 
 
 def first_weights(table: TransformTable) -> Weights:
@@ -164,9 +169,15 @@ def first_weights(table: TransformTable) -> Weights:
     return Weights(taps.astype(np.float32), table.first.intercept)
 
 
-def plane_weights(fixed: FixedPoint, planes: int = 1, kind: type[np.generic] = np.int32) -> Weights:
-    """Of a layer that another follows, to planes, as whole numbers of a kind; it reads the mosaic or `planes`."""
-    return Weights(_by_column(fixed.weights, planes).astype(kind), fixed.intercept, fixed.fraction)
+def first_plane_weights(fixed: FixedPoint, bits: int) -> WholeWeights:
+    """Of the first layer if another follows it; raw values lose `raw_middle`."""
+    intercept = fixed.intercept + raw_middle(bits) * fixed.weights.sum(axis=-1, dtype=np.int64)
+    return WholeWeights(_by_column(fixed.weights, 1), intercept.astype(np.int32), fixed.fraction)
+
+
+def later_plane_weights(fixed: FixedPoint) -> WholeWeights:
+    """Of a layer that reads planes if another follows it."""
+    return WholeWeights(_by_column(fixed.weights, PLANES), fixed.intercept.astype(np.int32), fixed.fraction)
 
 
 def later_weights(layer: PlaneLayer) -> Weights:
@@ -177,7 +188,7 @@ def later_weights(layer: PlaneLayer) -> Weights:
 def rule_arrays(table: TransformTable, rule: PlaneRule, variant: str) -> tuple[NDArray, ...]:
     """The constants of the kernel `structures`, in the order of its arguments; what they are stands in gradient.cl and in
     structure.cl or tree.cl."""
-    return (*first_label_words(rule, table.first.rule), *rule_constants(rule, variant))
+    return (first_label_words(rule, table.first.rule), *rule_constants(rule, variant))
 
 
 def _by_column(weights: NDArray, planes: int) -> NDArray:
@@ -206,9 +217,19 @@ def pack_in_vectors(layer: Weights, lanes: int) -> NDArray:
         packed[:, g, :last] = ordered.reshape(classes, last)
         packed[:, g, last : last + count] = layer.taps[:, chosen, -1]
         packed[:, g, last + 4 : last + 4 + count] = layer.intercept[:, chosen]
-    if layer.fraction is not None:
-        packed[:, 0, last + 7] = layer.fraction
     return packed
+
+
+def pack_whole_in_vectors(layer: WholeWeights, lanes: int) -> NDArray[np.int16]:
+    """(class, …) for fixed_point.cl: in 32 bits three intercepts and the fraction, each before three zeros; then, eight taps
+    at a time, those of the three planes and zeros."""
+    classes, planes, taps = layer.taps.shape
+    first = np.zeros((classes, 4, 4), np.int32)
+    first[:, :, 0] = np.column_stack([layer.intercept, layer.fraction])
+    in_eights = np.zeros((classes, 4, -(-taps // 8) * 8), np.int16)
+    in_eights[:, :planes, :taps] = layer.taps
+    beside = in_eights.reshape(classes, 4, -1, 8).transpose(0, 2, 1, 3)
+    return np.concatenate([first.reshape(classes, 16).view(np.int16), beside.reshape(classes, -1)], axis=1)
 
 
 def pack_in_fours(layer: Weights, lanes: int) -> NDArray:
@@ -216,9 +237,16 @@ def pack_in_fours(layer: Weights, lanes: int) -> NDArray:
     classes, outputs, taps = layer.taps.shape
     packed = np.zeros((classes, 1 + taps, -(-outputs // 4) * 4), layer.taps.dtype)
     packed[:, 0, :outputs] = layer.intercept
-    if layer.fraction is not None:
-        packed[:, 0, 3] = layer.fraction
     packed[:, 1:, :outputs] = layer.taps.transpose(0, 2, 1)
+    return packed
+
+
+def pack_whole_in_fours(layer: WholeWeights, lanes: int) -> NDArray[np.int32]:
+    """(class, 1 + tap, 4) for graphics.cl: three intercepts and the fraction, then the taps."""
+    classes, planes, taps = layer.taps.shape
+    packed = np.zeros((classes, 1 + taps, 4), np.int32)
+    packed[:, 0] = np.column_stack([layer.intercept, layer.fraction])
+    packed[:, 1:, :planes] = layer.taps.transpose(0, 2, 1)
     return packed
 
 
@@ -237,17 +265,20 @@ class Variant:
     later_sources: tuple[str, ...]  # and for one that reads planes
     cut: Callable[[TransformTable, int], Cut]  # for a number of lanes that suits the device
     pack: Callable[[Weights, int], NDArray]  # weights as its kernels read them, for Cut.lanes
+    pack_whole: Callable[[WholeWeights, int], NDArray]
 
 
 SHARED = ("rule.cl", "encoding.cl")
+TRANSFORM = ("folding.cl", "floating_point.cl", "fixed_point.cl", "transform.cl")
 VARIANTS = {
     # Few and long work-items, each vectorised within: over pixels for the classes, over taps for the transforms.
     "processor": Variant(
-        (*SHARED, "ingest.cl", "statistics.cl", "classes.cl", "rows.cl", "transform.cl"),
-        ("ingest.cl", "rows.cl", "transform.cl"),
+        (*SHARED, "ingest.cl", "statistics.cl", "classes.cl", "rows.cl", *TRANSFORM),
+        ("ingest.cl", "rows.cl", *TRANSFORM, "plane_rows.cl"),
         lambda table, lanes: Cut(256, 48, (1, 1), lanes),
         pack_in_vectors,
+        pack_whole_in_vectors,
     ),
     # A work-item a pixel; the device lays them side by side itself.
-    "graphics": Variant((*SHARED, "graphics.cl"), ("graphics.cl",), _cut_for_graphics, pack_in_fours),
+    "graphics": Variant((*SHARED, "graphics.cl"), ("graphics.cl",), _cut_for_graphics, pack_in_fours, pack_whole_in_fours),
 }

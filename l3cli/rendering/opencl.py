@@ -229,20 +229,19 @@ class OpenCLRenderer:
 
     def _plane_step(self, number: int, first: Any) -> PlaneStep:
         """How a later layer comes to its planes and classes; `first` is the program of the first layer."""
-        cl, table, pack = pyopencl(), self.table, layout.VARIANTS[self.variant].pack
+        cl, table = pyopencl(), self.table
         layer, before = table.later[number], table.later[number - 1] if number else None
-        exact, kind = layout.exact_type(self.variant == "processor" and bool(self.device.double_fp_config))
-        between = {**layout.TO_PLANES, "EXACT": exact}
         if before is None:
-            weights, maker = layout.plane_weights(fixed_point(table)), first
+            weights, maker = layout.first_plane_weights(fixed_point(table), table.bits), first
         else:
-            fixed = later_fixed_point(before, opponent_basis(table.white_point))
-            weights, maker = layout.plane_weights(fixed, layout.PLANES, kind), self._build_later(before, between)
-        program = self._build_later(layer, layout.OUTPUTS_AS_THEY_ARE if layer is table.later[-1] else between)
+            weights = layout.later_plane_weights(later_fixed_point(before, opponent_basis(table.white_point)))
+            maker = self._build_later(before, layout.TO_PLANES)
+        program = self._build_later(layer, layout.OUTPUTS_AS_THEY_ARE if layer is table.later[-1] else layout.TO_PLANES)
         kernels = cl.Kernel(maker, "transform"), cl.Kernel(program, "structures")
         rule = tuple(self._constant(array) for array in layout.rule_arrays(table, layer.rule, self.variant))
         nothing = self._constant(np.zeros(9, np.float32))
-        return PlaneStep(*kernels, self._constant(pack(weights, self._cut.lanes)), rule, nothing)
+        packed = layout.VARIANTS[self.variant].pack_whole(weights, self._cut.lanes)
+        return PlaneStep(*kernels, self._constant(packed), rule, nothing)
 
     def _build_later(self, layer: PlaneLayer, ending: layout.Macros) -> Any:
         """The program of a layer that reads planes."""

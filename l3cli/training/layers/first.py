@@ -10,7 +10,7 @@ from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.layers import PLANE_TOP, PlaneLayer
 from l3cli.classes.decide import labels as classes_of
 from l3cli.classes.later import label_planes, mirrored
-from l3cli.classes.planes import FixedPoint, later_fixed_point
+from l3cli.classes.planes import COARSE, FixedPoint, coarse, later_fixed_point
 from l3cli.classes.statistics import mosaic_statistics, truncation
 from l3cli.classes.windows import Integers, neighbourhoods
 from l3cli.frame import pad_mosaic
@@ -71,7 +71,8 @@ class PlaneStage:
         """The mosaic after one layer more."""
         label = label_planes(seen.noisy, seen.label, self.layer.rule, self.first)
         noisy, clean = (
-            _windows(mirrored(planes, self.layer.radius), self.layer.side) for planes in (seen.noisy, seen.clean)
+            _windows(mirrored(planes, self.layer.radius), self.layer.side)
+            for planes in (coarse(seen.noisy), seen.clean / np.float32(2**COARSE))
         )
         return replace(seen, noisy=self._apply.planes(noisy, label), clean=self._apply.clean(clean, label))
 

@@ -1,0 +1,94 @@
+// Processor variant, layers in fixed point: patches of 16-bit values → sums of three outputs in 32 bits, and planes of them.
+//
+// Outputs lie side by side: a vector of weights holds EIGHT taps of each, those of one in four lanes of sums. The patch is read EIGHT
+// taps at a time, repeated for every output. So the sums of a pixel are one vector (or two of 8 lanes), and folding them costs a
+// third of what it would with a vector an output. A fourth output has no weights: its intercept is the fraction of the class.
+
+#ifdef FIXED_POINT
+
+#define EIGHT 8
+#define VECTORS ((TAPS + EIGHT - 1) / EIGHT)
+#define BESIDE (LANES / 4)    // outputs side by side in a vector
+#define SUMS (4 / BESIDE)     // vectors that hold four outputs
+#define CLASS_STRIDE (2 * LANES * SUMS * (1 + VECTORS))  // in 16 bits: first the intercepts, in the first lane of each four
+#define PLANES_MADE 3
+#define READ_AHEAD EIGHT
+
+typedef short eight_taps __attribute__((ext_vector_type(EIGHT), aligned(sizeof(short))));
+
+#if LANES == 16
+#define REPEATED(v) __builtin_shufflevector(v, v, 0, 1, 2, 3, 4, 5, 6, 7, 0, 1, 2, 3, 4, 5, 6, 7, \
+    0, 1, 2, 3, 4, 5, 6, 7, 0, 1, 2, 3, 4, 5, 6, 7)
+#else
+#define REPEATED(v) __builtin_shufflevector(v, v, 0, 1, 2, 3, 4, 5, 6, 7, 0, 1, 2, 3, 4, 5, 6, 7)
+#endif
+
+// A pair's products with the weights of their classes, summed as far as a pair goes.
+INLINE void apply_pair(totals sum[SUMS], const tap *first, const tap *second, __global const tap *first_weights,
+                       __global const tap *second_weights) {
+    totals one[SUMS], other[SUMS];
+    #pragma unroll
+    for (int s = 0; s < SUMS; s++) {
+        one[s] = SAME_BITS(LOAD_GLOBAL(taps, first_weights + s * TAP_LANES), totals);
+        other[s] = SAME_BITS(LOAD_GLOBAL(taps, second_weights + s * TAP_LANES), totals);
+    }
+    #pragma unroll
+    for (int j = 0; j < VECTORS; j++) {
+        const eight_taps u = *(const eight_taps *)(first + j * EIGHT), v = *(const eight_taps *)(second + j * EIGHT);
+        #pragma unroll
+        for (int s = 0; s < SUMS; s++) {
+            const int at = ((1 + j) * SUMS + s) * TAP_LANES;
+            one[s] = add_products(one[s], REPEATED(u), LOAD_GLOBAL(taps, first_weights + at));
+            other[s] = add_products(other[s], REPEATED(v), LOAD_GLOBAL(taps, second_weights + at));
+        }
+    }
+    #pragma unroll
+    for (int s = 0; s < SUMS; s++) sum[s] = fold_two(one[s], other[s]);
+}
+
+// The fours of each vector, those of one output together.
+INLINE void part_outputs(totals output[4], totals folded[SUMS][LANES / 4]) {
+#if LANES == 16
+    const totals *v = folded[0];
+    const totals ab = JOIN(v[0], v[1], 0, 4), cd = JOIN(v[2], v[3], 0, 4), ab_after = JOIN(v[0], v[1], 8, 12);
+    const totals cd_after = JOIN(v[2], v[3], 8, 12);
+    output[0] = JOIN(ab, cd, 0, 8);
+    output[1] = JOIN(ab, cd, 4, 12);
+    output[2] = JOIN(ab_after, cd_after, 0, 8);
+    output[3] = JOIN(ab_after, cd_after, 4, 12);
+#else
+    #pragma unroll
+    for (int s = 0; s < SUMS; s++) {
+        output[2 * s] = __builtin_shufflevector(folded[s][0], folded[s][1], 0, 1, 2, 3, 8, 9, 10, 11);
+        output[2 * s + 1] = __builtin_shufflevector(folded[s][0], folded[s][1], 4, 5, 6, 7, 12, 13, 14, 15);
+    }
+#endif
+}
+
+// LANES pixels from x on: plane o → planes[o * TILE + x].
+INLINE void apply(total *planes, const tap *patches, const uint *label, __global const tap *weights, int x) {
+    totals folded[SUMS][LANES / 4], output[4];
+    #pragma unroll
+    for (int n = 0; n < LANES / 2; n += 2) {
+        totals pair[2][SUMS];
+        #pragma unroll
+        for (int i = 0; i < 2; i++) {
+            const int first = PAIR_FIRST(n + i), second = first + PAIR;
+            const uint class = label[x + first], other = label[x + second];
+            const tap *patch = patches + (x + first) * COLUMN;
+            __global const tap *row = weights + (size_t)class * CLASS_STRIDE;
+            if (class == other) apply_pair(pair[i], patch, patch + PAIR * COLUMN, row, row);
+            else apply_pair(pair[i], patch, patch + PAIR * COLUMN, row, weights + (size_t)other * CLASS_STRIDE);
+        }
+        #pragma unroll
+        for (int s = 0; s < SUMS; s++) folded[s][n / 2] = fold_four(pair[0][s], pair[1][s]);
+    }
+    part_outputs(output, folded);
+    #pragma unroll
+    for (int o = 0; o < 3; o++) {
+        const totals in_pairs = plane_value(output[o], output[3]);
+        STORE_PRIVATE(totals, planes + o * TILE + x) = __builtin_shufflevector(in_pairs, in_pairs, ALL_LANES(PAIR_PLACE));
+    }
+}
+
+#endif

@@ -1,0 +1,89 @@
+// Processor variant, layers in floating point: patches → weighted sums of any number of outputs.
+//
+// An odd square is 8n + 1, so a patch of one plane is VECTORS whole vectors (of 16 lanes the last one may be half weights of zero)
+// and one tap more, which goes with the intercept: for all outputs of a group together, one vector of four.
+
+#ifndef FIXED_POINT
+
+#define VECTORS ((TAPS - 1 + LANES - 1) / LANES)
+#define GROUPS ((OUTPUTS + 3) / 4)               // outputs are taken in groups …
+#define GROUP ((OUTPUTS + GROUPS - 1) / GROUPS)  // … of at most four, so that their sums stay in registers
+#define LAST_TAP (VECTORS * GROUP * LANES)       // where a group's last taps lie, behind them its intercepts
+#define GROUP_STRIDE WHOLE(LAST_TAP + 8, 16)
+#define CLASS_STRIDE (GROUPS * GROUP_STRIDE)
+#define PLANES_MADE (GROUPS * GROUP)
+#define READ_AHEAD (VECTORS * LANES)  // taps that may be read behind a patch
+
+// The fours of each vector added up, one four after the other.
+INLINE totals fold_all(const totals v[LANES / 4]) {
+#if LANES == 16
+    const totals ab = JOIN(v[0], v[1], 0, 4) + JOIN(v[0], v[1], 8, 12);
+    const totals cd = JOIN(v[2], v[3], 0, 4) + JOIN(v[2], v[3], 8, 12);
+    return JOIN(ab, cd, 0, 8) + JOIN(ab, cd, 4, 12);
+#else
+    return __builtin_shufflevector(v[0], v[1], 0, 1, 2, 3, 8, 9, 10, 11)
+         + __builtin_shufflevector(v[0], v[1], 4, 5, 6, 7, 12, 13, 14, 15);
+#endif
+}
+
+// Where the sums of a pixel begin: output o's last tap and intercept, in lane o.
+INLINE four_totals last_taps(const tap *patch, __global const tap *weights) {
+    return LOAD_GLOBAL(four_totals, weights + LAST_TAP) * patch[TAPS - 1] + LOAD_GLOBAL(four_totals, weights + LAST_TAP + 4);
+}
+
+// A pair's products with the weights of their classes, summed as far as a pair goes.
+INLINE void apply_pair(totals sum[GROUP], const tap *first, const tap *second, __global const tap *first_weights,
+                       __global const tap *second_weights) {
+    const four_totals first_last = last_taps(first, first_weights), second_last = last_taps(second, second_weights);
+    totals one[GROUP], other[GROUP];
+    #pragma unroll
+    for (int o = 0; o < GROUP; o++) {
+        one[o] = other[o] = (totals)0;
+        one[o][o] = first_last[o];
+        other[o][o] = second_last[o];
+    }
+    #pragma unroll
+    for (int j = 0; j < VECTORS; j++) {
+        const taps u = LOAD_PRIVATE(taps, first + j * LANES), v = LOAD_PRIVATE(taps, second + j * LANES);
+        #pragma unroll
+        for (int o = 0; o < GROUP; o++) {
+            one[o] = add_products(one[o], u, LOAD_GLOBAL(taps, first_weights + (j * GROUP + o) * LANES));
+            other[o] = add_products(other[o], v, LOAD_GLOBAL(taps, second_weights + (j * GROUP + o) * LANES));
+        }
+    }
+    #pragma unroll
+    for (int o = 0; o < GROUP; o++) sum[o] = fold_two(one[o], other[o]);
+}
+
+// LANES pixels from x on: plane o of group g → planes[(g * GROUP + o) * TILE + x].
+INLINE void apply(total *planes, const tap *patches, const uint *label, __global const tap *weights, int x) {
+    for (int g = 0; g < GROUPS; g++) {
+        __global const tap *group = weights + g * GROUP_STRIDE;
+        totals folded[GROUP][LANES / 4];
+        #pragma unroll
+        for (int n = 0; n < LANES / 2; n += 2) {
+            totals pair[2][GROUP];
+            #pragma unroll
+            for (int i = 0; i < 2; i++) {
+                const int first = PAIR_FIRST(n + i), second = first + PAIR;
+                const uint class = label[x + first], other = label[x + second];
+                const tap *patch = patches + (x + first) * COLUMN;
+                __global const tap *row = group + (size_t)class * CLASS_STRIDE;
+                if (class == other)
+                    apply_pair(pair[i], patch, patch + PAIR * COLUMN, row, row);
+                else
+                    apply_pair(pair[i], patch, patch + PAIR * COLUMN, row, group + (size_t)other * CLASS_STRIDE);
+            }
+            #pragma unroll
+            for (int o = 0; o < GROUP; o++) folded[o][n / 2] = fold_four(pair[0][o], pair[1][o]);
+        }
+        #pragma unroll
+        for (int o = 0; o < GROUP; o++) {
+            const totals in_pairs = fold_all(folded[o]);
+            STORE_PRIVATE(totals, planes + (g * GROUP + o) * TILE + x) =
+                __builtin_shufflevector(in_pairs, in_pairs, ALL_LANES(PAIR_PLACE));
+        }
+    }
+}
+
+#endif

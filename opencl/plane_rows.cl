@@ -1,0 +1,37 @@
+// Processor variant: padded rows of a tile of planes, and what the classes of their pixels say.
+
+#define REACHED (TILE + 2 * STRUCTURE_REACH + 4 * LANES)
+
+typedef struct {
+    ulong of[REACHED];  // label_words of every pixel
+} Words;
+
+// `end` padded columns of a row of a plane, or of classes; the first lies STRUCTURE_REACH to the left of the tile.
+INLINE void read_plane(int *to, __global const int *row, __global const int *column_source, int x0, int end, int columns) {
+    const int first = max(0, STRUCTURE_REACH - x0), last = min(end, columns - x0 + STRUCTURE_REACH);
+    int p = first;
+    for (; p + LANES <= last; p += LANES) STORE_PRIVATE(ints, to + p) = LOAD_GLOBAL(ints, row + x0 - STRUCTURE_REACH + p);
+    for (int i = 0; i < first; i++) to[i] = row[column_source[x0 + i]];
+    for (; p < end; p++) to[p] = row[column_source[x0 + p]];
+}
+
+INLINE void read_words(Words *to, __global const uint *labels, __global const int *column_source,
+                       __global const ulong *label_words, int x0, int end, int columns) {
+    int label[REACHED];
+    read_plane(label, (__global const int *)labels, column_source, x0, end, columns);
+    #pragma clang loop vectorize(disable) unroll_count(8)
+    for (int p = 0; p < end; p++) to->of[p] = label_words[label[p]];
+}
+
+// The two words of LANES pixels from p on.
+VECTOR(uint, words, 2 * LANES);
+#define WORDS_AT(row, p) (*(const words_unaligned *)((row)->of + (p)))
+#define HALVES_AT(row, p, which) __builtin_shufflevector(WORDS_AT(row, p), WORDS_AT(row, p), ALL_LANES(which))
+INLINE uints gradient_words(const Words *row, int p) { return HALVES_AT(row, p, EVEN); }
+INLINE uints start_words(const Words *row, int p) { return HALVES_AT(row, p, ODD); }
+
+// Classes of LANES pixels of a row that is `width` wide from x on.
+INLINE void write_labels(__global uint *row, uints label, int x, int width) {
+    if (x + LANES <= width) STORE_GLOBAL(uints, row + x) = label;
+    else for (int i = 0; x + i < width; i++) row[x + i] = label[i];
+}
