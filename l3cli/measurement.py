@@ -106,6 +106,17 @@ class FinishedCurves:
 
 
 @dataclass(frozen=True)
+class CurveStatistics:
+    """Curves of measured cameras in few numbers: per photon, each channel scaled to a peak of 1."""
+
+    wavelength: NDArray[np.float64]  # (wavelength) nm
+    mean: NDArray[np.float64]  # (channel, wavelength)
+    modes: NDArray[np.float64]  # (mode, channel, wavelength) principal modes, each by its standard deviation
+    log_peak: NDArray[np.float64]  # (channel) mean natural logarithm of the peak over the geometric mean of all channels
+    log_peak_covariance: NDArray[np.float64]  # (channel, channel)
+
+
+@dataclass(frozen=True)
 class SensorFigures:
     """What a camera model holds of its sensor, measured or from a data sheet."""
 
