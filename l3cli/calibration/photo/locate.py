@@ -53,9 +53,9 @@ def locate(mosaic: Array, cfa: NDArray[np.uint8], reflectance: Array, grid: tupl
     step = max(1, -(-max(picture.shape[:2]) // LONGEST))
     height, width = (length // step for length in picture.shape[:2])
     small = picture[: height * step, : width * step].reshape(height, step, width, step, -1).mean(axis=(1, 3))
-    components = _components(reflectance)
+    basis = components(reflectance)
     regions = [_plain_regions(small, slope) for slope in SLOPES]
-    placements = [_placed(matrix, small, components, grid) for region in regions for matrix in _grids(*region, grid)]
+    placements = [_placed(matrix, small, basis, grid) for region in regions for matrix in _grids(*region, grid)]
     best = max(filter(None, placements), key=lambda each: each.fit, default=None)
     if best is None or best.fit < LEAST_FIT:
         return None
@@ -65,7 +65,7 @@ def locate(mosaic: Array, cfa: NDArray[np.uint8], reflectance: Array, grid: tupl
     return Located(np.array([[scale[0], 0, shift[0]], [0, scale[1], shift[1]], [0, 0, 1]]) @ best.to_pixels, best.fit)
 
 
-def _components(reflectance: Array) -> Array:
+def components(reflectance: Array) -> Array:
     """(patch, component) orthonormal: what the values of any channel are made of, a constant for glare included."""
     left, _, _ = np.linalg.svd(reflectance, full_matrices=False)
     basis, _ = np.linalg.qr(np.column_stack([np.ones(len(reflectance)), left[:, :COMPONENTS]]))
@@ -192,7 +192,7 @@ def _refined(located: Located, centres: Array, grid: tuple[int, int]) -> Located
 # -------------------------------------------------------------------------------------------------------- placement
 
 
-def _placed(matrix: Array, picture: Array, components: Array, grid: tuple[int, int]) -> Located | None:
+def _placed(matrix: Array, picture: Array, basis: Array, grid: tuple[int, int]) -> Located | None:
     """The placement of the chart on a grid, shifted and turned, under which its reflectances fit best."""
     rows, cols = grid
     reach = max(grid)
@@ -205,16 +205,16 @@ def _placed(matrix: Array, picture: Array, components: Array, grid: tuple[int, i
             patches = turned[y : y + rows, x : x + cols].reshape(rows * cols, -1)
             if np.isnan(patches).any():
                 continue
-            fit = _fit(patches, components)
-            if best is None or fit > best[0]:
-                best = fit, turn, y, x
+            share = fit(patches, basis)
+            if best is None or share > best[0]:
+                best = share, turn, y, x
     if best is None:
         return None
-    fit, turn, y, x = best
+    share, turn, y, x = best
     index = np.stack(np.meshgrid(places, places), axis=-1)
     corners = np.rot90(index, turn)[y : y + rows, x : x + cols].astype(np.float64)
     centres = np.stack(np.meshgrid(np.arange(cols), np.arange(rows)), axis=-1) + 0.5
-    return Located(homography(centres.reshape(-1, 2), through(matrix, corners).reshape(-1, 2)), fit)
+    return Located(homography(centres.reshape(-1, 2), through(matrix, corners).reshape(-1, 2)), share)
 
 
 def _sampled(picture: Array, points: Array) -> Array:
@@ -230,8 +230,8 @@ def _sampled(picture: Array, points: Array) -> Array:
     return np.where(inside[..., None], smooth[row, col], np.nan)
 
 
-def _fit(patches: Array, components: Array) -> float:
-    """R² of values (patch, channel) by the reflectances' components, mean over channels."""
+def fit(patches: Array, basis: Array) -> float:
+    """R² of values (patch, channel) by the reflectances' `components`, mean over channels."""
     centred = patches - patches.mean(axis=0)
-    left = patches - components @ (components.T @ patches)
+    left = patches - basis @ (basis.T @ patches)
     return float(np.mean(1.0 - (left**2).sum(axis=0) / np.maximum((centred**2).sum(axis=0), 1e-12)))
