@@ -56,7 +56,11 @@ def calibrate(measurements: Measurements, each: Each = map) -> CameraModel:
 def from_photos(measurements: Measurements, each: Each = map) -> CameraModel:
     """A camera with relative curves of charts in photographs; its sensor of dark and white frames if there are any, or as
     the photos and the data sheet say."""
-    curves, fit, sensor = fit_photos(measurements)
+    try:
+        curves, fit, sensor = fit_photos(measurements)
+    except np.linalg.LinAlgError as error:
+        name = measurements.photos[0].name
+        raise InputFileError(f"{name}: its patches fit no responsivities at all; check chart, light and levels") from error
     if not measurements.whites:
         return assemble(measurements.body, sensor, curves, Fit(photo=fit))
     measured = measure_sensor(measurements, each)

@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.calibration.perspective import corner_cells, homography, through
 from l3cli.calibration.photo import estimate
 from l3cli.calibration.photo.estimate import Posterior, Shot
 from l3cli.calibration.photo.prior import WAVELENGTH
@@ -13,6 +14,11 @@ Array = NDArray[np.floating]
 ROWS, COLS = np.divmod(np.arange(24), 6)
 PLACE = np.stack([(COLS - 2.5) / 2.5, (ROWS - 1.5) / 1.5], axis=1)
 BRIGHTEST = 1000.0  # DN
+BAYER = np.array([[0, 1], [1, 2]], dtype=np.uint8)
+GRID = (4, 6)
+UPRIGHT = np.array([[180, 150], [580, 160], [590, 430], [170, 420]], dtype=np.float64)  # col, row of patches 1, 6, 24, 19
+GAIN, READ = 0.5, 4.0  # DN/e-, DN
+REFLECTANCE = spectra.colorchecker(WAVELENGTH)[1]
 
 
 def drawn(seed: int) -> Array:
@@ -21,6 +27,30 @@ def drawn(seed: int) -> Array:
     shape = known.mean + np.tensordot(rng.standard_normal(len(known.modes)), known.modes, axes=1)
     shape = np.maximum(shape, 0.0)
     return shape / shape.max(axis=1, keepdims=True) * np.exp(known.log_peak)[:, None]
+
+
+def photograph(
+    corners: np.ndarray, rng: np.random.Generator, cfa: np.ndarray = BAYER, turns: int = 0, light_name: str = "D65"
+) -> np.ndarray:
+    """A mosaic (row, col) of DN above black: a chart, black between its patches, before blotches of all colours."""
+    camera = drawn(1)
+    light = spectra.illuminant(light_name, WAVELENGTH)
+    values = REFLECTANCE * light @ camera.T
+    values = 3000.0 * values / values.max()
+    shape = (600, 800)
+    to_cells = np.linalg.inv(homography(corner_cells(*GRID), corners))
+    col, row = np.meshgrid(np.arange(shape[1]), np.arange(shape[0]))
+    cells = through(to_cells, np.stack([col, row], axis=-1))
+    x, y = cells[..., 0], cells[..., 1]
+    blotches = np.kron(rng.random((12, 16, 3)), np.ones((50, 50, 1)))
+    picture = 100.0 + 1500.0 * blotches + 80.0 * np.sin(col / 3.0)[..., None]
+    picture[(x > -0.5) & (x < 6.5) & (y > -0.5) & (y < 4.5)] = 60.0
+    on = (x > 0) & (x < 6) & (y > 0) & (y < 4) & (np.abs(x % 1 - 0.5) < 0.42) & (np.abs(y % 1 - 0.5) < 0.42)
+    picture[on] = values[(y[on].astype(int) * 6 + x[on].astype(int))]
+    picture = np.rot90(picture, turns)
+    tiled = np.tile(cfa, (picture.shape[0] // 2, picture.shape[1] // 2))
+    mosaic = np.take_along_axis(picture, tiled[..., None].astype(int), axis=2)[..., 0]
+    return np.rint(mosaic + np.sqrt(GAIN * mosaic + READ**2) * rng.standard_normal(mosaic.shape))
 
 
 def shot(

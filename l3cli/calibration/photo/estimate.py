@@ -19,6 +19,7 @@ from l3cli.calibration.photo.prior import Prior
 STEPS = 4  # expansions of the product; the third changes nothing that can be seen
 SCALE_SPREAD = 0.5  # of a channel's scale about the first guess: next to nothing is assumed of it
 SHOT_SPREAD = 0.3  # of the exposure of a further shot about the first guess
+FARTHEST = 4.0  # factor by which scales and exposures may change from the first guess on
 CURVATURE = 0.5  # spread of a quadratic term over that of a linear one
 FLOOR = 0.001  # of the brightest patch: what no model explains
 ERRORS = (0.0, 0.002, 0.005, 0.01, 0.02, 0.035, 0.06)  # of a patch's value: reflectances, texture, as the misfit shows
@@ -133,7 +134,7 @@ def _solve(shots: Sequence[Shot], prior: Prior, error: float) -> _Solution:
     count, size = prior.mean.shape
     used = np.concatenate([shot.used.T.ravel() for shot in shots])  # channel by channel
     state = _first_guess(shots, prior)
-    scale = _scale(state, prior)
+    first = scale = _scale(state, prior)
     for _ in range(STEPS):
         mean, covariance = _before(shots, prior, scale)
         design, right, noise = _expansion(shots, state, count, size, error)
@@ -142,7 +143,9 @@ def _solve(shots: Sequence[Shot], prior: Prior, error: float) -> _Solution:
         root = np.linalg.cholesky(spread)
         white = np.linalg.solve(root, right - design @ mean)
         state = mean + covariance @ design.T @ np.linalg.solve(root.T, white)
-        scale = _scale(state, prior)
+        # Under a light that explains nothing the expansion may run away: it stays near the first guess.
+        scale = np.clip(_scale(state, prior), first / FARTHEST, first * FARTHEST)
+        _hold_exposures(state, mean, len(shots))
     probability = -0.5 * white @ white - np.log(np.diag(root)).sum() + _peaks(state, prior)
     return _Solution(shots, (count, size), design, right, noise, mean, covariance, state, error, float(probability))
 
@@ -162,6 +165,12 @@ def _first_guess(shots: Sequence[Shot], prior: Prior) -> Array:
         illumination[index, 0] = np.median(ratio(shot, expected[index]) / scale)
     glare = np.zeros(len(shots) * count)
     return np.concatenate([(scale[:, None] * prior.mean).ravel(), glare, illumination.ravel()])
+
+
+def _hold_exposures(state: Array, mean: Array, shots: int) -> None:
+    """Keep the exposures of a state, in place, near those before."""
+    first = state.size - shots * TERMS
+    state[first::TERMS] = np.clip(state[first::TERMS], mean[first::TERMS] / FARTHEST, mean[first::TERMS] * FARTHEST)
 
 
 def _scale(state: Array, prior: Prior) -> Array:
