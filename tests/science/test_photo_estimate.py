@@ -3,6 +3,7 @@ cameras is tests/studies/test_photo_study.py."""
 
 import os
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -114,6 +115,20 @@ def test_a_wrong_light_is_noticed_and_the_right_one_not(prior: Prior, true: str,
         assert lights.compare([wrong], 0, prior, candidates).wrong
         right = photos.shot(camera, true, rng, uneven=0.2)
         assert not lights.compare([right], 0, prior, candidates).wrong
+
+
+def test_a_light_that_is_only_guessed_widens_the_band(prior: Prior) -> None:
+    candidates = {name: spectra.illuminant(name, WAVELENGTH) for name in ("A", "D50", "D55", "D65", "D75", "F11")}
+    camera = photos.drawn(6)
+    shot = photos.shot(camera, "D55", np.random.default_rng(6))
+    likely = lights.probabilities([shot], 0, prior, candidates)
+    assert sum(likely.values()) == pytest.approx(1.0)
+    assert likely["A"] + likely["F11"] < 0.01
+    guessed = replace(shot, light=candidates[max(likely, key=lambda name: likely[name])])
+    known = estimate([guessed], prior)
+    unsure = lights.unsure_of_light(known, [guessed], 0, prior, candidates)
+    assert (np.diag(unsure.covariance) >= np.diag(known.covariance)).all()
+    assert np.diag(unsure.covariance).mean() > 1.1 * np.diag(known.covariance).mean()
 
 
 def test_dyes_that_no_camera_has_take_the_smooth_prior() -> None:

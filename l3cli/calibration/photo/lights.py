@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.calibration.photo.estimate import ERRORS, SHOT_SPREAD, Posterior, Shot, evidence
+from l3cli.calibration.photo.estimate import ERRORS, SHOT_SPREAD, Posterior, Shot, estimate, evidence
 from l3cli.calibration.photo.prior import Prior
 
+IMPROBABLE = 0.02  # of a light: below it adds nothing to a band
 NOTICED = 3.0  # natural logarithm: a light that is e³ times less probable than another is questioned
 Array = NDArray[np.floating]
 
@@ -34,9 +35,27 @@ def compare(shots: Sequence[Shot], index: int, prior: Prior, candidates: Mapping
     return Comparison(nearest, max(others[nearest] - named, 0.0))
 
 
-def guess(shots: Sequence[Shot], index: int, prior: Prior, candidates: Mapping[str, Array]) -> str:
-    """The name of the candidate under which the values of shot `index` are most probable."""
-    return max(candidates, key=lambda name: evidence(_under(shots, index, candidates[name]), prior))
+def probabilities(shots: Sequence[Shot], index: int, prior: Prior, candidates: Mapping[str, Array]) -> dict[str, float]:
+    """Of each candidate the probability that it is the light of shot `index`, if it is one of them."""
+    logarithms = {name: evidence(_under(shots, index, light), prior) for name, light in candidates.items()}
+    top = max(logarithms.values())
+    weights = {name: float(np.exp(each - top)) for name, each in logarithms.items()}
+    return {name: weight / sum(weights.values()) for name, weight in weights.items()}
+
+
+def unsure_of_light(
+    posterior: Posterior, shots: Sequence[Shot], index: int, prior: Prior, candidates: Mapping[str, Array]
+) -> Posterior:
+    """The posterior with what its covariance lacks if the light of shot `index` is only guessed: the scatter of the curves
+    under all candidates that it may be, by their probabilities, each set at the posterior's overall scale."""
+    added = np.zeros_like(posterior.covariance)
+    for name, probability in probabilities(shots, index, prior, candidates).items():
+        if probability < IMPROBABLE or candidates[name] is shots[index].light:
+            continue
+        other = estimate(_under(shots, index, candidates[name]), prior).responsivity
+        off = (other * (posterior.responsivity.sum() / other.sum()) - posterior.responsivity).ravel()
+        added += probability * np.outer(off, off)
+    return replace(posterior, covariance=posterior.covariance + added)
 
 
 def _under(shots: Sequence[Shot], index: int, light: Array) -> list[Shot]:

@@ -39,12 +39,15 @@ def fit_photos(measurements: Measurements) -> tuple[Curves, PhotoFit, SensorFigu
     photographs = [measure(capture, measurements.body) for capture in measurements.photos]
     prior, shots = _prior_and_lights(photographs, measurements)
     posterior, shots, far = _without_far_ones(shots, prior)
+    for index, photo in enumerate(photographs):
+        if photo.capture.light is None:
+            posterior = lights.unsure_of_light(posterior, shots, index, prior, candidates())
     comparisons = [lights.compare(shots, index, prior, candidates()) for index in range(len(shots))]
     judged = [candidates()[name] for name in JUDGED_UNDER]
     errors = [lights.response_errors(posterior, light, _surfaces()) for light in judged]
     next_light, remaining = lights.next_light(shots[0], posterior, candidates(), judged, _surfaces())
     guessed = [photo.capture.light is None for photo in photographs]
-    named = [photo.capture.light or comparison.nearest for photo, comparison in zip(photographs, comparisons, strict=True)]
+    named = [photo.capture.light or _name_of(shot.light) for photo, shot in zip(photographs, shots, strict=True)]
     sensor, from_patches = _sensor(photographs, measurements)
     fit = PhotoFit(
         names=tuple(photo.capture.name for photo in photographs),
@@ -88,6 +91,11 @@ def candidates() -> Mapping[str, Array]:
     return _candidates()
 
 
+def _name_of(light: Array) -> str:
+    """The candidate that a guessed light is."""
+    return next(name for name, each in candidates().items() if each is light)
+
+
 @functools.cache
 def _surfaces() -> Array:
     return spectra.reflectance_library(WAVELENGTH)[::SURFACES_EVERY]
@@ -104,8 +112,8 @@ def _prior_and_lights(photographs: Sequence[Photograph], measurements: Measureme
     for prior in _priors(measurements):
         ours = list(shots)
         for index in unknown:
-            name = lights.guess([ours[index]], 0, prior, candidates())
-            ours[index] = replace(ours[index], light=candidates()[name])
+            likely = lights.probabilities([ours[index]], 0, prior, candidates())
+            ours[index] = replace(ours[index], light=candidates()[max(likely, key=lambda name: likely[name])])
         # Curves are not to be blamed for a light that is named wrongly: the first shot may be under any.
         others = [[replace(ours[0], light=light), *ours[1:]] for light in candidates().values()]
         probability = max(evidence(each, prior) for each in [ours, *others])
