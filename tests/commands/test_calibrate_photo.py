@@ -115,6 +115,21 @@ def test_a_wrong_light_is_refused_unless_accepted(folder: Path, tmp_path: Path, 
     assert "accepted although a.npy" in err
 
 
+def test_reflectances_and_light_of_csv_files(folder: Path, tmp_path: Path, l3: L3) -> None:
+    names = ",".join(f"patch_{number + 1} (%)" for number in range(24))
+    rows = np.column_stack([WAVELENGTH, 100.0 * photos.REFLECTANCE.T])
+    (folder / "chart.csv").write_text(f"nm,{names}\n" + "\n".join(",".join(f"{x:.6g}" for x in row) for row in rows))
+    grid = np.arange(380.0, 781.0, 5.0)
+    lamp = np.column_stack([grid, spectra.illuminant("A", grid)])
+    (folder / "lamp.csv").write_text("nm,lamp (photons/s/sr/m²/nm)\n" + "\n".join(f"{nm:g},{x:.6g}" for nm, x in lamp))
+    text = '[photo]\nframes = ["a.npy", "a.npy"]\nlight = "lamp.csv"\nchart = "chart.csv"\n'
+    code, out, err = l3("calibrate", measured(folder, text), "-o", tmp_path / "camera.h5", "--json")
+    assert code == 0, err
+    photo = json.loads(out)["photos"]["a.npy"]
+    assert (photo["chart"], photo["light"]) == ("chart", "lamp.csv")
+    assert max(photo["misfit %"]) < 1
+
+
 def test_a_white_shot_and_a_dark_one(folder: Path, tmp_path: Path, l3: L3) -> None:
     slope = np.linspace(1.0, 0.7, 800)
     np.save(folder / "slanted.npy", np.rint((mosaic() - BLACK) * slope + BLACK).clip(0).astype(np.uint16))
