@@ -8,12 +8,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.camera import MAX_BITS, MAX_CFA
+from l3cli.artifacts.camera import MAX_BITS, MAX_CFA, CameraModel
 from l3cli.artifacts.camera_recipe import CfaRecipe, OpticsRecipe
 from l3cli.curve_file import read_table
 from l3cli.errors import InputFileError, RecipeError
-from l3cli.files import require_regular
-from l3cli.frame import RawFrame
+from l3cli.files import atomic_output, require_regular
+from l3cli.frame import RawFrame, shifted_cfa
 from l3cli.io.measurement_recipe import BodyRecipe, MeasurementRecipe, PhotoRecipe, is_table
 from l3cli.io.raw.cfa_codes import FREE_CODE, LETTERS, find_phase
 from l3cli.io.raw.content import RawContent, Request
@@ -25,6 +25,7 @@ from l3cli.physics import charts, spectra
 RAW_FILE = "give a raw file of a chart (DNG, CR2, NEF, ARW…)"
 SEEN = (400.0, 700.0)  # nm: what a measured light must cover
 GRID = np.arange(380.0, 781.0, 5.0)  # nm, of named lights and charts
+MOST = 65535  # DN
 PITCH_UM, FOCAL_MM, F_NUMBER = 5.0, 50.0, 4.0  # of a camera of which only a raw file is known
 Array = NDArray[np.float64]
 
@@ -173,6 +174,33 @@ def recipe_of_photos(paths: Sequence[Path], light: str | None) -> MeasurementRec
         optics=OpticsRecipe(FOCAL_MM, F_NUMBER),
         photo=[PhotoRecipe(frames=[str(path.absolute())], light=light) for path in paths],
     )
+
+
+# ------------------------------------------------------------------------------------------- what glare adds to a photo
+
+
+def offset_paths(folder: Path, photos: Sequence[PhotoCapture]) -> list[Path]:
+    """The file of each photo that `export_offsets` writes."""
+    numbers = [""] if len(photos) == 1 else [f"_{number + 1}" for number in range(len(photos))]
+    return [folder / f"{Path(photo.name).stem}{each}_offsets.tif" for photo, each in zip(photos, numbers, strict=True)]
+
+
+def export_offsets(camera: CameraModel, photos: Sequence[PhotoCapture], folder: Path) -> None:
+    """Write what each photo of a chart shows without light from the scene, black level and glare of each channel, as a dark
+    frame for rendering it: two equal pages, whose difference says that they have no noise."""
+    import tifffile
+
+    assert camera.fit is not None
+    assert camera.fit.photo is not None
+    for path, photo, glare in zip(offset_paths(folder, photos), photos, camera.fit.photo.glare, strict=True):
+        frame = photo.frames[0]
+        cfa = shifted_cfa(camera.cfa, frame.phase)
+        repeats = [-(-length // period) for length, period in zip(frame.values.shape, cfa.shape, strict=True)]
+        sites = np.tile(cfa, repeats)[: frame.values.shape[0], : frame.values.shape[1]]
+        values = np.clip(np.rint(camera.black_level + glare), 0, MOST).astype(np.uint16)[sites]
+        with atomic_output(path) as partial, tifffile.TiffWriter(partial) as file:
+            for _ in range(2):
+                file.write(values, compression="zlib", photometric="minisblack", metadata=None, software=None)
 
 
 def _shortest(pattern: NDArray[np.integer]) -> NDArray[np.integer]:

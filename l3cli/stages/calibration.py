@@ -13,6 +13,7 @@ from l3cli.calibration import acceptance, figures, model
 from l3cli.errors import L3Error, RecipeError
 from l3cli.io.curves import export_curves, export_paths
 from l3cli.io.measurements import inputs_of, inputs_of_photos, load_measurements, photo_measurements
+from l3cli.io.photos import export_offsets, offset_paths
 from l3cli.parallel import ordered_map
 from l3cli.stages.claims import Claims
 from l3cli.stages.console import Console
@@ -41,6 +42,8 @@ def calibrate(
         claims.spare(*itertools.chain(*inputs.files.values()), *(camera_files(truth) if truth else ()))
         true = load_camera(truth) if truth else None
         measured = photo_measurements(photos, light) if measurements is None else load_measurements(measurements)
+        for path in offset_paths(export, measured.photos) if export else ():
+            claims.claim_file(path, force)
 
         def each(function: Callable[[Any], Any], captures: Iterable[Any]) -> Iterator[Any]:
             captures = list(captures)
@@ -58,6 +61,8 @@ def calibrate(
         save(camera, output)
         if export:
             export_curves(camera, export)
+            if measured.photos:
+                export_offsets(camera, measured.photos, export)
         if shortfall:
             console.say(f"accepted although {shortfall.partition(';')[0]}")
         if result["saturation reached"] is False:

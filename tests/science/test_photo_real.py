@@ -8,9 +8,7 @@ import pytest
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.fit import PhotoFit
 from l3cli.artifacts.store import load
-from l3cli.frame import shifted_cfa
 from l3cli.io.images import read_image
-from l3cli.io.raw.libraw import read_camera_raw
 from l3cli.physics import spectra
 from l3cli.physics.display import delta_e_2000, lab
 from tests.helpers.calls import L3
@@ -71,19 +69,14 @@ def centres(fit: PhotoFit) -> np.ndarray:
 def test_its_own_colours(photo: Path, tmp_path: Path, l3: L3) -> None:
     (tmp_path / "scenes.toml").write_text(SCENES)
     camera, training, table = (tmp_path / name for name in ("camera.h5", "training.h5", "table.h5"))
-    assert l3("calibrate", "--photo", photo, "--light", "A", "-o", camera)[0] == 0
+    exported = ("--export", tmp_path / "exported")
+    assert l3("calibrate", "--photo", photo, "--light", "A", "-o", camera, *exported)[0] == 0
     assert l3("simulate", tmp_path / "scenes.toml", "--camera", camera, "-o", training, "--jobs", "2")[0] == 0
     assert l3("train", training, "--classes", "single", "-o", table, "--jobs", "2")[0] == 0
-    model = load(CameraModel, camera)
-    fit = fit_of(model)
-    # The offsets that calibration found in this photo, black level and glare, are taken off before it is rendered.
-    content = read_camera_raw(photo)
-    values = content["values"].astype(np.float64)
-    cfa = shifted_cfa(model.cfa, (0, 0))
-    sites = np.tile(cfa, (values.shape[0] // 2, values.shape[1] // 2))
-    np.save(tmp_path / "clean.npy", np.clip(np.rint(values - fit.glare[0][sites]), 0, 65535).astype(np.uint16))
-    levels = ("--black-level", model.black_level, "--white-level", model.white_level)
-    assert l3("render", table, tmp_path / "clean.npy", *levels, "-o", tmp_path / "clean.exr")[0] == 0
+    fit = fit_of(load(CameraModel, camera))
+    # Black level and glare of each channel, which calibration found in this photo, stand in for a dark frame.
+    offsets = tmp_path / "exported/colorchart_offsets.tif"
+    assert l3("render", table, photo, "--dark", offsets, "-o", tmp_path / "clean.exr")[0] == 0
     assert l3("render", table, photo, "-o", tmp_path / "plain.exr")[0] == 0
     wavelength = np.arange(400.0, 701.0, 5.0)
     weights = spectra.xyz_weights(wavelength) * spectra.illuminant("D65", wavelength)
