@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tifffile
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.store import load
@@ -77,11 +78,25 @@ def test_a_dng_alone_makes_a_camera(folder: Path, bayer: CameraModel, tmp_path: 
     assert "chart.dng: classic, light D65" in out
     assert "one more photo, under" in out
     assert "not measured, taken as 0: dark current, DSNU, PRNU" in out
-    code, out, err = l3("calibrate", "--photo", tmp_path / "chart.dng", "-o", tmp_path / "guessed.h5", "--json")
+    export = ("--export", tmp_path / "exported")
+    code, out, err = l3("calibrate", "--photo", tmp_path / "chart.dng", "-o", tmp_path / "guessed.h5", "--json", *export)
     assert code == 0, err
     photo = json.loads(out)["photos"]["chart.dng"]
     assert photo["guessed"]
     assert photo["light"] in ("D50", "D55", "D65", "D75")
+    offsets = tifffile.imread(tmp_path / "exported/chart_offsets.tif")
+    assert offsets.shape == (2, 600, 800)
+    assert abs(float(offsets.mean()) - BLACK) < 100
+
+
+def test_a_file_of_another_array_is_refused(bayer: CameraModel, tmp_path: Path, refused: Refused) -> None:
+    cfa = np.array([[0, 1], [1, 2]], np.uint8)
+    camera = replace(bayer, rows=600, cols=800, bits=12, black_level=float(BLACK), white_level=float(WHITE), cfa=cfa)
+    write_dng(tmp_path / "chart.dng", mosaic(), camera, RawColour({"A": np.eye(3), "D65": np.eye(3)}), None, 0.01)
+    head = FILE.replace('["r", "g", "b"]', '["c", "m", "y"]').replace('"r g", "g b"', '"c m", "m y"')
+    path = measured(tmp_path, '[photo]\nframes = ["chart.dng"]\n', head)
+    line = refused(3, "calibrate", path, "-o", tmp_path / "camera.h5")
+    assert "cfa.pattern cm/my" in line
 
 
 def test_two_lights_corners_and_a_data_sheet(folder: Path, tmp_path: Path, l3: L3) -> None:
