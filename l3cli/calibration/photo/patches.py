@@ -1,6 +1,6 @@
 """Values of a chart's patches in mosaics, and the noise of the sensor from them (docs/method.md#charts-in-photographs)."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,19 +45,11 @@ def patch_values(
     differences = _differences(frames, cfa)
     mean, deviation, variance = (np.zeros((patches, channels)) for _ in range(3))
     used, left_out = np.ones((patches, channels), dtype=bool), []
-    channel_of = np.tile(cfa, [-(-length // period) for length, period in zip(shape, cfa.shape, strict=True)])
-    channel_of = channel_of[: shape[0], : shape[1]]
-    label = np.where(patch < patches, patch * channels + channel_of, patches * channels).ravel()
-    order = np.argsort(label, kind="stable")
-    bounds = np.searchsorted(label[order], np.arange(patches * channels + 1))
-    for index, channel in np.ndindex(patches, channels):
-        part = order[bounds[index * channels + channel] : bounds[index * channels + channel + 1]]
+    for (index, channel), part in _pixels(patch, patches, cfa):
         if part.size < LEAST_PIXELS:
             raise ValueError(f"patch {index + 1} holds {part.size} pixels of channel {channel}")
         values = mean_frame.ravel()[part]
-        middle = np.median(values)
-        spread = max(MAD * float(np.median(np.abs(values - middle))), 0.5)
-        clean = np.abs(values - middle) <= FAR * spread
+        clean = _clean(values)
         mean[index, channel] = values[clean].mean()
         variance[index, channel] = _robust_variance(differences.ravel()[part])
         noise = np.sqrt(variance[index, channel] / len(frames) / clean.sum())
@@ -73,6 +65,26 @@ def patch_values(
             used[index, channel] = False
             left_out.append((index, channel, why))
     return PatchValues(mean, deviation, variance, used, tuple(left_out))
+
+
+def _pixels(patch: NDArray[np.int64], patches: int, cfa: NDArray[np.uint8]) -> Iterator[tuple[tuple[int, int], NDArray]]:
+    """((patch, channel), flat indices of its pixels) of a map (row, col) of patches."""
+    shape, channels = patch.shape, int(cfa.max()) + 1
+    channel_of = np.tile(cfa, [-(-length // period) for length, period in zip(shape, cfa.shape, strict=True)])
+    channel_of = channel_of[: shape[0], : shape[1]]
+    label = np.where(patch < patches, patch * channels + channel_of, patches * channels).ravel()
+    order = np.argsort(label, kind="stable")
+    bounds = np.searchsorted(label[order], np.arange(patches * channels + 1))
+    for index, channel in np.ndindex(patches, channels):
+        at = index * channels + channel
+        yield (index, channel), order[bounds[at] : bounds[at + 1]]
+
+
+def _clean(values: Array) -> NDArray[np.bool_]:
+    """Which values are no dust, scratch or hot pixel."""
+    middle = np.median(values)
+    spread = max(MAD * float(np.median(np.abs(values - middle))), 0.5)
+    return np.asarray(np.abs(values - middle) <= FAR * spread)
 
 
 def _differences(frames: Sequence[Array], cfa: NDArray[np.uint8]) -> Array:
