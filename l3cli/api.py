@@ -81,20 +81,24 @@ def _file(given: Name | Artifact, kind: str | None = None) -> Iterator[Path]:
 
 
 def calibrate(
-    measurements: Name, output: Name, *, export: Name | None = None, accept: bool = False, jobs: int = 1,
-    force: bool = False, console: Console | None = None,
+    measurements: Name | None, output: Name, *, photos: Sequence[Name] = (), light: str | None = None,
+    export: Name | None = None, accept: bool = False, jobs: int = 1, force: bool = False, console: Console | None = None,
 ) -> CameraModel:  # fmt: skip
-    """The camera model of a measurement file, also written to `output` (`l3 calibrate`).
+    """The camera model of a measurement file, or (None) of raw photos of a chart, also written to `output` (`l3 calibrate`).
 
-    `export`: folder for the curves as CSV and rawtoaces JSON. `accept`: take a model that predicts its charts badly.
+    `photos`, `light`: instead of a measurement file, with a name such as "D65" or "3200K"; None: it is guessed.
+    `export`: folder for the curves as CSV and rawtoaces JSON, and the offsets of photos. `accept`: take a model that
+    predicts its charts badly.
     `force`: replace what is there.
     """
     from l3cli.stages import calibration
 
     camera, _ = calibration.calibrate(
-        Path(measurements),
+        _optional(measurements),
         Path(output),
         console or Silent(),
+        photos=tuple(map(Path, photos)),
+        light=light,
         export=_optional(export),
         accept=accept,
         jobs=jobs,

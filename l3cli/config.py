@@ -29,7 +29,7 @@ class Recipe(msgspec.Struct, forbid_unknown_fields=True):
 
 
 TELLING = {  # keys at the top of a file by which its kind is known: no other kind has them
-    "a measurement file": ("sweep", "curves", "band", "datasheet", "uncertainty"),
+    "a measurement file": ("sweep", "curves", "band", "photo", "prior", "datasheet", "uncertainty"),
     "a camera recipe": ("responsivity", "noise"),
     "a lab recipe": ("defects", "spectrometer_step_nm", "wavelength_error_nm", "lamp_drift", "monitor_error", "falloff"),
     "a scene recipe": (

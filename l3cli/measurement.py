@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import Noise, Optics
+from l3cli.frame import RawFrame
 from l3cli.physics.lens import relative_illumination
 
 CHART_ROWS, CHART_COLS = 4, 6
@@ -106,6 +107,42 @@ class FinishedCurves:
 
 
 @dataclass(frozen=True)
+class CurveStatistics:
+    """Curves of measured cameras in few numbers: per photon, each channel scaled to a peak of 1."""
+
+    wavelength: NDArray[np.float64]  # (wavelength) nm
+    mean: NDArray[np.float64]  # (channel, wavelength)
+    modes: NDArray[np.float64]  # (mode, channel, wavelength) principal modes, each by its standard deviation
+    log_peak: NDArray[np.float64]  # (channel) mean natural logarithm of the peak over the geometric mean of all channels
+    log_peak_covariance: NDArray[np.float64]  # (channel, channel)
+
+
+@dataclass(frozen=True)
+class Chart:
+    """A chart whose reflectances are known."""
+
+    name: str
+    grid: tuple[int, int]  # rows, columns of patches
+    wavelength: NDArray[np.float64]  # (wavelength) nm
+    reflectance: NDArray[np.float64]  # (patch, wavelength), row by row
+
+
+@dataclass(frozen=True)
+class PhotoCapture:
+    """Raw frames of a chart under one light, at one exposure."""
+
+    name: str  # what errors call it
+    frames: tuple[RawFrame, ...]
+    chart: Chart
+    light: str | None  # its name; None: to be guessed
+    wavelength: NDArray[np.float64]  # (light_wavelength) nm
+    radiance: NDArray[np.float64]  # (light_wavelength) relative photon radiance; unused where the light is to be guessed
+    corners: NDArray[np.float64] | None  # (4, 2) as of ChartCapture; None: to be found
+    darks: tuple[RawFrame, ...] = ()  # without light, at the same exposure
+    whites: tuple[RawFrame, ...] = ()  # an even white in the chart's place, under the same light
+
+
+@dataclass(frozen=True)
 class SensorFigures:
     """What a camera model holds of its sensor, measured or from a data sheet."""
 
@@ -119,8 +156,8 @@ class SensorFigures:
 class Measurements:
     """All that was measured of one camera, and how well the lights were known.
 
-    Responsivity comes from one of `mono`, `bands` and `curve`; the sensor from `darks` and `whites`, or else from
-    `datasheet`.
+    Responsivity comes from one of `mono`, `bands`, `curve` and `photos`; the sensor from `darks` and `whites`, or else from
+    `datasheet`, or else from the photos.
     """
 
     body: Body
@@ -130,6 +167,8 @@ class Measurements:
     whites: tuple[Capture, ...] = ()
     bands: tuple[BandCapture, ...] = ()
     curve: SweepTable | FinishedCurves | None = None
+    photos: tuple[PhotoCapture, ...] = ()
+    cameras: CurveStatistics | tuple[FinishedCurves, ...] | None = None  # what is known of curves before a photo is taken
     datasheet: SensorFigures | None = None
     lamp_drift: float = 0.0  # relative standard deviation between a light and its measured spectrum
     wavelength_uncertainty: float = 0.0  # nm, standard deviation of the spectrometer's scale

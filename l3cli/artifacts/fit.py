@@ -102,6 +102,52 @@ class SeriesFit:
 
 
 @dataclass(frozen=True)
+class PhotoFit:
+    """Charts of known reflectances in photographs, and how the responsivities explain them."""
+
+    names: tuple[str, ...] = data("str", "photo", doc="name of each photo")
+    lights: tuple[str, ...] = data("str", "photo", doc="light of each photo, as named or guessed")
+    guessed: NDArray[np.bool_] = data("bool", "photo", doc="whether the light was guessed")
+    nearest: tuple[str, ...] = data("str", "photo", doc="candidate light under which the values are most probable")
+    deficit: NDArray[np.float64] = data(
+        "float64", "photo", doc="natural logarithm: how much less probable the values are under the light that was named"
+    )
+    charts: tuple[str, ...] = data("str", "photo", doc="chart of each photo")
+    corners: NDArray[np.float64] = data(
+        "float64", "photo", "corner", "coordinate", unit="pixel", doc="col, row of the chart's outer corners, clockwise"
+    )
+    prior: str = data("str", doc="what curves were taken to be before: those of measured cameras, or smooth")
+    error: float = data("float64", doc="relative error of a patch that reflectances and model leave, as the misfit shows")
+    illumination: NDArray[np.float64] = data(
+        "float64", "photo", "term", doc="light over the chart: 1, x, y, x², xy, y² over −1…1, x² and y² without their means"
+    )
+    glare: NDArray[np.float64] = data("float64", "photo", "channel", unit="DN", doc="offset that glare adds")
+    noise_from_patches: bool = data("bool", doc="whether gain and dark noise are those of the patches' photon transfer")
+    response_band: NDArray[np.float64] = data(
+        "float64",
+        "channel",
+        doc="half width of the 95 % band of responses to surfaces under other lights / the largest; RMS",
+    )
+    next_light: str = data("str", doc="light under which one more photo would help most")
+    next_share: float = data("float64", doc="share of the error of responses that would remain after it")
+    left_out: tuple[str, ...] = data(
+        "str", "left_out", doc="patches that are clipped, dusty or far off, and in which channel"
+    )
+    used: NDArray[np.bool_] = data("bool", "photo", "photo_patch", "channel", doc="whether a patch was used")
+    measured: NDArray[np.float64] = data(
+        "float64", "photo", "photo_patch", "channel", unit="DN", doc="mean value above black of each patch"
+    )
+    predicted: NDArray[np.float64] = data("float64", "photo", "photo_patch", "channel", unit="DN", doc="the model's value")
+
+    @property
+    def misfit(self) -> NDArray[np.float64]:
+        """(photo, channel) RMS of what the model leaves of the values used, over the brightest."""
+        left = np.where(self.used, self.measured - self.predicted, 0.0)
+        count = np.maximum(self.used.sum(axis=1), 1)
+        return np.asarray(np.sqrt((left**2).sum(axis=1) / count) / np.where(self.used, self.measured, 0.0).max(axis=1))
+
+
+@dataclass(frozen=True)
 class Fit:
     """Each part is there if it was measured."""
 
@@ -109,6 +155,7 @@ class Fit:
     sweep: SweepFit | None = group(default=None)
     chart: ChartFit | None = group(default=None)
     series: SeriesFit | None = group(default=None)
+    photo: PhotoFit | None = group(default=None)
 
     @property
     def validation(self) -> ChartFit | SeriesFit | None:

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.fit import ChartFit, NoiseFit, SeriesFit
+from l3cli.artifacts.fit import ChartFit, NoiseFit, PhotoFit, SeriesFit
 from l3cli.calibration import gain
 from l3cli.errors import InputFileError
 from l3cli.physics import spectra
@@ -41,12 +41,21 @@ def figures(camera: CameraModel) -> dict[str, Any]:
         columns["LE (%)"] = 100.0 * fit.series.linearity_error
     if fit.validation is not None:
         columns |= {"R²": fit.validation.r_squared, "RMSE (%)": 100.0 * fit.validation.relative_rmse}
-    left_out = (*(fit.sweep.left_out if fit.sweep else ()), *(fit.series.left_out if fit.series else ()))
+    if fit.photo is not None:
+        columns |= _photo_columns(camera, fit.photo)
+    left_out = (
+        *(fit.photo.left_out if fit.photo else ()),
+        *(fit.sweep.left_out if fit.sweep else ()),
+        *(fit.series.left_out if fit.series else ()),
+    )
     return {
         "camera": {name: {"value": value, "unit": unit} for name, (value, unit) in camera_figures(camera).items()},
         "channels": _by_channel(camera, columns) if columns else {},
         "lights": _lights(camera, fit.chart) if fit.chart else {},
         "bands": _bands(camera, fit.series) if fit.series else {},
+        "photos": _photos(camera, fit.photo) if fit.photo else {},
+        "prior": fit.photo.prior if fit.photo else None,
+        "next light": {"light": fit.photo.next_light, "remaining %": 100.0 * fit.photo.next_share} if fit.photo else None,
         "smoothing": fit.sweep.chosen_smoothing if fit.sweep else None,
         "responsivity": "absolute" if camera.absolute else "relative",
         "declared": list(camera.declared),
@@ -104,6 +113,37 @@ def _bands(camera: CameraModel, series: SeriesFit) -> dict[str, dict[str, float]
             row[name] = float(series.response[index, channel])
             row[f"± {name} (%)"] = 100.0 * float(series.spread[index, channel])
         rows[light] = row
+    return rows
+
+
+def _photo_columns(camera: CameraModel, fit: PhotoFit) -> dict[str, Any]:
+    """What is uncertain of the curves, and of what they are for: responses to surfaces under other lights."""
+    band = camera.responsivity_band / camera.responsivity.max(axis=1, keepdims=True)
+    return {
+        "curve ± 95 % (% of peak)": 100.0 * np.sqrt(np.mean(band**2, axis=1)),
+        "colours ± 95 % (% of most)": 100.0 * fit.response_band,
+    }
+
+
+def _photos(camera: CameraModel, fit: PhotoFit) -> dict[str, dict[str, Any]]:
+    """Light, chart and what disturbed each photo."""
+    rows = {}
+    for index, name in enumerate(fit.names):
+        x, y = np.meshgrid(np.linspace(-1, 1, 7), np.linspace(-1, 1, 5))
+        basis = np.stack([np.ones_like(x), x, y, x * x - np.mean(x * x), x * y, y * y - np.mean(y * y)])
+        light = np.tensordot(fit.illumination[index], basis, axes=1)
+        brightest = np.where(fit.used[index], fit.measured[index], 0.0).max(axis=0)
+        rows[name] = {
+            "light": fit.lights[index],
+            "guessed": bool(fit.guessed[index]),
+            "nearest": fit.nearest[index],
+            "deficit": float(fit.deficit[index]),
+            "chart": fit.charts[index],
+            "corners": fit.corners[index].tolist(),
+            "uneven %": 100.0 * float(np.ptp(light) / light.max()),
+            "glare %": [100.0 * float(share) for share in fit.glare[index] / brightest],
+            "misfit %": [100.0 * float(share) for share in fit.misfit[index]],
+        }
     return rows
 
 

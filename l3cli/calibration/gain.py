@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.calibration import perspective
 from l3cli.calibration.defects import Defects
 from l3cli.errors import InputFileError
 from l3cli.measurement import CHART_COLS, CHART_ROWS, PATCHES, Body, ChartCapture
@@ -17,32 +18,8 @@ def patch_map(corners: Array, rows: int, cols: int) -> NDArray[np.int64]:
 
     corners (4, 2) are col, row of the outer corners of patches 1, 6, 24, 19; the chart may be turned and in perspective.
     """
-    to_chart = np.linalg.inv(_homography(corners))
-    col, row = np.meshgrid(np.arange(cols), np.arange(rows))
-    x, y, w = (line[0] * col + line[1] * row + line[2] for line in to_chart)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        x, y = x / w, y / w
-    inside = (
-        (x >= 0)
-        & (x < CHART_COLS)
-        & (y >= 0)
-        & (y < CHART_ROWS)
-        & (np.abs(x % 1 - 0.5) < CORE)
-        & (np.abs(y % 1 - 0.5) < CORE)
-    )
-    index = np.full((rows, cols), PATCHES)
-    index[inside] = y[inside].astype(np.int64) * CHART_COLS + x[inside].astype(np.int64)
-    return index
-
-
-def _homography(corners: Array) -> Array:
-    """(3, 3) from chart cells (0…6, 0…4, 1) to pixels (col, row, 1) times a scale."""
-    cells = np.array([[0, 0], [CHART_COLS, 0], [CHART_COLS, CHART_ROWS], [0, CHART_ROWS]], dtype=np.float64)
-    equations, right_side = [], []
-    for (x, y), (u, v) in zip(cells, corners, strict=True):
-        equations += [[x, y, 1, 0, 0, 0, -u * x, -u * y], [0, 0, 0, x, y, 1, -v * x, -v * y]]
-        right_side += [u, v]
-    return np.append(np.linalg.solve(equations, right_side), 1.0).reshape(3, 3)
+    cells = perspective.corner_cells(CHART_ROWS, CHART_COLS)
+    return perspective.patch_map(perspective.homography(cells, corners), (CHART_ROWS, CHART_COLS), (rows, cols), CORE)
 
 
 def patch_values(capture: ChartCapture, body: Body, limit: float, defects: Defects) -> tuple[Array, NDArray[np.bool_]]:

@@ -10,6 +10,7 @@ from l3cli.calibration import curves as finished
 from l3cli.calibration.captures import Charts, Sensor, measure_charts, measure_sensor, measure_sweep
 from l3cli.calibration.curves import Curves
 from l3cli.calibration.efficiency import check_efficiency, efficiency
+from l3cli.calibration.photo.responsivity import fit_photos
 from l3cli.calibration.series import fit_series
 from l3cli.calibration.statistics import Each, channel_shares
 from l3cli.errors import InputFileError
@@ -26,6 +27,8 @@ def calibrate(measurements: Measurements, each: Each = map) -> CameraModel:
     `each` maps a function over captures: the built-in map, or one that keeps several processes busy.
     """
     body, drift = measurements.body, measurements.lamp_drift
+    if measurements.photos:
+        return from_photos(measurements, each)
     if measurements.datasheet is not None:
         return from_data_sheet(measurements, measurements.datasheet)
     sensor = measure_sensor(measurements, each)
@@ -48,6 +51,21 @@ def calibrate(measurements: Measurements, each: Each = map) -> CameraModel:
     )
     fit = Fit(noise=figures, sweep=sweep_fit, chart=chart_fit)
     return assemble(body, summarise(sensor, figures, body), curves, fit)
+
+
+def from_photos(measurements: Measurements, each: Each = map) -> CameraModel:
+    """A camera with relative curves of charts in photographs; its sensor of dark and white frames if there are any, or as
+    the photos and the data sheet say."""
+    try:
+        curves, fit, sensor = fit_photos(measurements)
+    except np.linalg.LinAlgError as error:
+        name = measurements.photos[0].name
+        raise InputFileError(f"{name}: its patches fit no responsivities at all; check chart, light and levels") from error
+    if not measurements.whites:
+        return assemble(measurements.body, sensor, curves, Fit(photo=fit))
+    measured = measure_sensor(measurements, each)
+    noise = describe_noise(measured, measurements.body)
+    return assemble(measurements.body, summarise(measured, noise, measurements.body), curves, Fit(noise=noise, photo=fit))
 
 
 def from_data_sheet(measurements: Measurements, figures: SensorFigures) -> CameraModel:
@@ -191,8 +209,17 @@ def assemble(body: Body, sensor: SensorFigures, curves: Curves, fit: Fit) -> Cam
             fixed_pattern_seed=0,
             noise=sensor.noise,
             optics=body.optics,
-            declared=() if fit.noise else ("gain", "black level", "white level", "noise"),
+            declared=_declared(fit),
             fit=fit,
         )
     except ValueError as error:
         raise InputFileError(f"the measurements make no camera: {error}; check dark and white frames") from error
+
+
+def _declared(fit: Fit) -> tuple[str, ...]:
+    """What was not measured."""
+    if fit.noise is not None:
+        return ()
+    if fit.photo is None:
+        return ("gain", "black level", "white level", "noise")
+    return ("dark current", "DSNU", "PRNU") if fit.photo.noise_from_patches else ("gain", "noise")

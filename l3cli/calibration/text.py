@@ -21,8 +21,10 @@ def as_text(result: dict[str, Any], width: int | None = None) -> list[str]:
         lines.append(line.rstrip())
     for table in (result["channels"], result["lights"], result["bands"], truth["channels"] if truth else {}):
         lines += ["", *_table(table, width)] if table else []
+    lines += _photo_lines(result) if result["photos"] else []
     lines += ["", f"responsivity: {result['responsivity']}"]
-    lines += [f"from the data sheet: {', '.join(result['declared'])}"] if result["declared"] else []
+    source = "not measured, taken as 0" if "dark current" in result["declared"] else "from the data sheet"
+    lines += [f"{source}: {', '.join(result['declared'])}"] if result["declared"] else []
     lines += [f"left out: {capture}" for capture in result["left out"]]
     defects = result["defects"]
     if defects:
@@ -36,3 +38,21 @@ def _table(rows: dict[str, dict[str, float]], width: int | None) -> list[str]:
     titles = list(next(iter(rows.values())))
     headings = ["channel\n", *("\n".join(title.rstrip(")").partition(" (")[::2]) for title in titles)]
     return columns(headings, [[name, *(figure(row[title], ".5g") for title in titles)] for name, row in rows.items()], width)
+
+
+def _photo_lines(result: dict[str, Any]) -> list[str]:
+    """What photos of charts say, and how to read their bands."""
+    lines = [""]
+    for name, photo in result["photos"].items():
+        light = f"{photo['light']} (guessed)" if photo["guessed"] else photo["light"]
+        nearest = "" if photo["nearest"] == photo["light"] else f", nearest of the usual ones {photo['nearest']}"
+        lines.append(
+            f"{name}: {photo['chart']}, light {light}{nearest}, uneven by {photo['uneven %']:.0f} %, glare up to "
+            f"{max(photo['glare %']):.1f} %, patches within {max(photo['misfit %']):.1f} % RMS of the brightest"
+        )
+    further = result["next light"]
+    return [
+        *lines,
+        f"prior of the curves: {result['prior']}; the curves stay uncertain, colours do not: compare their bands",
+        f"one more photo, under {further['light']}, would leave {further['remaining %']:.0f} % of the colours' error",
+    ]

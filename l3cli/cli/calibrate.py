@@ -1,7 +1,7 @@
-"""l3 calibrate: lab measurements → camera model."""
+"""l3 calibrate: lab measurements, or photos of a chart → camera model."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -13,10 +13,14 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("measurements", type=options.FILE, metavar="MEASUREMENTS.toml")
+@click.argument("measurements", type=options.FILE, metavar="[MEASUREMENTS.toml]", required=False)
+@click.option(
+    "--photo", "photos", type=options.FILE, metavar="RAW", multiple=True, help="Raw photo of a ColorChecker instead."
+)
+@click.option("--light", metavar="LIGHT", help='Its light: "D65", "3200K"…; without, it is guessed.')
 @options.output("Camera model to write")
 @click.option("--truth", type=options.CAMERA, metavar="CAMERA", help="Camera that a virtual lab measured, to compare with.")
-@click.option("--export", type=options.FILE, metavar="DIR", help="Also write the curves as CSV and as rawtoaces JSON there.")
+@click.option("--export", type=options.FILE, metavar="DIR", help="Also write curves there, as CSV and as rawtoaces JSON.")
 @click.option(
     "--accept", is_flag=True, help="Write the model even if it fails its checks, such as predicting its charts badly."
 )
@@ -25,32 +29,18 @@ if TYPE_CHECKING:
 @options.force
 @options.quiet
 @options.as_json
-def calibrate(
-    measurements: Path,
-    output: Path,
-    truth: Path | None,
-    export: Path | None,
-    accept: bool,
-    jobs: int,
-    force: bool,
-    console: "Console",
-    as_json: bool,
-) -> None:
-    """Estimate responsivities, gain and noise of a camera from its lab measurements.
+def calibrate(measurements: Path | None, output: Path, console: "Console", as_json: bool, **others: Any) -> None:
+    """Estimate responsivities, gain and noise of a camera from its lab measurements, or from photos of a chart.
 
     \b
     Example: l3 calibrate lab/MEASUREMENTS.toml -o camera.h5
+             l3 calibrate --photo chart.dng --light 3200K -o camera.h5
     """
-    from l3cli.calibration import acceptance, text
+    from l3cli.calibration import text
     from l3cli.stages.calibration import calibrate as stage
 
-    camera, result = stage(measurements, output, console, truth=truth, export=export, accept=accept, jobs=jobs, force=force)
+    _, result = stage(measurements, output, console, **others)
     if as_json:
         show_json(result, console)
     else:
         show(*text.as_text(result, terminal.width()))
-    if shortfall := acceptance.shortfall(camera):
-        console.say(f"accepted although {shortfall.partition(';')[0]}")
-    if result["saturation reached"] is False:
-        console.say("no white frame saturates: the converter's last value is taken for it; add one exposed longer")
-    console.say(f"{output}: written")

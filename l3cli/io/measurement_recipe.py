@@ -3,9 +3,11 @@
 
     MEASUREMENTS.toml   sensor, cfa, optics, and what was measured:
       responsivity      one of: [[mono]] frames of a monochromator; [sweep] a table of means beside a photodiode; [curves]
-                        a finished curve; [[band]] a chart behind narrow filters at several exposures
+                        a finished curve; [[band]] a chart behind narrow filters at several exposures; [photo], or
+                        several [[photo]], raw files of a chart of known reflectances
       scale             [[chart]] ColorCheckers under known lights; without them the camera's responsivity is relative
-      sensor            [[dark]] and [[white]] frames; without [[white]] a [datasheet] of declared figures
+      sensor            [[dark]] and [[white]] frames; without [[white]] a [datasheet] of declared figures; a photo
+                        alone gives gain and dark noise
     frames              single-channel 16-bit pictures (TIFF, PNG, PGM) of the whole sensor, raw DN, CFA phase (0, 0)
     spectra             CSV: wavelength in nm, then radiances in photons/s/sr/m²/nm, one column a light or a patch; other
                         units as a heading or the key `unit` states
@@ -21,7 +23,7 @@ import msgspec
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import CfaRecipe, NoiseRecipe, OpticsRecipe
-from l3cli.config import Recipe
+from l3cli.config import Count, Recipe
 from l3cli.files import write_whole
 
 
@@ -80,6 +82,20 @@ class CurvesRecipe(Recipe):
     per_energy: bool = True  # false: per photon
 
 
+class PhotoRecipe(Recipe):
+    """Raw files of a chart under one light."""
+
+    frames: list[str]  # of one scene at one exposure: two or more give the noise by their differences
+    light: str | None = None  # "D65", "3200K", or a CSV file of its spectrum; without it, it is guessed
+    column: int | str = 1  # of the light's CSV, as of [[mono]]
+    unit: str = "relative power"  # of the light's CSV, where the heading states none
+    chart: str = "classic"  # name, or CSV of reflectances, a column a patch, row by row
+    layout: tuple[Count, Count] = (4, 6)  # rows, columns of patches
+    corners: list[tuple[float, float]] | None = None  # col, row: as of [[chart]]; without them the chart is searched
+    dark: list[str] = msgspec.field(default_factory=list)  # raw files without light, at the same exposure
+    white: list[str] = msgspec.field(default_factory=list)  # raw files of an even white in the chart's place
+
+
 class DatasheetRecipe(NoiseRecipe, kw_only=True):
     """The sensor as its maker declares it."""
 
@@ -107,6 +123,8 @@ class MeasurementRecipe(Recipe):
     mono: list[MonoRecipe] = msgspec.field(default_factory=list)
     sweep: SweepRecipe | None = None
     curves: CurvesRecipe | None = None
+    photo: PhotoRecipe | list[PhotoRecipe] = msgspec.field(default_factory=list)
+    prior: str | None = None  # folder of measured curves of r g b cameras, for photos; default: the table of l3
     band: list[ChartRecipe] = msgspec.field(default_factory=list)
     chart: list[ChartRecipe] = msgspec.field(default_factory=list)
     white: list[CaptureRecipe] = msgspec.field(default_factory=list)
@@ -114,11 +132,17 @@ class MeasurementRecipe(Recipe):
     datasheet: DatasheetRecipe | None = None
     uncertainty: UncertaintyRecipe = msgspec.field(default_factory=UncertaintyRecipe)
 
+    @property
+    def photos(self) -> list[PhotoRecipe]:
+        """[photo], or every [[photo]]."""
+        return self.photo if isinstance(self.photo, list) else [self.photo]
+
 
 def frame_names(recipe: MeasurementRecipe) -> list[str]:
     """Every frame a measurement file names, in order."""
     captures: list[CaptureRecipe] = [*recipe.mono, *recipe.band, *recipe.chart, *recipe.white, *recipe.dark]
-    return [name for capture in captures for name in capture.frames]
+    names = [name for capture in captures for name in capture.frames]
+    return names + [name for photo in recipe.photos for name in (*photo.frames, *photo.dark, *photo.white)]
 
 
 def spectrum_names(recipe: MeasurementRecipe) -> list[str]:
@@ -126,7 +150,13 @@ def spectrum_names(recipe: MeasurementRecipe) -> list[str]:
     names = [step.spectrum for step in recipe.mono] + [chart.radiance for chart in [*recipe.band, *recipe.chart]]
     names += [recipe.sweep.table, recipe.sweep.photodiode] if recipe.sweep else []
     names += [recipe.curves.file] if recipe.curves else []
+    names += [name for photo in recipe.photos for name in (photo.light, photo.chart) if name and is_table(name)]
     return list(dict.fromkeys(names))
+
+
+def is_table(name: str) -> bool:
+    """Whether a light or a chart is named as a CSV file."""
+    return name.lower().endswith(".csv")
 
 
 def describe(camera: CameraModel, uncertainty: UncertaintyRecipe, **captures: Any) -> MeasurementRecipe:

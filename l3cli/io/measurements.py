@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,8 @@ from l3cli.io.measurement_recipe import (
     frame_names,
     spectrum_names,
 )
+from l3cli.io.photos import Levels, load_photos, recipe_of_photos
+from l3cli.io.priors import prior_files, read_cameras, shipped
 from l3cli.limits import MEGAPIXELS, most_pixels
 from l3cli.measurement import (
     PATCH_NAMES,
@@ -35,6 +38,7 @@ from l3cli.measurement import (
     Body,
     Capture,
     ChartCapture,
+    CurveStatistics,
     FinishedCurves,
     Measurements,
     MonoCapture,
@@ -51,7 +55,11 @@ def load_measurements(path: Path) -> Measurements:
 
     RecipeError if the file asks for what cannot be, InputFileError if a spectrum or a frame is missing or broken.
     """
-    recipe = load_recipe(path, MeasurementRecipe)
+    return measurements_of(load_recipe(path, MeasurementRecipe), path)
+
+
+def measurements_of(recipe: MeasurementRecipe, path: Path) -> Measurements:
+    """What a measurement file says that lies, or would lie, at `path`; errors as of `load_measurements`."""
     body = _body(recipe, path)
     _check_sources(recipe, path)
     for name in frame_names(recipe):
@@ -68,6 +76,8 @@ def load_measurements(path: Path) -> Measurements:
         whites=tuple(Capture(**_common(capture, "white", body, path)) for capture in recipe.white),
         bands=tuple(BandCapture(**_chart(band, "band", body, path)) for band in recipe.band),
         curve=_curve(recipe, path),
+        photos=load_photos(recipe.photos, body, _levels(recipe), path),
+        cameras=_cameras(recipe, path),
         datasheet=_datasheet(recipe.datasheet, body, path),
         lamp_drift=uncertainty.lamp_drift,
         wavelength_uncertainty=uncertainty.wavelength_nm,
@@ -76,12 +86,17 @@ def load_measurements(path: Path) -> Measurements:
 
 def _check_sources(recipe: MeasurementRecipe, path: Path) -> None:
     """One source of responsivity, one of the sensor's figures, and all that they need; RecipeError otherwise."""
-    sources = {"mono": recipe.mono, "sweep": recipe.sweep, "curves": recipe.curves, "band": recipe.band}
+    sources: dict[str, Any] = {"mono": recipe.mono, "sweep": recipe.sweep, "curves": recipe.curves, "band": recipe.band}
+    sources |= {"photo": recipe.photos}
     given = [name for name, source in sources.items() if source]
     if len(given) != 1:
         named = " and ".join(given) or "none"
-        raise RecipeError(f"{path}: give one source of responsivity, [[mono]] [sweep] [curves] or [[band]]; given: {named}")
-    if bool(recipe.white) == (recipe.datasheet is not None):
+        raise RecipeError(
+            f"{path}: give one source of responsivity, [[mono]] [sweep] [curves] [[band]] or [photo]; given: {named}"
+        )
+    if recipe.prior and not recipe.photos:
+        raise RecipeError(f"{path}: prior is what is known of curves before a [photo] is taken; without one leave it out")
+    if bool(recipe.white) == (recipe.datasheet is not None) and (recipe.white or not recipe.photos):
         raise RecipeError(f"{path}: give either [[white]] frames, and measure the sensor, or its [datasheet]")
     if recipe.white and not recipe.dark:
         raise RecipeError(f"{path}: there is no [[dark]] capture; add some")
@@ -171,6 +186,19 @@ def _curve(recipe: MeasurementRecipe, path: Path) -> SweepTable | FinishedCurves
     return None
 
 
+def _levels(recipe: MeasurementRecipe) -> Levels:
+    """Black and white level of raw files that state none."""
+    declared = recipe.datasheet
+    return Levels(None, None) if declared is None else Levels(declared.black_level_dn, declared.white_level_dn)
+
+
+def _cameras(recipe: MeasurementRecipe, path: Path) -> CurveStatistics | tuple[FinishedCurves, ...] | None:
+    """What is known of curves before a photo is taken."""
+    if not recipe.photos:
+        return None
+    return shipped() if recipe.prior is None else read_cameras(prior_files(path.parent / recipe.prior))
+
+
 def _datasheet(declared: DatasheetRecipe | None, body: Body, path: Path) -> SensorFigures | None:
     if declared is None:
         return None
@@ -243,5 +271,18 @@ def inputs_of(path: Path) -> Inputs:
         "frames": [path.parent / name for name in frame_names(recipe)],
         "spectra": [path.parent / name for name in spectrum_names(recipe)],
     }
+    if recipe.prior is not None:
+        files["spectra"] += prior_files(path.parent / recipe.prior)
     stamps = {file: stamp(file) for named in files.values() for file in named} | {path: first}
     return Inputs(read_text(path), files, stamps)
+
+
+def inputs_of_photos(photos: Sequence[Path]) -> Inputs:
+    """The raw files of a calibration that has no measurement file, to be called before they are read."""
+    return Inputs("", {"frames": list(photos)}, {file: stamp(file) for file in photos})
+
+
+def photo_measurements(photos: Sequence[Path], light: str | None) -> Measurements:
+    """What raw files of a chart under one light (None: to be guessed) give without a measurement file; InputFileError if
+    they do not say all that is needed."""
+    return measurements_of(recipe_of_photos(photos, light), photos[0])

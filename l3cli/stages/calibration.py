@@ -1,7 +1,7 @@
 """The calibration stage: lab measurements → camera model."""
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,32 +10,40 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import camera_files, load_camera
 from l3cli.artifacts.store import save
 from l3cli.calibration import acceptance, figures, model
-from l3cli.errors import L3Error
+from l3cli.errors import L3Error, RecipeError
 from l3cli.io.curves import export_curves, export_paths
-from l3cli.io.measurements import inputs_of, load_measurements
+from l3cli.io.measurements import inputs_of, inputs_of_photos, load_measurements, photo_measurements
+from l3cli.io.photos import export_offsets, offset_paths
 from l3cli.parallel import ordered_map
 from l3cli.stages.claims import Claims
 from l3cli.stages.console import Console
 
 
 def calibrate(
-    measurements: Path, output: Path, console: Console, *, truth: Path | None = None, export: Path | None = None,
-    accept: bool = False, jobs: int = 1, force: bool = False,
+    measurements: Path | None, output: Path, console: Console, *, photos: Sequence[Path] = (), light: str | None = None,
+    truth: Path | None = None, export: Path | None = None, accept: bool = False, jobs: int = 1, force: bool = False,
 ) -> tuple[CameraModel, dict[str, Any]]:  # fmt: skip
-    """Write the camera model of a measurement file; the model, and its figures, ready for JSON.
+    """Write the camera model of a measurement file, or of raw photos of a chart; the model, and its figures, ready for JSON.
 
+    `photos`, `light`: instead of a measurement file; a name such as "D65" or "3200K", None: to be guessed.
     `truth`: camera (model or recipe) behind a virtual lab, to compare with. `export`: folder for the curves as CSV and as
     rawtoaces JSON. `accept`: write a model that predicts its charts badly, which else is an L3Error.
     InputFileError or RecipeError if the measurements cannot be used, L3Error if an output cannot be written.
     """
+    if (measurements is None) == (not photos):
+        raise RecipeError("give either a measurement file or raw photos of a chart, as ‹photo›")
+    if light is not None and measurements is not None:
+        raise RecipeError("a measurement file names the light of its photos itself, as light; leave ‹light› out")
     with Claims(console) as claims:
-        claims.spare(measurements, *filter(None, [truth]))
+        claims.spare(*photos, *filter(None, [measurements, truth]))
         for path in (output, *(export_paths(export) if export else ())):
             claims.claim_file(path, force)
-        inputs = inputs_of(measurements)
+        inputs = inputs_of_photos(photos) if measurements is None else inputs_of(measurements)
         claims.spare(*itertools.chain(*inputs.files.values()), *(camera_files(truth) if truth else ()))
         true = load_camera(truth) if truth else None
-        measured = load_measurements(measurements)
+        measured = photo_measurements(photos, light) if measurements is None else load_measurements(measurements)
+        for path in offset_paths(export, measured.photos) if export else ():
+            claims.claim_file(path, force)
 
         def each(function: Callable[[Any], Any], captures: Iterable[Any]) -> Iterator[Any]:
             captures = list(captures)
@@ -43,12 +51,21 @@ def calibrate(
 
         camera = model.calibrate(measured, each)
         if (shortfall := acceptance.shortfall(camera)) and not accept:
-            raise L3Error(f"{measurements}: {shortfall}, or add ‹accept›")
-        camera = replace(camera, history=(inputs.history({"accept": True} if accept else {}),))
+            culprit = "" if measurements is None else f"{measurements}: "
+            raise L3Error(f"{culprit}{shortfall}, or add ‹accept›")
+        options = {"accept": True} if accept else {}
+        camera = replace(camera, history=(inputs.history(options | ({"light": light} if photos else {})),))
         result: dict[str, Any] = figures.figures(camera)
         if true is not None:
             result["truth"] = figures.compare(camera, true)
         save(camera, output)
         if export:
             export_curves(camera, export)
+            if measured.photos:
+                export_offsets(camera, measured.photos, export)
+        if shortfall:
+            console.say(f"accepted although {shortfall.partition(';')[0]}")
+        if result["saturation reached"] is False:
+            console.say("no white frame saturates: the converter's last value is taken for it; add one exposed longer")
+        console.say(f"{output}: written")
         return camera, result

@@ -21,6 +21,7 @@ from l3cli.artifacts.training_set import GROUPS, TrainingSet
 from l3cli.cli import COMMANDS, l3
 from l3cli.config import TELLING, Recipe, load_recipe
 from l3cli.io.measurement_recipe import MeasurementRecipe
+from l3cli.io.priors import PriorRecipe
 from l3cli.simulation.lab_recipe import LabRecipe
 from l3cli.simulation.recipe import SceneRecipe
 from l3cli.training.recipe import TrainingRecipe
@@ -200,7 +201,7 @@ def test_the_architecture_names_every_module_of_the_lower_floors() -> None:
 
 @pytest.mark.parametrize("path", sorted(CONFIGS.rglob("*.toml")), ids=lambda path: str(path.relative_to(CONFIGS)))
 def test_every_recipe_is_of_its_kind(path: Path) -> None:
-    kind = OF_BENCHMARK[path.stem] if "benchmarks" in path.parts else RECIPES[path.parent.name]
+    kind = OF_BENCHMARK[path.stem] if "benchmarks" in path.parts else (RECIPES | {"priors": PriorRecipe})[path.parent.name]
     load_camera(path) if kind is CameraRecipe else load_recipe(path, kind)
 
 

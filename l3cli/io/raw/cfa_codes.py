@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,17 @@ if TYPE_CHECKING:  # the process that decodes starts without them
     from l3cli.artifacts.table import TransformTable
 
 Sensor: TypeAlias = "TransformTable | CameraModel"  # whose size, levels and colour filter array raw files have
+
+
+class FilterArray(Protocol):
+    """Whatever has a colour filter array: (cfa_row, cfa_col) channel of each site, and the channels' names."""
+
+    @property
+    def cfa(self) -> NDArray[np.uint8]: ...
+    @property
+    def channels(self) -> tuple[str, ...]: ...
+
+
 LETTERS = "RGBCMYW"  # codes 0…6 of CFAPattern: red, green, blue, cyan, magenta, yellow, white
 NAMES = ("red", "green", "blue", "cyan", "magenta", "yellow", "white")
 FREE_CODE = len(LETTERS)  # the first code of what TIFF/EP has no name for
@@ -44,7 +55,7 @@ def channel_codes(channels: Sequence[str]) -> NDArray[np.uint8]:
     return np.array(codes, np.uint8)
 
 
-def find_phase(name: str, pattern: NDArray[np.integer], sensor: Sensor) -> tuple[int, int]:
+def find_phase(name: str, pattern: NDArray[np.integer], sensor: FilterArray) -> tuple[int, int]:
     """Site of the sensor's super-pixel that pixel (0, 0) has in a file whose CFA has the codes `pattern` (row, col).
 
     Channels that TIFF/EP knows must have their code, each of the others one code of any value. InputFileError, naming

@@ -1,0 +1,263 @@
+"""Patches of a chart → responsivities: the posterior of a Gaussian model (docs/method.md#charts-in-photographs).
+
+A patch of shot j gives in channel c
+
+    value = illumination_j(place) · Σ_λ reflectance · light_j · responsivity_c + glare_jc + error,
+
+whose illumination is a polynomial of second order over the chart, 1 at the centre of the first shot. It is linear but for
+the product of illumination and responsivity, which is expanded about the last solution.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.calibration.photo.prior import Prior
+
+STEPS = 4  # expansions of the product; the third changes nothing that can be seen
+SCALE_SPREAD = 0.5  # of a channel's scale about the first guess: next to nothing is assumed of it
+SHOT_SPREAD = 0.3  # of the exposure of a further shot about the first guess
+FARTHEST = 4.0  # factor by which scales and exposures may change from the first guess on
+CURVATURE = 0.5  # spread of a quadratic term over that of a linear one
+FLOOR = 0.001  # of the brightest patch: what no model explains
+ERRORS = (0.0, 0.002, 0.005, 0.01, 0.02, 0.035, 0.06)  # of a patch's value: reflectances, texture, as the misfit shows
+TERMS = 6  # of the illumination: constant, x, y, x², xy, y²
+Array = NDArray[np.floating]
+
+
+@dataclass(frozen=True)
+class Shot:
+    """The patches of a chart under one light."""
+
+    light: Array  # (wavelength) relative photon radiance of a white
+    reflectance: Array  # (patch, wavelength)
+    place: Array  # (patch, 2) x and y over the chart, −1…1
+    values: Array  # (patch, channel) DN above black
+    deviation: Array  # (patch, channel) DN, standard deviation of a value
+    used: NDArray[np.bool_]  # (patch, channel)
+    uneven: float = 0.2  # spread of the illumination's terms: 20 %, or less where a white shot has corrected it
+    glare: float = 0.03  # spread of glare, of the brightest patch
+
+    @property
+    def stimuli(self) -> Array:
+        """(patch, wavelength) photons of each patch."""
+        return self.reflectance * self.light
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """What the patches say of a camera."""
+
+    responsivity: Array  # (channel, wavelength) in the unit of the values over that of the light; nowhere negative
+    covariance: Array  # (channel · wavelength, channel · wavelength) of it
+    glare: Array  # (shot, channel) DN
+    illumination: Array  # (shot, term)
+    error: float  # of a patch's value, beside its deviation
+    evidence: float  # natural logarithm of the probability of the values, up to a constant
+    predicted: tuple[Array, ...]  # of each shot (patch, channel) DN
+
+
+def estimate(shots: Sequence[Shot], prior: Prior) -> Posterior:
+    """The posterior of all shots, with the model error under which the values are most probable."""
+    candidates = [_solve(shots, prior, error) for error in ERRORS]
+    best = max(candidates, key=lambda solution: solution.evidence)
+    return best.posterior()
+
+
+def evidence(shots: Sequence[Shot], prior: Prior) -> float:
+    """Natural logarithm of the probability of the values under these lights, up to a constant."""
+    return max(_solve(shots, prior, error).evidence for error in ERRORS)
+
+
+def terms(place: Array) -> Array:
+    """(patch, term) of the illumination at x, y (patch, 2)."""
+    x, y = place.T
+    return np.stack([np.ones_like(x), x, y, x * x - np.mean(x * x), x * y, y * y - np.mean(y * y)], axis=1)
+
+
+# -------------------------------------------------------------------------------------------------------- solution
+
+
+@dataclass(frozen=True)
+class _Solution:
+    """The last expansion of the model: values ≈ design @ state, with a Gaussian prior over the state."""
+
+    shots: Sequence[Shot]
+    shape: tuple[int, int]  # channels, wavelengths
+    design: Array  # (value, state)
+    values: Array  # (value), what the expansion leaves on the right side
+    noise: Array  # (value) variances
+    mean: Array  # (state) before
+    covariance: Array  # (state, state) before
+    state: Array  # (state) after
+    error: float
+    evidence: float
+
+    def posterior(self) -> Posterior:
+        """With responsivities that are nowhere negative."""
+        count, size = self.shape
+        curves = count * size
+        state = self.state if self.state[:curves].min() >= 0 else self._not_negative()
+        gain = np.linalg.solve(self.design @ self.covariance @ self.design.T + np.diag(self.noise), self.design)
+        spread = self.covariance - self.covariance @ self.design.T @ gain @ self.covariance
+        responsivity, glare, illumination = _parts(state, len(self.shots), count, size)
+        return Posterior(
+            responsivity,
+            spread[:curves, :curves],
+            glare,
+            illumination,
+            self.error,
+            self.evidence,
+            tuple(_predict(shot, responsivity, glare[i], illumination[i]) for i, shot in enumerate(self.shots)),
+        )
+
+    def _not_negative(self) -> Array:
+        """The most probable state without negative responsivities."""
+        from scipy.optimize import lsq_linear
+
+        curves = self.shape[0] * self.shape[1]
+        free = np.diag(self.covariance) > 0
+        root = np.linalg.cholesky(self.covariance[np.ix_(free, free)])
+        ours = np.linalg.solve(root, np.eye(len(root)))
+        weight = 1.0 / np.sqrt(self.noise)
+        system = np.vstack([self.design[:, free] * weight[:, None], ours])
+        right = np.concatenate([(self.values - self.design[:, ~free] @ self.mean[~free]) * weight, ours @ self.mean[free]])
+        least = np.where(np.arange(free.size) < curves, 0.0, -np.inf)[free]
+        state = self.mean.copy()
+        state[free] = lsq_linear(system, right, bounds=(least, np.inf)).x
+        return state
+
+
+def _solve(shots: Sequence[Shot], prior: Prior, error: float) -> _Solution:
+    count, size = prior.mean.shape
+    used = np.concatenate([shot.used.T.ravel() for shot in shots])  # channel by channel
+    state = _first_guess(shots, prior)
+    first = scale = _scale(state, prior)
+    for _ in range(STEPS):
+        mean, covariance = _before(shots, prior, scale)
+        design, right, noise = _expansion(shots, state, count, size, error)
+        design, right, noise = design[used], right[used], noise[used]
+        spread = design @ covariance @ design.T + np.diag(noise)
+        root = np.linalg.cholesky(spread)
+        white = np.linalg.solve(root, right - design @ mean)
+        state = mean + covariance @ design.T @ np.linalg.solve(root.T, white)
+        # Under a light that explains nothing the expansion may run away: it stays near the first guess.
+        scale = np.clip(_scale(state, prior), first / FARTHEST, first * FARTHEST)
+        _hold_exposures(state, mean, len(shots))
+    probability = -0.5 * white @ white - np.log(np.diag(root)).sum() + _peaks(state, prior)
+    return _Solution(shots, (count, size), design, right, noise, mean, covariance, state, error, float(probability))
+
+
+def _first_guess(shots: Sequence[Shot], prior: Prior) -> Array:
+    """The prior's mean curves, scaled to each channel of the first shot, with even light and no glare."""
+    count = len(prior.mean)
+    expected = [shot.stimuli @ prior.mean.T for shot in shots]
+
+    def ratio(shot: Shot, predicted: Array) -> Array:
+        top = (shot.values * predicted * shot.used).sum(axis=0)
+        return np.maximum(top / np.maximum((predicted**2 * shot.used).sum(axis=0), 1e-300), 1e-12)
+
+    scale = ratio(shots[0], expected[0])
+    illumination = np.zeros((len(shots), TERMS))
+    for index, shot in enumerate(shots):
+        illumination[index, 0] = np.median(ratio(shot, expected[index]) / scale)
+    glare = np.zeros(len(shots) * count)
+    return np.concatenate([(scale[:, None] * prior.mean).ravel(), glare, illumination.ravel()])
+
+
+def _hold_exposures(state: Array, mean: Array, shots: int) -> None:
+    """Keep the exposures of a state, in place, near those before."""
+    first = state.size - shots * TERMS
+    state[first::TERMS] = np.clip(state[first::TERMS], mean[first::TERMS] / FARTHEST, mean[first::TERMS] * FARTHEST)
+
+
+def _scale(state: Array, prior: Prior) -> Array:
+    """(channel) factor of the prior's mean that fits a state best."""
+    count, size = prior.mean.shape
+    curves = state[: count * size].reshape(count, size)
+    return np.maximum((curves * prior.mean).sum(axis=1) / (prior.mean**2).sum(axis=1), 1e-12)
+
+
+def _before(shots: Sequence[Shot], prior: Prior, scale: Array) -> tuple[Array, Array]:
+    """Mean and covariance of the state before anything is measured, at the scale of each channel."""
+    count, size = prior.mean.shape
+    curves = (scale[:, None] * prior.mean).ravel()
+    factors = np.repeat(scale, size)
+    spread = prior.covariance * np.outer(factors, factors)
+    for channel in range(count):
+        part = slice(channel * size, (channel + 1) * size)
+        spread[part, part] += SCALE_SPREAD**2 * np.outer(curves[part], curves[part])
+    glare = np.concatenate([(shot.glare * _brightest(shot)) ** 2 for shot in shots])
+    linear = np.array([0.0, 1.0, 1.0, CURVATURE, CURVATURE, CURVATURE])
+    illumination = np.concatenate([(shot.uneven * linear) ** 2 for shot in shots])
+    illumination[TERMS::TERMS] = SHOT_SPREAD**2
+    exposures = np.concatenate(
+        [np.eye(1, TERMS)[0] * _exposure(shots, index, curves.reshape(count, size)) for index in range(len(shots))]
+    )
+    mean = np.concatenate([curves, np.zeros(glare.size), exposures])
+    covariance = np.zeros((mean.size, mean.size))
+    covariance[: curves.size, : curves.size] = spread
+    rest = np.arange(curves.size, mean.size)
+    covariance[rest, rest] = np.concatenate([glare, illumination * np.repeat(exposures[::TERMS], TERMS) ** 2])
+    return mean, covariance
+
+
+def _exposure(shots: Sequence[Shot], index: int, curves: Array) -> float:
+    """Of a further shot what the first's scale says, 1 for the first."""
+    if index == 0:
+        return 1.0
+    shot, predicted = shots[index], shots[index].stimuli @ curves.T
+    return float((shot.values * shot.used).sum() / (predicted * shot.used).sum())
+
+
+def _brightest(shot: Shot) -> Array:
+    """(channel) DN of the brightest patch that is used; 1 where none is."""
+    top = np.where(shot.used, shot.values, 0.0).max(axis=0)
+    return np.where(top > 0, top, 1.0)
+
+
+def _expansion(shots: Sequence[Shot], state: Array, count: int, size: int, error: float) -> tuple[Array, Array, Array]:
+    """Design, right side and variances of all values, shot by shot, channel by channel, patch by patch."""
+    responsivity, glare, illumination = _parts(state, len(shots), count, size)
+    designs, rights, variances = [], [], []
+    curves, offsets = count * size, len(shots) * count
+    for index, shot in enumerate(shots):
+        basis = terms(shot.place)
+        share, even = basis @ illumination[index], shot.stimuli @ responsivity.T
+        design = np.zeros((count, len(basis), state.size))
+        for channel in range(count):
+            design[channel, :, channel * size : (channel + 1) * size] = share[:, None] * shot.stimuli
+            design[channel, :, curves + index * count + channel] = 1.0
+            first = curves + offsets + index * TERMS
+            design[channel, :, first : first + TERMS] = even[:, channel, None] * basis
+        predicted = share[:, None] * even + glare[index]
+        designs.append(design.reshape(-1, state.size))
+        rights.append((shot.values + share[:, None] * even).T.ravel())
+        known = shot.deviation**2 + (FLOOR * _brightest(shot)) ** 2 + (error * predicted) ** 2
+        variances.append(known.T.ravel())
+    return np.concatenate(designs), np.concatenate(rights), np.concatenate(variances)
+
+
+def _parts(state: Array, shots: int, count: int, size: int) -> tuple[Array, Array, Array]:
+    """Responsivity (channel, wavelength), glare (shot, channel) and illumination (shot, term) of a state."""
+    curves, offsets = count * size, shots * count
+    return (
+        state[:curves].reshape(count, size),
+        state[curves : curves + offsets].reshape(shots, count),
+        state[curves + offsets :].reshape(shots, TERMS),
+    )
+
+
+def _predict(shot: Shot, responsivity: Array, glare: Array, illumination: Array) -> Array:
+    """(patch, channel) DN of a shot."""
+    return (terms(shot.place) @ illumination)[:, None] * (shot.stimuli @ responsivity.T) + glare
+
+
+def _peaks(state: Array, prior: Prior) -> float:
+    """Log-probability of the heights of the channels' peaks."""
+    count, size = prior.mean.shape
+    heights = np.log(np.maximum(state[: count * size].reshape(count, size).max(axis=1), 1e-300))
+    off = heights - heights.mean() - (prior.log_peak - prior.log_peak.mean())
+    return float(-0.5 * off @ np.linalg.solve(prior.log_peak_covariance + 1e-9 * np.eye(count), off))

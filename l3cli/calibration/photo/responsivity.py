@@ -1,0 +1,195 @@
+"""Photographs of charts → responsivities with their band, and what the photos say of themselves
+(docs/method.md#charts-in-photographs)."""
+
+import functools
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.camera import Noise
+from l3cli.artifacts.fit import PhotoFit
+from l3cli.calibration.curves import Curves
+from l3cli.calibration.photo import lights, patches
+from l3cli.calibration.photo import prior as priors
+from l3cli.calibration.photo.estimate import FLOOR, Posterior, Shot, estimate, evidence
+from l3cli.calibration.photo.prior import ROLES, WAVELENGTH, Prior
+from l3cli.calibration.photo.shots import Photograph, measure
+from l3cli.calibration.responsivity import BAND_FLOOR, COVERAGE
+from l3cli.errors import InputFileError
+from l3cli.measurement import CurveStatistics, Measurements, SensorFigures
+from l3cli.physics import spectra
+
+CANDIDATES = (  # lights that photos are taken under
+    "A", "2400K", "3200K", "4000K", "D50", "D55", "D65", "D75", "F2", "F7", "F11", "LED-B1", "LED-B3", "LED-B5",
+)  # fmt: skip
+JUDGED_UNDER = ("A", "D65", "F11")  # for the band of responses
+SURFACES_EVERY = 7  # of the library
+FAR, MOST_FAR = 4.0, 4  # standard deviations from which a patch is left out; values in all
+MEASURED, SMOOTH = "measured cameras", "smooth"
+Array = NDArray[np.floating]
+
+
+def fit_photos(measurements: Measurements) -> tuple[Curves, PhotoFit, SensorFigures]:
+    """Curves to a common peak, the photos' part of the fit, and the sensor as its data sheet or the patches' noise gives it.
+
+    InputFileError if a photo shows no usable chart, or if its noise is no sensor's and nothing is declared.
+    """
+    photographs = [measure(capture, measurements.body) for capture in measurements.photos]
+    prior, shots = _prior_and_lights(photographs, measurements)
+    posterior, shots, far = _without_far_ones(shots, prior)
+    for index, photo in enumerate(photographs):
+        if photo.capture.light is None:
+            posterior = lights.unsure_of_light(posterior, shots, index, prior, candidates())
+    comparisons = [lights.compare(shots, index, prior, candidates()) for index in range(len(shots))]
+    judged = [candidates()[name] for name in JUDGED_UNDER]
+    errors = [lights.response_errors(posterior, light, _surfaces()) for light in judged]
+    next_light, remaining = lights.next_light(shots[0], posterior, candidates(), judged, _surfaces())
+    guessed = [photo.capture.light is None for photo in photographs]
+    named = [photo.capture.light or _name_of(shot.light) for photo, shot in zip(photographs, shots, strict=True)]
+    sensor, from_patches = _sensor(photographs, measurements)
+    fit = PhotoFit(
+        names=tuple(photo.capture.name for photo in photographs),
+        lights=tuple(named),
+        guessed=np.array(guessed),
+        nearest=tuple(comparison.nearest for comparison in comparisons),
+        deficit=np.array([comparison.deficit for comparison in comparisons]),
+        charts=tuple(photo.capture.chart.name for photo in photographs),
+        corners=np.array([photo.corners for photo in photographs], dtype=np.float64),
+        prior=MEASURED if prior.measured else SMOOTH,
+        error=posterior.error,
+        illumination=posterior.illumination.astype(np.float64),
+        glare=posterior.glare.astype(np.float64),
+        noise_from_patches=from_patches,
+        response_band=COVERAGE * np.sqrt(np.mean(np.square(errors), axis=0)),
+        next_light=next_light,
+        next_share=remaining,
+        left_out=tuple(line for photo in photographs for line in photo.left_out)
+        + _far_lines(far, photographs, measurements),
+        used=_padded([shot.used for shot in shots], False),
+        measured=_padded([shot.values for shot in shots], 0.0),
+        predicted=_padded(list(posterior.predicted), 0.0),
+    )
+    return _curves(posterior), fit, sensor
+
+
+def _curves(posterior: Posterior) -> Curves:
+    count, size = posterior.responsivity.shape
+    deviation = np.sqrt(np.maximum(np.diag(posterior.covariance), 0.0)).reshape(count, size)
+    relative = posterior.responsivity.astype(np.float64)
+    return Curves(WAVELENGTH, relative, np.hypot(COVERAGE * deviation, BAND_FLOOR * relative.max())).to_common_peak()
+
+
+@functools.cache
+def _candidates() -> dict[str, Array]:
+    return {name: spectra.illuminant(name, WAVELENGTH) for name in CANDIDATES}
+
+
+def candidates() -> Mapping[str, Array]:
+    """Name → (wavelength) relative photon radiance of the lights that a photo may have been taken under."""
+    return _candidates()
+
+
+def _name_of(light: Array) -> str:
+    """The candidate that a guessed light is."""
+    return next(name for name, each in candidates().items() if each is light)
+
+
+@functools.cache
+def _surfaces() -> Array:
+    return spectra.reflectance_library(WAVELENGTH)[::SURFACES_EVERY]
+
+
+# ---------------------------------------------------------------------------------------------------- prior and lights
+
+
+def _prior_and_lights(photographs: Sequence[Photograph], measurements: Measurements) -> tuple[Prior, list[Shot]]:
+    """The prior under which the values are more probable, and the shots, those of unknown light under the most probable."""
+    shots = [photo.shot for photo in photographs]
+    unknown = [index for index, photo in enumerate(photographs) if photo.capture.light is None]
+    best: tuple[float, Prior, list[Shot]] | None = None
+    for prior in _priors(measurements):
+        ours = list(shots)
+        for index in unknown:
+            likely = lights.probabilities([ours[index]], 0, prior, candidates())
+            ours[index] = replace(ours[index], light=candidates()[max(likely, key=lambda name: likely[name])])
+        # Curves are not to be blamed for a light that is named wrongly: the first shot may be under any.
+        others = [[replace(ours[0], light=light), *ours[1:]] for light in candidates().values()]
+        probability = max(evidence(each, prior) for each in [ours, *others])
+        if best is None or probability > best[0]:
+            best = probability, prior, ours
+    assert best is not None
+    return best[1], best[2]
+
+
+def _priors(measurements: Measurements) -> list[Prior]:
+    """Smooth curves and, of a camera with channels r, g and b, those of measured cameras."""
+    channels, known = measurements.body.channels, measurements.cameras
+    smooth = priors.smooth(len(channels))
+    if known is None or sorted(channels) != sorted(ROLES):
+        return [smooth]
+    table = known if isinstance(known, CurveStatistics) else priors.statistics(known)
+    return [priors.of_cameras(priors.turned(table, [ROLES.index(name) for name in channels])), smooth]
+
+
+# ---------------------------------------------------------------------------------------------------------- outliers
+
+
+def _without_far_ones(shots: list[Shot], prior: Prior) -> tuple[Posterior, list[Shot], list[tuple[int, int, int]]]:
+    """The posterior without the values (shot, patch, channel) that lie far off it, a few at most."""
+    posterior = estimate(shots, prior)
+    far: list[tuple[float, int, int, int]] = []
+    for index, (shot, predicted) in enumerate(zip(shots, posterior.predicted, strict=True)):
+        floor = FLOOR * np.where(shot.used, shot.values, 0.0).max(axis=0)
+        spread = np.sqrt(shot.deviation**2 + floor**2 + (posterior.error * predicted) ** 2)
+        off = np.where(shot.used, np.abs(shot.values - predicted) / spread, 0.0)
+        far += [(float(off[patch, channel]), index, int(patch), int(channel)) for patch, channel in np.argwhere(off > FAR)]
+    chosen = [(index, patch, channel) for _, index, patch, channel in sorted(far, reverse=True)[:MOST_FAR]]
+    if not chosen:
+        return posterior, shots, []
+    shots = [replace(shot, used=shot.used.copy()) for shot in shots]
+    for index, patch, channel in chosen:
+        shots[index].used[patch, channel] = False
+    return estimate(shots, prior), shots, chosen
+
+
+def _far_lines(
+    far: Sequence[tuple[int, int, int]], photographs: Sequence[Photograph], measurements: Measurements
+) -> tuple[str, ...]:
+    names = measurements.body.channels
+    return tuple(
+        f"{photographs[shot].capture.name}: patch {patch + 1} in {names[channel]}: far off all others"
+        for shot, patch, channel in far
+    )
+
+
+def _padded(parts: Sequence[NDArray], fill: float | bool) -> NDArray:
+    """(photo, patch, channel), charts of fewer patches filled."""
+    most = max(len(part) for part in parts)
+    shape = (len(parts), most, parts[0].shape[1])
+    result = np.full(shape, fill, dtype=bool if isinstance(fill, bool) else np.float64)
+    for index, part in enumerate(parts):
+        result[index, : len(part)] = part
+    return result
+
+
+# ------------------------------------------------------------------------------------------------------------ sensor
+
+
+def _sensor(photographs: Sequence[Photograph], measurements: Measurements) -> tuple[SensorFigures, bool]:
+    """Levels, gain and noise: of the data sheet, or of the files and the patches' photon transfer; whether it is these."""
+    first = photographs[0]
+    if measurements.datasheet is not None:
+        return replace(measurements.datasheet, black_level=first.black_level, white_level=first.white_level), False
+    if first.white_level > 2**measurements.body.bits - 1:
+        raise InputFileError(f"{first.capture.name} has the white level {first.white_level:g}; correct sensor.bits")
+    transfer = patches.photon_transfer([photo.values for photo in photographs])
+    if transfer is None:
+        raise InputFileError(
+            f"{first.capture.name}: its noise does not grow with the signal as a sensor's does; is it a raw file as the "
+            "camera writes it? Else declare gain and noise in a [datasheet]"
+        )
+    gain, dark_noise = transfer
+    well = (first.white_level - first.black_level) / gain
+    return SensorFigures(gain, first.black_level, first.white_level, Noise(dark_noise / gain, 0.0, 0.0, 0.0, well)), True

@@ -1,0 +1,63 @@
+"""Charts whose reflectances are known, by name."""
+
+import functools
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.errors import RecipeError, suggestion
+from l3cli.physics import spectra
+
+CLASSIC = (4, 6)  # rows, columns of patches
+AVERAGE, STANDARD = "BabelColor Average", "ISO 17321-1"
+SINCE_2014 = "ColorChecker24 - After November 2014"
+CHARTS = {  # name: measured spectra, colours that the maker states since
+    "classic": (AVERAGE, None),
+    "classic ISO 17321": (STANDARD, None),
+    "classic 2014": (AVERAGE, SINCE_2014),
+    "passport": (AVERAGE, None),
+    "passport 2": (AVERAGE, SINCE_2014),
+}
+CORRECTION_NM = 60.0  # over which a correction of the dyes is smooth
+Array = NDArray[np.floating]
+
+
+def chart(name: str, wavelength: Array) -> tuple[tuple[str, ...], Array]:
+    """Names of the patches and reflectances (patch, wavelength), row by row, of a chart of CLASSIC rows and columns.
+
+    "classic" and "passport" are ColorCheckers made before November 2014, the average of thirty (BabelColor), of which ISO
+    17321-1 lists another one. Those made since have other dyes, whose spectra nobody publishes: "classic 2014" and
+    "passport 2" are the former spectra times the smoothest factors that give the colours which the maker states.
+    RecipeError if the name is unknown.
+    """
+    if name not in CHARTS:
+        raise RecipeError(f'chart "{name}" is unknown; {suggestion(name, CHARTS)} (and CSV files of reflectances)')
+    measured, stated = CHARTS[name]
+    patches = spectra.colour_science().SDS_COLOURCHECKERS[measured]
+    reflectance = np.array([np.interp(wavelength, patch.wavelengths, patch.values) for patch in patches.values()])
+    return tuple(patches), reflectance if stated is None else _corrected(reflectance, wavelength, stated)
+
+
+def _corrected(reflectance: Array, wavelength: Array, stated: str) -> Array:
+    """Reflectances times 1 + what is smoothest among all that gives the stated colours."""
+    target = _stated_xyz(stated)
+    light = spectra.illuminant("D50", wavelength)
+    weights = spectra.xyz_weights(wavelength) * light
+    weights = weights / weights[1].sum()
+    apart = (wavelength[:, None] - wavelength) / CORRECTION_NM
+    kernel = np.exp(-0.5 * apart**2)
+    rows = []
+    for patch, xyz in zip(reflectance, target, strict=True):
+        design = weights * patch
+        factor = kernel @ design.T @ np.linalg.solve(design @ kernel @ design.T, xyz - design.sum(axis=1))
+        rows.append(patch * (1.0 + factor))
+    return np.clip(np.array(rows), 0.001, 1.0)
+
+
+@functools.cache
+def _stated_xyz(stated: str) -> Array:
+    """(patch, 3) XYZ under D50, a perfect white's Y 1, in colour-science's table of what the maker states."""
+    colour = spectra.colour_science()
+    table = colour.CCS_COLOURCHECKERS[stated]
+    assert np.allclose(table.illuminant, colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D50"], atol=2e-3)
+    return np.array([colour.xyY_to_XYZ(patch) for patch in table.data.values()])

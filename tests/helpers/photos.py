@@ -1,0 +1,103 @@
+"""Simulated patches of a chart, from cameras drawn out of the curve statistics that come with l3 or given."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.calibration.perspective import corner_cells, homography, through
+from l3cli.calibration.photo import estimate
+from l3cli.calibration.photo.estimate import Posterior, Shot
+from l3cli.calibration.photo.prior import WAVELENGTH
+from l3cli.io.priors import shipped
+from l3cli.physics import spectra
+
+Array = NDArray[np.floating]
+ROWS, COLS = np.divmod(np.arange(24), 6)
+PLACE = np.stack([(COLS - 2.5) / 2.5, (ROWS - 1.5) / 1.5], axis=1)
+BRIGHTEST = 1000.0  # DN
+BAYER = np.array([[0, 1], [1, 2]], dtype=np.uint8)
+GRID = (4, 6)
+UPRIGHT = np.array([[180, 150], [580, 160], [590, 430], [170, 420]], dtype=np.float64)  # col, row of patches 1, 6, 24, 19
+GAIN, READ = 0.5, 4.0  # DN/e-, DN
+REFLECTANCE = spectra.colorchecker(WAVELENGTH)[1]
+
+
+def drawn(seed: int) -> Array:
+    """The responsivities (channel, wavelength) per photon of a camera that resembles measured ones."""
+    known, rng = shipped(), np.random.default_rng([seed, 1])
+    shape = known.mean + np.tensordot(rng.standard_normal(len(known.modes)), known.modes, axes=1)
+    shape = np.maximum(shape, 0.0)
+    return shape / shape.max(axis=1, keepdims=True) * np.exp(known.log_peak)[:, None]
+
+
+def photograph(
+    corners: np.ndarray, rng: np.random.Generator, cfa: np.ndarray = BAYER, turns: int = 0, light_name: str = "D65"
+) -> np.ndarray:
+    """A mosaic (row, col) of DN above black: a chart, black between its patches, before blotches of all colours."""
+    camera = drawn(1)
+    light = spectra.illuminant(light_name, WAVELENGTH)
+    values = REFLECTANCE * light @ camera.T
+    values = 3000.0 * values / values.max()
+    shape = (600, 800)
+    to_cells = np.linalg.inv(homography(corner_cells(*GRID), corners))
+    col, row = np.meshgrid(np.arange(shape[1]), np.arange(shape[0]))
+    cells = through(to_cells, np.stack([col, row], axis=-1))
+    x, y = cells[..., 0], cells[..., 1]
+    blotches = np.kron(rng.random((12, 16, 3)), np.ones((50, 50, 1)))
+    picture = 100.0 + 1500.0 * blotches + 80.0 * np.sin(col / 3.0)[..., None]
+    picture[(x > -0.5) & (x < 6.5) & (y > -0.5) & (y < 4.5)] = 60.0
+    on = (x > 0) & (x < 6) & (y > 0) & (y < 4) & (np.abs(x % 1 - 0.5) < 0.42) & (np.abs(y % 1 - 0.5) < 0.42)
+    picture[on] = values[(y[on].astype(int) * 6 + x[on].astype(int))]
+    picture = np.rot90(picture, turns)
+    tiled = np.tile(cfa, (picture.shape[0] // 2, picture.shape[1] // 2))
+    mosaic = np.take_along_axis(picture, tiled[..., None].astype(int), axis=2)[..., 0]
+    return np.rint(mosaic + np.sqrt(GAIN * mosaic + READ**2) * rng.standard_normal(mosaic.shape))
+
+
+def shot(
+    camera: Array, light: str, rng: np.random.Generator, *, noise: float = 0.005, glare: float = 0.0, uneven: float = 0.0,
+    named: str | None = None,
+) -> Shot:  # fmt: skip
+    """A ColorChecker under a light, which is perhaps named otherwise; noise and glare are shares of the brightest patch and
+    of the mean, `uneven` what the light falls by over the chart."""
+    reflectance = spectra.colorchecker(WAVELENGTH)[1]
+    values = reflectance * spectra.illuminant(light, WAVELENGTH) @ camera.T
+    values = values / values.max() * BRIGHTEST
+    values = values + glare * values.mean(axis=0)
+    if uneven:
+        slopes = rng.standard_normal(estimate.TERMS) * (0.0, 1.0, 1.0, 0.5, 0.5, 0.5)
+        fall = estimate.terms(PLACE) @ slopes
+        values = values * (1.0 - uneven * (fall - fall.min()) / np.ptp(fall))[:, None]
+    deviation = np.full_like(values, noise) * values.max(axis=0)
+    values = values + deviation * rng.standard_normal(values.shape)
+    taken = spectra.illuminant(named or light, WAVELENGTH)
+    return Shot(taken, reflectance, PLACE, values, deviation, np.ones(values.shape, dtype=bool))
+
+
+def response_figures(camera: Array, posterior: Posterior, light: str, surfaces: Array) -> tuple[Array, Array]:
+    """Of the responses to surfaces (surface, wavelength) under a light, their mean known: RMS error (channel) over the
+    largest response, and the share (channel) of the errors that lies within the 95 % band."""
+    stimuli = surfaces * spectra.illuminant(light, WAVELENGTH)
+    size, errors, shares = WAVELENGTH.size, [], []
+    for channel, (truth, curve) in enumerate(zip(camera, posterior.responsivity, strict=True)):
+        part = slice(channel * size, (channel + 1) * size)
+        true, ours = stimuli @ truth, stimuli @ curve
+        centred = stimuli - np.outer(ours, stimuli.sum(axis=0)) / ours.sum()
+        scale = true.sum() / ours.sum()
+        spread = scale * np.sqrt(np.einsum("sw,wv,sv->s", centred, posterior.covariance[part, part], centred))
+        off = ours * scale - true
+        errors.append(np.sqrt(np.mean(off**2)) / true.max())
+        shares.append(np.mean(np.abs(off) <= 1.96 * spread + 1e-4 * true.max()))
+    return np.array(errors), np.array(shares)
+
+
+def curve_figures(camera: Array, posterior: Posterior) -> tuple[Array, Array]:
+    """Of curves scaled to equal areas: RMS error (channel) over the peak, and the share (channel) of it within the band."""
+    size, errors, shares = WAVELENGTH.size, [], []
+    for channel, (truth, curve) in enumerate(zip(camera, posterior.responsivity, strict=True)):
+        part, scale = slice(channel * size, (channel + 1) * size), truth.sum() / curve.sum()
+        free = np.eye(size) - np.outer(curve, np.ones(size)) / curve.sum()
+        spread = scale * np.sqrt(np.diag(free @ posterior.covariance[part, part] @ free.T))
+        off = curve * scale - truth
+        errors.append(np.sqrt(np.mean(off**2)) / truth.max())
+        shares.append(np.mean(np.abs(off) <= 1.96 * spread + 0.002 * truth.max()))
+    return np.array(errors), np.array(shares)
