@@ -60,8 +60,8 @@ class FrameWarnings:
         """One line for each warning."""
         darkest, brightest = self._meter.learned_range()
         texts = {
-            "darker": f"are darker than anything the table was trained on ({darkest:.2g} of full scale); lower "
-            "learning.darkest or simulate shorter exposures, and train again",
+            "darker": f"are darker than anything the table was trained on ({darkest:.2g} of full scale); name a "
+            "lower learning.darkest or simulate shorter exposures, and train again",
             "brighter": f"are brighter than anything the table was trained on ({brightest:.2g} of full scale); raise "
             "learning.brightest or simulate longer exposures, and train again",
             "untrained": "fall into classes that are filled from their neighbours; train on more scenes or patches",
