@@ -146,7 +146,7 @@ def test_a_number_is_refused_when_it_is_parsed(refused: Callable, call: str, wor
 
 def test_every_option_with_a_number_declares_its_range() -> None:
     """And is fuzzed: what takes a text, but no number, is listed here."""
-    texts = {"--format", "--dataset", "--figure"}
+    texts = {"--format", "--dataset", "--figure", "--light"}
     numbers = set()
     for name in COMMANDS:
         command = every_command.get_command(click.Context(every_command), name)
