@@ -273,7 +273,7 @@ def test_ctrl_c_stops_a_run_that_waits_for_its_input(tmp_path: Path, table: Path
         assert waiting.stdin is not None
         assert waiting.stderr is not None
         deadline = time.monotonic() + 20
-        while len(list(tmp_path.iterdir())) == len(before) and time.monotonic() < deadline:
+        while not any(".l3tmp" in path.name for path in tmp_path.iterdir()) and time.monotonic() < deadline:
             waiting.stdin.write(frames()[0].tobytes())  # until the encoder has begun its file
             waiting.stdin.flush()
             time.sleep(0.05)
