@@ -104,7 +104,7 @@ def _rounded(weights: NDArray[np.float64], channels: Integers, layout: Integers)
     whole = np.floor(weights)
     for number, channel in enumerate(channels):
         members = np.flatnonzero(layout == number)
-        for index in np.unique(channel):
+        for index in range(int(channel.max()) + 1):
             part = np.ix_(members, np.arange(weights.shape[1]), np.flatnonzero(channel == index))
             wanted, least = weights[part], whole[part]
             order = np.argsort(least - wanted, axis=-1, kind="stable")  # those that lose most first

@@ -6,7 +6,6 @@ computes, the other may upload and download.
 """
 
 import os
-import warnings
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
@@ -14,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.layers import PlaneLayer
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.planes import fixed_point, later_fixed_point, opponent_basis
 from l3cli.errors import RecipeError
@@ -23,12 +21,12 @@ from l3cli.rendering import kernels, layout
 from l3cli.rendering.display import Display, require_known_layers, require_xyz
 from l3cli.rendering.opencl_bands import bands
 from l3cli.rendering.opencl_devices import choose_device, pyopencl, refusals
-from l3cli.rendering.opencl_work import Band, PlaneStep, Track, Work
+from l3cli.rendering.opencl_programs import Compiler, Programs
+from l3cli.rendering.opencl_work import Band, Held, PlaneStep, Track, Work
 
 TRACKS = 2
 STAGES = ("upload", "classes", "transforms", "encode", "download")
 LATER_STAGES = ("upload", "classes", "planes", "structures", "transforms", "encode", "download")
-BUILD_OPTIONS = ("-w", "-cl-mad-enable", "-cl-std=CL1.2")
 
 
 class OpenCLRenderer:
@@ -47,7 +45,6 @@ class OpenCLRenderer:
         require_known_layers(table)
         self.table = table
         self.device = choose_device(os.environ.get("L3_DEVICE", "") if device is None else device)
-        self._kept = True  # whether kernels.keep() has seen all that was compiled
         cl = pyopencl()
         self.variant = variant or ("graphics" if self.device.type & cl.device_type.GPU else "processor")
         if self.variant not in layout.VARIANTS:
@@ -55,16 +52,16 @@ class OpenCLRenderer:
         with refusals(self.device):
             self._context = cl.Context([self.device])
             variant_layout = layout.VARIANTS[self.variant]
-            self._cut = variant_layout.cut(table, lanes or self._register_lanes())
-            self._transforms: dict[tuple[tuple[str, int | str], ...], Any] = {}
-            first = self._build_first(layout.TO_PLANES if table.later else layout.OUTPUTS_AS_THEY_ARE)
-            self._classes = cl.Kernel(first, "classes")
+            self._compiler = Compiler(self._context, self.device)
+            self._programs = Programs(self._compiler, table, self.variant, lanes)
+            self._cut = self._programs.cut
             self._class_buffers = [self._constant(array) for array in layout.class_arrays(table)]
             last = layout.later_weights(table.later[-1]) if table.later else layout.first_weights(table)
             self._weights = self._constant(variant_layout.pack(last, self._cut.lanes))
-            self._later = [self._plane_step(number, first) for number in range(len(table.later))]
+            self._later = [self._plane_step(number) for number in range(len(table.later))]
             self._tracks = deque(Track(self._context, len(table.later)) for _ in range(TRACKS))
             self._frame_bands: tuple[tuple[int, ...], tuple[Band, ...]] | None = None
+            self._held: Held | None = None
 
     @property
     def stages(self) -> tuple[str, ...]:
@@ -80,6 +77,8 @@ class OpenCLRenderer:
     def outputs(self, frame: RawFrame) -> NDArray[np.float32]:
         """Outputs of the table, (output, row, col)."""
         planes, work = self._start_outputs(frame)
+        if len(self._bands(frame.values.shape)) == 1:
+            self._held = Held(frame, frame.values.copy(), self._tracks[-1])
         self._wait(work)
         if frame.light_share != 1:
             planes *= np.float32(frame.light_share)
@@ -112,6 +111,7 @@ class OpenCLRenderer:
         writes one number a pixel instead; "encode" what the whole kernel takes beyond that. Call it twice: the first run
         warms up.
         """
+        self._held = None
         _, work = self._start_outputs(frame) if display is None else self._start_picture(frame, display)
         times = self._wait(work)
         if display is not None:
@@ -128,6 +128,8 @@ class OpenCLRenderer:
     def _start_picture(self, frame: RawFrame, display: Display) -> tuple[NDArray, Work]:
         require_xyz(self.table.outputs)
         picture = np.empty((*frame.values.shape, 3), display.dtype)
+        if self._held is not None and self._held.are_of(frame):
+            return picture, self._start_encoding(self._held, display, picture)
         return picture, self._start(frame, [picture], layout.display_macros(display), display.matrix * frame.light_share)
 
     def _start(
@@ -138,8 +140,9 @@ class OpenCLRenderer:
         kernel `transform` with this ending writes, or without one with the labels of `layer`."""
         levelled, work = frame.at_levels(self.table.black_level, self.table.white_level, self.table.bits), Work(self.stages)
         values = np.ascontiguousarray(levelled.values)
+        self._held = None
         with refusals(self.device):
-            kernel = None if ending is None else self._transform_kernel(ending)
+            kernel = None if ending is None else self._programs.transforms(ending)
             encoding = self._constant(np.zeros(9) if matrix is None else matrix, np.float32)
             for band in self._bands(values.shape):
                 track = self._tracks[0]
@@ -159,14 +162,29 @@ class OpenCLRenderer:
                     offset += size
         return work
 
+    def _start_encoding(self, held: Held, display: Display, picture: NDArray) -> Work:
+        """Start to fill a picture with outputs that the device still holds."""
+        work, track = Work(self.stages), held.track
+        with refusals(self.device):
+            kernel = self._programs.encoder(layout.display_macros(display))
+            matrix = self._constant(display.matrix * held.frame.light_share, np.float32)
+            track.picture = self._scratch(track.picture, picture.nbytes)
+            shape = picture.shape[0], picture.shape[1]
+            work.add(
+                "encode",
+                self._run(kernel, track, shape, track.result, matrix, track.picture, cut=self._programs.encoder_cut),
+            )
+            work.add("download", track.download(track.picture, picture, 0))
+        return work
+
     def _wait(self, work: Work) -> dict[str, float]:
         """Milliseconds of each stage, once the work is done. Other threads run on meanwhile."""
         with refusals(self.device):
             for event in work.events["download"]:
                 event.wait()
-            if not self._kept:  # only now that they have run all of them are compiled
+            if self._compiler.has_compiled:  # only now that they have run are they kept
                 kernels.keep()
-                self._kept = True
+                self._compiler.has_compiled = False
             return work.milliseconds()
 
     def _classify(self, values: NDArray, phase: tuple[int, int], track: Track, band: Band, work: Work) -> None:
@@ -178,17 +196,20 @@ class OpenCLRenderer:
         work.add("upload", pyopencl().enqueue_copy(track.queue, track.raw, source, is_blocking=False))
         site = ((phase[0] + band.reads[0].start) % self.table.cfa.shape[0], phase[1])
         buffers = (track.raw, *band.mosaic_source, *self._class_buffers, track.labels)
-        work.add("classes", self._run(self._classes, track, (rows, columns), *buffers, *map(np.int32, site)))
+        work.add("classes", self._run(self._programs.classes(0), track, (rows, columns), *buffers, *map(np.int32, site)))
 
     def _classify_later(self, number: int, track: Track, band: Band, work: Work) -> None:
         """What later layer `number` reads of a band: the planes of the layer before it, and the classes they give."""
         step, (rows, columns), made = self._later[number], band.shape(number), band.shape(number + 1)
         track.planes[number] = self._scratch(track.planes[number], 4 * layout.PLANES * rows * columns)
         buffers = (*self._reads(number, track, band), step.weights, step.nothing, track.planes[number], np.float32(0))
-        work.add("planes", self._run(step.planes, track, (rows, columns), *buffers, self._source_rows(number, band)))
+        work.add(
+            "planes",
+            self._run(self._programs.planes(number), track, (rows, columns), *buffers, self._source_rows(number, band)),
+        )
         track.later_labels[number] = self._scratch(track.later_labels[number], 4 * made[0] * columns)
         buffers = (track.planes[number], track.labels, *band.later[number].classes, *step.rule, track.later_labels[number])
-        work.add("structures", self._run(step.classes, track, made, *buffers, np.int32(rows)))
+        work.add("structures", self._run(self._programs.classes(number + 1), track, made, *buffers, np.int32(rows)))
 
     def _reads(self, number: int, track: Track, band: Band) -> tuple[Any, ...]:
         """What the transforms of a layer read, 0 being the first: source, where its padded rows and columns lie, classes."""
@@ -208,75 +229,30 @@ class OpenCLRenderer:
         last = (self._weights, encoding, track.result, np.float32(black_level), self._source_rows(number, band))
         work.add("transforms", self._run(kernel, track, band.shape(number), *self._reads(number, track, band), *last))
 
-    def _run(self, kernel: Any, track: Track, shape: tuple[int, int], *arguments: Any) -> Any:
+    def _run(self, kernel: Any, track: Track, shape: tuple[int, int], *arguments: Any, cut: layout.Cut | None = None) -> Any:
         """Enqueue a kernel over rows and columns, which are the last arguments of each."""
         rows, columns = shape
-        cut = self._cut
+        cut = cut or self._cut
         grid = (-(-columns // cut.tile) * cut.group[0], -(-rows // cut.band) * cut.group[1])
         return kernel(track.queue, grid, cut.group, *arguments, np.int32(rows), np.int32(columns))
 
-    def _transform_kernel(self, ending: layout.Macros) -> Any:
-        """The kernel `transform` of the last layer with one ending: some display's encoding, say. Built when first asked
-        for."""
-        key = tuple(ending.items())
-        if key not in self._transforms:
-            self._transforms[key] = pyopencl().Kernel(self._build_last(ending), "transform")
-        return self._transforms[key]
-
-    def _build_last(self, ending: layout.Macros) -> Any:
-        """The program of the last layer."""
-        return self._build_later(self.table.later[-1], ending) if self.table.later else self._build_first(ending)
-
-    def _plane_step(self, number: int, first: Any) -> PlaneStep:
-        """How a later layer comes to its planes and classes; `first` is the program of the first layer."""
-        cl, table = pyopencl(), self.table
-        layer, before = table.later[number], table.later[number - 1] if number else None
-        if before is None:
-            weights, maker = layout.first_plane_weights(fixed_point(table), table.bits), first
+    def _plane_step(self, number: int) -> PlaneStep:
+        """What a later layer needs to come to its planes and classes."""
+        table = self.table
+        if number:
+            weights = layout.later_plane_weights(
+                later_fixed_point(table.later[number - 1], opponent_basis(table.white_point))
+            )
         else:
-            weights = layout.later_plane_weights(later_fixed_point(before, opponent_basis(table.white_point)))
-            maker = self._build_later(before, layout.TO_PLANES)
-        program = self._build_later(layer, layout.OUTPUTS_AS_THEY_ARE if layer is table.later[-1] else layout.TO_PLANES)
-        kernels = cl.Kernel(maker, "transform"), cl.Kernel(program, "structures")
-        rule = tuple(self._constant(array) for array in layout.rule_arrays(table, layer.rule, self.variant))
-        nothing = self._constant(np.zeros(9, np.float32))
+            weights = layout.first_plane_weights(fixed_point(table), table.bits)
+        rule = tuple(self._constant(array) for array in layout.rule_arrays(table, table.later[number].rule, self.variant))
         packed = layout.VARIANTS[self.variant].pack_whole(weights, self._cut.lanes)
-        return PlaneStep(*kernels, self._constant(packed), rule, nothing)
-
-    def _build_later(self, layer: PlaneLayer, ending: layout.Macros) -> Any:
-        """The program of a layer that reads planes."""
-        return self._build(
-            layout.later_source(self.variant, layer.rule), {**layout.later_macros(self.table, layer), **ending}
-        )
-
-    def _build_first(self, ending: layout.Macros) -> Any:
-        """The program of the layer that reads the mosaic."""
-        source = layout.first_source(self.variant, self.table.first.rule)
-        return self._build(source, {**layout.table_macros(self.table), **ending})
-
-    def _build(self, source: str, shapes: layout.Macros) -> Any:
-        options = [*BUILD_OPTIONS, *(f"-D{name}={value}" for name, value in {**shapes, **self._cut.macros}.items())]
-        return self._compile(source, options)
-
-    def _compile(self, source: str, options: list[str]) -> Any:
-        device = self.device
-        identity = (device.platform.name, device.platform.version, device.name, device.version, device.driver_version)
-        with kernels.building("\0".join([*identity, *options, source])), warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # pyopencl warns of every word a compiler says
-            self._kept = False
-            return pyopencl().Program(self._context, source).build(options)
-
-    def _register_lanes(self) -> int:
-        """Floats in a vector register, as far as the device's compiler knows its processor: PoCL 3.0 takes processors
-        younger than itself for older ones, and 16 lanes in registers of 8 are slower than 8 lanes."""
-        probe = "__kernel void\n#ifdef __AVX512F__\nwide\n#else\nnarrow\n#endif\n() {}"
-        return 16 if self._compile(probe, list(BUILD_OPTIONS)).kernel_names == "wide" else 8
+        return PlaneStep(self._constant(packed), rule, self._constant(np.zeros(9, np.float32)))
 
     def _bands(self, shape: tuple[int, ...]) -> tuple[Band, ...]:
         """The bands of frames of a shape (row, col), kept until a frame of another shape comes."""
         if self._frame_bands is None or self._frame_bands[0] != shape:
             self._frame_bands = shape, tuple(bands(self.table, shape, self._constant))
-            self._kept = False  # the driver may compile a kernel once more for grids of another size
         return self._frame_bands[1]
 
     def _constant(self, array: NDArray, dtype: Any = None) -> Any:

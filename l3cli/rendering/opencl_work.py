@@ -3,8 +3,10 @@
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.frame import RawFrame
 from l3cli.rendering.opencl_devices import pyopencl
 
 Source = Any  # a buffer of indices
@@ -22,6 +24,7 @@ class Track:
         self.planes: list[Any] = [None] * layers  # that each later layer reads
         self.later_labels: list[Any] = [None] * layers
         self.result: Any = None
+        self.picture: Any = None  # of a result that has been encoded afterwards
 
     def download(self, buffer: Any, destination: NDArray, offset: int) -> Any:
         """Copy `buffer` from byte `offset` on to the contiguous array `destination`, without waiting."""
@@ -49,11 +52,22 @@ class Work:
 
 
 @dataclass(frozen=True)
+class Held:
+    """Outputs of a frame that are still on the device, as a track's result."""
+
+    frame: RawFrame
+    values: NDArray[np.uint16]  # a copy: a frame's own may be written to
+    track: Track
+
+    def are_of(self, frame: RawFrame) -> bool:
+        """Whether they are those of a frame."""
+        return self.frame is frame and np.array_equal(self.values, frame.values)
+
+
+@dataclass(frozen=True)
 class PlaneStep:
     """How a layer that reads planes comes to them and to its classes."""
 
-    planes: Any  # kernel of the layer before
-    classes: Any  # kernel of its rule
     weights: Any  # of the layer before
     rule: tuple[Any, ...]
     nothing: Any  # where other transforms have a display's matrix
