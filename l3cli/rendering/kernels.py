@@ -19,7 +19,7 @@ import time
 import zlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, NamedTuple
 
 from l3cli.errors import DeviceError, L3Error
 from l3cli.files import sweep, write_whole
@@ -27,10 +27,18 @@ from l3cli.locks import sole_writer_of_folder
 
 PREFIX = "l3-kernels-"
 ROOM = 16 << 20  # bytes, several times what the kernels of a table need while they are compiled
-T = TypeVar("T")
 YOUNG = 60  # seconds in which a folder may be another run's that has not locked it yet
 PROGRAMS = "??/*"  # PoCL's folders of a program each
+COMPILED = "*/*/*.so"  # below each of them: a folder a kernel, in it one for each size of work-groups
 GENERAL = "0-0-0"  # PoCL's folder, of each kernel, of the form for work-groups of any size
+
+
+class Made(NamedTuple):
+    """A program that has been built."""
+
+    program: Any
+    kernels: tuple[str, ...]  # their names
+    binary: Callable[[], bytes]
 
 
 class _Cache:
@@ -40,11 +48,10 @@ class _Cache:
         self.kept = _kept_folder()
         self.folder = _private_folder(self.kept)
         self.unkept = "" if self.kept else "there is no home folder"
-        self._new: dict[Path, tuple[set[Path], Callable[[], bytes]]] = {}  # file to be kept: PoCL's folders, its content
+        self._new: dict[Path, tuple[set[Path], Made]] = {}  # file to be kept: PoCL's folders of what it is to hold
         os.environ["POCL_CACHE_DIR"] = str(self.folder)
 
-    def built(self, identity: str, compiled: Callable[[], T], of_binary: Callable[[bytes], T | None],
-              binary_of: Callable[[T], bytes]) -> T:  # fmt: skip
+    def built(self, identity: str, compiled: Callable[[], Made], of_binary: Callable[[bytes], Made | None]) -> Made:
         """A program known by its `identity`: of the binary that is kept, or else compiled."""
         file = (self.kept or self.folder) / f"{hashlib.sha256(identity.encode()).hexdigest()}.program"
         binary = _read(file)
@@ -53,18 +60,21 @@ class _Cache:
         before = set(self.folder.glob(PROGRAMS))
         made = compiled()
         if folders := set(self.folder.glob(PROGRAMS)) - before:
-            self._new[file] = folders, functools.partial(binary_of, made)
+            self._new[file] = folders, made
         return made
 
     def keep(self) -> None:
-        """Keep what has been compiled; where that cannot be, `unkept` says why."""
-        while self._new:
-            file, (folders, binary) = self._new.popitem()
+        """Keep programs all of whose kernels have run; where that cannot be, `unkept` says why. No other one is: a kernel
+        that its binary lacks would be compiled in every run."""
+        for file, (folders, made) in list(self._new.items()):
+            if {path.stem for folder in folders for path in folder.glob(COMPILED)} < set(made.kernels):
+                continue
+            del self._new[file]
             if self.unkept:
                 continue
             try:
                 _spare_general_forms(folders)
-                content = zlib.compress(binary(), 1)
+                content = zlib.compress(made.binary(), 1)
                 write_whole(file, hashlib.sha256(content).digest() + content)
                 sweep(file.parent)
             except (L3Error, OSError) as error:
@@ -82,16 +92,14 @@ def prepare() -> None:
     _cache()
 
 
-def built(
-    identity: str, compiled: Callable[[], T], of_binary: Callable[[bytes], T | None], binary_of: Callable[[T], bytes]
-) -> T:
-    """A program: of_binary(what an earlier run has kept of it), where that is not None, else compiled(), of which
-    binary_of(program) is kept. `identity` holds all that its kernels depend on."""
-    return _cache().built(identity, compiled, of_binary, binary_of)
+def built(identity: str, compiled: Callable[[], Made], of_binary: Callable[[bytes], Made | None]) -> Made:
+    """A program: of_binary(what an earlier run has kept of it), where that is not None, else compiled(). `identity` holds
+    all that its kernels depend on."""
+    return _cache().built(identity, compiled, of_binary)
 
 
 def keep() -> None:
-    """Keep the kernels that have run so far for later runs."""
+    """Keep the programs whose kernels have run so far for later runs."""
     _cache().keep()
 
 
@@ -163,7 +171,7 @@ def _remove_abandoned(place: Path) -> None:
 def _spare_general_forms(programs: set[Path]) -> None:
     """Give every kernel that has run as its general form the one that ran. PoCL puts the general form into a binary, too,
     and compiles it for that, which takes as long as all before; it uses it only where it has no compiler."""
-    for compiled in [path for program in programs for path in program.glob("*/*/*.so")]:
+    for compiled in [path for program in programs for path in program.glob(COMPILED)]:
         general = compiled.parents[1] / GENERAL
         if not general.exists():
             general.mkdir()

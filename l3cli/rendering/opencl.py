@@ -17,7 +17,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.classes.planes import fixed_point, later_fixed_point, opponent_basis
 from l3cli.errors import RecipeError
 from l3cli.frame import RawFrame
-from l3cli.rendering import kernels, layout
+from l3cli.rendering import layout
 from l3cli.rendering.display import Display, require_known_layers, require_xyz
 from l3cli.rendering.opencl_bands import bands
 from l3cli.rendering.opencl_devices import choose_device, pyopencl, refusals
@@ -182,9 +182,7 @@ class OpenCLRenderer:
         with refusals(self.device):
             for event in work.events["download"]:
                 event.wait()
-            if self._compiler.has_compiled:  # only now that they have run are they kept
-                kernels.keep()
-                self._compiler.has_compiled = False
+            self._compiler.keep()
             return work.milliseconds()
 
     def _classify(self, values: NDArray, phase: tuple[int, int], track: Track, band: Band, work: Work) -> None:

@@ -12,6 +12,7 @@ from l3cli.rendering.display import Display
 from l3cli.rendering.opencl_devices import pyopencl
 
 BUILD_OPTIONS = ("-w", "-cl-mad-enable", "-cl-std=CL1.2")
+TRANSFORM_ONLY: layout.Macros = {"TRANSFORM_ONLY": 1}  # without the kernel of the classes, which another program has
 Key = tuple[Any, ...]
 # What makes pictures of outputs: its files and its cut, of as many lanes as the device's compiler has registers for if 0.
 ENCODERS = {
@@ -24,31 +25,45 @@ class Compiler:
     """Builds programs for a device, or takes those that an earlier run has built."""
 
     def __init__(self, context: Any, device: Any) -> None:
-        self._context, self._device = context, device
-        self.has_compiled = False  # something that has not been kept
+        self.context, self._device = context, device
+        self.has_news = False  # a kernel that has not been kept, or has not run before
 
-    def build(self, source: str, macros: layout.Macros) -> Any:
+    def build(self, source: str, macros: layout.Macros) -> kernels.Made:
         """A program."""
         cl, device = pyopencl(), self._device
         options = [*BUILD_OPTIONS, *(f"-D{name}={value}" for name, value in macros.items())]
         identity = (device.platform.name, device.platform.version, device.name, device.version, device.driver_version)
 
-        def compiled() -> Any:
-            self.has_compiled = True
-            return cl.Program(self._context, source).build(options)
+        def compiled() -> kernels.Made:
+            return _made(cl.Program(self.context, source).build(options))
 
-        def of_binary(binary: bytes) -> Any | None:
+        def of_binary(binary: bytes) -> kernels.Made | None:
             try:
-                return cl.Program(self._context, [device], [binary]).build()
+                return _made(cl.Program(self.context, [device], [binary]).build())
             except cl.Error:  # a driver that has changed and still has the same version
                 return None
 
-        def binary_of(program: Any) -> bytes:
-            return bytes(program.get_info(cl.program_info.BINARIES)[0])
-
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # pyopencl warns of every word a compiler says
-            return kernels.built("\0".join([*identity, *options, source]), compiled, of_binary, binary_of)
+            return kernels.built("\0".join([*identity, *options, source]), compiled, of_binary)
+
+    def kernel(self, made: kernels.Made, name: str) -> Any:
+        """A kernel of a program."""
+        self.has_news = True
+        return pyopencl().Kernel(made.program, name)
+
+    def keep(self) -> None:
+        """Keep what has been compiled, once it has run: PoCL compiles kernels when they run."""
+        if self.has_news:
+            kernels.keep()
+            self.has_news = False
+
+
+def _made(program: Any) -> kernels.Made:
+    def binary() -> bytes:
+        return bytes(program.get_info(pyopencl().program_info.BINARIES)[0])
+
+    return kernels.Made(program, tuple(program.kernel_names.split(";")), binary)
 
 
 class Programs:
@@ -60,7 +75,7 @@ class Programs:
 
     def __init__(self, compiler: Compiler, table: TransformTable, variant: str, lanes: int | None) -> None:
         self._compiler, self._table, self._variant = compiler, table, variant
-        self._programs: dict[Key, Any] = {}  # by layer, -1: an encoder; and ending
+        self._programs: dict[Key, kernels.Made] = {}  # by layer, -1: an encoder; and ending
         self._kernels: dict[Key, Any] = {}  # by program and name
         self._last = len(table.later)
         self._encoder_files, known = ENCODERS[variant]
@@ -84,11 +99,11 @@ class Programs:
     def encoder(self, ending: layout.Macros) -> Any:
         """The kernel that makes pictures of outputs."""
         key = self._built(-1, ending)
-        return self._kernel(key, self._programs[key].kernel_names)
+        return self._kernel(key, *self._programs[key].kernels)
 
     def _kernel(self, key: Key, name: str) -> Any:
         if (*key, name) not in self._kernels:
-            self._kernels[*key, name] = pyopencl().Kernel(self._programs[key], name)
+            self._kernels[*key, name] = self._compiler.kernel(self._programs[key], name)
         return self._kernels[*key, name]
 
     def _built(self, layer: int, ending: layout.Macros) -> Key:
@@ -96,6 +111,8 @@ class Programs:
         key = (layer, *ending.items())
         if key not in self._programs:
             source, macros, cut = self._parts(layer)
+            if any(other[0] == layer for other in self._programs):
+                macros = {**macros, **TRANSFORM_ONLY}
             self._programs[key] = self._compiler.build(source, {**macros, **ending, **cut.macros})
         return key
 
@@ -110,5 +127,10 @@ class Programs:
         return layout.later_source(self._variant, later.rule), layout.later_macros(self._table, later), self.cut
 
     def _lanes(self) -> int:
-        """Pixels side by side, by the name of an encoder: that of usual pictures, which is soon needed."""
-        return int(self.encoder(layout.display_macros(Display(np.eye(3), 8))).function_name.rpartition("_")[2])
+        """Pixels side by side, by the name of an encoder: that of usual pictures, which is soon needed. It runs once on a
+        pixel, so that it can be kept."""
+        kernel, cl, context = self.encoder(layout.display_macros(Display(np.eye(3), 8))), pyopencl(), self._compiler.context
+        queue, group = cl.CommandQueue(context), self.encoder_cut.group
+        buffers = [cl.Buffer(context, cl.mem_flags.READ_WRITE, 64) for _ in range(3)]
+        kernel(queue, group, group, *buffers, np.int32(1), np.int32(1)).wait()
+        return int(kernel.function_name.rpartition("_")[2])

@@ -181,15 +181,17 @@ cl = opencl_devices.pyopencl()
 device = opencl_devices.choose_device("")
 context = cl.Context([device])
 compiler = Compiler(context, device)
-kernel = cl.Kernel(compiler.build("__kernel void f(__global int *a) { a[get_global_id(0)] = 7; }", {}), "f")
+made = compiler.build("__kernel void f(__global int *a) { a[get_global_id(0)] = 7; }", {})
+kernel = compiler.kernel(made, "f")
 queue, numbers = cl.CommandQueue(context), np.zeros(16, np.int32)
 buffer = cl.Buffer(context, cl.mem_flags.WRITE_ONLY, numbers.nbytes)
 kernel(queue, (16,), None, buffer)
 cl.enqueue_copy(queue, numbers, buffer)
 assert (numbers == 7).all()
 from l3cli.rendering import kernels
-kernels.keep()
-print(kernels.unkept(), "compiled" if compiler.has_compiled else "kept")
+was_compiled = bool(kernels._cache()._new)
+compiler.keep()
+print(kernels.unkept(), "compiled" if was_compiled else "kept")
 """
 
 

@@ -67,7 +67,7 @@ def read(path: Path) -> RawContent | None:
         except _NotPlain:
             return None
         values = np.empty((plain.rows, plain.cols), plain.dtype)
-        rest = memoryview(values).cast("B")
+        rest = values.reshape(-1).view(np.uint8).data
         for offset, size in plain.strips:
             stream.seek(offset)
             if stream.readinto(rest[:size]) != size:
