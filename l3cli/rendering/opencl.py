@@ -22,7 +22,7 @@ from l3cli.rendering.display import Display, require_known_layers, require_xyz
 from l3cli.rendering.opencl_bands import bands
 from l3cli.rendering.opencl_devices import choose_device, pyopencl, refusals
 from l3cli.rendering.opencl_programs import Compiler, Programs
-from l3cli.rendering.opencl_work import Band, Held, PlaneStep, Track, Work
+from l3cli.rendering.opencl_work import Band, Held, PlaneStep, Track, Work, shares_memory
 
 TRACKS = 2
 STAGES = ("upload", "classes", "transforms", "encode", "download")
@@ -62,6 +62,7 @@ class OpenCLRenderer:
             self._tracks = deque(Track(self._context, len(table.later)) for _ in range(TRACKS))
             self._frame_bands: tuple[tuple[int, ...], tuple[Band, ...]] | None = None
             self._held: Held | None = None
+            self._in_place = shares_memory(self.device)
 
     @property
     def stages(self) -> tuple[str, ...]:
@@ -78,7 +79,7 @@ class OpenCLRenderer:
         """Outputs of the table, (output, row, col)."""
         planes, work = self._start_outputs(frame)
         if len(self._bands(frame.values.shape)) == 1:
-            self._held = Held(frame, frame.values.copy(), self._tracks[-1])
+            self._held = Held(frame, frame.values.copy(), self._tracks[-1], self._tracks[-1].result)
         self._wait(work)
         if frame.light_share != 1:
             planes *= np.float32(frame.light_share)
@@ -150,16 +151,14 @@ class OpenCLRenderer:
                 self._classify(values, frame.phase, track, band, work)
                 for number in range(layer if kernel is None else len(self._later)):
                     self._classify_later(number, track, band, work)
-                offset, sizes = 0, [result[band.rows].nbytes for result in results]
+                parts = [result[band.rows] for result in results]
                 if kernel is not None:
-                    self._transform(kernel, encoding, track, band, sum(sizes), levelled.black_level, work)
-                    source = track.result
+                    target, offset = self._target(track, parts, work), 0
+                    self._transform(kernel, encoding, track, band, target, levelled.black_level, work)
                 else:
-                    source = track.later_labels[layer - 1] if layer else track.labels
+                    target = track.later_labels[layer - 1] if layer else track.labels
                     offset = 4 * (band.rows.start - band.reads[layer].start) * band.columns
-                for result, size in zip(results, sizes, strict=True):
-                    work.add("download", track.download(source, result[band.rows], offset))
-                    offset += size
+                self._fetch(track, parts, target, offset, work)
         return work
 
     def _start_encoding(self, held: Held, display: Display, picture: NDArray) -> Work:
@@ -168,30 +167,31 @@ class OpenCLRenderer:
         with refusals(self.device):
             kernel = self._programs.encoder(layout.display_macros(display))
             matrix = self._constant(display.matrix * held.frame.light_share, np.float32)
-            track.picture = self._scratch(track.picture, picture.nbytes)
-            shape = picture.shape[0], picture.shape[1]
-            work.add(
-                "encode",
-                self._run(kernel, track, shape, track.result, matrix, track.picture, cut=self._programs.encoder_cut),
+            target = (
+                work.in_place(track.queue, picture, written=True) if self._in_place else self._scratch(None, picture.nbytes)
             )
-            work.add("download", track.download(track.picture, picture, 0))
+            shape, cut = (picture.shape[0], picture.shape[1]), self._programs.encoder_cut
+            work.add("encode", self._run(kernel, track, shape, held.result, matrix, target, cut=cut))
+            self._fetch(track, [picture], target, 0, work)
         return work
 
     def _wait(self, work: Work) -> dict[str, float]:
         """Milliseconds of each stage, once the work is done. Other threads run on meanwhile."""
         with refusals(self.device):
-            for event in work.events["download"]:
-                event.wait()
+            times = work.end()
             self._compiler.keep()
-            return work.milliseconds()
+            return times
 
     def _classify(self, values: NDArray, phase: tuple[int, int], track: Track, band: Band, work: Work) -> None:
         """Upload and classes of a band, with the rows beside it that a later layer reads."""
         source, (rows, columns) = values[band.raw_rows], band.shape(0)
-        track.raw = self._scratch(track.raw, source.nbytes)
         track.labels = self._scratch(track.labels, 4 * rows * columns)
-        work.sources.append(source)
-        work.add("upload", pyopencl().enqueue_copy(track.queue, track.raw, source, is_blocking=False))
+        if self._in_place:
+            track.raw = work.in_place(track.queue, source)
+        else:
+            work.arrays.append(source)
+            track.raw = self._scratch(track.raw, source.nbytes)
+            work.add("upload", pyopencl().enqueue_copy(track.queue, track.raw, source, is_blocking=False))
         site = ((phase[0] + band.reads[0].start) % self.table.cfa.shape[0], phase[1])
         buffers = (track.raw, *band.mosaic_source, *self._class_buffers, track.labels)
         work.add("classes", self._run(self._programs.classes(0), track, (rows, columns), *buffers, *map(np.int32, site)))
@@ -219,13 +219,29 @@ class OpenCLRenderer:
         return np.int32(band.shape(number - 1)[0] if number else 0)
 
     def _transform(
-        self, kernel: Any, encoding: Any, track: Track, band: Band, size: int, black_level: float, work: Work
+        self, kernel: Any, encoding: Any, track: Track, band: Band, result: Any, black_level: float, work: Work
     ) -> None:
-        """Transforms of the last layer and encoding of a classified band into the track's result, `size` bytes."""
-        track.result = self._scratch(track.result, size)
+        """Transforms of the last layer and encoding of a classified band into the buffer `result`."""
         number = len(self._later)
-        last = (self._weights, encoding, track.result, np.float32(black_level), self._source_rows(number, band))
+        last = (self._weights, encoding, result, np.float32(black_level), self._source_rows(number, band))
         work.add("transforms", self._run(kernel, track, band.shape(number), *self._reads(number, track, band), *last))
+
+    def _target(self, track: Track, parts: list[NDArray], work: Work) -> Any:
+        """The buffer whose content becomes arrays one after the other: the array itself, if there is one and the device
+        shares the host's memory, else the track's."""
+        if self._in_place and len(parts) == 1:
+            return work.in_place(track.queue, parts[0], written=True)
+        track.result = self._scratch(track.result, sum(part.nbytes for part in parts))
+        return track.result
+
+    def _fetch(self, track: Track, parts: list[NDArray], target: Any, offset: int, work: Work) -> None:
+        """Start to bring a buffer, from byte `offset` on, into arrays one after the other."""
+        if work.is_in_place(target):
+            work.hand_back(track.queue, target, parts[0])
+            return
+        for part in parts:
+            work.add("download", track.download(target, part, offset))
+            offset += part.nbytes
 
     def _run(self, kernel: Any, track: Track, shape: tuple[int, int], *arguments: Any, cut: layout.Cut | None = None) -> Any:
         """Enqueue a kernel over rows and columns, which are the last arguments of each."""

@@ -9,7 +9,7 @@ import pytest
 from l3cli.artifacts.table import TransformTable
 from l3cli.frame import RawFrame
 from l3cli.physics import spectra
-from l3cli.rendering import opencl_bands
+from l3cli.rendering import opencl, opencl_bands
 from l3cli.rendering.display import Display, make_display
 from l3cli.rendering.opencl import OpenCLRenderer
 from tests.helpers.cameras import BAYER
@@ -38,6 +38,37 @@ def test_encoded_afterwards_or_with_the_transforms(table: TransformTable, engine
     at_once = renderer.picture(frame, shown)
     renderer.outputs(frame)
     np.testing.assert_array_equal(renderer.picture(frame, shown), at_once)
+
+
+@pytest.mark.parametrize("table", [ONE_LAYER, TWO_LAYERS], ids=["one layer", "two layers"])
+def test_copied_or_in_the_memory_of_the_host(table: TransformTable, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A device that shares the host's memory computes on the arrays themselves, others on copies."""
+    frame, shown, made = noise(), display(8), []
+    monkeypatch.setattr(opencl_bands, "BAND_PIXELS", 301 * 20)
+    for shares in (True, False):
+        monkeypatch.setattr(opencl, "shares_memory", lambda device, shares=shares: shares)
+        renderer = OpenCLRenderer(table)
+        stages = renderer.stage_times(frame, shown)
+        assert (stages["upload"] > 0) != shares
+        made.append([renderer.picture(frame, shown), renderer.outputs(frame), renderer.labels(frame), *renderer.pictures(
+            [(noise(seed=seed), shown) for seed in range(4)]
+        )])  # fmt: skip
+    for one, other in zip(*made, strict=True):
+        np.testing.assert_array_equal(one, other)
+    monkeypatch.undo()
+    one_band = OpenCLRenderer(table)  # outputs encoded on a device that copies
+    one_band._in_place = False
+    one_band.outputs(frame)
+    np.testing.assert_array_equal(one_band.picture(frame, shown), made[0][0])
+
+
+def test_work_that_is_left_ends_before_its_arrays_go() -> None:
+    """An interrupt may leave frames behind that the device still reads and writes."""
+    renderer, shown = OpenCLRenderer(ONE_LAYER), display(8)
+    for seed in range(20):
+        renderer._start_picture(noise(600, 800, seed), shown)
+    expected = OpenCLRenderer(ONE_LAYER).picture(noise(), shown)
+    np.testing.assert_array_equal(renderer.picture(noise(), shown), expected)
 
 
 def test_a_sequence_of_stills_encodes_each_once(monkeypatch: pytest.MonkeyPatch) -> None:
