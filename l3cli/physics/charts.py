@@ -20,7 +20,7 @@ CHARTS = {  # name: measured spectra, colours that the maker states since
     "passport 2": (AVERAGE, SINCE_2014),
 }
 NO_SPECTRA = (
-    "its colours are published, its reflectances are not; give them as CSV (wavelength in nm, a column a patch, row by row): "
+    "its colours are published, its reflectances are not; give them as CSV (wavelength, a column a patch, row by row): "
     'chart = "sg.csv", layout = [10, 14]'
 )
 CORRECTION_NM = 60.0  # over which a correction of the dyes is smooth
