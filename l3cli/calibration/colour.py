@@ -18,7 +18,7 @@ STEP = 5.0  # nm
 VISIBLE = (380.0, 780.0)
 DIMMEST = 1e-4  # of the brightest channel: below, white balance would only amplify noise
 TYPICAL = 0.2  # of a white: signal at which noise is weighed against colour
-DIGITS = 5  # decimals of what is written, the same on every machine
+DIGITS = 5  # decimals of what is written
 BLACK_BODIES = (2200, 2500, 2856, 3200, 3600)  # K
 DAYLIGHTS = (4500, 5000, 5500, 6500, 7500, 8600)  # K
 NOISE_LEVELS = 64  # signals from 1 DN of 16 bits to the white level that a noise profile is fitted over
@@ -99,7 +99,7 @@ def _responses(camera: CameraModel, light: str) -> tuple[Array, Array]:
     weights = spectra.average(camera.responsivity, camera.wavelength, grid) * spectra.illuminant(light, grid)
     white = weights.sum(axis=1)
     balanced = spectra.reflectance_library(grid) @ weights.T / np.where(white > 0, white, 1.0)
-    return white / white.max(), balanced
+    return white / white.max() if white.max() > 0 else white, balanced
 
 
 def _colours(camera: CameraModel, library: Array, light: str) -> tuple[Array, Array]:

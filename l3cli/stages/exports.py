@@ -1,6 +1,7 @@
 """Camera model → files that other software reads: curves, colour matrices, tuning files, a data sheet."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import camera_files, load_camera
 from l3cli.calibration import colour
 from l3cli.calibration.datasheet import datasheet
+from l3cli.columns import printable
 from l3cli.files import write_whole
 from l3cli.io import profiles
 from l3cli.io.curves import export_curves, export_paths
@@ -54,6 +56,7 @@ def export(
 
 def write(camera: CameraModel, folder: Path, console: Console) -> dict[str, dict[str, dict[str, Any]]]:
     """Write all files; what is left out is told. The errors of the matrices, for each light."""
+    camera = replace(camera, name=printable(camera.name))  # that of a file may hold bytes that are no text
     lights = {name: colour.light_matrices(camera, name) for name in colour.TEMPERATURES}
     known = {name: matrices for name, matrices in lights.items() if matrices is not None}
     export_curves(camera, folder)

@@ -195,7 +195,8 @@ def test_names_of_channels_and_order_do_not_matter(exported: Path, bayer: Camera
     assert colour.bayer_order(bayer.channels, bayer.cfa) == (0, 1, 2)
     assert colour.bayer_order(("r", "g", "w"), bayer.cfa) is None
     assert colour.bayer_order(bayer.channels, np.array([[0, 1], [2, 1]], np.uint8)) is None
-    write(turned, tmp_path, Silent())
+    write(replace(turned, name="c\udcff\nm"), tmp_path, Silent())  # of a file whose name is no text
+    assert "camera,,c??m,,recipe" in (tmp_path / "datasheet.csv").read_text()
     ours, theirs = (read_tuning(folder / "libcamera_rpi.json") for folder in (tmp_path, exported))
     assert ours["rpi.awb"] == theirs["rpi.awb"]
     for one, other in zip(ours["rpi.ccm"]["ccms"], theirs["rpi.ccm"]["ccms"], strict=True):
