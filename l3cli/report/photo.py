@@ -76,7 +76,7 @@ def _lights(figures: dict[str, Any]) -> Text:
     for name, photo in figures["photos"].items():
         if photo["guessed"]:
             words.append(
-                f"{name}: its light was guessed, of the usual ones the most probable; the bands hold what others allow."
+                f"{name}: its light was guessed, of the usual ones the most probable; the bands include what the others allow."
             )
         elif photo["deficit"] > 0:
             words.append(
@@ -101,11 +101,7 @@ def _bands(camera: CameraModel, figures: dict[str, Any]) -> Table:
 
 def _reading(figures: dict[str, Any]) -> tuple[Text, Text]:
     further = figures["next light"]
-    source = (
-        "the curves of measured cameras"
-        if figures["prior"] == "measured cameras"
-        else "smoothness alone, no camera is assumed"
-    )
+    source = "the curves of measured cameras" if figures["prior"] == "measured cameras" else "smoothness alone"
     return (
         Text(
             "Curves stay uncertain, colours do not: the patches say little of a curve's details, which are filled in from "
