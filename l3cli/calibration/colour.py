@@ -159,12 +159,19 @@ def black_level_16(camera: CameraModel) -> int:
     return round(camera.black_level * 2 ** (SIXTEEN - camera.bits))
 
 
-def bayer_order(channels: Sequence[str], cfa: NDArray[np.integer]) -> tuple[int, int, int] | None:
-    """The channels r, g, b of a Bayer array (2×2, g on a diagonal); None for any other array."""
-    names = [name.casefold() for name in channels]
-    found = [next((index for index, name in enumerate(names) if name in each), None) for each in RGB]
-    if cfa.shape != (2, 2) or len(names) != len(RGB) or None in found:
+def rgb_order(channels: Sequence[str]) -> tuple[int, int, int] | None:
+    """Where the channels r, g, b are among three of these names; None for any others."""
+    colours = [next((index for index, each in enumerate(RGB) if name.casefold() in each), None) for name in channels]
+    if len(colours) != len(RGB) or set(colours) != {0, 1, 2}:
         return None
-    red, green, blue = (int(index or 0) for index in found)
+    return colours.index(0), colours.index(1), colours.index(2)
+
+
+def bayer_order(channels: Sequence[str], cfa: NDArray[np.integer]) -> tuple[int, int, int] | None:
+    """`rgb_order` of a Bayer array (2×2, g on a diagonal); None for any other array."""
+    order = rgb_order(channels)
+    if order is None or cfa.shape != (2, 2):
+        return None
+    red, green, blue = order
     diagonals = [set(np.diag(cfa).tolist()), set(np.diag(cfa[:, ::-1]).tolist())]
-    return (red, green, blue) if {green} in diagonals and {red, blue} in diagonals else None
+    return order if {green} in diagonals and {red, blue} in diagonals else None

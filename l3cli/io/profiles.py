@@ -32,13 +32,14 @@ class Tuning(NamedTuple):
     noise: tuple[float, float]  # constant and slope of a deviation over the root of a signal of 16 bits
 
 
-def dcp_json(name: str, lights: Mapping[str, ProfileMatrices]) -> str:
-    """A DCP as dcamprof's json2dcp reads it, for the lights of ILLUMINANTS; beside it AsShotNeutral, which belongs into the
-    DNG of a picture, for each light."""
+def dcp_json(name: str, channels: Sequence[str], lights: Mapping[str, ProfileMatrices]) -> str:
+    """A DCP as dcamprof's json2dcp reads it, for the lights of ILLUMINANTS; beside it the channels in their order, and
+    AsShotNeutral, which belongs into the DNG of a picture, for each light."""
     content: dict[str, Any] = {"UniqueCameraModel": name, "ProfileName": "l3", "ProfileEmbedPolicy": "Allow copying"}
     content |= {f"CalibrationIlluminant{i}": code for i, code in enumerate(ILLUMINANTS.values(), 1)}
     for tag, part in (("ColorMatrix", 1), ("ForwardMatrix", 2)):
         content |= {f"{tag}{i}": lights[light][part].tolist() for i, light in enumerate(ILLUMINANTS, 1)}
+    content["Channels"] = list(channels)
     content["AsShotNeutral"] = {code: lights[light].neutral.tolist() for light, code in ILLUMINANTS.items()}
     return _json(content) + "\n"
 

@@ -76,7 +76,7 @@ def _lights(figures: dict[str, Any]) -> Text:
     for name, photo in figures["photos"].items():
         if photo["guessed"]:
             words.append(
-                f"{name}: its light was guessed, of the usual ones the most probable; the bands include what the others allow."
+                f"{name}: its light was guessed, of the usual ones the most probable; the bands include what others allow."
             )
         elif photo["deficit"] > 0:
             words.append(

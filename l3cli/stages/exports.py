@@ -66,9 +66,13 @@ def write(camera: CameraModel, folder: Path, console: Console) -> dict[str, dict
         reason = "it has fewer than three channels" if few else f"a channel sees next to nothing of {missing[0]}"
         console.alert(f"{camera.name}: no colour matrices and no tuning files: {reason}")
         return {}
-    parts = {name: profiles.ProfileMatrices(known[name].neutral, known[name].colour.values, known[name].forward.values)
-             for name in profiles.ILLUMINANTS}  # fmt: skip
-    write_whole(folder / DCP, profiles.dcp_json(camera.name, parts))
+    planes = list(colour.rgb_order(camera.channels) or range(len(camera.channels)))  # raw files have r, g, b in this order
+    parts = {
+        name: profiles.ProfileMatrices(each.neutral[planes], each.colour.values[planes], each.forward.values[:, planes])
+        for name, each in known.items()
+    }
+    names = [camera.channels[plane] for plane in planes]
+    write_whole(folder / DCP, profiles.dcp_json(camera.name, names, parts))
     order = colour.bayer_order(camera.channels, camera.cfa)
     if order is None:
         console.alert(f"{camera.name}: no tuning files for libcamera, which knows 2×2 arrays of r, g and b alone")

@@ -193,11 +193,16 @@ def test_names_of_channels_and_order_do_not_matter(exported: Path, bayer: Camera
     order = colour.bayer_order(turned.channels, turned.cfa)
     assert order == (1, 2, 0)
     assert colour.bayer_order(bayer.channels, bayer.cfa) == (0, 1, 2)
-    assert colour.bayer_order(("r", "g", "w"), bayer.cfa) is None
+    for names in (("r", "g", "w"), ("r", "red", "g"), ("r", "g", "b", "w")):
+        assert colour.bayer_order(names, bayer.cfa) is None
     assert colour.bayer_order(bayer.channels, np.array([[0, 1], [2, 1]], np.uint8)) is None
     write(replace(turned, name="c\udcff\nm"), tmp_path, Silent())  # of a file whose name is no text
     assert "camera,,c??m,,recipe" in (tmp_path / "datasheet.csv").read_text()
     ours, theirs = (read_tuning(folder / "libcamera_rpi.json") for folder in (tmp_path, exported))
+    profiles = [json.loads((folder / "dcp.json").read_text()) for folder in (tmp_path, exported)]
+    assert [profile["Channels"] for profile in profiles] == [["Red", "Green", "Blue"], ["r", "g", "b"]]
+    for tag in ("ColorMatrix1", "ForwardMatrix2"):
+        np.testing.assert_allclose(profiles[0][tag], profiles[1][tag], atol=1e-3)
     assert ours["rpi.awb"] == theirs["rpi.awb"]
     for one, other in zip(ours["rpi.ccm"]["ccms"], theirs["rpi.ccm"]["ccms"], strict=True):
         np.testing.assert_allclose(one["ccm"], other["ccm"], atol=1e-3)
