@@ -69,13 +69,16 @@ def _comparison(document: dict[str, Any]) -> None:
     rows = []
     for result in document["results"]:
         if "stages_sum_ms" in result:
-            what = [f"{result['width']}×{result['height']}", *(str(result[key]) for key in ("patch", "classes", "variant"))]
+            what = [
+                f"{result['width']}×{result['height']}",
+                *(str(result[key]) for key in ("channels", "patch", "classes", "variant")),
+            ]
             limit = [f"{result[key]:.2f}" for key in ("limit_ms", "limit_ratio") if key in result] or [
                 result["no_limit"],
                 "",
             ]
             rows.append([*what, f"{result['frame_ms']:.2f}", f"{result['stages_sum_ms']:.2f}", *limit])
-    headings = ["case", "patch", "classes", "variant", "frame", "sum of stages", "limit", "ratio"]
+    headings = ["case", "channels", "patch", "classes", "variant", "frame", "sum of stages", "limit", "ratio"]
     show_table(["", "a frame, the sum of its stages, the limit, milliseconds"], headings, rows)
     rows = []
     for peer in document["peers"]:
