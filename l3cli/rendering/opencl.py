@@ -96,7 +96,7 @@ class OpenCLRenderer:
         """The picture of each frame, in order. While the caller uses one the next is computed."""
         started: deque[tuple[NDArray, Work]] = deque()
         for frame, display in frames:
-            started.append(self._start_picture(frame, display))
+            started.append(self._start_picture(frame, display, borrow=False))
             if len(started) == TRACKS:
                 picture, work = started.popleft()
                 self._wait(work)
@@ -126,21 +126,25 @@ class OpenCLRenderer:
         planes = np.empty((len(self.table.outputs), *frame.values.shape), np.float32)
         return planes, self._start(frame, list(planes), layout.OUTPUTS_AS_THEY_ARE)
 
-    def _start_picture(self, frame: RawFrame, display: Display) -> tuple[NDArray, Work]:
+    def _start_picture(self, frame: RawFrame, display: Display, borrow: bool = True) -> tuple[NDArray, Work]:
         require_xyz(self.table.outputs)
         picture = np.empty((*frame.values.shape, 3), display.dtype)
         if self._held is not None and self._held.are_of(frame):
             return picture, self._start_encoding(self._held, display, picture)
-        return picture, self._start(frame, [picture], layout.display_macros(display), display.matrix * frame.light_share)
+        matrix = display.matrix * frame.light_share
+        return picture, self._start(frame, [picture], layout.display_macros(display), matrix, borrow=borrow)
 
     def _start(
         self, frame: RawFrame, results: Sequence[NDArray], ending: layout.Macros | None, matrix: NDArray | None = None,
-        layer: int = 0,
+        layer: int = 0, borrow: bool = True,
     ) -> Work:  # fmt: skip
         """Start to fill `results`, one or several arrays (row, …) that follow one another on the device, with what the
-        kernel `transform` with this ending writes, or without one with the labels of `layer`."""
-        levelled, work = frame.at_levels(self.table.black_level, self.table.white_level, self.table.bits), Work(self.stages)
-        values = np.ascontiguousarray(levelled.values)
+        kernel `transform` with this ending writes, or without one with the labels of `layer`. `borrow`: the frame's values
+        may be read until all is done; not where the caller may fill them anew meanwhile."""
+        levelled = frame.at_levels(self.table.black_level, self.table.white_level, self.table.bits)
+        work, values = Work(self.stages), np.ascontiguousarray(levelled.values)
+        if not borrow and np.may_share_memory(values, frame.values):
+            values = values.copy()
         self._held = None
         with refusals(self.device):
             kernel = None if ending is None else self._programs.transforms(ending)

@@ -62,6 +62,20 @@ def test_copied_or_in_the_memory_of_the_host(table: TransformTable, monkeypatch:
     np.testing.assert_array_equal(one_band.picture(frame, shown), made[0][0])
 
 
+def test_frames_of_a_sequence_may_share_an_array() -> None:
+    """As a grabber fills it anew for every frame: each is read before the next is asked for."""
+    renderer, shown, array = OpenCLRenderer(ONE_LAYER), display(8), noise(600, 800).values.copy()
+
+    def grabbed() -> Any:
+        for seed in range(6):
+            array[:] = noise(600, 800, seed).values
+            yield dataclasses.replace(noise(600, 800), values=array), shown
+
+    expected = [renderer.picture(noise(600, 800, seed), shown) for seed in range(6)]
+    for made, wanted in zip(renderer.pictures(grabbed()), expected, strict=True):
+        np.testing.assert_array_equal(made, wanted)
+
+
 def test_work_that_is_left_ends_before_its_arrays_go() -> None:
     """An interrupt may leave frames behind that the device still reads and writes."""
     renderer, shown = OpenCLRenderer(ONE_LAYER), display(8)
