@@ -42,8 +42,8 @@ def correct_by_frames(camera: CameraModel, measurements: Measurements) -> Camera
     hot = defective.join(defective.none(), *(defective.outliers(mean, body.cfa) for mean in means))
     response = np.zeros((body.rows, body.cols))
     for capture in measurements.whites:
-        mean, dark = mean_frame(capture), means[_nearest(darks, capture.exposure)]
-        mean, dark = (defective.patched(each, body.cfa, hot) for each in (mean.astype(np.float64), dark))
+        both = mean_frame(capture).astype(np.float64), means[_nearest(darks, capture.exposure)]
+        mean, dark = (defective.patched(each, body.cfa, hot) for each in both)
         _check_level(mean, camera, capture.name)
         response += mean - dark
     dead, response = noise.dead_pixels(response, body.cfa)

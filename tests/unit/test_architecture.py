@@ -15,7 +15,7 @@ PACKAGE = ROOT / "l3cli"
 FLOORS = [
     {"errors", "limits", "interrupts", "config", "recipes", "files", "locks", "columns", "quantities", "units"},
     {"physics"},
-    {"artifacts", "curve_file", "curve_table", "scene", "frame", "dark", "measurement"},
+    {"artifacts", "curve_file", "curve_table", "scene", "frame", "dark", "measurement", "correction", "mending", "shading"},
     {"classes"},
     {"calibration", "simulation", "training", "rendering", "evaluation", "report", "io", "parallel"},
     {"stages"},

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from l3cli.correction import Correction
 from l3cli.dark import DarkFrame, without_dark
 from l3cli.errors import InputFileError
 from l3cli.files import STDIN, require_regular
@@ -36,6 +37,7 @@ class KnownBetter:
     stride: int | None = None  # bytes from row to row of a headerless file
     exposure: float | None = None  # s
     dark: DarkFrame | None = None  # what the camera gives without light
+    correction: Correction | None = None  # of its defects and shading
 
 
 def read_raw(path: Path, table: Sensor, known: KnownBetter | None = None) -> RawFrame:
@@ -112,4 +114,5 @@ def _corrected(frame: RawFrame, table: Sensor, known: KnownBetter) -> RawFrame:
         exposure=exposure,
         dark=dark,
     )
-    return corrected if known.dark is None else without_dark(corrected, known.dark)
+    corrected = corrected if known.dark is None else without_dark(corrected, known.dark)
+    return corrected if known.correction is None else known.correction.corrected(corrected)

@@ -1,0 +1,47 @@
+"""Camera models whose defects and flat field a run corrects: checked against the table, and found again by workers."""
+
+import functools
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.store import load
+from l3cli.correction import Correction, correction_of
+from l3cli.errors import InputFileError
+from l3cli.files import require_same
+
+if TYPE_CHECKING:
+    from l3cli.artifacts.table import TransformTable
+
+
+@dataclass(frozen=True)
+class CameraFile:
+    """The file of a camera model."""
+
+    path: Path  # absolute: workers open it
+    digest: str  # SHA-256
+
+
+def correction_in(file: CameraFile, table: "TransformTable") -> Correction:
+    """The correction that a camera model knows; InputFileError if it knows none, or its array is not the table's."""
+    camera = load(CameraModel, file.path)
+    if camera.channels != table.channels or not np.array_equal(camera.cfa, table.cfa):
+        theirs, ours = (_written(each.cfa, each.channels) for each in (camera, table))
+        raise InputFileError(
+            f"{file.path.name} is a camera with the array {theirs}, the table is for {ours}; give its camera"
+        )
+    return correction_of(camera)
+
+
+@functools.lru_cache(1)
+def correction_again(file: CameraFile) -> Correction:
+    """In a worker: the correction of a run, made once."""
+    require_same(file.path, file.digest)
+    return correction_of(load(CameraModel, file.path))
+
+
+def _written(cfa: np.ndarray, channels: tuple[str, ...]) -> str:
+    return "/".join(" ".join(channels[site] for site in row) for row in cfa)
