@@ -13,7 +13,8 @@ from l3cli.correction import Correction
 from l3cli.dark import DarkFrame, without_dark
 from l3cli.errors import InputFileError
 from l3cli.files import STDIN, require_regular
-from l3cli.frame import RawFrame
+from l3cli.frame import RawFrame, shifted_cfa
+from l3cli.hot_pixels import HotTest
 from l3cli.io.raw.cfa_codes import Sensor, find_phase
 from l3cli.io.raw.content import RawContent, Request, Stack
 from l3cli.io.raw.headerless import layout_of, stdin
@@ -38,6 +39,7 @@ class KnownBetter:
     exposure: float | None = None  # s
     dark: DarkFrame | None = None  # what the camera gives without light
     correction: Correction | None = None  # of its defects and shading
+    hot: HotTest | None = None  # by which its hot pixels are found; None: they are left
 
 
 def read_raw(path: Path, table: Sensor, known: KnownBetter | None = None) -> RawFrame:
@@ -115,4 +117,5 @@ def _corrected(frame: RawFrame, table: Sensor, known: KnownBetter) -> RawFrame:
         dark=dark,
     )
     corrected = corrected if known.dark is None else without_dark(corrected, known.dark)
-    return corrected if known.correction is None else known.correction.corrected(corrected)
+    corrected = corrected if known.correction is None else known.correction.corrected(corrected)
+    return corrected if known.hot is None else known.hot.without_hot(corrected, shifted_cfa(table.cfa, corrected.phase))

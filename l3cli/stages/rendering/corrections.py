@@ -10,8 +10,9 @@ import numpy as np
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.store import load
 from l3cli.correction import Correction, correction_of
-from l3cli.errors import InputFileError
+from l3cli.errors import InputFileError, RecipeError
 from l3cli.files import require_same
+from l3cli.hot_pixels import HotTest
 
 if TYPE_CHECKING:
     from l3cli.artifacts.table import TransformTable
@@ -41,6 +42,15 @@ def correction_again(file: CameraFile) -> Correction:
     """In a worker: the correction of a run, made once."""
     require_same(file.path, file.digest)
     return correction_of(load(CameraModel, file.path))
+
+
+def hot_test(table: "TransformTable") -> HotTest:
+    """By the noise of the table's camera; RecipeError if an older table does not have it."""
+    if table.camera is None:
+        raise RecipeError(
+            "‹hot› needs the camera's noise, which tables of older versions do not hold; train the table again"
+        )
+    return HotTest.of(table.camera)
 
 
 def _written(cfa: np.ndarray, channels: tuple[str, ...]) -> str:
