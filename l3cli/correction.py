@@ -30,15 +30,17 @@ class Correction:
         return hashlib.sha256(repr(self.shape).encode() + b"".join(content)).hexdigest()
 
     def corrected(self, frame: RawFrame) -> RawFrame:
-        """The frame with its defects mended and the shading that is in it. InputFileError if it is not of the camera's size,
-        or begins at another site of its array."""
+        """The frame with its defects mended and the shading that is in it, which takes the place of the file's own gains.
+
+        InputFileError if it is not of the camera's size, or begins at another site of its array.
+        """
         if frame.values.shape != self.shape or frame.phase != (0, 0):
             raise InputFileError(
                 f"{frame.name} of {_size(frame.values.shape)} pixels, first site {frame.phase[0]},{frame.phase[1]}, is no "
                 f"whole frame of camera {self.camera} of {_size(self.shape)}; give the ‹camera› that took it"
             )
         values = frame.values if self.mending is None else self.mending.mended(frame.values)
-        return replace(frame, values=values, shading=self.shading)
+        return replace(frame, values=values, shading=self.shading or frame.shading)
 
 
 def correction_of(camera: CameraModel) -> Correction:

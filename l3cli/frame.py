@@ -23,6 +23,7 @@ class RawFrame:
     dark: float = 0.0  # DN above black, the mean signal of dark current …
     dark_measured: bool = False  # … by a dark frame, not by the exposure time
     shading: Shading | None = None  # what the lens takes, which is still in the values
+    notes: tuple[str, ...] = ()  # what the file wants done to it, and nobody does
 
     def __post_init__(self) -> None:
         if self.values.ndim != 2 or self.values.dtype != np.uint16 or self.values.size == 0:

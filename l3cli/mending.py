@@ -26,7 +26,7 @@ class Mending:
         return result
 
 
-def plan_mending(bad: NDArray[np.bool_], cfa: NDArray[np.uint8]) -> Mending:
+def plan_mending(bad: NDArray[np.bool_], cfa: NDArray[np.integer]) -> Mending:
     """How the pixels `bad` (row, col) of a sensor are mended: by the nearest sound pixels of their channel, however far a
     cluster or line makes one look for them. InputFileError if a pixel has none within FARTHEST."""
     shape, period = bad.shape, cfa.shape
@@ -60,7 +60,7 @@ def plan_mending(bad: NDArray[np.bool_], cfa: NDArray[np.uint8]) -> Mending:
     return Mending(np.concatenate(targets), np.concatenate(sources))
 
 
-def _offsets(cfa: NDArray[np.uint8], site: tuple[int, ...]) -> NDArray[np.int64]:
+def _offsets(cfa: NDArray[np.integer], site: tuple[int, ...]) -> NDArray[np.int64]:
     """(offset, 2) rows and columns to the pixels of the channel of a CFA site, the nearest first; of equally near ones those
     opposite one another come one after the other."""
     down, across = np.mgrid[-FARTHEST : FARTHEST + 1, -FARTHEST : FARTHEST + 1].reshape(2, -1)

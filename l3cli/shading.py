@@ -60,6 +60,20 @@ def shading_of(field: FlatField, shape: tuple[int, int], cfa: NDArray[np.uint8])
     return Shading(nodes.astype(np.float32), tint if np.abs(tint).max() >= LEAST_TINT else None)
 
 
+def shading_of_gain(gain: NDArray[np.floating], period: tuple[int, ...]) -> Shading:
+    """The shading that gains (row, col) of single pixels take off, for an array that repeats after `period` rows, cols."""
+    (rows, cols), (down, across) = gain.shape, period
+    first = np.clip(np.arange(0, cols + STEP, STEP) - across // 2, 0, max(cols - across, 0))
+    columns = np.minimum(first[:, None] + np.arange(across), cols - 1)
+    beside = gain[:, columns].mean(axis=2, dtype=np.float64)  # (row, node) over a period of columns
+    first = np.clip(np.arange(rows) - down // 2, 0, max(rows - down, 0))
+    nodes = np.mean([beside[np.minimum(first + row, rows - 1)] for row in range(down)], axis=0).astype(np.float32)
+    tint = gain / Shading(nodes, None).gain_map(cols) - 1.0
+    limit = 2**FRACTION - 1
+    whole = np.clip(np.rint(tint * 2**FRACTION), -limit, limit).astype(np.int16)
+    return Shading(nodes, whole if np.abs(whole).max() >= LEAST_TINT else None)
+
+
 def _between(lines: NDArray[np.float64], places: NDArray[np.integer]) -> NDArray[np.float64]:
     """(place, line) weights of linear interpolation; beyond the last line it goes on as before it."""
     above = np.clip(np.searchsorted(lines, places, side="right"), 1, lines.size - 1)

@@ -20,6 +20,7 @@ from l3cli.io.raw.content import RawContent, Request, Stack
 from l3cli.io.raw.headerless import layout_of, stdin
 from l3cli.io.raw.registry import CAMERA_RAW, RawFormat, format_of
 from l3cli.limits import require_picture
+from l3cli.shading import shading_of_gain
 
 RAW_FILE = "give a raw file, or - for headerless frames on stdin"
 TOP = 65535  # DN, the most that 16 bits hold
@@ -77,6 +78,7 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: KnownBetter) 
     if values.size == 0 or values.ndim != 2:
         raise InputFileError(f"{name} holds no pixels; give a raw file")
     require_picture(name, *values.shape)
+    gain = content.get("gain")
     frame = RawFrame(
         name,
         np.ascontiguousarray(values, np.uint16),
@@ -85,6 +87,8 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: KnownBetter) 
         find_phase(name, pattern, table) if pattern is not None and known.phase is None else (0, 0),
         content.get("orientation", 0),
         content.get("exposure"),
+        shading=None if gain is None else shading_of_gain(gain, table.cfa.shape),
+        notes=content.get("notes", ()),
     )
     return _corrected(frame, table, known)
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from l3cli.artifacts.table import TransformTable
     from l3cli.parallel.cluster import Scheduler
     from l3cli.rendering.renderer import Renderer
+    from l3cli.shading import Shading
 
 
 class Local:
@@ -80,9 +81,9 @@ class RenderJob:
 class Remote:
     """Renders frames by the workers of other machines."""
 
-    def __init__(self, crew: Crew, setup: RenderSetup, by_path: bool) -> None:
-        """`by_path`: workers read the files themselves."""
-        self._crew, self._setup, self.by_path = crew, setup, by_path
+    def __init__(self, crew: Crew, setup: RenderSetup, by_path: bool, shading: "Shading | None" = None) -> None:
+        """`by_path`: workers read the files themselves; `shading`: that of the setup's camera, which they know."""
+        self._crew, self._setup, self.by_path, self._shading = crew, setup, by_path, shading
 
     def render(self, exposed: Iterator[Exposed]) -> Iterator[tuple[Pending, Any]]:
         """Pixels of each frame, content of its picture's file, or what is wrong with it, in order."""
@@ -91,7 +92,7 @@ class Remote:
         def jobs() -> Iterator[RenderJob]:
             for pending, frame, scale in exposed:
                 away.append(pending)
-                if isinstance(frame, RawFrame):
+                if isinstance(frame, RawFrame) and frame.shading is self._shading:
                     frame = replace(frame, shading=None)  # larger than the frame, and the same for all
                 yield RenderJob(self._setup, frame, scale)
 
@@ -111,7 +112,7 @@ def _rendered(job: RenderJob) -> Any:
             frame = read_raw(frame.path, table, replace(setup.known, correction=correction))
         except (L3Error, OSError) as error:
             return error if isinstance(error, L3Error) else InputFileError(str(error))
-    elif correction is not None:
+    elif correction is not None and frame.shading is None:
         frame = replace(frame, shading=correction.shading)  # its defects are mended already
     pixels = pixels_of(renderer, frame, setup.rendition, job.scale)
     if setup.suffix is None:
@@ -143,5 +144,6 @@ def executor_of(setup: RenderSetup, table: "TransformTable", scheduler: "Schedul
         yield Local(make_renderer(setup.backend, table, **setup.engine), setup.rendition)
     else:
         with workers(1, scheduler) as crew:
-            known = replace(setup.known, dark=None, correction=None)
-            yield Remote(crew, replace(setup, known=known), by_path=setup.known.dark is None)
+            known, correction = replace(setup.known, dark=None, correction=None), setup.known.correction
+            shading = None if correction is None else correction.shading
+            yield Remote(crew, replace(setup, known=known), by_path=setup.known.dark is None, shading=shading)
