@@ -37,7 +37,7 @@ def _correction_lines(result: dict[str, Any]) -> list[str]:
     """What a camera's defect map and flat field hold."""
     lines = []
     if found := result["defect map"]:
-        lines.append("defect map: " + ", ".join(f"{count} {what}" for what, count in found.items()))
+        lines.append("defect map: " + ", ".join(f"{what} {count}" for what, count in found.items()))
     if lost := result["corner fall-off %"]:
         shares = ", ".join(f"{name} {figure(share, '.3g')} %" for name, share in lost.items())
         lines.append(f"flat field: light lost in the darkest corner: {shares}")

@@ -77,7 +77,7 @@ def test_darks_and_whites_alone_give_defects_and_flat_field(
     assert [stage.command for stage in camera.history] == ["calibrate"]
     assert set(camera.history[0].inputs) == {"measurements", "frames", "camera"}
     code, out, _ = l3("calibrate", captures / "M.toml", "-o", tmp_path / "again.h5")
-    assert "1 rows, 1 columns" in out
+    assert "rows 1, columns 1, clusters" in out
     assert "light lost in the darkest corner: r 5" in out
     assert (tmp_path / "camera.h5").read_bytes() == (tmp_path / "again.h5").read_bytes()
 
