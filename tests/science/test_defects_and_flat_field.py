@@ -11,7 +11,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.corrections import DefectMap, FlatField
 from l3cli.artifacts.schema import equal
 from l3cli.artifacts.store import load, save
-from l3cli.calibration.defects import as_map, counts, join
+from l3cli.calibration.defects import as_map, counts, join, outliers
 from l3cli.calibration.flat_field import corner_falloff, flat_field
 from l3cli.errors import InputFileError
 from l3cli.measurement import Body
@@ -105,6 +105,17 @@ def test_captures_that_cannot_serve_are_refused(
     (captures / "BAD.toml").write_text(text)
     assert message in refused(3 if "`" not in message and "above" not in message else 2, "calibrate", captures / "BAD.toml",
                               "-o", tmp_path / "c.h5")  # fmt: skip
+
+
+def test_lines_that_are_off_by_less_than_a_pixel_may_be(bayer: CameraModel) -> None:
+    """Twice what pixels differ by: one alone is no defect, a whole row is. Column noise is none either."""
+    rng, shape = np.random.default_rng(4), (96, 128)
+    dark = 64 + rng.normal(size=shape) + rng.normal(size=shape[1])
+    assert not len(outliers(dark, bayer.cfa))
+    dark[30] += 4
+    found = outliers(dark, bayer.cfa)
+    assert len(found) == 128
+    assert set(found[:, 0]) == {30}
 
 
 def test_lines_clusters_and_kinds() -> None:
