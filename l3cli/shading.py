@@ -6,11 +6,13 @@ lose more or less than their mean is taken off the values themselves, and change
 """
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.corrections import FlatField
+if TYPE_CHECKING:  # the process that decodes starts without it
+    from l3cli.artifacts.corrections import FlatField
 
 CLIPPED = 0.985  # share of full scale from which a pixel is left as it is, since what the light added is not known
 STEP = 16  # columns from one node of the gain to the next
@@ -44,7 +46,7 @@ class Shading:
         return Shading(self.gain_at(rows, cols).reshape(-1, 1).astype(np.float32), tint)
 
 
-def shading_of(field: FlatField, shape: tuple[int, int], cfa: NDArray[np.uint8]) -> Shading:
+def shading_of(field: "FlatField", shape: tuple[int, int], cfa: NDArray[np.uint8]) -> Shading:
     """The shading that a flat field takes off frames of `shape` (rows, cols), whose first pixel has CFA site (0, 0)."""
     rows, cols = shape
     mean = field.shading_gain.mean(axis=0)

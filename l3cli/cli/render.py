@@ -139,7 +139,10 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
     help="Dark frames of the same exposure time, files or a sequence; their mean is subtracted. May be repeated.",
 )  # fmt: skip
 @click.option(
-    "--camera", type=options.FILE, metavar="CAMERA.h5", help="Camera model whose defects and flat field are corrected."
+    "--camera",
+    type=options.FILE,
+    metavar="CAMERA.h5",
+    help="Camera model, or table of one, whose defects and flat field are corrected.",
 )
 @click.option(
     "--hot", type=click.Choice(["auto", "off"]), default="off", show_default=True,

@@ -203,6 +203,9 @@ def test_render_corrects_what_the_camera_knows(flawed: Path, l3: L3) -> None:
     assert l3(*call, flawed / "a.npy.exr", "--camera", flawed / "camera.h5")[0] == 0
     assert l3(*call, flawed / "plain.exr")[0] == 0
     assert (flawed / "plain.exr").read_bytes() != (flawed / "a.npy.exr").read_bytes()
+    save(replace(table, camera=camera), flawed / "knowing.h5")
+    assert l3(*call, flawed / "table.exr", "--camera", flawed / "knowing.h5")[0] == 0
+    assert (flawed / "table.exr").read_bytes() == (flawed / "a.npy.exr").read_bytes()
     frame = RawFrame(
         "f", np.load(flawed / "frames/0.npy"), table.black_level, table.white_level, dark=table.dark_signal(None)
     )
@@ -224,7 +227,8 @@ def test_cameras_that_do_not_fit_are_refused(flawed: Path, refused: Refused) -> 
         in refused(3, *call, flawed / "large.h5")
     )
     assert "first site 1,0" in refused(3, *call, flawed / "camera.h5", "--phase", "1,0")
-    assert "holds a transform table" in refused(3, *call, flawed / "table.h5")
+    assert "neither defects nor a flat field" in refused(3, *call, flawed / "table.h5")
+    assert "not an HDF5 file" in refused(3, *call, frame)
     assert "nowhere.h5 does not exist" in refused(3, *call, flawed / "nowhere.h5")
     refused(3, *call, flawed / "frames")
     (flawed / "linked.png").hardlink_to(flawed / "camera.h5")

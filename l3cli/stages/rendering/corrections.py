@@ -3,19 +3,16 @@
 import functools
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.store import load
+from l3cli.artifacts.store import load, open_artifact
+from l3cli.artifacts.table import TransformTable
 from l3cli.correction import Correction, correction_of
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.files import require_same
 from l3cli.hot_pixels import HotTest
-
-if TYPE_CHECKING:
-    from l3cli.artifacts.table import TransformTable
 
 
 @dataclass(frozen=True)
@@ -26,9 +23,9 @@ class CameraFile:
     digest: str  # SHA-256
 
 
-def correction_in(file: CameraFile, table: "TransformTable") -> Correction:
+def correction_in(file: CameraFile, table: TransformTable) -> Correction:
     """The correction that a camera model knows; InputFileError if it knows none, or its array is not the table's."""
-    camera = load(CameraModel, file.path)
+    camera = _camera_of(file)
     if camera.channels != table.channels or not np.array_equal(camera.cfa, table.cfa):
         theirs, ours = (_written(each.cfa, each.channels) for each in (camera, table))
         raise InputFileError(
@@ -41,10 +38,22 @@ def correction_in(file: CameraFile, table: "TransformTable") -> Correction:
 def correction_again(file: CameraFile) -> Correction:
     """In a worker: the correction of a run, made once."""
     require_same(file.path, file.digest)
-    return correction_of(load(CameraModel, file.path))
+    return correction_of(_camera_of(file))
 
 
-def hot_test(table: "TransformTable") -> HotTest:
+def _camera_of(file: CameraFile) -> CameraModel:
+    """The camera model in a file, or that of a table."""
+    with open_artifact(file.path, CameraModel, TransformTable) as root:
+        kind = str(root.attrs["kind"])
+    if kind == CameraModel.kind:
+        return load(CameraModel, file.path)
+    camera = load(TransformTable, file.path).camera
+    if camera is None:
+        raise InputFileError(f"{file.path} is a table of an older version, without its camera; give a camera model")
+    return camera
+
+
+def hot_test(table: TransformTable) -> HotTest:
     """By the noise of the table's camera; RecipeError if an older table does not have it."""
     if table.camera is None:
         raise RecipeError(
