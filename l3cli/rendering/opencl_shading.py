@@ -13,6 +13,7 @@ from l3cli.rendering.opencl_work import Band, Track
 from l3cli.shading import FRACTION, STEP, Shading, clipped_from
 
 LONG_RUN = 1 << 14  # pixels of a work-item with vectors
+GROUP = 64  # work-items of one pixel each
 
 
 class DeviceShading:
@@ -45,8 +46,9 @@ class DeviceShading:
         pixels = (band.raw_rows.stop - band.raw_rows.start) * band.columns
         levels = round(frame.black_level), clipped_from(frame.black_level, frame.white_level), pixels
         tint = self._buffer(frame.shading, "tint", band.raw_rows)
-        grid = (-(-pixels // self._run),)
-        return self._kernel(track.queue, grid, None, track.raw, tint, *map(np.int32, levels))
+        items, group = -(-pixels // self._run), GROUP if self._run == 1 else 1
+        grid = (-(-items // group) * group,)
+        return self._kernel(track.queue, grid, (group,), track.raw, tint, *map(np.int32, levels))
 
     def _buffer(self, shading: Shading, name: str, rows: slice) -> Any:
         if shading is not self._shading:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from l3cli import api
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.corrections import DefectMap, FlatField
 from l3cli.artifacts.store import load, save
@@ -210,6 +211,9 @@ def test_render_corrects_what_the_camera_knows(flawed: Path, l3: L3) -> None:
         "f", np.load(flawed / "frames/0.npy"), table.black_level, table.white_level, dark=table.dark_signal(None)
     )
     corrected = correction_of(camera).corrected(frame)
+    by_name = api.read_raw(flawed / "frames/0.npy", table, camera=camera)
+    np.testing.assert_array_equal(by_name.values, corrected.values)
+    assert by_name.shading is not None
     assert corrected.shading is not None
     assert (corrected.values != frame.values).sum() <= len(camera.defects.position if camera.defects else ())
 
