@@ -141,8 +141,7 @@ class OpenCLRenderer:
         levelled, work = frame.at_levels(self.table.black_level, self.table.white_level, self.table.bits), Work(self.stages)
         values = np.ascontiguousarray(levelled.values)
         with refusals(self.device):
-            shaded = self._shading.macros(frame.shading)
-            kernel = None if ending is None else self._transform_kernel({**ending, **shaded})
+            kernel = None if ending is None else self._transform_kernel({**ending, **self._shading.macros(frame.shading)})
             encoding = self._constant(np.zeros(9) if matrix is None else matrix, np.float32)
             for band in self._bands(values.shape):
                 track = self._tracks[0]
@@ -181,8 +180,7 @@ class OpenCLRenderer:
         work.add("upload", pyopencl().enqueue_copy(track.queue, track.raw, source, is_blocking=False))
         if evening := self._shading.even(frame, track, band):
             work.add("classes", evening)
-        phase = frame.phase
-        site = ((phase[0] + band.reads[0].start) % self.table.cfa.shape[0], phase[1])
+        site = ((frame.phase[0] + band.reads[0].start) % self.table.cfa.shape[0], frame.phase[1])
         buffers = (track.raw, *band.mosaic_source, *self._class_buffers, track.labels)
         work.add("classes", self._run(self._classes, track, (rows, columns), *buffers, *map(np.int32, site)))
 

@@ -200,8 +200,6 @@ def gain_of_pixels(
 
 def _product(opcodes: Opcodes, pattern: NDArray[np.int64], planes: Sequence[int], shape: tuple[int, int]) -> Floats:
     gain = np.ones(shape)
-    codes = np.tile(pattern, [-(-length // period) for length, period in zip(shape, pattern.shape, strict=True)])
-    codes = codes[: shape[0], : shape[1]]
     for each in opcodes.gains:
         if isinstance(each, Vignette):
             gain *= _radial(each, shape)
@@ -211,8 +209,10 @@ def _product(opcodes: Opcodes, pattern: NDArray[np.int64], planes: Sequence[int]
                 continue
             within = gain[each.area]
             factor = _interpolated(each, min(index, each.gains.shape[2] - 1), shape)
-            chosen = codes[each.area] == planes[plane] if each.stage == 2 else True
-            within[...] = np.where(chosen, within * factor, within)
+            if each.stage == 2:
+                sites = [np.arange(shape[axis])[each.area[axis]] % pattern.shape[axis] for axis in (0, 1)]
+                factor[pattern[np.ix_(*sites)] != planes[plane]] = 1.0
+            within *= factor
     return gain
 
 
