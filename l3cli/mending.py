@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from l3cli.errors import InputFileError
 
 NEIGHBOURS = 4  # that a value is made of: the mean of the two in the middle
-FARTHEST = 48  # rows and columns in which they are searched
+FARTHEST = 16  # rows and columns to each side in which they are searched
+MOST_BAD = 0.1  # share of the pixels from which on a map is none of defects
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +29,10 @@ class Mending:
 
 def plan_mending(bad: NDArray[np.bool_], cfa: NDArray[np.integer]) -> Mending:
     """How the pixels `bad` (row, col) of a sensor are mended: by the nearest sound pixels of their channel, however far a
-    cluster or line makes one look for them. InputFileError if a pixel has none within FARTHEST."""
+    cluster or line makes one look for them. InputFileError if a pixel has none within FARTHEST, or too many are bad.
+    """
+    if bad.mean() > MOST_BAD:
+        raise InputFileError(f"{bad.mean():.0%} of the pixels are called defective, which cannot be mended; map fewer")
     shape, period = bad.shape, cfa.shape
     targets, sources = [], []
     places = np.argwhere(bad)

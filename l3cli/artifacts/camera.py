@@ -145,6 +145,8 @@ class CameraModel(Artifact):
             and (self.defects.position.max(axis=0) >= (self.rows, self.cols)).any()
         ):
             raise ValueError(f"defects lie beyond the {self.rows}×{self.cols} pixels")
+        if self.flat_field and not self.flat_field.covers(self.rows, self.cols):
+            raise ValueError(f"the grid of the flat field is not that of {self.rows}×{self.cols} pixels")
 
     @property
     def full_scale(self) -> float:

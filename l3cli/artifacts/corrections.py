@@ -51,3 +51,8 @@ class FlatField:
             raise ValueError(
                 f"flat field: a channel differs by more than {MOST_TINT:.0%} from the others; are the whites even?"
             )
+
+    def covers(self, rows: int, cols: int) -> bool:
+        """Whether the grid goes from the first to the last pixel of a sensor."""
+        ends = (*self.grid_row[[0, -1]], *self.grid_col[[0, -1]])
+        return bool(np.allclose(ends, (0, rows - 1, 0, cols - 1), rtol=0, atol=0.5))

@@ -105,7 +105,7 @@ def test_mending_takes_the_nearest_sound_pixels_of_the_channel() -> None:
         array = np.array(cfa, np.uint8)
         shape = (60, 84)
         channel = array[np.ix_(np.arange(60) % array.shape[0], np.arange(84) % array.shape[1])]
-        bad = rng.random(shape) < 0.02
+        bad = rng.random(shape) < 0.01
         bad[20:27, 30:35] = bad[:, 50:52] = bad[40] = bad[:3, :3] = True
         plan = plan_mending(bad, array)
         np.testing.assert_array_equal(np.sort(plan.target), np.flatnonzero(bad))
@@ -117,8 +117,12 @@ def test_mending_takes_the_nearest_sound_pixels_of_the_channel() -> None:
         kept = broken.copy()
         np.testing.assert_array_equal(plan.mended(broken), flat)
         np.testing.assert_array_equal(broken, kept)
-    with pytest.raises(InputFileError, match="no sound neighbour"):
+    with pytest.raises(InputFileError, match="100% of the pixels"):
         plan_mending(np.ones((8, 8), bool), np.array(BAYER, np.uint8))
+    large = np.zeros((200, 200), bool)
+    large[50:100, 50:100] = True
+    with pytest.raises(InputFileError, match=r"pixel \(\d+, \d+\) has no sound neighbour within 16 pixels"):
+        plan_mending(large, np.array(BAYER, np.uint8))
 
 
 # ------------------------------------------------------------------------------------------------------------ quality
@@ -225,7 +229,7 @@ def test_cameras_that_do_not_fit_are_refused(flawed: Path, refused: Refused) -> 
     assert "array g r/b g, the table is for r g/g b" in refused(3, *call, flawed / "turned.h5")
     save(replace(camera, defects=None, flat_field=None), flawed / "plain.h5")
     assert "neither defects nor a flat field" in refused(3, *call, flawed / "plain.h5")
-    save(replace(camera, rows=48, defects=None), flawed / "large.h5")
+    save(replace(camera, rows=48, flat_field=None), flawed / "large.h5")
     assert (
         "0.npy of 24×32 pixels, first site 0,0, is no whole frame of camera random of 48×32; give the --camera"
         in refused(3, *call, flawed / "large.h5")
