@@ -13,7 +13,20 @@ from tests.helpers.paths import ROOT
 
 PACKAGE = ROOT / "l3cli"
 FLOORS = [
-    {"errors", "limits", "interrupts", "config", "recipes", "files", "locks", "columns", "quantities", "units"},
+    {
+        "errors",
+        "limits",
+        "interrupts",
+        "config",
+        "faults",
+        "toml_lines",
+        "recipes",
+        "files",
+        "locks",
+        "columns",
+        "quantities",
+        "units",
+    },
     {"physics"},
     {"artifacts", "curve_file", "curve_table", "scene", "frame", "dark", "measurement"},
     {"classes"},
