@@ -46,10 +46,11 @@ def refuse_first(faults: Iterable[Fault], name: object = None) -> None:
 
 
 def about_others(faults: Iterable[Fault], known: Iterable[Fault]) -> Iterator[Fault]:
-    """Those faults that depend on no key that is faulty already."""
+    """Those faults that depend on no key that is faulty already, by what is known or by a fault before them."""
     broken = {key for each in known for key in each.keys}
     for each in faults:
         if not any(key[: len(one)] == one or one[: len(key)] == key for key in each.keys for one in broken):
+            broken |= {*each.keys[:1]}
             yield each
 
 

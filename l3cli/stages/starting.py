@@ -6,6 +6,7 @@ import textwrap
 import tomllib
 from pathlib import Path
 
+from l3cli.artifacts.camera_recipe import camera_files
 from l3cli.files import atomic_output
 from l3cli.recipes import known_benchmarks, known_recipes, recipe_folder
 from l3cli.stages.claims import Claims
@@ -62,9 +63,8 @@ def folder_files(starter: Path) -> dict[str, Path]:
     """What the recipe folder of a camera recipe or a benchmark holds, by name: the files it is copied from."""
     if starter.is_dir():
         return {path.name: path for path in sorted(starter.iterdir())}
-    base = _base(starter)
     files = {name: recipe_folder() / source for name, source in COMMON.items()} | {"camera.toml": starter}
-    return files | ({} if base is None else {base.name: base})
+    return files | {path.name: path for path in camera_files(starter) if path != starter}
 
 
 def _base(camera: Path) -> Path | None:
