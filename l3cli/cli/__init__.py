@@ -27,6 +27,7 @@ COMMANDS = {
     "compare": "evaluations of several cameras over luminance",
     "info": "kind, version, axes, units, history of an artifact",
     "bench": "frame times on this machine, stage by stage",
+    "check": "all that is wrong with recipes, and what they mean",
     "lab": "virtual lab: simulated measurements of a camera",
     "init": "folder of recipes and pipelines for one kind of camera",
 }

@@ -6,7 +6,6 @@ import textwrap
 import tomllib
 from pathlib import Path
 
-from l3cli.artifacts.camera_recipe import camera_files
 from l3cli.files import atomic_output
 from l3cli.recipes import known_benchmarks, known_recipes, recipe_folder
 from l3cli.stages.claims import Claims
@@ -64,10 +63,17 @@ def folder_files(starter: Path) -> dict[str, Path]:
     if starter.is_dir():
         return {path.name: path for path in sorted(starter.iterdir())}
     files = {name: recipe_folder() / source for name, source in COMMON.items()} | {"camera.toml": starter}
-    return files | {path.name: path for path in camera_files(starter) if path != starter}
+    return files | {path.name: path for path in _named(starter)}
 
 
 def _base(camera: Path) -> Path | None:
     """The camera recipe that this one builds on, beside it."""
     named = tomllib.loads(camera.read_text(encoding="utf-8")).get("base")
     return None if named is None else camera.parent / named
+
+
+def _named(camera: Path) -> list[Path]:
+    """The files beside a camera recipe that it needs: its base, its curves."""
+    base = _base(camera)
+    curves = tomllib.loads((base or camera).read_text(encoding="utf-8"))["responsivity"].get("file")
+    return [*filter(None, [base]), *([camera.parent / curves] if curves else [])]

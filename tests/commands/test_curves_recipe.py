@@ -10,7 +10,7 @@ import pytest
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.physics import spectra
-from tests.helpers.calls import Refused
+from tests.helpers.calls import L3, Refused
 from tests.helpers.paths import CONFIGS
 from tests.helpers.recipes import SMALL
 
@@ -110,12 +110,15 @@ MISTAKES: dict[str, tuple[Callable[[np.ndarray, np.ndarray], str], str]] = {
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
-def test_a_mistake_in_curves_is_one_line(mistake: str, folder: Path, refused: Refused) -> None:
+def test_a_mistake_in_curves_is_one_line(mistake: str, folder: Path, refused: Refused, l3: L3) -> None:
     text, says = MISTAKES[mistake]
     (folder / CSV).write_text(text(*curves()))
     line = refused(3, "simulate", folder / "scenes.toml", "--camera", folder / RECIPE.name, "-o", folder / "training.h5")
     assert line.startswith(f"l3: {folder / CSV}")
     assert says in line
+    code, out, _ = l3("check", folder / RECIPE.name)
+    number = RECIPE.read_text().partition("\nfile =")[0].count("\n") + 2
+    assert (code, out) == (3, f"{folder / RECIPE.name}:{number}: {line.removeprefix('l3: ')}")
 
 
 @pytest.mark.parametrize(
