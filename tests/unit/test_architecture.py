@@ -20,6 +20,7 @@ FLOORS = [
         "config",
         "faults",
         "toml_lines",
+        "recipe_schema",
         "recipes",
         "files",
         "locks",
