@@ -11,9 +11,9 @@ BLANK = re.compile(r"[ \t]*")
 APART = re.compile(r"(?:[ \t\n]|#[^\n]*)*")  # what may stand between statements and between entries of lists
 BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 STRING = re.compile(
-    r'"""(?:[^\\]|\\.)*?"{3,5}'  # up to two quotation marks may stand before the three that end it
-    r"|'''.*?'{3,5}"
-    r'|"(?:[^"\\\n]|\\.)*"'
+    r'"""(?:[^"\\]++|\\.|"{1,2}(?!"))*+"{3,5}'  # up to two quotation marks may stand before the three that end it
+    r"|'''(?:[^']++|'{1,2}(?!'))*+'{3,5}"
+    r'|"(?:[^"\\\n]++|\\.)*+"'
     r"|'[^'\n]*'",
     re.DOTALL,
 )

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_curves import responsivity
 from l3cli.artifacts.camera_recipe import CameraRecipe, PhaseRecipe, camera_faults, load_camera
+from l3cli.errors import InputFileError
 from l3cli.faults import Fault
-from l3cli.physics import spectra
+from l3cli.simulation.light import make_light, white_rates
 from l3cli.stages.checking.source import Source
 
 LIGHTS = ("D65", "A")
@@ -38,8 +39,11 @@ def meaning(recipe: CameraRecipe | PhaseRecipe, source: Source) -> tuple[dict[st
 
 
 def describe(camera: CameraModel) -> dict[str, Any]:
-    """Curves of each channel, its share of what the brightest collects of a white, and the exposures that fill a pixel."""
-    rates = {name: _white_rates(camera, name) for name in LIGHTS}
+    """Curves of each channel, its share of what the brightest collects of a white, and the exposures that fill a pixel.
+    InputFileError if it collects nothing."""
+    rates = {name: white_rates(camera, make_light(name, {}, camera.wavelength)) for name in LIGHTS}  # of 1 cd/m²
+    if dark := [name for name, rate in rates.items() if not rate.max() > 0]:
+        raise InputFileError(f"camera {camera.name} collects nothing of {' and '.join(dark)}; check responsivity")
     sites = np.bincount(camera.cfa.ravel(), minlength=len(camera.channels))
     curves: dict[str, Any] = {}
     for number, name in enumerate(camera.channels):
@@ -69,12 +73,6 @@ def describe(camera: CameraModel) -> dict[str, Any]:
         "luminance_cd_m2": LUMINANCE,
         "exposure_s": {light: exposure / LUMINANCE for light, exposure in filled.items()},
     }
-
-
-def _white_rates(camera: CameraModel, light: str) -> Array:
-    """Photo-electrons a second (channel) of a perfect white of 1 cd/m², as in `CameraModel.saturation_exposure`."""
-    white = spectra.at_luminance(spectra.illuminant(light, camera.wavelength), camera.wavelength, 1.0)
-    return np.asarray(camera.electron_weights @ white, np.float64)
 
 
 def full_width(wavelength: Array, curve: Array) -> float | None:

@@ -67,7 +67,7 @@ def check(given: Sequence[str]) -> list[Judgement]:
 def recipes_of(name: str) -> list[Path]:
     """The files that are meant by a path, a folder of recipes, or a name, which several kinds of recipes may have."""
     path = Path(name)
-    if path.is_file():
+    if path.exists() and not path.is_dir():  # what is no file its reader refuses
         return [path]
     if name in names():
         return [file for _, file in names()[name]]
@@ -77,7 +77,7 @@ def recipes_of(name: str) -> list[Path]:
         if not files:
             raise InputFileError(f"{folder} holds no recipes (*.toml); name a file or a folder of recipes")
         return files
-    if os.sep in name or path.suffix or path.exists():
+    if os.sep in name or path.suffix:
         raise InputFileError(f"{name} does not exist; give a recipe or a measurement file (TOML)")
     raise RecipeError(f'there is no file and no recipe "{name}"; {suggestion(name, [*names(), *known_benchmarks()])}')
 
