@@ -155,7 +155,7 @@ def scene_faults(recipe: SceneRecipe, camera: CameraModel | None) -> Iterator[Fa
             yield fault(message, "illuminants", key)
         if recipe.illuminants != [SCENE_LIGHT] and not can_be_relit(source):
             message = f'{name} holds radiance without its light; give light, or illuminants = ["{SCENE_LIGHT}"]'
-            yield fault(message, key, "illuminants")
+            yield fault(message, (*key, "light"), "illuminants")
     outputs = recipe.target.outputs
     if any(map(holds_codes, recipe.scene)) and (outputs != CAMERA or recipe.target.illuminant is not None):
         message = f'pictures of codes have no spectra; give target.outputs = "{CAMERA}" and no target.illuminant'

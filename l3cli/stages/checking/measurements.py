@@ -57,7 +57,8 @@ def _capture_faults(capture: CaptureRecipe, key: KeyPath, source: Source) -> Ite
     """Of the frames, the exposure and the spectra of a capture."""
     table = key[0]
     if capture.seconds is None or not 0 < capture.seconds < float("inf"):
-        yield fault(f"a [[{table}]] capture needs one of exposure_s, exposure_ms and exposure_us, above 0", key)
+        message = f"a [[{table}]] capture needs one of exposure_s, exposure_ms and exposure_us, above 0"
+        yield fault(message, *((*key, f"exposure_{unit}") for unit in ("s", "ms", "us")))
     if not 1 / MOST_MONITOR <= capture.monitor <= MOST_MONITOR:
         message = f"monitor is {capture.monitor:g}; give the lamp's reading over the one when its spectrum was measured"
         yield fault(f"{message}, 1 where it is the same", (*key, "monitor"))
