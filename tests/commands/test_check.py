@@ -2,24 +2,37 @@
 
 import json
 import re
+import shutil
+import tomllib
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
+from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.classes.rule import make_rule
+from l3cli.config import load_recipe
+from l3cli.errors import L3Error
 from l3cli.recipes import known_benchmarks
+from l3cli.simulation.lab import plan
+from l3cli.simulation.lab_recipe import LabRecipe
 from l3cli.simulation.light import automatic_exposure, make_light
+from l3cli.simulation.recipe import SceneRecipe
 from l3cli.stages.checking.check import judge
 from l3cli.stages.checking.classes import meaning
 from l3cli.stages.checking.kinds import KINDS, names
 from l3cli.stages.checking.source import Source
-from l3cli.training.recipe import TrainingRecipe
+from l3cli.stages.console import Silent
+from l3cli.stages.simulation.preparation import fitting, prepare
+from l3cli.training.recipe import TrainingRecipe, check_layers, check_learning
 from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import bayer_camera
 from tests.helpers.paths import CONFIGS
+from tests.helpers.recipes import as_toml, spoilt
 
 CAMERA = [
     ("bits = 12", 'bits = "twelve"\nbitz = 3', ("Expected `int`, got `str` in [sensor.bits]", "unknown key `bitz`")),
@@ -282,3 +295,45 @@ def test_the_classes_of_a_site_are_those_of_the_rule() -> None:
     document, _ = meaning(recipe, Source(Path("a.toml"), {}, camera))
     assert document["layers"][0]["classes_per_site"] == rule.classes_per_site
     assert [*KINDS] == ["camera", "lab", "scenes", "classes", "measurements"]
+
+
+# ------------------------------------------------------------------------------- it agrees with what commands refuse
+
+
+def use(kind: str, path: Path, camera: CameraModel) -> None:
+    """What the command that reads such a recipe asks of it; an L3Error if it is refused."""
+    if kind == "camera":
+        load_camera(path)
+    elif kind == "lab":
+        plan(camera, load_recipe(path, LabRecipe), 0)
+    elif kind == "scenes":
+        recipe = load_recipe(path, SceneRecipe)
+        fitting(*prepare(recipe, path, camera, 0), path, False, Silent())
+    else:
+        classes = load_recipe(path, TrainingRecipe)
+        check_learning(classes.learning)
+        check_layers(classes.layer)
+        make_rule(classes.classes, camera, np.zeros(8, np.uint16))
+
+
+@settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data(), name=st.sampled_from(sorted(names())), number=st.integers(0, 2))
+def test_what_is_told_is_what_is_refused(
+    data: st.DataObject, name: str, number: int, bayer: CameraModel, tmp_path: Path
+) -> None:
+    kind, shipped = names()[name][number % len(names()[name])]
+    path = tmp_path / "recipe.toml"
+    for needed in ("bayer.toml", "from_curves.csv"):
+        shutil.copy(CONFIGS / "cameras" / needed, tmp_path / needed)
+    path.write_text(as_toml(spoilt(tomllib.loads(shipped.read_text()), data.draw)))
+    judged = judge(path, bayer)
+    if judged.kind != kind.name:  # without the keys that tell it
+        return
+    try:
+        use(kind.name, path, bayer)
+    except L3Error:
+        assert judged.findings
+        assert all(1 <= finding.line <= len(path.read_text().splitlines()) for finding in judged.findings)
+    else:
+        assert [finding for finding in judged.findings if "light that can be seen" not in finding.message] == []
+        assert judged.meaning

@@ -99,7 +99,7 @@ def damaged(content: Any, draw: Any) -> Any:
     return draw(st.sampled_from([content] * 40 + VALUES))
 
 
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=70, deadline=None)
 @given(st.data(), st.sampled_from(KINDS))
 def test_what_is_refused_first_is_among_all_that_is_refused(data: st.DataObject, kind: tuple[str, type[Recipe]]) -> None:
     name, recipe = kind

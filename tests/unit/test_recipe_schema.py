@@ -17,6 +17,7 @@ from l3cli.stages.checking.schema import schema
 from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import bayer_camera
 from tests.helpers.paths import CONFIGS
+from tests.helpers.recipes import spoilt
 
 jsonschema = pytest.importorskip("jsonschema")
 SCHEMAS = {kind: schema(kind) for kind in KINDS}
@@ -91,19 +92,6 @@ def test_a_wrong_recipe_does_not(kind: str, text: str, old: str, new: str) -> No
     assert old in text
     assert problems(kind, tomllib.loads(text)) == []
     assert problems(kind, tomllib.loads(text.replace(old, new)))
-
-
-def spoilt(content: Any, draw: Any) -> Any:
-    """The content with one value somewhere replaced or left out."""
-    if isinstance(content, dict) and content:
-        key = draw(st.sampled_from(sorted(content)))
-        if draw(st.integers(0, 5)) == 0:
-            return {name: value for name, value in content.items() if name != key}
-        return content | {key: spoilt(content[key], draw)}
-    if isinstance(content, list) and content and draw(st.integers(0, 3)):
-        at = draw(st.integers(0, len(content) - 1))
-        return [*content[:at], spoilt(content[at], draw), *content[at + 1 :]]
-    return draw(st.sampled_from([-1, 0, 2, 1.25, 1e9 + 0.5, "x", "D65", [], {}, [1, 2], [[1, 2]], True, {"peak": 1}]))
 
 
 @settings(max_examples=100, deadline=None)
