@@ -32,7 +32,7 @@ from l3cli.training.recipe import TrainingRecipe, check_layers, check_learning
 from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import bayer_camera
 from tests.helpers.paths import CONFIGS
-from tests.helpers.recipes import as_toml, spoilt
+from tests.helpers.recipes import SMALL, as_toml, spoilt
 
 CAMERA = [
     ("bits = 12", 'bits = "twelve"\nbitz = 3', ("Expected `int`, got `str` in [sensor.bits]", "unknown key `bitz`")),
@@ -255,6 +255,25 @@ def test_what_a_measurement_file_means(tmp_path: Path, l3: L3) -> None:
     assert "[datasheet] well of 15000 e-" in out
     (tmp_path / "m.toml").write_text(text.replace("[datasheet]", "[uncertainty]\n[datasheet]").partition("[datasheet]")[0])
     assert "give either [[white]] frames" in l3("check", tmp_path / "m.toml")[1]  # only the whole file says so
+
+
+def test_a_page_shows_the_curves(tmp_path: Path, l3: L3) -> None:
+    page = tmp_path / "cameras.html"
+    code, out, err = l3("check", "from_curves", "default", "--plot", page)
+    assert (code, err) == (0, f"{page}: 1 camera\n")
+    assert "a camera recipe" in out
+    text = page.read_text()
+    assert "Peaks: r 0.459 at 605 nm, g 0.559 at 530 nm, b 0.47 at 460 nm." in text
+    code, _, err = l3("check", "bayer", "--plot", page)
+    assert (code, page.read_text()) == (1, text)
+    assert "already exists" in err or "--force" in err
+    assert l3("check", "bayer", "--plot", page, "--force", "--quiet")[0] == 0
+    assert "there is no camera recipe without faults" in l3("check", "small", "--plot", page, "--force")[2]
+    assert "ends in .html" in l3("check", "bayer", "--plot", tmp_path / "a.svg")[2]
+    recipe = tmp_path / "scenes.html"
+    recipe.write_text(SMALL["scenes"])
+    assert "is an input" in l3("check", recipe, "bayer", "--plot", recipe, "--force")[2]
+    assert recipe.read_text() == SMALL["scenes"]
 
 
 # -------------------------------------------------------------------------------------------------- other files

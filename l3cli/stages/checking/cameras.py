@@ -10,7 +10,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_curves import responsivity
 from l3cli.artifacts.camera_recipe import CameraRecipe, PhaseRecipe, camera_faults, load_camera
 from l3cli.errors import InputFileError
-from l3cli.faults import Fault
+from l3cli.faults import Fault, fault
 from l3cli.simulation.light import make_light, white_rates
 from l3cli.stages.checking.source import Source
 
@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 
 def faults(recipe: CameraRecipe | PhaseRecipe, source: Source) -> Iterator[Fault]:
     """All that is wrong with the numbers of a recipe, or with its file of curves."""
+    if source.path.suffix != ".toml":
+        yield fault("commands know a camera recipe by its suffix; call the file NAME.toml", "name")
     if isinstance(recipe, PhaseRecipe):
         return
     wrong = list(camera_faults(recipe))
