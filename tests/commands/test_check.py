@@ -287,6 +287,8 @@ def test_a_page_shows_the_curves(tmp_path: Path, l3: L3) -> None:
         (b'name = "x"\n[sensor]\n[cfa]\n[optics]\n', 1, "its kind cannot be told"),
         (b"\xff\xfe\x00", 1, "is not a text file"),
         (b'name = "x"\nbase = "none.toml"\nphase = [0, 0]\n', 2, "none.toml does not exist"),
+        (b"exposure_s = [1]\n[[scene]]\nsource = 'rgb'\nfile = 'a**b'\n", 4, "a**b is no glob"),
+        (b"exposure_s = [1]\n[[scene]]\nsource = 'rgb'\nfile = '%s'\n" % (b"x" * 300), 4, "File name too long"),
         (b"[[scene]]\r\nsource = 'rgb'\r\n\r\nfile = 'x.png'\r\n", 4, "x.png does not exist"),
     ],
 )

@@ -17,7 +17,7 @@ from l3cli.recipes import known_benchmarks
 from l3cli.stages.checking import cameras as camera_recipes
 from l3cli.stages.checking import classes, labs, measurements, scenes
 from l3cli.stages.checking.kinds import CAMERA, KINDS, Kind, kind_of, names
-from l3cli.stages.checking.source import Source
+from l3cli.stages.checking.source import Source, files_named, key_in
 from l3cli.toml_lines import KeyPath, key_lines, line_of
 
 JUDGES: dict[str, ModuleType] = {
@@ -42,6 +42,7 @@ class Judgement:
     kind: str | None = None  # of KINDS; None: unknown
     findings: tuple[Finding, ...] = ()
     meaning: dict[str, Any] = field(default_factory=dict)
+    files: tuple[Path, ...] = ()  # that it names
 
     def document(self) -> dict[str, Any]:
         """All of it, ready for JSON."""
@@ -107,7 +108,7 @@ def judge(path: Path, camera: CameraModel | None = None) -> Judgement:
         )
         return Judgement(path, None, (Finding(1, "", message),))
     meaning, faults = _judged(kind, Source(path, content, camera))
-    return Judgement(path, kind.name, _findings(faults, text), {} if faults else meaning)
+    return Judgement(path, kind.name, _findings(faults, text), {} if faults else meaning, files_named(path, content))
 
 
 def _judged(kind: Kind, source: Source) -> tuple[dict[str, Any], list[Fault]]:
@@ -119,13 +120,10 @@ def _judged(kind: Kind, source: Source) -> tuple[dict[str, Any], list[Fault]]:
     if not faults:
         try:
             meaning, faults = JUDGES[kind.name].meaning(recipe, source)
-        except L3Error as error:
-            faults = list(source.attempt(None, _raise, error))
+        except (L3Error, OSError) as error:
+            message = source.plain(error)
+            faults = [Fault(message, (key_in(message, source.content),))]
     return meaning, faults
-
-
-def _raise(error: L3Error) -> None:
-    raise error
 
 
 def _findings(faults: Iterable[Fault], text: str) -> tuple[Finding, ...]:

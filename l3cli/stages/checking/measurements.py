@@ -1,5 +1,6 @@
 """Measurement files: what they and the files that they name refuse, and what each section holds."""
 
+import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -77,7 +78,7 @@ def _capture_faults(capture: CaptureRecipe, key: KeyPath, source: Source) -> Ite
 def _missing(names: Sequence[str], key: KeyPath, source: Source) -> Iterator[Fault]:
     """Of frames that are not there."""
     for number, name in enumerate(names):
-        if not source.beside(name).is_file():
+        if not os.path.isfile(source.beside(name)):
             yield fault(f"{source.beside(name)} does not exist; it is named as a frame", (*key, number))
 
 

@@ -24,7 +24,8 @@ def plot(judged: Sequence[Judgement], output: Path, console: Console, *, force: 
     if not paths:
         raise RecipeError(f"{output}: there is no camera recipe without faults to draw; give one beside ‹plot›")
     with Claims(console) as claims:
-        claims.spare(*(each.path for each in judged), *(file for path in paths for file in camera_files(path)))
+        claims.spare(*(file for each in judged for file in (each.path, *each.files)))
+        claims.spare(*(file for path in paths for file in camera_files(path)))
         claims.claim_file(output, force)
         cameras = [(path, load_camera(path)) for path in paths]
         sections = [camera_section(camera, figures_of_camera(camera), path.name) for path, camera in cameras]

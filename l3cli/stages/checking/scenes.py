@@ -1,5 +1,6 @@
 """Scene recipes: what they and the files that they name refuse, and how many frames they make."""
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -47,7 +48,7 @@ def faults(recipe: SceneRecipe, source: Source) -> Iterator[Fault]:
         yield from source.attempt(("scene", number, "file"), _files, scene, source.path)
     for number, pair in enumerate(recipe.pair):
         for side, name in (("raw", pair.raw), ("picture", pair.picture)):
-            if not source.beside(name).is_file():
+            if not os.path.isfile(source.beside(name)):
                 message = f"{source.beside(name)} does not exist; name a file relative to the recipe"
                 yield fault(message, f"pair.{number}.{side}")
 

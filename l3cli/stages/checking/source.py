@@ -1,5 +1,7 @@
 """The file that is checked, and where in it an error belongs that names no key."""
 
+import glob
+import os
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -7,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.errors import L3Error
+from l3cli.errors import L3Error, shortened
 from l3cli.faults import Fault
 from l3cli.toml_lines import KeyPath
 
@@ -31,13 +33,25 @@ class Source:
         """The fault, if there is one, with which `work` fails: at `key`, or where its message belongs."""
         try:
             work(*arguments)
-        except L3Error as error:
+        except (L3Error, OSError) as error:  # a name that is too long, a folder that must not be read
             message = self.plain(error)
             yield Fault(message, (key_in(message, self.content) if key is None else key,))
 
-    def plain(self, error: L3Error) -> str:
+    def plain(self, error: L3Error | OSError) -> str:
         """An error's message without the name of this file."""
+        if isinstance(error, OSError):
+            return f"{shortened(str(error.filename))}: {error.strerror}; name another file"
         return re.sub(rf"^{re.escape(str(self.path))}(:\d+)?: ", "", str(error))
+
+
+def files_named(path: Path, content: Mapping[str, Any]) -> tuple[Path, ...]:
+    """Every file that a recipe at `path` names, whatever for: by its name, a pattern, or in a mixture of lights."""
+    found: list[Path] = []
+    for _, value in _keys(content, ()):
+        for name in dict.fromkeys([value, *value.split()]) if isinstance(value, str) else []:
+            single = path.parent / name
+            found += [Path(each) for each in (str(single), *glob.glob(str(single))) if os.path.isfile(each)]
+    return tuple(dict.fromkeys(found))
 
 
 def key_in(message: str, content: Mapping[str, Any]) -> KeyPath:
