@@ -110,7 +110,9 @@ class _Judge:
         return value
 
     def _add(self, what: str, where: KeyPath, key: KeyPath) -> None:
-        """A fault in msgspec's words."""
+        """A fault in msgspec's words, unless the key has one already."""
+        if any(fault.keys == (key,) for fault in self.faults):
+            return
         written = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in where)
         message = f"{what} - at `${written}`" if written else what
         self.faults.append(Fault(plain(message, self.recipe, self.content), (key,)))

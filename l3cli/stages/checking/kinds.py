@@ -1,6 +1,7 @@
 """The kinds of recipes, and which of them a file is."""
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgspec
@@ -66,9 +67,9 @@ def _fits(field: msgspec.structs.FieldInfo, value: Any) -> bool:
     return True
 
 
-def names() -> dict[str, list[tuple[Kind, Any]]]:
+def names() -> dict[str, list[tuple[Kind, Path]]]:
     """Every recipe that comes with l3, by name: its kind and file; several kinds may have one of a name."""
-    known: dict[str, list[tuple[Kind, Any]]] = {}
+    known: dict[str, list[tuple[Kind, Path]]] = {}
     for kind in KINDS.values():
         for name, path in (known_recipes(kind.folder) if kind.folder else {}).items():
             known.setdefault(name, []).append((kind, path))
