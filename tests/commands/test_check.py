@@ -152,6 +152,28 @@ def test_every_fault_of_a_measurement_file_is_told(tmp_path: Path, l3: L3) -> No
     require_told(tmp_path / "mine.toml", MEASUREMENTS, l3)
 
 
+PHOTOS = """[[photo]]
+frames = ["none.dng"]  # none.dng does not exist
+light = "32K"  # is no light of a black body
+chart = "clasic"  # did you mean "classic"
+[[photo]]
+frames = ["there.tif"]
+light = "lamp.csv"  # lamp.csv does not exist
+layout = [4, 0]  # the least is 1
+"""
+
+
+def test_every_fault_of_photos_is_told(tmp_path: Path, l3: L3) -> None:
+    (tmp_path / "there.tif").touch()
+    camera = (
+        MEASUREMENTS.partition("[[mono]]")[0]
+        .replace("4e-6", "4")
+        .replace('"g"]', '"g b"]')
+        .replace("drift = 2", "drift = 0")
+    )
+    require_told(tmp_path / "mine.toml", re.sub("  # .*", "", camera) + PHOTOS, l3)
+
+
 def test_every_fault_of_a_camera_is_told_at_its_line(tmp_path: Path, l3: L3) -> None:
     path, text = tmp_path / "camera.toml", bayer_camera()
     for old, new, _ in CAMERA:

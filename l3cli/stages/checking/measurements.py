@@ -13,10 +13,12 @@ from l3cli.curve_table import RELATIVE
 from l3cli.errors import InputFileError
 from l3cli.faults import Fault, fault
 from l3cli.io.curves import read_finished, read_sweep
-from l3cli.io.measurement_recipe import CaptureRecipe, ChartRecipe, MeasurementRecipe, MonoRecipe, is_table
+from l3cli.io.measurement_recipe import CaptureRecipe, ChartRecipe, MeasurementRecipe, MonoRecipe, PhotoRecipe, is_table
 from l3cli.io.measurements import MOST_MONITOR, load_measurements, patch_name
 from l3cli.io.priors import prior_files
 from l3cli.measurement import PATCH_NAMES
+from l3cli.physics import charts
+from l3cli.stages.checking.scenes import GRID, named_light
 from l3cli.stages.checking.source import Source
 from l3cli.toml_lines import KeyPath
 
@@ -46,12 +48,22 @@ def faults(recipe: MeasurementRecipe, source: Source) -> Iterator[Fault]:
             yield from _capture_faults(capture, (section, number), source)
     yield from _curve_faults(recipe, source)
     for number, photo in enumerate(recipe.photos):
-        table: KeyPath = ("photo", number) if isinstance(recipe.photo, list) else ("photo",)
-        for field in ("frames", "dark", "white"):
-            yield from _missing(getattr(photo, field), (*table, field), source)
-        for field in ("light", "chart"):
-            if is_table(name := getattr(photo, field) or ""):
-                yield from source.attempt((*table, field), read_table, source.beside(name))
+        yield from _photo_faults(photo, ("photo", number) if isinstance(recipe.photo, list) else ("photo",), source)
+
+
+def _photo_faults(photo: PhotoRecipe, key: KeyPath, source: Source) -> Iterator[Fault]:
+    """Of the files, the light and the chart of a photo."""
+    for field in ("frames", "dark", "white"):
+        yield from _missing(getattr(photo, field), (*key, field), source)
+    for field, name, named in (("light", photo.light, named_light), ("chart", photo.chart, _named_chart)):
+        if name is not None:
+            work = (read_table, source.beside(name)) if is_table(name) else (named, name)
+            yield from source.attempt((*key, field), *work)
+
+
+def _named_chart(name: str) -> None:
+    """RecipeError unless a chart has that name."""
+    charts.chart(name, GRID)
 
 
 def _capture_faults(capture: CaptureRecipe, key: KeyPath, source: Source) -> Iterator[Fault]:
