@@ -356,6 +356,7 @@ RENDER = "render table.h5 {file} -o {out}/a.png --backend reference"
 SEQUENCE = "render table.h5 {file} -o {out}/%d.png --backend reference --skip-bad"
 CALIBRATE = "calibrate {file} -o {out}/camera.h5 --accept --export {out}/curves"
 LISTED = "calibrate lab/MEASUREMENTS.toml -o {out}/camera.h5 --accept"
+CHECK = "check camera.toml {file}"
 SUBJECTS = (
     Subject(
         "camera.h5",
@@ -376,12 +377,14 @@ SUBJECTS = (
         often=1,
     ),
     Subject("sums.h5", spoiled_hdf5, ("train --merge {file} -o {out}/t.h5",), often=1),
-    Subject("camera.toml", spoiled_text, (DRAW_WITH,)),
-    Subject("curves.toml", spoiled_text, (DRAW_WITH,)),
-    Subject("scenes.toml", spoiled_text, ("simulate {file} --camera camera.toml -o {out}/t.h5 --pictures {out}",), often=1),
-    Subject("classes.toml", spoiled_text, ("train training.h5 --classes {file} -o {out}/t.h5",), often=1),
-    Subject("lab.toml", spoiled_text, ("lab camera.toml --recipe {file} -o {out}/lab",), often=1),
-    Subject("lab/MEASUREMENTS.toml", spoiled_text, (CALIBRATE,), often=1),
+    Subject("camera.toml", spoiled_text, (DRAW_WITH, "check {file}")),
+    Subject("curves.toml", spoiled_text, (DRAW_WITH, "check {file}")),
+    Subject(
+        "scenes.toml", spoiled_text, ("simulate {file} --camera camera.toml -o {out}/t.h5 --pictures {out}", CHECK), often=1,
+    ),
+    Subject("classes.toml", spoiled_text, ("train training.h5 --classes {file} -o {out}/t.h5", CHECK), often=1),
+    Subject("lab.toml", spoiled_text, ("lab camera.toml --recipe {file} -o {out}/lab", CHECK), often=1),
+    Subject("lab/MEASUREMENTS.toml", spoiled_text, (CALIBRATE, CHECK), often=1),
     Subject("table.toml", spoiled_text, (CALIBRATE,)),
     Subject("sweep.csv", spoiled_text, ("calibrate table.toml -o {out}/camera.h5 --accept",)),
     Subject("diode.csv", spoiled_text, ("calibrate table.toml -o {out}/camera.h5 --accept",)),

@@ -13,7 +13,21 @@ from tests.helpers.paths import ROOT
 
 PACKAGE = ROOT / "l3cli"
 FLOORS = [
-    {"errors", "limits", "interrupts", "config", "recipes", "files", "locks", "columns", "quantities", "units"},
+    {
+        "errors",
+        "limits",
+        "interrupts",
+        "config",
+        "faults",
+        "toml_lines",
+        "recipe_schema",
+        "recipes",
+        "files",
+        "locks",
+        "columns",
+        "quantities",
+        "units",
+    },
     {"physics"},
     {
         "artifacts",
