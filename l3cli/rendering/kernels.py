@@ -39,6 +39,7 @@ class Made(NamedTuple):
     program: Any
     kernels: tuple[str, ...]  # their names
     binary: Callable[[], bytes]
+    spares_general: bool  # whether the driver is known to leave alone the general forms that `_spare_general_forms` lays
 
 
 class _Cache:
@@ -73,7 +74,8 @@ class _Cache:
             if self.unkept:
                 continue
             try:
-                _spare_general_forms(folders)
+                if made.spares_general:
+                    _spare_general_forms(folders)
                 content = zlib.compress(made.binary(), 1)
                 write_whole(file, hashlib.sha256(content).digest() + content)
                 sweep(file.parent)

@@ -22,6 +22,7 @@ from l3cli.rendering.display import Display, require_known_layers, require_xyz
 from l3cli.rendering.opencl_bands import bands
 from l3cli.rendering.opencl_devices import choose_device, pyopencl, refusals
 from l3cli.rendering.opencl_programs import Compiler, Programs
+from l3cli.rendering.opencl_shading import DeviceShading
 from l3cli.rendering.opencl_work import Band, Held, PlaneStep, Track, Work, shares_memory
 
 TRACKS = 2
@@ -63,6 +64,7 @@ class OpenCLRenderer:
             self._frame_bands: tuple[tuple[int, ...], tuple[Band, ...]] | None = None
             self._held: Held | None = None
             self._in_place = shares_memory(self.device)
+            self._shading = DeviceShading(self._kernel, self._constant, self._cut.lanes)
 
     @property
     def stages(self) -> tuple[str, ...]:
@@ -147,18 +149,19 @@ class OpenCLRenderer:
             values = values.copy()
         self._held = None
         with refusals(self.device):
-            kernel = None if ending is None else self._programs.transforms(ending)
+            shaded = self._shading.macros(frame.shading)
+            kernel = None if ending is None else self._programs.transforms({**ending, **shaded})
             encoding = self._constant(np.zeros(9) if matrix is None else matrix, np.float32)
             for band in self._bands(values.shape):
                 track = self._tracks[0]
                 self._tracks.rotate()
-                self._classify(values, frame.phase, track, band, work)
+                self._classify(values, levelled, track, band, work)
                 for number in range(layer if kernel is None else len(self._later)):
                     self._classify_later(number, track, band, work)
                 parts = [result[band.rows] for result in results]
                 if kernel is not None:
                     target, offset = self._target(track, parts, work), 0
-                    self._transform(kernel, encoding, track, band, target, levelled.black_level, work)
+                    self._transform(kernel, encoding, track, band, target, levelled, work)
                 else:
                     target = track.later_labels[layer - 1] if layer else track.labels
                     offset = 4 * (band.rows.start - band.reads[layer].start) * band.columns
@@ -186,17 +189,19 @@ class OpenCLRenderer:
             self._compiler.keep()
             return times
 
-    def _classify(self, values: NDArray, phase: tuple[int, int], track: Track, band: Band, work: Work) -> None:
+    def _classify(self, values: NDArray, frame: RawFrame, track: Track, band: Band, work: Work) -> None:
         """Upload and classes of a band, with the rows beside it that a later layer reads."""
         source, (rows, columns) = values[band.raw_rows], band.shape(0)
         track.labels = self._scratch(track.labels, 4 * rows * columns)
-        if self._in_place:
+        if self._in_place and not self._shading.evens(frame):
             track.raw = work.in_place(track.queue, source)
         else:
             work.arrays.append(source)
-            track.raw = self._scratch(track.raw, source.nbytes)
+            track.raw = track.uploaded = self._scratch(track.uploaded, source.nbytes)
             work.add("upload", pyopencl().enqueue_copy(track.queue, track.raw, source, is_blocking=False))
-        site = ((phase[0] + band.reads[0].start) % self.table.cfa.shape[0], phase[1])
+        if self._shading.evens(frame):
+            work.add("classes", self._shading.even(frame, track, band))
+        site = ((frame.phase[0] + band.reads[0].start) % self.table.cfa.shape[0], frame.phase[1])
         buffers = (track.raw, *band.mosaic_source, *self._class_buffers, track.labels)
         work.add("classes", self._run(self._programs.classes(0), track, (rows, columns), *buffers, *map(np.int32, site)))
 
@@ -223,11 +228,12 @@ class OpenCLRenderer:
         return np.int32(band.shape(number - 1)[0] if number else 0)
 
     def _transform(
-        self, kernel: Any, encoding: Any, track: Track, band: Band, result: Any, black_level: float, work: Work
+        self, kernel: Any, encoding: Any, track: Track, band: Band, result: Any, frame: RawFrame, work: Work
     ) -> None:
         """Transforms of the last layer and encoding of a classified band into the buffer `result`."""
         number = len(self._later)
-        last = (self._weights, encoding, result, np.float32(black_level), self._source_rows(number, band))
+        made = (result, *self._shading.gain(frame.shading, band.rows))
+        last = (self._weights, encoding, *made, np.float32(frame.black_level), self._source_rows(number, band))
         work.add("transforms", self._run(kernel, track, band.shape(number), *self._reads(number, track, band), *last))
 
     def _target(self, track: Track, parts: list[NDArray], work: Work) -> Any:
@@ -253,6 +259,10 @@ class OpenCLRenderer:
         cut = cut or self._cut
         grid = (-(-columns // cut.tile) * cut.group[0], -(-rows // cut.band) * cut.group[1])
         return kernel(track.queue, grid, cut.group, *arguments, np.int32(rows), np.int32(columns))
+
+    def _kernel(self, source: str, macros: layout.Macros, name: str) -> Any:
+        """A kernel of a program of its own."""
+        return self._compiler.kernel(self._compiler.build(source, {**macros, **self._cut.macros}), name)
 
     def _plane_step(self, number: int) -> PlaneStep:
         """What a later layer needs to come to its planes and classes."""

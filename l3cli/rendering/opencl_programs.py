@@ -13,6 +13,7 @@ from l3cli.rendering.opencl_devices import pyopencl
 
 BUILD_OPTIONS = ("-w", "-cl-mad-enable", "-cl-std=CL1.2")
 TRANSFORM_ONLY: layout.Macros = {"TRANSFORM_ONLY": 1}  # without the kernel of the classes, which another program has
+SPARING = "PoCL 3.0"  # the version of which it was tried; others compile general forms once more before they are kept
 Key = tuple[Any, ...]
 # What makes pictures of outputs: its files and its cut, of as many lanes as the device's compiler has registers for if 0.
 ENCODERS = {
@@ -63,7 +64,8 @@ def _made(program: Any) -> kernels.Made:
     def binary() -> bytes:
         return bytes(program.get_info(pyopencl().program_info.BINARIES)[0])
 
-    return kernels.Made(program, tuple(program.kernel_names.split(";")), binary)
+    spares = SPARING in program.devices[0].platform.version
+    return kernels.Made(program, tuple(program.kernel_names.split(";")), binary, spares)
 
 
 class Programs:

@@ -19,7 +19,8 @@ class Track:
         """For a table of so many later layers."""
         cl = pyopencl()
         self.queue = cl.CommandQueue(context, properties=cl.command_queue_properties.PROFILING_ENABLE)
-        self.raw: Any = None
+        self.raw: Any = None  # what is read …
+        self.uploaded: Any = None  # … which is this, unless it is the host's array
         self.labels: Any = None
         self.planes: list[Any] = [None] * layers  # that each later layer reads
         self.later_labels: list[Any] = [None] * layers
