@@ -156,8 +156,6 @@ def scheduler(command: Callable[..., Any]) -> Callable[..., Any]:
     def called(
         scheduler: str | None, tls_ca: Path | None, tls_cert: Path | None, tls_key: Path | None, **others: Any
     ) -> Any:
-        from l3cli.parallel.cluster import Scheduler
-
         console: Console = others["console"]
         claims(console).spare(*filter(None, [tls_ca, tls_cert, tls_key]))
         if scheduler is None:
@@ -166,6 +164,8 @@ def scheduler(command: Callable[..., Any]) -> Callable[..., Any]:
             return command(scheduler=None, **others)
         if others.get("jobs", 1) > 1:
             raise click.UsageError("--jobs is the number of processes here; leave it out with --scheduler")
+        from l3cli.parallel.cluster import Scheduler
+
         return command(scheduler=Scheduler(scheduler, tls_ca, tls_cert, tls_key, console.warn), **others)
 
     return _ADDRESS(_CA(_CERTIFICATE(_KEY(called))))
