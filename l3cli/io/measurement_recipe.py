@@ -8,7 +8,8 @@
       scale             [[chart]] ColorCheckers under known lights; without them the camera's responsivity is relative
       sensor            [[dark]] and [[white]] frames; without [[white]] a [datasheet] of declared figures; a photo
                         alone gives gain and dark noise
-    frames              single-channel 16-bit pictures (TIFF, PNG, PGM) of the whole sensor, raw DN, CFA phase (0, 0)
+    frames              single-channel 16-bit pictures (TIFF, PNG, PGM) or raw files (.npy, FITS, DNG, NEF…) of the whole
+                        sensor, raw DN, CFA phase (0, 0)
     spectra             CSV: wavelength in nm, then radiances in photons/s/sr/m²/nm, one column a light or a patch; other
                         units as a heading or the key `unit` states
 

@@ -62,7 +62,7 @@ def measure(
 def _write_frame(model: CameraModel, defects: DefectRecipe, folder: Path, seed: int, job: tuple[LabCapture, int]) -> None:
     """Take and write one frame, in whatever process."""
     capture, trial = job
-    write_mosaic(folder / _frame_name(capture, trial), take(model, capture, trial, seed, defects))
+    write_mosaic(folder / _frame_name(capture, trial), take(model, capture, trial, seed, defects), capture.exposure)
 
 
 def _frame_name(capture: LabCapture, trial: int) -> str:

@@ -1,0 +1,68 @@
+"""The drafting stage: a folder of captures → a measurement file with what is missing marked."""
+
+from pathlib import Path
+
+from l3cli.artifacts.camera_recipe import camera_files, load_camera
+from l3cli.config import parse_recipe
+from l3cli.errors import L3Error, RecipeError
+from l3cli.files import refuse_existing, refuse_spared, write_whole
+from l3cli.io.measurement_recipe import MeasurementRecipe
+from l3cli.io.measurements import measurements_of
+from l3cli.locks import sole_writer_of_file
+from l3cli.stages.claims import Claims, refuse_unwritable
+from l3cli.stages.console import Console
+from l3cli.stages.drafting.compose import compose
+from l3cli.stages.drafting.survey import named_from, survey
+
+MOST_SAID = 8  # assumptions and missing things of which each gets a line on the console
+
+
+def draft(folder: Path, output: Path, console: Console, *, camera: Path | None = None, force: bool = False) -> str:
+    """Write the draft of a measurement file of the captures in a folder; its text.
+
+    `camera`: recipe or model that sensor, array and optics are taken from, since frames do not state them. InputFileError if
+    the folder holds no raw frame, RecipeError if the camera is another one, L3Error if the output cannot be written.
+    """
+    if output.suffix != ".toml":
+        raise RecipeError(f"{output}: a measurement file ends in .toml; name it MEASUREMENTS.toml")
+    with Claims(console) as claims:
+        claims.spare(*(camera_files(camera) if camera else ()))
+        refuse_spared(output)
+        refuse_unwritable(output)
+        refuse_existing(output, force)
+        claims.hold(sole_writer_of_file(output), output)
+        known = load_camera(camera) if camera else None
+        seen = survey(folder, output, known, console)
+        text = compose(seen, known, folder.absolute().name, named_from(folder, output))
+        for note in seen.notes:
+            console.say(note)
+        for number, line in enumerate(text.assumed):
+            if number == MOST_SAID:
+                console.say(f"… and {len(text.assumed) - MOST_SAID} more, marked ASSUMED")
+            if number < MOST_SAID:
+                console.say(f"assumed: {line}")
+        for number, line in enumerate(text.missing):
+            if number == MOST_SAID:
+                console.say(f"… and {len(text.missing) - MOST_SAID} more, marked TODO")
+            if number < MOST_SAID:
+                console.say(f"missing: {line}")
+        write_whole(output, str(text))
+        frames = sum(len(group.frames) for group in seen.groups)
+        written = f"{output}: {len(seen.groups)} captures, {frames} frames"
+        if text.missing:
+            console.say(f"{written}; fill in what is marked TODO, then: l3 calibrate {output} -o camera.h5")
+        elif problem := _problem(str(text), output):
+            console.warn(f"l3 calibrate will not take it yet: {problem}")
+            console.say(written)
+        else:
+            console.say(f"{written}; next: l3 calibrate {output} -o camera.h5")
+        return str(text)
+
+
+def _problem(text: str, output: Path) -> str:
+    """Why calibration would refuse a draft in which nothing seems to be missing; "" if it would not, before any frame."""
+    try:
+        measurements_of(parse_recipe(text, MeasurementRecipe, str(output)), output)
+    except L3Error as error:
+        return str(error)
+    return ""
