@@ -7,13 +7,12 @@ import numpy as np
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.calibration.draft import charts
-from l3cli.calibration.draft.arrays import guess_array
 from l3cli.calibration.draft.matching import Column, columns_of, match_charts, match_light, match_steps
 from l3cli.calibration.draft.sorting import Group
 from l3cli.calibration.draft.text import DraftText
 from l3cli.curve_table import BRIGHTEST, DIMMEST, CurveTable
 from l3cli.io.captures import read_capture
-from l3cli.io.photos import F_NUMBER, FOCAL_MM, PITCH_UM, array_of
+from l3cli.stages.drafting.body import describe_camera
 from l3cli.stages.drafting.survey import Survey
 from l3cli.units import PHOTON_RADIANCE, POWER_RADIANCE
 
@@ -51,7 +50,7 @@ class _Composer:
         else:
             out.assume("name", name, "the folder's name", said=False)
         corners = self._chart_corners()
-        self._body(photo=not self.steps and not self.bands and bool(self.charts))
+        describe_camera(out, self.seen, self.camera, photo=not self.steps and not self.bands and bool(self.charts))
         if self.steps:
             self._mono()
         elif self.bands:
@@ -66,62 +65,6 @@ class _Composer:
         self._sensor_frames()
         out.head(HEAD, *self.seen.notes)
         return out
-
-    # ------------------------------------------------------------------------------------------------------ body
-
-    def _body(self, photo: bool) -> None:
-        """[sensor], [cfa] and [optics]."""
-        out, seen, camera = self.out, self.seen, self.camera
-        out.table("[sensor]")
-        out.key("rows", seen.shape[0])
-        out.key("cols", seen.shape[1])
-        if camera is not None:
-            out.key("pixel_pitch_um", round(camera.pixel_pitch * 1e6, 9))
-            out.key("bits", camera.bits)
-        else:
-            if photo:
-                out.assume("pixel_pitch_um", PITCH_UM, "µm; curves of photos do not depend on it")
-            else:
-                out.todo("pixel_pitch_um", 3.45, "µm between pixels, from the sensor's data sheet", "[sensor]")
-            self._bits()
-        self._array()
-        out.table("[optics]")
-        if camera is not None:
-            out.key("focal_length_mm", round(camera.optics.focal_length * 1e3, 9))
-            out.key("f_number", camera.optics.f_number)
-            out.key("object_distance_m", camera.optics.object_distance)
-        elif photo:
-            out.assume("focal_length_mm", FOCAL_MM, "mm; curves of photos do not depend on it", said=False)
-            out.assume("f_number", F_NUMBER, "as above", said=False)
-        else:
-            out.todo("focal_length_mm", 25.0, "mm, of the lens", "[optics]")
-            out.todo("f_number", 4.0, "the aperture, as set on the lens", "[optics]")
-
-    def _bits(self) -> None:
-        white, top = self.seen.white_level, self.seen.top
-        bits = max(1, int(np.ceil(np.log2(max(top, white or 0) + 1))))
-        why = f"the files state a white level of {white:g} DN" if white else f"the largest value of all frames is {top} DN"
-        self.out.assume("bits", bits, why)
-
-    def _array(self) -> None:
-        out, seen, camera = self.out, self.seen, self.camera
-        rows, cols = seen.period
-        out.table("[cfa]")
-        if camera is not None:
-            out.key("channels", list(camera.channels))
-            out.key("pattern", [" ".join(camera.channels[site] for site in row) for row in camera.cfa])
-        elif seen.pattern is not None:
-            array = array_of(seen.pattern)
-            out.key("channels", array.channels)
-            out.key("pattern", array.pattern, "as the files state it")
-        elif guessed := guess_array(self.steps, seen.scale, seen.period):
-            why = f"sites of the {rows}×{cols} array that answer alike, named by the light they see"
-            out.assume("channels", guessed.channels, why)
-            out.assume("pattern", guessed.pattern, why, said=False)
-        else:
-            what = f"rows of names; values repeat every {rows}×{cols} pixels" if rows * cols > 1 else "rows of names"
-            out.todo("channels", ["r", "g", "b"], "names of the channels of the colour filter array", "[cfa]")
-            out.todo("pattern", ["r g", "g b"], what, "[cfa]")
 
     # -------------------------------------------------------------------------------------------------- captures
 
