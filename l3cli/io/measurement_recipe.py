@@ -69,11 +69,23 @@ class ChartRecipe(CaptureRecipe, kw_only=True):
     unit: str | None = None  # as of [[mono]]
 
 
+class ColumnRecipe(Recipe):
+    """One column of a table of several."""
+
+    file: str
+    column: int | str  # its name, or its number from 1, the wavelength not counted
+
+
 class SweepRecipe(Recipe):
     """A monochromator sweep as a table of means."""
 
     table: str  # CSV: nm, light r, light g, …, dark r, dark g, … (means of each channel in DN), diode light, diode dark
-    photodiode: str  # CSV: nm, response of the photodiode per energy, such as A/W
+    photodiode: str | ColumnRecipe  # CSV: nm, response of the photodiode per energy, such as A/W
+
+    @property
+    def response(self) -> ColumnRecipe:
+        """The photodiode's table, and its column: the only one, or that which is named."""
+        return ColumnRecipe(self.photodiode, 0) if isinstance(self.photodiode, str) else self.photodiode
 
 
 class CurvesRecipe(Recipe):
@@ -149,7 +161,7 @@ def frame_names(recipe: MeasurementRecipe) -> list[str]:
 def spectrum_names(recipe: MeasurementRecipe) -> list[str]:
     """Every file of spectra, tables and curves a measurement file names, each once, in order."""
     names = [step.spectrum for step in recipe.mono] + [chart.radiance for chart in [*recipe.band, *recipe.chart]]
-    names += [recipe.sweep.table, recipe.sweep.photodiode] if recipe.sweep else []
+    names += [recipe.sweep.table, recipe.sweep.response.file] if recipe.sweep else []
     names += [recipe.curves.file] if recipe.curves else []
     names += [name for photo in recipe.photos for name in (photo.light, photo.chart) if name and is_table(name)]
     return list(dict.fromkeys(names))

@@ -180,7 +180,14 @@ def patch_name(heading: str) -> str:
 def _curve(recipe: MeasurementRecipe, path: Path) -> SweepTable | FinishedCurves | None:
     if recipe.sweep is not None:
         sweep = recipe.sweep
-        return read_sweep(path.parent / sweep.table, path.parent / sweep.photodiode, recipe.cfa.channels)
+        response = sweep.response
+        diode = read_table(path.parent / response.file)
+        if not response.column and len(diode.values) > 1:
+            raise InputFileError(
+                f'{diode.path}: holds {len(diode.values)} curves; name one, photodiode = {{file = "{response.file}", column = 1}}'
+            )
+        diode = diode.column(response.column or 1)
+        return read_sweep(path.parent / sweep.table, diode, recipe.cfa.channels)
     if recipe.curves is not None:
         return read_finished(path.parent / recipe.curves.file, recipe.cfa.channels, recipe.curves.per_energy)
     return None

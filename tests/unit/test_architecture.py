@@ -13,7 +13,19 @@ from tests.helpers.paths import ROOT
 
 PACKAGE = ROOT / "l3cli"
 FLOORS = [
-    {"errors", "limits", "interrupts", "config", "recipes", "files", "locks", "columns", "quantities", "units"},
+    {
+        "errors",
+        "limits",
+        "interrupts",
+        "config",
+        "recipes",
+        "files",
+        "locks",
+        "columns",
+        "quantities",
+        "units",
+        "table_text",
+    },
     {"physics"},
     {"artifacts", "curve_file", "curve_table", "scene", "frame", "dark", "measurement"},
     {"classes"},
