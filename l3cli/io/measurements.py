@@ -184,7 +184,8 @@ def _curve(recipe: MeasurementRecipe, path: Path) -> SweepTable | FinishedCurves
         diode = read_table(path.parent / response.file)
         if not response.column and len(diode.values) > 1:
             raise InputFileError(
-                f'{diode.path}: holds {len(diode.values)} curves; name one, photodiode = {{file = "{response.file}", column = 1}}'
+                f"{diode.path}: holds {len(diode.values)} curves; name one, photodiode = "
+                f'{{file = "{response.file}", column = 1}}'
             )
         diode = diode.column(response.column or 1)
         return read_sweep(path.parent / sweep.table, diode, recipe.cfa.channels)

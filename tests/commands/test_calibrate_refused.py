@@ -93,7 +93,7 @@ def no_picture(path: Path) -> None:
     ("spoil", "says"),
     [
         (Path.unlink, "does not exist"),
-        (truncate, "truncated"),
+        (truncate, "not an image that can be read"),
         (too_small, "100×100 pixels, the sensor 192×256"),
         (too_deep, "more than 12 bits"),
         (no_picture, "not an image"),
