@@ -134,7 +134,12 @@ def _numbers(
     rows, before = cells[start:], cells[:start]
     if len(rows) > 1 and QUALITY.fullmatch(rows[0][0]) and len(rows[0]) != len(rows[1]):
         before, rows = [*before, rows[0]], rows[1:]
-    earlier = [number for number in range(min(start, len(before))) if numeric[number] and len(before[number]) > 1]
+    columns = len(rows[0]) if rows else 0
+    earlier = [
+        number
+        for number, row in enumerate(before[:start])
+        if (numeric[number] and len(row) > 1) or (len(row) == columns and _is_number(row[0], decimal_comma))
+    ]
     if not rows and not earlier:
         earlier = [number for number, row in enumerate(before) if re.match(r"[-+.]?\d", row[0])][-1:]
     if earlier:
