@@ -48,7 +48,7 @@ def read_text_table(path: Path) -> TextTable:
     while lines and MARKER.match(lines[-1]):
         lines.pop()
     separator, decimal_comma = _separator(lines)
-    cells = [_split(line, separator) for line in lines]
+    cells = _without_last([_split(line, separator) for line in lines], decimal_comma)
     cells = _upright(cells, decimal_comma)
     rows, before = _numbers(cells, separator, decimal_comma, path)
     heading = _heading(before, len(rows[0]), decimal_comma, path)
@@ -94,16 +94,22 @@ def _separator(lines: Sequence[str]) -> tuple[str | None, bool]:
 
 
 def _split(line: str, separator: str | None) -> Cells:
-    """The cells of a line; one that ends in a separator has nothing behind it."""
+    """The cells of a line."""
     if separator is None:
         return line.split()
     cells = line.split(separator)
     if '"' in line:
         with contextlib.suppress(csv.Error):
             cells = next(csv.reader([line], delimiter=separator))
-    if len(cells) > 2 and not cells[-1].strip():
-        cells.pop()
     return [cell.strip() for cell in cells]
+
+
+def _without_last(cells: list[Cells], decimal_comma: bool) -> list[Cells]:
+    """The cells where every row of numbers ends in a separator, with nothing behind it."""
+    rows = [row for row in cells if _is_number(row[0], decimal_comma)]
+    if not rows or any(len(row) < 3 or row[-1] for row in rows):
+        return cells
+    return [row[:-1] if len(row) > 1 and not row[-1] else row for row in cells]
 
 
 def _number(cell: str, decimal_comma: bool) -> float:
