@@ -45,6 +45,7 @@ def _draft(
 @options.jobs
 @options.trust
 @options.force
+@options.dry_run
 @options.quiet
 @options.as_json
 def calibrate(

@@ -17,6 +17,7 @@ from l3cli.io.photos import export_offsets, offset_paths
 from l3cli.parallel import ordered_map
 from l3cli.stages.claims import Claims
 from l3cli.stages.console import Console
+from l3cli.stages.plan import Made, before_work
 
 
 def calibrate(
@@ -44,6 +45,13 @@ def calibrate(
         measured = photo_measurements(photos, light) if measurements is None else load_measurements(measurements)
         for path in offset_paths(export, measured.photos) if export else ():
             claims.claim_file(path, force)
+
+        exported = (*export_paths(export), *offset_paths(export, measured.photos)) if export else ()
+        before_work(
+            inputs.files | {"camera to compare with": camera_files(truth) if truth else []},
+            Made(output, f"camera model of {len(measured.body.channels)} channels"),
+            *(Made(path, "export") for path in exported),
+        )
 
         def each(function: Callable[[Any], Any], captures: Iterable[Any]) -> Iterator[Any]:
             captures = list(captures)

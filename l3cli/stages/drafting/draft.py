@@ -6,6 +6,7 @@ from l3cli.artifacts.camera_recipe import camera_files, load_camera
 from l3cli.config import parse_recipe
 from l3cli.errors import L3Error, RecipeError
 from l3cli.files import refuse_existing, refuse_spared, write_whole
+from l3cli.io.captures import list_captures
 from l3cli.io.measurement_recipe import MeasurementRecipe
 from l3cli.io.measurements import measurements_of
 from l3cli.locks import sole_writer_of_file
@@ -13,6 +14,7 @@ from l3cli.stages.claims import Claims, refuse_unwritable
 from l3cli.stages.console import Console
 from l3cli.stages.drafting.compose import compose
 from l3cli.stages.drafting.survey import named_from, survey
+from l3cli.stages.plan import Made, before_work, is_dry
 
 MOST_SAID = 8  # assumptions and missing things of which each gets a line on the console
 
@@ -32,6 +34,13 @@ def draft(folder: Path, output: Path, console: Console, *, camera: Path | None =
         refuse_existing(output, force)
         claims.hold(sole_writer_of_file(output), output)
         known = load_camera(camera) if camera else None
+        if is_dry():
+            listing = list_captures(folder)
+            inputs = {
+                "frames": [folder / name for name in listing.frames],
+                "tables": [folder / name for name in listing.tables],
+            }
+            before_work(inputs, Made(output, f"draft of a measurement file of {len(listing.frames)} frames"))
         seen = survey(folder, output, known, console)
         text = compose(seen, known, folder.absolute().name, named_from(folder, output))
         for note in seen.notes:
