@@ -19,7 +19,7 @@ def _draft(
     """Write the draft; UsageError if what only a calibration takes is given, too."""
     from l3cli.stages.drafting.draft import draft
 
-    given = [name for name in ("photos", "light", "truth", "export", "accept") if others[name]]
+    given = [name for name in ("photos", "light", "truth", "export", "accept", "json") if others[name]]
     if measurements is not None or given:
         name = "MEASUREMENTS.toml" if measurements is not None else f"--{given[0].removesuffix('s')}"
         raise click.UsageError(f"--draft writes a measurement file and calibrates nothing; leave {name} out")
@@ -60,7 +60,7 @@ def calibrate(
              l3 calibrate --photo chart.dng --light 3200K -o camera.h5
     """
     if draft is not None:
-        _draft(draft, output, camera, console, force, measurements, others)
+        _draft(draft, output, camera, console, force, measurements, others | {"json": as_json})
         return
     if camera is not None:
         raise click.UsageError("--camera goes with --draft; a measurement file states its camera itself")

@@ -53,6 +53,9 @@ def list_captures(folder: Path) -> CaptureFolder:
         if number >= MOST_FILES:
             raise InputFileError(f"{folder} holds more than {MOST_FILES} files; give the folder of one camera's captures")
         suffix, name = path.suffix.lower(), path.relative_to(folder).as_posix()
+        if not _is_text(name):
+            notes[f"{suffix}: their names are no text; left out"] += 1
+            continue
         kind = BY_SUFFIX.get(suffix)
         if suffix in TABLES:
             tables.append(name)
@@ -63,7 +66,7 @@ def list_captures(folder: Path) -> CaptureFolder:
         elif kind.wants_geometry:
             notes[f"{suffix}: headerless frames, whose size and packing no file states; save them as TIFF, left out"] += 1
         elif not kind.holds_frame:
-            notes[f"{suffix}: sequences; save each frame in a file of its own, left out"] += 1
+            notes[f"{suffix}: no frames of one file each, as a draft takes; left out"] += 1
         else:
             frames.append(name)
     return CaptureFolder(
@@ -80,6 +83,15 @@ def _files(folder: Path) -> Iterator[Path]:
             path = Path(place) / name
             if not name.startswith(".") and path.is_file():
                 yield path
+
+
+def _is_text(name: str) -> bool:
+    """Whether a name can be written into a measurement file."""
+    try:
+        name.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def read_capture(path: Path) -> RawFile:

@@ -123,7 +123,7 @@ def _common(capture: CaptureRecipe, table: str, body: Body, path: Path) -> dict[
             f"{path}: monitor of {capture.frames[0]} is {capture.monitor:g}; give the lamp's reading over the one when its "
             f"spectrum was measured, 1 where it is the same"
         )
-    files = FrameFiles(tuple(path.parent / name for name in capture.frames), (body.rows, body.cols), body.bits)
+    files = FrameFiles(tuple(path.parent / name for name in capture.frames), (body.rows, body.cols), body.bits, body)
     return {"name": capture.frames[0], "exposure": capture.seconds, "frames": files, "monitor": capture.monitor}
 
 

@@ -12,8 +12,10 @@ import pytest
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.store import load
 from l3cli.cli import run
+from l3cli.curve_file import read_table
 from l3cli.io.captures import read_capture
 from l3cli.io.images import write_mosaic, write_picture
+from l3cli.io.raw.dng_writer import LIGHT_CODES, RawColour, write_dng
 from tests.helpers.calls import L3, Refused
 
 LAB = """
@@ -63,6 +65,16 @@ def lab(bayer_recipe: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def with_a_file_a_step(folder: Path) -> None:
+    """The spectra of the monochromator as a spectrometer saves them: a file each, the unit in its preamble."""
+    table = read_table(folder / "mono.csv")
+    (folder / "mono.csv").unlink()
+    for number, curve in enumerate(table.values):
+        rows = "\n".join(f"{nm:.4f}\t{value:.8g}" for nm, value in zip(table.wavelength, curve, strict=True))
+        text = f"Spectrometer: QEP01234\nUnits: photons/s/sr/m²/nm\n>>>>>Begin Spectral Data<<<<<\n{rows}\n"
+        (folder / f"step_{number:02d}.txt").write_text(text)
+
+
 def renamed(lab: Path, folder: Path, naming: Naming, timed: bool = True) -> Path:
     """The lab's captures and spectra in another folder under other names, without its measurement file."""
     frame = 0
@@ -80,6 +92,8 @@ def renamed(lab: Path, folder: Path, naming: Naming, timed: bool = True) -> Path
                     write_mosaic(path, read_capture(lab / name).values)
     for path in (lab / "spectra").iterdir():
         shutil.copy(path, folder)
+    if naming is by_kind:
+        with_a_file_a_step(folder)
     return folder
 
 
@@ -118,6 +132,38 @@ def test_what_nobody_states_is_marked(lab: Path, tmp_path: Path, l3: L3, refused
     whole = re.sub("# TODO (pixel|focal|f_num)", r"\1", text)
     (folder / "M.toml").write_text(whole)
     assert "exposure_s" in refused(2, "calibrate", folder / "M.toml", "-o", tmp_path / "c.h5")
+
+
+def test_raw_files_of_cameras_state_their_array_and_times(lab: Path, bayer: CameraModel, tmp_path: Path, l3: L3) -> None:
+    """The lab's frames as DNG, one kind as FITS: the same sensor."""
+    fits = pytest.importorskip("astropy.io.fits")
+    folder = tmp_path / "captures"
+    colour = RawColour({light: np.eye(3) for light in LIGHT_CODES})
+    for path in lab.glob("*/*.tif"):
+        file = folder / path.relative_to(lab).with_suffix(".dng")
+        file.parent.mkdir(parents=True, exist_ok=True)
+        raw = read_capture(path)
+        if path.parent.name != "dark":
+            write_dng(file, raw.values, bayer, colour, None, raw.seconds or 1.0)
+            continue
+        header = fits.Header({"EXPTIME": raw.seconds, "BAYERPAT": "RGGB"})
+        fits.writeto(file.with_suffix(".fits"), raw.values, header)
+    for path in (lab / "spectra").iterdir():
+        shutil.copy(path, folder)
+    assert l3("calibrate", "--draft", folder, "-o", folder / "M.toml", "--quiet")[0] == 0
+    text = (folder / "M.toml").read_text()
+    assert 'pattern = ["r g", "g b"]' in text
+    assert "exposure_s" in text
+    for line, value in (("pixel_pitch_um", 4.0), ("focal_length_mm", 25.0), ("f_number", 2.8)):
+        text = re.sub(f"# TODO {line} = .*", f"{line} = {value}", text)
+    (folder / "M.toml").write_text(text)
+    assert l3("calibrate", folder / "M.toml", "-o", tmp_path / "camera.h5", "--quiet")[::2] == (0, "")
+    drafted, own = load(CameraModel, tmp_path / "camera.h5"), load(CameraModel, lab / "camera.h5")
+    assert (drafted.gain, drafted.black_level, drafted.noise) == (own.gain, own.black_level, own.noise)
+    (folder / "M.toml").write_text(text.replace('"r g", "g b"', '"g r", "b g"'))
+    code, _, err = l3("calibrate", folder / "M.toml", "-o", tmp_path / "other.h5", "--quiet")
+    assert (code, err.count("\n")) == (3, 1)
+    assert "cfa.pattern" in err
 
 
 def test_names_alone_tell_exposure_times(lab: Path, bayer_recipe: Path, tmp_path: Path, l3: L3) -> None:

@@ -1,7 +1,9 @@
 """What the names of captures and their folders say: kind, wavelength, exposure time, light, number."""
 
+import operator
 import re
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import PurePath
 
 KINDS = {
@@ -17,6 +19,7 @@ FRACTION = re.compile(r"(?:(?<=^)|(?<=[_ ]))1[-/](\d{1,5})[ ]?s(?:ec)?(?![a-zA-Z
 UNITS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "usec": 1e-6, "µs": 1e-6, "μs": 1e-6}
 LIGHT = re.compile(r"(?<![A-Za-z0-9])(A|D\d\d|FL?\d{1,2}|HP\d|LED[-_]?[A-Z0-9]+|\d{4,5}K)(?![A-Za-z0-9])")
 WORD = re.compile(r"[a-z]+|[A-Z][a-z]+|[A-Z]+(?![a-z])")
+BARE, LEAST_STEPS = (300.0, 1200.0), 5  # nm without a unit, of so many steps
 VISIBLE = (200.0, 2000.0)  # nm that a name may mean
 
 
@@ -40,17 +43,41 @@ class Name:
 def read_name(path: str) -> Name:
     """What the path of a capture or a table of spectra says, relative to the folder."""
     pure = PurePath(path)
-    stem = pure.stem
-    nm = next((value for value in map(_number, NM.findall(stem)) if VISIBLE[0] <= value <= VISIBLE[1]), None)
-    seconds = None
-    if fraction := FRACTION.search(stem):
-        seconds = 1.0 / max(int(fraction[1]), 1)
-    elif time := SECONDS.search(stem):
-        seconds = _number(time[1]) * UNITS[time[2]]
-    light = LIGHT.search(stem)
+    stem, parts = pure.stem, (pure.stem, *reversed(pure.parent.parts))  # the nearest folder says more than one above
+    nm = next(filter(None, map(_wavelength, parts)), None)
+    seconds = next(filter(None, map(_seconds, parts)), None)
+    light = next(filter(None, map(LIGHT.search, parts)), None)
     series = re.sub(r"\d+(?=\D*$)", "#", stem, count=1)
     folder = pure.parent.as_posix()
-    return Name(path, kind_of(pure), nm, seconds or None, light[1] if light else None, f"{folder}/{series}")
+    return Name(path, kind_of(pure), nm, seconds, light[1] if light else None, f"{folder}/{series}")
+
+
+def _wavelength(part: str) -> float | None:
+    return next((value for value in map(_number, NM.findall(part)) if VISIBLE[0] <= value <= VISIBLE[1]), None)
+
+
+def _seconds(part: str) -> float | None:
+    if fraction := FRACTION.search(part):
+        return 1.0 / max(int(fraction[1]), 1)
+    time = SECONDS.search(part)
+    return _number(time[1]) * UNITS[time[2]] if time else None
+
+
+def with_bare_wavelengths(names: Sequence[Name]) -> list[Name]:
+    """Names of monochromatic captures that state wavelengths without their unit, mono_450_03: the number in one place that
+    may be light's, in steps that no counter takes."""
+    bare = [name for name in names if name.kind == "mono" and name.nm is None]
+    numbers = [re.findall(r"\d+(?:\.\d+)?", PurePath(name.path).stem) for name in bare]
+    if not numbers or len({len(each) for each in numbers}) != 1:
+        return list(names)
+    for words in zip(*numbers, strict=True):
+        column = [float(word) for word in words]
+        steps = sorted(set(column))
+        counts = any(word.startswith("0") for word in words) or min(map(operator.sub, steps[1:], steps), default=0) < 2
+        if not counts and len(steps) >= LEAST_STEPS and BARE[0] <= steps[0] and steps[-1] <= BARE[1]:
+            known = {id(name): replace(name, nm=nm) for name, nm in zip(bare, column, strict=True)}
+            return [known.get(id(name), name) for name in names]
+    return list(names)
 
 
 def kind_of(path: PurePath) -> str | None:

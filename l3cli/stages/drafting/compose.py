@@ -1,5 +1,6 @@
 """What was found in a folder → the text of a measurement file."""
 
+import json
 from collections.abc import Sequence
 from typing import Any
 
@@ -11,6 +12,7 @@ from l3cli.calibration.draft.matching import Column, columns_of, match_charts, m
 from l3cli.calibration.draft.sorting import Group
 from l3cli.calibration.draft.text import DraftText
 from l3cli.curve_table import BRIGHTEST, DIMMEST, CurveTable
+from l3cli.errors import listed
 from l3cli.io.captures import read_capture
 from l3cli.stages.drafting.body import describe_camera
 from l3cli.stages.drafting.survey import Survey
@@ -63,6 +65,11 @@ class _Composer:
             what = "no source of responsivity: monochromatic captures, a chart, or finished curves"
             out.todo_table("[curves]", what, ("file", "curves.csv"), ("per_energy", True))
         self._sensor_frames()
+        unused = [
+            table.name.path for table in self.seen.tables if json.dumps(table.path, ensure_ascii=False) not in str(out)
+        ]
+        if unused:
+            self.seen.notes.append(f"tables of spectra that nothing refers to: {listed(unused)}")
         out.head(HEAD, *self.seen.notes)
         return out
 

@@ -3,7 +3,7 @@
 import os
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.calibration.draft.looks import altered, drawn, look, period_of
 from l3cli.calibration.draft.matching import Spectra
-from l3cli.calibration.draft.names import natural, read_name
+from l3cli.calibration.draft.names import natural, read_name, with_bare_wavelengths
 from l3cli.calibration.draft.sorting import Frame, Group, Scale, scale_of, sort_frames, told_apart
 from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.io.captures import CaptureFolder, RawFile, list_captures, read_capture, read_spectra
@@ -55,6 +55,23 @@ class Survey:
         return [group for group in self.groups if group.kind in kinds]
 
 
+@dataclass(frozen=True)
+class _Fact:
+    """What a file states of its frame."""
+
+    path: str
+    shape: tuple[int, int]
+    pattern: NDArray[np.int64] | None
+    black: float | None
+    white: float | None
+    seconds: float | None
+    mean: float
+
+    @property
+    def sensor(self) -> tuple[object, ...]:
+        return self.shape, None if self.pattern is None else self.pattern.tobytes()
+
+
 def survey(folder: Path, output: Path, camera: CameraModel | None, console: Console) -> Survey:
     """Look at every file of a folder. InputFileError if it holds no raw frame, RecipeError if they are not of `camera`."""
     listing = list_captures(folder)
@@ -76,9 +93,21 @@ def survey(folder: Path, output: Path, camera: CameraModel | None, console: Cons
     looks = _looks(kept, period, listing, notes, frames, console)
     if not looks:
         raise InputFileError(f"{folder} holds no raw frame that can be used; {notes[-1]}")
-    scale = scale_of(looks, kept[0].black)
+    looks = _with_wavelengths(looks, notes)
+    black = next((fact.black for fact in kept if fact.black is not None), None)
+    white = next((fact.white for fact in kept if fact.white is not None), None)
+    scale = scale_of(looks, black)
     groups = told_apart(sort_frames(looks, scale, notes), scale, notes)
-    return Survey(listing, shape, period, pattern, kept[0].black, kept[0].white, scale, groups, tables, notes)
+    return Survey(listing, shape, period, pattern, black, white, scale, groups, tables, notes)
+
+
+def _with_wavelengths(looks: list[Frame], notes: list[str]) -> list[Frame]:
+    """The frames with wavelengths that their names state without a unit."""
+    names = with_bare_wavelengths([frame.name for frame in looks])
+    new = [name for name, frame in zip(names, looks, strict=True) if name != frame.name]
+    if new:
+        notes.append(f"numbers in the names of {len(new)} monochromatic frames taken for nm: {new[0].nm:g} in {new[0].path}")
+    return [replace(frame, name=name) for frame, name in zip(looks, names, strict=True)]
 
 
 def _nothing(folder: Path, tables: Sequence[Spectra], notes: Sequence[str]) -> str:
@@ -94,23 +123,6 @@ def _nothing(folder: Path, tables: Sequence[Spectra], notes: Sequence[str]) -> s
         )
     reason = f": {notes[0].removesuffix('; left out')}" if notes else ""
     return f"{folder} holds no raw frame{reason}; give the folder of a camera's captures"
-
-
-@dataclass(frozen=True)
-class _Fact:
-    """What a file states of its frame."""
-
-    path: str
-    shape: tuple[int, int]
-    pattern: NDArray[np.int64] | None
-    black: float | None
-    white: float | None
-    seconds: float | None
-    mean: float
-
-    @property
-    def sensor(self) -> tuple[object, ...]:
-        return self.shape, None if self.pattern is None else self.pattern.tobytes()
 
 
 def _facts(listing: CaptureFolder, notes: list[str], console: Console) -> tuple[list[_Fact], dict[str, RawFile]]:
