@@ -56,7 +56,7 @@ def arguments(sentence: str, folder: Path, out: Path) -> list[str]:
 
 @pytest.mark.parametrize("sentence", SENTENCES)
 def test_a_dry_run_says_what_would_be_made(sentence: str, pipeline: Path, tmp_path: Path, l3: L3) -> None:
-    before = list(everything(pipeline))
+    before, changed = list(everything(pipeline)), tmp_path.stat().st_mtime_ns
     code, out, err = l3(*arguments(sentence, pipeline, tmp_path / "new"), "--dry-run")
     assert (code, err) == (0, "")
     assert out.endswith("dry run: nothing has been written\n")
@@ -64,7 +64,7 @@ def test_a_dry_run_says_what_would_be_made(sentence: str, pipeline: Path, tmp_pa
     for said in SENTENCES[sentence]:
         assert said.replace("{out}", str(tmp_path / "new")).replace("{in}", str(pipeline)).replace("{frames}", frames) in out
     assert list(everything(pipeline)) == before
-    assert list(tmp_path.iterdir()) == []
+    assert (list(tmp_path.iterdir()), tmp_path.stat().st_mtime_ns) == ([], changed)  # nor was anything made and removed again
 
 
 @pytest.mark.parametrize("sentence", SENTENCES)
