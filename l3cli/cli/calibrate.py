@@ -38,7 +38,7 @@ def _draft(
 @click.option("--camera", type=options.CAMERA, metavar="CAMERA", help="Sensor, array and optics of the draft.")
 @options.output("Camera model to write; with --draft the measurement file")
 @click.option("--truth", type=options.CAMERA, metavar="CAMERA", help="Camera that a virtual lab measured, to compare with.")
-@click.option("--export", type=options.FILE, metavar="DIR", help="Also write curves there, as CSV and as rawtoaces JSON.")
+@click.option("--export", type=options.FILE, metavar="DIR", help='Also write there what "l3 export" writes.')
 @click.option(
     "--accept", is_flag=True, help="Write the model even if it fails its checks, such as predicting its charts badly."
 )

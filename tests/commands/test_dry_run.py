@@ -15,6 +15,7 @@ SENTENCES = {  # a call that works, and what its dry run says
         "makes {out}/c.h5: camera model of 3 channels\n",
         "makes {out}/e/rawtoaces.json: export\n",
     ),
+    "export camera.h5 -o {out}/e": ("reads camera: {in}/camera.h5, ", "makes {out}/e/rawtoaces.json: export\n"),
     "calibrate --draft lab -o {out}/M.toml": ("reads frames: 85 files, ", "makes {out}/M.toml: draft of"),
     "simulate scenes.toml --camera camera.h5 -o {out}/t.h5 --pictures {out}/p --dng {out}/d": (
         "reads recipes: 2 files, ",
@@ -64,7 +65,10 @@ def test_a_dry_run_says_what_would_be_made(sentence: str, pipeline: Path, tmp_pa
     for said in SENTENCES[sentence]:
         assert said.replace("{out}", str(tmp_path / "new")).replace("{in}", str(pipeline)).replace("{frames}", frames) in out
     assert list(everything(pipeline)) == before
-    assert (list(tmp_path.iterdir()), tmp_path.stat().st_mtime_ns) == ([], changed)  # nor was anything made and removed again
+    assert (list(tmp_path.iterdir()), tmp_path.stat().st_mtime_ns) == (
+        [],
+        changed,
+    )  # nor was anything made and removed again
 
 
 @pytest.mark.parametrize("sentence", SENTENCES)
@@ -77,7 +81,7 @@ def test_a_dry_run_refuses_what_is_there(sentence: str, pipeline: Path, tmp_path
         folder = output.parent if "#" in output.name else output
         folder.mkdir()
         numbered = [folder / f"{number:04d}.tif" for number in range(40)]
-        for path in [*numbered, folder / "MEASUREMENTS.toml"]:
+        for path in [*numbered, folder / "MEASUREMENTS.toml", folder / "rawtoaces.json"]:
             path.write_text("mine")
     else:
         output.write_text("mine")
