@@ -66,7 +66,7 @@ def list_captures(folder: Path) -> CaptureFolder:
         elif kind.wants_geometry:
             notes[f"{suffix}: headerless frames, whose size and packing no file states; save them as TIFF, left out"] += 1
         elif not kind.holds_frame:
-            notes[f"{suffix}: no frames of one file each, as a draft takes; left out"] += 1
+            notes[f"{suffix}: sequences or data files, no single frames; left out"] += 1
         else:
             frames.append(name)
     return CaptureFolder(

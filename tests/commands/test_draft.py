@@ -14,8 +14,10 @@ from l3cli.artifacts.store import load
 from l3cli.cli import run
 from l3cli.curve_file import read_table
 from l3cli.io.captures import read_capture
+from l3cli.io.curves import write_curves
 from l3cli.io.images import write_mosaic, write_picture
 from l3cli.io.raw.dng_writer import LIGHT_CODES, RawColour, write_dng
+from l3cli.units import PHOTON_RADIANCE
 from tests.helpers.calls import L3, Refused
 
 LAB = """
@@ -174,6 +176,37 @@ def test_names_alone_tell_exposure_times(lab: Path, bayer_recipe: Path, tmp_path
     )
     for kind in ("mono", "white", "dark"):
         assert sorted(each["exposure_s"] for each in drafted[kind]) == sorted(each["exposure_s"] for each in own[kind])
+
+
+def test_spectra_go_to_their_steps_whatever_is_missing(lab: Path, bayer_recipe: Path, tmp_path: Path, l3: L3) -> None:
+    """Steps whose names state the wavelength keep theirs; for a stray frame none is guessed. One step taken again too long
+    needs no spectrum of its own."""
+    folder = renamed(lab, tmp_path / "captures", flat)
+    draft = ("calibrate", "--draft", folder, "--camera", bayer_recipe, "-o", folder / "M.toml", "--force")
+    steps = sorted(folder.glob("mono_*nm_*.tif"))
+    stray = steps[0].rename(folder / "stray.tif")
+    steps[1].unlink()
+    code, _, err = l3(*draft)
+    assert code == 0
+    assert "missing: spectrum of stray.tif: " in err
+    for capture in tomllib.loads((folder / "M.toml").read_text())["mono"]:
+        if capture["frames"] != ["stray.tif"]:
+            assert capture["column"] == capture["frames"][0].split("_")[1].replace("-", " ")
+    stray.unlink()
+
+    for number, path in enumerate(sorted(folder.glob("mono_*"))):
+        path.rename(folder / f"mono_{number:02d}.tif")
+    table = read_table(folder / "mono.csv")
+    assert table.names is not None
+    kept = [number for number, name in enumerate(table.names) if "long" not in name][2:]
+    write_curves(
+        folder / "mono.csv", table.wavelength, table.values[kept], [table.names[number] for number in kept], PHOTON_RADIANCE
+    )
+    code, _, err = l3(*draft)
+    assert code == 0
+    assert f"spectra given to {len(kept) + 1} monochromatic captures in the order of their names" in err
+    columns = [capture["column"] for capture in tomllib.loads((folder / "M.toml").read_text())["mono"]]
+    assert len(columns) - len(set(columns)) == 1  # the step that is taken again
 
 
 def test_what_is_no_raw_frame_is_told_apart(lab: Path, tmp_path: Path, l3: L3) -> None:

@@ -72,24 +72,32 @@ def match_steps(steps: Sequence[Group], columns: Sequence[Column], scale: Scale,
     """The spectrum of each monochromatic capture: by wavelength where its name says it, else in order."""
     if not columns or not steps:
         return [None] * len(steps)
-    named = [step for step in steps if step.first.name.nm is not None]
-    if len(named) == len(steps):
-        return [_by_wavelength(step.first.name, columns) for step in steps]
-    numbers = _steps_in_order(steps, scale)
-    taken = columns
-    if len(steps) == len(columns):
-        numbers = list(range(len(steps)))
-    elif numbers[-1] + 1 != len(columns):
+    found = [_by_wavelength(step.first.name, columns) for step in steps]
+    unnamed = [number for number, step in enumerate(steps) if step.first.name.nm is None]
+    if unnamed:
+        rest = [column for column in columns if all(column is not each for each in found)]
+        given = _in_order([steps[number] for number in unnamed], rest, scale, notes)
+        for number, column in zip(unnamed, given, strict=True):
+            found[number] = column
+    return found
+
+
+def _in_order(
+    steps: Sequence[Group], columns: Sequence[Column], scale: Scale, notes: list[str]
+) -> Sequence[Column] | list[None]:
+    """The spectra of captures whose names state no wavelength, if they are as many; none otherwise."""
+    numbers = list(range(len(steps))) if len(steps) == len(columns) else _steps_in_order(steps, scale)
+    if numbers[-1] + 1 != len(columns):
         notes.append(
             f"{len(steps)} monochromatic captures and {len(columns)} spectra: which belong together is not known; write the "
             "wavelength into the names (mono_450nm.tif), or name spectrum and column of each"
         )
         return [None] * len(steps)
     notes.append(
-        f"spectra given to {len(steps)} monochromatic captures in the order of their names, {taken[0].nm:g} to "
-        f"{taken[-1].nm:g} nm"
+        f"spectra given to {len(steps)} monochromatic captures in the order of their names, {columns[0].nm:g} to "
+        f"{columns[-1].nm:g} nm"
     )
-    return [taken[number] for number in numbers]
+    return [columns[number] for number in numbers]
 
 
 def _steps_in_order(steps: Sequence[Group], scale: Scale) -> list[int]:
@@ -102,7 +110,8 @@ def _steps_in_order(steps: Sequence[Group], scale: Scale) -> list[int]:
 
 
 def _by_wavelength(name: Name, columns: Sequence[Column]) -> Column | None:
-    assert name.nm is not None
+    if name.nm is None:
+        return None
     wanted = name.nm
     nearest = min(abs(column.nm - wanted) for column in columns)
     if nearest > NEAR_NM:

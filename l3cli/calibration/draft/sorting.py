@@ -14,7 +14,7 @@ ALIKE = 0.04  # relative, of signals: frames of one capture, sites of one channe
 CLIPPED = 0.97  # of the brightest values: saturated
 RATE = 0.1  # relative, of light a second: captures of one light
 LEAST_WHITES = 3  # exposures of one light that are taken for the white series
-BRIGHT_DARK = 0.05  # of the range: a frame called dark that is none
+BRIGHT_DARK, BRIGHTER = 0.05, 5.0  # of the range, times the noise: a frame called dark that is none
 Array = NDArray[np.floating]
 
 
@@ -67,18 +67,18 @@ class Scale:
 
 
 def scale_of(frames: Sequence[Frame], black: float | None) -> Scale:
-    """Black and bright of a folder's frames; `black`: DN, as their files state it. Without that and without dark frames it
-    is the darkest blocks'."""
+    """Black and bright of a folder's frames; `black`: DN, as their files state it. Without that, and without a frame that is
+    called dark or whose sites all show the same, it is unknown and taken as 0."""
     sites = frames[0].look.level.size
     called = [frame for frame in frames if frame.name.kind == "dark"]
     darkest = min(called or frames, key=lambda frame: float(frame.look.level.mean()))
     bright = max(float(frame.look.high.max()) for frame in frames)
     if black is not None:
         level: Array = np.full(sites, black)
-    elif called or darkest.look.unevenness(0.0) < EVEN:
+    elif called or (darkest.look.unevenness(0.0) < EVEN and np.ptp(darkest.look.level) < DARK * bright / 3):
         level = darkest.look.level
     else:
-        level = np.full(sites, min(float(frame.look.blocks.min()) for frame in frames))
+        level = np.zeros(sites)
     return Scale(level, bright)
 
 
@@ -101,7 +101,7 @@ def _kind(frame: Frame, scale: Scale, notes: list[str]) -> str:
     name, black = frame.name, float(scale.black.mean())
     signal = frame.look.level - scale.black
     share = float(signal.max()) / scale.range
-    if name.kind == "dark" and share > BRIGHT_DARK:
+    if name.kind == "dark" and share > BRIGHT_DARK and signal.max() > BRIGHTER * frame.look.noise:
         notes.append(f"{name.path}: called dark, but {signal.max():.0f} DN brighter than the darkest frame: check it")
     if name.kind == "chart" and name.nm is not None:
         return "band"

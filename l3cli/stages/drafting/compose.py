@@ -204,7 +204,7 @@ class _Composer:
             if same and not self._measured_sensor:
                 out.key("dark", [self._named(frame.name.path) for frame in same[0].frames])
             elif seen.black_level is None and not same:
-                out.todo("dark", ["dark.tif"], "frames without light, same exposure: no file states black", f"{path}: ")
+                out.todo("dark", ["dark.tif"], "frames without light, same exposure: no file states black", path)
 
     # ---------------------------------------------------------------------------------------------------- sensor
 
