@@ -21,6 +21,7 @@ from l3cli.errors import InputFileError
 from l3cli.physics.spdx import read_spdx
 from l3cli.table_text import SEPARATORS, is_wavelength, read_text_table
 
+SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc", ".spdx", ".xml")  # of files that may hold spectra
 MOST_ROWS = 100_000
 METRES, MICROMETRES, ANGSTROMS = 1e-3, 5.0, 2000.0  # what ends below the first or second, or begins above the third: no nm
 Array = NDArray[np.float64]

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.curve_file import read_table
+from l3cli.curve_file import SUFFIXES, read_table
 from l3cli.curve_table import CurveTable
 from l3cli.errors import InputFileError, L3Error
 from l3cli.io.photos import raw_content
@@ -20,7 +20,6 @@ MOST_FILES, DEEPEST = 20_000, 8  # files and folders below one another that are 
 DEVELOPED = (".jpg", ".jpeg", ".heic", ".webp", ".bmp", ".gif", ".exr")
 PROSE = (".txt", ".asc", ".xml")  # of which most are no tables
 FIGURES = re.compile(rb"^\s*[\d.]+[\s,;]+[\d.]", re.MULTILINE)  # a row of a table
-TABLES = (".csv", ".tsv", ".txt", ".dat", ".asc", ".spdx", ".xml")
 
 
 @dataclass(frozen=True)
@@ -57,7 +56,7 @@ def list_captures(folder: Path) -> CaptureFolder:
             notes[f"{suffix}: their names are no text; left out"] += 1
             continue
         kind = BY_SUFFIX.get(suffix)
-        if suffix in TABLES:
+        if suffix in SUFFIXES:
             tables.append(name)
         elif suffix in DEVELOPED:
             notes[f"{suffix}: developed pictures, never raw values; left out"] += 1

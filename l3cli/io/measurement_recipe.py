@@ -25,6 +25,7 @@ import msgspec
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import CfaRecipe, NoiseRecipe, OpticsRecipe
 from l3cli.config import Count, Recipe
+from l3cli.curve_file import SUFFIXES
 from l3cli.files import write_whole
 
 
@@ -168,8 +169,8 @@ def spectrum_names(recipe: MeasurementRecipe) -> list[str]:
 
 
 def is_table(name: str) -> bool:
-    """Whether a light or a chart is named as a CSV file."""
-    return name.lower().endswith(".csv")
+    """Whether a light or a chart is named as a file of spectra."""
+    return name.lower().endswith(SUFFIXES)
 
 
 def describe(camera: CameraModel, uncertainty: UncertaintyRecipe, **captures: Any) -> MeasurementRecipe:

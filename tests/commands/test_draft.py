@@ -245,6 +245,20 @@ def test_a_photo_of_a_chart_is_found(l3_data: Path, tmp_path: Path, l3: L3) -> N
     assert (drafted["sensor"]["rows"], drafted["sensor"]["cols"], drafted["sensor"]["bits"]) == (1156, 1734, 14)
 
 
+def test_a_photo_gets_the_light_that_was_measured(l3_data: Path, tmp_path: Path, l3: L3) -> None:
+    """The only lamp in the folder, as its spectrometer writes it, makes a measurement file that is taken at once."""
+    folder = tmp_path / "captures"
+    folder.mkdir()
+    (folder / "colorchart.dng").symlink_to(l3_data / "raw/colorchart.dng")
+    grid = np.arange(380, 781, 5)
+    rows = "\n".join(f"{nm};{(nm / 560) ** 3:.4f}".replace(".", ",") for nm in grid)
+    (folder / "lamp.txt").write_bytes(f"Wavelength;Irradiance\r\n[nm];[µW/cm²/nm]\r\n{rows}\r\n".encode("utf-16"))
+    code, _, err = l3("calibrate", "--draft", folder, "-o", folder / "M.toml")
+    assert code == 0
+    assert 'assumed: light = "lamp.txt": the only measured light in the folder' in err
+    assert "next: l3 calibrate" in err
+
+
 def test_drafts_are_refused_before_any_work(lab: Path, tmp_path: Path, refused: Refused) -> None:
     draft = ("calibrate", "--draft", lab)
     assert "ends in .toml" in refused(2, *draft, "-o", tmp_path / "camera.h5")

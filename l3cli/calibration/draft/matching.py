@@ -139,15 +139,18 @@ def match_charts(charts: Sequence[Group], tables: Sequence[Spectra], notes: list
     return found
 
 
-def match_light(chart: Group, tables: Sequence[Spectra]) -> Spectra | None:
-    """The measured light of a photo of a chart: the one table of one broad spectrum, or that of its light's name."""
+def match_light(chart: Group, tables: Sequence[Spectra]) -> tuple[Spectra | None, bool]:
+    """The measured light of a photo of a chart: the broad spectrum that its light or its file is called by, or else the only
+    one there is; and whether names say so."""
     broad = [table for table in tables if len(table.table.values) == 1 and not table.narrow]
     same = [table for table in broad if table.name.light is not None and table.name.light == chart.first.name.light]
     if len(same) == 1:
-        return same[0]
+        return same[0], True
     stem = PurePath(chart.first.name.path).stem.lower()
     named = [table for table in broad if PurePath(table.name.path).stem.lower() in stem]
-    return named[0] if len(named) == 1 else None
+    if len(named) == 1:
+        return named[0], True
+    return (broad[0], False) if len(broad) == 1 and broad[0].name.light is None else (None, False)
 
 
 def _narrow(wavelength: Array, curve: Array) -> bool:

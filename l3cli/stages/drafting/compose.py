@@ -192,9 +192,11 @@ class _Composer:
             path = group.first.name.path
             out.table("[[photo]]")
             out.key("frames", [self._named(frame.name.path) for frame in group.frames])
-            light, measured = group.first.name.light, match_light(group, seen.tables)
-            if measured is not None:
+            light, (measured, named) = group.first.name.light, match_light(group, seen.tables)
+            if measured is not None and named:
                 out.key("light", measured.path)
+            elif measured is not None:
+                out.assume("light", measured.path, "the only measured light in the folder")
             elif light:
                 out.assume("light", light, "by its name")
             else:
