@@ -101,11 +101,11 @@ def _plan(
     stored = not stands and goes_on(output, run.key, resume, force)
     total = sum(len(each) for _, each in shots(run.recipe, files)) if run.recipe.scene else 0
     frames = f"{total + len(run.recipe.pair)} frames of {run.camera.rows}×{run.camera.cols}"
-    how = ", some of which are stored" if stored else ", which stand" if stands else ""
+    how = ", some of which are stored" if stored else ""
     size = (total + len(run.recipe.pair)) * frame_bytes(run)
     inputs = {"recipes": [recipes[0], *camera_files(recipes[1])], **input_files(run, files)}
-    made = Made(output, f"training set, {frames}{how}, {size} bytes before compression")
-    before_work(inputs, made, *(Made(folder, f"pictures of {frames}") for folder in folders))
+    made = [] if stands else [Made(output, f"training set, {frames}{how}, {size} bytes before compression")]
+    before_work(inputs, *made, *(Made(folder, f"pictures of {frames}") for folder in folders))
 
 
 def _simulate_frames(
