@@ -25,17 +25,17 @@ from l3cli.files import (
 )
 from l3cli.interrupts import uninterrupted
 
-_LOOKING: ContextVar[bool] = ContextVar("only looking", default=False)
+_WITHOUT_WRITING: ContextVar[bool] = ContextVar("without writing", default=False)
 
 
 @contextlib.contextmanager
-def only_looking() -> Iterator[None]:
+def without_writing() -> Iterator[None]:
     """Within the block no lock is made and nothing swept: outputs are only refused that another run writes just now."""
-    token = _LOOKING.set(True)
+    token = _WITHOUT_WRITING.set(True)
     try:
         yield
     finally:
-        _LOOKING.reset(token)
+        _WITHOUT_WRITING.reset(token)
 
 
 @contextlib.contextmanager
@@ -45,7 +45,7 @@ def sole_writer_of_file(path: Path) -> Iterator[bool]:
     Yields whether the storage knows locks at all. L3Error if another run writes the file, or its folder cannot be written.
     """
     with _claim(path, path.with_name(_lock_name(path.name))) as locked:
-        if locked and not _LOOKING.get():
+        if locked and not _WITHOUT_WRITING.get():
             sweep(path.parent, path)
         yield locked
 
@@ -58,7 +58,7 @@ def sole_writer_of_folder(folder: Path, name: str = "", inside: tuple[str, ...] 
     The folder is made; it is removed again if it is empty in the end. What worker processes left that were ended goes, too.
     """
     with _claim(folder / name, folder / (_lock_name(name) if name else LOCK)) as locked:
-        swept = [folder, *(folder / each for each in inside)] if locked and not _LOOKING.get() else []
+        swept = [folder, *(folder / each for each in inside)] if locked and not _WITHOUT_WRITING.get() else []
         for each in swept:
             sweep(each)
         try:
@@ -100,7 +100,7 @@ def refuse_other_run(folder: Path, run: str, force: bool) -> None:
 def _claim(output: Path, lock: Path) -> Iterator[bool]:
     """Hold `lock` while the block lasts; folders that had to be made for it go again if they stay empty."""
     refuse_spared(lock)  # it is removed in the end
-    if _LOOKING.get():
+    if _WITHOUT_WRITING.get():
         _refuse_held(lock, output)
         yield True
         return

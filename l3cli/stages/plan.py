@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from l3cli.errors import listed
-from l3cli.locks import only_looking
+from l3cli.locks import without_writing
 
 _DRY: ContextVar[bool] = ContextVar("dry run", default=False)
 SHOWN = 3  # files of a role that are named
@@ -37,7 +37,7 @@ def dry_run() -> Iterator[None]:
     """Within the block stages end where their work would begin, by Planned."""
     token = _DRY.set(True)
     try:
-        with only_looking():
+        with without_writing():
             yield
     finally:
         _DRY.reset(token)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from l3cli.calibration.draft.looks import altered, drawn, look, period_of
 from l3cli.calibration.draft.names import Name, natural, read_name, with_bare_wavelengths
+from l3cli.calibration.draft.summary import altered, drawn, period_of, summarise
 
 
 @pytest.mark.parametrize(
@@ -62,7 +62,7 @@ def test_an_array_is_seen_by_its_period() -> None:
         frame = rng.poisson(light * site / 3).astype(np.uint16)
         wanted = (1, 3) if array.shape == (3, 3) else array.shape  # its rows are alike
         assert period_of([frame]) == wanted
-        seen = look(frame, wanted)
+        seen = summarise(frame, wanted)
         assert seen.level.shape == (wanted[0] * wanted[1],)
         assert seen.unevenness(0.0) < 0.05
 

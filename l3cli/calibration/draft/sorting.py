@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.calibration.draft.looks import EVEN, Look
 from l3cli.calibration.draft.names import Name, natural
+from l3cli.calibration.draft.summary import EVEN, Summary
 
 DARK = 0.01  # of the range from the darkest to the brightest frame: without light
 ALIKE = 0.04  # relative, of signals: frames of one capture, sites of one channel, captures of one light
@@ -23,7 +23,7 @@ class Frame:
     """A raw frame as it lies in the folder."""
 
     name: Name
-    look: Look
+    summary: Summary
     seconds: float | None  # s, as the file or else its name says
     by_name: bool = False  # whether the exposure time is the name's
 
@@ -42,7 +42,7 @@ class Group:
     @property
     def level(self) -> Array:
         """(site) mean DN."""
-        return np.asarray(np.mean([frame.look.level for frame in self.frames], axis=0))
+        return np.asarray(np.mean([frame.summary.level for frame in self.frames], axis=0))
 
 
 @dataclass(frozen=True)
@@ -62,21 +62,21 @@ class Scale:
 
     def clipped(self, group: Group) -> bool:
         """Whether a site of a capture saturates."""
-        high = max(float(frame.look.high.max()) for frame in group.frames)
+        high = max(float(frame.summary.high.max()) for frame in group.frames)
         return high - self.black.mean() >= CLIPPED * self.range
 
 
 def scale_of(frames: Sequence[Frame], black: float | None) -> Scale:
     """Black and bright of a folder's frames; `black`: DN, as their files state it. Without that, and without a frame that is
     called dark or whose sites all show the same, it is unknown and taken as 0."""
-    sites = frames[0].look.level.size
+    sites = frames[0].summary.level.size
     called = [frame for frame in frames if frame.name.kind == "dark"]
-    darkest = min(called or frames, key=lambda frame: float(frame.look.level.mean()))
-    bright = max(float(frame.look.high.max()) for frame in frames)
+    darkest = min(called or frames, key=lambda frame: float(frame.summary.level.mean()))
+    bright = max(float(frame.summary.high.max()) for frame in frames)
     if black is not None:
         level: Array = np.full(sites, black)
-    elif called or (darkest.look.unevenness(0.0) < EVEN and np.ptp(darkest.look.level) < DARK * bright / 3):
-        level = darkest.look.level
+    elif called or (darkest.summary.unevenness(0.0) < EVEN and np.ptp(darkest.summary.level) < DARK * bright / 3):
+        level = darkest.summary.level
     else:
         level = np.zeros(sites)
     return Scale(level, bright)
@@ -97,11 +97,11 @@ def sort_frames(frames: Sequence[Frame], scale: Scale, notes: list[str]) -> list
 
 
 def _kind(frame: Frame, scale: Scale, notes: list[str]) -> str:
-    """A frame's kind as its name says, or else as it looks."""
+    """A frame's kind as its name says, or else what it shows."""
     name, black = frame.name, float(scale.black.mean())
-    signal = frame.look.level - scale.black
+    signal = frame.summary.level - scale.black
     share = float(signal.max()) / scale.range
-    if name.kind == "dark" and share > BRIGHT_DARK and signal.max() > BRIGHTER * frame.look.noise:
+    if name.kind == "dark" and share > BRIGHT_DARK and signal.max() > BRIGHTER * frame.summary.noise:
         notes.append(f"{name.path}: called dark, but {signal.max():.0f} DN brighter than the darkest frame: check it")
     if name.kind == "chart" and name.nm is not None:
         return "band"
@@ -109,7 +109,7 @@ def _kind(frame: Frame, scale: Scale, notes: list[str]) -> str:
         return name.kind
     if share < DARK and float(np.ptp(signal)) < DARK * scale.range / 3:
         return "dark"
-    structured = share >= DARK and frame.look.unevenness(black) > EVEN
+    structured = share >= DARK and frame.summary.unevenness(black) > EVEN
     if name.nm is not None:
         return "band" if structured else "mono"
     return "structured" if structured else "plain"
@@ -119,9 +119,9 @@ def _alike(members: Sequence[Frame], scale: Scale) -> Iterable[list[Frame]]:
     """Frames that share all that their names say, divided where they show different light."""
     parts: list[list[Frame]] = []
     for frame in members:
-        signal = frame.look.level - scale.black
+        signal = frame.summary.level - scale.black
         for part in parts:
-            other = part[0].look.level - scale.black
+            other = part[0].summary.level - scale.black
             if np.abs(signal - other).max() <= max(ALIKE * float(np.abs(other).max()), DARK * scale.range):
                 part.append(frame)
                 break
@@ -130,7 +130,7 @@ def _alike(members: Sequence[Frame], scale: Scale) -> Iterable[list[Frame]]:
     return parts
 
 
-def told_apart(groups: Sequence[Group], scale: Scale, notes: list[str]) -> list[Group]:
+def with_plain_kinds(groups: Sequence[Group], scale: Scale, notes: list[str]) -> list[Group]:
     """The captures with "plain" ones called white or mono: white is the light of which most frames are taken, at several
     exposures. Clipped ones, whose colour is unknown, are what the captures before them are."""
     plain = [group for group in groups if group.kind == "plain"]

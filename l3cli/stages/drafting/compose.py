@@ -95,7 +95,7 @@ class _Composer:
         out.comment("", *LAMP)
         for step, column in zip(self.steps, matched, strict=True):
             self._common(step, "[[mono]]")
-            uneven = step.first.look.unevenness(float(seen.scale.black.mean()))
+            uneven = step.first.summary.unevenness(float(seen.scale.black.mean()))
             if uneven > 4 * charts.DIM and not seen.scale.clipped(step):
                 out.comment(f"the light is uneven by {uneven:.0%}: a [[mono]] frame is an even field")
             if column is None:

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.calibration.draft.looks import altered, drawn, look, period_of
 from l3cli.calibration.draft.matching import Spectra
 from l3cli.calibration.draft.names import natural, read_name, with_bare_wavelengths
-from l3cli.calibration.draft.sorting import Frame, Group, Scale, scale_of, sort_frames, told_apart
+from l3cli.calibration.draft.sorting import Frame, Group, Scale, scale_of, sort_frames, with_plain_kinds
+from l3cli.calibration.draft.summary import altered, drawn, period_of, summarise
 from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.io.captures import CaptureFolder, RawFile, list_captures, read_capture, read_spectra
 from l3cli.stages.console import Console
@@ -46,7 +46,7 @@ class Survey:
     @property
     def top(self) -> int:
         """DN, the largest value of all frames."""
-        return max(frame.look.top for group in self.groups for frame in group.frames)
+        return max(frame.summary.top for group in self.groups for frame in group.frames)
 
     def path(self, frame: Frame) -> Path:
         return self.listing.folder / frame.name.path
@@ -73,7 +73,7 @@ class _Fact:
 
 
 def survey(folder: Path, output: Path, camera: CameraModel | None, console: Console) -> Survey:
-    """Look at every file of a folder. InputFileError if it holds no raw frame, RecipeError if they are not of `camera`."""
+    """Read every file of a folder. InputFileError if it holds no raw frame, RecipeError if they are not of `camera`."""
     listing = list_captures(folder)
     notes = list(listing.notes)
     tables = [
@@ -90,24 +90,24 @@ def survey(folder: Path, output: Path, camera: CameraModel | None, console: Cons
             f"{camera.name} has {camera.rows}×{camera.cols} pixels, the frames {shape[0]}×{shape[1]}; give their camera"
         )
     period = _period(kept, camera, listing, pattern)
-    looks = _looks(kept, period, listing, notes, frames, console)
-    if not looks:
+    usable = _summarised(kept, period, listing, notes, frames, console)
+    if not usable:
         raise InputFileError(f"{folder} holds no raw frame that can be used; {notes[-1]}")
-    looks = _with_wavelengths(looks, notes)
+    usable = _with_wavelengths(usable, notes)
     black = next((fact.black for fact in kept if fact.black is not None), None)
     white = next((fact.white for fact in kept if fact.white is not None), None)
-    scale = scale_of(looks, black)
-    groups = told_apart(sort_frames(looks, scale, notes), scale, notes)
+    scale = scale_of(usable, black)
+    groups = with_plain_kinds(sort_frames(usable, scale, notes), scale, notes)
     return Survey(listing, shape, period, pattern, black, white, scale, groups, tables, notes)
 
 
-def _with_wavelengths(looks: list[Frame], notes: list[str]) -> list[Frame]:
+def _with_wavelengths(usable: list[Frame], notes: list[str]) -> list[Frame]:
     """The frames with wavelengths that their names state without a unit."""
-    names = with_bare_wavelengths([frame.name for frame in looks])
-    new = [name for name, frame in zip(names, looks, strict=True) if name != frame.name]
+    names = with_bare_wavelengths([frame.name for frame in usable])
+    new = [name for name, frame in zip(names, usable, strict=True) if name != frame.name]
     if new:
         notes.append(f"numbers in the names of {len(new)} monochromatic frames taken for nm: {new[0].nm:g} in {new[0].path}")
-    return [replace(frame, name=name) for frame, name in zip(looks, names, strict=True)]
+    return [replace(frame, name=name) for frame, name in zip(usable, names, strict=True)]
 
 
 def _nothing(folder: Path, tables: Sequence[Spectra], notes: Sequence[str]) -> str:
@@ -181,7 +181,7 @@ def _period(
     return period_of([frame for frame in frames if not drawn(frame)] or frames)
 
 
-def _looks(
+def _summarised(
     facts: Sequence[_Fact],
     period: tuple[int, int],
     listing: CaptureFolder,
@@ -190,7 +190,7 @@ def _looks(
     console: Console,
 ) -> list[Frame]:
     """Every frame by what it shows; those that are no raw values are left out or noted."""
-    looks, refused, changed = [], [], Counter[str]()
+    usable, refused, changed = [], [], Counter[str]()
     for fact in console.progress(facts, len(facts), "frames"):
         raw = kept.get(fact.path) or read_capture(listing.folder / fact.path)
         if drawn(raw.values):
@@ -204,9 +204,9 @@ def _looks(
             refused.append(
                 f"{fact.path}: its name says {name.seconds:g} s, its file {fact.seconds:g} s; the file's is taken"
             )
-        looks.append(Frame(name, look(raw.values, period), seconds, fact.seconds is None))
+        usable.append(Frame(name, summarise(raw.values, period), seconds, fact.seconds is None))
     notes += _few(refused)
     notes += [
         f"{count} frame{'s' * (count > 1)}: {what}; check that they are raw values" for what, count in changed.most_common(2)
     ]
-    return looks
+    return usable

@@ -21,7 +21,7 @@ Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
-class Look:
+class Summary:
     """A frame in few numbers, by the sites of its array."""
 
     blocks: Array  # (block_row, block_col, site) mean DN
@@ -46,7 +46,7 @@ class Look:
         return float(np.sqrt(np.mean(left[:, brightest] ** 2)) / max(values[:, brightest].mean(), 1e-9))
 
 
-def look(values: NDArray[np.uint16], period: tuple[int, int]) -> Look:
+def summarise(values: NDArray[np.uint16], period: tuple[int, int]) -> Summary:
     """A frame (row, col) of DN by the sites of an array of `period` rows and columns."""
     rows, cols = period
     down, across = (max(1, length // each // BLOCKS) for length, each in zip(values.shape, period, strict=True))
@@ -55,7 +55,7 @@ def look(values: NDArray[np.uint16], period: tuple[int, int]) -> Look:
     sites = cut.reshape(high, down, rows, wide, across, cols).transpose(0, 3, 1, 4, 2, 5)
     sites = sites.reshape(high, wide, down * across, rows * cols)
     quantile = np.quantile(sites.reshape(-1, rows * cols), 0.9, axis=0)
-    return Look(sites.mean(axis=2, dtype=np.float64), quantile, float(np.median(sites.std(axis=2))), int(values.max()))
+    return Summary(sites.mean(axis=2, dtype=np.float64), quantile, float(np.median(sites.std(axis=2))), int(values.max()))
 
 
 def period_of(frames: Sequence[NDArray[np.uint16]]) -> tuple[int, int]:
