@@ -43,29 +43,23 @@ def draft(folder: Path, output: Path, console: Console, *, camera: Path | None =
             before_work(inputs, Made(output, f"draft of a measurement file of {len(listing.frames)} frames"))
         seen = survey(folder, output, known, console)
         text = compose(seen, known, folder.absolute().name, named_from(folder, output))
-        for note in seen.notes:
-            console.say(note)
-        for number, line in enumerate(text.assumed):
-            if number == MOST_SAID:
-                console.say(f"… and {len(text.assumed) - MOST_SAID} more, marked ASSUMED")
-            if number < MOST_SAID:
-                console.say(f"assumed: {line}")
-        for number, line in enumerate(text.missing):
-            if number == MOST_SAID:
-                console.say(f"… and {len(text.missing) - MOST_SAID} more, marked TODO")
-            if number < MOST_SAID:
-                console.say(f"missing: {line}")
         write_whole(output, str(text))
+        for line in (*seen.notes, *_few("assumed", "ASSUMED", text.assumed), *_few("missing", "TODO", text.missing)):
+            console.say(line)
         frames = sum(len(group.frames) for group in seen.groups)
         written = f"{output}: {len(seen.groups)} captures, {frames} frames"
-        if text.missing:
-            console.say(f"{written}; fill in what is marked TODO, then: l3 calibrate {output} -o camera.h5")
-        elif problem := _problem(str(text), output):
+        problem = "" if text.missing else _problem(str(text), output)
+        if problem:
             console.warn(f"l3 calibrate will not take it yet: {problem}")
-            console.say(written)
-        else:
-            console.say(f"{written}; next: l3 calibrate {output} -o camera.h5")
+        then = "fill in what is marked TODO, then" if text.missing else "next"
+        console.say(written if problem else f"{written}; {then}: l3 calibrate {output} -o camera.h5")
         return str(text)
+
+
+def _few(what: str, mark: str, lines: list[str]) -> list[str]:
+    """The first lines of what is assumed or missing, and how the others are marked in the file."""
+    more = [f"… and {len(lines) - MOST_SAID} more, marked {mark}"] if len(lines) > MOST_SAID else []
+    return [f"{what}: {line}" for line in lines[:MOST_SAID]] + more
 
 
 def _problem(text: str, output: Path) -> str:
