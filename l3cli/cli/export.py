@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 @click.argument("camera", type=options.CAMERA, metavar="CAMERA")
 @click.option("-o", "--output", type=options.FILE, required=True, metavar="DIR", help="Folder to write to.")
 @options.force
+@options.dry_run
 @options.quiet
 @options.as_json
 def export(camera: Path, output: Path, force: bool, console: "Console", as_json: bool) -> None:

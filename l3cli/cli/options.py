@@ -187,6 +187,22 @@ trust = click.option(
 )
 
 
+def _dry_run(context: click.Context, parameter: click.Parameter, value: bool) -> None:
+    if value:
+        from l3cli.stages.plan import dry_run
+
+        context.with_resource(dry_run())
+
+
+dry_run = click.option(
+    "--dry-run",
+    is_flag=True,
+    expose_value=False,
+    callback=_dry_run,
+    help="Check everything that is checked before work, say what would be read and made, and write nothing.",
+)
+
+
 CLAIMS = "l3cli.claims"  # in the context: the command's claims on files
 
 

@@ -167,6 +167,7 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
 @options.scheduler
 @options.trust
 @options.force
+@options.dry_run
 @options.quiet
 def render(
     table: Path, inputs: tuple[Path, ...], output: Path, suffix: str, frames: range | None, dataset: str | None,

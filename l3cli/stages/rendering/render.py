@@ -24,6 +24,7 @@ from l3cli.stages.rendering.corrections import CameraFile, correction_in, hot_te
 from l3cli.stages.rendering.destination import Destination, claim, destination_of, marked, refuse_missing
 from l3cli.stages.rendering.executors import RenderSetup, executor_of
 from l3cli.stages.rendering.mark import Origins
+from l3cli.stages.rendering.plan import plan
 from l3cli.stages.rendering.rendition import Rendition
 from l3cli.stages.rendering.sequence import is_steady, render_frames
 
@@ -77,6 +78,7 @@ def render(
         if not skip_bad:
             refuse_missing(footage)
         choice = replace(choice, rate=rate or footage.rate or USUAL_RATE)
+        plan(table, inputs, dark, footage, destination, force or resume, skip_bad)
         setup = RenderSetup(
             table.absolute(), sha256(table), backend, engine, known, rendition, destination.file_suffix, model
         )
