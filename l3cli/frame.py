@@ -20,6 +20,8 @@ class RawFrame:
     exposure: float | None = None  # s; None: unknown
     dark: float = 0.0  # DN above black, the mean signal of dark current …
     dark_measured: bool = False  # … by a dark frame, not by the exposure time
+    neutral: tuple[float, ...] | None = None  # (channel) of a grey, as the camera took it, of any scale; None: not stated
+    taken_by: tuple[str, ...] = ()  # make, model and other names of the camera, where the file has them
 
     def __post_init__(self) -> None:
         if self.values.ndim != 2 or self.values.dtype != np.uint16 or self.values.size == 0:
