@@ -80,7 +80,7 @@ class AutoWhite:
         """Of whites, as the table shows them, over a fine grid of lights."""
         shown = self._neutrals.reshape(-1, self._neutrals.shape[-1])
         if self._table.camera:
-            shown = self._whites.grey.outputs_of(GREY_LEVEL * shown / shown.max(axis=1, keepdims=True))
+            shown = self._whites.grey.outputs_of(GREY_LEVEL * shown)
         cones = np.maximum(shown @ BRADFORD.T, 1e-9).reshape(len(MIREDS), len(GREENS), 3)
         rows, cols = (np.linspace(0, count - 1, fine) for count, fine in zip(cones.shape[:2], FINE, strict=True))
         return _between(_ratios(cones), rows, cols)
@@ -111,7 +111,8 @@ def _neutrals(table: TransformTable) -> Array:
     grid = camera.wavelength if camera else near_lights.WAVELENGTH
     weights = camera.electron_weights if camera else spectra.xyz_weights(grid)
     lights = [[near_lights.radiance(mired, green, grid) for green in GREENS] for mired in MIREDS]
-    return np.asarray(np.array(lights) @ weights.T)
+    neutrals = np.array(lights) @ weights.T
+    return np.asarray(neutrals / neutrals.max(axis=-1, keepdims=True))
 
 
 def _ratios(cones: Array) -> Array:
