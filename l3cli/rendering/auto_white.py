@@ -19,7 +19,7 @@ PATCH_PERCENTILE = 99  # of each cone response: what counts as the white patch
 FEWEST = 24  # samples that are neither clipped nor black, below which nothing can be said
 MIREDS = np.arange(80.0, 521.0, 20.0)  # 12 500 K to 1920 K
 GREENS = np.linspace(-0.2, 0.4, 7)  # as near_lights.GREENS
-FINE = (221, 61)  # places along MIREDS and GREENS among which a white is looked for
+FINE = (111, 31)  # places along MIREDS and GREENS among which a white is looked for
 LIKELY_ERROR, LIKELY_GREEN = 0.1, 0.1  # of the logarithm of a cone response; of a light's green
 
 

@@ -18,7 +18,7 @@ from l3cli.rendering.grey import GreyRenderer, Square
 Array = NDArray[np.floating]
 GREY_LEVEL = 0.4  # of full scale, in the brightest channel: where tables have learned most
 LARGEST_GAIN = 8.0  # of a channel: beyond, it is noise
-SURFACES = 160  # measured reflectances that a table's colours under a light are corrected by
+SURFACES = 64  # measured reflectances that a table's colours under a light are corrected by
 DARKEST = 0.05  # of white: below, errors of surfaces count no more than there
 MOST_GREEN = 0.03  # distance from the black bodies in CIE 1960 uv that no lamp for people has
 MOST_MISFIT = 0.12  # of the logarithms of channels; fluorescent and LED lamps reach half of it
