@@ -11,6 +11,7 @@ from l3cli.errors import InputFileError
 from l3cli.frame import RawFrame
 from l3cli.physics import spectra
 from l3cli.physics.display import display_white
+from l3cli.physics.matrices import fit_through
 from l3cli.physics.near_lights import NearLight, light_of, light_of_neutral, temperature
 from l3cli.rendering.balance import WhiteBalance, adaptation, balanced, plain_balance
 from l3cli.rendering.grey import GreyRenderer, Square
@@ -132,19 +133,11 @@ class Whites:
         true = with_white @ spectra.xyz_weights(camera.wavelength).T
         ours, ideal = (of[:-1] / of[-1, 1] @ adaptation(_white(of[-1])).T for of in (shown, true))
         weights = 1.0 / np.maximum(ideal[:, 1:2], DARKEST)  # errors are seen relative to lightness
-        return _fit_through(ours * weights, ideal * weights, display_white())
+        return np.asarray(fit_through(ours * weights, ideal * weights, display_white(), display_white()), np.float64)
 
 
 def _is_plausible(light: NearLight) -> bool:
     return abs(light.duv) <= MOST_GREEN and light.misfit <= MOST_MISFIT and WARMEST < light.kelvin < COOLEST
-
-
-def _fit_through(inputs: Array, outputs: Array, kept: Array) -> NDArray[np.float64]:
-    """M (3, 3) of least squares |outputs − inputs Mᵀ| for which M @ kept = kept (by a Lagrange multiplier)."""
-    gram = inputs.T @ inputs
-    free = np.linalg.solve(gram, inputs.T @ outputs).T
-    towards = np.linalg.solve(gram, kept)
-    return np.asarray(free + np.outer(kept - free @ kept, towards / (kept @ towards)), np.float64)
 
 
 @functools.lru_cache(1)
