@@ -114,8 +114,9 @@ class Whites:
         """Factors (channel), none below 1, that bring a neutral to that of training as far as they may."""
         if self._trained is None:
             return np.ones(len(neutral))
-        ratio = np.where(neutral > 0, self._trained / np.where(neutral > 0, neutral, 1.0), 0.0)
-        return np.clip(ratio / ratio[ratio > 0].min(), 1.0, LARGEST_GAIN)
+        seen = (neutral > 0) & (self._trained > 0)  # a channel of infrared may see nothing of a lamp
+        ratio = np.where(seen, self._trained / np.where(seen, neutral, 1.0), 0.0)
+        return np.clip(ratio / ratio.min(where=seen, initial=np.inf), 1.0, LARGEST_GAIN)
 
     def _shown(self, neutral: Array) -> NDArray[np.float64]:
         """What the table makes of a grey (3)."""

@@ -199,6 +199,18 @@ def test_a_neutral_that_no_light_gives_is_told(table: TransformTable, bayer: Cam
         Whites(table).of_neutral(np.zeros(3))
 
 
+@pytest.mark.parametrize("neutral", [(1.0, 0.0, 0.0), (1e-300, 1e-300, 2e-300), (1e9, 1e-9, 1.0), (1.0, 1e-3, 1e3)])
+def test_neutrals_that_are_none_do_no_harm(neutral: tuple[float, ...], table: TransformTable) -> None:
+    """They give a balance of finite numbers, or are refused in a line."""
+    try:
+        balance = Whites(table).of_neutral(np.array(neutral)).balance
+    except InputFileError:
+        return
+    assert 1 <= balance.gains.min() <= balance.gains.max() <= 8
+    assert np.isfinite(balance.adaptation).all()
+    assert 0 < balance.luminance < np.inf
+
+
 def test_white_is_followed_from_the_first_frame_on() -> None:
     steady, start = SteadyWhite(Fraction(10)), plain_balance(daylight(), 3)
     aim = WhiteBalance(np.array([4.0, 1.0, 2.0]), 2 * np.eye(3), 0.5)
