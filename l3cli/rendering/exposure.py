@@ -37,23 +37,27 @@ class LightMeter:
             table.white_level - table.black_level
         )
         luminance = np.einsum("nt,nt->n", self._weights[classes], signal) + self._intercept[classes]
+        if patches.shading is not None:
+            luminance *= patches.shading.gain[:, 0]
         raised = 1.0 if balance is None else balance.luminance
         return raised * frame.light_share * float(np.percentile(luminance, WHITE_PERCENTILE))
 
 
 def spread_patches(frame: RawFrame, table: TransformTable, gains: np.ndarray | None = None) -> tuple[RawFrame, int]:
     """About 1500 patches (patch, tap) of a frame, evenly spread, at the table's levels, with the gains (channel) of a white
-    balance; and the CFA site of them all, that of the frame's first pixel."""
+    balance, shading that of each patch; and the CFA site of them all, that of the frame's first pixel."""
     period_row, period_col = table.cfa.shape
     rows, cols = frame.values.shape
     row, col = (_windows(frame, table, axis) for axis in (0, 1))
     row_source = mirrored_indices(rows, table.first.rule.radius, period_row)[row]
     col_source = mirrored_indices(cols, table.first.rule.radius, period_col)[col]
-    patches = frame.values[row_source[:, None, :, None], col_source[None, :, None, :]].reshape(-1, table.first.rule.patch**2)
-    cut, site = replace(frame, values=patches), frame.phase[0] * period_col + frame.phase[1]
+    taken = (row_source[:, None, :, None], col_source[None, :, None, :])
+    patches = frame.values[taken].reshape(-1, table.first.rule.patch**2)
+    shading = None if frame.shading is None else frame.shading.of_patches(taken, row[:, 0], col[:, 0])
+    cut, site = replace(frame, values=patches, shading=shading), frame.phase[0] * period_col + frame.phase[1]
     if gains is not None:
         cut = balanced_patches(cut, window_channels(table.cfa, table.first.rule.patch)[site], gains)
-    return cut.at_levels(table.black_level, table.white_level, table.bits), site
+    return cut.at_levels(table.black_level, table.white_level, table.bits).evened(), site
 
 
 def spread_shape(frame: RawFrame, table: TransformTable) -> tuple[int, int]:

@@ -76,17 +76,25 @@ class GreyRenderer:
         rows, cols = square.within(frame)
         margin = self._reach + max(self.table.cfa.shape)
         top, left = max(rows.start - margin, 0), max(cols.start - margin, 0)
-        cut = frame.values[top : rows.stop + margin, left : cols.stop + margin]
+        cut = _evened(frame, (slice(top, rows.stop + margin), slice(left, cols.stop + margin)))
         phase = ((frame.phase[0] + top) % self.table.cfa.shape[0], (frame.phase[1] + left) % self.table.cfa.shape[1])
-        planes = self._renderer.exact_outputs(replace(frame, values=cut, phase=phase))
+        planes = self._renderer.exact_outputs(replace(cut, phase=phase))
         inside = planes[:, rows.start - top : rows.stop - top, cols.start - left : cols.stop - left]
         return np.asarray(inside.mean(axis=(1, 2)))
+
+
+def _evened(frame: RawFrame, where: tuple[slice, slice]) -> RawFrame:
+    """A part of a frame, its phase still that of the whole, without what channels differ by in their shading; what all of
+    them lose is about the same there, and stays."""
+    shading = frame.shading
+    cut = None if shading is None else replace(shading, tint=None if shading.tint is None else shading.tint[where])
+    return replace(replace(frame, values=frame.values[where], shading=cut).evened(), shading=None)
 
 
 def _signals(frame: RawFrame, table: TransformTable, where: tuple[slice, slice], name: str) -> NDArray[np.float64]:
     """Mean signal (channel) in DN above black and dark current of a part of a frame; InputFileError if it is clipped or too
     dark, or holds too little of a channel."""
-    values = frame.values[where]
+    values = _evened(frame, where).values
     clipped = float((values >= frame.white_level).mean())
     if clipped > MOST_CLIPPED:
         raise InputFileError(f"{name} is clipped in {clipped:.0%} of its pixels; give a darker grey")

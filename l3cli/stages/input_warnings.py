@@ -38,6 +38,7 @@ class FrameWarnings:
     _others: dict[str, tuple[str, int]] = field(
         default_factory=dict
     )  # what is said of the camera or the array: frame, number
+    _notes: dict[str, str] = field(default_factory=dict)  # first frame of each
     _worst: dict[str, tuple[float, str, int]] = field(default_factory=dict)  # share, frame, number of frames
 
     def __post_init__(self) -> None:
@@ -51,6 +52,8 @@ class FrameWarnings:
         for text in filter(None, [other_camera(frame, self.table), other_phase(frame, self.table)]):
             first, count = self._others.get(text, (frame.name, 0))
             self._others[text] = first, count + 1
+        for note in frame.notes:
+            self._notes.setdefault(note, frame.name)
         coverage = self._meter.coverage(frame)
         for what, limit in NOTABLE.items():
             share = getattr(coverage, what)
@@ -84,6 +87,8 @@ class FrameWarnings:
             )
         for text, (name, count) in self._others.items():
             console.warn(f"{name}{f' and {count - 1} more' if count > 1 else ''}: {text}")
+        for note, name in self._notes.items():
+            console.warn(f"{name}: {note}")
         for what, (share, name, count) in self._worst.items():
             where = name if self._seen == 1 else f"{count} of {self._seen} frames, most in {name}"
             console.warn(f"{where}: {share:.0%} of the pixels {texts[what]}")
