@@ -20,6 +20,7 @@ from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.rendering.sites import best_phases
 from l3cli.rendering.white import Whites
 from l3cli.rendering.white_source import AUTO, CAMERA, CameraWhite, SquareWhite, given_white, white_source
+from l3cli.shading import Shading
 from l3cli.stages.input_warnings import other_camera, other_phase
 from tests.helpers.cameras import BAYER, FIVE_BAND
 from tests.helpers.tables import colorimetric_table, random_table, with_later
@@ -115,6 +116,18 @@ def test_plain_areas_and_squares_are_rendered_as_in_whole_frames(cfa: list) -> N
             top, left = row - size // 2, col - size // 2
             wanted = shown[top : top + size, left : left + size].mean(axis=(0, 1))
             np.testing.assert_allclose(grey.of_square(frame, Square(row, col, size)), wanted, rtol=1e-9)
+
+
+def test_a_square_is_that_of_the_frame_whose_channels_are_shaded_alike() -> None:
+    table, rng = random_table(BAYER, patch=5), np.random.default_rng(4)
+    raw = rng.integers(900, 960, (60, 96)).astype(np.uint16)
+    tint = rng.integers(-3000, 3000, raw.shape).astype(np.int16)
+    shaded = RawFrame("a", raw, table.black_level, table.white_level, shading=Shading(np.ones((60, 7), np.float32), tint))
+    plain = dataclasses.replace(shaded.evened(), shading=None)
+    grey, square = GreyRenderer(table), Square(30, 41, 12)
+    np.testing.assert_allclose(grey.of_square(shaded, square), grey.of_square(plain, square), rtol=1e-9)
+    np.testing.assert_allclose(grey.signals(shaded, square), grey.signals(plain, square), rtol=1e-9)
+    assert not np.allclose(grey.signals(shaded, square), grey.signals(dataclasses.replace(shaded, shading=None), square))
 
 
 def test_squares_that_are_no_grey(table: TransformTable) -> None:
