@@ -22,6 +22,8 @@ class RawFrame:
     exposure: float | None = None  # s; None: unknown
     dark: float = 0.0  # DN above black, the mean signal of dark current …
     dark_measured: bool = False  # … by a dark frame, not by the exposure time
+    neutral: tuple[float, ...] | None = None  # (channel) of a grey, as the camera took it, of any scale; None: not stated
+    taken_by: tuple[str, ...] = ()  # make, model and other names of the camera, where the file has them
     shading: Shading | None = None  # what the lens takes, which is still in the values
     notes: tuple[str, ...] = ()  # what the file wants done to it, and nobody does
 

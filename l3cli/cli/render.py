@@ -123,7 +123,9 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
     help="Factor of Y; what it brings to 1 is shown white.",
 )
 @click.option(
-    "--white", metavar="NAME|x,y", help="Scene white shown neutral: illuminant or chromaticity [default: table's]."
+    "--white",
+    metavar="NAME|x,y|camera|auto|ROW,COL[,SIZE]",
+    help="Scene white shown neutral: light, chromaticity, the file's, estimated, or a grey's pixels [default: table's].",
 )
 @click.option("--bits", type=click.Choice(["8", "16"]), default="8", show_default=True, help="Bits a value of a picture.")
 @click.option(

@@ -15,9 +15,10 @@ from l3cli.frame import RawFrame, upright
 from l3cli.io.raw.files import KnownBetter, read_raw
 from l3cli.io.sequences import Pending
 from l3cli.parallel import Crew
+from l3cli.rendering.balance import WhiteBalance
 from l3cli.rendering.display import Display
 from l3cli.stages.rendering.corrections import CameraFile, correction_again
-from l3cli.stages.rendering.rendition import Exposed, Rendition, Unread, display_of, file_of, linear_of, pixels_of
+from l3cli.stages.rendering.rendition import Exposed, Rendition, Unread, file_of, linear_of, pixels_of, shown
 
 if TYPE_CHECKING:
     from l3cli.artifacts.table import TransformTable
@@ -41,18 +42,26 @@ class Local:
         """
         at_work: collections.deque[tuple[Pending, RawFrame]] = collections.deque()
 
-        def displayed() -> Iterator[tuple[RawFrame, Display]]:
-            for pending, frame, scale in exposed:
-                at_work.append((pending, frame))
-                yield frame, display_of(self._renderer, frame, self._rendition, scale)
-
-        if self._rendition.white is None:
-            for pending, frame, _ in exposed:
-                yield pending, linear_of(self._renderer, frame)
+        usual = self._rendition.balance
+        if usual is None:
+            for each in exposed:
+                yield each.pending, linear_of(self._renderer, _read(each))
             return
+
+        def displayed() -> Iterator[tuple[RawFrame, Display]]:
+            for each in exposed:
+                balance, frame = each.balance or usual, _read(each)
+                at_work.append((each.pending, frame))
+                yield shown(self._renderer, frame, balance, each.scale, self._rendition.bits)
+
         for picture in self._renderer.pictures(displayed()):
             pending, frame = at_work.popleft()
             yield pending, upright(picture, frame.orientation)
+
+
+def _read(exposed: Exposed) -> RawFrame:
+    assert isinstance(exposed.frame, RawFrame)  # who renders here leaves no file unread
+    return exposed.frame
 
 
 @dataclass(frozen=True)
@@ -76,6 +85,7 @@ class RenderJob:
     setup: RenderSetup
     frame: RawFrame | Unread
     scale: float  # of exposure; 0: automatic
+    balance: WhiteBalance | None  # the frame's own
 
 
 class Remote:
@@ -90,11 +100,12 @@ class Remote:
         away: collections.deque[Pending] = collections.deque()
 
         def jobs() -> Iterator[RenderJob]:
-            for pending, frame, scale in exposed:
-                away.append(pending)
+            for each in exposed:
+                frame = each.frame
+                away.append(each.pending)
                 if isinstance(frame, RawFrame) and frame.shading is self._shading:
                     frame = replace(frame, shading=None)  # larger than the frame, and the same for all
-                yield RenderJob(self._setup, frame, scale)
+                yield RenderJob(self._setup, frame, each.scale, each.balance)
 
         for made in self._crew(_rendered, jobs()):
             yield away.popleft(), made
@@ -114,7 +125,7 @@ def _rendered(job: RenderJob) -> Any:
             return error if isinstance(error, L3Error) else InputFileError(str(error))
     elif correction is not None and frame.shading is None:
         frame = replace(frame, shading=correction.shading)  # its defects are mended already
-    pixels = pixels_of(renderer, frame, setup.rendition, job.scale)
+    pixels = pixels_of(renderer, frame, setup.rendition, job.scale, job.balance)
     if setup.suffix is None:
         return pixels
     return file_of(Path(f"frame{setup.suffix}"), pixels, table.outputs)
