@@ -125,7 +125,14 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
 @click.option(
     "--white", metavar="NAME|x,y", help="Scene white shown neutral: illuminant or chromaticity [default: table's]."
 )
-@click.option("--bits", type=click.Choice(["8", "16"]), default="8", show_default=True, help="Bits a value of a picture.")
+@click.option(
+    "--space", type=click.Choice(["srgb", "display-p3", "rec2020", "acescg", "xyz"]),
+    help="Colour space [default: srgb; of .exr and 32 bits the table's outputs as they are].",
+)  # fmt: skip
+@click.option(
+    "--bits", type=click.Choice(["8", "16", "32"]), default="8", show_default=True,
+    help="Bits a value of a picture; 32: linear, floating point (.tif).",
+)  # fmt: skip
 @click.option(
     "--black-level", type=LEVEL, metavar="DN", help="Black level of the inputs [default: the file's or the table's]."
 )
@@ -161,7 +168,7 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
 def render(
     table: Path, inputs: tuple[Path, ...], output: Path, suffix: str, frames: range | None, dataset: str | None,
     fps: Fraction | None, codec: str | None, crf: float | None, preset: str, backend: str, device: str | None,
-    variant: str | None, exposure: float | None, white: str | None, bits: str, black_level: float | None,
+    variant: str | None, exposure: float | None, white: str | None, space: str | None, bits: str, black_level: float | None,
     white_level: float | None, exposure_time: float | None, dark: tuple[Path, ...],
     phase: tuple[int, int] | None, size: tuple[int, int] | None, packing: str | None,
     stride: int | None, skip_bad: bool, resume: bool, scheduler: "Scheduler | None", force: bool, console: "Console",
@@ -189,7 +196,7 @@ def render(
     known = KnownBetter(black_level, white_level, phase, size, packing, stride, exposure_time)
     left_out = stage(
         table, inputs, output, console, rate=fps, bits=int(bits), codec=codec, crf=crf, preset=preset, suffix=suffix,
-        frames=frames, dataset=dataset, known=known, dark=dark, exposure=exposure, white=white, backend=backend,
+        frames=frames, dataset=dataset, known=known, dark=dark, exposure=exposure, white=white, space=space, backend=backend,
         device=device, variant=variant, skip_bad=skip_bad, resume=resume, scheduler=scheduler, force=force,
     )  # fmt: skip
     return 1 if left_out else 0

@@ -1,4 +1,4 @@
-"""ICC profiles of colour spaces, by formula: version 4, matrix and curve (ICC.1:2022), of the same bytes for the same space."""
+"""ICC profiles of colour spaces, by formula: version 4, matrix and curve (ICC.1:2022); a space has the same bytes always."""
 
 import functools
 import hashlib

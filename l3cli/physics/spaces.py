@@ -68,7 +68,7 @@ class Space:
     @property
     def from_xyz(self) -> Array:
         """Linear values = M (3, 3) @ XYZ; that of sRGB as its standard rounds it."""
-        return SRGB_FROM_XYZ.copy() if self == SRGB else np.linalg.inv(self.to_xyz)
+        return SRGB_FROM_XYZ.copy() if self.name == SRGB.name else np.linalg.inv(self.to_xyz)
 
 
 REC709 = ((0.64, 0.33), (0.30, 0.60), (0.15, 0.06))

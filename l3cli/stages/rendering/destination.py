@@ -18,7 +18,7 @@ from l3cli.io.video import VideoChoice, check_video, is_video, new_video, new_y4
 from l3cli.locks import sole_writer_of_folder
 from l3cli.stages.claims import Claims, refuse_unwritable
 from l3cli.stages.rendering.mark import Mark, Origins
-from l3cli.stages.rendering.rendition import file_of
+from l3cli.stages.rendering.rendition import Rendition, file_of
 
 PICTURE_WRITERS = 2  # threads that compress picture files
 STDOUT = Path("-")
@@ -31,6 +31,7 @@ class Destination:
     path: Path
     kind: str
     suffix: str  # of the files in a folder
+    bits: int = 8  # of a value
 
     @property
     def one_by_one(self) -> bool:
@@ -39,8 +40,8 @@ class Destination:
 
     @property
     def linear(self) -> bool:
-        """Whether linear outputs are written rather than pictures."""
-        return self.one_by_one and images.is_linear(self.file(0, "frame"))
+        """Whether linear values are written rather than codes."""
+        return self.one_by_one and images.is_linear(self.file(0, "frame"), self.bits)
 
     def file(self, number: int, stem: str) -> Path:
         """The file of a frame."""
@@ -61,6 +62,8 @@ class Destination:
 
 def destination_of(output: Path, suffix: str, choice: VideoChoice) -> Destination:
     """The destination that a name asks for; RecipeError if nothing of that name can be written."""
+    if choice.bits == images.FLOAT_BITS and (output == STDOUT or is_video(output)):
+        raise RecipeError("values of 32 bits are for pictures; name a .tif or .exr, or leave ‹bits› out")
     if output == STDOUT:
         destination = Destination(output, "stream", suffix)
         check_video(Path("stdout.y4m"), choice)
@@ -71,7 +74,7 @@ def destination_of(output: Path, suffix: str, choice: VideoChoice) -> Destinatio
         check_video(output, choice)
     else:
         kind = "file" if output.suffix and not output.is_dir() else "folder"
-        destination = Destination(output, "pattern" if PATTERN.search(output.name) else kind, suffix)
+        destination = Destination(output, "pattern" if PATTERN.search(output.name) else kind, suffix, choice.bits)
         images.check_format(destination.file(0, "frame"), choice.bits)
         if choice.codec or choice.crf is not None:
             raise RecipeError(f"{output}: ‹codec› and ‹crf› are for videos; name a .mp4, .mov or .mkv")
@@ -177,7 +180,7 @@ def _refuse_changed(destination: Destination, footage: Footage, mark: Mark, orig
 
 @contextlib.contextmanager
 def open_sink(
-    destination: Destination, choice: VideoChoice, outputs: tuple[str, ...], mark: Mark | None
+    destination: Destination, choice: VideoChoice, rendition: Rendition, outputs: tuple[str, ...], mark: Mark | None
 ) -> Iterator[tuple[Callable[[tuple[Pending, Any]], None], int]]:
     """What writes a frame, and the number of threads that may do so at a time."""
     if destination.one_by_one:
@@ -185,7 +188,7 @@ def open_sink(
         def write(item: tuple[Pending, Any]) -> None:
             pending, made = item
             file = destination.file(pending.number, pending.stem)
-            content = made if isinstance(made, bytes) else file_of(file, made, outputs)
+            content = made if isinstance(made, bytes) else file_of(file, made, rendition, outputs)
             with atomic_output(file) as temporary:
                 temporary.write_bytes(content)
                 if mark:

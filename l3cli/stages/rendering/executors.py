@@ -44,9 +44,9 @@ class Local:
                 at_work.append((pending, frame))
                 yield frame, display_of(self._renderer, frame, self._rendition, scale)
 
-        if self._rendition.white is None:
-            for pending, frame, _ in exposed:
-                yield pending, linear_of(self._renderer, frame)
+        if self._rendition.is_linear:
+            for pending, frame, scale in exposed:
+                yield pending, linear_of(self._renderer, frame, self._rendition, scale)
             return
         for picture in self._renderer.pictures(displayed()):
             pending, frame = at_work.popleft()
@@ -109,7 +109,7 @@ def _rendered(job: RenderJob) -> Any:
     pixels = pixels_of(renderer, frame, setup.rendition, job.scale)
     if setup.suffix is None:
         return pixels
-    return file_of(Path(f"frame{setup.suffix}"), pixels, table.outputs)
+    return file_of(Path(f"frame{setup.suffix}"), pixels, setup.rendition, table.outputs)
 
 
 @functools.lru_cache(1)

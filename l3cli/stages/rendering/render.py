@@ -23,7 +23,7 @@ from l3cli.stages.input_warnings import warn_of_kernels, warn_of_white
 from l3cli.stages.rendering.destination import Destination, claim, destination_of, marked, refuse_missing
 from l3cli.stages.rendering.executors import RenderSetup, executor_of
 from l3cli.stages.rendering.mark import Origins
-from l3cli.stages.rendering.rendition import Rendition
+from l3cli.stages.rendering.rendition import Rendition, chosen_space, outputs_as_they_are
 from l3cli.stages.rendering.sequence import is_steady, render_frames
 
 if TYPE_CHECKING:
@@ -37,9 +37,9 @@ def render(
     table: Path, inputs: tuple[Path, ...], output: Path, console: Console, *, rate: Fraction | None = None, bits: int = 8,
     codec: str | None = None, crf: float | None = None, preset: str = "veryfast", suffix: str = "png",
     frames: range | None = None, dataset: str | None = None, known: KnownBetter = NOTHING_KNOWN, dark: tuple[Path, ...] = (),
-    exposure: float | None = None, white: str | None = None, backend: str = "opencl", device: str | None = None,
-    variant: str | None = None, skip_bad: bool = False, resume: bool = False, scheduler: "Scheduler | None" = None,
-    force: bool = False,
+    exposure: float | None = None, white: str | None = None, space: str | None = None, backend: str = "opencl",
+    device: str | None = None, variant: str | None = None, skip_bad: bool = False, resume: bool = False,
+    scheduler: "Scheduler | None" = None, force: bool = False,
 ) -> int:  # fmt: skip
     """Render raw frames through a table into a picture, numbered files, a folder (of files that end in `suffix`) or a video;
     how many frames were left out.
@@ -47,7 +47,8 @@ def render(
     `rate`: frames/s of a video, None: the input's or 30; `bits`, `codec`, `crf`, `preset`: of pictures and videos. `frames`:
     numbers of those to take. `dataset`: of an HDF5 input. `known`: what is known better of the inputs than they say; `dark`:
     frames without light, whose mean is taken off. `exposure`: factor of Y, None: automatic. `white`: name or chromaticity of
-    the scene's white, None: the table's. `skip_bad`: leave out broken frames. `resume`: go on where a run was stopped.
+    the scene's white, None: the table's. `space`: of the values, None: sRGB, in floating point the
+    outputs as they are. `skip_bad`: leave out broken frames. `resume`: go on where a run was stopped.
     RecipeError, InputFileError, DeviceError or L3Error before anything is written where that is known.
     """
     # One long sequence: in this order a refusal comes before any work, and no output takes the place of what is read.
@@ -57,14 +58,18 @@ def render(
     with Claims(console) as claims:
         claims.spare(table, *inputs, *dark)
         claim(destination, force, claims)
-        if destination.linear and (exposure is not None or white is not None):
-            raise RecipeError(".exr files hold the outputs as they are; ‹exposure› and ‹white› are for pictures")
+        if destination.linear and space is None and (exposure is not None or white is not None):
+            raise RecipeError(
+                "files of floating point hold the outputs as they are; ‹exposure› and ‹white› are for those of a ‹space›"
+            )
+        if space not in (None, "srgb") and not destination.one_by_one:
+            raise RecipeError("videos are sRGB; leave ‹space› out, or name pictures")
         if engine and backend != "opencl":
             raise RecipeError(f"‹{next(iter(engine))}› is for the opencl backend; leave it or ‹backend› {backend} out")
         transforms = load(TransformTable, table)
         if dark:
             known = replace(known, dark=read_dark(_spared(find_frames(dark, transforms, known), claims)))
-        rendition = _rendition(destination, white, exposure, bits, transforms, console)
+        rendition = _rendition(destination, white, exposure, space, bits, transforms, console)
         footage = find_frames(inputs, transforms, known, frames, dataset)
         if not footage.is_stream:
             _spared(footage, claims)
@@ -75,7 +80,19 @@ def render(
         steady = is_steady(footage, destination, rendition)
         chosen = {"device": os.environ.get("L3_DEVICE"), **engine}
         levels = (replace(known, dark=None), known.dark and known.dark.digest)
-        key: list[Any] = [setup.digest, __version__, frames, dataset, suffix, backend, chosen, exposure, white, choice]
+        key: list[Any] = [
+            setup.digest,
+            __version__,
+            frames,
+            dataset,
+            suffix,
+            backend,
+            chosen,
+            exposure,
+            white,
+            space,
+            choice,
+        ]
         key += [*levels, steady]
         origins = functools.partial(Origins, inputs[0], steady)
         with (
@@ -96,14 +113,16 @@ def _spared(footage: Footage, claims: Claims) -> Footage:
 
 
 def _rendition(
-    destination: Destination, white: str | None, exposure: float | None, bits: int, table: TransformTable, console: Console
-) -> Rendition:
+    destination: Destination, white: str | None, exposure: float | None, space: str | None, bits: int,
+    table: TransformTable, console: Console,
+) -> Rendition:  # fmt: skip
     """How outputs become pictures; RecipeError if they cannot."""
-    if destination.linear:
-        return Rendition(None, None, bits)
+    if destination.linear and space is None:
+        return outputs_as_they_are(table)
     require_xyz(table.outputs)
+    rendition = Rendition(table.white_point, exposure, bits, chosen_space(space, destination.linear))
     if white is None:
-        return Rendition(table.white_point, exposure, bits)
-    rendition = Rendition(scene_white(white), exposure, bits)
+        return rendition
+    rendition = replace(rendition, white=scene_white(white))
     warn_of_white(white, rendition.white, table, console)
     return rendition

@@ -67,7 +67,8 @@ def render_frames(
     tally, warnings = _Tally(), FrameWarnings(table)
     for numbers in footage.missing:
         tally.leave_out(footage.absent(numbers), skip_bad, console, len(numbers))
-    with open_sink(destination, choice, table.outputs, mark) as (write, threads), Behind(write, DEPTH, threads) as writing:
+    sink = open_sink(destination, choice, rendition, table.outputs, mark)
+    with sink as (write, threads), Behind(write, DEPTH, threads) as writing:
         meter = LightMeter(table) if steady else None
         reading = ahead(_read(footage, destination, meter, mark, origins, executor.by_path), DEPTH)
         reading = console.progress(reading, footage.count and footage.count - footage.lost, "frames")
