@@ -8,6 +8,19 @@ from numpy.typing import NDArray
 
 
 @dataclass(frozen=True)
+class Shot:
+    """How a frame was taken, as its file states it; what it does not is empty or 0."""
+
+    make: str = ""
+    model: str = ""
+    lens: str = ""
+    date: str = ""  # of the exposure, "YYYY:MM:DD HH:MM:SS"
+    f_number: float = 0.0
+    focal_length: float = 0.0  # mm
+    iso: float = 0.0
+
+
+@dataclass(frozen=True)
 class RawFrame:
     """A mosaic with its black and white level and the site of the super-pixel that its first pixel has."""
 
@@ -20,6 +33,7 @@ class RawFrame:
     exposure: float | None = None  # s; None: unknown
     dark: float = 0.0  # DN above black, the mean signal of dark current …
     dark_measured: bool = False  # … by a dark frame, not by the exposure time
+    shot: Shot = Shot()
 
     def __post_init__(self) -> None:
         if self.values.ndim != 2 or self.values.dtype != np.uint16 or self.values.size == 0:

@@ -17,6 +17,7 @@ from l3cli.files import write_whole
 from l3cli.interrupts import uninterrupted
 from l3cli.io.apart import apart
 from l3cli.io.icc import icc_profile
+from l3cli.io.label import NOTHING, Label
 from l3cli.io.names import named_in_utf8
 from l3cli.limits import VALUE_BYTES, require_picture
 from l3cli.physics.spaces import SRGB, XYZ, Space
@@ -39,6 +40,7 @@ COMPRESSION: dict[str, dict[str, str | int]] = {
     ".jpeg": {"Compression": "jpeg:95", "jpeg:subsampling": "4:4:4"},
 }
 XYZ_AS_IT_IS = replace(XYZ, title="CIE XYZ", neutral=None)
+EXIF_SRGB, EXIF_OTHER = 1, 65535  # values of Exif's ColorSpace
 EXPOSURE_TIME = "ExposureTime"  # OpenImageIO's name of the Exif tag
 
 
@@ -64,16 +66,15 @@ def write_picture(path: Path, picture: NDArray) -> None:
     write_whole(path, picture_file(path, picture))
 
 
-def picture_file(path: Path, picture: NDArray, space: Space = SRGB) -> bytes:
-    """The file of a picture (row, col, 3), uint8 or uint16, encoded in a space, whose profile it carries."""
+def picture_file(path: Path, picture: NDArray, space: Space = SRGB, label: Label = NOTHING) -> bytes:
+    """The file of a picture (row, col, 3), uint8 or uint16, encoded in a space, whose profile it carries, and its label."""
     import OpenImageIO as oiio
 
     check_format(path, 8 * picture.dtype.itemsize)
     rows, cols, channels = picture.shape
     spec = oiio.ImageSpec(cols, rows, channels, str(picture.dtype))
-    if space == SRGB:
-        spec.attribute("oiio:ColorSpace", "sRGB")
-    _add_profile(spec, space)
+    _add_profile(spec, space, with_name=path.suffix.lower() != ".png")  # a PNG file has a profile or a name
+    _add_label(spec, label)
     for name, value in COMPRESSION[path.suffix.lower()].items():
         spec.attribute(name, value)
     return encoded(path.name, spec, picture)
@@ -84,7 +85,9 @@ def write_linear(path: Path, pixels: NDArray[np.float32], names: tuple[str, ...]
     write_whole(path, linear_file(path, pixels, names, XYZ_AS_IT_IS if names == ("X", "Y", "Z") else None))
 
 
-def linear_file(path: Path, pixels: NDArray[np.float32], names: tuple[str, ...], space: Space | None) -> bytes:
+def linear_file(
+    path: Path, pixels: NDArray[np.float32], names: tuple[str, ...], space: Space | None, label: Label = NOTHING
+) -> bytes:
     """The EXR or TIFF file of linear values (row, col, value) called `names`; `space`: what they say of colours."""
     import OpenImageIO as oiio
 
@@ -92,8 +95,9 @@ def linear_file(path: Path, pixels: NDArray[np.float32], names: tuple[str, ...],
     spec = oiio.ImageSpec(cols, rows, outputs, "float")
     spec.channelnames = names
     spec.attribute("compression", "none")
+    _add_label(spec, label)
     if space is not None and path.suffix.lower() != LINEAR:
-        _add_profile(spec, space)
+        _add_profile(spec, space, with_name=False)
     elif space is not None:
         chromaticities = [value for point in (*space.primaries, space.white) for value in point]
         spec.attribute("chromaticities", oiio.TypeDesc("float[8]"), chromaticities)
@@ -102,11 +106,26 @@ def linear_file(path: Path, pixels: NDArray[np.float32], names: tuple[str, ...],
     return encoded(path.name, spec, pixels)
 
 
-def _add_profile(spec: Any, space: Space) -> None:
+def _add_profile(spec: Any, space: Space, with_name: bool) -> None:
+    """The profile of a space; of sRGB also its name, for those who look for that."""
     import OpenImageIO as oiio
 
+    spec.attribute("oiio:ColorSpace", "sRGB" if space == SRGB and with_name else "data")  # else it is taken for sRGB
+    spec.attribute("Exif:ColorSpace", EXIF_SRGB if space == SRGB else EXIF_OTHER)
     profile = icc_profile(space)
     spec.attribute("ICCProfile", oiio.TypeDesc(f"uint8[{len(profile)}]"), np.frombuffer(profile, np.uint8))
+
+
+def _add_label(spec: Any, label: Label) -> None:
+    shot = label.shot
+    numbers = {EXPOSURE_TIME: label.exposure, "FNumber": shot.f_number, "Exif:FocalLength": shot.focal_length}
+    texts = {"Make": shot.make, "Model": shot.model, "Exif:LensModel": shot.lens, "Exif:DateTimeOriginal": shot.date}
+    for name, value in {**numbers, **texts, "Software": label.software, "ImageDescription": label.description}.items():
+        if value:
+            spec.attribute(name, value)
+    if shot.iso:
+        spec.attribute("Exif:PhotographicSensitivity", min(round(shot.iso), 65535))  # of 16 bits, as Exif has it
+        spec.attribute("Exif:ISOSpeed", round(shot.iso))  # OpenImageIO writes the other one into no TIFF
 
 
 def write_mosaic(path: Path, values: NDArray[np.uint16], exposure: float | None = None) -> None:
@@ -155,13 +174,6 @@ def picture_size(path: Path) -> tuple[int, int]:
     """(rows, cols) of a picture by its header; InputFileError if it has none."""
     with opened(path) as (_, spec):
         return spec.height, spec.width
-
-
-@apart
-def read_mono(path: Path) -> tuple[NDArray[np.uint16], float | None]:
-    """Single-channel 8- or 16-bit picture (row, col), values as stored, and the exposure time (s) of its Exif tags."""
-    with opened(path) as (source, spec):
-        return mono_of(path, source, spec)
 
 
 def mono_of(path: Path, source: Any, spec: Any) -> tuple[NDArray[np.uint16], float | None]:

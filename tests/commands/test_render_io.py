@@ -85,8 +85,9 @@ def test_exr_keeps_floats_and_names(tmp_path: Path) -> None:
 
 def test_pictures_say_that_they_are_srgb(tmp_path: Path) -> None:
     write_picture(tmp_path / "a.png", np.zeros((2, 2, 3), np.uint8))
-    assert b"sRGB" in (tmp_path / "a.png").read_bytes()
-    for name in ("a.tif", "a.jpg"):
+    content = (tmp_path / "a.png").read_bytes()
+    assert (b"iCCP" in content, b"sRGB" in content, b"gAMA" in content) == (True, False, False)  # one of them, says PNG
+    for name in ("a.png", "a.tif", "a.jpg"):
         write_picture(tmp_path / name, np.zeros((2, 2, 3), np.uint8))
         source = oiio.ImageInput.open(str(tmp_path / name))
         assert source is not None
@@ -226,6 +227,8 @@ def test_picture_is_turned_upright(
 ) -> None:
     frame = RawFrame("f", mosaic[:6, :10], RGGB.black_level, RGGB.white_level, orientation=6)
     monkeypatch.setattr("l3cli.io.sequences.read_raw", lambda *_: frame)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "frame.dng").touch()
     for name in ("a.png", "a.exr"):
         assert l3("render", table, "frame.dng", "-o", tmp_path / name)[0] == 0
         assert read_image(tmp_path / name)[0].shape == (10, 6, 3)

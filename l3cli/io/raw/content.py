@@ -21,6 +21,7 @@ class RawContent(TypedDict):
     pattern: NotRequired[NDArray[np.int64]]  # (row, col) colour codes of the CFA, from pixel (0, 0) on
     orientation: NotRequired[int]  # LibRaw's flip code
     exposure: NotRequired[float | None]  # s
+    shot: NotRequired[dict[str, str | float]]  # fields of Shot, as far as they are stated
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from l3cli.io.apart import apart
 from l3cli.io.raw.cfa_codes import LETTERS
 from l3cli.io.raw.content import RawContent, Request
 from l3cli.io.raw.libraw import opened
+from l3cli.io.raw.shot import shot_of_page
 from l3cli.io.raw.tiff_tags import (
     COLOUR_FILTER_ARRAY,
     FRACTIONS,
@@ -51,6 +52,7 @@ class Mosaic:
     black_of_col: NDArray[np.float64]  # (active col), DN added
     white_level: float  # DN
     exposure: float | None  # s
+    shot: dict[str, str | float]
 
 
 def read(path: Path, _: Request) -> RawContent:
@@ -86,6 +88,7 @@ def described(path: Path, stored: NDArray[np.uint16]) -> RawContent:
         pattern=pattern,
         orientation=mosaic.orientation,
         exposure=mosaic.exposure,
+        shot=mosaic.shot,
     )
 
 
@@ -179,6 +182,7 @@ def _mosaic(path: Path, first: Any, raw: Any, shape: tuple[int, ...]) -> Mosaic:
         black_of_col=_of_length(raw, TiffTag.BLACK_LEVEL_DELTA_H, cols),
         white_level=float(_numbers(raw, TiffTag.WHITE_LEVEL, (2**raw.bitspersample - 1,))[0]),
         exposure=exposure_time(first),
+        shot=shot_of_page(first),
     )
 
 

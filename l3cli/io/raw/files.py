@@ -17,6 +17,7 @@ from l3cli.io.raw.cfa_codes import Sensor, find_phase
 from l3cli.io.raw.content import RawContent, Request, Stack
 from l3cli.io.raw.headerless import layout_of, stdin
 from l3cli.io.raw.registry import CAMERA_RAW, RawFormat, format_of
+from l3cli.io.raw.shot import believable_shot
 from l3cli.limits import require_picture
 
 RAW_FILE = "give a raw file, or - for headerless frames on stdin"
@@ -81,6 +82,7 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: KnownBetter) 
         find_phase(name, pattern, table) if pattern is not None and known.phase is None else (0, 0),
         content.get("orientation", 0),
         content.get("exposure"),
+        shot=believable_shot(content.get("shot", {})),
     )
     return _corrected(frame, table, known)
 

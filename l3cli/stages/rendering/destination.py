@@ -197,7 +197,7 @@ def open_sink(
         yield write, PICTURE_WRITERS
     elif destination.kind == "stream" or destination.path.suffix.lower() == ".y4m":
         with new_y4m(None if destination.kind == "stream" else destination.path, choice) as stream:
-            yield lambda item: stream.write(item[1]), 1
+            yield lambda item: stream.write(item[1].pixels), 1
     else:
         with new_video(destination.path, choice) as video:
-            yield lambda item: video.write(item[1]), 1
+            yield lambda item: video.write(item[1].pixels), 1

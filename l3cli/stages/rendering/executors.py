@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Any
 from l3cli.errors import InputFileError, L3Error
 from l3cli.files import require_same
 from l3cli.frame import RawFrame, upright
+from l3cli.io.label import Label
 from l3cli.io.raw.files import KnownBetter, read_raw
 from l3cli.io.sequences import Pending
 from l3cli.parallel import Crew
 from l3cli.rendering.display import Display
-from l3cli.stages.rendering.rendition import Exposed, Rendition, Unread, display_of, file_of, linear_of, pixels_of
+from l3cli.stages.rendering.rendition import Exposed, Rendered, Rendition, Unread, display_of, file_of, linear_of, pixels_of
 
 if TYPE_CHECKING:
     from l3cli.artifacts.table import TransformTable
@@ -29,11 +30,11 @@ class Local:
 
     by_path = False  # whether it reads files itself
 
-    def __init__(self, renderer: "Renderer", rendition: Rendition) -> None:
-        self._renderer, self._rendition = renderer, rendition
+    def __init__(self, renderer: "Renderer", setup: "RenderSetup") -> None:
+        self._renderer, self._rendition, self._digest = renderer, setup.rendition, setup.digest
 
     def render(self, exposed: Iterator[Exposed]) -> Iterator[tuple[Pending, Any]]:
-        """Picture, or linear outputs where there is no white, (row, col, value), of each frame, in order.
+        """Each frame rendered, in order.
 
         Pictures whose exposure is known beforehand overlap on the device: while one is written the next is at work.
         """
@@ -46,11 +47,13 @@ class Local:
 
         if self._rendition.is_linear:
             for pending, frame, scale in exposed:
-                yield pending, linear_of(self._renderer, frame, self._rendition, scale)
+                pixels = linear_of(self._renderer, frame, self._rendition, scale)
+                yield pending, Rendered(pixels, label_of(frame, self._digest, pending.identity))
             return
         for picture in self._renderer.pictures(displayed()):
             pending, frame = at_work.popleft()
-            yield pending, upright(picture, frame.orientation)
+            label = label_of(frame, self._digest, pending.identity)
+            yield pending, Rendered(upright(picture, frame.orientation), label)
 
 
 @dataclass(frozen=True)
@@ -73,6 +76,7 @@ class RenderJob:
     setup: RenderSetup
     frame: RawFrame | Unread
     scale: float  # of exposure; 0: automatic
+    identity: str  # of the frame, as its picture states it
 
 
 class Remote:
@@ -83,16 +87,21 @@ class Remote:
         self._crew, self._setup, self.by_path = crew, setup, by_path
 
     def render(self, exposed: Iterator[Exposed]) -> Iterator[tuple[Pending, Any]]:
-        """Pixels of each frame, content of its picture's file, or what is wrong with it, in order."""
+        """Each frame rendered, the content of its picture's file, or what is wrong with it, in order."""
         away: collections.deque[Pending] = collections.deque()
 
         def jobs() -> Iterator[RenderJob]:
             for pending, frame, scale in exposed:
                 away.append(pending)
-                yield RenderJob(self._setup, frame, scale)
+                yield RenderJob(self._setup, frame, scale, pending.identity)
 
         for made in self._crew(_rendered, jobs()):
             yield away.popleft(), made
+
+
+def label_of(frame: RawFrame, table: str, identity: str) -> Label:
+    """What the picture of a frame states; `table`: SHA-256 of the table."""
+    return Label(frame.shot, frame.exposure, table, identity)
 
 
 def _rendered(job: RenderJob) -> Any:
@@ -107,9 +116,8 @@ def _rendered(job: RenderJob) -> Any:
         except (L3Error, OSError) as error:
             return error if isinstance(error, L3Error) else InputFileError(str(error))
     pixels = pixels_of(renderer, frame, setup.rendition, job.scale)
-    if setup.suffix is None:
-        return pixels
-    return file_of(Path(f"frame{setup.suffix}"), pixels, setup.rendition, table.outputs)
+    made = Rendered(pixels, label_of(frame, setup.digest, job.identity))
+    return made if setup.suffix is None else file_of(Path(f"frame{setup.suffix}"), made, setup.rendition, table.outputs)
 
 
 @functools.lru_cache(1)
@@ -133,7 +141,7 @@ def executor_of(setup: RenderSetup, table: "TransformTable", scheduler: "Schedul
     from l3cli.rendering.renderer import make_renderer
 
     if scheduler is None:
-        yield Local(make_renderer(setup.backend, table, **setup.engine), setup.rendition)
+        yield Local(make_renderer(setup.backend, table, **setup.engine), setup)
     else:
         with workers(1, scheduler) as crew:
             yield Remote(crew, replace(setup, known=replace(setup.known, dark=None)), by_path=setup.known.dark is None)

@@ -10,6 +10,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.errors import RecipeError, suggestion
 from l3cli.frame import RawFrame, upright
 from l3cli.io import images
+from l3cli.io.label import Label
 from l3cli.io.sequences import Pending
 from l3cli.physics.display import exposure_scale
 from l3cli.physics.spaces import SPACES, SRGB, XYZ, Space, chromaticity_of
@@ -70,6 +71,14 @@ class Unread:
     digest: str  # SHA-256 of the file
 
 
+@dataclass(frozen=True)
+class Rendered:
+    """A frame that has been rendered, and what its file says of it."""
+
+    pixels: Any  # (row, col, value)
+    label: Label
+
+
 Exposed = tuple[Pending, Any, float]  # with the frame (RawFrame or Unread) and the scale of its exposure, 0: automatic
 
 
@@ -96,8 +105,9 @@ def display_of(renderer: "Renderer", frame: RawFrame, rendition: Rendition, scal
     return make_display(rendition.white, scale, rendition.bits, rendition.space or SRGB)
 
 
-def file_of(path: Path, made: Any, rendition: Rendition, outputs: tuple[str, ...]) -> bytes:
+def file_of(path: Path, made: Rendered, rendition: Rendition, outputs: tuple[str, ...]) -> bytes:
     """The content of a frame's file: a picture, or linear values; `outputs`: names of the table's."""
     if not rendition.is_linear:
-        return images.picture_file(path, made, rendition.space or SRGB)
-    return images.linear_file(path, made, outputs if rendition.white is None else rendition.names, rendition.space)
+        return images.picture_file(path, made.pixels, rendition.space or SRGB, made.label)
+    names = outputs if rendition.white is None else rendition.names
+    return images.linear_file(path, made.pixels, names, rendition.space, made.label)

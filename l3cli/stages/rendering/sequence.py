@@ -4,14 +4,16 @@ Reading, rendering and writing overlap in threads with short queues between them
 length; the libraries let go of Python's lock in their long calls.
 """
 
+import hashlib
 import time
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from l3cli.errors import InputFileError, L3Error
 from l3cli.files import sha256
 from l3cli.frame import RawFrame, upright
+from l3cli.io.label import of_file, of_values
 from l3cli.io.sequences import Footage, Pending
 from l3cli.io.video import VideoChoice
 from l3cli.parallel.threads import Behind, ahead
@@ -112,7 +114,9 @@ def _read(
             continue
         try:
             if by_path and pending.source and destination.one_by_one and meter is None:
-                yield _Read(pending, Unread(pending.source.absolute(), sha256(pending.source)), kept=kept)
+                digest = sha256(pending.source)
+                unread = Unread(pending.source.absolute(), digest)
+                yield _Read(replace(pending, identity=of_file(digest)), unread, kept=kept)
                 continue
             frame = pending.read()
             if frame is None:
@@ -129,9 +133,18 @@ def _read(
         if mark and pending.origin is None:
             pending = origins.of_read(pending, frame)
             kept = mark.keeps(file, pending.origin)
+        if destination.one_by_one and not kept:
+            pending = replace(pending, identity=_identity(pending, frame))
         yield _Read(pending, frame, brightness, kept=kept)
     if mark:
         mark.refuse_others()
+
+
+def _identity(pending: Pending, frame: RawFrame) -> str:
+    """What a picture states of the frame that it was made from."""
+    if pending.source is not None:
+        return of_file(sha256(pending.source))
+    return of_values(hashlib.sha256(frame.values.astype("<u2", copy=False).tobytes()).hexdigest())
 
 
 def _upright_shape(frame: RawFrame) -> tuple[int, ...]:
