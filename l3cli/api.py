@@ -39,7 +39,7 @@ from l3cli.recipes import find_recipe
 from l3cli.rendering.display import require_xyz
 from l3cli.rendering.renderer import make_renderer
 from l3cli.stages.console import Console, Silent
-from l3cli.stages.rendering.rendition import Rendition, chosen_space, linear_of, pixels_of
+from l3cli.stages.rendering.rendition import OUTPUTS, Rendition, chosen_space, rendered
 
 Name = str | PathLike[str]
 KINDS: tuple[type[Artifact], ...] = (CameraModel, TrainingSet, TransformTable)
@@ -255,13 +255,13 @@ class Renderer:
         for each in frames:
             frame = self._frame(each)
             with self._alone:
-                picture = pixels_of(self._renderer, frame, rendition, exposure or 0.0)
+                picture = rendered(self._renderer, frame, rendition, exposure or 0.0).pixels
             yield picture
 
     def outputs(self, frame: RawFrame | NDArray[np.uint16]) -> NDArray[np.float32]:
         """The table's outputs, upright, (row, col, output); 1 is `table.output_unit` cd s/m²."""
         with self._alone:
-            planes: NDArray[np.float32] = linear_of(self._renderer, self._frame(frame))
+            planes: NDArray[np.float32] = rendered(self._renderer, self._frame(frame), OUTPUTS, 0.0).pixels
         return planes
 
     def labels(self, frame: RawFrame | NDArray[np.uint16]) -> NDArray[np.integer]:

@@ -30,6 +30,7 @@ PICTURES = {  # bits each may hold; 32: floating point
     ".jpeg": (8,),
 }
 LINEAR = ".exr"
+RAW = ".dng"  # raw/developed.py
 FLOAT_BITS = 32
 # Noise hardly shrinks: what packs tightest takes five times as long for a tenth of the size.
 COMPRESSION: dict[str, dict[str, str | int]] = {
@@ -51,11 +52,15 @@ def is_linear(path: Path, bits: int = 8) -> bool:
 
 def check_format(path: Path, bits: int) -> None:
     """RecipeError if no file of this name can be written, or not with `bits` bits a value."""
-    if path.suffix.lower() == LINEAR:
+    if path.suffix.lower() == LINEAR or (path.suffix.lower() == RAW and bits != FLOAT_BITS):
         return
+    if path.suffix.lower() == RAW:
+        raise RecipeError(f"{path}: a DNG file holds 16 bits a value; leave ‹bits› out")
     depths = PICTURES.get(path.suffix.lower())
     if depths is None:
-        raise RecipeError(f"{path}: pictures are written as {', '.join(PICTURES)}, linear outputs as {LINEAR}")
+        raise RecipeError(
+            f"{path}: pictures are written as {', '.join(PICTURES)}, linear outputs as {LINEAR}, raw ones as {RAW}"
+        )
     if bits not in depths:
         held, cure = " or ".join(map(str, depths)), ".tif or .exr" if bits == FLOAT_BITS else ".png or .tif"
         raise RecipeError(f"{path}: {path.suffix} holds {held} bits a value, not {bits}; use {cure}")

@@ -1,6 +1,8 @@
 """The tags of TIFF 6, TIFF/EP, Exif and DNG 1.7 that the mosaics of cameras are read and written by, and their types."""
 
+from collections.abc import Iterable
 from enum import IntEnum
+from fractions import Fraction
 
 
 class TiffTag(IntEnum):
@@ -8,6 +10,7 @@ class TiffTag(IntEnum):
 
     NEW_SUBFILE_TYPE = 254
     PHOTOMETRIC_INTERPRETATION = 262
+    IMAGE_DESCRIPTION = 270
     MAKE = 271
     MODEL = 272
     ORIENTATION = 274
@@ -38,9 +41,11 @@ class TiffTag(IntEnum):
     COLOR_MATRIX_1 = 50721
     COLOR_MATRIX_2 = 50722
     AS_SHOT_NEUTRAL = 50728
+    BASELINE_EXPOSURE = 50730
     CALIBRATION_ILLUMINANT_1 = 50778
     CALIBRATION_ILLUMINANT_2 = 50779
     ACTIVE_AREA = 50829
+    FORWARD_MATRIX_1 = 50964
     NOISE_PROFILE = 51041
 
 
@@ -51,3 +56,30 @@ REDUCED, ONE_OF_MANY = 1, 2  # bits of NEW_SUBFILE_TYPE: a smaller copy of anoth
 RECTANGULAR = 1  # value of CFA_LAYOUT
 UNSIGNED = 1  # value of SAMPLE_FORMAT
 UPRIGHT = 1  # value of ORIENTATION
+FINE = 10**9  # denominator at most
+LARGEST = 2**31 - 1  # of numerator and denominator
+Entry = tuple[int, int, int, object, bool]  # of a directory, as tifffile takes it
+
+
+def entry(code: int, kind: int, numbers: Iterable[float]) -> Entry:
+    """A tag of numbers, as tifffile takes it."""
+    if kind == DOUBLE:
+        values: list[float] = [float(number) for number in numbers]
+    elif kind in FRACTIONS:
+        fractions = [_fraction(float(number)) for number in numbers]
+        values = [part for fraction in fractions for part in (fraction.numerator, fraction.denominator)]
+    else:
+        values = [int(number) for number in numbers]
+    count = len(values) // (2 if kind in FRACTIONS else 1)
+    return code, kind, count, tuple(values) if len(values) > 1 else values[0], True
+
+
+def _fraction(number: float) -> Fraction:
+    """The nearest fraction whose parts fit into 32 bits."""
+    return Fraction(number).limit_denominator(min(FINE, int(LARGEST / max(1.0, abs(number)))))
+
+
+def text_entry(code: int, text: str) -> Entry:
+    """A tag of text in ASCII; other letters become question marks."""
+    text = text.encode("ascii", "replace").decode()
+    return code, ASCII, 0, text, True

@@ -43,6 +43,11 @@ class Destination:
         """Whether linear values are written rather than codes."""
         return self.one_by_one and images.is_linear(self.file(0, "frame"), self.bits)
 
+    @property
+    def raw(self) -> bool:
+        """Whether files for raw developers are written."""
+        return self.file_suffix is not None and self.file_suffix.lower() == images.RAW
+
     def file(self, number: int, stem: str) -> Path:
         """The file of a frame."""
         if self.kind == "pattern":

@@ -17,7 +17,7 @@ from l3cli.io.raw.files import KnownBetter, read_raw
 from l3cli.io.sequences import Pending
 from l3cli.parallel import Crew
 from l3cli.rendering.display import Display
-from l3cli.stages.rendering.rendition import Exposed, Rendered, Rendition, Unread, display_of, file_of, linear_of, pixels_of
+from l3cli.stages.rendering.rendition import Exposed, Rendered, Rendition, Unread, display_of, file_of, rendered
 
 if TYPE_CHECKING:
     from l3cli.artifacts.table import TransformTable
@@ -47,8 +47,8 @@ class Local:
 
         if self._rendition.is_linear:
             for pending, frame, scale in exposed:
-                pixels = linear_of(self._renderer, frame, self._rendition, scale)
-                yield pending, Rendered(pixels, label_of(frame, self._digest, pending.identity))
+                label = label_of(frame, self._digest, pending.identity)
+                yield pending, rendered(self._renderer, frame, self._rendition, scale, label)
             return
         for picture in self._renderer.pictures(displayed()):
             pending, frame = at_work.popleft()
@@ -115,8 +115,7 @@ def _rendered(job: RenderJob) -> Any:
             frame = read_raw(frame.path, table, setup.known)
         except (L3Error, OSError) as error:
             return error if isinstance(error, L3Error) else InputFileError(str(error))
-    pixels = pixels_of(renderer, frame, setup.rendition, job.scale)
-    made = Rendered(pixels, label_of(frame, setup.digest, job.identity))
+    made = rendered(renderer, frame, setup.rendition, job.scale, label_of(frame, setup.digest, job.identity))
     return made if setup.suffix is None else file_of(Path(f"frame{setup.suffix}"), made, setup.rendition, table.outputs)
 
 

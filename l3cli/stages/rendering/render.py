@@ -23,7 +23,7 @@ from l3cli.stages.input_warnings import warn_of_kernels, warn_of_white
 from l3cli.stages.rendering.destination import Destination, claim, destination_of, marked, refuse_missing
 from l3cli.stages.rendering.executors import RenderSetup, executor_of
 from l3cli.stages.rendering.mark import Origins
-from l3cli.stages.rendering.rendition import Rendition, chosen_space, outputs_as_they_are
+from l3cli.stages.rendering.rendition import Rendition, chosen_space, for_developers, outputs_as_they_are
 from l3cli.stages.rendering.sequence import is_steady, render_frames
 
 if TYPE_CHECKING:
@@ -37,9 +37,9 @@ def render(
     table: Path, inputs: tuple[Path, ...], output: Path, console: Console, *, rate: Fraction | None = None, bits: int = 8,
     codec: str | None = None, crf: float | None = None, preset: str = "veryfast", suffix: str = "png",
     frames: range | None = None, dataset: str | None = None, known: KnownBetter = NOTHING_KNOWN, dark: tuple[Path, ...] = (),
-    exposure: float | None = None, white: str | None = None, space: str | None = None, backend: str = "opencl",
-    device: str | None = None, variant: str | None = None, skip_bad: bool = False, resume: bool = False,
-    scheduler: "Scheduler | None" = None, force: bool = False,
+    exposure: float | None = None, white: str | None = None, space: str | None = None, remosaic: str | None = None,
+    backend: str = "opencl", device: str | None = None, variant: str | None = None, skip_bad: bool = False,
+    resume: bool = False, scheduler: "Scheduler | None" = None, force: bool = False,
 ) -> int:  # fmt: skip
     """Render raw frames through a table into a picture, numbered files, a folder (of files that end in `suffix`) or a video;
     how many frames were left out.
@@ -47,8 +47,8 @@ def render(
     `rate`: frames/s of a video, None: the input's or 30; `bits`, `codec`, `crf`, `preset`: of pictures and videos. `frames`:
     numbers of those to take. `dataset`: of an HDF5 input. `known`: what is known better of the inputs than they say; `dark`:
     frames without light, whose mean is taken off. `exposure`: factor of Y, None: automatic. `white`: name or chromaticity of
-    the scene's white, None: the table's. `space`: of the values, None: sRGB, in floating point the
-    outputs as they are. `skip_bad`: leave out broken frames. `resume`: go on where a run was stopped.
+    the scene's white, None: the table's. `space`: of the values, None: sRGB, in floating point the outputs as they are;
+    `remosaic`: mosaic of a DNG file, "bayer". `skip_bad`: leave out broken frames. `resume`: go on where a run was stopped.
     RecipeError, InputFileError, DeviceError or L3Error before anything is written where that is known.
     """
     # One long sequence: in this order a refusal comes before any work, and no output takes the place of what is read.
@@ -58,18 +58,13 @@ def render(
     with Claims(console) as claims:
         claims.spare(table, *inputs, *dark)
         claim(destination, force, claims)
-        if destination.linear and space is None and (exposure is not None or white is not None):
-            raise RecipeError(
-                "files of floating point hold the outputs as they are; ‹exposure› and ‹white› are for those of a ‹space›"
-            )
-        if space not in (None, "srgb") and not destination.one_by_one:
-            raise RecipeError("videos are sRGB; leave ‹space› out, or name pictures")
+        _refuse_misplaced(destination, white, exposure, space, remosaic)
         if engine and backend != "opencl":
             raise RecipeError(f"‹{next(iter(engine))}› is for the opencl backend; leave it or ‹backend› {backend} out")
         transforms = load(TransformTable, table)
         if dark:
             known = replace(known, dark=read_dark(_spared(find_frames(dark, transforms, known), claims)))
-        rendition = _rendition(destination, white, exposure, space, bits, transforms, console)
+        rendition = _rendition(destination, white, exposure, space, remosaic, bits, transforms, console)
         footage = find_frames(inputs, transforms, known, frames, dataset)
         if not footage.is_stream:
             _spared(footage, claims)
@@ -80,20 +75,8 @@ def render(
         steady = is_steady(footage, destination, rendition)
         chosen = {"device": os.environ.get("L3_DEVICE"), **engine}
         levels = (replace(known, dark=None), known.dark and known.dark.digest)
-        key: list[Any] = [
-            setup.digest,
-            __version__,
-            frames,
-            dataset,
-            suffix,
-            backend,
-            chosen,
-            exposure,
-            white,
-            space,
-            choice,
-        ]
-        key += [*levels, steady]
+        key: list[Any] = [setup.digest, __version__, frames, dataset, suffix, backend, chosen, exposure, white, choice]
+        key += [space, remosaic, *levels, steady]
         origins = functools.partial(Origins, inputs[0], steady)
         with (
             marked(destination, key, resume, force, footage, origins) as mark,
@@ -112,15 +95,33 @@ def _spared(footage: Footage, claims: Claims) -> Footage:
     return footage
 
 
+def _refuse_misplaced(
+    destination: Destination, white: str | None, exposure: float | None, space: str | None, remosaic: str | None
+) -> None:
+    """RecipeError if something is asked for that the destination cannot have."""
+    if destination.linear and space is None and (exposure is not None or white is not None):
+        raise RecipeError(
+            "files of floating point hold the outputs as they are; ‹exposure› and ‹white› are for those of a ‹space›"
+        )
+    if space not in (None, "srgb") and not destination.one_by_one:
+        raise RecipeError("videos are sRGB; leave ‹space› out, or name pictures")
+    if space is not None and destination.raw:
+        raise RecipeError("a DNG file has channels of its own; leave ‹space› out")
+    if remosaic is not None and not destination.raw:
+        raise RecipeError("‹remosaic› is for raw developers; name a .dng")
+
+
 def _rendition(
-    destination: Destination, white: str | None, exposure: float | None, space: str | None, bits: int,
-    table: TransformTable, console: Console,
+    destination: Destination, white: str | None, exposure: float | None, space: str | None, remosaic: str | None,
+    bits: int, table: TransformTable, console: Console,
 ) -> Rendition:  # fmt: skip
     """How outputs become pictures; RecipeError if they cannot."""
     if destination.linear and space is None:
         return outputs_as_they_are(table)
     require_xyz(table.outputs)
     rendition = Rendition(table.white_point, exposure, bits, chosen_space(space, destination.linear))
+    if destination.raw:
+        rendition = for_developers(rendition, remosaic)
     if white is None:
         return rendition
     rendition = replace(rendition, white=scene_white(white))

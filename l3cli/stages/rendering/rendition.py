@@ -10,10 +10,11 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.errors import RecipeError, suggestion
 from l3cli.frame import RawFrame, upright
 from l3cli.io import images
-from l3cli.io.label import Label
+from l3cli.io.label import NOTHING, Label
+from l3cli.io.raw.developed import MOSAICS, dng_file, raw_values
 from l3cli.io.sequences import Pending
 from l3cli.physics.display import exposure_scale
-from l3cli.physics.spaces import SPACES, SRGB, XYZ, Space, chromaticity_of
+from l3cli.physics.spaces import REC2020, SPACES, SRGB, XYZ, Space, chromaticity_of
 from l3cli.rendering.display import Display, linear_matrix, make_display
 
 if TYPE_CHECKING:
@@ -28,6 +29,8 @@ class Rendition:
     exposure: float | None  # None: automatic
     bits: int
     space: Space | None = SRGB  # of the values; without a curve they are linear, in floating point. None: no colours
+    raw: bool = False  # for raw developers: the exposure is stated, not carried out
+    mosaic: str | None = None  # … a mosaic of the pixels, one of MOSAICS
 
     @property
     def is_linear(self) -> bool:
@@ -56,6 +59,13 @@ def chosen_space(name: str | None, linear: bool) -> Space:
     return space
 
 
+def for_developers(rendition: Rendition, mosaic: str | None) -> Rendition:
+    """The rendition that leaves exposure to raw developers; RecipeError if there is no such mosaic."""
+    if mosaic is not None and mosaic not in MOSAICS:
+        raise RecipeError(f'mosaic "{mosaic}" is unknown; {suggestion(mosaic, MOSAICS)}')
+    return replace(rendition, space=replace(REC2020, curve=None), raw=True, mosaic=mosaic)
+
+
 def outputs_as_they_are(table: TransformTable) -> Rendition:
     """The rendition that leaves a table's outputs as they are; X, Y, Z are colours."""
     if table.outputs != ("X", "Y", "Z"):
@@ -75,27 +85,26 @@ class Unread:
 class Rendered:
     """A frame that has been rendered, and what its file says of it."""
 
-    pixels: Any  # (row, col, value)
+    pixels: Any  # (row, col, value), of a mosaic (row, col)
     label: Label
+    scale: float = 0.0  # of its exposure, which the pixels of a raw file do not have
 
 
 Exposed = tuple[Pending, Any, float]  # with the frame (RawFrame or Unread) and the scale of its exposure, 0: automatic
 
 
-def pixels_of(renderer: "Renderer", frame: RawFrame, rendition: Rendition, scale: float) -> Any:
-    """The picture of a frame, or its linear outputs where there is no white, upright: (row, col, value)."""
-    if rendition.is_linear:
-        return linear_of(renderer, frame, rendition, scale)
-    return upright(renderer.picture(frame, display_of(renderer, frame, rendition, scale)), frame.orientation)
-
-
-def linear_of(renderer: "Renderer", frame: RawFrame, rendition: Rendition = OUTPUTS, scale: float = 0.0) -> Any:
-    """Linear values of a frame, or its outputs as they are where there is no white, upright: (row, col, value) float32."""
+def rendered(renderer: "Renderer", frame: RawFrame, rendition: Rendition, scale: float, label: Label = NOTHING) -> Rendered:
+    """A frame as the rendition wants it, upright; `scale`: of its exposure, 0: automatic."""
+    if not rendition.is_linear:
+        picture = renderer.picture(frame, display_of(renderer, frame, rendition, scale))
+        return Rendered(upright(picture, frame.orientation), label)
     planes = renderer.outputs(frame)
     if rendition.white is not None and rendition.space is not None:
-        matrix = linear_matrix(rendition.white, scale or exposure_scale(planes[1]), rendition.space)
+        scale = scale or exposure_scale(planes[1])
+        matrix = linear_matrix(rendition.white, 1.0 if rendition.raw else scale, rendition.space)
         planes = np.einsum("po,orc->prc", matrix.astype(np.float32), planes)
-    return upright(np.moveaxis(planes, 0, -1), frame.orientation)
+    pixels = upright(np.moveaxis(planes, 0, -1), frame.orientation)
+    return Rendered(raw_values(pixels, rendition.mosaic) if rendition.raw else pixels, label, scale)
 
 
 def display_of(renderer: "Renderer", frame: RawFrame, rendition: Rendition, scale: float) -> Display:
@@ -107,6 +116,8 @@ def display_of(renderer: "Renderer", frame: RawFrame, rendition: Rendition, scal
 
 def file_of(path: Path, made: Rendered, rendition: Rendition, outputs: tuple[str, ...]) -> bytes:
     """The content of a frame's file: a picture, or linear values; `outputs`: names of the table's."""
+    if rendition.raw:
+        return dng_file(made.pixels, made.scale, made.label)
     if not rendition.is_linear:
         return images.picture_file(path, made.pixels, rendition.space or SRGB, made.label)
     names = outputs if rendition.white is None else rendition.names
