@@ -86,7 +86,7 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
 @click.argument("table", type=options.FILE, metavar="TABLE.h5")
 @click.argument("inputs", type=options.FILE, nargs=-1, required=True, metavar="INPUT...")
 @options.output(
-    "Picture (.png .tif .jpg .exr .dng), numbered files (a_%04d.png, a_####.tif), folder, video, or - (y4m to stdout)"
+    "Picture (.png .tif .jpg .jxl .exr .dng), numbered files (a_%04d.png, a_####.tif), folder, video, or - (y4m to stdout)"
 )
 @click.option(
     "--format", "suffix", default="png", show_default=True, metavar="SUFFIX", help="Suffix of the files in a folder."

@@ -1,4 +1,4 @@
-"""Pictures (PNG, TIFF, JPEG: codes of a space) and linear values (EXR, TIFF) to files and back, through OpenImageIO."""
+"""Pictures (PNG, TIFF, JPEG, JPEG XL: codes) and linear values (EXR, TIFF) to files and back, all through OpenImageIO."""
 
 import contextlib
 import os
@@ -28,6 +28,7 @@ PICTURES = {  # bits each may hold; 32: floating point
     ".tiff": (8, 16, 32),
     ".jpg": (8,),
     ".jpeg": (8,),
+    ".jxl": (8, 16),
 }
 LINEAR = ".exr"
 RAW = ".dng"  # raw/developed.py
@@ -39,6 +40,7 @@ COMPRESSION: dict[str, dict[str, str | int]] = {
     ".tiff": {"compression": "none"},
     ".jpg": {"Compression": "jpeg:95", "jpeg:subsampling": "4:4:4"},
     ".jpeg": {"Compression": "jpeg:95", "jpeg:subsampling": "4:4:4"},
+    ".jxl": {"compression": "lossless", "jpegxl:effort": 1},
 }
 XYZ_AS_IT_IS = replace(XYZ, title="CIE XYZ", neutral=None)
 EXIF_SRGB, EXIF_OTHER = 1, 65535  # values of Exif's ColorSpace

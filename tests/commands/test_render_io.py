@@ -52,7 +52,7 @@ def raw(tmp_path: Path, mosaic: np.ndarray) -> Path:
 # ---------------------------------------------------------------------------------------------------- image files
 
 
-@pytest.mark.parametrize("name", ["a.png", "a.tif", "a.TIFF"])
+@pytest.mark.parametrize("name", ["a.png", "a.tif", "a.TIFF", "a.jxl"])
 @pytest.mark.parametrize("bits", [8, 16])
 def test_lossless_pictures_come_back_as_written(tmp_path: Path, name: str, bits: int) -> None:
     picture = np.random.default_rng(0).integers(0, 2**bits, (5, 7, 3)).astype(f"uint{bits}")
@@ -199,7 +199,7 @@ def test_automatic_exposure_shows_one_percent_white(l3: L3, tmp_path: Path, tabl
 
 
 def test_the_same_input_gives_the_same_bytes(l3: L3, tmp_path: Path, table: Path, raw: Path) -> None:
-    suffixes = ("png", "tif", "jpg", "exr")
+    suffixes = ("png", "tif", "jpg", "jxl", "exr", "dng")
     for name in ("a", "b"):
         for suffix in suffixes:
             assert l3("render", table, raw, "-o", tmp_path / f"{name}.{suffix}")[0] == 0
