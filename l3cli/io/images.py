@@ -100,7 +100,7 @@ def linear_file(
 
     rows, cols, outputs = pixels.shape
     spec = oiio.ImageSpec(cols, rows, outputs, "float")
-    spec.channelnames = names
+    spec.channelnames, spec.alpha_channel = names, -1
     spec.attribute("compression", "none")
     _add_label(spec, label)
     if space is not None and path.suffix.lower() != LINEAR:

@@ -7,6 +7,7 @@ the file states what ours would be.
 
 import io
 from collections.abc import Sequence
+from dataclasses import replace
 from math import log2
 
 import numpy as np
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from l3cli.io.icc import D50
 from l3cli.io.label import Label
+from l3cli.io.raw.shot import entries_of
 from l3cli.io.raw.tiff_tags import (
     BYTE,
     COLOUR_FILTER_ARRAY,
@@ -108,21 +110,12 @@ def _colour_tags(exposure_scale: float) -> list[Entry]:
 
 def _shot_tags(label: Label) -> list[Entry]:
     """How the frame was taken. The camera is another one: developers would use its matrices for these channels."""
-    shot = label.shot
-    camera = " ".join(filter(None, (shot.make, shot.model)))
+    camera = " ".join(filter(None, (label.shot.make, label.shot.model)))
     texts = {
         TiffTag.MAKE: "l3cli",
         TiffTag.MODEL: "linear Rec. 2020",
         TiffTag.UNIQUE_CAMERA_MODEL: CAMERA,
         TiffTag.IMAGE_DESCRIPTION: ", ".join(filter(None, (camera, label.description))),
-        TiffTag.DATE_TIME_ORIGINAL: shot.date,
-        TiffTag.LENS_MODEL: shot.lens,
     }
-    numbers = {
-        TiffTag.EXPOSURE_TIME: label.exposure,
-        TiffTag.F_NUMBER: shot.f_number,
-        TiffTag.FOCAL_LENGTH: shot.focal_length,
-    }
-    iso = [entry(TiffTag.ISO_SPEED, SHORT, [min(round(shot.iso), 65535)])] if shot.iso else []
     tags = [text_entry(code, text) for code, text in texts.items() if text]
-    return tags + iso + [entry(code, RATIONAL, [number]) for code, number in numbers.items() if number]
+    return tags + entries_of(replace(label.shot, make="", model=""), label.exposure)

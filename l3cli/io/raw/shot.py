@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from l3cli.frame import Shot
-from l3cli.io.raw.tiff_tags import TiffTag
+from l3cli.io.raw.tiff_tags import RATIONAL, SHORT, Entry, TiffTag, entry, text_entry
 
 LONGEST = 100  # letters of a text
 MOST = 1e7  # of a number: ISO speeds go to 4 million
@@ -68,6 +68,20 @@ def shot_of_spec(spec: Any) -> dict[str, str | float]:
     names |= {"focal_length": "Exif:FocalLength", "iso": "Exif:PhotographicSensitivity"}
     stated = {name: spec.getattribute(other) for name, other in names.items()}
     return {name: value for name, value in stated.items() if isinstance(value, str | float | int)}
+
+
+def entries_of(shot: Shot, exposure: float | None) -> list[Entry]:
+    """The tags (TIFF/EP) that state how a frame was taken, its exposure time in s."""
+    entries = [entry(TiffTag.EXPOSURE_TIME, RATIONAL, [exposure])] if exposure else []
+    for name, (tag, _) in TAGS.items():
+        value = getattr(shot, name)
+        if value and isinstance(value, str):
+            entries.append(text_entry(tag, value))
+        elif value and name == "iso":
+            entries.append(entry(tag, SHORT, [min(round(value), 65535)]))
+        elif value:
+            entries.append(entry(tag, RATIONAL, [value]))
+    return entries
 
 
 def _plain(value: Any) -> str | float | None:

@@ -5,7 +5,7 @@ import hashlib
 import json
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from l3cli.errors import RecipeError
 from l3cli.files import atomic_output, refuse_existing, refuse_spared
 from l3cli.io import images
 from l3cli.io.numbered import PATTERN, last_number, numbered_files, numbered_name
+from l3cli.io.paged import PAGED, new_pages
 from l3cli.io.sequences import Footage, Pending
 from l3cli.io.video import VideoChoice, check_video, is_video, new_video, new_y4m
 from l3cli.locks import sole_writer_of_folder
@@ -26,7 +27,8 @@ STDOUT = Path("-")
 
 @dataclass(frozen=True)
 class Destination:
-    """Where pictures go: "stream" (y4m to stdout), "video", "pattern" (numbered files), "folder" or a single "file"."""
+    """Where pictures go: "stream" (y4m to stdout), "video", "pattern" (numbered files), "folder", a single
+    "file", or "pages" of one."""
 
     path: Path
     kind: str
@@ -37,6 +39,11 @@ class Destination:
     def one_by_one(self) -> bool:
         """Whether every frame becomes a file."""
         return self.kind in ("pattern", "folder", "file")
+
+    @property
+    def pictures(self) -> bool:
+        """Whether every frame becomes a picture by itself, be it a file or a page."""
+        return self.one_by_one or self.kind == "pages"
 
     @property
     def linear(self) -> bool:
@@ -86,6 +93,13 @@ def destination_of(output: Path, suffix: str, choice: VideoChoice) -> Destinatio
     return destination
 
 
+def paged(destination: Destination, footage: Footage) -> Destination:
+    """The destination with pages, if it is a single file that can have them and there are several frames."""
+    if destination.kind == "file" and footage.count != 1 and destination.path.suffix.lower() in PAGED:
+        return replace(destination, kind="pages")
+    return destination
+
+
 def claim(destination: Destination, force: bool, claims: Claims) -> None:
     """L3Error, before anything is read, if nothing can be written there, another run does so, or a video or single picture
     is there already; RecipeError if that is read."""
@@ -108,7 +122,7 @@ def refuse_outputs(destination: Destination, footage: Footage, force: bool, mark
         count = "a sequence" if footage.count is None else f"{footage.count} frames"
         raise RecipeError(
             f"{destination.path} holds one picture, the inputs are {count}; name a folder, a pattern "
-            f"({destination.path.stem}_%04d{destination.path.suffix}) or a video"
+            f"({destination.path.stem}_%04d{destination.path.suffix}), a .tif or a video"
         )
     if destination.kind not in ("pattern", "folder"):
         return
@@ -185,8 +199,9 @@ def _refuse_changed(destination: Destination, footage: Footage, mark: Mark, orig
 
 @contextlib.contextmanager
 def open_sink(
-    destination: Destination, choice: VideoChoice, rendition: Rendition, outputs: tuple[str, ...], mark: Mark | None
-) -> Iterator[tuple[Callable[[tuple[Pending, Any]], None], int]]:
+    destination: Destination, choice: VideoChoice, rendition: Rendition, outputs: tuple[str, ...], mark: Mark | None,
+    footage: Footage,
+) -> Iterator[tuple[Callable[[tuple[Pending, Any]], None], int]]:  # fmt: skip
     """What writes a frame, and the number of threads that may do so at a time."""
     if destination.one_by_one:
 
@@ -200,6 +215,9 @@ def open_sink(
                     mark.add(file, temporary, pending.origin)
 
         yield write, PICTURE_WRITERS
+    elif destination.kind == "pages":
+        with new_pages(destination.path, rendition.space, footage.count) as pages:
+            yield lambda item: pages.write(item[1].pixels, item[1].label), 1
     elif destination.kind == "stream" or destination.path.suffix.lower() == ".y4m":
         with new_y4m(None if destination.kind == "stream" else destination.path, choice) as stream:
             yield lambda item: stream.write(item[1].pixels), 1

@@ -20,7 +20,7 @@ from l3cli.rendering.display import require_xyz
 from l3cli.stages.claims import Claims
 from l3cli.stages.console import Console
 from l3cli.stages.input_warnings import warn_of_kernels, warn_of_white
-from l3cli.stages.rendering.destination import Destination, claim, destination_of, marked, refuse_missing
+from l3cli.stages.rendering.destination import Destination, claim, destination_of, marked, paged, refuse_missing
 from l3cli.stages.rendering.executors import RenderSetup, executor_of
 from l3cli.stages.rendering.mark import Origins
 from l3cli.stages.rendering.rendition import Rendition, chosen_space, for_developers, outputs_as_they_are
@@ -66,6 +66,7 @@ def render(
             known = replace(known, dark=read_dark(_spared(find_frames(dark, transforms, known), claims)))
         rendition = _rendition(destination, white, exposure, space, remosaic, bits, transforms, console)
         footage = find_frames(inputs, transforms, known, frames, dataset)
+        destination = paged(destination, footage)
         if not footage.is_stream:
             _spared(footage, claims)
         if not skip_bad:

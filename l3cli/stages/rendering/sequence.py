@@ -69,7 +69,7 @@ def render_frames(
     tally, warnings = _Tally(), FrameWarnings(table)
     for numbers in footage.missing:
         tally.leave_out(footage.absent(numbers), skip_bad, console, len(numbers))
-    sink = open_sink(destination, choice, rendition, table.outputs, mark)
+    sink = open_sink(destination, choice, rendition, table.outputs, mark, footage)
     with sink as (write, threads), Behind(write, DEPTH, threads) as writing:
         meter = LightMeter(table) if steady else None
         reading = ahead(_read(footage, destination, meter, mark, origins, executor.by_path), DEPTH)
@@ -94,8 +94,8 @@ def render_frames(
 
 
 def is_steady(footage: Footage, destination: Destination, rendition: Rendition) -> bool:
-    """Automatic exposure is steady in time, except for stills that become files: each of those has its own."""
-    return rendition.white is not None and rendition.exposure is None and not (footage.stills and destination.one_by_one)
+    """Automatic exposure is steady in time, except for stills that become pictures: each of those has its own."""
+    return rendition.white is not None and rendition.exposure is None and not (footage.stills and destination.pictures)
 
 
 def _read(
@@ -125,7 +125,7 @@ def _read(
                 break
             if not destination.one_by_one:
                 size = size or _upright_shape(frame)
-                _require_size(frame, size)
+                _require_size(frame, size, "first page" if destination.pictures else "video")
             brightness = meter.brightness(frame) if meter else 0.0
         except (L3Error, OSError) as error:
             yield _Read(pending, None, error=error if isinstance(error, L3Error) else InputFileError(str(error)))
@@ -133,7 +133,7 @@ def _read(
         if mark and pending.origin is None:
             pending = origins.of_read(pending, frame)
             kept = mark.keeps(file, pending.origin)
-        if destination.one_by_one and not kept:
+        if destination.pictures and not kept:
             pending = replace(pending, identity=_identity(pending, frame))
         yield _Read(pending, frame, brightness, kept=kept)
     if mark:
@@ -151,11 +151,11 @@ def _upright_shape(frame: RawFrame) -> tuple[int, ...]:
     return upright(frame.values, frame.orientation).shape
 
 
-def _require_size(frame: RawFrame, size: tuple[int, ...]) -> None:
+def _require_size(frame: RawFrame, size: tuple[int, ...], of: str) -> None:
     shape = _upright_shape(frame)
     if shape != size:
         raise InputFileError(
-            f"{frame.name} has {shape[0]}×{shape[1]} pixels, the video {size[0]}×{size[1]}; give frames of one size"
+            f"{frame.name} has {shape[0]}×{shape[1]} pixels, the {of} {size[0]}×{size[1]}; give frames of one size"
         )
 
 
