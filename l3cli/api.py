@@ -88,7 +88,7 @@ def calibrate(
     """The camera model of a measurement file, or (None) of raw photos of a chart, also written to `output` (`l3 calibrate`).
 
     `photos`, `light`: instead of a measurement file, with a name such as "D65" or "3200K"; None: it is guessed.
-    `export`: folder for the curves as CSV and rawtoaces JSON, and the offsets of photos. `accept`: take a model that
+    `export`: folder for what `l3 export` writes, and the offsets of photos. `accept`: take a model that
     predicts its charts badly.
     `force`: replace what is there.
     """

@@ -46,13 +46,19 @@ def listed(lines: Iterable[str]) -> str:
     return ", ".join(shown) + (f" and {len(lines) - len(shown)} more" if len(shown) < len(lines) else "")
 
 
-def suggestion(name: str, known: Iterable[str]) -> str:
-    """The cure for a name that is none of `known`: the ones it may have been meant for or, where none is near, all."""
+def nearest(name: str, known: Iterable[str]) -> str:
+    """A question whether one of the `known` names near this one was meant; empty where none is near."""
     import difflib  # only where something went wrong
 
     spelled = {each.lower(): each for each in known}
     close = difflib.get_close_matches(name.lower(), spelled, n=3)
-    if close:
-        return "did you mean " + " or ".join(f'"{spelled[match]}"' for match in close) + "?"
-    named = ", ".join(spelled.values())
+    return "did you mean " + " or ".join(f'"{spelled[match]}"' for match in close) + "?" if close else ""
+
+
+def suggestion(name: str, known: Iterable[str]) -> str:
+    """The cure for a name that is none of `known`: the ones it may have been meant for or, where none is near, all."""
+    known = list(known)
+    if close := nearest(name, known):
+        return close
+    named = ", ".join(known)
     return f"there are {named}" if len(named) <= MOST else f"there are {named[:MOST].rpartition(',')[0]} …"

@@ -22,6 +22,7 @@ def as_text(result: dict[str, Any], width: int | None = None) -> list[str]:
     for table in (result["channels"], result["lights"], result["bands"], truth["channels"] if truth else {}):
         lines += ["", *_table(table, width)] if table else []
     lines += _photo_lines(result) if result["photos"] else []
+    lines += ["", *matrix_lines(result["matrices"], width)] if result.get("matrices") else []
     lines += ["", f"responsivity: {result['responsivity']}"]
     source = "not measured, taken as 0" if "dark current" in result["declared"] else "from the data sheet"
     lines += [f"{source}: {', '.join(result['declared'])}"] if result["declared"] else []
@@ -31,6 +32,22 @@ def as_text(result: dict[str, Any], width: int | None = None) -> list[str]:
         shown = " ".join(f"({row}, {col})" for row, col in defects[:SHOWN]) + (" …" if len(defects) > SHOWN else "")
         lines.append(f"hot and dead pixels left out, row and col: {len(defects)}: {shown}")
     return lines
+
+
+def matrix_lines(matrices: dict[str, dict[str, dict[str, Any]]], width: int | None = None) -> list[str]:
+    """How far the exported matrices of each light leave the colours of measured surfaces."""
+    headings = ["light", "matrix", "ΔE00 mean", "95 %", "worst", "of L*", "a*", "b*"]
+    rows = [
+        [
+            light,
+            matrix,
+            *(figure(each[key], ".2f") for key in ("mean", "95 %", "worst")),
+            *(f"{v:.0f}" for v in each["worst L*a*b*"]),
+        ]
+        for light, kinds in matrices.items()
+        for matrix, each in kinds.items()
+    ]
+    return columns(headings, rows, width)
 
 
 def _table(rows: dict[str, dict[str, float]], width: int | None) -> list[str]:

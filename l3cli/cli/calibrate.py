@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 @click.option("--light", metavar="LIGHT", help='Its light: "D65", "3200K"…; without, it is guessed.')
 @options.output("Camera model to write")
 @click.option("--truth", type=options.CAMERA, metavar="CAMERA", help="Camera that a virtual lab measured, to compare with.")
-@click.option("--export", type=options.FILE, metavar="DIR", help="Also write curves there, as CSV and as rawtoaces JSON.")
+@click.option("--export", type=options.FILE, metavar="DIR", help='Also write there what "l3 export" writes.')
 @click.option(
     "--accept", is_flag=True, help="Write the model even if it fails its checks, such as predicting its charts badly."
 )

@@ -1,6 +1,7 @@
 """Charts whose reflectances are known, by name."""
 
 import functools
+import re
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,10 @@ CHARTS = {  # name: measured spectra, colours that the maker states since
     "passport": (AVERAGE, None),
     "passport 2": (AVERAGE, SINCE_2014),
 }
+NO_SPECTRA = (
+    "its colours are published, its reflectances are not; give them as CSV (wavelength, a column a patch, row by row): "
+    'chart = "sg.csv", layout = [10, 14]'
+)
 CORRECTION_NM = 60.0  # over which a correction of the dyes is smooth
 Array = NDArray[np.floating]
 
@@ -31,6 +36,8 @@ def chart(name: str, wavelength: Array) -> tuple[tuple[str, ...], Array]:
     RecipeError if the name is unknown.
     """
     if name not in CHARTS:
+        if re.search(r"\bsg\b|semi.?gloss", name.casefold()):
+            raise RecipeError(f'chart "{name}": {NO_SPECTRA}')
         raise RecipeError(f'chart "{name}" is unknown; {suggestion(name, CHARTS)} (and CSV files of reflectances)')
     measured, stated = CHARTS[name]
     patches = spectra.colour_science().SDS_COLOURCHECKERS[measured]

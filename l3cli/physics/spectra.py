@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.errors import RecipeError, shortened, suggestion
+from l3cli.errors import RecipeError, nearest, shortened, suggestion
 from l3cli.quantities import NoSuchNumber, Quantity
 
 PLANCK = 6.62607015e-34  # J s
@@ -169,6 +169,9 @@ def xyz_weights(wavelength: Array) -> Array:
     return matching_weights(colour_matching_functions(wavelength), wavelength)
 
 
+USUAL_LIGHTS = 'A, D50, D65, F2, F11, LED-B3, "3200K" (a black body) and "D6000K" (daylight)'
+
+
 @functools.cache
 def illuminant_names() -> tuple[str, ...]:
     """The tabulated illuminants; beside them "F1"…"F12" are FL1…FL12, "3200K" is a black body, "D6000K" daylight."""
@@ -200,8 +203,9 @@ def _tabulated(name: str, wavelength: Array) -> Array:
     """Energy (wavelength) of a CIE illuminant, linear between its samples and held beyond them."""
     key = f"FL{name[1:]}" if re.fullmatch(r"F\d+", name) else name
     if key not in illuminant_names():
-        others = 'black bodies such as "3200K", daylight such as "D6000K" and, in recipes, CSV files'
-        raise RecipeError(f'illuminant "{name}" is unknown; {suggestion(name, illuminant_names())} (and {others})')
+        close = nearest(name, illuminant_names()) or f"usual ones are {USUAL_LIGHTS};"
+        every = f'README, "Lights", lists all {len(illuminant_names())}'
+        raise RecipeError(f'illuminant "{shortened(name)}" is unknown; {close} {every}')
     table = colour_science().SDS_ILLUMINANTS[key]
     return table.values @ _step_matrix(table.wavelengths, wavelength, held=True).T
 

@@ -10,6 +10,7 @@ from l3cli.artifacts.fit import ChartFit, Fit, NoiseFit, SweepFit
 from l3cli.report import colours
 from l3cli.report.drawing import GLYPH, Axis, Plot, box, escape, sheet, spanning
 from l3cli.report.parts import Block, Details, Figure, Figures, Key, Section, Subsection, Table, Text, counted, tidy, unit
+from l3cli.report.photo import declared_from, photo_lead, photo_subsections, without_bands
 
 Array = NDArray[np.floating]
 MARKS = {"line": "dot", "dashed": "plus", "dotted": "cross"}  # of a line → of a point
@@ -27,14 +28,17 @@ def camera_section(camera: CameraModel, figures: dict[str, Any], name: str) -> S
         Subsection("Responsivities", (Figures(_responsivity_figures(camera, light)),)),
         Subsection("Noise", _noise_blocks(camera, figures, light)),
     ]
+    if camera.fit is not None and camera.fit.photo is not None:
+        strokes = colours.strokes(light)
+        parts[2:2] = photo_subsections(camera, camera.fit.photo, figures, strokes, channel_keys(camera, strokes))
     if camera.fit is not None:
         blocks = _validation_blocks(camera, camera.fit, figures, light)
         parts += [Subsection("Validation", blocks)] if blocks else []
     doubt = f" It falls short: {figures['shortfall']}." if figures["shortfall"] else ""
-    return Section(f"Camera: {camera.name}", f"{_lead(camera)}{doubt} From {name}.", tuple(parts))
+    return Section(f"Camera: {camera.name}", f"{_lead(camera, figures)}{doubt} From {name}.", tuple(parts))
 
 
-def _lead(camera: CameraModel) -> str:
+def _lead(camera: CameraModel, figures: dict[str, Any]) -> str:
     rows, cols = camera.cfa.shape
     text = (
         f"{len(camera.channels)} channels in a {rows} × {cols} colour filter array on {camera.cols} × {camera.rows} pixels, "
@@ -42,6 +46,8 @@ def _lead(camera: CameraModel) -> str:
     )
     if camera.fit is None:
         return text + " Described by a recipe, not measured."
+    if camera.fit.photo is not None:
+        return f"{text} {photo_lead(camera.fit.photo, figures)}"
     validation = camera.fit.validation
     if validation is None:
         return text
@@ -89,7 +95,7 @@ def _facts(camera: CameraModel) -> Table:
         ("Responsivity", "absolute, e⁻/photon" if camera.absolute else "relative, largest value 1"),
     ]
     if camera.declared:
-        rows.append(("Taken from the data sheet", ", ".join(camera.declared)))
+        rows.append((declared_from(camera).capitalize(), ", ".join(camera.declared)))
     return Table("Sensor and lens", ("quantity", "value"), tuple(rows))
 
 
@@ -162,17 +168,17 @@ def _noise_blocks(camera: CameraModel, figures: dict[str, Any], light: Array) ->
     blocks: list[Block] = []
     if camera.fit is not None and camera.fit.noise is not None:
         blocks.append(Figures((_transfer_figure(camera, camera.fit.noise, light),)))
-    sheet_says = f"; from the data sheet: {', '.join(camera.declared)}" if camera.declared else ""
+    sheet_says = f"; {declared_from(camera)}: {', '.join(camera.declared)}" if camera.declared else ""
     blocks.append(Table(f"The camera in EMVA 1288 terms{sheet_says}", ("quantity", "value"), rows))
-    if figures["channels"]:
-        blocks.append(table_of("Figures of each channel", "channel", figures["channels"]))
+    if others := without_bands(figures["channels"]):
+        blocks.append(table_of("Figures of each channel", "channel", others))
     if figures["saturation reached"] is False:
         blocks.append(Text("No white frame saturates: the white level is taken to be the converter's last value."))
     if figures["defects"]:
         shown = " ".join(f"({row}, {col})" for row, col in figures["defects"][:24])
         more = " …" if len(figures["defects"]) > 24 else ""
         blocks.append(Text(f"{len(figures['defects'])} hot and dead pixels (row, col) are left out: {shown}{more}"))
-    if figures["left out"]:
+    if figures["left out"] and not figures["photos"]:
         blocks.append(Details(f"{counted(len(figures['left out']), 'capture')} left out", "\n".join(figures["left out"])))
     return tuple(blocks)
 

@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.physics import spectra
+from l3cli.physics.matrices import fit_through
 from l3cli.simulation.light import Light, electron_weights, white_rates
 
 Array = NDArray[np.floating]
@@ -22,18 +23,10 @@ def colour_matrix(camera: CameraModel, light: Light) -> Array:
     to_xyz = spectra.xyz_weights(light.wavelength) * light.radiance
     xyz_white = to_xyz.sum(axis=1)
     xyz = library @ to_xyz.T / xyz_white[1]
-    return _fit_through(xyz, channels, xyz_white / xyz_white[1], white / white.max())
+    return fit_through(xyz, channels, xyz_white / xyz_white[1], white / white.max())
 
 
 def neutral(camera: CameraModel, light: Light) -> Array:
     """(channel) of a grey surface under `light`, 1 in the brightest."""
     rates = white_rates(camera, light)
     return rates / rates.max()
-
-
-def _fit_through(inputs: Array, outputs: Array, known: Array, answer: Array) -> Array:
-    """M (output, input) of least squares |outputs − inputs Mᵀ| for which M @ known = answer (by a Lagrange multiplier)."""
-    gram = inputs.T @ inputs
-    free = np.linalg.solve(gram, inputs.T @ outputs).T
-    towards = np.linalg.solve(gram, known)
-    return free + np.outer(answer - free @ known, towards / (known @ towards))

@@ -11,10 +11,10 @@ from l3cli.artifacts.camera_recipe import camera_files, load_camera
 from l3cli.artifacts.store import save
 from l3cli.calibration import acceptance, figures, model
 from l3cli.errors import L3Error, RecipeError
-from l3cli.io.curves import export_curves, export_paths
 from l3cli.io.measurements import inputs_of, inputs_of_photos, load_measurements, photo_measurements
 from l3cli.io.photos import export_offsets, offset_paths
 from l3cli.parallel import ordered_map
+from l3cli.stages import exports
 from l3cli.stages.claims import Claims
 from l3cli.stages.console import Console
 
@@ -26,8 +26,8 @@ def calibrate(
     """Write the camera model of a measurement file, or of raw photos of a chart; the model, and its figures, ready for JSON.
 
     `photos`, `light`: instead of a measurement file; a name such as "D65" or "3200K", None: to be guessed.
-    `truth`: camera (model or recipe) behind a virtual lab, to compare with. `export`: folder for the curves as CSV and as
-    rawtoaces JSON. `accept`: write a model that predicts its charts badly, which else is an L3Error.
+    `truth`: camera (model or recipe) behind a virtual lab, to compare with. `export`: folder for what other
+    software reads (`exports.write`). `accept`: write a model that predicts its charts badly, which else is an L3Error.
     InputFileError or RecipeError if the measurements cannot be used, L3Error if an output cannot be written.
     """
     if (measurements is None) == (not photos):
@@ -36,14 +36,16 @@ def calibrate(
         raise RecipeError("a measurement file names the light of its photos itself, as light; leave ‹light› out")
     with Claims(console) as claims:
         claims.spare(*photos, *filter(None, [measurements, truth]))
-        for path in (output, *(export_paths(export) if export else ())):
+        for path in (output, *(exports.always(export) if export else ())):
             claims.claim_file(path, force)
         inputs = inputs_of_photos(photos) if measurements is None else inputs_of(measurements)
         claims.spare(*itertools.chain(*inputs.files.values()), *(camera_files(truth) if truth else ()))
         true = load_camera(truth) if truth else None
         measured = photo_measurements(photos, light) if measurements is None else load_measurements(measurements)
-        for path in offset_paths(export, measured.photos) if export else ():
-            claims.claim_file(path, force)
+        if export:
+            further = exports.by_array(export, measured.body.channels, measured.body.cfa)
+            for path in (*offset_paths(export, measured.photos), *further):
+                claims.claim_file(path, force)
 
         def each(function: Callable[[Any], Any], captures: Iterable[Any]) -> Iterator[Any]:
             captures = list(captures)
@@ -60,7 +62,7 @@ def calibrate(
             result["truth"] = figures.compare(camera, true)
         save(camera, output)
         if export:
-            export_curves(camera, export)
+            result["matrices"] = exports.write(camera, export, console)
             if measured.photos:
                 export_offsets(camera, measured.photos, export)
         if shortfall:

@@ -49,6 +49,7 @@ SENTENCES = (
     ),
     Sentence("calibrate table.toml -o {out}/camera.h5 --accept --export {out}", "table.toml sweep.csv diode.csv"),
     Sentence("calibrate curves_of.toml -o {out}/camera.h5 --accept --export {out}", "curves_of.toml curves.json"),
+    Sentence("export curves.toml -o {out}", "curves.toml curves.csv"),
     Sentence(
         "simulate scenes.toml --camera curves.toml -o {out}/t.h5 --pictures {out}/p --dng {out}/d",
         "scenes.toml lamp.csv picture.png frame.tif curves.toml curves.csv",

@@ -33,3 +33,12 @@ def test_dyes_since_2014_have_the_stated_colours() -> None:
 def test_an_unknown_chart_is_refused_with_the_nearest() -> None:
     with pytest.raises(RecipeError, match='did you mean "passport"'):
         charts.chart("pasport", WAVELENGTH)
+
+
+@pytest.mark.parametrize("name", ["SG", "ColorChecker SG", "colorchecker digital sg", "semi gloss"])
+def test_a_chart_without_published_reflectances_says_how_to_give_them(name: str) -> None:
+    """Of ColorChecker SG colour-science has colours under D50 alone; no reflectance is invented for them."""
+    colour = spectra.colour_science()
+    assert not any("SG" in each for each in colour.SDS_COLOURCHECKERS)
+    with pytest.raises(RecipeError, match=r"reflectances are not; give them as CSV .*layout = \[10, 14\]"):
+        charts.chart(name, WAVELENGTH)

@@ -89,7 +89,7 @@ def _camera_figures(camera: CameraModel) -> dict[str, Any]:
     if camera.fit is not None:
         return figures(camera) | {"shortfall": (shortfall(camera) or "").partition(";")[0]}
     plain = {name: {"value": value, "unit": unit} for name, (value, unit) in camera_figures(camera).items()}
-    nothing: dict[str, Any] = {"channels": {}, "lights": {}, "bands": {}, "left out": [], "defects": []}
+    nothing: dict[str, Any] = {"channels": {}, "lights": {}, "bands": {}, "photos": {}, "left out": [], "defects": []}
     return {"camera": plain, **nothing, "saturation reached": None, "shortfall": ""}
 
 

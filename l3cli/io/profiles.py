@@ -1,0 +1,125 @@
+"""What other software reads of a camera's colours: a DCP profile as JSON, tuning files of libcamera, a data sheet as CSV
+(docs/method.md#colour-matrices). Formats are those of dcamprof's json2dcp and of libcamera's tuning files."""
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli import __version__
+
+ILLUMINANTS = {"A": "StdA", "D65": "D65"}  # of the two matrices of a DCP, in its order: the colder light second
+SIMPLE_DARKEST = 2**15 - 1  # black level that fits the simple pipeline's type
+Array = NDArray[np.floating]
+
+
+class ProfileMatrices(NamedTuple):
+    """What a DCP holds for one light: AsShotNeutral (n), ColorMatrix (n, 3), ForwardMatrix (3, n)."""
+
+    neutral: Array
+    colour: Array
+    forward: Array
+
+
+class Tuning(NamedTuple):
+    """What tuning files of libcamera hold of a Bayer camera, its channels in the order r, g, b."""
+
+    black_level: int  # of 16 bits
+    corrections: Mapping[int, Array]  # temperature in K, rising → (3, 3)
+    curve: Array | None  # (temperature, 3) K, r over g, b over g of a grey
+    noise: tuple[float, float]  # constant and slope of a deviation over the root of a signal of 16 bits
+
+
+def dcp_json(name: str, channels: Sequence[str], lights: Mapping[str, ProfileMatrices]) -> str:
+    """A DCP as dcamprof's json2dcp reads it, for the lights of ILLUMINANTS; beside it the channels in their order, and
+    AsShotNeutral, which belongs into the DNG of a picture, for each light."""
+    content: dict[str, Any] = {"UniqueCameraModel": name, "ProfileName": "l3", "ProfileEmbedPolicy": "Allow copying"}
+    content |= {f"CalibrationIlluminant{i}": code for i, code in enumerate(ILLUMINANTS.values(), 1)}
+    for tag, part in (("ColorMatrix", 1), ("ForwardMatrix", 2)):
+        content |= {f"{tag}{i}": lights[light][part].tolist() for i, light in enumerate(ILLUMINANTS, 1)}
+    content["Channels"] = list(channels)
+    content["AsShotNeutral"] = {code: lights[light].neutral.tolist() for light, code in ILLUMINANTS.items()}
+    return _json(content) + "\n"
+
+
+def raspberry_pi_json(name: str, tuning: Tuning) -> str:
+    """A tuning file of libcamera's Raspberry Pi pipelines, version 2.0: JSON, as they name theirs SENSOR.json, and as
+    picamera2 reads it; libcamera's YAML reader takes it, too."""
+    flat = {"priors": [{"lux": 0, "prior": [2000, 0.0, 13000, 0.0]}]}  # without a lux meter no temperature is likelier
+    awb: dict[str, Any] = {"bayes": 0}
+    if tuning.curve is not None:
+        low, high = int(tuning.curve[0, 0]), int(tuning.curve[-1, 0])
+        awb = {**flat, "modes": {"auto": {"lo": low, "hi": high}}, "bayes": 1, "ct_curve": tuning.curve.ravel().tolist()}
+    ccms = [{"ct": ct, "ccm": matrix.ravel().tolist()} for ct, matrix in tuning.corrections.items()]
+    algorithms = {
+        "rpi.black_level": {"black_level": tuning.black_level},
+        "rpi.noise": {"reference_constant": tuning.noise[0], "reference_slope": tuning.noise[1]},
+        "rpi.awb": awb,
+        "rpi.ccm": {"ccms": ccms},
+    }
+    content = {
+        "version": 2.0,
+        "target": "bcm2835",
+        "comment": _comments(name, tuning),  # libcamera reads version, target and algorithms alone
+        "algorithms": [{key: value} for key, value in algorithms.items()],
+    }
+    return _json(content) + "\n"
+
+
+def _comments(name: str, tuning: Tuning) -> list[str]:
+    """What somebody who installs the Raspberry Pi file has to know."""
+    missing = [] if tuning.curve is not None else ["rpi.awb ct_curve: the channels of greys do not follow a temperature"]
+    return [
+        f"{name}, l3cli {__version__}: black level, noise, white balance and colours of the camera model",
+        "noise: at the analogue gain of the calibration, which counts as 1",
+        'a Raspberry Pi 5: "target": "pisp"',
+        "missing, take them from the tuning file of a similar sensor: rpi.agc, rpi.contrast, rpi.alsc, rpi.sharpen",
+        "missing: rpi.lux, since no scene of known illuminance was measured through the lens; priors are flat without it",
+        *(f"missing: {each}" for each in missing),
+    ]
+
+
+def simple_yaml(name: str, tuning: Tuning) -> str:
+    """A tuning file of libcamera's simple pipeline, the software ISP of laptops and phones, which looks for SENSOR.yaml."""
+    known = tuning.black_level <= SIMPLE_DARKEST
+    lines = [
+        "# " + json.dumps(f"{name}, l3cli {__version__}")[1:-1],
+        "%YAML 1.1",
+        "---",
+        "version: 1",
+        "algorithms:",
+        *(["  - BlackLevel:", f"      blackLevel: {tuning.black_level}"] if known else ["  - BlackLevel:"]),
+        "  - Awb:",
+        "  - Ccm:",
+        "      ccms:",
+    ]
+    for ct, matrix in tuning.corrections.items():
+        rows = [", ".join(f"{value:.6f}" for value in row) for row in matrix]
+        lines += [f"        - ct: {ct}", f"          ccm: [ {rows[0]},", f"                 {rows[1]},"]
+        lines.append(f"                 {rows[2]} ]")
+    return "\n".join([*lines, "  - Adjust:  # older versions of libcamera call it Lut", "  - Agc:", "..."]) + "\n"
+
+
+def datasheet_csv(rows: Sequence[tuple[str, str, float | str, str, str]]) -> str:
+    """Quantity, channel, value, unit and source of every row, under their headings."""
+    cells = [("quantity", "channel", "value", "unit", "source"), *rows]
+    return "".join(",".join(_cell(cell) for cell in row) + "\n" for row in cells)
+
+
+def _cell(value: float | str) -> str:
+    if not isinstance(value, str):
+        return f"{value:.8g}"
+    return '"' + value.replace('"', '""') + '"' if any(letter in value for letter in ',"\n\r') else value
+
+
+def _json(value: Any, indent: int = 0) -> str:
+    """JSON, two spaces a level, with lists of plain values on one line; ASCII."""
+    inner = " " * (indent + 2)
+    if isinstance(value, dict):
+        lines = [f"{inner}{json.dumps(key)}: {_json(each, indent + 2)}" for key, each in value.items()]
+        return "{\n" + ",\n".join(lines) + "\n" + " " * indent + "}"
+    if isinstance(value, list) and any(isinstance(each, dict | list | str) for each in value):
+        return "[\n" + ",\n".join(inner + _json(each, indent + 2) for each in value) + "\n" + " " * indent + "]"
+    return json.dumps(value)

@@ -1,0 +1,228 @@
+"""l3 export: what other software is to read, held to its documented structure and to the camera behind it."""
+
+import csv
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.store import load, save
+from l3cli.calibration import colour
+from l3cli.calibration.datasheet import datasheet
+from l3cli.physics import spectra
+from l3cli.physics.display import adaptation_matrix, delta_e_2000, lab, srgb_from_xyz_matrix, white_point
+from l3cli.physics.matrices import colour_errors
+from l3cli.simulation.light import make_light
+from l3cli.simulation.raw_colour import colour_matrix
+from l3cli.stages.console import Silent
+from l3cli.stages.exports import write
+from tests.helpers.calls import L3, Refused
+
+GRID = np.arange(380.0, 781.0, 5.0)
+CHART = spectra.colorchecker(GRID)[1]
+FILES = ["datasheet.csv", "dcp.json", "libcamera_rpi.json", "libcamera_simple.yaml", "rawtoaces.json", "responsivity.csv"]
+
+
+@pytest.fixture(scope="module")
+def exported(bayer_recipe: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    from l3cli.cli import run
+
+    folder = tmp_path_factory.mktemp("exported")
+    assert run(["export", str(bayer_recipe), "-o", str(folder), "--quiet"]) == 0
+    return folder
+
+
+def seen(camera: CameraModel, light: str) -> tuple[np.ndarray, np.ndarray]:
+    """Channels (patch, channel) of the chart under a light, a white's Y 1, and those of a white."""
+    weights = spectra.average(camera.responsivity, camera.wavelength, GRID) * spectra.illuminant(light, GRID)
+    return CHART @ weights.T, weights.sum(axis=1)
+
+
+def chart_xyz(light: str) -> np.ndarray:
+    weights = spectra.xyz_weights(GRID) * spectra.illuminant(light, GRID)
+    return np.asarray(CHART @ weights.T / weights[1].sum())
+
+
+def test_the_same_bytes_of_a_recipe_a_model_and_a_second_run(
+    exported: Path, bayer: CameraModel, bayer_recipe: Path, tmp_path: Path, l3: L3
+) -> None:
+    assert sorted(path.name for path in exported.iterdir()) == FILES
+    save(bayer, tmp_path / "camera.h5")
+    for camera in (bayer_recipe, tmp_path / "camera.h5"):
+        code, out, err = l3("export", camera, "-o", tmp_path / "again", "--force")
+        assert code == 0, err
+        assert all((exported / name).read_bytes() == (tmp_path / "again" / name).read_bytes() for name in FILES)
+    assert re.search(r"^D65 +CCM +\d+\.\d\d +\d+\.\d\d +\d+\.\d\d ", out, re.MULTILINE)
+    assert [line.split()[0] for line in out.splitlines()[1:]] == ["A"] * 3 + ["D50"] + ["D65"] * 3
+
+
+def test_dcp_matrices_develop_the_chart(exported: Path, bayer: CameraModel) -> None:
+    """As a developer does, by the DNG specification: by ColorMatrix alone, and by ForwardMatrix over the white."""
+    dcp = json.loads((exported / "dcp.json").read_text())
+    assert (dcp["CalibrationIlluminant1"], dcp["CalibrationIlluminant2"]) == ("StdA", "D65")
+    for number, light, code, most in ((1, "A", "StdA", (2.5, 4.0)), (2, "D65", "D65", (2.0, 2.0))):
+        values, white = seen(bayer, light)
+        neutral = np.array(dcp["AsShotNeutral"][code])
+        np.testing.assert_allclose(neutral, white / white.max(), atol=1e-5)
+        colour, forward = np.array(dcp[f"ColorMatrix{number}"]), np.array(dcp[f"ForwardMatrix{number}"])
+        lit = white_point(light)
+        np.testing.assert_allclose(colour @ lit, neutral, atol=2e-4)
+        np.testing.assert_allclose(forward.sum(axis=1), white_point("D50"), atol=3e-4)
+        directly = values / white.max() @ np.linalg.inv(colour).T
+        assert delta_e_2000(lab(directly, lit), lab(chart_xyz(light), lit)).mean() < most[0]
+        adapted = (values / white) @ forward.T
+        d50 = white_point("D50")
+        assert delta_e_2000(lab(adapted, d50), lab(chart_xyz("D50"), d50)).mean() < most[1]
+        other = directly @ adaptation_matrix(lit, d50).T
+        assert delta_e_2000(lab(other, d50), lab(adapted, d50)).mean() < 5.0
+
+
+def test_each_matrix_beats_least_squares(exported: Path, bayer: CameraModel) -> None:
+    """RMS over the surfaces that are fitted, of ColorMatrix1 beside the matrix that simulated DNG files get."""
+    light = make_light("A", {}, bayer.wavelength)
+    library = spectra.reflectance_library(light.wavelength)
+    weights = spectra.average(bayer.responsivity, bayer.wavelength, light.wavelength) * light.radiance
+    channels = library @ weights.T / weights.sum(axis=1).max()
+    to_xyz = spectra.xyz_weights(light.wavelength) * light.radiance
+    xyz, white = library @ to_xyz.T / to_xyz[1].sum(), to_xyz.sum(axis=1) / to_xyz[1].sum()
+    refined = np.array(json.loads((exported / "dcp.json").read_text())["ColorMatrix1"])
+    plain = colour_matrix(bayer, light)
+    squares = [np.square(colour_errors(channels @ np.linalg.inv(m).T, xyz, white)).mean() for m in (refined, plain)]
+    assert squares[0] < squares[1] - 0.01
+
+
+def read_tuning(path: Path) -> dict[str, Any]:
+    """The algorithms of a tuning file, refused where libcamera's reader would: Controller::read, and read() of each."""
+    content = json.loads(path.read_text())
+    assert 2.0 <= content["version"] < 3.0
+    assert content["target"] in ("bcm2835", "pisp")
+    assert all(len(each) == 1 for each in content["algorithms"])
+    algorithms = {name: parameters for each in content["algorithms"] for name, parameters in each.items()}
+    level = algorithms["rpi.black_level"]["black_level"]
+    assert isinstance(level, int)
+    assert 0 <= level < 2**16
+    assert all(isinstance(algorithms["rpi.noise"][key], float) for key in ("reference_constant", "reference_slope"))
+    ccms = algorithms["rpi.ccm"]["ccms"]
+    assert all(len(each["ccm"]) == 9 for each in ccms)
+    assert (np.diff([each["ct"] for each in ccms]) > 0).all()
+    awb = algorithms["rpi.awb"]
+    if awb["bayes"]:
+        curve = np.reshape(awb["ct_curve"], (-1, 3))
+        assert (np.diff(curve[:, 0]) > 0).all()
+        assert awb["modes"]["auto"]["lo"] < awb["modes"]["auto"]["hi"]
+        assert all(len(each["prior"]) % 2 == 0 for each in awb["priors"])
+    return algorithms
+
+
+def test_libcamera_gets_levels_noise_white_and_colours(exported: Path, bayer: CameraModel) -> None:
+    tuning = read_tuning(exported / "libcamera_rpi.json")
+    assert tuning["rpi.black_level"]["black_level"] == 64 * 16
+    curve = np.reshape(tuning["rpi.awb"]["ct_curve"], (-1, 3))
+    white = seen(bayer, "D6500K")[1]
+    at = curve[curve[:, 0] == 6500][0]
+    np.testing.assert_allclose(at[1:], [white[0] / white[1], white[2] / white[1]], atol=1e-4)
+    ccms = tuning["rpi.ccm"]["ccms"]
+    assert [each["ct"] for each in ccms] == [2856, 5003, 6504]
+    d65 = white_point("D65")
+    for each, light, most in zip(ccms, ("A", "D50", "D65"), (4.5, 2.5, 2.0), strict=True):
+        matrix = np.reshape(each["ccm"], (3, 3))
+        np.testing.assert_allclose(matrix.sum(axis=1), 1.0, atol=1e-9)
+        values, white = seen(bayer, light)
+        xyz = (values / white) @ matrix.T @ np.linalg.inv(srgb_from_xyz_matrix()).T
+        assert delta_e_2000(lab(xyz, d65), lab(chart_xyz("D65"), d65)).mean() < most
+    noise = tuning["rpi.noise"]
+    for signal in (100.0, 1000.0, 3000.0):  # DN; tuning files count in sixteenths of it
+        deviation = noise["reference_constant"] + noise["reference_slope"] * np.sqrt(16 * signal)
+        assert deviation / 16 == pytest.approx(np.sqrt(bayer.noise_variance(np.array(signal))), rel=0.25)
+
+
+def test_the_simple_pipeline_gets_the_same(exported: Path) -> None:
+    text, tuning = (exported / "libcamera_simple.yaml").read_text(), read_tuning(exported / "libcamera_rpi.json")
+    assert text.splitlines()[1:4] == ["%YAML 1.1", "---", "version: 1"]
+    assert "blackLevel: 1024\n" in text
+    rows = re.findall(r"- ct: (\d+)\n +ccm: \[(.*?)\]", text, re.DOTALL)
+    assert [int(ct) for ct, _ in rows] == [2856, 5003, 6504]
+    for (_, values), each in zip(rows, tuning["rpi.ccm"]["ccms"], strict=True):
+        assert [float(value) for value in values.split(",")] == each["ccm"]
+
+
+def test_a_data_sheet_has_units_and_sources(exported: Path, pipeline: Path) -> None:
+    rows = list(csv.DictReader((exported / "datasheet.csv").read_text().splitlines()))
+    found = {(row["quantity"], row["channel"]): (row["value"], row["unit"], row["source"]) for row in rows}
+    assert found["pixel pitch", ""] == ("4", "um", "recipe")
+    assert found["overall system gain K", ""] == ("0.25", "DN/e-", "recipe")
+    assert found["PRNU", ""] == ("0.5", "%", "recipe")
+    assert found["peak responsivity", "g"] == ("0.4", "e-/photon", "recipe")
+    assert found["share of the pixels", "g"] == ("50", "%", "recipe")
+    measured = datasheet(load(CameraModel, pipeline / "camera.h5"))
+    assert {row[-1] for row in measured if row[0] in ("dark current", "peak responsivity")} == {"measured"}
+    assert {row[-1] for row in measured if row[0] in ("pixel pitch", "f-number")} == {"declared"}
+
+
+def test_other_arrays_get_no_tuning_and_greys_no_matrices(bayer: CameraModel, tmp_path: Path, l3: L3) -> None:
+    quad = replace(bayer, name="quad", cfa=np.repeat(np.repeat(bayer.cfa, 2, 0), 2, 1))
+    grey = replace(bayer, name="grey, one", channels=("w",), cfa=np.zeros((1, 1), np.uint8),
+                   responsivity=bayer.responsivity[1:2], responsivity_band=bayer.responsivity_band[1:2])  # fmt: skip
+    red_dark = bayer.responsivity.copy()
+    red_dark[0] = 0.0
+    blind = replace(bayer, name="blind", responsivity=red_dark)
+    for camera, left_out, line in (
+        (quad, FILES[2:4], "quad: no tuning files for libcamera, which knows 2×2 arrays of r, g and b alone"),
+        (grey, FILES[1:4], "grey, one: no colour matrices and no tuning files: it has fewer than three channels"),
+        (blind, FILES[1:4], "a channel sees next to nothing of A"),
+    ):
+        save(camera, tmp_path / "camera.h5")
+        code, out, err = l3("export", tmp_path / "camera.h5", "-o", tmp_path / camera.name, "--quiet")
+        assert (code, err.count("\n")) == (0, 1)
+        assert line in err
+        assert sorted(path.name for path in (tmp_path / camera.name).iterdir()) == sorted(set(FILES) - set(left_out))
+        assert bool(out) == (camera is quad)
+        (tmp_path / "camera.h5").unlink()
+    assert '"grey, one"' in (tmp_path / "grey, one/datasheet.csv").read_text()
+
+
+def test_names_of_channels_and_order_do_not_matter(exported: Path, bayer: CameraModel, tmp_path: Path) -> None:
+    channels = [2, 0, 1]  # of b, r, g
+    cfa = np.array([[channels.index(channel) for channel in row] for row in bayer.cfa.tolist()], np.uint8)
+    turned = replace(bayer, channels=("Blue", "Red", "Green"), cfa=cfa, responsivity=bayer.responsivity[channels])
+    order = colour.bayer_order(turned.channels, turned.cfa)
+    assert order == (1, 2, 0)
+    assert colour.bayer_order(bayer.channels, bayer.cfa) == (0, 1, 2)
+    for names in (("r", "g", "w"), ("r", "red", "g"), ("r", "g", "b", "w")):
+        assert colour.bayer_order(names, bayer.cfa) is None
+    assert colour.bayer_order(bayer.channels, np.array([[0, 1], [2, 1]], np.uint8)) is None
+    write(replace(turned, name="c\udcff\nm"), tmp_path, Silent())  # of a file whose name is no text
+    assert "camera,,c??m,,recipe" in (tmp_path / "datasheet.csv").read_text()
+    ours, theirs = (read_tuning(folder / "libcamera_rpi.json") for folder in (tmp_path, exported))
+    profiles = [json.loads((folder / "dcp.json").read_text()) for folder in (tmp_path, exported)]
+    assert [profile["Channels"] for profile in profiles] == [["Red", "Green", "Blue"], ["r", "g", "b"]]
+    for tag in ("ColorMatrix1", "ForwardMatrix2"):
+        np.testing.assert_allclose(profiles[0][tag], profiles[1][tag], atol=1e-3)
+    assert ours["rpi.awb"] == theirs["rpi.awb"]
+    for one, other in zip(ours["rpi.ccm"]["ccms"], theirs["rpi.ccm"]["ccms"], strict=True):
+        np.testing.assert_allclose(one["ccm"], other["ccm"], atol=1e-3)
+
+
+def test_refusals(exported: Path, bayer_recipe: Path, tmp_path: Path, refused: Refused) -> None:
+    assert "--force" in refused(1, "export", bayer_recipe, "-o", exported)
+    (tmp_path / "file").write_text("")
+    assert "is a file, not a folder" in refused(1, "export", bayer_recipe, "-o", tmp_path / "file")
+    assert "did you mean" in refused(2, "export", "fivebnd", "-o", tmp_path / "new")
+    (tmp_path / "table.h5").write_bytes(b"no HDF5")
+    assert "table.h5" in refused(3, "export", tmp_path / "table.h5", "-o", tmp_path / "new")
+
+
+def test_calibration_exports_the_same(pipeline: Path, tmp_path: Path, l3: L3) -> None:
+    to = ("-o", tmp_path / "camera.h5", "--export", tmp_path / "one", "--json", "--quiet")
+    code, out, err = l3("calibrate", pipeline / "lab/MEASUREMENTS.toml", *to)
+    assert code == 0, err
+    assert set(json.loads(out)["matrices"]) == {"A", "D50", "D65"}
+    assert l3("export", tmp_path / "camera.h5", "-o", tmp_path / "two", "--quiet")[0] == 0
+    assert sorted(path.name for path in (tmp_path / "one").iterdir()) == FILES
+    for name in FILES:
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
