@@ -3,6 +3,7 @@
 import contextlib
 import os
 import re
+import struct
 from collections.abc import Iterator
 from dataclasses import replace
 from math import prod
@@ -31,6 +32,7 @@ PICTURES = {  # bits each may hold; 32: floating point
     ".jxl": (8, 16),
 }
 LINEAR = ".exr"
+JPEG_XL = ".jxl"
 RAW = ".dng"  # raw/developed.py
 FLOAT_BITS = 32
 # Noise hardly shrinks: what packs tightest takes five times as long for a tenth of the size.
@@ -84,7 +86,11 @@ def picture_file(path: Path, picture: NDArray, space: Space = SRGB, label: Label
     _add_label(spec, label)
     for name, value in COMPRESSION[path.suffix.lower()].items():
         spec.attribute(name, value)
-    return encoded(path.name, spec, picture)
+    content = encoded(path.name, spec, picture)
+    if path.suffix.lower() == JPEG_XL and label != NOTHING:
+        packet = label.xmp.encode()
+        content += struct.pack(">I4s", 8 + len(packet), b"xml ") + packet  # a box like the others of the file
+    return content
 
 
 def write_linear(path: Path, pixels: NDArray[np.float32], names: tuple[str, ...]) -> None:

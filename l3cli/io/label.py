@@ -1,6 +1,8 @@
 """What the file of a rendered frame says of itself beside its pixels; nothing of it depends on when or where it was made."""
 
 from dataclasses import dataclass
+from fractions import Fraction
+from xml.sax.saxutils import quoteattr
 
 from l3cli import __version__
 from l3cli.frame import Shot
@@ -23,7 +25,33 @@ class Label:
     def description(self) -> str:
         return f"transform table SHA-256 {self.table}, {self.frame}" if self.table else ""
 
+    @property
+    def xmp(self) -> str:
+        """The same as an XMP packet, for formats that OpenImageIO writes no Exif into."""
+        shot = self.shot
+        numbers = {"exif:ExposureTime": self.exposure, "exif:FNumber": shot.f_number, "exif:FocalLength": shot.focal_length}
+        numbers["exifEX:PhotographicSensitivity"] = round(shot.iso)
+        texts = {
+            "tiff:Make": shot.make,
+            "tiff:Model": shot.model,
+            "exifEX:LensModel": shot.lens,
+            "tiff:Software": self.software,
+        }
+        day, _, hour = shot.date.partition(" ")
+        texts["exif:DateTimeOriginal"] = f"{day.replace(':', '-')}T{hour}" if shot.date else ""
+        texts["tiff:ImageDescription"] = self.description
+        fractions = {name: str(Fraction(value).limit_denominator(10**6)) for name, value in numbers.items() if value}
+        stated = {name: text for name, text in {**texts, **fractions}.items() if text}
+        inside = "".join(f" {name}={quoteattr(text)}" for name, text in stated.items())
+        return PACKET.format(inside)
 
+
+PACKET = (
+    '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
+    '<rdf:Description rdf:about="" xmlns:tiff="http://ns.adobe.com/tiff/1.0/" xmlns:exif="http://ns.adobe.com/exif/1.0/"'
+    ' xmlns:exifEX="http://cipa.jp/exif/1.0/"{}/>'
+    "</rdf:RDF></x:xmpmeta>"
+)
 NOTHING = Label()
 
 

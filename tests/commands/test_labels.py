@@ -5,6 +5,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import OpenImageIO as oiio
@@ -14,6 +15,7 @@ from PIL import Image
 from l3cli.artifacts.store import save
 from l3cli.files import sha256
 from l3cli.frame import Shot
+from l3cli.io.images import read_image
 from l3cli.io.raw.files import read_raw
 from l3cli.io.raw.shot import believable_shot
 from tests.helpers.cameras import BAYER
@@ -73,6 +75,22 @@ def test_pictures_carry_it_on(l3: Callable, desk: Path, suffix: str) -> None:
     np.testing.assert_allclose(numbers, [1 / 125, 2.8, 35, 800], rtol=1e-3)
     made_from = f"transform table SHA-256 {sha256(desk / 'table.h5')}, raw file SHA-256 {sha256(desk / 'frame.dng')}"
     assert spec.getattribute("ImageDescription") == made_from
+
+
+def test_jpeg_xl_holds_it_as_xmp(l3: Callable, desk: Path) -> None:
+    path = desk / "a.jxl"
+    assert l3("render", desk / "table.h5", desk / "frame.dng", "-o", path, "--backend", "reference")[0] == 0
+    content, at, boxes = path.read_bytes(), 0, {}
+    while at < len(content):
+        size = int.from_bytes(content[at : at + 4], "big")
+        boxes[content[at + 4 : at + 8]] = content[at + 8 : at + size]
+        at += size
+    (described,) = ElementTree.fromstring(boxes[b"xml "])[0]
+    stated = {name.partition("}")[2]: value for name, value in described.attrib.items()}
+    assert (stated["Make"], stated["LensModel"], stated["ExposureTime"]) == ("Maker", "EF 35mm", "1/125")
+    assert (stated["FNumber"], stated["DateTimeOriginal"]) == ("14/5", "2021-02-03T04:05:06")
+    assert sha256(desk / "frame.dng") in stated["ImageDescription"]
+    assert read_image(path)[0].shape == (24, 30, 3)
 
 
 def test_exif_is_read_by_others(l3: Callable, desk: Path) -> None:

@@ -14,7 +14,7 @@ from l3cli.io.apart import apart
 from l3cli.io.names import named_in_utf8
 from l3cli.io.raw.cfa_codes import codes_of
 from l3cli.io.raw.content import RawContent, Request
-from l3cli.io.raw.shot import shot_of_file
+from l3cli.io.raw.shot import shot_of_file, shot_of_libraw
 from l3cli.limits import require_picture
 
 
@@ -28,7 +28,7 @@ def read_camera_raw(path: Path) -> RawContent:
     """What a camera raw holds within its visible area; InputFileError as from `opened`."""
     with opened(path) as raw:
         content = _visible(path, raw)
-    content["shot"] = shot_of_file(path)
+        content["shot"] = shot_of_libraw(raw) | shot_of_file(path)
     return content
 
 

@@ -56,6 +56,18 @@ def shot_of_file(path: Path) -> dict[str, str | float]:
         return {}
 
 
+def shot_of_libraw(raw: Any) -> dict[str, str | float]:
+    """What LibRaw tells of a raw file of any structure; rawpy has it since 0.26."""
+    shot, lens = getattr(raw, "other", None), getattr(raw, "lens", None)
+    stated = {
+        "lens": getattr(lens, "model", None),
+        "f_number": getattr(shot, "aperture", None),
+        "focal_length": getattr(shot, "focal_length", None),
+        "iso": getattr(shot, "iso_speed", None),
+    }
+    return {name: value for name, value in stated.items() if isinstance(value, str | float | int)}
+
+
 def shot_of_spec(spec: Any) -> dict[str, str | float]:
     """What OpenImageIO's description of a picture states."""
     names = {
