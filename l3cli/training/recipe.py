@@ -46,6 +46,9 @@ class LearningRecipe(Recipe):
     parent_patches: CountOrNone = (
         200  # pseudo-patches of the parent, all chromas of its level, contrast and case, added to every class
     )
+    plain_surfaces: NotNegative = (
+        0.3  # uniform areas of measured surfaces, a patch of a plain class (docs/method.md#plain-surfaces)
+    )
     symmetry: bool = True  # rotated or mirrored CFA sites share their training (docs/method.md#symmetry)
     equal_response: bool = True  # all CFA sites answer a flat patch alike (docs/method.md#equal-response)
 
