@@ -29,6 +29,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.schema import Artifact
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet
+from l3cli.correction import correction_of
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.frame import RawFrame
 from l3cli.io.images import FLOAT_BITS
@@ -204,15 +205,16 @@ def _optional(path: Name | None) -> Path | None:
 def read_raw(
     path: Name, sensor: TransformTable | CameraModel, *, black_level: float | None = None, white_level: float | None = None,
     phase: tuple[int, int] | None = None, size: tuple[int, int] | None = None, packing: str | None = None,
-    stride: int | None = None, exposure: float | None = None,
+    stride: int | None = None, exposure: float | None = None, camera: CameraModel | None = None,
 ) -> RawFrame:  # fmt: skip
     """The raw frame in a file of any format that `l3 render` reads, `values` (row, col) in DN.
 
     `black_level`, `white_level` (DN), `phase` (CFA row and column of the first pixel), `exposure` (s): known better than
-    the file says; `size` (rows, columns), `packing`, `stride` (bytes): of headerless files. InputFileError if it cannot be
-    read, or has another CFA than the `sensor`.
+    the file says; `size` (rows, columns), `packing`, `stride` (bytes): of headerless files. `camera`: model whose defects
+    and flat field are corrected. InputFileError if it cannot be read, or has another CFA than the `sensor`.
     """
-    known = KnownBetter(black_level, white_level, phase, size, packing, stride, exposure)
+    correction = None if camera is None else correction_of(camera)
+    known = KnownBetter(black_level, white_level, phase, size, packing, stride, exposure, correction=correction)
     return raw_files.read_raw(Path(path), sensor, known)
 
 

@@ -14,7 +14,8 @@ from l3cli.physics import spectra
 
 DIMMEST, BRIGHTEST = 1e6, 1e24  # photons/s/sr/m²/nm: no pixel sees less, no lamp gives more
 RELATIVE = ("relative", "relative photons", "relative power")  # units of radiances whose scale is not known
-PLAIN = ("a.u.", "au", "arb. units", "relative", "rel.", "rel")  # said of numbers without a unit
+AMPERES_PER_WATT = {"A": 1, "J": -1, "s": 1}
+ELECTRONVOLT_NM = spectra.PLANCK * spectra.LIGHT_SPEED / 1.602176634e-19 * 1e9  # eV nm: energy of a photon × wavelength
 Array = NDArray[np.float64]
 
 
@@ -112,7 +113,7 @@ class CurveTable:
         rows = []
         for values, heading in zip(self.values, self.units, strict=True):
             unit = units.parse(heading) if heading is not None else None
-            if heading is not None and unit is None and heading not in PLAIN:
+            if heading is not None and unit is None and heading not in units.PLAIN:
                 raise InputFileError(f'{self.path}: "{heading}" is no unit of power per nm; give "W/nm", or photons')
             photons = unit is not None and "photon" in unit.powers
             rows.append(values / self.wavelength if photons else values)
@@ -132,7 +133,7 @@ class CurveTable:
         says otherwise."""
         for heading in filter(None, self.units):
             unit = units.parse(heading)
-            if heading in PLAIN or (unit is not None and not unit.powers):
+            if heading in units.PLAIN or (unit is not None and not unit.powers):
                 continue
             by_energy = None if unit is None else _energy_response(unit)
             if by_energy is None:
@@ -141,6 +142,25 @@ class CurveTable:
                 wanted = str(by_energy).lower()
                 raise InputFileError(f'{self.path}: its heading says "{heading}", which is {key} = {wanted}; correct one')
         return self.values * np.array([[0.01 if heading == "%" else 1.0] for heading in self.units])
+
+    def efficiencies(self, per_energy: bool) -> Array:
+        """The columns as quantum efficiencies, e-/photon, in the unit that the heading states and otherwise as they are;
+        InputFileError if they are relative, or not what the recipe's `per_energy` says."""
+        rows = []
+        for values, heading in zip(self.responses(per_energy, "per_energy"), self.units, strict=True):
+            unit = units.parse(heading) if heading is not None else None
+            if heading in units.PLAIN or (per_energy and unit is None):
+                what = f'"{heading}"' if heading else "per energy without a unit"
+                raise InputFileError(
+                    f'{self.path}: {what} is no quantum efficiency; write "(A/W)" or "(e-/photon)" after the names of the '
+                    "columns, or give responsivity.peak_efficiency"
+                )
+            if per_energy:
+                if unit is None or unit.powers != AMPERES_PER_WATT:
+                    raise InputFileError(f'{self.path}: "{heading}" is no "A/W"; give responsivity.peak_efficiency')
+                values = values * unit.scale * ELECTRONVOLT_NM / self.wavelength
+            rows.append(values)
+        return np.array(rows)
 
     def per_energy(self) -> Array:
         """The columns as responses per energy, in any unit: those that the heading gives per photon are divided."""

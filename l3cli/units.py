@@ -33,6 +33,7 @@ SPELLINGS = {
     "−": "-",
 }
 TOKEN = re.compile(r"\s*(?:(?P<name>e-(?!\d)|[A-Za-z]+|%|(?<![\w^])1(?!\d))|(?P<power>\^?-?\d)|(?P<sign>[()/]))\s*")
+PLAIN = ("a.u.", "au", "arb. units", "relative", "rel.", "rel")  # said of numbers without a unit
 LONGEST = 80  # characters of a unit's name
 PHOTON_RADIANCE, POWER_RADIANCE = "photons/s/sr/m²/nm", "W/(sr m² nm)"
 
@@ -111,6 +112,6 @@ def split(heading: str) -> tuple[str, str | None]:
         if depth == 0:
             break
     inside = heading[at + 1 : -1].strip()
-    if inside and (parse(inside) or re.search(r"/|\bper\b|\^|⁻", inside)):
+    if inside and (inside in PLAIN or parse(inside) or re.search(r"/|\bper\b|\^|⁻", inside)):
         return heading[:at].strip(), inside
     return heading, None

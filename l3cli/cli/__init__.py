@@ -28,6 +28,8 @@ COMMANDS = {
     "info": "kind, version, axes, units, history of an artifact",
     "export": "camera → files that other software reads",
     "bench": "frame times on this machine, stage by stage",
+    "check": "all that is wrong with recipes, and what they mean",
+    "schema": "JSON schema of recipes, for editors",
     "lab": "virtual lab: simulated measurements of a camera",
     "init": "folder of recipes and pipelines for one kind of camera",
 }

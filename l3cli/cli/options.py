@@ -2,7 +2,7 @@
 
 import functools
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -34,13 +34,17 @@ class RecipeFile(click.Path):
 
         return find_recipe(os.fspath(value), self.kind)
 
+    def names(self) -> Iterable[str]:
+        """The recipes that come with l3."""
+        from l3cli.recipes import known_recipes
+
+        return known_recipes(self.kind)
+
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list["CompletionItem"]:
         """Names and, beside them, files: bash completes no files where anything else is offered."""
         from click.shell_completion import CompletionItem
 
-        from l3cli.recipes import known_recipes
-
-        names = [name for name in known_recipes(self.kind) if name.startswith(incomplete)]
+        names = [name for name in self.names() if name.startswith(incomplete)]
         if not names:
             return super().shell_complete(ctx, param, incomplete)
         visible = (each for each in os.scandir() if each.name.startswith(incomplete) and not each.name.startswith("."))

@@ -17,6 +17,7 @@ from l3cli.curve_file import read_table
 from l3cli.curve_table import RELATIVE, CurveTable
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.files import sha256, stamp
+from l3cli.io.correction_recipe import correction_files, correction_measurements, has_base
 from l3cli.io.curves import read_finished, read_sweep
 from l3cli.io.frames import FrameFiles
 from l3cli.io.measurement_recipe import (
@@ -55,7 +56,7 @@ def load_measurements(path: Path) -> Measurements:
 
     RecipeError if the file asks for what cannot be, InputFileError if a spectrum or a frame is missing or broken.
     """
-    return measurements_of(load_recipe(path, MeasurementRecipe), path)
+    return correction_measurements(path) if has_base(path) else measurements_of(load_recipe(path, MeasurementRecipe), path)
 
 
 def measurements_of(recipe: MeasurementRecipe, path: Path) -> Measurements:
@@ -265,6 +266,11 @@ class Inputs:
 def inputs_of(path: Path) -> Inputs:
     """The measurement file and all files that it names, to be called before they are read."""
     first = stamp(path)
+    if has_base(path):
+        files = correction_files(path)
+        return Inputs(
+            read_text(path), files, {file: stamp(file) for each in files.values() for file in each} | {path: first}
+        )
     recipe = load_recipe(path, MeasurementRecipe)
     files = {
         "measurements": [path],

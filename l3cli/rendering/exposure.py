@@ -37,20 +37,25 @@ class LightMeter:
             table.white_level - table.black_level
         )
         luminance = np.einsum("nt,nt->n", self._weights[classes], signal) + self._intercept[classes]
+        if patches.shading is not None:
+            luminance *= patches.shading.gain[:, 0]
         return frame.light_share * float(np.percentile(luminance, WHITE_PERCENTILE))
 
 
 def spread_patches(frame: RawFrame, table: TransformTable) -> tuple[RawFrame, int]:
-    """About 1500 patches (patch, tap) of a frame, evenly spread, at the table's levels; and the CFA site of them all, that
-    of the frame's first pixel."""
+    """About 1500 patches (patch, tap) of a frame, evenly spread, at the table's levels, shading that of each patch; and the
+    CFA site of them all, that of the frame's first pixel."""
     period_row, period_col = table.cfa.shape
     rows, cols = frame.values.shape
     row = _spread(rows, period_row, GRID[0], table.first.rule.patch)
     col = _spread(cols, period_col, GRID[1], table.first.rule.patch)
     row_source = mirrored_indices(rows, table.first.rule.radius, period_row)[row]
     col_source = mirrored_indices(cols, table.first.rule.radius, period_col)[col]
-    patches = frame.values[row_source[:, None, :, None], col_source[None, :, None, :]].reshape(-1, table.first.rule.patch**2)
-    levelled = replace(frame, values=patches).at_levels(table.black_level, table.white_level, table.bits)
+    taken = (row_source[:, None, :, None], col_source[None, :, None, :])
+    patches = frame.values[taken].reshape(-1, table.first.rule.patch**2)
+    shading = None if frame.shading is None else frame.shading.of_patches(taken, row[:, 0], col[:, 0])
+    whole = replace(frame, values=patches, shading=shading)
+    levelled = whole.at_levels(table.black_level, table.white_level, table.bits).evened()
     return levelled, frame.phase[0] * period_col + frame.phase[1]
 
 

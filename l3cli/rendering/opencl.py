@@ -23,6 +23,7 @@ from l3cli.rendering import kernels, layout
 from l3cli.rendering.display import Display, require_known_layers, require_xyz
 from l3cli.rendering.opencl_bands import bands
 from l3cli.rendering.opencl_devices import choose_device, pyopencl, refusals
+from l3cli.rendering.opencl_shading import DeviceShading
 from l3cli.rendering.opencl_work import Band, PlaneStep, Track, Work
 
 TRACKS = 2
@@ -65,6 +66,7 @@ class OpenCLRenderer:
             self._later = [self._plane_step(number, first) for number in range(len(table.later))]
             self._tracks = deque(Track(self._context, len(table.later)) for _ in range(TRACKS))
             self._frame_bands: tuple[tuple[int, ...], tuple[Band, ...]] | None = None
+            self._shading = DeviceShading(self._build, self._constant, self._cut.lanes)
 
     @property
     def stages(self) -> tuple[str, ...]:
@@ -139,17 +141,17 @@ class OpenCLRenderer:
         levelled, work = frame.at_levels(self.table.black_level, self.table.white_level, self.table.bits), Work(self.stages)
         values = np.ascontiguousarray(levelled.values)
         with refusals(self.device):
-            kernel = None if ending is None else self._transform_kernel(ending)
+            kernel = None if ending is None else self._transform_kernel({**ending, **self._shading.macros(frame.shading)})
             encoding = self._constant(np.zeros(9) if matrix is None else matrix, np.float32)
             for band in self._bands(values.shape):
                 track = self._tracks[0]
                 self._tracks.rotate()
-                self._classify(values, frame.phase, track, band, work)
+                self._classify(values, levelled, track, band, work)
                 for number in range(layer if kernel is None else len(self._later)):
                     self._classify_later(number, track, band, work)
                 offset, sizes = 0, [result[band.rows].nbytes for result in results]
                 if kernel is not None:
-                    self._transform(kernel, encoding, track, band, sum(sizes), levelled.black_level, work)
+                    self._transform(kernel, encoding, track, band, sum(sizes), levelled, work)
                     source = track.result
                 else:
                     source = track.later_labels[layer - 1] if layer else track.labels
@@ -169,14 +171,16 @@ class OpenCLRenderer:
                 self._kept = True
             return work.milliseconds()
 
-    def _classify(self, values: NDArray, phase: tuple[int, int], track: Track, band: Band, work: Work) -> None:
+    def _classify(self, values: NDArray, frame: RawFrame, track: Track, band: Band, work: Work) -> None:
         """Upload and classes of a band, with the rows beside it that a later layer reads."""
         source, (rows, columns) = values[band.raw_rows], band.shape(0)
         track.raw = self._scratch(track.raw, source.nbytes)
         track.labels = self._scratch(track.labels, 4 * rows * columns)
         work.sources.append(source)
         work.add("upload", pyopencl().enqueue_copy(track.queue, track.raw, source, is_blocking=False))
-        site = ((phase[0] + band.reads[0].start) % self.table.cfa.shape[0], phase[1])
+        if evening := self._shading.even(frame, track, band):
+            work.add("classes", evening)
+        site = ((frame.phase[0] + band.reads[0].start) % self.table.cfa.shape[0], frame.phase[1])
         buffers = (track.raw, *band.mosaic_source, *self._class_buffers, track.labels)
         work.add("classes", self._run(self._classes, track, (rows, columns), *buffers, *map(np.int32, site)))
 
@@ -200,12 +204,13 @@ class OpenCLRenderer:
         return np.int32(band.shape(number - 1)[0] if number else 0)
 
     def _transform(
-        self, kernel: Any, encoding: Any, track: Track, band: Band, size: int, black_level: float, work: Work
+        self, kernel: Any, encoding: Any, track: Track, band: Band, size: int, frame: RawFrame, work: Work
     ) -> None:
         """Transforms of the last layer and encoding of a classified band into the track's result, `size` bytes."""
         track.result = self._scratch(track.result, size)
         number = len(self._later)
-        last = (self._weights, encoding, track.result, np.float32(black_level), self._source_rows(number, band))
+        made = (track.result, *self._shading.gain(frame.shading, band.rows))
+        last = (self._weights, encoding, *made, np.float32(frame.black_level), self._source_rows(number, band))
         work.add("transforms", self._run(kernel, track, band.shape(number), *self._reads(number, track, band), *last))
 
     def _run(self, kernel: Any, track: Track, shape: tuple[int, int], *arguments: Any) -> Any:

@@ -52,11 +52,13 @@ def calibrate(
             return console.progress(ordered_map(function, captures, jobs), len(captures), "captures")
 
         camera = model.calibrate(measured, each)
-        if (shortfall := acceptance.shortfall(camera)) and not accept:
+        earlier = measured.base.history if measured.base else ()
+        shortfall = None if measured.base else acceptance.shortfall(camera)
+        if shortfall and not accept:
             culprit = "" if measurements is None else f"{measurements}: "
             raise L3Error(f"{culprit}{shortfall}, or add ‹accept›")
         options = {"accept": True} if accept else {}
-        camera = replace(camera, history=(inputs.history(options | ({"light": light} if photos else {})),))
+        camera = replace(camera, history=(*earlier, inputs.history(options | ({"light": light} if photos else {}))))
         result: dict[str, Any] = figures.figures(camera)
         if true is not None:
             result["truth"] = figures.compare(camera, true)

@@ -30,6 +30,7 @@ class FrameWarnings:
     table: "TransformTable"
     _seen: int = 0
     _untimed: list[str] = field(default_factory=list)  # frames whose exposure time and dark level are unknown
+    _notes: dict[str, str] = field(default_factory=dict)  # first frame of each
     _worst: dict[str, tuple[float, str, int]] = field(default_factory=dict)  # share, frame, number of frames
 
     def __post_init__(self) -> None:
@@ -40,6 +41,8 @@ class FrameWarnings:
         self._seen += 1
         if self.table.dark_signal(1.0) and frame.exposure is None and not frame.dark_measured:
             self._untimed.append(frame.name)
+        for note in frame.notes:
+            self._notes.setdefault(note, frame.name)
         coverage = self._meter.coverage(frame)
         for what, limit in NOTABLE.items():
             share = getattr(coverage, what)
@@ -73,6 +76,8 @@ class FrameWarnings:
                 f"{self._untimed[0]}: exposure time unknown; dark current of the training's {exposure:.3g} s is taken off "
                 f"({dark:.2g} DN); give ‹exposure_time› or ‹dark›"
             )
+        for note, name in self._notes.items():
+            console.warn(f"{name}: {note}")
         for what, (share, name, count) in self._worst.items():
             where = name if self._seen == 1 else f"{count} of {self._seen} frames, most in {name}"
             console.warn(f"{where}: {share:.0%} of the pixels {texts[what]}")

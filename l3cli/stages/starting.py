@@ -62,12 +62,18 @@ def folder_files(starter: Path) -> dict[str, Path]:
     """What the recipe folder of a camera recipe or a benchmark holds, by name: the files it is copied from."""
     if starter.is_dir():
         return {path.name: path for path in sorted(starter.iterdir())}
-    base = _base(starter)
     files = {name: recipe_folder() / source for name, source in COMMON.items()} | {"camera.toml": starter}
-    return files | ({} if base is None else {base.name: base})
+    return files | {path.name: path for path in _named(starter)}
 
 
 def _base(camera: Path) -> Path | None:
     """The camera recipe that this one builds on, beside it."""
     named = tomllib.loads(camera.read_text(encoding="utf-8")).get("base")
     return None if named is None else camera.parent / named
+
+
+def _named(camera: Path) -> list[Path]:
+    """The files beside a camera recipe that it needs: its base, its curves."""
+    base = _base(camera)
+    curves = tomllib.loads((base or camera).read_text(encoding="utf-8"))["responsivity"].get("file")
+    return [*filter(None, [base]), *([camera.parent / curves] if curves else [])]

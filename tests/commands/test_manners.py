@@ -66,9 +66,9 @@ def test_help_has_an_example_and_units_and_fits_eighty_columns(
 
 def test_results_can_be_had_as_json_and_talk_be_silenced() -> None:
     options = {name: {option.name for option in command(name).params} for name in COMMANDS}
-    for name in ("calibrate", "evaluate", "compare", "info", "export", "bench"):
+    for name in ("calibrate", "evaluate", "compare", "info", "export", "bench", "check"):
         assert "as_json" in options[name]
-    assert [name for name in COMMANDS if "console" not in options[name]] == ["compare", "info"]  # they do not talk
+    assert [name for name in COMMANDS if "console" not in options[name]] == ["compare", "info", "schema"]  # they do not talk
     assert [name for name in COMMANDS if "seed" in options[name]] == ["simulate", "train", "lab"]
 
 

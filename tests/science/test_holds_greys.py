@@ -126,7 +126,8 @@ def areas(planes: np.ndarray, count: int) -> np.ndarray:
 
 def test_plain_areas_show_no_pattern_at_any_level(learned: Learned) -> None:
     """Without noise all sites answer alike at every level, on both sides of transitions and through clipping. Only where a
-    grey lies on an edge itself do integer means put sites into different classes: at few levels, all of them dark, where whole DN put greys beside white's chroma."""
+    grey lies on an edge itself do integer means put sites into different classes: at few levels, all of them dark, where
+    whole DN put greys beside white's chroma."""
     renderer, raw, on_an_edge = make_renderer("opencl", learned.table), learned.ramp(EXPOSURES), []
     outputs = areas(renderer.outputs(raw), len(EXPOSURES))
     labels = areas(renderer.labels(raw)[None] % learned.table.first.rule.classes_per_site, len(EXPOSURES))

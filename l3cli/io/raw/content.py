@@ -22,6 +22,8 @@ class RawContent(TypedDict):
     orientation: NotRequired[int]  # LibRaw's flip code
     exposure: NotRequired[float | None]  # s
     shot: NotRequired[dict[str, str | float]]  # fields of Shot, as far as they are stated
+    gain: NotRequired[NDArray[np.float32]]  # (row, col) that the file wants its values above black to be multiplied by
+    notes: NotRequired[tuple[str, ...]]  # what of the file's wishes is not carried out
 
 
 @dataclass(frozen=True)

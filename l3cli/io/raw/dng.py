@@ -20,6 +20,7 @@ from l3cli.io.apart import apart
 from l3cli.io.raw.cfa_codes import LETTERS
 from l3cli.io.raw.content import RawContent, Request
 from l3cli.io.raw.libraw import opened
+from l3cli.io.raw.opcodes import Opcodes, bad_pixels, gain_of_pixels, read_opcodes
 from l3cli.io.raw.shot import shot_of_page
 from l3cli.io.raw.tiff_tags import (
     COLOUR_FILTER_ARRAY,
@@ -32,6 +33,7 @@ from l3cli.io.raw.tiff_tags import (
     TiffTag,
 )
 from l3cli.io.video import storable_rate
+from l3cli.mending import plan_mending
 
 WHITE_CODE = LETTERS.index("W")
 LIBRAW_FLIP = (0, 0, 1, 3, 2, 4, 6, 7, 5)  # of the TIFF orientation 0…8
@@ -53,6 +55,8 @@ class Mosaic:
     white_level: float  # DN
     exposure: float | None  # s
     shot: dict[str, str | float]
+    opcodes: Opcodes
+    planes: tuple[int, ...]  # colour code of each plane
 
 
 def read(path: Path, _: Request) -> RawContent:
@@ -78,10 +82,14 @@ def described(path: Path, stored: NDArray[np.uint16]) -> RawContent:
     black_level = black_level if black_level.size == 1 else black_level[shown]
     if not (black_level.min() >= 0 and (black_level < mosaic.white_level).all()):
         raise InputFileError(f"{path}: its black levels are not below its white level {mosaic.white_level:g}; it is damaged")
-    pixels = stored[top:bottom, left:right][shown].copy()  # LibRaw takes its memory back
+    pixels = stored[top:bottom, left:right].copy()  # LibRaw takes its memory back
+    gain = None
+    if mosaic.opcodes:
+        pixels, gain = _changed(path, mosaic, pixels, bad_pixels(mosaic.opcodes, stored, mosaic.active))
+    pixels, gain = pixels[shown], None if gain is None else gain[shown]
     values, common, white_level = with_one_black_level(pixels, black_level, np.array(mosaic.white_level))
     pattern = np.roll(mosaic.pattern, (-row, -col), axis=(0, 1))
-    return RawContent(
+    content = RawContent(
         values=values,
         black_level=common,
         white_level=white_level,
@@ -89,7 +97,24 @@ def described(path: Path, stored: NDArray[np.uint16]) -> RawContent:
         orientation=mosaic.orientation,
         exposure=mosaic.exposure,
         shot=mosaic.shot,
+        notes=mosaic.opcodes.notes,
     )
+    return content if gain is None else content | {"gain": gain}
+
+
+def _changed(
+    path: Path, mosaic: Mosaic, pixels: NDArray[np.uint16], bad: NDArray[np.bool_]
+) -> tuple[NDArray[np.uint16], NDArray[np.float32] | None]:
+    """The active area as the file's opcodes want it, bad pixels mended, and the gain that they want of it."""
+    if bad.any():
+        pixels = plan_mending(bad, mosaic.pattern).mended(pixels)
+    if not mosaic.opcodes.gains:
+        return pixels, None
+    try:
+        rows, cols = pixels.shape
+        return pixels, gain_of_pixels(mosaic.opcodes, mosaic.pattern, mosaic.planes, (rows, cols))
+    except ValueError as error:
+        raise InputFileError(f"{path}: its tags are damaged ({error}); copy it again") from error
 
 
 def _black_levels(mosaic: Mosaic, shape: tuple[int, int]) -> NDArray[np.float64]:
@@ -183,6 +208,8 @@ def _mosaic(path: Path, first: Any, raw: Any, shape: tuple[int, ...]) -> Mosaic:
         white_level=float(_numbers(raw, TiffTag.WHITE_LEVEL, (2**raw.bitspersample - 1,))[0]),
         exposure=exposure_time(first),
         shot=shot_of_page(first),
+        opcodes=read_opcodes(path, raw),
+        planes=tuple(raw.tags.valueof(TiffTag.CFA_PLANE_COLOR) or (0, 1, 2)),
     )
 
 

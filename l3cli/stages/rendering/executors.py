@@ -17,12 +17,14 @@ from l3cli.io.raw.files import KnownBetter, read_raw
 from l3cli.io.sequences import Pending
 from l3cli.parallel import Crew
 from l3cli.rendering.display import Display
+from l3cli.stages.rendering.corrections import CameraFile, correction_again
 from l3cli.stages.rendering.rendition import Exposed, Rendered, Rendition, Unread, display_of, file_of, rendered
 
 if TYPE_CHECKING:
     from l3cli.artifacts.table import TransformTable
     from l3cli.parallel.cluster import Scheduler
     from l3cli.rendering.renderer import Renderer
+    from l3cli.shading import Shading
 
 
 class Local:
@@ -67,6 +69,7 @@ class RenderSetup:
     known: KnownBetter
     rendition: Rendition
     suffix: str | None  # of the picture files; None: pixels are wanted
+    camera: CameraFile | None = None  # whose defects and flat field are corrected
 
 
 @dataclass(frozen=True)
@@ -82,9 +85,9 @@ class RenderJob:
 class Remote:
     """Renders frames by the workers of other machines."""
 
-    def __init__(self, crew: Crew, setup: RenderSetup, by_path: bool) -> None:
-        """`by_path`: workers read the files themselves."""
-        self._crew, self._setup, self.by_path = crew, setup, by_path
+    def __init__(self, crew: Crew, setup: RenderSetup, by_path: bool, shading: "Shading | None" = None) -> None:
+        """`by_path`: workers read the files themselves; `shading`: that of the setup's camera, which they know."""
+        self._crew, self._setup, self.by_path, self._shading = crew, setup, by_path, shading
 
     def render(self, exposed: Iterator[Exposed]) -> Iterator[tuple[Pending, Any]]:
         """Each frame rendered, the content of its picture's file, or what is wrong with it, in order."""
@@ -93,6 +96,8 @@ class Remote:
         def jobs() -> Iterator[RenderJob]:
             for pending, frame, scale in exposed:
                 away.append(pending)
+                if isinstance(frame, RawFrame) and frame.shading is self._shading:
+                    frame = replace(frame, shading=None)  # larger than the frame, and the same for all
                 yield RenderJob(self._setup, frame, scale, pending.identity)
 
         for made in self._crew(_rendered, jobs()):
@@ -109,12 +114,15 @@ def _rendered(job: RenderJob) -> Any:
     setup = job.setup
     table, renderer = _renderer(setup.table, setup.digest, setup.backend, tuple(setup.engine.items()))
     frame = job.frame
+    correction = None if setup.camera is None else correction_again(setup.camera)
     if isinstance(frame, Unread):
         try:
             require_same(frame.path, frame.digest)
-            frame = read_raw(frame.path, table, setup.known)
+            frame = read_raw(frame.path, table, replace(setup.known, correction=correction))
         except (L3Error, OSError) as error:
             return error if isinstance(error, L3Error) else InputFileError(str(error))
+    elif correction is not None and frame.shading is None:
+        frame = replace(frame, shading=correction.shading)  # its defects are mended already
     made = rendered(renderer, frame, setup.rendition, job.scale, label_of(frame, setup.digest, job.identity))
     return made if setup.suffix is None else file_of(Path(f"frame{setup.suffix}"), made, setup.rendition, table.outputs)
 
@@ -143,4 +151,6 @@ def executor_of(setup: RenderSetup, table: "TransformTable", scheduler: "Schedul
         yield Local(make_renderer(setup.backend, table, **setup.engine), setup)
     else:
         with workers(1, scheduler) as crew:
-            yield Remote(crew, replace(setup, known=replace(setup.known, dark=None)), by_path=setup.known.dark is None)
+            known, correction = replace(setup.known, dark=None, correction=None), setup.known.correction
+            shading = None if correction is None else correction.shading
+            yield Remote(crew, replace(setup, known=known), by_path=setup.known.dark is None, shading=shading)

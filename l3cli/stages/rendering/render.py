@@ -20,6 +20,7 @@ from l3cli.rendering.display import require_xyz
 from l3cli.stages.claims import Claims
 from l3cli.stages.console import Console
 from l3cli.stages.input_warnings import warn_of_kernels, warn_of_white
+from l3cli.stages.rendering.corrections import CameraFile, correction_in, hot_test
 from l3cli.stages.rendering.destination import Destination, claim, destination_of, marked, paged, refuse_missing
 from l3cli.stages.rendering.executors import RenderSetup, executor_of
 from l3cli.stages.rendering.mark import Origins
@@ -37,6 +38,7 @@ def render(
     table: Path, inputs: tuple[Path, ...], output: Path, console: Console, *, rate: Fraction | None = None, bits: int = 8,
     codec: str | None = None, crf: float | None = None, preset: str = "veryfast", suffix: str = "png",
     frames: range | None = None, dataset: str | None = None, known: KnownBetter = NOTHING_KNOWN, dark: tuple[Path, ...] = (),
+    camera: Path | None = None, hot: bool = False,
     exposure: float | None = None, white: str | None = None, space: str | None = None, remosaic: str | None = None,
     backend: str = "opencl", device: str | None = None, variant: str | None = None, skip_bad: bool = False,
     resume: bool = False, scheduler: "Scheduler | None" = None, force: bool = False,
@@ -46,9 +48,10 @@ def render(
 
     `rate`: frames/s of a video, None: the input's or 30; `bits`, `codec`, `crf`, `preset`: of pictures and videos. `frames`:
     numbers of those to take. `dataset`: of an HDF5 input. `known`: what is known better of the inputs than they say; `dark`:
-    frames without light, whose mean is taken off. `exposure`: factor of Y, None: automatic. `white`: name or chromaticity of
-    the scene's white, None: the table's. `space`: of the values, None: sRGB, in floating point the outputs as they are;
-    `remosaic`: mosaic of a DNG file, "bayer". `skip_bad`: leave out broken frames. `resume`: go on where a run was stopped.
+    frames without light, whose mean is taken off; `camera`: model whose defects and flat field are corrected; `hot`: mend
+    each frame's hot pixels. `exposure`: factor of Y, None: automatic. `white`: name or chromaticity of the scene's white,
+    None: the table's. `space`: of the values, None: sRGB, in floating point the outputs as they are; `remosaic`: mosaic of a
+    DNG file, "bayer". `skip_bad`: leave out broken frames. `resume`: go on where a run was stopped.
     RecipeError, InputFileError, DeviceError or L3Error before anything is written where that is known.
     """
     # One long sequence: in this order a refusal comes before any work, and no output takes the place of what is read.
@@ -56,7 +59,7 @@ def render(
     destination = destination_of(output, suffix, choice)
     engine = {name: value for name, value in {"device": device, "variant": variant}.items() if value is not None}
     with Claims(console) as claims:
-        claims.spare(table, *inputs, *dark)
+        claims.spare(table, *inputs, *dark, *filter(None, [camera]))
         claim(destination, force, claims)
         _refuse_misplaced(destination, white, exposure, space, remosaic)
         if engine and backend != "opencl":
@@ -64,6 +67,9 @@ def render(
         transforms = load(TransformTable, table)
         if dark:
             known = replace(known, dark=read_dark(_spared(find_frames(dark, transforms, known), claims)))
+        model = None if camera is None else CameraFile(camera.absolute(), sha256(camera))
+        correction = None if model is None else correction_in(model, transforms)
+        known = replace(known, correction=correction, hot=hot_test(transforms) if hot else None)
         rendition = _rendition(destination, white, exposure, space, remosaic, bits, transforms, console)
         footage = find_frames(inputs, transforms, known, frames, dataset)
         destination = paged(destination, footage)
@@ -72,12 +78,14 @@ def render(
         if not skip_bad:
             refuse_missing(footage)
         choice = replace(choice, rate=rate or footage.rate or USUAL_RATE)
-        setup = RenderSetup(table.absolute(), sha256(table), backend, engine, known, rendition, destination.file_suffix)
+        setup = RenderSetup(
+            table.absolute(), sha256(table), backend, engine, known, rendition, destination.file_suffix, model
+        )
         steady = is_steady(footage, destination, rendition)
         chosen = {"device": os.environ.get("L3_DEVICE"), **engine}
-        levels = (replace(known, dark=None), known.dark and known.dark.digest)
+        levels = (replace(known, dark=None, correction=None), known.dark and known.dark.digest)
         key: list[Any] = [setup.digest, __version__, frames, dataset, suffix, backend, chosen, exposure, white, choice]
-        key += [space, remosaic, *levels, steady]
+        key += [space, remosaic, *levels, known.correction and known.correction.digest, steady]
         origins = functools.partial(Origins, inputs[0], steady)
         with (
             marked(destination, key, resume, force, footage, origins) as mark,
