@@ -10,6 +10,7 @@ import pytest
 import rawpy
 import tifffile
 
+from l3cli import __version__
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.store import save
 from l3cli.artifacts.table import TransformTable
@@ -142,7 +143,7 @@ def test_frames_of_a_sequence_become_files_each_with_its_exposure(l3: Callable, 
 def test_a_developed_frame_names_its_makers_not_its_camera(l3: Callable, desk: Path) -> None:
     """A developer that knows the camera would take its matrix for these channels."""
     assert l3("render", desk / "table.h5", desk / "frame.npy", "-o", desk / "n.dng", "--backend", "reference")[0] == 0
-    assert (stated(desk / "n.dng", 271), stated(desk / "n.dng", 305)) == ("l3cli", "l3cli 0.1.0")
+    assert (stated(desk / "n.dng", 271), stated(desk / "n.dng", 305)) == ("l3cli", f"l3cli {__version__}")
     assert stated(desk / "n.dng", 270).startswith("transform table SHA-256 ")
     assert stated(desk / "n.dng", 306) is None  # no clock
 

@@ -12,6 +12,7 @@ import OpenImageIO as oiio
 import pytest
 from PIL import Image
 
+from l3cli import __version__
 from l3cli.artifacts.store import save
 from l3cli.files import sha256
 from l3cli.frame import Shot
@@ -70,7 +71,7 @@ def test_pictures_carry_it_on(l3: Callable, desk: Path, suffix: str) -> None:
     assert l3("render", desk / "table.h5", desk / "frame.dng", "-o", path, "--backend", "reference")[0] == 0
     spec = said(path)
     texts = ("Make", "Model", "Exif:LensModel", "Exif:DateTimeOriginal", "Software")
-    assert [spec.getattribute(name) for name in texts] == ["Maker", "Model 7", "EF 35mm", SHOT.date, "l3cli 0.1.0"]
+    assert [spec.getattribute(name) for name in texts] == ["Maker", "Model 7", "EF 35mm", SHOT.date, f"l3cli {__version__}"]
     numbers = [spec.getattribute(name) for name in ("ExposureTime", "FNumber", "Exif:FocalLength", "Exif:ISOSpeed")]
     np.testing.assert_allclose(numbers, [1 / 125, 2.8, 35, 800], rtol=1e-3)
     made_from = f"transform table SHA-256 {sha256(desk / 'table.h5')}, raw file SHA-256 {sha256(desk / 'frame.dng')}"
