@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from fractions import Fraction
-from xml.sax.saxutils import quoteattr
 
 from l3cli import __version__
 from l3cli.frame import Shot
@@ -42,6 +41,8 @@ class Label:
         texts["tiff:ImageDescription"] = self.description
         fractions = {name: str(Fraction(value).limit_denominator(10**6)) for name, value in numbers.items() if value}
         stated = {name: text for name, text in {**texts, **fractions}.items() if text}
+        from xml.sax.saxutils import quoteattr  # it imports what browsers need
+
         inside = "".join(f" {name}={quoteattr(text)}" for name, text in stated.items())
         return PACKET.format(inside)
 
