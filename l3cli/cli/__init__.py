@@ -26,7 +26,7 @@ COMMANDS = {
     "report": "artifacts → one page with plots and pictures",
     "compare": "evaluations of several cameras over luminance",
     "info": "kind, version, axes, units, history of an artifact",
-    "export": "camera → files that other software reads",
+    "export": "camera or table → files that other software reads, C source",
     "bench": "frame times on this machine, stage by stage",
     "lab": "virtual lab: simulated measurements of a camera",
     "init": "folder of recipes and pipelines for one kind of camera",
