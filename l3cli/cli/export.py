@@ -32,8 +32,7 @@ def export(
     on a test mosaic), or as little-endian arrays for other hardware.
 
     \b
-    Examples: l3 export camera.h5 -o exported
-              l3 export table.h5 -o source --to c
+    Example: l3 export table.h5 -o source --to c
     """
     from l3cli.calibration.text import matrix_lines
     from l3cli.errors import RecipeError
