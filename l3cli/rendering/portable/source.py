@@ -107,6 +107,7 @@ def _plane_macros(table: TransformTable) -> dict[str, int | str]:
         "TREE_CHROMA_TOP": CHROMA_TOP,
         "DARK": DARK,
         "TESTS": len(EVERY),
+        "LAST_TAPS": filled(3 * table.later[-1].side ** 2),
         "MOST_SIDE": max(most, table.first.rule.patch),
         "MOST_COLUMN": max(3 * most, table.first.rule.patch),
         "MOST_TAPS": max(filled(3 * most**2), filled(table.first.rule.patch**2)),

@@ -21,11 +21,12 @@ static Workspace workspace_in(Room *room, int rows, int columns) {
 
 /* Sum of products, in sixteen parts that do not wait for one another. */
 static float dot(const float *restrict a, const float *restrict b) {
-    float part[16] = {0}, sum = 0;
+    float part[16] = {0}, eight[8], four[4];
     for (int t = 0; t < L3_TAPS; t += 16)
         for (int i = 0; i < 16; i++) part[i] += a[t + i] * b[t + i];
-    for (int i = 0; i < 16; i++) sum += part[i];
-    return sum;
+    for (int i = 0; i < 8; i++) eight[i] = part[i] + part[i + 8];
+    for (int i = 0; i < 4; i++) four[i] = eight[i] + eight[i + 4];
+    return (four[0] + four[2]) + (four[1] + four[3]);
 }
 
 static void transform(const Statistics *s, float *restrict ring, int rows, int columns, const uint32_t *restrict labels,

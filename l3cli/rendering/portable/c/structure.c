@@ -57,8 +57,7 @@ static void read_plane(const Gradients *g, const int32_t *planes, int plane, int
 static void read_scale(const Gradients *g, const L3PlaneLayer *layer, const uint32_t *first_labels, int k, int rows, int columns) {
     const uint32_t *restrict from = first_labels + (ptrdiff_t)mirrored(k - REACH, rows, 1) * columns;
     for (int p = 0; p < columns + 2 * REACH - 2; p++) {
-        const int column = p - REACH + 1;
-        const uint32_t level = level_of(from[column >= 0 && column < columns ? column : mirrored(column, columns, 1)]);
+        const uint32_t level = level_of(from[mirrored_column(p - REACH + 1, columns)]);
         g->factor[p] = layer->gradient_factor[level];
         g->shift[p] = layer->gradient_shift[level];
     }
