@@ -1,6 +1,7 @@
 """Tables as C99 source and as plain arrays: the same classes and outputs as the reference renderer."""
 
 import ctypes
+import dataclasses
 import itertools
 import json
 import os
@@ -14,8 +15,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from l3cli.artifacts.structure_rule import StructureRule
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes import direction
 from l3cli.frame import RawFrame
@@ -23,23 +25,44 @@ from l3cli.rendering.portable.folder import folder_files
 from l3cli.rendering.portable.source import c_files
 from l3cli.rendering.portable.wordlengths import in_words
 from l3cli.rendering.reference import ReferenceRenderer
-from tests.helpers.tables import random_table, with_later, with_tree
+from tests.helpers.tables import random_table, with_first, with_later, with_tree
 
 CC = os.environ.get("CC") or shutil.which("cc") or shutil.which("gcc")
 ARM, QEMU = shutil.which("arm-linux-gnueabihf-gcc"), shutil.which("qemu-arm")
 WARNINGS = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Werror"]
 XTRANS = ["gbggrg", "rgrbgb", "gbggrg", "grggbg", "brbgrg", "grggbg"]
 SIX = [["rgb".index(letter) for letter in row] for row in XTRANS]
+
+
+def a_table(cfa: ArrayLike, bits: int, black_level: float, **keys: Any) -> TransformTable:
+    """A random table in which what is not saturated has case 0: there chromas, structures and leaves decide."""
+    table = random_table(cfa, bits, black_level, **keys)
+    cases = table.first.rule.case_of_code.copy()
+    cases[0], cases[-1] = 0, cases.max()
+    return with_first(table, rule=dataclasses.replace(table.first.rule, case_of_code=cases))
+
+
+def with_strengths(table: TransformTable, *edges: int) -> TransformTable:
+    """The table with other edges of strength in its later layers, as many as they had."""
+    later = []
+    for layer in table.later:
+        assert isinstance(layer.rule, StructureRule)
+        few = np.array(edges[: layer.rule.strengths], np.uint32)
+        later.append(dataclasses.replace(layer, structure=dataclasses.replace(layer.rule, strength_edges=few)))
+    return dataclasses.replace(table, later=tuple(later))
+
+
 TABLES: dict[str, Callable[[], TransformTable]] = {
-    "one layer, 2 × 3, 16 bits": lambda: random_table([[0, 1, 2], [2, 0, 1]], 16, 600.25, contrasts=(0.5, 3.0)),
-    "directions, two outputs": lambda: random_table(
+    "one layer, 2 × 3, 16 bits": lambda: a_table([[0, 1, 2], [2, 0, 1]], 16, 600.25, contrasts=(0.5, 3.0)),
+    "directions, two outputs": lambda: a_table(
         [[0, 1], [1, 2]], 10, 40.0, outputs=("a", "b"), contrasts=(),
         direction=direction.Keys(orientations=8, strengths=(4.0,), coherence=0.5),
     ),
-    "three layers, 2 × 4, 16 bits": lambda: with_later(
-        random_table([[0, 1, 2, 1], [2, 1, 0, 1]], 16, 64.0, contrasts=()), 3, 5
+    "three layers, 2 × 4, 16 bits": lambda: with_strengths(
+        with_later(a_table([[0, 1, 2, 1], [2, 1, 0, 1]], 16, 64.0, patch=7, contrasts=()), 3, 5),
+        5_000_000, 100_000_000, 700_000_000, 1_500_000_000,
     ),
-    "a tree, 6 × 6": lambda: with_tree(random_table(SIX, 12, 64.0, contrasts=())),
+    "a tree, 6 × 6": lambda: with_tree(a_table(SIX, 12, 64.0, contrasts=())),
 }  # fmt: skip
 needs_compiler = pytest.mark.skipif(CC is None, reason="there is no C compiler (cc, gcc or CC)")
 
