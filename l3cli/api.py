@@ -29,16 +29,17 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.schema import Artifact
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet
+from l3cli.correction import correction_of
 from l3cli.errors import InputFileError, RecipeError
-from l3cli.frame import RawFrame, upright
+from l3cli.frame import RawFrame
 from l3cli.io.raw import files as raw_files
 from l3cli.io.raw.files import KnownBetter
-from l3cli.physics.display import scene_white
 from l3cli.recipes import find_recipe
-from l3cli.rendering.display import Display, require_xyz
+from l3cli.rendering.display import require_xyz
 from l3cli.rendering.renderer import make_renderer
+from l3cli.rendering.white_source import given_white, usual_balance, white_source
 from l3cli.stages.console import Console, Silent
-from l3cli.stages.rendering.rendition import Rendition, display_of, linear_of
+from l3cli.stages.rendering.rendition import Rendition, linear_of, pixels_of
 
 Name = str | PathLike[str]
 KINDS: tuple[type[Artifact], ...] = (CameraModel, TrainingSet, TransformTable)
@@ -203,15 +204,16 @@ def _optional(path: Name | None) -> Path | None:
 def read_raw(
     path: Name, sensor: TransformTable | CameraModel, *, black_level: float | None = None, white_level: float | None = None,
     phase: tuple[int, int] | None = None, size: tuple[int, int] | None = None, packing: str | None = None,
-    stride: int | None = None, exposure: float | None = None,
+    stride: int | None = None, exposure: float | None = None, camera: CameraModel | None = None,
 ) -> RawFrame:  # fmt: skip
     """The raw frame in a file of any format that `l3 render` reads, `values` (row, col) in DN.
 
     `black_level`, `white_level` (DN), `phase` (CFA row and column of the first pixel), `exposure` (s): known better than
-    the file says; `size` (rows, columns), `packing`, `stride` (bytes): of headerless files. InputFileError if it cannot be
-    read, or has another CFA than the `sensor`.
+    the file says; `size` (rows, columns), `packing`, `stride` (bytes): of headerless files. `camera`: model whose defects
+    and flat field are corrected. InputFileError if it cannot be read, or has another CFA than the `sensor`.
     """
-    known = KnownBetter(black_level, white_level, phase, size, packing, stride, exposure)
+    correction = None if camera is None else correction_of(camera)
+    known = KnownBetter(black_level, white_level, phase, size, packing, stride, exposure, correction=correction)
     return raw_files.read_raw(Path(path), sensor, known)
 
 
@@ -236,7 +238,9 @@ class Renderer:
         """sRGB, upright, (row, col, 3) as uint8 or, with 16 `bits`, uint16: what `l3 render` writes of the frame.
 
         `exposure`: factor of Y, None: the frame's 99th percentile is shown white. `white`: name ("D50", "3200K") or "x,y" of
-        the scene's white, None: the table's. RecipeError unless the table's outputs are X, Y, Z.
+        the scene's white, "camera" as the file states it, "auto" estimated on the frame, "ROW,COL" or "ROW,COL,SIZE" of a
+        grey in the picture, None: the table's. RecipeError unless the table's outputs are X, Y, Z, InputFileError if the
+        white cannot be taken from the frame.
         """
         return next(self.pictures([frame], exposure=exposure, white=white, bits=bits))
 
@@ -246,13 +250,16 @@ class Renderer:
     ) -> Iterator[NDArray[np.unsignedinteger]]:  # fmt: skip
         """`picture` of each frame, in order, as they are asked for; each has its automatic exposure."""
         require_xyz(self.table.outputs)
-        rendition = Rendition(self.table.white_point if white is None else scene_white(white), exposure, bits)
+        source = white_source(white, self.table) if white is not None else None
+        given = None if source else given_white(white, self.table)
+        rendition = Rendition(given.balance if given else usual_balance(self.table), exposure, bits)
         for each in frames:
             frame = self._frame(each)
+            white_of_frame = source.white(frame) if source else None
+            balance = white_of_frame.balance if white_of_frame else None
             with self._alone:
-                display: Display = display_of(self._renderer, frame, rendition, exposure or 0.0)
-                picture = self._renderer.picture(frame, display)
-            yield upright(picture, frame.orientation)
+                picture = pixels_of(self._renderer, frame, rendition, exposure or 0.0, balance)
+            yield picture
 
     def outputs(self, frame: RawFrame | NDArray[np.uint16]) -> NDArray[np.float32]:
         """The table's outputs, upright, (row, col, output); 1 is `table.output_unit` cd s/m²."""

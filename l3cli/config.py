@@ -11,8 +11,10 @@ import msgspec
 from l3cli.errors import InputFileError, RecipeError, shortened, suggestion
 from l3cli.limits import read_bounded
 from l3cli.quantities import LARGEST_WHOLE
+from l3cli.toml_lines import KeyPath, key_lines, line_of
 
 LARGEST = 1e24  # of any number in a recipe: beyond lies what no lamp gives and floats run over at
+PART = r"\.([^.[\]`]+)|\[(\d+)\]"  # of a place as msgspec writes it, `$.scene[1].size`: a key or a number
 MOST = 1_000_000  # of anything that can be counted
 Count = Annotated[int, msgspec.Meta(ge=1, le=MOST)]
 CountOrNone = Annotated[int, msgspec.Meta(ge=0, le=MOST)]
@@ -65,11 +67,13 @@ def parse_recipe(text: str, recipe: type[R], name: str) -> R:
     given = {kind for kind, keys in TELLING.items() if any(key in content for key in keys)}
     if given and recipe.title in TELLING and recipe.title not in given:
         raise RecipeError(f"{name} is {' and '.join(sorted(given))}; give {recipe.title}")
-    _require_sane(content, name)
+    for key, message in refusals(content):
+        raise RecipeError(f"{name}:{line_of(key, key_lines(text))}: {message}")
     try:
         return msgspec.convert(content, recipe)
     except msgspec.ValidationError as error:
-        raise RecipeError(f"{name}: {_plain(str(error), recipe, content)}") from error
+        line = line_of(place(str(error)), key_lines(text))
+        raise RecipeError(f"{name}:{line}: {plain(str(error), recipe, content)}") from error
 
 
 def parse_toml(text: str, name: str) -> dict[str, Any]:
@@ -82,28 +86,29 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
         raise RecipeError(f"{name} is not valid TOML: its lists or tables are too deep") from error
 
 
-def _require_sane(value: Any, name: str, key: str = "") -> None:
-    """RecipeError if a number is not finite, or if a text holds the character that no file name can."""
+def refusals(value: Any, key: KeyPath = ()) -> Iterator[tuple[KeyPath, str]]:
+    """Numbers that are not finite and texts with the character that no file name can hold: their keys, what is wrong."""
+    named = ".".join(part for part in key if isinstance(part, str))
     if isinstance(value, dict):
         for inner, item in value.items():
-            _require_sane(item, name, f"{key}.{inner}".lstrip("."))
+            yield from refusals(item, (*key, inner))
     elif isinstance(value, list):
-        for item in value:
-            _require_sane(item, name, key)
+        for number, item in enumerate(value):
+            yield from refusals(item, (*key, number))
     elif isinstance(value, int) and not -LARGEST_WHOLE <= value <= LARGEST_WHOLE:
-        raise RecipeError(f"{name}: {key} is {shortened(str(value))}; a whole number has at most 64 bits")
+        yield key, f"{named} is {shortened(str(value))}; a whole number has at most 64 bits"
     elif isinstance(value, float) and not abs(value) <= LARGEST:
-        raise RecipeError(f"{name}: {key} is {value:g}; give a number within ±{LARGEST:g}")
+        yield key, f"{named} is {value:g}; give a number within ±{LARGEST:g}"
     elif isinstance(value, str) and "\0" in value:
-        raise RecipeError(f"{name}: {key} holds a null character; leave it out")
+        yield key, f"{named} holds a null character; leave it out"
 
 
-def _plain(message: str, recipe: type[Recipe], content: Any) -> str:
+def plain(message: str, recipe: type[Recipe], content: Any) -> str:
     """msgspec's message in the words of a recipe: keys and tables instead of fields and objects, and what was meant."""
     what, _, where = message.partition(" - at ")
     if bound := re.fullmatch(r"Expected `(?:int|float)` (<=|>=|<|>) (\S+)", what):
-        return f"{_place(where)} is {_value_at(content, where)}; {BOUNDS[bound[1]]} {bound[2]}"
-    table = _place(where)
+        return f"{_written(where)} is {_value_at(content, where)}; {BOUNDS[bound[1]]} {bound[2]}"
+    table = _written(where)
     what = what.replace("Object missing required field", "missing key").replace(
         "Object contains unknown field", "unknown key"
     )
@@ -114,15 +119,22 @@ def _plain(message: str, recipe: type[Recipe], content: Any) -> str:
     return f"{line}; {suggestion(wrong[1] or wrong[2] or '', known)}" if wrong and known else line
 
 
-def _place(where: str) -> str:
-    """Where msgspec says that something is, entries counted from 1."""
+def place(message: str) -> KeyPath:
+    """Where msgspec's message says that something is: of an unknown key there, of a missing one the table without it."""
+    what, _, where = message.partition(" - at ")
+    unknown = re.findall("unknown field `(.*)`", what)
+    return (*(int(number) if number else key for key, number in re.findall(PART, where)), *unknown)
+
+
+def _written(where: str) -> str:
+    """A place of msgspec's, entries counted from 1."""
     inner = re.sub(r"^`\$\.?|`$", "", where)
     return re.sub(r"\[(\d+)\]", lambda number: f"[{int(number[1]) + 1}]", inner)
 
 
 def _value_at(content: Any, where: str) -> Any:
     """What stands where msgspec says."""
-    for key, number in re.findall(r"\.([^.[\]`]+)|\[(\d+)\]", where):
+    for key, number in re.findall(PART, where):
         content = content[int(number)] if number else content[key]
     return content
 

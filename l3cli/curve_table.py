@@ -14,7 +14,8 @@ from l3cli.physics import spectra
 
 DIMMEST, BRIGHTEST = 1e6, 1e24  # photons/s/sr/m²/nm: no pixel sees less, no lamp gives more
 RELATIVE = ("relative", "relative photons", "relative power")  # units of radiances whose scale is not known
-PLAIN = ("a.u.", "au", "arb. units", "relative", "rel.", "rel")  # said of numbers without a unit
+AMPERES_PER_WATT = {"A": 1, "J": -1, "s": 1}
+ELECTRONVOLT_NM = spectra.PLANCK * spectra.LIGHT_SPEED / 1.602176634e-19 * 1e9  # eV nm: energy of a photon × wavelength
 Array = NDArray[np.float64]
 
 
@@ -74,14 +75,21 @@ class CurveTable:
                 raise InputFileError(
                     f'{self.path}: its heading says "{heading}", the measurement file "{unit}"; correct one'
                 )
-            rows.append(self._to_photons(values, heading or unit or units.PHOTON_RADIANCE))
+            rows.append(self._to_photons(values, heading or unit or units.PHOTON_RADIANCE, absolute))
         photons = np.array(rows)
         if absolute and not {unit, *self.units} & set(RELATIVE):
             self._check_level(photons, unit is not None or any(self.units))
         return photons
 
-    def _to_photons(self, values: Array, unit: str) -> Array:
+    def _to_photons(self, values: Array, unit: str, absolute: bool) -> Array:
         conversion = _conversion(unit)
+        other = _without_angle(unit) if conversion is None else None
+        if other is not None and absolute:
+            raise InputFileError(
+                f'{self.path}: "{unit}" is of light that falls or flows, and no unit of spectral radiance; measure what the '
+                "camera sees"
+            )
+        conversion = conversion or other
         if conversion is None:
             raise InputFileError(
                 f'{self.path}: "{unit}" is no unit of spectral radiance; give "{units.PHOTON_RADIANCE}", '
@@ -112,7 +120,7 @@ class CurveTable:
         rows = []
         for values, heading in zip(self.values, self.units, strict=True):
             unit = units.parse(heading) if heading is not None else None
-            if heading is not None and unit is None and heading not in PLAIN:
+            if heading is not None and unit is None and heading not in units.PLAIN:
                 raise InputFileError(f'{self.path}: "{heading}" is no unit of power per nm; give "W/nm", or photons')
             photons = unit is not None and "photon" in unit.powers
             rows.append(values / self.wavelength if photons else values)
@@ -120,8 +128,7 @@ class CurveTable:
 
     def shares(self) -> Array:
         """The columns as shares, 0…1; InputFileError if they are none, which a heading "(%)" converts."""
-        rows = [values * (0.01 if heading == "%" else 1.0) for values, heading in zip(self.values, self.units, strict=True)]
-        shares = np.array(rows)
+        shares = self.values * np.array([[_share(heading)] for heading in self.units])
         if shares.min() < 0 or shares.max() > 1:
             percent = '; if they are percent, write "(%)" after the column\'s name' if 1 < shares.max() <= 100 else ""
             raise InputFileError(f"{self.path}: values of {shares.min():g}…{shares.max():g} are no shares of light{percent}")
@@ -132,7 +139,7 @@ class CurveTable:
         says otherwise."""
         for heading in filter(None, self.units):
             unit = units.parse(heading)
-            if heading in PLAIN or (unit is not None and not unit.powers):
+            if heading in units.PLAIN or (unit is not None and not unit.powers):
                 continue
             by_energy = None if unit is None else _energy_response(unit)
             if by_energy is None:
@@ -140,7 +147,26 @@ class CurveTable:
             if by_energy != per_energy:
                 wanted = str(by_energy).lower()
                 raise InputFileError(f'{self.path}: its heading says "{heading}", which is {key} = {wanted}; correct one')
-        return self.values * np.array([[0.01 if heading == "%" else 1.0] for heading in self.units])
+        return self.values * np.array([[_share(heading)] for heading in self.units])
+
+    def efficiencies(self, per_energy: bool) -> Array:
+        """The columns as quantum efficiencies, e-/photon, in the unit that the heading states and otherwise as they are;
+        InputFileError if they are relative, or not what the recipe's `per_energy` says."""
+        rows = []
+        for values, heading in zip(self.responses(per_energy, "per_energy"), self.units, strict=True):
+            unit = units.parse(heading) if heading is not None else None
+            if heading in units.PLAIN or (per_energy and unit is None):
+                what = f'"{heading}"' if heading else "per energy without a unit"
+                raise InputFileError(
+                    f'{self.path}: {what} is no quantum efficiency; write "(A/W)" or "(e-/photon)" after the names of the '
+                    "columns, or give responsivity.peak_efficiency"
+                )
+            if per_energy:
+                if unit is None or unit.powers != AMPERES_PER_WATT:
+                    raise InputFileError(f'{self.path}: "{heading}" is no "A/W"; give responsivity.peak_efficiency')
+                values = values * unit.scale * ELECTRONVOLT_NM / self.wavelength
+            rows.append(values)
+        return np.array(rows)
 
     def per_energy(self) -> Array:
         """The columns as responses per energy, in any unit: those that the heading gives per photon are divided."""
@@ -149,6 +175,12 @@ class CurveTable:
             unit = units.parse(heading) if heading is not None else None
             rows.append(values * self.wavelength if unit is not None and _energy_response(unit) is False else values)
         return np.array(rows)
+
+
+def _share(heading: str | None) -> float:
+    """What a column of shares is multiplied by: 0.01 of percent."""
+    unit = units.parse(heading) if heading is not None else None
+    return unit.scale if unit is not None and not unit.powers else 1.0
 
 
 def _energy_response(unit: units.Unit) -> bool | None:
@@ -163,11 +195,24 @@ def _conversion(unit: str) -> tuple[str, float] | None:
     """What a spectral radiance counts, "J" or "photon", and its size in photons/s/sr/m²/nm or W/(sr m² nm)."""
     if unit in RELATIVE:
         return ("J" if unit == "relative power" else "photon", 1.0)
-    parsed = units.parse(unit)
+    for text in filter(None, (unit, units.below_one_slash(unit))):
+        if found := _of_powers(units.parse(text), {"s": -1, "sr": -1, "m": -3}):
+            return found
+    return None
+
+
+def _of_powers(parsed: units.Unit | None, below: dict[str, int]) -> tuple[str, float] | None:
+    """What a unit counts, and its size, if it is one per all that is `below`."""
     for of in ("J", "photon"):
-        if parsed is not None and parsed.powers == {of: 1, "s": -1, "sr": -1, "m": -3}:
+        if parsed is not None and parsed.powers == {of: 1, **below}:
             return of, float(f"{parsed.scale * 1e-9:.9g}")
     return None
+
+
+def _without_angle(unit: str) -> tuple[str, float] | None:
+    """`_conversion` of what is no radiance, but an irradiance or a flux per wavelength, such as µW/cm²/nm."""
+    parsed = units.parse(unit)
+    return _of_powers(parsed, {"s": -1, "m": -3}) or _of_powers(parsed, {"s": -1, "m": -1})
 
 
 def _plain(name: str) -> str:

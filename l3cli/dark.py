@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
 from l3cli.frame import RawFrame
+from l3cli.shading import CLIPPED
 
-CLIPPED = 0.985  # share of full scale from which a pixel is left as it is, since what the light added is not known
 HOT = 5.0  # standard deviations from which a pixel is no usual one
 MAD = 1.4826  # of normal deviates: standard deviation / median absolute deviation
 

@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.shading import Shading, evened
+
 
 @dataclass(frozen=True)
 class RawFrame:
@@ -20,6 +22,10 @@ class RawFrame:
     exposure: float | None = None  # s; None: unknown
     dark: float = 0.0  # DN above black, the mean signal of dark current …
     dark_measured: bool = False  # … by a dark frame, not by the exposure time
+    neutral: tuple[float, ...] | None = None  # (channel) of a grey, as the camera took it, of any scale; None: not stated
+    taken_by: tuple[str, ...] = ()  # make, model and other names of the camera, where the file has them
+    shading: Shading | None = None  # what the lens takes, which is still in the values
+    notes: tuple[str, ...] = ()  # what the file wants done to it, and nobody does
 
     def __post_init__(self) -> None:
         if self.values.ndim != 2 or self.values.dtype != np.uint16 or self.values.size == 0:
@@ -53,6 +59,13 @@ class RawFrame:
             values = np.minimum(values, np.uint16(2**bits - 1))
         black_level += (self.dark - whole) * scale
         return replace(self, values=values, black_level=black_level, white_level=white_level, dark=0.0)
+
+    def evened(self) -> "RawFrame":
+        """The frame with what channels differ by in their shading taken off (`shading.evened`)."""
+        if self.shading is None or self.shading.tint is None:
+            return self
+        values = evened(self.values, self.shading.tint, self.black_level, self.white_level)
+        return replace(self, values=values, shading=replace(self.shading, tint=None))
 
 
 @functools.lru_cache(maxsize=8)

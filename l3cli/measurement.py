@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.camera import Noise, Optics
+from l3cli.artifacts.camera import CameraModel, Noise, Optics
 from l3cli.frame import RawFrame
 from l3cli.physics.lens import relative_illumination
 
@@ -157,7 +157,7 @@ class Measurements:
     """All that was measured of one camera, and how well the lights were known.
 
     Responsivity comes from one of `mono`, `bands`, `curve` and `photos`; the sensor from `darks` and `whites`, or else from
-    `datasheet`, or else from the photos.
+    `datasheet`, or else from the photos; with a `base`, all but defects and flat field from that.
     """
 
     body: Body
@@ -170,5 +170,8 @@ class Measurements:
     photos: tuple[PhotoCapture, ...] = ()
     cameras: CurveStatistics | tuple[FinishedCurves, ...] | None = None  # what is known of curves before a photo is taken
     datasheet: SensorFigures | None = None
+    base: CameraModel | None = (
+        None  # of which all is known but its defects and flat field, for which `darks` and `whites` are
+    )
     lamp_drift: float = 0.0  # relative standard deviation between a light and its measured spectrum
     wavelength_uncertainty: float = 0.0  # nm, standard deviation of the spectrometer's scale

@@ -21,7 +21,7 @@ BASES = {
     "cm": (1e-2, {"m": 1}),
     "sr": (1.0, {"sr": 1}),
     "DN": (1.0, {"DN": 1}),
-    "%": (1e-2, {}),
+    **{name: (1e-2, {}) for name in ("%", "percent", "pct")},
     "1": (1.0, {}),
 }
 SPELLINGS = {
@@ -33,6 +33,7 @@ SPELLINGS = {
     "−": "-",
 }
 TOKEN = re.compile(r"\s*(?:(?P<name>e-(?!\d)|[A-Za-z]+|%|(?<![\w^])1(?!\d))|(?P<power>\^?-?\d)|(?P<sign>[()/]))\s*")
+PLAIN = ("a.u.", "au", "arb. units", "relative", "rel.", "rel")  # said of numbers without a unit
 LONGEST = 80  # characters of a unit's name
 PHOTON_RADIANCE, POWER_RADIANCE = "photons/s/sr/m²/nm", "W/(sr m² nm)"
 
@@ -51,6 +52,7 @@ def parse(text: str) -> Unit | None:
         return None
     plain = re.sub(r"\bper\b", "/", "".join(SPELLINGS.get(letter, letter) for letter in text)).replace("^^", "^")
     plain = re.sub(r"\^-\^", "^-", plain).strip()
+    plain = re.sub(r"(?<=[a-z0-9])-(?=[a-z])", " ", plain)  # W/m2-sr-nm
     tokens, at = [], 0
     while at < len(plain):
         token = TOKEN.match(plain, at)
@@ -63,6 +65,13 @@ def parse(text: str) -> Unit | None:
     except (KeyError, IndexError):
         return None
     return unit if tokens and not rest else None
+
+
+def below_one_slash(text: str) -> str | None:
+    """A unit such as "W/sr·m²/nm" with everything behind its first slash below it; None where that changes nothing."""
+    above, slash, below = text.partition("/")
+    plain = re.sub(r"[/()]", " ", below)
+    return f"{above}/({plain})" if slash and plain.strip() else None
 
 
 def _product(tokens: list[re.Match[str]]) -> tuple[Unit, list[re.Match[str]]]:
@@ -101,6 +110,8 @@ def split(heading: str) -> tuple[str, str | None]:
     name, slash, rest = heading.partition(" / ")
     if slash and parse(rest):
         return name.strip(), rest.strip()
+    if heading.endswith(" %"):
+        return heading[:-2].strip(), "%"
     if heading[-1:] not in (")", "]"):
         return heading, None
     opening, closing = ("(", ")") if heading[-1] == ")" else ("[", "]")
@@ -111,6 +122,6 @@ def split(heading: str) -> tuple[str, str | None]:
         if depth == 0:
             break
     inside = heading[at + 1 : -1].strip()
-    if inside and (parse(inside) or re.search(r"/|\bper\b|\^|⁻", inside)):
+    if inside and (inside in PLAIN or parse(inside) or re.search(r"/|\bper\b|\^|⁻", inside)):
         return heading[:at].strip(), inside
     return heading, None

@@ -21,7 +21,7 @@ INLINE size_t source_of(int i, int y0, int x0, __global const int *row_source, _
     return (size_t)row_source[row] * columns + column_source[column];
 }
 
-#if SOURCES == 1
+#if SOURCES == 1 && !defined(TRANSFORM_ONLY)
 
 __kernel __attribute__((reqd_work_group_size(TILE, BAND, 1)))
 void classes(__global const ushort *restrict raw,                // (row, col) DN
@@ -132,6 +132,9 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
                __global const tap4 *restrict weights,       // (class, intercept and taps column by column, output)
                __global const float *restrict matrix,       // (3, 3) encoded values from X, Y, Z, before the curve
                __global CODE *restrict picture,             // (output, row, col), or (row, col, 3)
+#ifdef SHADED
+               __global const float *restrict gain,         // (row, node) of the outputs, GAIN_STEP columns apart
+#endif
                float black_level, int source_rows, int rows, int columns) {
     __local tap signal[TILE_ROWS][TILE_COLUMNS][SOURCES];
     const int x0 = get_group_id(0) * TILE, y0 = get_group_id(1) * BAND;
@@ -173,5 +176,10 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
         output[4 * f + 2] = total[f].z;
         output[4 * f + 3] = total[f].w;
     }
+#ifdef SHADED
+    __global const float *node = gain + (size_t)y * GAIN_NODES(columns) + x / GAIN_STEP;
+    const float factor = node[0] + (node[1] - node[0]) * ((x % GAIN_STEP) * (1.0f / GAIN_STEP));
+    for (int o = 0; o < OUTPUTS; o++) output[o] *= factor;
+#endif
     write(picture, output, matrix, at, (size_t)rows * columns);
 }

@@ -1,5 +1,23 @@
 // Processor variant: a row of outputs → what is written of it.
 
+#ifdef SHADED
+
+#define LANE(i) (float)(i)
+
+// planes[o * TILE + x] times the gain of its pixel, linear between the nodes of a row, GAIN_STEP columns apart.
+INLINE void even_row(float *planes, __global const float *gain, int x0, int width) {
+    const floats lane = (floats)(ALL_LANES(LANE));
+    for (int x = 0; x < width; x += LANES) {
+        const int node = (x0 + x) / GAIN_STEP;
+        const floats part = ((float)((x0 + x) % GAIN_STEP) + lane) * (1.0f / GAIN_STEP);
+        const floats factor = gain[node] + (gain[node + 1] - gain[node]) * part;
+        for (int o = 0; o < OUTPUTS; o++)
+            STORE_PRIVATE(floats, planes + o * TILE + x) = LOAD_PRIVATE(floats, planes + o * TILE + x) * factor;
+    }
+}
+
+#endif
+
 #if defined(FIXED_POINT)
 
 // planes[o * TILE + x] → what the next layer reads (output, pixel), past the caches where vectors lie on whole lines: it is read

@@ -67,6 +67,9 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
                __global const tap *restrict weights,        // (class, …) per unit of the source
                __global const float *restrict matrix,       // (3, 3) encoded values from X, Y, Z, before the curve
                __global CODE *restrict picture,
+#ifdef SHADED
+               __global const float *restrict gain,         // (row, node) of the outputs
+#endif
                float black_level, int source_rows, int rows, int columns) {
     const int x0 = get_group_id(0) * TILE, y0 = get_group_id(1) * BAND;
     const int y1 = min(y0 + BAND, rows), width = min(TILE, columns - x0);
@@ -87,6 +90,9 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
         const size_t at = (size_t)y * columns + x0;
         for (int x = 0; x < width; x++) label[x] = labels[at + x];
         for (int x = 0; x < width; x += LANES) apply(planes, ring + (k - 2 * RADIUS) * SOURCES, label, weights, x);
+#ifdef SHADED
+        even_row(planes, gain + (size_t)y * GAIN_NODES(columns), x0, width);
+#endif
         write_row(picture, planes, matrix, at, width, (size_t)rows * columns);
     }
 }

@@ -6,6 +6,8 @@
 
 #define INLINE static inline __attribute__((always_inline))
 
+#define GAIN_NODES(columns) (((columns) + GAIN_STEP - 1) / GAIN_STEP + 1)  // of a row of gains (l3cli/shading.py)
+
 #if LANES == 1
 typedef uint uints;
 typedef int ints;

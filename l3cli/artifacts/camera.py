@@ -7,6 +7,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.corrections import DefectMap, FlatField
 from l3cli.artifacts.fit import Fit
 from l3cli.artifacts.schema import MOST, Artifact, data, group
 from l3cli.errors import InputFileError
@@ -126,6 +127,8 @@ class CameraModel(Artifact):
         "str", "declared", doc="quantities that calibration took from a data sheet instead of measuring them", default=()
     )
     fit: Fit | None = group(default=None)
+    defects: DefectMap | None = group(default=None)  # None: nobody has searched for any
+    flat_field: FlatField | None = group(default=None)  # None: not measured
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -136,6 +139,14 @@ class CameraModel(Artifact):
             raise ValueError("pixel_pitch, gain and the peak of the responsivity must be above zero, the seed not below")
         if self.absolute and not self.responsivity.max() <= 1.0 + ROUNDING:
             raise ValueError(f"its peak quantum efficiency is {self.responsivity.max():.4g}, and 1 at most can be")
+        if (
+            self.defects
+            and self.defects.position.size
+            and (self.defects.position.max(axis=0) >= (self.rows, self.cols)).any()
+        ):
+            raise ValueError(f"defects lie beyond the {self.rows}×{self.cols} pixels")
+        if self.flat_field and not self.flat_field.covers(self.rows, self.cols):
+            raise ValueError(f"the grid of the flat field is not that of {self.rows}×{self.cols} pixels")
 
     @property
     def full_scale(self) -> float:

@@ -1,6 +1,6 @@
 """Cameras described instead of measured: recipes (configs/cameras)."""
 
-from collections.abc import Iterable
+from collections.abc import Iterator
 from pathlib import Path
 from typing import ClassVar
 
@@ -8,12 +8,12 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.camera import LONGEST, MAX_CFA, MAX_CHANNELS, MOST_WAVELENGTHS, CameraModel, Noise, Optics
+from l3cli.artifacts.camera import MAX_BITS, MAX_CFA, MAX_CHANNELS, CameraModel, Noise, Optics, check_sensor
+from l3cli.artifacts.camera_curves import ResponsivityRecipe, curve_faults, differences, responsivity
 from l3cli.artifacts.store import load
 from l3cli.config import CountOrNone, Recipe, Seed, load_recipe, parse_recipe, parse_toml, read_text
-from l3cli.curve_file import read_table
-from l3cli.errors import RecipeError, suggestion
-from l3cli.physics import spectra
+from l3cli.errors import RecipeError
+from l3cli.faults import Fault, fault, refuse_first
 
 PITCHES_UM, LEAST_F_NUMBER, LEAST_FOCAL_MM = (0.1, 1000.0), 0.5, 0.05  # beyond, a length was given in another unit
 MOST_PRNU = 0.2  # of any sensor that can be corrected
@@ -33,23 +33,6 @@ class SensorRecipe(Recipe):
 class CfaRecipe(Recipe):
     channels: list[str]
     pattern: list[str]  # rows of the super-pixel, channel names separated by spaces
-
-
-class Gaussian(Recipe):
-    """One asymmetric Gaussian of a responsivity: peak · exp(−½((λ−centre)/sigma)²), sigma below and above the centre."""
-
-    peak: float
-    centre_nm: float
-    sigma_nm: float
-    sigma_above_nm: float | None = None
-
-
-class ResponsivityRecipe(Recipe):
-    wavelength_nm: tuple[float, float, float]  # first, last, step
-    peak_efficiency: float  # quantum efficiency e-/photon at the peak of the whole set, lens and filters included
-    gaussians: dict[str, list[Gaussian]] | None = None  # channel → sum of Gaussians
-    file: str | None = None  # CSV: wavelength in nm, one column a channel, by name or in the order of cfa.channels
-    per_energy: bool = False  # the curves are per watt, not per photon
 
 
 class NoiseRecipe(Recipe):
@@ -125,13 +108,9 @@ def read_recipe(path: Path) -> tuple[CameraRecipe, Path]:
 
 def camera_from_recipe(recipe: CameraRecipe, path: Path) -> CameraModel:
     """The model a recipe describes; `path` places relative file names and names the culprit in errors."""
-    _check_figures(recipe, path)
+    refuse_first(camera_faults(recipe), path)
     sensor, noise = recipe.sensor, recipe.noise
-    converter = 2**sensor.bits - 1
-    white_level = sensor.white_level_dn
-    if white_level is None:
-        white_level = min(converter, np.floor(sensor.black_level_dn + sensor.gain_dn_per_e * noise.well_capacity_e))
-    wavelength, responsivity = _responsivity(recipe, path)
+    wavelength, curves = responsivity(recipe.responsivity, recipe.cfa.channels, path.parent)
     try:
         return CameraModel(
             name=recipe.name,
@@ -142,12 +121,12 @@ def camera_from_recipe(recipe: CameraRecipe, path: Path) -> CameraModel:
             channels=tuple(recipe.cfa.channels),
             cfa=parse_cfa(recipe.cfa, str(path)),
             wavelength=wavelength,
-            responsivity=responsivity,
-            responsivity_band=np.zeros_like(responsivity),
+            responsivity=curves,
+            responsivity_band=np.zeros_like(curves),
             absolute=True,
             gain=sensor.gain_dn_per_e,
             black_level=sensor.black_level_dn,
-            white_level=float(white_level),
+            white_level=white_level(recipe),
             fixed_pattern_seed=sensor.fixed_pattern_seed,
             noise=Noise(
                 read_noise=noise.read_noise_e,
@@ -163,11 +142,11 @@ def camera_from_recipe(recipe: CameraRecipe, path: Path) -> CameraModel:
         raise RecipeError(f"{path}: {error}") from error
 
 
-def _check_figures(recipe: CameraRecipe, path: Path) -> None:
-    """RecipeError if a number of the recipe cannot be."""
+def camera_faults(recipe: CameraRecipe) -> Iterator[Fault]:
+    """All that cannot be of a recipe's numbers and names."""
     sensor, noise, optics = recipe.sensor, recipe.noise, recipe.optics
-    if not 1 <= sensor.bits <= 16:
-        raise RecipeError(f"{path}: sensor.bits is {sensor.bits}; a raw value has 1 to 16 bits")
+    if not 1 <= sensor.bits <= MAX_BITS:
+        yield fault(f"sensor.bits is {sensor.bits}; a raw value has 1 to {MAX_BITS} bits", "sensor.bits")
     positive = [
         ("sensor.rows", sensor.rows),
         ("sensor.cols", sensor.cols),
@@ -178,100 +157,106 @@ def _check_figures(recipe: CameraRecipe, path: Path) -> None:
         ("optics.focal_length_mm", optics.focal_length_mm),
         ("optics.f_number", optics.f_number),
     ]
-    for channel, terms in (recipe.responsivity.gaussians or {}).items():
-        for term in terms:
-            widths = (term.sigma_nm, term.sigma_nm if term.sigma_above_nm is None else term.sigma_above_nm)
-            positive.append((f"a sigma of the Gaussians of {channel}", min(widths)))
-    spreads = [(f"noise.{key}", getattr(noise, key)) for key in noise.__struct_fields__ if key != "well_capacity_e"]
     for key, value in positive:
-        if not 0 < value < float("inf"):
-            raise RecipeError(f"{path}: {key} is {value:g}, and must be above zero")
-    for key, value in spreads:
-        if not 0 <= value < float("inf"):
-            raise RecipeError(f"{path}: {key} is {value:g}, and must not be negative")
-    check_share(recipe.responsivity.peak_efficiency, "responsivity.peak_efficiency", 1.0, path)
-    check_share(noise.prnu, "noise.prnu", MOST_PRNU, path)
-    check_lengths(sensor.pixel_pitch_um, optics, path)
+        if value is not None and not 0 < value < float("inf"):
+            yield fault(f"{key} is {value:g}, and must be above zero", key)
+    for channel, terms in (recipe.responsivity.gaussians or {}).items():
+        for number, term in enumerate(terms):
+            if not 0 < term.narrowest < float("inf"):
+                message = f"a sigma of the Gaussians of {channel} is {term.narrowest:g}, and must be above zero"
+                yield fault(message, ("responsivity", "gaussians", channel, number))
+    for name in noise.__struct_fields__:
+        key, value = f"noise.{name}", getattr(noise, name)
+        if name != "well_capacity_e" and not 0 <= value < float("inf"):
+            yield fault(f"{key} is {value:g}, and must not be negative", key)
+    if recipe.responsivity.peak_efficiency is not None:
+        yield from share_faults(recipe.responsivity.peak_efficiency, "responsivity.peak_efficiency", 1.0)
+    yield from share_faults(noise.prnu, "noise.prnu", MOST_PRNU)
+    yield from length_faults(sensor.pixel_pitch_um, optics)
+    yield from cfa_faults(recipe.cfa)
+    yield from curve_faults(recipe.responsivity, recipe.cfa.channels)
+    yield from _model_faults(recipe)
+
+
+def _model_faults(recipe: CameraRecipe) -> Iterator[Fault]:
+    """Of a sensor or lens whose numbers are right one by one, but not together."""
+    sensor, optics = recipe.sensor, recipe.optics
+    black, white = sensor.black_level_dn, white_level(recipe) if 1 <= sensor.bits <= MAX_BITS else 0.0
+    try:
+        check_sensor(sensor.rows, sensor.cols, sensor.bits, black, white)
+    except ValueError as error:
+        named = ("rows", "cols") if black < white else ("black_level_dn", "white_level_dn", "gain_dn_per_e")
+        yield fault(str(error), *(f"sensor.{key}" for key in (*named, "bits", "rows", "cols")), "noise.well_capacity_e")
+    if optics.focal_length_mm > 0 and 0 < optics.object_distance_m <= optics.focal_length_mm * 1e-3:
+        message = "optics.object_distance_m is nearer than the focal length; give 0 for infinity"
+        yield fault(message, "optics.object_distance_m", "optics.focal_length_mm")
+
+
+def white_level(recipe: CameraRecipe) -> float:
+    """DN of a saturated pixel: as declared, or the lower of well and converter."""
+    sensor = recipe.sensor
+    if sensor.white_level_dn is not None:
+        return sensor.white_level_dn
+    well = np.floor(sensor.black_level_dn + sensor.gain_dn_per_e * recipe.noise.well_capacity_e)
+    return float(min(2**sensor.bits - 1, well))
+
+
+def share_faults(value: float, key: str, most: float) -> Iterator[Fault]:
+    """Of a share that cannot be more than `most`."""
+    if value > most:
+        percent = f"; {value:g} % is {value / 100:g}" if value <= 100 * most else ""
+        yield fault(f"{key} is {value:g}, and a share of {most:g} at most{percent}", key)
 
 
 def check_share(value: float, key: str, most: float, path: Path) -> None:
     """RecipeError if a share that cannot be more than `most` is."""
-    if value > most:
-        percent = f"; {value:g} % is {value / 100:g}" if value <= 100 * most else ""
-        raise RecipeError(f"{path}: {key} is {value:g}, and a share of {most:g} at most{percent}")
+    refuse_first(share_faults(value, key, most), path)
+
+
+def length_faults(pitch_um: float, optics: OpticsRecipe) -> Iterator[Fault]:
+    """Of a pixel pitch, focal length or f-number that is none by its size: given in another unit."""
+    least, most = PITCHES_UM
+    if pitch_um > 0 and not least <= pitch_um <= most:
+        meant = next(
+            (f"; {pitch_um * each:g} is meant?" for each in (1e3, 1e6, 1e-3) if least <= pitch_um * each <= most), ""
+        )
+        message = f"sensor.pixel_pitch_um is {pitch_um:g}, and must lie in {least:g}…{most:g} µm{meant}"
+        yield fault(message, "sensor.pixel_pitch_um")
+    focal, f_number = optics.focal_length_mm, optics.f_number
+    if 0 < focal < LEAST_FOCAL_MM:
+        message = f"optics.focal_length_mm is {focal:g} mm; is {focal * 1000:g} meant?"
+        yield fault(message, "optics.focal_length_mm")
+    if 0 < f_number < LEAST_F_NUMBER:
+        yield fault(f"optics.f_number is {f_number:g}; no lens in air is below {LEAST_F_NUMBER}", "optics.f_number")
 
 
 def check_lengths(pitch_um: float, optics: OpticsRecipe, path: Path) -> None:
     """RecipeError if pixel pitch, focal length or f-number are none by their size: given in another unit."""
-    least, most = PITCHES_UM
-    if not least <= pitch_um <= most:
-        meant = next(
-            (f"; {pitch_um * each:g} is meant?" for each in (1e3, 1e6, 1e-3) if least <= pitch_um * each <= most), ""
-        )
-        raise RecipeError(f"{path}: sensor.pixel_pitch_um is {pitch_um:g}, and must lie in {least:g}…{most:g} µm{meant}")
-    if optics.focal_length_mm < LEAST_FOCAL_MM:
-        meant = f"{optics.focal_length_mm * 1000:g}"
-        raise RecipeError(f"{path}: optics.focal_length_mm is {optics.focal_length_mm:g} mm; is {meant} meant?")
-    if optics.f_number < LEAST_F_NUMBER:
-        raise RecipeError(f"{path}: optics.f_number is {optics.f_number:g}; no lens in air is below {LEAST_F_NUMBER}")
+    refuse_first(length_faults(pitch_um, optics), path)
+
+
+def cfa_faults(cfa: CfaRecipe) -> Iterator[Fault]:
+    """Of an array whose rows differ in length, that is too large, or that names other channels than there are."""
+    rows = [row.split() for row in cfa.pattern]
+    even = bool(rows and rows[0]) and all(len(row) == len(rows[0]) for row in rows)
+    if not even:
+        message = "the rows of cfa.pattern must name equally many channels, separated by spaces"
+        yield fault(message, "cfa.pattern")
+    elif len(rows) > MAX_CFA or len(rows[0]) > MAX_CFA:
+        yield fault(f"cfa.pattern is larger than {MAX_CFA}×{MAX_CFA}", "cfa.pattern")
+    if len(cfa.channels) > MAX_CHANNELS or len(set(cfa.channels)) != len(cfa.channels):
+        yield fault(f"cfa.channels must be at most {MAX_CHANNELS} different names", "cfa.channels")
+    used = {channel for row in rows for channel in row}
+    if even and used != set(cfa.channels):
+        message = f"cfa.channels and cfa.pattern do not name the same channels: {differences(used, cfa.channels)}"
+        yield fault(message, "cfa.pattern", "cfa.channels")
 
 
 def parse_cfa(cfa: CfaRecipe, name: str) -> NDArray[np.uint8]:
     """Channel indices (cfa_row, cfa_col) of the super-pixel; RecipeError if a name is unknown or rows differ in length."""
+    refuse_first(cfa_faults(cfa), name)
     rows = [row.split() for row in cfa.pattern]
-    if not rows or not rows[0] or any(len(row) != len(rows[0]) for row in rows):
-        raise RecipeError(f"{name}: the rows of cfa.pattern must name equally many channels, separated by spaces")
-    if len(rows) > MAX_CFA or len(rows[0]) > MAX_CFA:
-        raise RecipeError(f"{name}: cfa.pattern is larger than {MAX_CFA}×{MAX_CFA}")
-    if len(cfa.channels) > MAX_CHANNELS or len(set(cfa.channels)) != len(cfa.channels):
-        raise RecipeError(f"{name}: cfa.channels must be at most {MAX_CHANNELS} different names")
-    used = {channel for row in rows for channel in row}
-    if used != set(cfa.channels):
-        what = _differences(used, cfa.channels)
-        raise RecipeError(f"{name}: cfa.channels and cfa.pattern do not name the same channels: {what}")
     return np.array([[cfa.channels.index(channel) for channel in row] for row in rows], dtype=np.uint8)
-
-
-def _differences(names: Iterable[str], channels: list[str]) -> str:
-    """What is wrong with `names`, which ought to be the channels."""
-    odd = sorted(set(names) - set(channels))
-    if odd:
-        return f'"{odd[0]}" is no channel; {suggestion(odd[0], channels)}'
-    return f"{', '.join(sorted(set(channels) - set(names)))} is missing"
-
-
-def _responsivity(recipe: CameraRecipe, path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(wavelength) nm and quantum efficiency (channel, wavelength) e-/photon of a recipe."""
-    declared = recipe.responsivity
-    first, last, step = declared.wavelength_nm
-    if not (0 < first < last and step > 0):
-        raise RecipeError(f"{path}: responsivity.wavelength_nm must be first < last with a positive step")
-    if (last - first) / step >= MOST_WAVELENGTHS or last > LONGEST:
-        raise RecipeError(f"{path}: responsivity.wavelength_nm has {MOST_WAVELENGTHS} values at most, up to {LONGEST} nm")
-    wavelength = np.arange(first, last + step / 2, step)
-    if (declared.gaussians is None) == (declared.file is None):
-        raise RecipeError(f"{path}: give either responsivity.gaussians or responsivity.file")
-    if declared.gaussians is not None:
-        if set(recipe.cfa.channels) != set(declared.gaussians):
-            what = _differences(declared.gaussians, recipe.cfa.channels)
-            raise RecipeError(f"{path}: responsivity.gaussians and cfa.channels differ: {what}")
-        curves = np.array([_sum_of_gaussians(wavelength, declared.gaussians[c]) for c in recipe.cfa.channels])
-    else:
-        assert declared.file is not None
-        table = read_table(path.parent / declared.file).ordered(recipe.cfa.channels)
-        curves = spectra.average(table.responses(declared.per_energy, "per_energy"), table.wavelength, wavelength)
-    if declared.per_energy:
-        curves = curves / wavelength
-    return wavelength, declared.peak_efficiency * curves / curves.max()
-
-
-def _sum_of_gaussians(wavelength: NDArray[np.float64], terms: list[Gaussian]) -> NDArray[np.float64]:
-    total = np.zeros_like(wavelength)
-    for term in terms:
-        above = term.sigma_nm if term.sigma_above_nm is None else term.sigma_above_nm
-        sigma = np.where(wavelength < term.centre_nm, term.sigma_nm, above)
-        total += term.peak * np.exp(-0.5 * ((wavelength - term.centre_nm) / sigma) ** 2)
-    return total
 
 
 def recipe_text(path: Path) -> str:

@@ -37,6 +37,7 @@ class LightSpectrum:
     radiance: NDArray[np.float32] = data(
         "float32", "wavelength", unit="photons/s/sr/m^2/nm", doc="of a perfect white of 1 cd/m^2"
     )
+    spread: float = data("float64", doc="of a mean: largest relative difference of a light from it", default=0.0)
 
     def __post_init__(self) -> None:
         check(self)

@@ -27,6 +27,7 @@ class Sensor:
     prnu: Array  # (channel)
     exposure: Array  # (level) s, of the white captures
     defects: defects.Defects
+    response: Array  # (row, col) DN/s of the white light, defects patched
 
     @property
     def saturation(self) -> float:
@@ -53,9 +54,9 @@ def measure_sensor(measurements: Measurements, each: Each = map) -> Sensor:
     signal = np.array([mean_value(level.counts) - dark.black_level - dark.slope * level.exposure for level in levels])
     agreement.check_whites(whites, np.array([level.lit for level in levels]), signal)
     transfer = noise.photon_transfer(levels, body, dark)
-    prnu, dead = noise.prnu(whites, levels, transfer.used, body, dark.hot, each)
+    prnu, dead, response = noise.prnu(whites, levels, transfer.used, body, dark.hot, each)
     exposure = np.array([level.exposure for level in levels])
-    return Sensor(dark, transfer, prnu, exposure, defects.join(dark.hot, dead))
+    return Sensor(dark, transfer, prnu, exposure, defects.join(dark.hot, dead), response)
 
 
 def photons_on_pixel(capture: MonoCapture | ChartCapture, nodes: Array, body: Body) -> Array:

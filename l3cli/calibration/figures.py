@@ -6,7 +6,8 @@ import numpy as np
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.fit import ChartFit, NoiseFit, PhotoFit, SeriesFit
-from l3cli.calibration import gain
+from l3cli.calibration import defects, gain
+from l3cli.calibration.flat_field import corner_falloff
 from l3cli.errors import InputFileError
 from l3cli.physics import spectra
 
@@ -61,8 +62,18 @@ def figures(camera: CameraModel) -> dict[str, Any]:
         "declared": list(camera.declared),
         "left out": list(left_out),
         "defects": fit.noise.defects.tolist() if fit.noise else [],
+        "defect map": defects.counts(camera.defects, (camera.rows, camera.cols)) if camera.defects else None,
+        "corner fall-off %": _corners(camera),
         "saturation reached": bool(fit.noise.white_level_reached) if fit.noise else None,
     }
+
+
+def _corners(camera: CameraModel) -> dict[str, float] | None:
+    """Of each channel the light lost in the darkest corner."""
+    if camera.flat_field is None:
+        return None
+    lost = 100.0 * corner_falloff(camera.flat_field)
+    return {name: float(share) for name, share in zip(camera.channels, lost, strict=True)}
 
 
 def _efficiency_columns(camera: CameraModel) -> dict[str, Any]:

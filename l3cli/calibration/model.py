@@ -8,6 +8,7 @@ from l3cli.artifacts.fit import ChartFit, Fit, NoiseFit, SweepFit
 from l3cli.calibration import agreement, gain, responsivity
 from l3cli.calibration import curves as finished
 from l3cli.calibration.captures import Charts, Sensor, measure_charts, measure_sensor, measure_sweep
+from l3cli.calibration.corrections import correct_by_frames, with_corrections
 from l3cli.calibration.curves import Curves
 from l3cli.calibration.efficiency import check_efficiency, efficiency
 from l3cli.calibration.photo.responsivity import fit_photos
@@ -27,6 +28,8 @@ def calibrate(measurements: Measurements, each: Each = map) -> CameraModel:
     `each` maps a function over captures: the built-in map, or one that keeps several processes busy.
     """
     body, drift = measurements.body, measurements.lamp_drift
+    if measurements.base is not None:
+        return correct_by_frames(measurements.base, measurements)
     if measurements.photos:
         return from_photos(measurements, each)
     if measurements.datasheet is not None:
@@ -50,7 +53,7 @@ def calibrate(measurements: Measurements, each: Each = map) -> CameraModel:
         fit_charts(charts, curves.relative, sensor.dark.black_level, drift, body, odd) if measurements.charts else None
     )
     fit = Fit(noise=figures, sweep=sweep_fit, chart=chart_fit)
-    return assemble(body, summarise(sensor, figures, body), curves, fit)
+    return with_corrections(assemble(body, summarise(sensor, figures, body), curves, fit), sensor, body)
 
 
 def from_photos(measurements: Measurements, each: Each = map) -> CameraModel:
@@ -64,8 +67,9 @@ def from_photos(measurements: Measurements, each: Each = map) -> CameraModel:
     if not measurements.whites:
         return assemble(measurements.body, sensor, curves, Fit(photo=fit))
     measured = measure_sensor(measurements, each)
-    noise = describe_noise(measured, measurements.body)
-    return assemble(measurements.body, summarise(measured, noise, measurements.body), curves, Fit(noise=noise, photo=fit))
+    body, noise = measurements.body, describe_noise(measured, measurements.body)
+    camera = assemble(body, summarise(measured, noise, body), curves, Fit(noise=noise, photo=fit))
+    return with_corrections(camera, measured, body)
 
 
 def from_data_sheet(measurements: Measurements, figures: SensorFigures) -> CameraModel:

@@ -176,9 +176,9 @@ def saturation(levels: Sequence[Level], variance: Array, top: int) -> tuple[floa
 
 def prnu(
     captures: Sequence[Capture], levels: Sequence[Level], used: NDArray[np.bool_], body: Body, hot: Defects, each: Each = map
-) -> tuple[Array, Defects]:
-    """(channel) relative spread of the pixels' slopes over exposure about their local mean (uneven light cancels), and
-    the dead pixels, whose slope differs from that mean by a tenth or more."""
+) -> tuple[Array, Defects, Array]:
+    """(channel) relative spread of the pixels' slopes over exposure about their local mean (uneven light cancels), the
+    dead pixels, whose slope differs from that mean by a tenth or more, and the slopes (row, col) in DN/s, theirs patched."""
     weights = np.zeros(used.shape)
     for channel in range(used.shape[1]):
         chosen = used[:, channel]
@@ -187,10 +187,20 @@ def prnu(
     trials = np.array([level.trials for level in levels])
     temporal = (weights**2 * variance / trials[:, None]).sum(axis=0)
     slopes = defective.patched(weighted_sums(captures, weights[None], body, each)[0], body.cfa, hot)
-    dead = defective.outliers(_over_local_mean(slopes, body.cfa), body.cfa, defective.LEAST_LOSS)
-    slopes = defective.patched(slopes, body.cfa, dead)
+    dead, slopes = dead_pixels(slopes, body.cfa)
     spread = [_local_spread(site, temporal[channel]) for channel, site in by_site(slopes, body.cfa)]
-    return np.sqrt(np.maximum(pooled(spread, body.cfa), 0.0)), dead
+    return np.sqrt(np.maximum(pooled(spread, body.cfa), 0.0)), dead, slopes
+
+
+def dead_pixels(response: Array, cfa: NDArray[np.uint8]) -> tuple[Defects, Array]:
+    """Pixels whose response (row, col) to even light differs from its local mean by a tenth or more, and the responses with
+    theirs patched. Neighbours of a line or cluster are judged by a mean that those have been taken out of."""
+    suspect = defective.outliers(_over_local_mean(response, response, cfa), cfa, defective.LEAST_LOSS)
+    if not suspect.size:
+        return suspect, response
+    mended = defective.patched(response, cfa, suspect)
+    dead = defective.outliers(_over_local_mean(response, mended, cfa), cfa, defective.LEAST_LOSS)
+    return dead, defective.patched(response, cfa, dead)
 
 
 def _local_mean(site: Array) -> Array:
@@ -199,11 +209,11 @@ def _local_mean(site: Array) -> Array:
     return np.asarray(uniform_filter(site, WINDOW), dtype=np.float64)
 
 
-def _over_local_mean(picture: Array, cfa: NDArray[np.uint8]) -> Array:
-    """(row, col) each pixel over the mean of its neighbours of the same CFA site, minus 1."""
+def _over_local_mean(picture: Array, mended: Array, cfa: NDArray[np.uint8]) -> Array:
+    """(row, col) each pixel over the mean of its neighbours of the same CFA site in the picture `mended`, minus 1."""
     deviation = np.empty_like(picture)
-    for (_, into), (_, site) in zip(by_site(deviation, cfa), by_site(picture, cfa), strict=True):
-        into[...] = site / _local_mean(site) - 1.0
+    for (_, into), (_, site), (_, whole) in zip(*(by_site(each, cfa) for each in (deviation, picture, mended)), strict=True):
+        into[...] = site / _local_mean(whole) - 1.0
     return deviation
 
 

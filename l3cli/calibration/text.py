@@ -31,6 +31,17 @@ def as_text(result: dict[str, Any], width: int | None = None) -> list[str]:
     if defects:
         shown = " ".join(f"({row}, {col})" for row, col in defects[:SHOWN]) + (" …" if len(defects) > SHOWN else "")
         lines.append(f"hot and dead pixels left out, row and col: {len(defects)}: {shown}")
+    return lines + _correction_lines(result)
+
+
+def _correction_lines(result: dict[str, Any]) -> list[str]:
+    """What a camera's defect map and flat field hold."""
+    lines = []
+    if found := result["defect map"]:
+        lines.append("defect map: " + ", ".join(f"{what} {count}" for what, count in found.items()))
+    if lost := result["corner fall-off %"]:
+        shares = ", ".join(f"{name} {figure(share, '.3g')} %" for name, share in lost.items())
+        lines.append(f"flat field: light lost in the darkest corner: {shares}")
     return lines
 
 

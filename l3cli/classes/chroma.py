@@ -29,7 +29,7 @@ class Keys(Recipe):
     """Of the [classes] of a recipe."""
 
     chromas: Annotated[int, msgspec.Meta(ge=0, le=MAX_CHROMAS)] = (
-        8  # colours distinguished where nothing is saturated; 0 or 1: none (docs/method.md#chroma)
+        9  # colours distinguished where nothing is saturated, white one of them; 0 or 1: none (docs/method.md#chroma)
     )
 
 
@@ -40,11 +40,20 @@ def channel_shares(signal: NDArray[np.float32], near: Neighbourhoods, site: int)
     return means / np.maximum(means.sum(axis=1, keepdims=True), 1e-9)
 
 
-def choose_chromas(shares: NDArray[np.float64], count: int, seed: int) -> NDArray[np.float64] | None:
-    """`count` centres (chroma, channel) of the channel shares (patch, channel) by k-means; None if none or one is asked
-    for."""
+def choose_chromas(
+    shares: NDArray[np.float64], count: int, seed: int, white: NDArray[np.float64] | None = None
+) -> NDArray[np.float64] | None:
+    """`count` centres (chroma, channel) of the channel shares (patch, channel) by k-means, the last of them, if they are
+    known, the shares of white's signals (channel); None if none or one is asked for."""
     if count <= 1:
         return None
+    if white is not None and white.min() > 0:
+        others = _means(shares, count - 1, seed)
+        return np.concatenate([others, white[None] / white.sum()])
+    return _means(shares, count, seed)
+
+
+def _means(shares: NDArray[np.float64], count: int, seed: int) -> NDArray[np.float64]:
     from scipy.cluster.vq import kmeans2
 
     distinct = np.unique(shares, axis=0)
@@ -53,7 +62,7 @@ def choose_chromas(shares: NDArray[np.float64], count: int, seed: int) -> NDArra
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # of empty clusters
         centres, member = kmeans2(shares, count, iter=30, minit="++", rng=np.random.default_rng([seed, 2]))
-    return centres[np.unique(member)]  # a centre that nobody is nearest to is left out
+    return np.asarray(centres[np.unique(member)])  # a centre that nobody is nearest to is left out
 
 
 def chroma_weights(centres: NDArray[np.float64]) -> NDArray[np.int32]:

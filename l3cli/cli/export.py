@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     "--to", "form", type=click.Choice(["c", "folder"]), help="Of a table: C99 source (as without it), or arrays with a JSON."
 )
 @options.force
+@options.dry_run
 @options.quiet
 @options.as_json
 def export(

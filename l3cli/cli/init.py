@@ -24,6 +24,7 @@ def _completed(context: click.Context, parameter: click.Parameter, incomplete: s
 @click.argument("recipe", required=False, metavar="[RECIPE]", shell_complete=_completed)
 @click.argument("folder", type=options.FILE, required=False, metavar="[DIR]")
 @options.force
+@options.dry_run
 @options.quiet
 def init(recipe: str | None, folder: Path | None, force: bool, console: "Console") -> None:
     """Make DIR with the recipes of one kind of camera and a Makefile that makes a picture and a report from them, and

@@ -2,7 +2,7 @@
 
 import functools
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -34,13 +34,17 @@ class RecipeFile(click.Path):
 
         return find_recipe(os.fspath(value), self.kind)
 
+    def names(self) -> Iterable[str]:
+        """The recipes that come with l3."""
+        from l3cli.recipes import known_recipes
+
+        return known_recipes(self.kind)
+
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list["CompletionItem"]:
         """Names and, beside them, files: bash completes no files where anything else is offered."""
         from click.shell_completion import CompletionItem
 
-        from l3cli.recipes import known_recipes
-
-        names = [name for name in known_recipes(self.kind) if name.startswith(incomplete)]
+        names = [name for name in self.names() if name.startswith(incomplete)]
         if not names:
             return super().shell_complete(ctx, param, incomplete)
         visible = (each for each in os.scandir() if each.name.startswith(incomplete) and not each.name.startswith("."))
@@ -152,8 +156,6 @@ def scheduler(command: Callable[..., Any]) -> Callable[..., Any]:
     def called(
         scheduler: str | None, tls_ca: Path | None, tls_cert: Path | None, tls_key: Path | None, **others: Any
     ) -> Any:
-        from l3cli.parallel.cluster import Scheduler
-
         console: Console = others["console"]
         claims(console).spare(*filter(None, [tls_ca, tls_cert, tls_key]))
         if scheduler is None:
@@ -162,6 +164,8 @@ def scheduler(command: Callable[..., Any]) -> Callable[..., Any]:
             return command(scheduler=None, **others)
         if others.get("jobs", 1) > 1:
             raise click.UsageError("--jobs is the number of processes here; leave it out with --scheduler")
+        from l3cli.parallel.cluster import Scheduler
+
         return command(scheduler=Scheduler(scheduler, tls_ca, tls_cert, tls_key, console.warn), **others)
 
     return _ADDRESS(_CA(_CERTIFICATE(_KEY(called))))
@@ -180,6 +184,22 @@ trust = click.option(
     expose_value=False,
     callback=_trust,
     help="Decode raw, image, MATLAB and video files without the sandbox, which limits time and memory.",
+)
+
+
+def _dry_run(context: click.Context, parameter: click.Parameter, value: bool) -> None:
+    if value:
+        from l3cli.stages.plan import dry_run
+
+        context.with_resource(dry_run())
+
+
+dry_run = click.option(
+    "--dry-run",
+    is_flag=True,
+    expose_value=False,
+    callback=_dry_run,
+    help="Check everything that is checked before work, say what would be read and made, and write nothing.",
 )
 
 

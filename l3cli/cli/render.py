@@ -123,7 +123,9 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
     help="Factor of Y; what it brings to 1 is shown white.",
 )
 @click.option(
-    "--white", metavar="NAME|x,y", help="Scene white shown neutral: illuminant or chromaticity [default: table's]."
+    "--white",
+    metavar="NAME|x,y|camera|auto|ROW,COL[,SIZE]",
+    help="Scene white shown neutral: light, chromaticity, the file's, estimated, or a grey's pixels [default: table's].",
 )
 @click.option("--bits", type=click.Choice(["8", "16"]), default="8", show_default=True, help="Bits a value of a picture.")
 @click.option(
@@ -137,6 +139,16 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
 @click.option(
     "--dark", type=options.FILE, multiple=True, metavar="FRAME",
     help="Dark frames of the same exposure time, files or a sequence; their mean is subtracted. May be repeated.",
+)  # fmt: skip
+@click.option(
+    "--camera",
+    type=options.FILE,
+    metavar="CAMERA.h5",
+    help="Camera model, or table of one, whose defects and flat field are corrected.",
+)
+@click.option(
+    "--hot", type=click.Choice(["auto", "off"]), default="off", show_default=True,
+    help="Hot pixels that no camera model lists: find and mend them in each frame.",
 )  # fmt: skip
 @click.option("--phase", callback=_pair(",", PHASE), metavar="ROW,COL", help="CFA site of the inputs' first pixel, from 0.")
 @click.option(
@@ -157,12 +169,13 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
 @options.scheduler
 @options.trust
 @options.force
+@options.dry_run
 @options.quiet
 def render(
     table: Path, inputs: tuple[Path, ...], output: Path, suffix: str, frames: range | None, dataset: str | None,
     fps: Fraction | None, codec: str | None, crf: float | None, preset: str, backend: str, device: str | None,
     variant: str | None, exposure: float | None, white: str | None, bits: str, black_level: float | None,
-    white_level: float | None, exposure_time: float | None, dark: tuple[Path, ...],
+    white_level: float | None, exposure_time: float | None, dark: tuple[Path, ...], camera: Path | None, hot: str,
     phase: tuple[int, int] | None, size: tuple[int, int] | None, packing: str | None,
     stride: int | None, skip_bad: bool, resume: bool, scheduler: "Scheduler | None", force: bool, console: "Console",
 ) -> int:  # fmt: skip
@@ -189,7 +202,8 @@ def render(
     known = KnownBetter(black_level, white_level, phase, size, packing, stride, exposure_time)
     left_out = stage(
         table, inputs, output, console, rate=fps, bits=int(bits), codec=codec, crf=crf, preset=preset, suffix=suffix,
-        frames=frames, dataset=dataset, known=known, dark=dark, exposure=exposure, white=white, backend=backend,
-        device=device, variant=variant, skip_bad=skip_bad, resume=resume, scheduler=scheduler, force=force,
+        frames=frames, dataset=dataset, known=known, dark=dark, camera=camera, hot=hot == "auto",
+        exposure=exposure, white=white, backend=backend, device=device, variant=variant, skip_bad=skip_bad, resume=resume,
+        scheduler=scheduler, force=force,
     )  # fmt: skip
     return 1 if left_out else 0

@@ -17,6 +17,7 @@ from l3cli.curve_file import read_table
 from l3cli.curve_table import RELATIVE, CurveTable
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.files import sha256, stamp
+from l3cli.io.correction_recipe import correction_files, correction_measurements, has_base
 from l3cli.io.curves import read_finished, read_sweep
 from l3cli.io.frames import FrameFiles
 from l3cli.io.measurement_recipe import (
@@ -55,7 +56,7 @@ def load_measurements(path: Path) -> Measurements:
 
     RecipeError if the file asks for what cannot be, InputFileError if a spectrum or a frame is missing or broken.
     """
-    return measurements_of(load_recipe(path, MeasurementRecipe), path)
+    return correction_measurements(path) if has_base(path) else measurements_of(load_recipe(path, MeasurementRecipe), path)
 
 
 def measurements_of(recipe: MeasurementRecipe, path: Path) -> Measurements:
@@ -123,7 +124,7 @@ def _common(capture: CaptureRecipe, table: str, body: Body, path: Path) -> dict[
             f"{path}: monitor of {capture.frames[0]} is {capture.monitor:g}; give the lamp's reading over the one when its "
             f"spectrum was measured, 1 where it is the same"
         )
-    files = FrameFiles(tuple(path.parent / name for name in capture.frames), (body.rows, body.cols), body.bits)
+    files = FrameFiles(tuple(path.parent / name for name in capture.frames), (body.rows, body.cols), body.bits, body)
     return {"name": capture.frames[0], "exposure": capture.seconds, "frames": files, "monitor": capture.monitor}
 
 
@@ -180,7 +181,9 @@ def patch_name(heading: str) -> str:
 def _curve(recipe: MeasurementRecipe, path: Path) -> SweepTable | FinishedCurves | None:
     if recipe.sweep is not None:
         sweep = recipe.sweep
-        return read_sweep(path.parent / sweep.table, path.parent / sweep.photodiode, recipe.cfa.channels)
+        response = sweep.response
+        paths = path.parent / sweep.table, path.parent / response.file
+        return read_sweep(*paths, recipe.cfa.channels, response.column)
     if recipe.curves is not None:
         return read_finished(path.parent / recipe.curves.file, recipe.cfa.channels, recipe.curves.per_energy)
     return None
@@ -265,6 +268,11 @@ class Inputs:
 def inputs_of(path: Path) -> Inputs:
     """The measurement file and all files that it names, to be called before they are read."""
     first = stamp(path)
+    if has_base(path):
+        files = correction_files(path)
+        return Inputs(
+            read_text(path), files, {file: stamp(file) for each in files.values() for file in each} | {path: first}
+        )
     recipe = load_recipe(path, MeasurementRecipe)
     files = {
         "measurements": [path],

@@ -41,6 +41,11 @@ def daylight() -> Array:
     return white_point("D65")
 
 
+def display_white() -> Array:
+    """XYZ (3), Y = 1 to four digits, of what sRGB's matrix shows as white: D65."""
+    return np.linalg.solve(SRGB_FROM_XYZ, np.ones(3))
+
+
 def white_luminance(luminance: Array) -> float:
     """Luminance that is shown white: the 99th percentile of `luminance` (row, col), in its unit; 1 where all is dark."""
     bright = float(np.percentile(luminance, WHITE_PERCENTILE))

@@ -66,6 +66,11 @@ def _neighbours(grid: Array, at: Array) -> tuple[NDArray[np.intp], Array]:
     return np.stack([right - 1, right]), np.stack([1.0 - share, share])
 
 
+def light_grid(seen: Array) -> Array:
+    """Every nm of what the observer sees, and a camera with wavelengths `seen`."""
+    return np.arange(np.floor(min(360.0, seen[0])), max(830.0, seen[-1]) + 1.0)
+
+
 def interpolation_matrix(source: Array, grid: Array) -> Array:
     """M (grid, source): a smooth function at points, linear between its samples and zero outside their range."""
     matrix = np.zeros((grid.size, source.size))

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import RecipeError
-from l3cli.physics.display import CODES, adaptation_matrix, srgb_codes, srgb_from_xyz_matrix
+from l3cli.physics.display import CODES, adaptation_matrix, display_white, srgb_codes, srgb_from_xyz_matrix
 
 MOST_LAYERS = 4
 
@@ -37,11 +37,17 @@ class Display:
 def make_display(white: NDArray[np.floating], scale: float, bits: int) -> Display:
     """A display that shows `scale` · XYZ of a scene whose white is `white` (3), adapted so that this white becomes that of
     sRGB, D65; RecipeError if white or scale is not positive."""
-    if not (np.all(np.asarray(white) > 0) and np.isfinite(scale) and scale > 0):
+    if not np.all(np.asarray(white) > 0):
         raise RecipeError("scene white and exposure must be positive")
-    primaries = srgb_from_xyz_matrix()
-    display_white = np.linalg.solve(primaries, np.ones(3))
-    return Display(np.asarray(primaries @ (scale * adaptation_matrix(white, display_white)), np.float64), bits)
+    return adapted_display(adaptation_matrix(white, display_white()), scale, bits)
+
+
+def adapted_display(adaptation: NDArray[np.floating], scale: float, bits: int) -> Display:
+    """A display that shows `scale` · `adaptation` (3, 3) @ XYZ of a scene, adapted to D65; RecipeError if the scale is not
+    positive."""
+    if not (np.isfinite(scale) and scale > 0):
+        raise RecipeError("scene white and exposure must be positive")
+    return Display(np.asarray(srgb_from_xyz_matrix() @ (scale * adaptation), np.float64), bits)
 
 
 def require_xyz(outputs: tuple[str, ...]) -> None:

@@ -35,11 +35,11 @@ class Cut:
     tile: int  # columns
     band: int  # rows
     group: tuple[int, int]  # work-items
-    lanes: int  # pixels, or taps, that a work-item takes side by side
+    lanes: int  # pixels, or taps, that a work-item takes side by side; 0: the device's compiler says (lanes.cl)
 
     @property
     def macros(self) -> Macros:
-        return {"TILE": self.tile, "BAND": self.band, "LANES": self.lanes}
+        return {"TILE": self.tile, "BAND": self.band, **({"LANES": self.lanes} if self.lanes else {})}
 
 
 def source_folder() -> Path:
@@ -52,17 +52,19 @@ def source_folder() -> Path:
 def first_source(variant: str, rule: ClassRule) -> str:
     """The .cl files of a variant for the layer that reads the mosaic, with the features of its rule, joined; #line keeps
     file and line in the compiler's messages."""
-    features = [_texts(("vectors.cl", *snippets(rule))), f'#line 1 "joined features"\n{joined(rule)}']
-    return "\n".join([*features, _texts(VARIANTS[variant].sources)])
+    features = [joined_files("vectors.cl", *snippets(rule)), f'#line 1 "joined features"\n{joined(rule)}']
+    return "\n".join([*features, joined_files(*VARIANTS[variant].sources)])
 
 
 def later_source(variant: str, rule: PlaneRule) -> str:
     """The .cl files of a variant for a layer that reads planes, with the formula of its rule."""
     formula, kernels = rule_snippets(rule)
-    return _texts(("vectors.cl", "encoding.cl", "gradient.cl", formula, *VARIANTS[variant].later_sources, kernels[variant]))
+    files = ("vectors.cl", "encoding.cl", "gradient.cl", formula, *VARIANTS[variant].later_sources, kernels[variant])
+    return joined_files(*files)
 
 
-def _texts(names: tuple[str, ...]) -> str:
+def joined_files(*names: str) -> str:
+    """Files of opencl/, joined."""
     folder = source_folder()
     return "\n".join(f'#line 1 "{name}"\n{(folder / name).read_text(encoding="utf-8")}' for name in names)
 

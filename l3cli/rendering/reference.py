@@ -47,10 +47,11 @@ class ReferenceRenderer:
         """`outputs` before rounding to float32."""
         levelled = at_table_levels(frame, self.table)
         labels = table_labels(levelled, self.table)
+        share = frame.light_share * (1.0 if frame.shading is None else frame.shading.gain_map(frame.values.shape[1]))
         if not self.table.later:
-            return frame.light_share * output_planes(levelled, labels, self.table)
+            return share * output_planes(levelled, labels, self.table)
         planes, later_labels = self._later(levelled, labels, len(self.table.later))
-        return frame.light_share * later_outputs(planes, later_labels, self.table.later[-1])
+        return share * later_outputs(planes, later_labels, self.table.later[-1])
 
     def planes(self, frame: RawFrame) -> NDArray[np.int32]:
         """What the last layer of a table of several reads of a frame, (plane, row, col)."""
@@ -75,8 +76,8 @@ class ReferenceRenderer:
 
 
 def at_table_levels(frame: RawFrame, table: TransformTable) -> RawFrame:
-    """The frame on the black level, white level and depth that the table was trained for."""
-    return frame.at_levels(table.black_level, table.white_level, table.bits)
+    """The frame on the black level, white level and depth that the table was trained for, its channels shaded alike."""
+    return frame.at_levels(table.black_level, table.white_level, table.bits).evened()
 
 
 def table_labels(frame: RawFrame, table: TransformTable) -> Integers:

@@ -178,6 +178,11 @@ def _noise_blocks(camera: CameraModel, figures: dict[str, Any], light: Array) ->
         shown = " ".join(f"({row}, {col})" for row, col in figures["defects"][:24])
         more = " …" if len(figures["defects"]) > 24 else ""
         blocks.append(Text(f"{len(figures['defects'])} hot and dead pixels (row, col) are left out: {shown}{more}"))
+    if found := figures.get("defect map"):
+        blocks.append(Text("Defect map: " + ", ".join(f"{what} {count}" for what, count in found.items())))
+    if lost := figures.get("corner fall-off %"):
+        shares = ", ".join(f"{name} {share:.3g} %" for name, share in lost.items())
+        blocks.append(Text(f"Flat field: light lost in the darkest corner: {shares}"))
     if figures["left out"] and not figures["photos"]:
         blocks.append(Details(f"{counted(len(figures['left out']), 'capture')} left out", "\n".join(figures["left out"])))
     return tuple(blocks)

@@ -1,5 +1,6 @@
 """The recipe of the virtual lab, and whether a lab can carry it out."""
 
+from collections.abc import Iterator
 from typing import ClassVar
 
 import msgspec
@@ -8,8 +9,8 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import LONGEST, MOST_WAVELENGTHS, CameraModel
 from l3cli.config import Count, CountOrNone, Positive, Recipe
-from l3cli.errors import RecipeError
-from l3cli.simulation.sensor_defects import DefectRecipe, check_defects
+from l3cli.faults import Fault, fault, refuse_first
+from l3cli.simulation.sensor_defects import DefectRecipe, defect_faults
 
 SPARE = 5.0  # nm that the spectrometer sees beyond camera and slits
 MOST_STRAY, MOST_DRIFT = 0.01, 0.2  # beyond, a slit is no slit and a lamp no lamp
@@ -77,38 +78,58 @@ class LabRecipe(Recipe):
 
 def check(recipe: LabRecipe, camera: CameraModel) -> None:
     """RecipeError if a lab cannot measure `camera` so."""
-    mono = recipe.mono
-    if not (mono.step_nm > 0 and mono.bandwidth_nm > recipe.spectrometer_step_nm > 0):
-        raise RecipeError("mono needs step_nm above 0, bandwidth_nm above spectrometer_step_nm, and that above 0")
-    _check_grids(recipe, camera)
-    centres = slit_centres(camera, mono)
-    if centres.size < 3 or centres[0] <= mono.bandwidth_nm:
-        raise RecipeError("mono needs three steps or more from first_nm to last_nm, at visible wavelengths")
-    shares = (mono.level, recipe.chart.level, *recipe.white.levels, *recipe.dark.exposures_s)
-    if min(shares) <= 0 or not recipe.white.levels or not recipe.dark.exposures_s:
-        raise RecipeError("levels and exposures must be given and above 0")
-    if min(recipe.white.trials, recipe.dark.trials) < 2:
-        raise RecipeError("white and dark need two trials or more, for noise is measured on pairs of frames")
-    if not (0 <= mono.stray_light < MOST_STRAY and 0 <= recipe.falloff < 1 and 0 <= recipe.lamp_drift < MOST_DRIFT):
-        raise RecipeError(f"stray_light must lie in 0…{MOST_STRAY}, falloff in 0…1, lamp_drift in 0…{MOST_DRIFT}")
-    if min(recipe.monitor_error, recipe.wavelength_error_nm, *msgspec.structs.astuple(recipe.defects)) < 0:
-        raise RecipeError("monitor_error, wavelength_error_nm and the figures of defects must not be negative")
-    check_defects(recipe.defects)
-    if camera.rows < 64 or camera.cols < 96:
-        raise RecipeError(f"a sensor of {camera.rows}×{camera.cols} is too small for a chart; the lab needs 64×96 pixels")
-    if not camera.absolute:
-        raise RecipeError("the camera's responsivity is only relative; the lab needs quantum efficiencies")
+    refuse_first(lab_faults(recipe, camera))
 
 
-def _check_grids(recipe: LabRecipe, camera: CameraModel) -> None:
-    """RecipeError if the monochromator or the spectrometer is to take more steps than any does."""
+def lab_faults(recipe: LabRecipe, camera: CameraModel | None) -> Iterator[Fault]:
+    """All that a lab cannot do, of `camera` if there is one."""
     mono = recipe.mono
+    steps = mono.step_nm > 0 and mono.bandwidth_nm > recipe.spectrometer_step_nm > 0
+    if not steps:
+        message = "mono needs step_nm above 0, bandwidth_nm above spectrometer_step_nm, and that above 0"
+        yield fault(message, "mono.bandwidth_nm", "mono.step_nm", "spectrometer_step_nm")
+    elif camera is not None:
+        yield from _step_faults(recipe, camera)
+    lists = {"white.levels": recipe.white.levels, "dark.exposures_s": recipe.dark.exposures_s}
+    shares = {"mono.level": (mono.level,), "chart.level": (recipe.chart.level,)} | lists
+    if wrong := [key for key, values in shares.items() if not values or min(values) <= 0]:
+        yield fault("levels and exposures must be given and above 0", *wrong)
+    if few := [key for key in ("white", "dark") if getattr(recipe, key).trials < 2]:
+        message = "white and dark need two trials or more, for noise is measured on pairs of frames"
+        yield fault(message, *(f"{key}.trials" for key in few))
+    most = {"mono.stray_light": MOST_STRAY, "falloff": 1, "lamp_drift": MOST_DRIFT}
+    values = (mono.stray_light, recipe.falloff, recipe.lamp_drift)
+    if wrong := [key for (key, limit), value in zip(most.items(), values, strict=True) if not 0 <= value < limit]:
+        message = f"stray_light must lie in 0…{MOST_STRAY}, falloff in 0…1, lamp_drift in 0…{MOST_DRIFT}"
+        yield fault(message, *wrong)
+    figures = {f"defects.{key}": getattr(recipe.defects, key) for key in recipe.defects.__struct_fields__}
+    figures |= {"monitor_error": recipe.monitor_error, "wavelength_error_nm": recipe.wavelength_error_nm}
+    if wrong := [key for key, value in figures.items() if value < 0]:
+        yield fault("monitor_error, wavelength_error_nm and the figures of defects must not be negative", *wrong)
+    yield from defect_faults(recipe.defects)
+    if camera is not None and (camera.rows < 64 or camera.cols < 96):
+        yield fault(f"a sensor of {camera.rows}×{camera.cols} is too small for a chart; the lab needs 64×96 pixels")
+    if camera is not None and not camera.absolute:
+        yield fault("the camera's responsivity is only relative; the lab needs quantum efficiencies")
+
+
+def _step_faults(recipe: LabRecipe, camera: CameraModel) -> Iterator[Fault]:
+    """Of a monochromator or spectrometer that is to take more steps than any does, or too few."""
+    mono, ends = recipe.mono, ("mono.first_nm", "mono.last_nm")
     first, last = mono.first_nm or camera.wavelength[0], mono.last_nm or camera.wavelength[-1]
     reach = last - first + 2 * (mono.bandwidth_nm + SPARE)
     if not (0 < first < last <= LONGEST and mono.bandwidth_nm <= LONGEST):
-        raise RecipeError(f"mono: first_nm and last_nm must lie in 0…{LONGEST}, and bandwidth_nm below")
+        message = f"mono: first_nm and last_nm must lie in 0…{LONGEST}, and bandwidth_nm below"
+        yield fault(message, *ends, "mono.bandwidth_nm")
+        return
     if reach / mono.step_nm > MOST_WAVELENGTHS or reach / recipe.spectrometer_step_nm > MOST_WAVELENGTHS:
-        raise RecipeError(f"step_nm and spectrometer_step_nm must not make more than {MOST_WAVELENGTHS} steps")
+        message = f"step_nm and spectrometer_step_nm must not make more than {MOST_WAVELENGTHS} steps"
+        yield fault(message, "mono.step_nm", "spectrometer_step_nm")
+        return
+    centres = slit_centres(camera, mono)
+    if centres.size < 3 or centres[0] <= mono.bandwidth_nm:
+        message = "mono needs three steps or more from first_nm to last_nm, at visible wavelengths"
+        yield fault(message, "mono.step_nm", *ends)
 
 
 def slit_centres(camera: CameraModel, mono: MonoRecipe) -> Array:

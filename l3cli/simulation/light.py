@@ -62,7 +62,7 @@ def make_light(text: str, measured: Mapping[str, Curve], seen: Array) -> Light:
     RecipeError if a name is unknown or the light cannot be seen.
     """
     names = parts(text)
-    wavelength = np.arange(np.floor(min(360.0, seen[0])), max(830.0, seen[-1]) + 1.0)
+    wavelength = spectra.light_grid(seen)
     if all(name in measured and np.array_equal(measured[name][0], seen) for _, name in names):
         wavelength = np.asarray(seen)
     radiance = np.zeros(wavelength.size)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.simulation.reflectances import with_saturation
+from l3cli.physics.paint import with_saturation
 
 Array = NDArray[np.floating]
 

@@ -12,6 +12,7 @@ import numpy as np
 from l3cli.artifacts.camera import CameraModel, Optics
 from l3cli.config import Recipe
 from l3cli.errors import RecipeError, suggestion
+from l3cli.faults import Fault, fault, inside, refuse_first
 from l3cli.physics import spectra
 from l3cli.simulation.light import MEASURED, SCENE_LIGHT, Curve, parts
 from l3cli.simulation.sensor import with_analog_gain
@@ -22,12 +23,14 @@ from l3cli.simulation.sources import (
     Spectral,
     WantedScene,
     can_be_relit,
-    check_source,
     has_light,
     holds_codes,
+    source_faults,
     wanted_scenes,
 )
 from l3cli.simulation.targets import CAMERA, OUTPUTS
+
+EXPOSURES = ("exposure_share", "exposure_saturated", "exposure_mean", "exposure_s")
 
 
 class Lens(Recipe):
@@ -135,43 +138,64 @@ def set_up(camera: CameraModel, recipe: SceneRecipe, curves: Mapping[str, Curve]
 
 def check(recipe: SceneRecipe, camera: CameraModel) -> None:
     """RecipeError if the recipe asks for what cannot be."""
+    refuse_first(scene_faults(recipe, camera))
+
+
+def scene_faults(recipe: SceneRecipe, camera: CameraModel | None) -> Iterator[Fault]:
+    """All that cannot be of a scene recipe, with `camera` if there is one."""
     if not (recipe.scene or recipe.pair):
-        raise RecipeError("scene or pair must have an entry")
+        yield fault("scene or pair must have an entry", "scene", "pair")
     if recipe.scene:
-        _check_exposures(recipe, camera)
-    for number, source in enumerate(recipe.scene, 1):
-        check_source(source, camera, f"scene {number}")
+        yield from _exposure_faults(recipe, camera)
+    for number, source in enumerate(recipe.scene):
+        name, key = f"scene {number + 1}", ("scene", number)
+        yield from inside(source_faults(source, camera, name), *key)
         if SCENE_LIGHT in recipe.illuminants and not has_light(source):
-            raise RecipeError(f'scene {number} has no light of its own; leave "{SCENE_LIGHT}" out of illuminants')
+            message = f'{name} has no light of its own; leave "{SCENE_LIGHT}" out of illuminants'
+            yield fault(message, "illuminants", key)
         if recipe.illuminants != [SCENE_LIGHT] and not can_be_relit(source):
-            raise RecipeError(
-                f'scene {number} holds radiance without its light; give light, or illuminants = ["{SCENE_LIGHT}"]'
-            )
+            message = f'{name} holds radiance without its light; give light, or illuminants = ["{SCENE_LIGHT}"]'
+            yield fault(message, (*key, "light"), "illuminants")
     outputs = recipe.target.outputs
     if any(map(holds_codes, recipe.scene)) and (outputs != CAMERA or recipe.target.illuminant is not None):
-        raise RecipeError(f'pictures of codes have no spectra; give target.outputs = "{CAMERA}" and no target.illuminant')
+        message = f'pictures of codes have no spectra; give target.outputs = "{CAMERA}" and no target.illuminant'
+        yield fault(message, "target.outputs", "target.illuminant")
     if outputs not in (*OUTPUTS, CAMERA) and not outputs.endswith(MEASURED):
         known = suggestion(outputs, (*OUTPUTS, CAMERA))
-        raise RecipeError(f'target.outputs "{outputs}" is unknown; {known} (or a CSV file)')
+        yield fault(f'target.outputs "{outputs}" is unknown; {known} (or a CSV file)', "target.outputs")
     if recipe.target.illuminant == SCENE_LIGHT:
-        raise RecipeError(f'target.illuminant cannot be "{SCENE_LIGHT}"; leave it out')
-    for pair in recipe.pair:
+        yield fault(f'target.illuminant cannot be "{SCENE_LIGHT}"; leave it out', "target.illuminant")
+    for number, pair in enumerate(recipe.pair):
         if min(pair.offset) < 0 or not (pair.scale is None or pair.scale > 0):
-            raise RecipeError(f"pair {pair.raw}: offset must not be negative and scale must be above zero")
+            wrong = "offset" if min(pair.offset) < 0 else "scale"
+            message = f"pair {pair.raw}: offset must not be negative and scale must be above zero"
+            yield fault(message, f"pair.{number}.{wrong}")
     if recipe.pair and outputs == CAMERA:
-        raise RecipeError("the target of a pair is a picture; target.outputs cannot be the camera's bands")
+        message = "the target of a pair is a picture; target.outputs cannot be the camera's bands"
+        yield fault(message, "target.outputs", "pair")
 
 
-def _check_exposures(recipe: SceneRecipe, camera: CameraModel) -> None:
-    unit, exposures = recipe.exposures()
-    if not (recipe.illuminants and recipe.luminances_cd_m2 and exposures):
-        raise RecipeError("illuminants, luminances_cd_m2 and the exposures must each have an entry")
-    if not all(0 < value < float("inf") for value in (*recipe.luminances_cd_m2, *exposures)):
-        raise RecipeError("luminances and exposures must be above zero")
+def _exposure_faults(recipe: SceneRecipe, camera: CameraModel | None) -> Iterator[Fault]:
+    try:
+        unit, exposures = recipe.exposures()
+    except RecipeError as error:
+        given = [key for key in EXPOSURES if getattr(recipe, key) is not None]
+        yield fault(str(error), *given, *(key for key in EXPOSURES if key not in given))
+        return
+    key = next(each for each in EXPOSURES if getattr(recipe, each) is not None)
+    lists = {"illuminants": recipe.illuminants, "luminances_cd_m2": recipe.luminances_cd_m2, key: exposures}
+    if empty := [each for each, values in lists.items() if not values]:
+        yield fault("illuminants, luminances_cd_m2 and the exposures must each have an entry", *empty)
+        return
+    numbers = {"luminances_cd_m2": recipe.luminances_cd_m2, key: exposures}
+    for each, values in numbers.items():
+        if not all(0 < value < float("inf") for value in values):
+            yield fault("luminances and exposures must be above zero", each)
     if unit == "saturated" and max(exposures) >= 1:
-        raise RecipeError("exposure_saturated is a share of the pixels, below 1")
-    if unit == "seconds" and not camera.absolute:
-        raise RecipeError(f"{camera.name} has only a relative responsivity; use exposure_share, not exposure_s")
+        yield fault("exposure_saturated is a share of the pixels, below 1", key)
+    if unit == "seconds" and camera is not None and not camera.absolute:
+        message = f"{camera.name} has only a relative responsivity; use exposure_share, not exposure_s"
+        yield fault(message, key)
 
 
 @dataclass(frozen=True)

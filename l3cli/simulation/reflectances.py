@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.physics import spectra
+from l3cli.physics.paint import LARGEST, SMALLEST, kubelka_munk, with_saturation, with_titanium_white
 
 Array = NDArray[np.floating]
 
-LARGEST, SMALLEST = 1.0, 0.002
 COMPONENTS = 8  # of the Gaussian in logit space
 
 # Share of each kind of material (docs/method.md#procedural-scenes).
@@ -90,24 +90,13 @@ def _material(rng: np.random.Generator, of: Surfaces, kind: str, saturation: flo
 
 def _dye(rng: np.random.Generator, of: Surfaces, kind: str, saturation: float) -> Array:
     reflectance = np.clip(with_saturation(_DRAW[kind](rng, of), saturation), SMALLEST, LARGEST)
-    return with_titanium_white(rng, reflectance, of.wavelength) if rng.random() < PAINTED else reflectance
+    return _painted(rng, reflectance, of.wavelength) if rng.random() < PAINTED else reflectance
 
 
-def with_saturation(reflectance: Array, saturation: float) -> Array:
-    """reflectance (band) drawn towards its geometric mean: 0 is grey, 1 leaves it (docs/method.md#procedural-scenes)."""
-    grey = np.exp(np.log(reflectance).mean())
-    return grey * (reflectance / grey) ** saturation
-
-
-def with_titanium_white(rng: np.random.Generator, reflectance: Array, wavelength: Array) -> Array:
-    """reflectance (band) in [SMALLEST, 1] with the absorption edge of rutile (3.0 eV, 413 nm) added: whatever is scattered
-    by titanium white turns dark within some 20 nm of it (Kubelka–Munk; the tail falls exponentially, as Urbach's rule says).
-
-    Cameras and eyes weigh this edge differently; without it a table takes white paint for yellow.
-    """
-    edge = np.exp(rng.normal(np.log(0.2), 0.7) - (wavelength - 405.0) / rng.uniform(5.0, 11.0))
-    pigment = (1.0 - reflectance) ** 2 / (2.0 * reflectance)
-    return np.clip(_kubelka_munk(pigment + edge), SMALLEST, LARGEST)
+def _painted(rng: np.random.Generator, reflectance: Array, wavelength: Array) -> Array:
+    """reflectance (band) with an edge of titanium white as paints, plastics and papers have it."""
+    edge = np.exp(rng.normal(np.log(0.2), 0.7))
+    return with_titanium_white(reflectance, wavelength, edge, rng.uniform(5.0, 11.0))
 
 
 def _library(rng: np.random.Generator, of: Surfaces) -> Array:
@@ -125,12 +114,6 @@ def _gaussian(rng: np.random.Generator, of: Surfaces) -> Array:
     return 1.0 / (1.0 + np.exp(-(of.mean + rng.standard_normal(COMPONENTS) @ of.components)))
 
 
-def _kubelka_munk(absorption_per_scattering: Array) -> Array:
-    """Reflectance of an opaque layer of given K/S (Kubelka–Munk)."""
-    ratio = absorption_per_scattering
-    return 1.0 + ratio - np.sqrt(ratio**2 + 2.0 * ratio)
-
-
 def _skin(rng: np.random.Generator, of: Surfaces) -> Array:
     """Skin: a dermis with blood under an epidermis with melanin.
 
@@ -144,7 +127,7 @@ def _skin(rng: np.random.Generator, of: Surfaces) -> Array:
     haemoglobin = np.interp(wavelength, HAEMOGLOBIN_WAVELENGTH, oxygen * OXYGENATED + (1 - oxygen) * DEOXYGENATED)
     absorption = blood * 2.303 * 150.0 / 64500.0 * haemoglobin + 0.244 + 85.3 * np.exp(-(wavelength - 154.0) / 66.2)
     scattering = 46.0 * (wavelength / 500.0) ** -rng.uniform(1.1, 1.6)
-    dermis = _kubelka_munk(absorption / (scattering * rng.uniform(0.7, 1.3)))
+    dermis = kubelka_munk(absorption / (scattering * rng.uniform(0.7, 1.3)))
     epidermis = np.exp(-2 * 0.006 * melanin * 6.6e11 * wavelength**-3.33)  # 60 µm, passed twice
     return 0.025 + 0.95 * dermis * epidermis * rng.uniform(0.8, 1.1)
 
@@ -161,7 +144,7 @@ def _leaf(rng: np.random.Generator, of: Surfaces) -> Array:
     green += 0.45 * band(620, 25) + 0.4 * band(650, 14) + band(676, 10)
     yellow = band(450, 28) + 0.8 * band(482, 18)
     ratio = chlorophyll * green + carotenoid * yellow + anthocyanin * band(540, 35) + 0.08
-    return rng.uniform(0.4, 0.9) * _kubelka_munk(ratio)
+    return rng.uniform(0.4, 0.9) * kubelka_munk(ratio)
 
 
 def _hair(rng: np.random.Generator, of: Surfaces) -> Array:

@@ -1,6 +1,7 @@
 """What a real sensor adds to the model of docs/method.md#sensor: hot and dead pixels, dust, column noise."""
 
 import functools
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import msgspec
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.config import Recipe, Share
-from l3cli.errors import RecipeError
+from l3cli.faults import Fault, fault
 
 MOST_SPECKS, LARGEST_SPECK = 10_000, 1000  # per million pixels; pixels in radius
 
@@ -26,14 +27,14 @@ class DefectRecipe(Recipe):
     column_noise_e: float = 2.0  # standard deviation of the columns' offsets
 
 
-def check_defects(recipe: DefectRecipe) -> None:
-    """RecipeError if defects are more than pixels, or dust is nothing that a frame could be cleaned of."""
-    if max(recipe.hot_pixels_per_million, recipe.dead_pixels_per_million) > 1e6:
-        raise RecipeError("defects: of a million pixels no more than a million can be hot or dead")
+def defect_faults(recipe: DefectRecipe) -> Iterator[Fault]:
+    """Of defects that are more than pixels, or dust that is nothing that a frame could be cleaned of."""
+    for key in ("hot_pixels_per_million", "dead_pixels_per_million"):
+        if getattr(recipe, key) > 1e6:
+            yield fault("defects: of a million pixels no more than a million can be hot or dead", f"defects.{key}")
     if not (recipe.dust_specks_per_million <= MOST_SPECKS and 0 < recipe.dust_radius_px <= LARGEST_SPECK):
-        raise RecipeError(
-            f"defects: give up to {MOST_SPECKS} specks of dust per million pixels, 0…{LARGEST_SPECK} px in radius"
-        )
+        message = f"defects: give up to {MOST_SPECKS} specks of dust per million pixels, 0…{LARGEST_SPECK} px in radius"
+        yield fault(message, "defects.dust_radius_px", "defects.dust_specks_per_million")
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """The [[scene]] tables of SCENES.toml: where a scene comes from and how it is laid on the sensor."""
 
 import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -9,6 +10,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.config import Count, Recipe, Seed, Share
 from l3cli.curve_file import other_unit
 from l3cli.errors import L3Error, RecipeError
+from l3cli.faults import Fault, fault, refuse_first
 
 CODED = ("r", "g", "b")  # channels of a camera that pictures of codes hold, in their order
 SMALLEST = 16  # pixels of a scene's shorter side
@@ -165,47 +167,55 @@ def wanted_scenes(source: Source, files: list[Path]) -> list[WantedScene]:
 
 def check_source(source: Source, camera: CameraModel, name: str) -> None:
     """RecipeError if `source`, called `name`, asks for what cannot be."""
+    refuse_first(source_faults(source, camera, name))
+
+
+def source_faults(source: Source, camera: CameraModel | None, name: str) -> Iterator[Fault]:
+    """All that cannot be of `source`, called `name`: on the sensor of `camera` if there is one."""
     whole = source.scale is None and source.field_of_view_deg is None
     if not whole and source.scale is not None and source.field_of_view_deg is not None:
-        raise RecipeError(f"{name}: give either scale or field_of_view_deg")
+        yield fault(f"{name}: give either scale or field_of_view_deg", "field_of_view_deg", "scale")
     if not (source.scale or 1) > 0 or not 0 < (source.field_of_view_deg or 1) < 179:
-        raise RecipeError(f"{name}: scale and field_of_view_deg must be above zero, and the latter below 179")
+        message = f"{name}: scale and field_of_view_deg must be above zero, and the latter below 179"
+        yield fault(message, "scale" if not (source.scale or 1) > 0 else "field_of_view_deg")
     if source.crop and (min(source.crop) < 0 or min(source.crop[2:]) < 1):
-        raise RecipeError(f"{name}: crop is first row, first column, rows, columns, none of them negative")
+        yield fault(f"{name}: crop is first row, first column, rows, columns, none of them negative", "crop")
     if isinstance(source, Synthetic):
-        check_size(source.size, camera if whole and not source.crop else None, RecipeError, name)
+        try:
+            check_size(source.size, camera if whole and not source.crop else None, RecipeError, name)
+        except RecipeError as error:
+            yield fault(str(error), "size")
     if isinstance(source, Cube) and sorted(source.axes.split()) != ["band", "col", "row"]:
-        raise RecipeError(f'{name}: axes names row, col and band once each, such as "row col band"')
+        yield fault(f'{name}: axes names row, col and band once each, such as "row col band"', "axes")
     if isinstance(source, Spectral):
-        _check_spectral(source, name)
-    if holds_codes(source) and sorted(camera.channels) != sorted(CODED):
-        channels = ", ".join(camera.channels)
-        raise RecipeError(f'{name}: codes are channels r, g and b, but the camera has {channels}; leave out holds = "codes"')
+        yield from _spectral_faults(source, name)
+    if camera is not None and holds_codes(source) and sorted(camera.channels) != sorted(CODED):
+        what = f"codes are channels r, g and b, but the camera has {', '.join(camera.channels)}"
+        yield fault(f'{name}: {what}; leave out holds = "codes"', "holds")
 
 
-def _check_spectral(source: Spectral, name: str) -> None:
+def _spectral_faults(source: Spectral, name: str) -> Iterator[Fault]:
     if source.wavelengths_nm is not None and source.wavelength_range_nm is not None:
-        raise RecipeError(f"{name}: give either wavelengths_nm or wavelength_range_nm")
+        message = f"{name}: give either wavelengths_nm or wavelength_range_nm"
+        yield fault(message, "wavelength_range_nm", "wavelengths_nm")
     listed = source.wavelengths_nm or []
     steps = [later - earlier for earlier, later in itertools.pairwise(listed)]
     if not (all(step > 0 for step in steps) or all(step < 0 for step in steps)):
-        raise RecipeError(f"{name}: wavelengths_nm must increase or decrease; name them in the order of the bands")
-    ends = [
-        (min(each[0], each[end]), max(each[0], each[end]))
-        for each, end in ((listed, -1), (source.wavelength_range_nm or (), 1))
-        if each
-    ]
-    for first, last in ends:
-        if other := other_unit(first, last):
-            raise RecipeError(f"{name}: {other[0]}; give them in nm")
+        message = f"{name}: wavelengths_nm must increase or decrease; name them in the order of the bands"
+        yield fault(message, "wavelengths_nm")
+    given = {"wavelengths_nm": (listed, -1), "wavelength_range_nm": (source.wavelength_range_nm or (), 1)}
+    for key, (each, end) in given.items():
+        if each and (other := other_unit(min(each[0], each[end]), max(each[0], each[end]))):
+            yield fault(f"{name}: {other[0]}; give them in nm", key)
     if source.wavelength_range_nm is not None:
         first, last, step = source.wavelength_range_nm
         if not (0 < first < last and step > 0):
-            raise RecipeError(f"{name}: wavelength_range_nm must be first < last with a positive step")
+            message = f"{name}: wavelength_range_nm must be first < last with a positive step"
+            yield fault(message, "wavelength_range_nm")
     if source.white is not None and not source.white > 0:
-        raise RecipeError(f"{name}: white must be above zero")
+        yield fault(f"{name}: white must be above zero", "white")
     if source.light is not None and source.holds == "reflectance":
-        raise RecipeError(f"{name}: reflectance needs no light; leave it out or say what else the cube holds")
+        yield fault(f"{name}: reflectance needs no light; leave it out or say what else the cube holds", "light")
 
 
 def has_light(source: Source) -> bool:

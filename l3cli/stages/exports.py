@@ -21,6 +21,7 @@ from l3cli.io import profiles
 from l3cli.io.curves import export_curves, export_paths
 from l3cli.stages.claims import Claims
 from l3cli.stages.console import Console
+from l3cli.stages.plan import Made, before_work
 
 DATASHEET, DCP = "datasheet.csv", "dcp.json"
 RASPBERRY_PI, SIMPLE = "libcamera_rpi.json", "libcamera_simple.yaml"
@@ -62,6 +63,8 @@ def export(
         further = by_array(output, model.channels, model.cfa)
         for path in further:
             claims.claim_file(path, force)
+        made = (Made(path, "export") for path in (*always(output), *further))
+        before_work({"camera": camera_files(camera)}, *made)
         matrices = write(model, output, console)
         written = [*always(output), *(further if matrices else [])]
         console.say(f"{output}: {', '.join(path.name for path in written)} written")

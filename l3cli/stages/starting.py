@@ -10,6 +10,7 @@ from l3cli.files import atomic_output
 from l3cli.recipes import known_benchmarks, known_recipes, recipe_folder
 from l3cli.stages.claims import Claims
 from l3cli.stages.console import Console
+from l3cli.stages.plan import Made, before_work
 
 # What a folder of recipes holds beside its camera.toml: name there ← name in configs/.
 COMMON = {
@@ -37,6 +38,8 @@ def start(starter: Path, folder: Path, console: Console, *, force: bool = False)
     with Claims(console) as claims:
         claims.spare(*origins.values())
         claims.claim_folder(folder, force, *origins)
+        made = [Made(folder / name, "copy", origin.stat().st_size) for name, origin in origins.items()]
+        before_work({"recipes": origins.values()}, *made)
         for name, origin in origins.items():
             with atomic_output(folder / name) as temporary:
                 temporary.write_bytes(origin.read_bytes())
@@ -62,12 +65,18 @@ def folder_files(starter: Path) -> dict[str, Path]:
     """What the recipe folder of a camera recipe or a benchmark holds, by name: the files it is copied from."""
     if starter.is_dir():
         return {path.name: path for path in sorted(starter.iterdir())}
-    base = _base(starter)
     files = {name: recipe_folder() / source for name, source in COMMON.items()} | {"camera.toml": starter}
-    return files | ({} if base is None else {base.name: base})
+    return files | {path.name: path for path in _named(starter)}
 
 
 def _base(camera: Path) -> Path | None:
     """The camera recipe that this one builds on, beside it."""
     named = tomllib.loads(camera.read_text(encoding="utf-8")).get("base")
     return None if named is None else camera.parent / named
+
+
+def _named(camera: Path) -> list[Path]:
+    """The files beside a camera recipe that it needs: its base, its curves."""
+    base = _base(camera)
+    curves = tomllib.loads((base or camera).read_text(encoding="utf-8"))["responsivity"].get("file")
+    return [*filter(None, [base]), *([camera.parent / curves] if curves else [])]

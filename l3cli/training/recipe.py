@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from collections.abc import Iterator
 from typing import Annotated, ClassVar, Literal
 
 import msgspec
@@ -10,7 +11,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.tree_rule import MOST_LEAVES
 from l3cli.classes.recipe import ClassRecipe
 from l3cli.config import Count, CountOrNone, Positive, Recipe, Share
-from l3cli.errors import RecipeError
+from l3cli.faults import Fault, fault, refuse_first
 
 MOST_PATCHES = 1_000_000_000
 MOST_LATER = 3  # layers after the first
@@ -45,6 +46,9 @@ class LearningRecipe(Recipe):
     level_pool: tuple[float, ...] = (0.5, 0.25)  # weight of classes one, two… levels away (docs/method.md#thin-classes)
     parent_patches: CountOrNone = (
         200  # pseudo-patches of the parent, all chromas of its level, contrast and case, added to every class
+    )
+    plain_surfaces: NotNegative = (
+        0.3  # uniform areas of measured surfaces, a patch of a plain class (docs/method.md#plain-surfaces)
     )
     symmetry: bool = True  # rotated or mirrored CFA sites share their training (docs/method.md#symmetry)
     equal_response: bool = True  # all CFA sites answer a flat patch alike (docs/method.md#equal-response)
@@ -99,24 +103,40 @@ def for_camera(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
 
 def check_learning(recipe: LearningRecipe) -> None:
     """RecipeError if a number of the learning recipe cannot be."""
+    refuse_first(learning_faults(recipe))
+
+
+def learning_faults(recipe: LearningRecipe) -> Iterator[Fault]:
+    """All that cannot be of [learning]."""
     if not 0 <= recipe.darkest < recipe.highlight_from < recipe.brightest:
-        raise RecipeError("learning needs 0 ≤ darkest < highlight_from < brightest")
+        keys = ("learning.darkest", "learning.highlight_from", "learning.brightest")
+        yield fault("learning needs 0 ≤ darkest < highlight_from < brightest", *keys)
     if not 0 <= recipe.highlight_share <= 1:
-        raise RecipeError("learning.highlight_share must lie in 0…1")
-    if recipe.ridge <= 0 or recipe.luminance_noise < 0 or recipe.chroma_noise < 0:
-        raise RecipeError("learning.ridge must be positive, the noise weights not negative")
-    if not (0 <= recipe.brightness_power <= 1 and 0 <= recipe.error_power <= 0.5):
-        raise RecipeError("learning.brightness_power must lie in 0…1, error_power in 0…0.5")
+        yield fault("learning.highlight_share must lie in 0…1", "learning.highlight_share")
+    weights = {"ridge": recipe.ridge > 0, "luminance_noise": recipe.luminance_noise >= 0}
+    weights["chroma_noise"] = recipe.chroma_noise >= 0
+    if wrong := [f"learning.{key}" for key, right in weights.items() if not right]:
+        yield fault("learning.ridge must be positive, the noise weights not negative", *wrong)
+    powers = {"brightness_power": 0 <= recipe.brightness_power <= 1, "error_power": 0 <= recipe.error_power <= 0.5}
+    if wrong := [f"learning.{key}" for key, right in powers.items() if not right]:
+        yield fault("learning.brightness_power must lie in 0…1, error_power in 0…0.5", *wrong)
 
 
 def check_layers(layers: tuple[LayerRecipe, ...]) -> None:
     """RecipeError if the layers after the first cannot be learned."""
+    refuse_first(layer_faults(layers))
+
+
+def layer_faults(layers: tuple[LayerRecipe, ...]) -> Iterator[Fault]:
+    """All that cannot be of [[layer]]."""
     if len(layers) > MOST_LATER:
-        raise RecipeError(f"layer: {len(layers)} layers after the first; {MOST_LATER} can be learned")
-    for number, recipe in enumerate(layers, start=1):
+        yield fault(f"layer: {len(layers)} layers after the first; {MOST_LATER} can be learned", f"layer.{MOST_LATER}")
+    for number, recipe in enumerate(layers):
+        name, key = f"layer[{number + 1}]", f"layer.{number}"
         if recipe.side % 2 == 0:
-            raise RecipeError(f"layer[{number}].side is {recipe.side}; windows have odd sides")
+            yield fault(f"{name}.side is {recipe.side}; windows have odd sides", f"{key}.side")
         if not recipe.strengths or any(high - low < LEAST_STEP for low, high in itertools.pairwise(recipe.strengths)):
-            raise RecipeError(f"layer[{number}].strengths must be one or more numbers, each {LEAST_STEP:g} above the last")
-        if recipe.strengths[-1] > MOST_STRENGTH:
-            raise RecipeError(f"layer[{number}].strengths exceed {MOST_STRENGTH:g}")
+            message = f"{name}.strengths must be one or more numbers, each {LEAST_STEP:g} above the last"
+            yield fault(message, f"{key}.strengths")
+        elif recipe.strengths[-1] > MOST_STRENGTH:
+            yield fault(f"{name}.strengths exceed {MOST_STRENGTH:g}", f"{key}.strengths")

@@ -10,6 +10,7 @@ from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.partial_sums import ClassSums
 from l3cli.errors import L3Error
 from l3cli.training.highlights import flat_moments, grey_patches, plain_colours, white_channels
+from l3cli.training.plain_surfaces import PlainSurfaces
 from l3cli.training.recipe import LearningRecipe
 from l3cli.training.single_bands import output_gains, single_bands, teaches
 from l3cli.training.sums import moment_matrix, symmetric_places
@@ -31,6 +32,7 @@ class Goal:
     black_level: float  # DN, of the camera
     white_level: float  # DN, at which a pixel of the camera saturates
     misled: Array | float = 0.0  # (channel) how far off, relatively, surfaces make the signals of white
+    surfaces: PlainSurfaces | None = None  # under the training light; None: not known, or the outputs are others
 
 
 class Equations(NamedTuple):
@@ -95,6 +97,7 @@ def solve(
     basis = _opponent_basis(goal)
     white = white_channels(sums, rule, window, goal.white, goal.white_signal, goal.misled)
     greys = grey_patches(sums, rule, window, goal.white, goal.black_level, goal.white_level, white)
+    surfaces = _surfaces(rule, window, goal, white) if recipe.plain_surfaces else {}
     gains = None
     if goal.outputs == goal.channels:
         gains = output_gains(flat_moments(sums, rule, groups.size + len(goal.outputs)), window)
@@ -112,6 +115,8 @@ def solve(
             taught = moments + (sums.count[index] + recipe.parent_patches) * greys[index]
         elif gains is not None and teaches(rule, index):
             taught = moments + single_bands(moments, window, gains)
+        elif (plain := surfaces.get(index)) is not None:
+            taught = moments + recipe.plain_surfaces * (sums.count[index] + recipe.parent_patches) * plain
         power[index] = np.einsum("ct,tu,cu->", means, taught[: window.size, : window.size], means)
         used = groups.size if rule.case(rule.split(index).kind) else groups.size - 1  # an intercept if saturated
         for number, ((factor, is_taught), wanted) in enumerate(columns.items()):
@@ -124,6 +129,18 @@ def solve(
             condition[index] = max(condition[index], worst)
     about = solved, sums.count, condition, plain_colours(sums, rule, window), white, power
     return Solution(rows, member @ rows, compliance, member @ compliance, *about)
+
+
+def _surfaces(rule: ClassRule, window: NDArray[np.int64], goal: Goal, white: Array | None) -> dict[int, Array]:
+    """Moments of plain surfaces of the unsaturated classes of the lowest contrast, if the patches bear out what the camera
+    sees of white, and so of all else."""
+    if goal.surfaces is None or white is None or goal.white_signal is None or not np.array_equal(white, goal.white_signal):
+        return {}
+    moments = goal.surfaces.moments(rule, window)
+    plain = {chroma: each for chroma, each in enumerate(moments) if each is not None}
+    levels, further = np.ogrid[: rule.levels, : rule.further]
+    places = ((rule.join(levels, 0, chroma, further=further).ravel().tolist(), each) for chroma, each in plain.items())
+    return {index: each for indices, each in places for index in indices}
 
 
 def equal_responses(

@@ -23,12 +23,14 @@ from l3cli.physics import spectra
 from l3cli.training.highlights import misleading
 from l3cli.training.layers.mosaics import white_signal
 from l3cli.training.patches import draw_levels, expose_patches, patches_of
+from l3cli.training.plain_surfaces import plain_surfaces
 from l3cli.training.recipe import LearningRecipe, TrainingRecipe
-from l3cli.training.solve import Goal, Solution, equal_responses, solve
+from l3cli.training.solve import XYZ, Goal, Solution, equal_responses, solve
 from l3cli.training.sums import add, empty_sums, grid_steps, require_exact
 from l3cli.training.symmetry import class_stabilisers, orientations, site_maps, turned_classes
 from l3cli.training.training_pass import TrainingPass, brightness_of
 
+ONE_LIGHT = 0.001  # spread of lights that are one
 PILOT_PATCHES = 4000  # patches a site over all frames that decide which saturation cases are kept
 
 
@@ -39,7 +41,9 @@ class Pilot:
     occurrences: NDArray[np.int64]  # (code) of each saturation code
     shares: NDArray[np.float64]  # (patch, channel)
     whites: NDArray[np.float64]  # (frame, output) of their lights, each at Y = 1
-    lights: NDArray[np.float64]  # (frame, wavelength) of a white of 1 cd/m², where the camera is tabulated; NaN: not known
+    lights: NDArray[
+        np.float64
+    ]  # (frame, wavelength) of a white of 1 cd/m², at every nm (spectra.light_grid); NaN: not known
     exposures: NDArray[np.float64]  # (frame) s; real pairs, whose dark current is off already: 0
     observed: dict[str, NDArray[np.float64]]  # (patch, …) what each further feature asks for
 
@@ -88,16 +92,30 @@ def survey(
     all are known; frames count as they have `patches` (frame)."""
     every = list(pilots)
     case_of_code = choose_cases(np.sum([pilot.occurrences for pilot in every], axis=0), recipe.classes.max_cases)
-    centres = choose_chromas(np.concatenate([pilot.shares for pilot in every]), recipe.classes.chromas, seed)
+    light = _mean_light(np.concatenate([pilot.lights for pilot in every]), patches, head.camera)
+    single = one_light(light) if head.outputs == XYZ else None
+    white = white_signal(single, head.camera) if single is not None else None
+    centres = choose_chromas(np.concatenate([pilot.shares for pilot in every]), recipe.classes.chromas, seed, white)
     whites = np.concatenate([pilot.whites for pilot in every])
     exposures = np.concatenate([pilot.exposures for pilot in every])
     counts = np.where(exposures > 0, patches, 0)
     exposure = float(exposures @ counts / max(counts.sum(), 1))
     observed = _together([pilot.observed for pilot in every])
     rule = make_rule(recipe.classes, head.camera, case_of_code, centres, head.camera.dark_signal(exposure), observed)
-    mean = np.average(np.concatenate([pilot.lights for pilot in every]), axis=0, weights=patches)
-    light = LightSpectrum(head.camera.wavelength, mean.astype(np.float32)) if np.isfinite(mean).all() else None
     return rule, np.average(whites, axis=0, weights=patches), exposure, light
+
+
+def one_light(light: LightSpectrum | None) -> LightSpectrum | None:
+    """A mean light, if it is known and that of a single light."""
+    return light if light is not None and light.spread <= ONE_LIGHT else None
+
+
+def _mean_light(lights: NDArray[np.float64], patches: Sequence[int], camera: CameraModel) -> LightSpectrum | None:
+    mean = np.average(lights, axis=0, weights=patches)
+    if not np.isfinite(mean).all():
+        return None
+    spread = np.abs(lights - mean).sum(axis=1).max() / max(mean.sum(), 1e-30)
+    return LightSpectrum(spectra.light_grid(camera.wavelength).astype(np.float64), mean.astype(np.float32), float(spread))
 
 
 def _together(observed: list[dict[str, NDArray[np.float64]]]) -> dict[str, NDArray[np.float64]]:
@@ -181,14 +199,17 @@ def _goal(pass_: TrainingPass) -> Goal:
     if pass_.light is None:
         return Goal(pass_.head.outputs, camera.channels, pass_.white_point, None, *levels)
     signal, misled = white_signal(pass_.light, camera), misleading(pass_.light, camera)
-    return Goal(pass_.head.outputs, camera.channels, pass_.white_point, signal, *levels, misled)
+    surfaces = None
+    if one_light(pass_.light) and pass_.head.outputs == XYZ:
+        surfaces = plain_surfaces(camera, pass_.light, pass_.head.target_light or pass_.light, pass_.white_point)
+    return Goal(pass_.head.outputs, camera.channels, pass_.white_point, signal, *levels, misled, surfaces)
 
 
 def _light_of(frame: TrainingPair, camera: CameraModel) -> NDArray[np.float64]:
+    grid = spectra.light_grid(camera.wavelength)
     if frame.light is None:
-        return np.full(camera.wavelength.size, np.nan)
-    radiance = frame.light.radiance.astype(np.float64)
-    return np.asarray(spectra.resample(radiance, frame.light.wavelength, camera.wavelength), np.float64)
+        return np.full(grid.size, np.nan)
+    return np.asarray(spectra.resample(frame.light.radiance.astype(np.float64), frame.light.wavelength, grid), np.float64)
 
 
 def _dark_signal(frame: TrainingPair, camera: CameraModel) -> float:

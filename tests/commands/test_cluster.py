@@ -159,12 +159,16 @@ def test_a_shard_gives_the_same_bytes(cluster: Cluster, made: Path, tmp_path: Pa
 
 
 def test_render_gives_the_same_bytes(cluster: Cluster, made: Path, tmp_path: Path, l3: Callable) -> None:
-    """Files that workers read, and frames that are sent to them because their exposure follows those before."""
+    """Files that workers read, and frames that are sent to them because their exposure or white follows those before."""
     where = ("--scheduler", cluster.address)
     assert l3("render", *frames(made), "--exposure", 1, "-o", tmp_path / "pictures", *where)[0] == 0
     assert _content(tmp_path / "pictures") == _content(made / "pictures")
     assert l3("render", *frames(made), "-o", tmp_path / "video.y4m", *where)[0] == 0
     assert (tmp_path / "video.y4m").read_bytes() == (made / "video.y4m").read_bytes()
+    for name, white, there in (("here", "auto", ()), ("there", "auto", where), ("named", "A", ()), ("sent", "A", where)):
+        assert l3("render", *frames(made), "--exposure", 1, "--white", white, "-o", tmp_path / name, *there)[0] == 0
+    assert _content(tmp_path / "here") == _content(tmp_path / "there") != _content(made / "pictures")
+    assert _content(tmp_path / "named") == _content(tmp_path / "sent")
 
 
 def test_a_broken_frame_is_named_or_left_out(cluster: Cluster, made: Path, tmp_path: Path, l3: Callable) -> None:

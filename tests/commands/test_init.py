@@ -67,7 +67,7 @@ def test_a_typo_brings_the_recipe_that_was_meant(typo: str, meant: str, refused:
 
 
 def test_wrong_calls(refused: Callable, tmp_path: Path, l3: Callable) -> None:
-    assert "fiveband, monno" in refused(2, "init", "zzz", tmp_path / "demo")
+    assert "fiveband, from_curves, monno" in refused(2, "init", "zzz", tmp_path / "demo")
     assert '"l3 init bayer bayer"' in refused(2, "init", "bayer")
     (tmp_path / "full").mkdir()
     (tmp_path / "full/mine.toml").write_text("")

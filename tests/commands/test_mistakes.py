@@ -52,7 +52,7 @@ MISTAKES = """
     3 calibrate nothing.toml -o new.h5
         nothing.toml does not exist; give a measurement file
     2 calibrate empty.toml -o new.h5
-        empty.toml: missing key `name`
+        empty.toml:1: missing key `name`
     2 calibrate lab/MEASUREMENTS.toml
         Missing option '-o'
     1 calibrate lab/MEASUREMENTS.toml -o folder

@@ -222,14 +222,17 @@ def test_another_camera_takes_its_unseen_frames(workplace: Workplace, folder: Pa
         )
 
 
-def test_a_recipe_that_the_camera_is_based_on_makes_all_of_it_again(workplace: Workplace, tmp_path: Path) -> None:
-    assert run(["init", "bayer_bggr", str(tmp_path / "phase"), "--quiet"]) == 0
-    (tmp_path / "phase/virtual_lab").mkdir()
+@pytest.mark.parametrize(("recipe", "named"), [("bayer_bggr", "bayer.toml"), ("from_curves", "from_curves.csv")])
+def test_a_file_that_the_camera_is_made_of_makes_all_of_it_again(
+    recipe: str, named: str, workplace: Workplace, tmp_path: Path
+) -> None:
+    assert run(["init", recipe, str(tmp_path / "folder"), "--quiet"]) == 0
+    (tmp_path / "folder/virtual_lab").mkdir()
     measured = "virtual_lab/MEASUREMENTS.toml"
-    (tmp_path / "phase" / measured).touch()
-    (tmp_path / "phase/.asked").touch()
-    assert "l3 lab" not in workplace.do(tmp_path / "phase", f"make -n {measured}")[0]
-    assert "l3 lab" in workplace.do(tmp_path / "phase", f"make -n -W bayer.toml {measured}")[0]
+    (tmp_path / "folder" / measured).touch()
+    (tmp_path / "folder/.asked").touch()
+    assert "l3 lab" not in workplace.do(tmp_path / "folder", f"make -n {measured}")[0]
+    assert "l3 lab" in workplace.do(tmp_path / "folder", f"make -n -W {named} {measured}")[0]
 
 
 def test_a_stopped_make_goes_on_where_it_was(workplace: Workplace, folder: Path, tmp_path: Path) -> None:

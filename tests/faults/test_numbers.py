@@ -311,7 +311,7 @@ def test_no_chromas_are_none(l3: L3, tmp_path: Path, pipeline: Path) -> None:
 def test_a_recipes_number_out_of_range_is_named(key: str, words: str) -> None:
     with pytest.raises(RecipeError) as caught:
         parse_recipe(key, TrainingRecipe, "a.toml")
-    assert str(caught.value).startswith("a.toml: ")
+    assert str(caught.value).startswith("a.toml:2: ")
     assert words in str(caught.value)
 
 

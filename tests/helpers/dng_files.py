@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-BYTE, SHORT, LONG, RATIONAL, SRATIONAL = 1, 3, 4, 5, 10
-LETTER = {BYTE: "B", SHORT: "H", LONG: "I", RATIONAL: "I", SRATIONAL: "i"}
+BYTE, SHORT, LONG, RATIONAL, UNDEFINED, SRATIONAL = 1, 3, 4, 5, 7, 10
+LETTER = {BYTE: "B", UNDEFINED: "B", SHORT: "H", LONG: "I", RATIONAL: "I", SRATIONAL: "i"}
 WORDS = (RATIONAL, SRATIONAL)
 Tags = dict[int, tuple[int, list[int]]]
 
@@ -75,6 +75,23 @@ def write_dng(
     content = head + b"".join(entries) + struct.pack(order + "I", 0) + rest
     path.write_bytes(content.ljust(start, b"\0") + (b"\0" * gap).join(strips))
     return path
+
+
+def opcode_list(*opcodes: tuple[int, int, bytes]) -> tuple[int, list[int]]:
+    """The value of an opcode list: number, flags and content of each."""
+    entries = [struct.pack(">IIII", number, 0x01030000, flags, len(content)) + content for number, flags, content in opcodes]
+    return UNDEFINED, list(struct.pack(">I", len(opcodes)) + b"".join(entries))
+
+
+def gain_map(
+    gains: np.ndarray, area: tuple[int, ...], plane: tuple[int, int] = (0, 1), pitch: tuple[int, int] = (1, 1)
+) -> bytes:
+    """A GainMap of gains (row, col[, plane]) from edge to edge, of `area` (top, left, bottom, right); plane, count."""
+    gains = gains.reshape(*gains.shape[:2], -1)
+    rows, cols, planes = gains.shape
+    spacing = [1 / max(rows - 1, 1), 1 / max(cols - 1, 1)]
+    head = struct.pack(">8I", *area, *plane, *pitch) + struct.pack(">2I4dI", rows, cols, *spacing, 0.0, 0.0, planes)
+    return head + gains.astype(">f4").tobytes()
 
 
 def _words(order: str, kind: int, numbers: list[int]) -> bytes:

@@ -10,6 +10,7 @@ import re
 import resource
 import shutil
 import signal
+import struct
 import sys
 import traceback
 from collections.abc import Callable, Iterator
@@ -25,6 +26,7 @@ from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.cli import run
 from l3cli.limits import MEGAPIXELS
+from tests.helpers.dng_files import gain_map, opcode_list
 from tests.helpers.tables import with_tree
 
 CACHE = str(Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser(), "l3cli"))  # l3's cache of kernels
@@ -354,6 +356,7 @@ RENDER = "render table.h5 {file} -o {out}/a.png --backend reference"
 SEQUENCE = "render table.h5 {file} -o {out}/%d.png --backend reference --skip-bad"
 CALIBRATE = "calibrate {file} -o {out}/camera.h5 --accept --export {out}/curves"
 LISTED = "calibrate lab/MEASUREMENTS.toml -o {out}/camera.h5 --accept"
+CHECK = "check camera.toml {file}"
 SUBJECTS = (
     Subject(
         "camera.h5",
@@ -374,12 +377,14 @@ SUBJECTS = (
         often=1,
     ),
     Subject("sums.h5", spoiled_hdf5, ("train --merge {file} -o {out}/t.h5",), often=1),
-    Subject("camera.toml", spoiled_text, (DRAW_WITH,)),
-    Subject("curves.toml", spoiled_text, (DRAW_WITH,)),
-    Subject("scenes.toml", spoiled_text, ("simulate {file} --camera camera.toml -o {out}/t.h5 --pictures {out}",), often=1),
-    Subject("classes.toml", spoiled_text, ("train training.h5 --classes {file} -o {out}/t.h5",), often=1),
-    Subject("lab.toml", spoiled_text, ("lab camera.toml --recipe {file} -o {out}/lab",), often=1),
-    Subject("lab/MEASUREMENTS.toml", spoiled_text, (CALIBRATE,), often=1),
+    Subject("camera.toml", spoiled_text, (DRAW_WITH, "check {file}")),
+    Subject("curves.toml", spoiled_text, (DRAW_WITH, "check {file}")),
+    Subject(
+        "scenes.toml", spoiled_text, ("simulate {file} --camera camera.toml -o {out}/t.h5 --pictures {out}", CHECK), often=1,
+    ),
+    Subject("classes.toml", spoiled_text, ("train training.h5 --classes {file} -o {out}/t.h5", CHECK), often=1),
+    Subject("lab.toml", spoiled_text, ("lab camera.toml --recipe {file} -o {out}/lab", CHECK), often=1),
+    Subject("lab/MEASUREMENTS.toml", spoiled_text, (CALIBRATE, CHECK), often=1),
     Subject("table.toml", spoiled_text, (CALIBRATE,)),
     Subject("sweep.csv", spoiled_text, ("calibrate table.toml -o {out}/camera.h5 --accept",)),
     Subject("diode.csv", spoiled_text, ("calibrate table.toml -o {out}/camera.h5 --accept",)),
@@ -476,7 +481,15 @@ def _make_frames(folder: Path) -> None:
     _write_image(folder / "frame.tif", stack[0][..., None], compression="zip")
     _write_image(folder / "frame.png", stack[0][..., None])
     cfa = [(33421, "H", 2, (2, 2), True), (33422, "B", 4, (0, 1, 1, 2), True)]
-    dng = [(50706, "B", 4, (1, 4, 0, 0), True), (50717, "I", 1, 4095, True), (50714, "I", 1, 64, True)]
+    dng: list[tuple[int, Any, int, Any, bool]] = [
+        (50706, "B", 4, (1, 4, 0, 0), True),
+        (50717, "I", 1, 4095, True),
+        (50714, "I", 1, 64, True),
+    ]
+    mended, evened = struct.pack(">5I", 0, 1, 0, 3, 4), gain_map(np.full((2, 3), 1.5), (0, 0, 30, 30))
+    for code, opcode in ((51008, (5, 0, mended)), (51009, (9, 1, evened)), (51022, (3, 0, struct.pack(">7d", *[0.1] * 7)))):
+        content = bytes(opcode_list(opcode)[1])
+        dng.append((code, 7, len(content), content, True))
     tifffile.imwrite(folder / "frame.dng", np.tile(stack[0], (3, 3)), photometric=32803, extratags=cfa + dng)
     with h5py.File(folder / "stack.h5", "w") as root:
         root.create_dataset("take/raw", data=stack, chunks=(1, 20, 24), compression="gzip")

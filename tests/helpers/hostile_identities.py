@@ -76,6 +76,10 @@ SENTENCES = (
     Sentence("evaluate table.h5 training.h5 --backend reference --pictures {out}/p", "table.h5 training.h5"),
     Sentence("report camera.h5 training.h5 table.h5 --backend reference -o {out}/r.html", "camera.h5 training.h5 table.h5"),
     Sentence("compare evaluation.json other.json --figure psnr -o {out}/c.html", "evaluation.json other.json"),
+    Sentence(
+        "check curves.toml scenes.toml lab/MEASUREMENTS.toml --plot {out}/c.html",
+        "curves.toml curves.csv scenes.toml lamp.csv picture.png frame.tif lab/MEASUREMENTS.toml lab/*/*.tif",
+    ),
     Sentence("lab curves.toml --recipe lab.toml -o {out}", "curves.toml curves.csv lab.toml"),
 )
 DISGUISES = ("its name", "another spelling", "a linked folder", "a symbolic link", "a link to a link", "a hard link")

@@ -1,4 +1,10 @@
-"""Recipes of scenes and classes that are simulated and learned within seconds."""
+"""Recipes of scenes and classes that are simulated and learned within seconds; recipes that are spoilt."""
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+from hypothesis import strategies as st
 
 SCENES = """
 exposure_share = [0.9]
@@ -22,3 +28,30 @@ SMALL = {
     "classes": "[classes]\npatch = 5\nlevels = 6\nlowest_level = 0.02\nchromas = 3\nmax_cases = 4\n"
     "[learning]\npatches = 2000\ndraws = 4\nfirst_draws = 0\n",
 }
+VALUES: list[Any] = [-1, 0, 2, 1.25, 1e9 + 0.5, "x", "D65", [], {}, [1, 2], [[1, 2]], True, {"peak": 1}]  # of all types
+
+
+def spoilt(content: Any, draw: Callable[..., Any]) -> Any:
+    """A recipe's content with one value somewhere replaced or left out, as Hypothesis draws."""
+    if isinstance(content, dict) and content:
+        key = draw(st.sampled_from(sorted(content)))
+        if draw(st.integers(0, 5)) == 0:
+            return {name: value for name, value in content.items() if name != key}
+        return content | {key: spoilt(content[key], draw)}
+    if isinstance(content, list) and content and draw(st.integers(0, 3)):
+        at = draw(st.integers(0, len(content) - 1))
+        return [*content[:at], spoilt(content[at], draw), *content[at + 1 :]]
+    if isinstance(content, float) and draw(st.booleans()):
+        return content * draw(st.sampled_from([-1, 0, 0.001, 1000]))
+    return draw(st.sampled_from(VALUES))
+
+
+def as_toml(content: dict[str, Any]) -> str:
+    """A recipe's content as TOML, a line a key."""
+    return "".join(f"{json.dumps(key)} = {_value(value)}\n" for key, value in content.items())
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{json.dumps(key)} = {_value(inner)}" for key, inner in value.items()) + "}"
+    return "[" + ", ".join(map(_value, value)) + "]" if isinstance(value, list) else json.dumps(value)

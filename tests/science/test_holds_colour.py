@@ -10,11 +10,12 @@ from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import open_training_set
 from l3cli.frame import RawFrame
-from l3cli.physics import spectra
+from l3cli.physics import paint, spectra
 from l3cli.physics.display import delta_e_2000, lab
 from l3cli.rendering.renderer import make_renderer
 from l3cli.simulation import reflectances
 from l3cli.simulation.charts import colorchecker_patches
+from l3cli.training import plain_surfaces
 from tests.helpers.paths import CONFIGS
 
 CAMERA = CONFIGS / "cameras/fiveband.toml"
@@ -46,8 +47,10 @@ def without_the_chart(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
     monkeypatch.setattr(spectra, "reflectance_library", unlike)
     reflectances.surfaces.cache_clear()
+    plain_surfaces.cached_reflectances.cache_clear()
     yield
     reflectances.surfaces.cache_clear()
+    plain_surfaces.cached_reflectances.cache_clear()
 
 
 def chart_errors(table: Path, chart: Path) -> np.ndarray:
@@ -116,7 +119,8 @@ def test_titanium_white_darkens_the_violet_only() -> None:
     wavelength = np.arange(380.0, 731.0, 10.0)
     for seed in range(20):
         grey = np.full(wavelength.size, 0.05 + 0.045 * seed)
-        painted = reflectances.with_titanium_white(np.random.default_rng(seed), grey, wavelength)
+        rng = np.random.default_rng(seed)
+        painted = paint.with_titanium_white(grey, wavelength, rng.uniform(0.05, 0.8), rng.uniform(5.0, 11.0))
         assert (painted <= grey + 1e-12).all()
         assert (np.diff(painted) > -1e-12).all()
         assert painted[wavelength > 500] == pytest.approx(grey[wavelength > 500], rel=0.02)

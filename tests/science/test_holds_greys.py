@@ -35,7 +35,7 @@ size = [128, 128]
 count = 6
 """
 SMALLER = {"patches": "2000", "draws": "6", "patch": "{patch}", "mosaics": "24", "rows": "2000"}
-PLANES_ROUNDED = 2.0**-17  # of full scale: what the first of two layers rounds off
+PLANES_ROUNDED = 2.0**-15  # of full scale: what the first of two layers rounds off, at most, of greys that clip
 EXPOSURES = np.geomspace(0.001, 3.0, 160)  # of that at which a perfect white fills its brightest channel
 AREA, MARGIN, ACROSS = 48, 16, 16  # of a ramp's areas: side, rim beyond which no output reaches (pixels), areas a row
 EVERY = [
@@ -126,7 +126,8 @@ def areas(planes: np.ndarray, count: int) -> np.ndarray:
 
 def test_plain_areas_show_no_pattern_at_any_level(learned: Learned) -> None:
     """Without noise all sites answer alike at every level, on both sides of transitions and through clipping. Only where a
-    grey lies on an edge itself do integer means put sites into different classes: at very few levels, all of them dark."""
+    grey lies on an edge itself do integer means put sites into different classes: at few levels, all of them dark, where
+    whole DN put greys beside white's chroma."""
     renderer, raw, on_an_edge = make_renderer("opencl", learned.table), learned.ramp(EXPOSURES), []
     outputs = areas(renderer.outputs(raw), len(EXPOSURES))
     labels = areas(renderer.labels(raw)[None] % learned.table.first.rule.classes_per_site, len(EXPOSURES))
@@ -137,7 +138,7 @@ def test_plain_areas_show_no_pattern_at_any_level(learned: Learned) -> None:
         else:
             rounded = PLANES_ROUNDED if learned.table.later else 0.0
             assert (np.ptp(means, axis=0) <= 1e-4 * means.mean(axis=0) + rounded).all(), exposure
-    assert len(on_an_edge) <= 0.05 * len(EXPOSURES), np.round(on_an_edge, 4)
+    assert len(on_an_edge) <= 0.08 * len(EXPOSURES), np.round(on_an_edge, 4)
 
 
 def test_plain_areas_show_no_pattern_under_noise(learned: Learned) -> None:

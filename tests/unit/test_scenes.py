@@ -10,7 +10,7 @@ from l3cli.errors import InputFileError
 from l3cli.io.scenes.files import find
 from l3cli.io.scenes.iset import read as read_iset_scene
 from l3cli.io.scenes.rgb import read as read_rgb_picture
-from l3cli.physics import spectra
+from l3cli.physics import paint, spectra
 from l3cli.physics.display import srgb_curve, srgb_from_xyz_matrix
 from l3cli.scene import Scene
 from l3cli.simulation import charts, leaves, light, procedural, reflectances, rgb
@@ -189,8 +189,8 @@ def test_every_material_is_a_smooth_reflectance() -> None:
     for kind in reflectances.KINDS:
         drawn = np.array([reflectances._material(rng, of, kind, 1.0) for _ in range(200)])
         assert drawn.shape == (200, WAVELENGTH.size)
-        assert drawn.min() >= reflectances.SMALLEST
-        assert drawn.max() <= reflectances.LARGEST
+        assert drawn.min() >= paint.SMALLEST
+        assert drawn.max() <= paint.LARGEST
         assert np.median(abs(np.diff(drawn, n=2)).max(axis=1)) < 0.12, kind
 
 
@@ -209,8 +209,8 @@ def test_materials_have_the_colours_of_their_names() -> None:
 
 def test_saturation_zero_is_grey_and_one_changes_nothing() -> None:
     sample = np.linspace(0.1, 0.9, 31)
-    assert np.allclose(reflectances.with_saturation(sample, 1.0), sample)
-    assert np.ptp(reflectances.with_saturation(sample, 0.0)) < 1e-12
+    assert np.allclose(paint.with_saturation(sample, 1.0), sample)
+    assert np.ptp(paint.with_saturation(sample, 0.0)) < 1e-12
 
 
 def test_no_colorchecker_among_the_training_reflectances() -> None:

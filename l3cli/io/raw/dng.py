@@ -4,7 +4,6 @@ LibRaw unpacks the pixels, of whatever packing and compression it knows, and app
 any CFA for 2 × 2 or 6 × 6 and black levels for four numbers. So all that pixels mean is read here, from the tags.
 """
 
-import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -20,7 +19,9 @@ from l3cli.io.apart import apart
 from l3cli.io.raw.cfa_codes import LETTERS
 from l3cli.io.raw.content import RawContent, Request
 from l3cli.io.raw.libraw import opened
+from l3cli.io.raw.opcodes import Opcodes, bad_pixels, gain_of_pixels, read_opcodes
 from l3cli.io.raw.tiff_tags import (
+    BROKEN,
     COLOUR_FILTER_ARRAY,
     FRACTIONS,
     LINEAR_RAW,
@@ -29,13 +30,14 @@ from l3cli.io.raw.tiff_tags import (
     UNSIGNED,
     UPRIGHT,
     TiffTag,
+    camera_names,
 )
 from l3cli.io.video import storable_rate
+from l3cli.mending import plan_mending
 
 WHITE_CODE = LETTERS.index("W")
 LIBRAW_FLIP = (0, 0, 1, 3, 2, 4, 6, 7, 5)  # of the TIFF orientation 0…8
 FRAME_RATE = 51044  # the tag of CinemaDNG
-BROKEN = (ValueError, TypeError, KeyError, IndexError, AttributeError, ZeroDivisionError, OverflowError, struct.error)
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,10 @@ class Mosaic:
     black_of_col: NDArray[np.float64]  # (active col), DN added
     white_level: float  # DN
     exposure: float | None  # s
+    neutral: NDArray[np.float64] | None  # (colour, 2) code and what a grey gives
+    camera: list[str]  # make, model and other names
+    opcodes: Opcodes
+    planes: tuple[int, ...]  # colour code of each plane
 
 
 def read(path: Path, _: Request) -> RawContent:
@@ -76,17 +82,40 @@ def described(path: Path, stored: NDArray[np.uint16]) -> RawContent:
     black_level = black_level if black_level.size == 1 else black_level[shown]
     if not (black_level.min() >= 0 and (black_level < mosaic.white_level).all()):
         raise InputFileError(f"{path}: its black levels are not below its white level {mosaic.white_level:g}; it is damaged")
-    pixels = stored[top:bottom, left:right][shown].copy()  # LibRaw takes its memory back
+    pixels = stored[top:bottom, left:right].copy()  # LibRaw takes its memory back
+    gain = None
+    if mosaic.opcodes:
+        pixels, gain = _changed(path, mosaic, pixels, bad_pixels(mosaic.opcodes, stored, mosaic.active))
+    pixels, gain = pixels[shown], None if gain is None else gain[shown]
     values, common, white_level = with_one_black_level(pixels, black_level, np.array(mosaic.white_level))
     pattern = np.roll(mosaic.pattern, (-row, -col), axis=(0, 1))
-    return RawContent(
+    content = RawContent(
         values=values,
         black_level=common,
         white_level=white_level,
         pattern=pattern,
         orientation=mosaic.orientation,
         exposure=mosaic.exposure,
+        neutral=mosaic.neutral,
+        camera=mosaic.camera,
+        notes=mosaic.opcodes.notes,
     )
+    return content if gain is None else content | {"gain": gain}
+
+
+def _changed(
+    path: Path, mosaic: Mosaic, pixels: NDArray[np.uint16], bad: NDArray[np.bool_]
+) -> tuple[NDArray[np.uint16], NDArray[np.float32] | None]:
+    """The active area as the file's opcodes want it, bad pixels mended, and the gain that they want of it."""
+    if bad.any():
+        pixels = plan_mending(bad, mosaic.pattern).mended(pixels)
+    if not mosaic.opcodes.gains:
+        return pixels, None
+    try:
+        rows, cols = pixels.shape
+        return pixels, gain_of_pixels(mosaic.opcodes, mosaic.pattern, mosaic.planes, (rows, cols))
+    except ValueError as error:
+        raise InputFileError(f"{path}: its tags are damaged ({error}); copy it again") from error
 
 
 def _black_levels(mosaic: Mosaic, shape: tuple[int, int]) -> NDArray[np.float64]:
@@ -179,7 +208,24 @@ def _mosaic(path: Path, first: Any, raw: Any, shape: tuple[int, ...]) -> Mosaic:
         black_of_col=_of_length(raw, TiffTag.BLACK_LEVEL_DELTA_H, cols),
         white_level=float(_numbers(raw, TiffTag.WHITE_LEVEL, (2**raw.bitspersample - 1,))[0]),
         exposure=exposure_time(first),
+        neutral=_neutral(first, raw),
+        camera=camera_names(first),
+        opcodes=read_opcodes(path, raw),
+        planes=tuple(raw.tags.valueof(TiffTag.CFA_PLANE_COLOR) or (0, 1, 2)),
     )
+
+
+def _neutral(first: Any, raw: Any) -> NDArray[np.float64] | None:
+    """Codes of the colour planes and the signals that the camera took for those of a grey; None where they are not stated,
+    or are none."""
+    try:
+        codes = _numbers(raw, TiffTag.CFA_PLANE_COLOR, (0, 1, 2))
+        signals = np.asarray(_numbers(first, TiffTag.AS_SHOT_NEUTRAL, ()), np.float64)
+    except BROKEN:  # pixels need none of it
+        return None
+    if len(signals) != len(codes) or not (np.isfinite(signals).all() and signals.min() > 0):
+        return None
+    return np.stack([np.asarray(codes, np.float64), signals], axis=1)
 
 
 def exposure_time(page: Any) -> float | None:

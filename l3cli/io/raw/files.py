@@ -9,15 +9,18 @@ from pathlib import Path
 
 import numpy as np
 
+from l3cli.correction import Correction
 from l3cli.dark import DarkFrame, without_dark
 from l3cli.errors import InputFileError
 from l3cli.files import STDIN, require_regular
-from l3cli.frame import RawFrame
-from l3cli.io.raw.cfa_codes import Sensor, find_phase
+from l3cli.frame import RawFrame, shifted_cfa
+from l3cli.hot_pixels import HotTest
+from l3cli.io.raw.cfa_codes import Sensor, find_phase, neutral_of_channels
 from l3cli.io.raw.content import RawContent, Request, Stack
 from l3cli.io.raw.headerless import layout_of, stdin
 from l3cli.io.raw.registry import CAMERA_RAW, RawFormat, format_of
 from l3cli.limits import require_picture
+from l3cli.shading import shading_of_gain
 
 RAW_FILE = "give a raw file, or - for headerless frames on stdin"
 TOP = 65535  # DN, the most that 16 bits hold
@@ -36,6 +39,8 @@ class KnownBetter:
     stride: int | None = None  # bytes from row to row of a headerless file
     exposure: float | None = None  # s
     dark: DarkFrame | None = None  # what the camera gives without light
+    correction: Correction | None = None  # of its defects and shading
+    hot: HotTest | None = None  # by which its hot pixels are found; None: they are left
 
 
 def read_raw(path: Path, table: Sensor, known: KnownBetter | None = None) -> RawFrame:
@@ -73,14 +78,20 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: KnownBetter) 
     if values.size == 0 or values.ndim != 2:
         raise InputFileError(f"{name} holds no pixels; give a raw file")
     require_picture(name, *values.shape)
+    frame_phase = find_phase(name, pattern, table) if pattern is not None and known.phase is None else (0, 0)
+    gain = content.get("gain")
     frame = RawFrame(
         name,
         np.ascontiguousarray(values, np.uint16),
         content.get("black_level", table.black_level),
         content.get("white_level", table.white_level),
-        find_phase(name, pattern, table) if pattern is not None and known.phase is None else (0, 0),
+        frame_phase,
         content.get("orientation", 0),
         content.get("exposure"),
+        neutral=neutral_of_channels(content.get("neutral"), pattern if known.phase is None else None, frame_phase, table),
+        taken_by=tuple(content.get("camera", ())),
+        shading=None if gain is None else shading_of_gain(gain, table.cfa.shape),
+        notes=content.get("notes", ()),
     )
     return _corrected(frame, table, known)
 
@@ -112,4 +123,6 @@ def _corrected(frame: RawFrame, table: Sensor, known: KnownBetter) -> RawFrame:
         exposure=exposure,
         dark=dark,
     )
-    return corrected if known.dark is None else without_dark(corrected, known.dark)
+    corrected = corrected if known.dark is None else without_dark(corrected, known.dark)
+    corrected = corrected if known.correction is None else known.correction.corrected(corrected)
+    return corrected if known.hot is None else known.hot.without_hot(corrected, shifted_cfa(table.cfa, corrected.phase))

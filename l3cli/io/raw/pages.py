@@ -18,6 +18,7 @@ from l3cli.files import stamp
 from l3cli.io.apart import apart
 from l3cli.io.images import mono_of, open_image, read_mono, require_bearable, require_whole_stack
 from l3cli.io.names import named_in_utf8
+from l3cli.io.raw import plain_tiff
 from l3cli.io.raw.content import RawContent, Request, Stack
 from l3cli.io.raw.tiff_tags import ONE_OF_MANY, REDUCED, TiffTag
 
@@ -30,12 +31,16 @@ _opened: dict[tuple[Any, ...], Any] = {}  # the last file, by what would change 
 
 def read(path: Path, _: Request) -> RawContent:
     """The frame that a picture of one channel holds."""
+    if (plain := plain_tiff.read(path)) is not None:
+        return plain
     values, exposure = read_mono(path)
     return RawContent(values=values, exposure=exposure)
 
 
 def stack(path: Path, _: Request) -> Stack | None:
     """The frames of a TIFF of several pages."""
+    if plain_tiff.is_plain(path):
+        return None
     count = count_pages(path)
 
     def frame(number: int) -> RawContent:

@@ -1,6 +1,8 @@
 """The tags of TIFF 6, TIFF/EP, Exif and DNG 1.7 that the mosaics of cameras are read and written by, and their types."""
 
+import struct
 from enum import IntEnum
+from typing import Any
 
 
 class TiffTag(IntEnum):
@@ -22,8 +24,10 @@ class TiffTag(IntEnum):
     DNG_VERSION = 50706
     DNG_BACKWARD_VERSION = 50707
     UNIQUE_CAMERA_MODEL = 50708
+    LOCALIZED_CAMERA_MODEL = 50709
     CFA_PLANE_COLOR = 50710
     CFA_LAYOUT = 50711
+    LINEARIZATION_TABLE = 50712
     BLACK_LEVEL_REPEAT_DIM = 50713
     BLACK_LEVEL = 50714
     BLACK_LEVEL_DELTA_H = 50715
@@ -38,6 +42,9 @@ class TiffTag(IntEnum):
     CALIBRATION_ILLUMINANT_1 = 50778
     CALIBRATION_ILLUMINANT_2 = 50779
     ACTIVE_AREA = 50829
+    OPCODE_LIST_1 = 51008
+    OPCODE_LIST_2 = 51009
+    OPCODE_LIST_3 = 51022
     NOISE_PROFILE = 51041
 
 
@@ -48,3 +55,16 @@ REDUCED, ONE_OF_MANY = 1, 2  # bits of NEW_SUBFILE_TYPE: a smaller copy of anoth
 RECTANGULAR = 1  # value of CFA_LAYOUT
 UNSIGNED = 1  # value of SAMPLE_FORMAT
 UPRIGHT = 1  # value of ORIENTATION
+# what reading damaged tags raises
+BROKEN = (ValueError, TypeError, KeyError, IndexError, AttributeError, ZeroDivisionError, OverflowError, struct.error)
+LONGEST_NAME = 80  # characters of a camera's name that are kept
+
+
+def camera_names(page: Any) -> list[str]:
+    """Make, model and other names of the camera, as the first page of a TIFF file or DNG states them; nothing without a
+    model."""
+    tags = (TiffTag.MODEL, TiffTag.MAKE, TiffTag.UNIQUE_CAMERA_MODEL, TiffTag.LOCALIZED_CAMERA_MODEL)
+    texts = [page.tags.valueof(tag) for tag in tags]
+    written = [text.decode("utf-8", "replace") if isinstance(text, bytes) else text for text in texts]
+    model, make, *others = [text.strip("\0 ")[:LONGEST_NAME] if isinstance(text, str) else "" for text in written]
+    return [make, model, *filter(None, others)] if model else []

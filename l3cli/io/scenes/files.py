@@ -12,7 +12,10 @@ def find(pattern: str, folder: Path, folders: bool = False) -> list[Path]:
     if wanted(single):
         return [single]
     root = Path(single.anchor)  # "" for a relative folder
-    paths = sorted(path for path in root.glob(str(single.relative_to(root))) if wanted(path))
+    try:
+        paths = sorted(path for path in root.glob(str(single.relative_to(root))) if wanted(path))
+    except ValueError as error:
+        raise InputFileError(f'{single} is no glob; write "**" between slashes only') from error
     if not paths:
         raise InputFileError(f"{single} does not exist; name a scene file or a glob relative to the recipe")
     return paths

@@ -15,13 +15,16 @@ from l3cli.frame import RawFrame, upright
 from l3cli.io.raw.files import KnownBetter, read_raw
 from l3cli.io.sequences import Pending
 from l3cli.parallel import Crew
+from l3cli.rendering.balance import WhiteBalance
 from l3cli.rendering.display import Display
-from l3cli.stages.rendering.rendition import Exposed, Rendition, Unread, display_of, file_of, linear_of, pixels_of
+from l3cli.stages.rendering.corrections import CameraFile, correction_again
+from l3cli.stages.rendering.rendition import Exposed, Rendition, Unread, file_of, linear_of, pixels_of, shown
 
 if TYPE_CHECKING:
     from l3cli.artifacts.table import TransformTable
     from l3cli.parallel.cluster import Scheduler
     from l3cli.rendering.renderer import Renderer
+    from l3cli.shading import Shading
 
 
 class Local:
@@ -39,18 +42,26 @@ class Local:
         """
         at_work: collections.deque[tuple[Pending, RawFrame]] = collections.deque()
 
-        def displayed() -> Iterator[tuple[RawFrame, Display]]:
-            for pending, frame, scale in exposed:
-                at_work.append((pending, frame))
-                yield frame, display_of(self._renderer, frame, self._rendition, scale)
-
-        if self._rendition.white is None:
-            for pending, frame, _ in exposed:
-                yield pending, linear_of(self._renderer, frame)
+        usual = self._rendition.balance
+        if usual is None:
+            for each in exposed:
+                yield each.pending, linear_of(self._renderer, _read(each))
             return
+
+        def displayed() -> Iterator[tuple[RawFrame, Display]]:
+            for each in exposed:
+                balance, frame = each.balance or usual, _read(each)
+                at_work.append((each.pending, frame))
+                yield shown(self._renderer, frame, balance, each.scale, self._rendition.bits)
+
         for picture in self._renderer.pictures(displayed()):
             pending, frame = at_work.popleft()
             yield pending, upright(picture, frame.orientation)
+
+
+def _read(exposed: Exposed) -> RawFrame:
+    assert isinstance(exposed.frame, RawFrame)  # who renders here leaves no file unread
+    return exposed.frame
 
 
 @dataclass(frozen=True)
@@ -64,6 +75,7 @@ class RenderSetup:
     known: KnownBetter
     rendition: Rendition
     suffix: str | None  # of the picture files; None: pixels are wanted
+    camera: CameraFile | None = None  # whose defects and flat field are corrected
 
 
 @dataclass(frozen=True)
@@ -73,23 +85,27 @@ class RenderJob:
     setup: RenderSetup
     frame: RawFrame | Unread
     scale: float  # of exposure; 0: automatic
+    balance: WhiteBalance | None  # the frame's own
 
 
 class Remote:
     """Renders frames by the workers of other machines."""
 
-    def __init__(self, crew: Crew, setup: RenderSetup, by_path: bool) -> None:
-        """`by_path`: workers read the files themselves."""
-        self._crew, self._setup, self.by_path = crew, setup, by_path
+    def __init__(self, crew: Crew, setup: RenderSetup, by_path: bool, shading: "Shading | None" = None) -> None:
+        """`by_path`: workers read the files themselves; `shading`: that of the setup's camera, which they know."""
+        self._crew, self._setup, self.by_path, self._shading = crew, setup, by_path, shading
 
     def render(self, exposed: Iterator[Exposed]) -> Iterator[tuple[Pending, Any]]:
         """Pixels of each frame, content of its picture's file, or what is wrong with it, in order."""
         away: collections.deque[Pending] = collections.deque()
 
         def jobs() -> Iterator[RenderJob]:
-            for pending, frame, scale in exposed:
-                away.append(pending)
-                yield RenderJob(self._setup, frame, scale)
+            for each in exposed:
+                frame = each.frame
+                away.append(each.pending)
+                if isinstance(frame, RawFrame) and frame.shading is self._shading:
+                    frame = replace(frame, shading=None)  # larger than the frame, and the same for all
+                yield RenderJob(self._setup, frame, each.scale, each.balance)
 
         for made in self._crew(_rendered, jobs()):
             yield away.popleft(), made
@@ -100,13 +116,16 @@ def _rendered(job: RenderJob) -> Any:
     setup = job.setup
     table, renderer = _renderer(setup.table, setup.digest, setup.backend, tuple(setup.engine.items()))
     frame = job.frame
+    correction = None if setup.camera is None else correction_again(setup.camera)
     if isinstance(frame, Unread):
         try:
             require_same(frame.path, frame.digest)
-            frame = read_raw(frame.path, table, setup.known)
+            frame = read_raw(frame.path, table, replace(setup.known, correction=correction))
         except (L3Error, OSError) as error:
             return error if isinstance(error, L3Error) else InputFileError(str(error))
-    pixels = pixels_of(renderer, frame, setup.rendition, job.scale)
+    elif correction is not None and frame.shading is None:
+        frame = replace(frame, shading=correction.shading)  # its defects are mended already
+    pixels = pixels_of(renderer, frame, setup.rendition, job.scale, job.balance)
     if setup.suffix is None:
         return pixels
     return file_of(Path(f"frame{setup.suffix}"), pixels, table.outputs)
@@ -136,4 +155,6 @@ def executor_of(setup: RenderSetup, table: "TransformTable", scheduler: "Schedul
         yield Local(make_renderer(setup.backend, table, **setup.engine), setup.rendition)
     else:
         with workers(1, scheduler) as crew:
-            yield Remote(crew, replace(setup, known=replace(setup.known, dark=None)), by_path=setup.known.dark is None)
+            known, correction = replace(setup.known, dark=None, correction=None), setup.known.correction
+            shading = None if correction is None else correction.shading
+            yield Remote(crew, replace(setup, known=known), by_path=setup.known.dark is None, shading=shading)

@@ -10,7 +10,8 @@ from l3cli.frame import RawFrame, upright
 from l3cli.io import images
 from l3cli.io.sequences import Pending
 from l3cli.physics.display import exposure_scale
-from l3cli.rendering.display import Display, make_display
+from l3cli.rendering.balance import WhiteBalance, balanced
+from l3cli.rendering.display import Display, adapted_display
 
 if TYPE_CHECKING:
     from l3cli.rendering.renderer import Renderer
@@ -20,9 +21,14 @@ if TYPE_CHECKING:
 class Rendition:
     """What makes pictures of outputs."""
 
-    white: Any  # XYZ of the scene's white; None: outputs are written as they are
+    balance: WhiteBalance | None  # of frames that have none of their own; None: outputs are written as they are
     exposure: float | None  # None: automatic
     bits: int
+
+    @property
+    def measures_exposure(self) -> bool:
+        """Whether pictures are made whose exposure is automatic."""
+        return self.balance is not None and self.exposure is None
 
 
 @dataclass(frozen=True)
@@ -33,14 +39,27 @@ class Unread:
     digest: str  # SHA-256 of the file
 
 
-Exposed = tuple[Pending, Any, float]  # with the frame (RawFrame or Unread) and the scale of its exposure, 0: automatic
+@dataclass(frozen=True)
+class Exposed:
+    """A frame to be rendered, and how it is shown."""
+
+    pending: Pending
+    frame: RawFrame | Unread
+    scale: float  # of its exposure, 0: automatic
+    balance: WhiteBalance | None  # its own; None: the rendition's
 
 
-def pixels_of(renderer: "Renderer", frame: RawFrame, rendition: Rendition, scale: float) -> Any:
-    """The picture of a frame, or its linear outputs where there is no white, upright: (row, col, value)."""
-    if rendition.white is None:
+def pixels_of(
+    renderer: "Renderer", frame: RawFrame, rendition: Rendition, scale: float, balance: WhiteBalance | None = None
+) -> Any:
+    """The picture of a frame, or its linear outputs where there is no white, upright: (row, col, value).
+
+    `balance`: the frame's own, None: the rendition's.
+    """
+    if rendition.balance is None:
         return linear_of(renderer, frame)
-    return upright(renderer.picture(frame, display_of(renderer, frame, rendition, scale)), frame.orientation)
+    frame, display = shown(renderer, frame, balance or rendition.balance, scale, rendition.bits)
+    return upright(renderer.picture(frame, display), frame.orientation)
 
 
 def linear_of(renderer: "Renderer", frame: RawFrame) -> Any:
@@ -48,10 +67,12 @@ def linear_of(renderer: "Renderer", frame: RawFrame) -> Any:
     return upright(np.moveaxis(renderer.outputs(frame), 0, -1), frame.orientation)
 
 
-def display_of(renderer: "Renderer", frame: RawFrame, rendition: Rendition, scale: float) -> Display:
-    """How the outputs of a frame are shown; `scale`: of its exposure, 0: automatic."""
+def shown(renderer: "Renderer", frame: RawFrame, balance: WhiteBalance, scale: float, bits: int) -> tuple[RawFrame, Display]:
+    """A frame with the gains of its white balance, and how its outputs are shown; `scale`: of its exposure, 0: automatic."""
+    frame = balanced(frame, renderer.table, balance.gains)
     # The exposure of one frame alone needs the whole frame's luminance before the first value is encoded: two runs.
-    return make_display(rendition.white, scale or exposure_scale(renderer.outputs(frame)[1]), rendition.bits)
+    scale = scale * balance.luminance or exposure_scale(renderer.outputs(frame)[1])
+    return frame, adapted_display(balance.adaptation, scale, bits)
 
 
 def file_of(path: Path, made: Any, outputs: tuple[str, ...]) -> bytes:

@@ -33,7 +33,7 @@ def compose(given: Given, backend: str, console: Console) -> tuple[str, str, lis
     share = PICTURE_BYTES // max(len(given.pairs), 1)
     judged = [_evaluation(*pair, str(number), share, backend, console) for number, pair in enumerate(given.pairs)]
     cameras = [(entry.name, camera) for entry, camera in given.cameras] or _cameras_within(given)
-    sections = [camera_section(camera, _camera_figures(camera), name) for name, camera in cameras]
+    sections = [camera_section(camera, figures_of_camera(camera), name) for name, camera in cameras]
     for entry, _ in given.training:
         with open_training_set(entry.path, unchanged=True) as reader:
             sections.append(
@@ -82,7 +82,7 @@ def _cameras_within(given: Given) -> list[tuple[str, CameraModel]]:
     return cameras
 
 
-def _camera_figures(camera: CameraModel) -> dict[str, Any]:
+def figures_of_camera(camera: CameraModel) -> dict[str, Any]:
     from l3cli.calibration.acceptance import shortfall
     from l3cli.calibration.figures import camera_figures, figures
 

@@ -29,7 +29,7 @@ def prepare(recipe: SceneRecipe, path: Path, camera: CameraModel, seed: int) -> 
     try:
         asked.check(recipe, camera)
         named = asked.curve_files(recipe)
-        curves = {name: _curve(path.parent / name, role) for name, role in named.items()}
+        curves = {name: read_curve(path.parent / name, role) for name, role in named.items()}
         fitted = asked.set_up(camera, recipe, curves)
         other = recipe.target.illuminant
         wanted = {*recipe.illuminants, *filter(None, [other])} - {SCENE_LIGHT}
@@ -100,7 +100,8 @@ def head_of(
     )
 
 
-def _curve(path: Path, role: str) -> Curve:
+def read_curve(path: Path, role: str) -> Curve:
+    """A CSV file of a scene recipe in its role: light, transmittance or functions; InputFileError if it is none."""
     table = read_table(path)
     if role == "transmittance":
         return table.wavelength, table.counted(1).shares()

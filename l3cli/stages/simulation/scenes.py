@@ -99,15 +99,21 @@ def refusals(run: SimulationRun, files: list[list[Path]]) -> list[dict[Path, Inp
 
 def _check_size(wanted: sources.WantedScene, run: SimulationRun) -> None:
     """RecipeError for a synthetic scene, InputFileError for a file, if it does not fit on the sensor."""
+    error = RecipeError if wanted.path is None else InputFileError
+    sources.check_size(size_of(wanted, run), run.camera, error, str(wanted.path or wanted.name))
+
+
+def size_of(wanted: sources.WantedScene, run: SimulationRun) -> tuple[int, int]:
+    """(rows, cols) of a scene as it lies on the sensor, of a file by its header; errors as of `refusals`."""
     from l3cli.simulation.framing import framed_size
 
-    source, error = wanted.source, RecipeError if wanted.path is None else InputFileError
+    source = wanted.source
     size = source.size if isinstance(source, sources.Synthetic) else _file_size(wanted, run)
-    name = str(wanted.path or wanted.name)
     try:
-        sources.check_size(framed_size(size, source, run.camera), run.camera, error, name)
+        return framed_size(size, source, run.camera)
     except ValueError as wrong:
-        raise error(f"{name}: {wrong}") from wrong
+        error = RecipeError if wanted.path is None else InputFileError
+        raise error(f"{wanted.path or wanted.name}: {wrong}") from wrong
 
 
 def _file_size(wanted: sources.WantedScene, run: SimulationRun) -> tuple[int, int]:

@@ -1,0 +1,164 @@
+"""Responsivities of a camera recipe: sums of Gaussians, or a CSV file of curves, relative or quantum efficiencies."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.camera import LONGEST, MOST_WAVELENGTHS, ROUNDING
+from l3cli.config import Recipe
+from l3cli.curve_file import read_table
+from l3cli.curve_table import CurveTable
+from l3cli.errors import InputFileError, suggestion
+from l3cli.faults import Fault, fault
+from l3cli.physics import spectra
+
+WIDEST_GAP = 20.0  # nm between samples of measured curves
+CUT_OFF = 0.05  # of a channel's peak: a curve that ends higher within the visible was cut off
+VISIBLE = 420.0, 680.0  # nm
+RELATIVE_PEAK = 1e-3  # a peak so near to 1 is that of curves divided by it
+LEAST_PEAK = 1e-3  # quantum efficiency: no camera sees less
+Array = NDArray[np.float64]
+
+
+class Gaussian(Recipe):
+    """One asymmetric Gaussian of a responsivity: peak · exp(−½((λ−centre)/sigma)²), sigma below and above the centre."""
+
+    peak: float
+    centre_nm: float
+    sigma_nm: float
+    sigma_above_nm: float | None = None
+
+    @property
+    def narrowest(self) -> float:
+        return self.sigma_nm if self.sigma_above_nm is None else min(self.sigma_nm, self.sigma_above_nm)
+
+
+class ResponsivityRecipe(Recipe):
+    wavelength_nm: tuple[float, float, float] | None = None  # first, last, step; of a file by default its own grid
+    # quantum efficiency e-/photon at the peak of the whole set, lens and filters included; of a file by default what it says
+    peak_efficiency: float | None = None
+    gaussians: dict[str, list[Gaussian]] | None = None  # channel → sum of Gaussians
+    file: str | None = None  # CSV: wavelength in nm, one column a channel, by name or in the order of cfa.channels
+    per_energy: bool = False  # the curves are per watt, not per photon
+
+
+def curve_faults(declared: ResponsivityRecipe, channels: Sequence[str]) -> Iterator[Fault]:
+    """What cannot be of [responsivity], beside numbers out of their range and what a file holds."""
+    if (declared.gaussians is None) == (declared.file is None):
+        yield fault(
+            "give either responsivity.gaussians or responsivity.file",
+            *(f"responsivity.{key}" for key in ("gaussians", "file") if getattr(declared, key) is not None),
+            "responsivity",
+        )
+    if declared.wavelength_nm is not None:
+        first, last, step = declared.wavelength_nm
+        key = "responsivity.wavelength_nm"
+        if not (0 < first < last and step > 0):
+            yield fault(f"{key} must be first < last with a positive step", key)
+        elif (last - first) / step >= MOST_WAVELENGTHS or last > LONGEST:
+            yield fault(f"{key} has {MOST_WAVELENGTHS} values at most, up to {LONGEST} nm", key)
+    if declared.gaussians is None:
+        return
+    for key in ("wavelength_nm", "peak_efficiency"):
+        if getattr(declared, key) is None:
+            yield fault(f"missing key `{key}` in [responsivity], which gaussians need", f"responsivity.{key}")
+    if set(channels) != set(declared.gaussians):
+        what = differences(declared.gaussians, channels)
+        message = f"responsivity.gaussians and cfa.channels differ: {what}"
+        yield fault(message, "responsivity.gaussians", "cfa.channels")
+
+
+def differences(names: Iterable[str], channels: Sequence[str]) -> str:
+    """What is wrong with `names`, which ought to be the channels."""
+    odd = sorted(set(names) - set(channels))
+    if odd:
+        return f'"{odd[0]}" is no channel; {suggestion(odd[0], channels)}'
+    return f"{', '.join(sorted(set(channels) - set(names)))} is missing"
+
+
+def responsivity(declared: ResponsivityRecipe, channels: Sequence[str], folder: Path) -> tuple[Array, Array]:
+    """(wavelength) nm and quantum efficiency (channel, wavelength) e-/photon of a recipe without `curve_faults`, whose file
+    lies relative to `folder`. InputFileError if that holds no curves of a camera."""
+    if declared.gaussians is not None:
+        wavelength = _grid(declared)
+        assert wavelength is not None
+        curves = np.array([_sum_of_gaussians(wavelength, declared.gaussians[channel]) for channel in channels])
+        relative = curves / wavelength if declared.per_energy else curves
+    else:
+        assert declared.file is not None
+        table = read_table(folder / declared.file).ordered(channels)
+        wavelength = _grid(declared)
+        _check_grid(table, wavelength, channels)
+        if wavelength is None:
+            wavelength = table.wavelength
+        if declared.peak_efficiency is None:
+            return wavelength, _efficiencies(table, wavelength, declared.per_energy)
+        curves = spectra.average(table.responses(declared.per_energy, "per_energy"), table.wavelength, wavelength)
+        relative = curves / wavelength if declared.per_energy else curves
+    return wavelength, (declared.peak_efficiency or 0.0) * relative / relative.max()
+
+
+def _grid(declared: ResponsivityRecipe) -> Array | None:
+    """The wavelengths that a recipe asks for, in nm."""
+    if declared.wavelength_nm is None:
+        return None
+    first, last, step = declared.wavelength_nm
+    return np.arange(first, last + step / 2, step)
+
+
+def _check_grid(table: CurveTable, wavelength: Array | None, channels: Sequence[str]) -> None:
+    """InputFileError unless the curves of a file are those of a camera over the wavelengths it sees."""
+    grid, curves = table.wavelength, table.values
+    gaps = np.diff(grid)
+    at = int(gaps.argmax()) if gaps.size else 0
+    if not gaps.size or gaps[at] > WIDEST_GAP:
+        where = f" between {grid[at]:g} and {grid[at + 1]:g} nm" if gaps.size else ""
+        raise InputFileError(f"{table.path} has a gap{where}; give curves at least every {WIDEST_GAP:g} nm")
+    if wavelength is not None and (wavelength[0] >= grid[-1] or wavelength[-1] <= grid[0]):
+        raise InputFileError(
+            f"{table.path} holds {grid[0]:g}…{grid[-1]:g} nm, responsivity.wavelength_nm asks for "
+            f"{wavelength[0]:g}…{wavelength[-1]:g} nm; correct one"
+        )
+    for name, curve in zip(channels, curves, strict=True):
+        if curve.min() < 0 or curve.max() <= 0:
+            what = "negative values" if curve.min() < 0 else "no light at all"
+            raise InputFileError(f"{table.path}: channel {name} has {what}; give what it responds at each wavelength")
+        for end, cut in ((0, grid[0] > VISIBLE[0]), (-1, grid[-1] < VISIBLE[1])):
+            if cut and curve[end] > CUT_OFF * curve.max():
+                raise InputFileError(
+                    f"{table.path} ends at {grid[end]:g} nm where channel {name} still has {curve[end] / curve.max():.0%} "
+                    "of its peak; give 400–700 nm"
+                )
+
+
+def _efficiencies(table: CurveTable, wavelength: Array, per_energy: bool) -> Array:
+    """The curves of a file as the quantum efficiencies that it says they are, averaged over the steps of a grid."""
+    efficiency = table.efficiencies(per_energy)
+    peak = float(efficiency.max())
+    if peak > 1 + ROUNDING and 1 < peak <= 100 and not any(table.units):
+        raise InputFileError(
+            f'{table.path}: its peak quantum efficiency is {peak:.4g}, and 1 at most can be; write "(%)" after the names of '
+            "the columns if it is percent, or give responsivity.peak_efficiency"
+        )
+    if abs(peak - 1) < RELATIVE_PEAK and not any(table.units):
+        raise InputFileError(
+            f"{table.path}: the curves peak at 1, as relative ones do; give responsivity.peak_efficiency, or their unit, "
+            '"(e-/photon)", after the names of the columns'
+        )
+    if not LEAST_PEAK <= peak <= 1 + ROUNDING:
+        raise InputFileError(
+            f"{table.path}: its peak quantum efficiency is {peak:.4g}, which no camera has; correct the unit of the "
+            "columns, or give responsivity.peak_efficiency"
+        )
+    return np.asarray(spectra.average(efficiency, table.wavelength, wavelength), np.float64)
+
+
+def _sum_of_gaussians(wavelength: Array, terms: list[Gaussian]) -> Array:
+    total = np.zeros_like(wavelength)
+    for term in terms:
+        above = term.sigma_nm if term.sigma_above_nm is None else term.sigma_above_nm
+        sigma = np.where(wavelength < term.centre_nm, term.sigma_nm, above)
+        total += term.peak * np.exp(-0.5 * ((wavelength - term.centre_nm) / sigma) ** 2)
+    return total

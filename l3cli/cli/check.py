@@ -1,0 +1,63 @@
+"""l3 check: all that is wrong with recipes, and what they mean."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from l3cli.cli import options, terminal
+from l3cli.cli.terminal import show, show_json
+from l3cli.errors import InputFileError
+
+if TYPE_CHECKING:
+    from l3cli.stages.console import Console
+
+
+class AnyRecipe(options.RecipeFile):
+    """A recipe of any kind, or a folder of them; the stage looks for it, since several kinds may have one of a name."""
+
+    def __init__(self) -> None:
+        super().__init__("")
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        return value
+
+    def names(self) -> list[str]:
+        from l3cli.recipes import KINDS, known_recipes
+
+        return list(dict.fromkeys(name for kind in KINDS for name in known_recipes(kind)))
+
+
+@click.command()
+@click.argument("recipes", type=AnyRecipe(), nargs=-1, required=True, metavar="RECIPE…")
+@click.option("--plot", type=options.FILE, metavar="FILE", help="Also draw array, curves and noise of cameras (.html).")
+@options.as_json
+@options.force
+@options.quiet
+def check(recipes: tuple[str, ...], plot: Path | None, as_json: bool, force: bool, console: "Console") -> None:
+    """Check recipes (camera, lab, scenes, classes) and measurement files with the files that they name, and list all that is
+    wrong as FILE:LINE: MESSAGE (exit code 3); of a recipe without faults show what it means. RECIPE is a file, the name of
+    a recipe that comes with l3, or a folder of recipes. What is given together with a camera recipe is checked for it.
+
+    \b
+    Example: l3 check camera.toml scenes.toml
+    """
+    from l3cli.stages.checking.check import check as stage
+    from l3cli.stages.checking.text import as_text
+
+    judged = stage(recipes)
+    if as_json:
+        show_json({"files": [judgement.document() for judgement in judged]}, console)
+    else:
+        for judgement in judged:
+            show(*as_text(judgement, terminal.width()))
+    faulty = [judgement for judgement in judged if judgement.findings]
+    if faulty:
+        count = sum(len(judgement.findings) for judgement in faulty)
+        raise InputFileError(
+            f"{count} fault{'s' if count > 1 else ''} in {len(faulty)} of {len(judged)} files; correct them"
+        )
+    if plot is not None:
+        from l3cli.stages.checking.plot import plot as draw
+
+        draw(judged, plot, console, force=force)

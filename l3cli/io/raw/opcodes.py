@@ -1,0 +1,241 @@
+"""The opcode lists of a DNG (Adobe DNG 1.7, chapter 7): what a reader is to do to the mosaic, or to what is made of it.
+
+Bad pixels are mended, gain maps and radial vignetting become a gain of every pixel. All else would move pixels or bend
+values; a file that leaves it to the reader is taken without, with a note, one that does not is refused.
+"""
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.errors import InputFileError
+from l3cli.io.raw.tiff_tags import TiffTag
+
+LISTS = (TiffTag.OPCODE_LIST_1, TiffTag.OPCODE_LIST_2, TiffTag.OPCODE_LIST_3)  # for values as stored, linear, demosaicked
+FIX_VIGNETTE_RADIAL, FIX_BAD_PIXELS_CONSTANT, FIX_BAD_PIXELS_LIST, GAIN_MAP = 3, 4, 5, 9
+CARRIED_OUT = ((4, 5), (5, 3, 9), (3, 9))  # opcodes of each list
+NAMES = (
+    "", "WarpRectilinear", "WarpFisheye", "FixVignetteRadial", "FixBadPixelsConstant", "FixBadPixelsList", "TrimBounds",
+    "MapTable", "MapPolynomial", "GainMap", "DeltaPerRow", "DeltaPerColumn", "ScalePerRow", "ScalePerColumn",
+    "WarpRectilinear2",
+)  # fmt: skip
+OPTIONAL = 1  # bit of an opcode's flags: a reader may leave it out
+MOST_OPCODES = 1000
+MOST_GAIN = 64.0
+MOST_PLANES = 16
+HEAD = struct.Struct(">IIII")  # identifier, version, flags, bytes
+AREA = struct.Struct(">8I")  # top, left, bottom, right, first plane, planes, row pitch, column pitch
+MAP = struct.Struct(">2I4dI")  # points down and across, spacings, origins, planes
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Opcode:
+    """One entry of a list."""
+
+    stage: int  # 0…2, of LISTS
+    number: int
+    optional: bool
+    content: bytes
+
+
+@dataclass(frozen=True)
+class GainMap:
+    """Gains on a coarse grid, for some rows, columns and planes."""
+
+    stage: int
+    area: tuple[slice, slice]  # rows, columns
+    planes: range
+    spacing: tuple[float, float]  # of the grid, in heights and widths of the image
+    origin: tuple[float, float]
+    gains: Floats  # (row, col, plane)
+
+
+@dataclass(frozen=True)
+class Vignette:
+    """Radial gain 1 + k0 r² + k1 r⁴ + …, r being 1 in the corner that is farthest from the centre."""
+
+    terms: tuple[float, ...]
+    centre: tuple[float, float]  # down, across, in heights and widths of the image
+
+
+@dataclass(frozen=True)
+class Opcodes:
+    """What a file asks for."""
+
+    constants: tuple[int, ...] = ()  # stored values of bad pixels
+    points: tuple[NDArray[np.int64], ...] = ()  # (point, 3) stage, row, col
+    rects: tuple[NDArray[np.int64], ...] = ()  # (rect, 5) stage, top, left, bottom, right
+    gains: tuple[GainMap | Vignette, ...] = ()
+    notes: tuple[str, ...] = ()  # what is left out
+
+    def __bool__(self) -> bool:
+        return bool(self.constants or self.points or self.rects or self.gains)
+
+
+# ------------------------------------------------------------------------------------------------------------ reading
+
+
+def read_opcodes(path: Path, page: Any) -> Opcodes:
+    """The opcodes of a page. InputFileError if one is neither carried out nor optional; ValueError or struct.error if a list
+    is damaged."""
+    found: dict[str, list[Any]] = {"constants": [], "points": [], "rects": [], "gains": [], "notes": []}
+    linearised = page.tags.valueof(TiffTag.LINEARIZATION_TABLE) is not None
+    for each in _listed(page):
+        carried = each.number in CARRIED_OUT[each.stage]
+        if not carried or (each.number == FIX_BAD_PIXELS_CONSTANT and linearised):
+            found["notes"].append(_left_out(path, each))
+        elif each.number == FIX_BAD_PIXELS_CONSTANT:
+            found["constants"].append(struct.unpack(">II", each.content)[0])
+        elif each.number == FIX_BAD_PIXELS_LIST:
+            points, rects = _bad_pixels(each)
+            found["points"].append(points)
+            found["rects"].append(rects)
+        else:
+            found["gains"].append(_vignette(each) if each.number == FIX_VIGNETTE_RADIAL else _gain_map(each))
+    return Opcodes(**{name: tuple(values) for name, values in found.items()})
+
+
+def _listed(page: Any) -> list[Opcode]:
+    opcodes = []
+    for stage, tag in enumerate(LISTS):
+        content = page.tags.valueof(tag)
+        if content is None:
+            continue
+        content = bytes(content)
+        (count,) = struct.unpack_from(">I", content)
+        if count > MOST_OPCODES:
+            raise ValueError(f"{count} opcodes")
+        at = 4
+        for _ in range(count):
+            number, _, flags, size = HEAD.unpack_from(content, at)
+            at += HEAD.size + size
+            if at > len(content):
+                raise ValueError("an opcode beyond its list")
+            opcodes.append(Opcode(stage, number, bool(flags & OPTIONAL), content[at - size : at]))
+    return opcodes
+
+
+def _left_out(path: Path, opcode: Opcode) -> str:
+    """The note of an opcode that is not carried out; InputFileError if it must be."""
+    name = NAMES[opcode.number] if 0 < opcode.number < len(NAMES) else f"opcode {opcode.number}"
+    if not opcode.optional:
+        raise InputFileError(
+            f"{path} is to be changed by {name} of OpcodeList{opcode.stage + 1}, which is not carried out; "
+            "convert the camera's own file without lens corrections"
+        )
+    return f"{name} of OpcodeList{opcode.stage + 1} is optional and not carried out"
+
+
+def _bad_pixels(opcode: Opcode) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """(point, 3), (rect, 5): the list's stage, then coordinates."""
+    _, points, rects = struct.unpack_from(">III", opcode.content)
+    if len(opcode.content) != 12 + 8 * points + 16 * rects:
+        raise ValueError("a list of bad pixels of another length")
+    numbers = np.frombuffer(opcode.content, ">i4", offset=12).astype(np.int64)
+    split = numbers[: 2 * points].reshape(-1, 2), numbers[2 * points :].reshape(-1, 4)
+    return tuple(np.insert(each, 0, opcode.stage, axis=1) for each in split)  # type: ignore[return-value]
+
+
+def _gain_map(opcode: Opcode) -> GainMap:
+    top, left, bottom, right, plane, count, down, across = AREA.unpack_from(opcode.content)
+    *numbers, map_planes = MAP.unpack_from(opcode.content, AREA.size)
+    rows, cols = int(numbers[0]), int(numbers[1])
+    gains = np.frombuffer(opcode.content, ">f4", offset=AREA.size + MAP.size).astype(np.float64)
+    spacing = tuple(1.0 if points == 1 else value for points, value in zip((rows, cols), numbers[2:4], strict=True))
+    origin = tuple(0.0 if points == 1 else value for points, value in zip((rows, cols), numbers[4:6], strict=True))
+    if not (min(rows, cols, map_planes, count, down, across) >= 1 and gains.size == rows * cols * map_planes):
+        raise ValueError("a gain map of another size")
+    if not (np.isfinite((*spacing, *origin)).all() and min(spacing) > 0 and 0 < gains.min() <= gains.max() <= MOST_GAIN):
+        raise ValueError("a gain map of no gains")
+    area = slice(top, bottom, down), slice(left, right, across)
+    planes = range(plane, min(plane + count, MOST_PLANES if opcode.stage == 2 else 1))  # of a mosaic there is one
+    return GainMap(opcode.stage, area, planes, spacing, origin, gains.reshape(rows, cols, map_planes))  # type: ignore[arg-type]
+
+
+def _vignette(opcode: Opcode) -> Vignette:
+    *terms, across, down = struct.unpack(">7d", opcode.content)
+    if not np.isfinite((*terms, across, down)).all():
+        raise ValueError("a vignette without numbers")
+    return Vignette(tuple(terms), (down, across))
+
+
+# ------------------------------------------------------------------------------------------------------- carrying out
+
+
+def bad_pixels(opcodes: Opcodes, stored: NDArray[np.uint16], active: tuple[int, int, int, int]) -> NDArray[np.bool_]:
+    """(active row, active col) the pixels of a stored image that its opcodes call bad."""
+    top, left, bottom, right = active
+    bad = np.isin(stored[top:bottom, left:right], opcodes.constants)
+    origins = ((top, left), (0, 0), (0, 0))
+    for points in opcodes.points:
+        for stage, row, col in points.tolist():
+            down, across = row - origins[stage][0], col - origins[stage][1]
+            if 0 <= down < bad.shape[0] and 0 <= across < bad.shape[1]:
+                bad[down, across] = True
+    for rects in opcodes.rects:
+        for stage, *edges in rects.tolist():
+            down, across = origins[stage]
+            first_row, first_col, last_row, last_col = np.maximum(np.subtract(edges, (down, across, down, across)), 0)
+            bad[first_row:last_row, first_col:last_col] = True
+    return bad
+
+
+def gain_of_pixels(
+    opcodes: Opcodes, pattern: NDArray[np.int64], planes: Sequence[int], shape: tuple[int, int]
+) -> NDArray[np.float32]:
+    """(active row, active col) gain of every pixel of an active area of `shape`, whose CFA has the codes `pattern`; `planes`
+    are those of the colour planes. ValueError if it is none that can be."""
+    with np.errstate(all="ignore"):  # what overflows is refused
+        gain = _product(opcodes, pattern, planes, shape)
+    if not (gain.min() > 0 and gain.max() <= MOST_GAIN):
+        raise ValueError(f"gains of {gain.min():.3g}…{gain.max():.3g}")
+    return gain.astype(np.float32)
+
+
+def _product(opcodes: Opcodes, pattern: NDArray[np.int64], planes: Sequence[int], shape: tuple[int, int]) -> Floats:
+    gain = np.ones(shape)
+    for each in opcodes.gains:
+        if isinstance(each, Vignette):
+            gain *= _radial(each, shape)
+            continue
+        for index, plane in enumerate(each.planes):
+            if each.stage == 2 and plane >= len(planes):
+                continue
+            within = gain[each.area]
+            factor = _interpolated(each, min(index, each.gains.shape[2] - 1), shape)
+            if each.stage == 2:
+                sites = [np.arange(shape[axis])[each.area[axis]] % pattern.shape[axis] for axis in (0, 1)]
+                factor[pattern[np.ix_(*sites)] != planes[plane]] = 1.0
+            within *= factor
+    return gain
+
+
+def _radial(vignette: Vignette, shape: tuple[int, int]) -> Floats:
+    down, across = (
+        (np.arange(length) + 0.5) - middle * length for length, middle in zip(shape, vignette.centre, strict=True)
+    )
+    corners = [max(middle, 1 - middle) * length for length, middle in zip(shape, vignette.centre, strict=True)]
+    squared = (down[:, None] ** 2 + across**2) / (corners[0] ** 2 + corners[1] ** 2)
+    return np.asarray(np.polynomial.polynomial.polyval(squared, (1.0, *vignette.terms)))
+
+
+def _interpolated(each: GainMap, plane: int, shape: tuple[int, int]) -> Floats:
+    """(row, col) of the map's area: linear between the points of its grid, beyond them as at the last."""
+    sides = []
+    for axis in (0, 1):
+        place = (np.arange(shape[axis])[each.area[axis]] + 0.5) / shape[axis]
+        points = each.gains.shape[axis]
+        index = np.clip((place - each.origin[axis]) / each.spacing[axis], 0, points - 1)
+        below = np.minimum(index.astype(int), max(points - 2, 0))
+        sides.append((below, np.minimum(below + 1, points - 1), index - below))
+    (top, bottom, down), (left, right, across) = sides
+    grid = each.gains[..., plane]
+    upper = grid[top][:, left] * (1 - across) + grid[top][:, right] * across
+    lower = grid[bottom][:, left] * (1 - across) + grid[bottom][:, right] * across
+    return np.asarray(upper * (1 - down[:, None]) + lower * down[:, None])

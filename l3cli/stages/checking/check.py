@@ -1,0 +1,141 @@
+"""What `l3 check` does: find the recipes that are meant, judge each, and tell every fault with its line."""
+
+import os
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NamedTuple
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera_recipe import load_camera
+from l3cli.config import parse_toml, read_text
+from l3cli.errors import InputFileError, L3Error, RecipeError, suggestion
+from l3cli.faults import Fault, about_others, typed
+from l3cli.recipes import known_benchmarks
+from l3cli.stages.checking import cameras as camera_recipes
+from l3cli.stages.checking import classes, labs, measurements, scenes
+from l3cli.stages.checking.kinds import CAMERA, KINDS, Kind, kind_of, names
+from l3cli.stages.checking.source import Source, files_named, key_in
+from l3cli.toml_lines import KeyPath, key_lines, line_of
+
+JUDGES: dict[str, ModuleType] = {
+    CAMERA: camera_recipes, "lab": labs, "scenes": scenes, "classes": classes, "measurements": measurements,
+}  # fmt: skip
+SYNTAX = re.compile(r"\(at line (\d+), column \d+\)")
+
+
+class Finding(NamedTuple):
+    """A fault where it stands in a file."""
+
+    line: int
+    key: str
+    message: str
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What is wrong with a file or, if nothing is, what it means."""
+
+    path: Path
+    kind: str | None = None  # of KINDS; None: unknown
+    findings: tuple[Finding, ...] = ()
+    meaning: dict[str, Any] = field(default_factory=dict)
+    files: tuple[Path, ...] = ()  # that it names
+
+    def document(self) -> dict[str, Any]:
+        """All of it, ready for JSON."""
+        found = [finding._asdict() for finding in self.findings]
+        return {"file": str(self.path), "kind": self.kind, "faults": found, "meaning": self.meaning}
+
+
+def check(given: Sequence[str]) -> list[Judgement]:
+    """Judge recipes, given by path, by folder or by the name of one that comes with l3. Cameras come first: what is given
+    with one is judged for it, for the first or, where there is one, for that beside it. RecipeError or InputFileError if
+    there is no such file."""
+    meant = list(dict.fromkeys(each for name in given for each in recipes_of(name)))
+    cameras: dict[Path, CameraModel] = {}
+    judged: dict[Path, Judgement] = {}
+    for path in sorted(meant, key=lambda path: not _is_camera(path)):
+        beside = [each for each in cameras if each.parent == path.parent]
+        judged[path] = judge(path, cameras[(beside or [*cameras])[0]] if cameras else None)
+        if judged[path].kind == CAMERA and not judged[path].findings:
+            cameras[path] = load_camera(path)
+    return [judged[path] for path in meant]
+
+
+def recipes_of(name: str) -> list[Path]:
+    """The files that are meant by a path, a folder of recipes, or a name, which several kinds of recipes may have."""
+    path = Path(name)
+    if path.exists() and not path.is_dir():  # what is no file its reader refuses
+        return [path]
+    if name in names():
+        return [file for _, file in names()[name]]
+    folder = known_benchmarks().get(name, path)
+    if folder.is_dir():
+        files = sorted(folder.glob("*.toml"), key=lambda each: (each.name != "camera.toml", each.name))
+        if not files:
+            raise InputFileError(f"{folder} holds no recipes (*.toml); name a file or a folder of recipes")
+        return files
+    if os.sep in name or path.suffix:
+        raise InputFileError(f"{name} does not exist; give a recipe or a measurement file (TOML)")
+    raise RecipeError(f'there is no file and no recipe "{name}"; {suggestion(name, [*names(), *known_benchmarks()])}')
+
+
+def _is_camera(path: Path) -> bool:
+    try:
+        kind = kind_of(parse_toml(read_text(path), str(path)))
+    except L3Error:
+        return False
+    return kind is not None and kind.name == CAMERA
+
+
+def judge(path: Path, camera: CameraModel | None = None) -> Judgement:
+    """All that is wrong with a file, or what it means, for a camera if one is given."""
+    try:
+        text = read_text(path, "a recipe or a measurement file")
+        content = parse_toml(text, str(path))
+    except L3Error as error:
+        message = str(error).removeprefix(f"{path} ").removeprefix(f"{path}: ")
+        at = SYNTAX.search(message)
+        return Judgement(path, None, (Finding(int(at[1]) if at else 1, "", message),))
+    kind = next((kind for found in names().values() for kind, file in found if file == path), None) or kind_of(content)
+    if kind is None:
+        kinds = ", ".join(each.title for each in KINDS.values())
+        message = (
+            f"its kind cannot be told from its keys; it may be {kinds}: add what only one of them has, such as responsivity"
+        )
+        return Judgement(path, None, (Finding(1, "", message),))
+    meaning, faults = _judged(kind, Source(path, content, camera))
+    return Judgement(path, kind.name, _findings(faults, text), {} if faults else meaning, files_named(path, content))
+
+
+def _judged(kind: Kind, source: Source) -> tuple[dict[str, Any], list[Fault]]:
+    """What a recipe means, and its faults: by types, then by what its keys say, then by what becomes of it."""
+    recipe, faults = typed(dict(source.content), kind.structure(source.content))
+    if recipe is not None:
+        faults += about_others(JUDGES[kind.name].faults(recipe, source), faults)
+    meaning: dict[str, Any] = {}
+    if not faults:
+        try:
+            meaning, faults = JUDGES[kind.name].meaning(recipe, source)
+        except (L3Error, OSError) as error:
+            message = source.plain(error)
+            faults = [Fault(message, (key_in(message, source.content),))]
+    return meaning, faults
+
+
+def _findings(faults: Iterable[Fault], text: str) -> tuple[Finding, ...]:
+    """Faults in the order of the file."""
+    lines = key_lines(text)
+    found = []
+    for message, keys in faults:
+        key = next((key for key in keys if key in lines), keys[0] if keys else ())  # rather what stands there
+        found.append(Finding(line_of(key, lines), _written(key), message))
+    return tuple(sorted(found, key=lambda finding: finding.line))
+
+
+def _written(key: KeyPath) -> str:
+    """A key as messages write it, entries counted from 1."""
+    return "".join(f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in key).lstrip(".")

@@ -1,0 +1,76 @@
+"""The kinds of recipes, and which of them a file is."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+
+from l3cli.artifacts.camera_recipe import CameraRecipe, PhaseRecipe
+from l3cli.config import TELLING, Recipe
+from l3cli.io.measurement_recipe import MeasurementRecipe
+from l3cli.recipes import known_recipes
+from l3cli.simulation.lab_recipe import LabRecipe
+from l3cli.simulation.recipe import SceneRecipe
+from l3cli.training.recipe import TrainingRecipe
+
+
+class Kind(NamedTuple):
+    """What a recipe may be."""
+
+    name: str
+    recipes: tuple[type[Recipe], ...]  # the structures that it may have
+    folder: str | None  # of configs/
+
+    @property
+    def title(self) -> str:
+        return self.recipes[0].title
+
+    def structure(self, content: Mapping[str, Any]) -> type[Recipe]:
+        """The structure of a file of this kind."""
+        return self.recipes[-1] if self.name == CAMERA and "base" in content else self.recipes[0]
+
+
+CAMERA = "camera"
+KINDS = {
+    kind.name: kind
+    for kind in (
+        Kind(CAMERA, (CameraRecipe, PhaseRecipe), "cameras"),
+        Kind("lab", (LabRecipe,), "lab"),
+        Kind("scenes", (SceneRecipe,), "scenes"),
+        Kind("classes", (TrainingRecipe,), "classes"),
+        Kind("measurements", (MeasurementRecipe,), None),
+    )
+}
+
+
+def kind_of(content: Mapping[str, Any]) -> Kind | None:
+    """The kind that has most of a file's keys and tables, those counting most that no other kind has; None where two have
+    equally many."""
+    ranked = sorted(KINDS.values(), key=lambda kind: _likeness(content, kind), reverse=True)
+    best, second = (_likeness(content, kind) for kind in ranked[:2])
+    return ranked[0] if best > second else None
+
+
+def _likeness(content: Mapping[str, Any], kind: Kind) -> tuple[int, int]:
+    telling = sum(key in content for key in (*TELLING[kind.title], *(["base", "phase"] if kind.name == CAMERA else [])))
+    fields = {field.encode_name: field for field in msgspec.structs.fields(kind.structure(content))}
+    return telling, sum(_fits(fields[key], value) for key, value in content.items() if key in fields)
+
+
+def _fits(field: msgspec.structs.FieldInfo, value: Any) -> bool:
+    """Whether a table is where one belongs, and a list where one does."""
+    try:
+        msgspec.convert(value, field.type)
+    except msgspec.ValidationError as error:
+        return " - at " in str(error) or "missing" in str(error) or "unknown" in str(error)
+    return True
+
+
+def names() -> dict[str, list[tuple[Kind, Path]]]:
+    """Every recipe that comes with l3, by name: its kind and file; several kinds may have one of a name."""
+    known: dict[str, list[tuple[Kind, Path]]] = {}
+    for kind in KINDS.values():
+        for name, path in (known_recipes(kind.folder) if kind.folder else {}).items():
+            known.setdefault(name, []).append((kind, path))
+    return known

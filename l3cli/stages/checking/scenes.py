@@ -1,0 +1,129 @@
+"""Scene recipes: what they and the files that they name refuse, and how many frames they make."""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from l3cli.faults import Fault, fault
+from l3cli.io.scenes.files import find
+from l3cli.io.scenes.registry import is_folder
+from l3cli.physics import spectra
+from l3cli.simulation.light import MEASURED, SCENE_LIGHT, parts
+from l3cli.simulation.recipe import SceneRecipe, scene_faults, shots
+from l3cli.simulation.sources import FileSource, name_of, wanted_scenes
+from l3cli.simulation.sources import Source as SceneSource
+from l3cli.stages.checking.source import Source
+from l3cli.stages.simulation.preparation import prepare, read_curve
+from l3cli.stages.simulation.run import SimulationRun
+from l3cli.stages.simulation.scenes import refusals, size_of
+from l3cli.stages.simulation.units import frame_bytes
+from l3cli.toml_lines import KeyPath
+
+GRID = np.arange(400.0, 701.0, 10.0)  # nm, on which a light's name is tried
+
+
+def faults(recipe: SceneRecipe, source: Source) -> Iterator[Fault]:
+    """All that is wrong with a recipe, for its camera if one is given, and with the files that it names."""
+    yield from scene_faults(recipe, source.camera)
+    lens, target = recipe.lens, recipe.target
+    if lens.defocus_um < 0:
+        yield fault("lens.defocus_um must not be negative", "lens.defocus_um")
+    for name, value in (("focal_length_mm", lens.focal_length_mm), ("f_number", lens.f_number)):
+        if value is not None and value <= 0:
+            yield fault(f"lens.{name} is {value:g}, and must be above zero", f"lens.{name}")
+    if (lens.magnification or 0) < 0:
+        yield fault(f"lens.magnification is {lens.magnification:g}; 0 is infinity", "lens.magnification")
+    if isinstance(lens.transmittance, float) and not 0 < lens.transmittance <= 1:
+        yield fault("lens.transmittance must lie in 0…1 and let some light through", "lens.transmittance")
+    for text, key in _lights(recipe):
+        yield from _light_faults(text, key, source)
+    if isinstance(lens.transmittance, str):
+        yield from source.attempt(("lens", "transmittance"), read_curve, source.beside(lens.transmittance), "transmittance")
+    if target.outputs.endswith(MEASURED):
+        yield from source.attempt(("target", "outputs"), read_curve, source.beside(target.outputs), "functions")
+    for number, scene in enumerate(recipe.scene):
+        yield from source.attempt(("scene", number, "file"), _files, scene, source.path)
+    for number, pair in enumerate(recipe.pair):
+        for side, name in (("raw", pair.raw), ("picture", pair.picture)):
+            if not os.path.isfile(source.beside(name)):
+                message = f"{source.beside(name)} does not exist; name a file relative to the recipe"
+                yield fault(message, f"pair.{number}.{side}")
+
+
+def _lights(recipe: SceneRecipe) -> Iterator[tuple[str, KeyPath]]:
+    """The lights that a recipe names, and where."""
+    yield from ((text, ("illuminants", number)) for number, text in enumerate(recipe.illuminants))
+    if recipe.target.illuminant is not None:
+        yield recipe.target.illuminant, ("target", "illuminant")
+    for number, scene in enumerate(recipe.scene):
+        if text := getattr(scene, "light", None):
+            yield text, ("scene", number, "light")
+
+
+def _light_faults(text: str, key: KeyPath, source: Source) -> Iterator[Fault]:
+    if text == SCENE_LIGHT:
+        return
+    wrong = list(source.attempt(key, parts, text))
+    yield from wrong
+    for _, name in [] if wrong else parts(text):
+        if name.endswith(MEASURED):
+            yield from source.attempt(key, read_curve, source.beside(name), "light")
+        else:
+            yield from source.attempt(key, named_light, name)
+
+
+def named_light(name: str) -> None:
+    """RecipeError unless a light has that name."""
+    spectra.illuminant(name, GRID)
+
+
+def _files(scene: SceneSource, recipe: Path) -> list[Path]:
+    """The files of a source; InputFileError if it is to have some and there are none."""
+    return find(scene.file, recipe.parent, is_folder(name_of(scene))) if isinstance(scene, FileSource) else []
+
+
+def meaning(recipe: SceneRecipe, source: Source) -> tuple[dict[str, Any], list[Fault]]:
+    """Frames, and their size where a camera is given; the files that do not fit on its sensor."""
+    run = None
+    if source.camera is None:
+        files = [_files(scene, source.path) for scene in recipe.scene]
+    else:
+        run, files = prepare(recipe, source.path, source.camera, 0)
+    wanted = list(shots(recipe, files)) if recipe.scene else []
+    document: dict[str, Any] = {
+        "scenes": len(wanted),
+        "illuminants": recipe.illuminants,
+        "luminances_cd_m2": recipe.luminances_cd_m2,
+        "exposures": dict([recipe.exposures()]) if recipe.scene else {},
+        "pairs": len(recipe.pair),
+        "frames": sum(len(each) for _, each in wanted) + len(recipe.pair),
+    }
+    if run is None:
+        return document, []
+    bad = [
+        Fault(str(error), (("scene", number, "file"),))
+        for number, errors in enumerate(refusals(run, files))
+        for error in errors.values()
+    ]
+    return (document, bad) if bad else (document | _sizes(recipe, run, files), [])
+
+
+def _sizes(recipe: SceneRecipe, run: SimulationRun, files: list[list[Path]]) -> dict[str, Any]:
+    """Pixels and bytes of the simulated frames of a camera."""
+    sizes = []
+    for scene, paths in zip(recipe.scene, files, strict=True):
+        each = len(recipe.illuminants) * len(recipe.luminances_cd_m2) * len(recipe.exposures()[1])
+        sizes += [(size_of(wanted, run), each) for wanted in wanted_scenes(scene, paths)]
+    if not sizes:
+        return {"camera": run.camera.name}
+    a_pixel = frame_bytes(run) / (run.camera.rows * run.camera.cols)
+    pixels = [rows * cols for (rows, cols), _ in sizes]
+    return {
+        "camera": run.camera.name,
+        "largest": list(sizes[int(np.argmax(pixels))][0]),
+        "largest_bytes": int(max(pixels) * a_pixel),
+        "bytes": int(sum(number * each for number, (_, each) in zip(pixels, sizes, strict=True)) * a_pixel),
+    }

@@ -1,0 +1,14 @@
+"""The JSON schema of each kind of recipe."""
+
+from typing import Any
+
+from l3cli.classes import chroma, contrast, level, saturation
+from l3cli.recipe_schema import schema_of
+from l3cli.stages.checking.kinds import KINDS
+
+OF_FEATURES = {"ClassRecipe": tuple(feature.Keys for feature in (level, contrast, saturation, chroma))}
+
+
+def schema(kind: str) -> dict[str, Any]:
+    """The schema of a kind (KINDS) of recipe."""
+    return schema_of(KINDS[kind].recipes, KINDS[kind].title, OF_FEATURES)

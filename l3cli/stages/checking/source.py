@@ -1,0 +1,77 @@
+"""The file that is checked, and where in it an error belongs that names no key."""
+
+import glob
+import os
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.errors import L3Error, shortened
+from l3cli.faults import Fault
+from l3cli.toml_lines import KeyPath
+
+SUFFIX = re.compile("_(dn|e|s|nm|um|mm|m)$")  # of a key with a unit
+SHORTEST = 4  # letters of a text that an error is known by
+
+
+@dataclass(frozen=True)
+class Source:
+    """A recipe that is checked, and what it is checked with."""
+
+    path: Path
+    content: Mapping[str, Any]
+    camera: CameraModel | None  # that the recipe is for, if one is given
+
+    def beside(self, name: str) -> Path:
+        """A file that the recipe names."""
+        return self.path.parent / name
+
+    def attempt(self, key: KeyPath | None, work: Callable[..., object], *arguments: object) -> Iterator[Fault]:
+        """The fault, if there is one, with which `work` fails: at `key`, or where its message belongs."""
+        try:
+            work(*arguments)
+        except (L3Error, OSError) as error:  # a name that is too long, a folder that must not be read
+            message = self.plain(error)
+            yield Fault(message, (key_in(message, self.content) if key is None else key,))
+
+    def plain(self, error: L3Error | OSError) -> str:
+        """An error's message without the name of this file."""
+        if isinstance(error, OSError):
+            return f"{shortened(str(error.filename))}: {error.strerror}; name another file"
+        return re.sub(rf"^{re.escape(str(self.path))}(:\d+)?: ", "", str(error))
+
+
+def files_named(path: Path, content: Mapping[str, Any]) -> tuple[Path, ...]:
+    """Every file that a recipe at `path` names, whatever for: by its name, a pattern, or in a mixture of lights."""
+    found: list[Path] = []
+    for _, value in _keys(content, ()):
+        for name in dict.fromkeys([value, *value.split()]) if isinstance(value, str) else []:
+            single = path.parent / name
+            found += [Path(each) for each in (str(single), *glob.glob(str(single))) if os.path.isfile(each)]
+    return tuple(dict.fromkeys(found))
+
+
+def key_in(message: str, content: Mapping[str, Any]) -> KeyPath:
+    """The key that a message is about: whose name, or else whose text (that of a file, say) it holds; () where there
+    is none."""
+    found: list[tuple[int, KeyPath]] = []
+    for path, value in _keys(content, ()):
+        names = [part for part in path if isinstance(part, str)]
+        last = names[-1] if isinstance(path[-1], str) else ""
+        if len(names) > 1 and ".".join(names) in message:
+            found.append((200 + len(names), path))
+        elif isinstance(value, str) and len(value) >= SHORTEST and value in message:
+            found.append((100, path))
+        elif last and re.search(rf"\b({re.escape(last)}|{re.escape(SUFFIX.sub('', last).replace('_', ' '))})\b", message):
+            found.append((len(last), path))
+    return max(found, key=lambda each: each[0])[1] if found else ()
+
+
+def _keys(value: Any, path: KeyPath) -> Iterator[tuple[KeyPath, Any]]:
+    inner = value.items() if isinstance(value, Mapping) else enumerate(value) if isinstance(value, list) else ()
+    for key, item in inner:
+        yield (*path, key), item
+        yield from _keys(item, (*path, key))

@@ -1,0 +1,99 @@
+"""Plain surfaces: what a uniform area of a real colour gives, beside what patches of scenes teach
+(docs/method.md#plain-surfaces).
+
+Patches of scenes are textured. A class follows them where their detail tells something of their colour, which is wrong on
+plain areas, and its plain areas are few. So every plain class is also taught uniform areas of measured surfaces of its
+colour, as they are and paler, bare and painted; and whites and greys of paint, of which the made world is full.
+"""
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.class_rule import ClassRule
+from l3cli.artifacts.training_set import LightSpectrum
+from l3cli.classes.chroma import chroma_centres
+from l3cli.physics import spectra
+from l3cli.physics.paint import LARGEST, SMALLEST, with_saturation, with_titanium_white
+
+Array = NDArray[np.float64]
+
+SATURATIONS = (0.2, 0.4, 0.6, 0.8, 1.0)  # of measured surfaces: what is made of them is mostly paler
+EDGES, WIDTHS = (0.1, 0.2, 0.4), (6.5, 9.5)  # of titanium white, K/S at 405 nm and nm, as the training scenes have them
+BARE = 2  # times each surface counts without titanium white, which three quarters of the surfaces have
+GREYS = np.geomspace(0.03, 0.95, 12)  # reflectances of paints without dye …
+GREY_SHARE = 6.0  # … which together count as much as so many times the other surfaces of their chroma
+OF_WHITE = 10.0  # times more is taught of white's own chroma, where a cast is seen first
+FEWEST = 4  # surfaces a channel, that tell what a chroma is
+SAME_WHITE = 0.005  # relative, for a coarse grid: outputs whose white is not that of the light are others
+
+
+@functools.lru_cache(maxsize=4)
+def cached_reflectances(wavelength: tuple[float, ...]) -> tuple[Array, Array]:
+    """Reflectances of surfaces (surface, wavelength), and of painted greys."""
+    grid = np.array(wavelength)
+    paler = np.concatenate([with_saturation(spectra.reflectance_library(grid), each) for each in SATURATIONS])
+    paler = np.clip(paler, SMALLEST, LARGEST)
+    painted = [with_titanium_white(paler, grid, edge, width) for edge in EDGES for width in WIDTHS]
+    greys = np.repeat(GREYS[:, None], grid.size, axis=1)
+    whites = [with_titanium_white(greys, grid, edge, width) for edge in EDGES for width in WIDTHS]
+    return np.concatenate([paler] * BARE + painted), np.concatenate(whites)
+
+
+@dataclass(frozen=True)
+class PlainSurfaces:
+    """Surfaces under a light, of which a white has Y = 1."""
+
+    signals: Array  # (surface, channel) shares of full scale
+    outputs: Array  # (surface, 3) X, Y, Z
+    white: Array  # (channel) signals of white
+    greys: int  # how many of them, the last, are paints without dye
+
+    def moments(self, rule: ClassRule, window: NDArray[np.int64]) -> list[Array | None]:
+        """Mean moments (column, column) of uniform patches of the surfaces of each chroma of a rule, columns and weights as
+        of sums; None: too few surfaces to tell. `window` (tap) names channels."""
+        centres = chroma_centres(rule)
+        chroma = _nearest(self.signals, centres)
+        every = [self._mean(chroma == each, window) for each in range(rule.chromas)]
+        white = int(_nearest(self.white[None], centres)[0])
+        if rule.chromas > 1 and (of_white := every[white]) is not None:
+            every[white] = OF_WHITE * of_white
+        return every
+
+    def _mean(self, here: NDArray[np.bool_], window: NDArray[np.int64]) -> Array | None:
+        dyed = np.count_nonzero(here[: -self.greys])
+        if dyed < FEWEST * self.signals.shape[1]:
+            return None
+        count = np.append(np.ones(len(here) - self.greys), np.full(self.greys, GREY_SHARE * dyed / self.greys))[here]
+        signals, outputs = self.signals[here], self.outputs[here]
+        rows = np.concatenate([signals[:, window], np.zeros((len(signals), 1)), outputs], axis=1)
+        return np.asarray((rows.T * (count / count.sum() / (signals.mean(axis=1) * outputs[:, 1]))) @ rows)
+
+
+def plain_surfaces(camera: CameraModel, light: LightSpectrum, target: LightSpectrum, white: Array) -> PlainSurfaces | None:
+    """Surfaces as the camera sees them under `light`, with outputs under `target`; None if the outputs, of which a white
+    has `white` at Y = 1, are not CIE 1931 X, Y, Z, or the light gives a channel nothing."""
+    grid = light.wavelength  # as fine as the edge of titanium white needs
+    lit = light.radiance.astype(np.float64)
+    wanted = spectra.resample(target.radiance.astype(np.float64), target.wavelength, grid)
+    electrons = camera.electron_weights @ spectra.sampling_matrix(grid, camera.wavelength) * lit
+    matching = spectra.xyz_weights(grid) * wanted
+    of_white = matching.sum(axis=1)
+    if not of_white[1] > 0 or (np.abs(of_white / of_white[1] - white) > SAME_WHITE * white).any():
+        return None
+    surfaces, greys = cached_reflectances(tuple(grid))
+    every = np.concatenate([surfaces, greys])
+    signals = every @ electrons.T * (camera.saturation_exposure / camera.full_scale)
+    if not signals.min() > 0:
+        return None
+    outputs = every @ (matching * (white / of_white)[:, None]).T
+    return PlainSurfaces(signals, outputs, electrons.sum(axis=1), len(greys))
+
+
+def _nearest(signals: Array, centres: Array) -> NDArray[np.intp]:
+    """The chroma (sample) of signals (sample, channel)."""
+    shares = signals / signals.sum(axis=1, keepdims=True)
+    return np.argmin(((shares[:, None] - centres[None]) ** 2).sum(axis=2), axis=1)

@@ -1,0 +1,383 @@
+"""l3 check: every fault of a recipe at once, each with its line; what a recipe without faults means."""
+
+import json
+import re
+import shutil
+import tomllib
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera_recipe import load_camera
+from l3cli.classes.rule import make_rule
+from l3cli.config import load_recipe
+from l3cli.errors import L3Error
+from l3cli.recipes import known_benchmarks
+from l3cli.simulation.lab import plan
+from l3cli.simulation.lab_recipe import LabRecipe
+from l3cli.simulation.light import automatic_exposure, make_light
+from l3cli.simulation.recipe import SceneRecipe
+from l3cli.stages.checking.check import judge
+from l3cli.stages.checking.classes import meaning
+from l3cli.stages.checking.kinds import KINDS, names
+from l3cli.stages.checking.source import Source
+from l3cli.stages.console import Silent
+from l3cli.stages.simulation.preparation import fitting, prepare
+from l3cli.training.recipe import TrainingRecipe, check_layers, check_learning
+from tests.helpers.calls import L3, Refused
+from tests.helpers.cameras import bayer_camera
+from tests.helpers.paths import CONFIGS
+from tests.helpers.recipes import SMALL, as_toml, spoilt
+
+CAMERA = [
+    ("bits = 12", 'bits = "twelve"\nbitz = 3', ("Expected `int`, got `str` in [sensor.bits]", "unknown key `bitz`")),
+    ("rows = 192\n", "", ("missing key `rows` in [sensor]",)),
+    ("prnu = 0.005", "prnu = 0.5", ("0.5 % is 0.005",)),
+    ("focal_length_mm = 25", "focal_length_mm = 0.025", ("is 25 meant?",)),
+    ('"g b"', '"g x"', ('"x" is no channel',)),
+    ("sigma_nm = 40", "sigma_nm = 0", ("a sigma of the Gaussians of g is 0",)),
+    ("well_capacity_e = 15000", "well_capacity_e = nan", ("noise.well_capacity_e is nan",)),
+]
+SCENES = """illuminants = ["D656", "lamp.csv", "0 D65"]  # "D656" is unknown | lamp.csv does not exist | shares must be above
+exposure_share = [0.9, -1]  # above zero
+lens.transmittance = "none.csv"  # none.csv does not exist
+lens.f_number = -3  # lens.f_number is -3
+[target]
+outputs = "CIE 1932"  # did you mean "CIE 1931"
+[[scene]]
+source = "dead leaves"
+size = [4000, 8]  # at least 16×16
+[[scene]]
+source = "cube"
+file = "cubes/*.npy"  # cubes/*.npy does not exist
+wavelengths_nm = [400, 500, 450]  # must increase or decrease
+axes = "row col"  # axes names row, col and band
+[[pair]]
+raw = "a.dng"  # a.dng does not exist
+picture = "a.png"  # a.png does not exist
+offset = [-1, 0]  # offset must not be negative
+"""
+CLASSES = """[classes]
+patch = 4  # classes.patch is 4
+contrasts = [2, 1]  # contrasts must be positive and increase
+lowest_level = 2  # 0 < lowest_level < highest_level
+[learning]
+darkest = 0.5  # darkest < highlight_from
+ridge = 0  # learning.ridge must be positive
+level_power = 2  # learning.level_power is 2; the most is 1
+[[layer]]
+side = 4  # windows have odd sides
+strengths = [2, 1]  # each 0.001 above the last
+"""
+LAB = """falloff = 2  # falloff in 0…1
+[mono]
+step_nm = 0  # mono needs step_nm above 0
+[white]
+illuminant = "D6"  # illuminant "D6" is unknown
+trials = 1  # two trials or more
+[defects]
+dust_radius_px = -1  # must not be negative
+"""
+MEASUREMENTS = """name = "measured"
+uncertainty.lamp_drift = 2  # lamp_drift in 0…1
+[sensor]
+rows = 192
+cols = 256
+pixel_pitch_um = 4e-6  # 4 is meant?
+bits = 12
+[cfa]
+channels = ["r", "g", "b"]
+pattern = ["r g", "g"]  # equally many channels
+[optics]
+focal_length_mm = 25
+f_number = 2.8
+[[mono]]
+frames = ["there.tif", "none.tif"]  # none.tif does not exist
+exposure_s = 0.1
+spectrum = "light.csv"  # no column is called
+column = "500nm"
+[[mono]]
+frames = ["there.tif"]
+exposure_us = 5
+spectrum = "watts.csv"  # as no light does
+[[mono]]  # needs one of exposure_s
+frames = ["there.tif"]
+spectrum = "light.csv"
+column = "450nm"
+[[white]]
+frames = []  # capture needs frames
+exposure_ms = 3
+monitor = 20  # monitor is 20
+"""
+
+
+def comments(text: str) -> list[tuple[int, str]]:
+    """The faults that comments announce: line, words."""
+    lines = [(number, line.partition("  # ")[2]) for number, line in enumerate(text.splitlines(), 1)]
+    return [(number, words) for number, told in lines if told for words in told.split(" | ")]
+
+
+def told(out: str) -> list[tuple[str, int, str]]:
+    """File, line and message of every fault that is listed."""
+    found = [re.fullmatch(r"(.+?\.toml):(\d+): (.+)", line) for line in out.splitlines()]
+    return [(match[1], int(match[2]), match[3]) for match in found if match]
+
+
+def require_told(path: Path, text: str, l3: L3) -> None:
+    """Every fault announced, and no other one; each once, at its line."""
+    path.write_text(text)
+    code, out, err = l3("check", path)
+    found = told(out)
+    assert code == 3
+    assert len(found) == len(comments(text)), out
+    assert err == f"l3: {len(found)} faults in 1 of 1 files; correct them\n"
+    for number, words in comments(text):
+        assert [message for _, line, message in found if line == number and words in message], (number, words, out)
+
+
+@pytest.mark.parametrize(("name", "text"), [("scenes", SCENES), ("classes", CLASSES), ("lab", LAB)])
+def test_every_fault_is_told_at_its_line(name: str, text: str, tmp_path: Path, l3: L3) -> None:
+    require_told(tmp_path / f"{name}.toml", text, l3)
+
+
+def test_every_fault_of_a_measurement_file_is_told(tmp_path: Path, l3: L3) -> None:
+    (tmp_path / "there.tif").touch()
+    (tmp_path / "light.csv").write_text("nm,450nm\n440,1e18\n450,2e18\n460,1e18\n")
+    (tmp_path / "watts.csv").write_text("nm,550nm\n540,0.1\n550,0.2\n560,0.1\n")
+    require_told(tmp_path / "mine.toml", MEASUREMENTS, l3)
+
+
+PHOTOS = """[[photo]]
+frames = ["none.dng"]  # none.dng does not exist
+light = "32K"  # is no light of a black body
+chart = "clasic"  # did you mean "classic"
+[[photo]]
+frames = ["there.tif"]
+light = "lamp.csv"  # lamp.csv does not exist
+layout = [4, 0]  # the least is 1
+"""
+
+
+def test_every_fault_of_photos_is_told(tmp_path: Path, l3: L3) -> None:
+    (tmp_path / "there.tif").touch()
+    camera = (
+        MEASUREMENTS.partition("[[mono]]")[0]
+        .replace("4e-6", "4")
+        .replace('"g"]', '"g b"]')
+        .replace("drift = 2", "drift = 0")
+    )
+    require_told(tmp_path / "mine.toml", re.sub("  # .*", "", camera) + PHOTOS, l3)
+
+
+def test_every_fault_of_a_camera_is_told_at_its_line(tmp_path: Path, l3: L3) -> None:
+    path, text = tmp_path / "camera.toml", bayer_camera()
+    for old, new, _ in CAMERA:
+        assert old in text
+        text = text.replace(old, new)
+    path.write_text(text)
+    code, out, _ = l3("check", path)
+    assert code == 3
+    lines, found = text.splitlines(), told(out)
+    assert len(found) == sum(len(says) for _, _, says in CAMERA)
+    assert [line for _, line, _ in found] == sorted(line for _, line, _ in found)
+    for _, new, says in CAMERA:
+        for part, words in zip(new.splitlines() or ["[sensor]"], says, strict=True):
+            number = next(line for _, line, message in found if words in message)
+            assert part.partition(" ")[0] in lines[number - 1]
+
+
+@pytest.mark.parametrize("name", sorted(names()))
+def test_shipped_recipes_have_no_fault(name: str, l3: L3) -> None:
+    code, out, err = l3("check", name)
+    assert (code, err) == (0, "")
+    assert [line.rpartition(": ")[2] for line in out.splitlines() if line[:1] == "/"] == [
+        kind.title for kind, _ in names()[name]
+    ]
+
+
+def test_a_folder_of_init_is_checked_with_its_camera(tmp_path: Path, l3: L3) -> None:
+    assert l3("init", "bayer_bggr", tmp_path / "demo", "--quiet")[0] == 0
+    code, out, err = l3("check", tmp_path / "demo")
+    assert (code, err) == (0, "")
+    heads = [line for line in out.splitlines() if line[:1] == "/"]
+    assert len(heads) == 8
+    assert heads[0] == f"{tmp_path}/demo/camera.toml: a camera recipe"
+    assert out.count("  for Bayer BGGR: ") == 6
+    (tmp_path / "demo/unseen.toml").write_text('exposure_share = [1]\n[[scene]]\nsource = "skin"\nsize = [2000, 20]\n')
+    code, out, _ = l3("check", tmp_path / "demo")
+    assert (code, [found[1] for found in told(out)]) == (3, [4])
+    assert "larger than the sensor of 1080×1920" in out
+
+
+def test_a_benchmark_wants_its_pictures(l3: L3) -> None:
+    code, out, _ = l3("check", "benchmark-bayer")
+    assert code == 3
+    assert {Path(path).name for path, _, _ in told(out)} == {"test.toml", "training.toml"}
+    assert known_benchmarks()
+
+
+# ------------------------------------------------------------------------------------------------------ meaning
+
+
+def test_what_a_camera_means(tmp_path: Path, l3: L3) -> None:
+    path = CONFIGS / "cameras/fiveband.toml"
+    code, out, err = l3("check", "fiveband", "--json")
+    assert (code, err) == (0, "")
+    (told_of,) = json.loads(out)["files"]
+    camera, figures = load_camera(path), told_of["meaning"]
+    assert (told_of["kind"], told_of["faults"]) == ("camera", [])
+    assert figures["array"][0] == ["b", "g", "c", "g"]
+    assert figures["channels"]["g"]["sites"] == 8
+    assert figures["saturation_exposure_cd_s_per_m2"]["D65"] == pytest.approx(camera.saturation_exposure, rel=2e-3)
+    for light in ("D65", "A"):
+        full = automatic_exposure(camera, make_light(light, {}, camera.wavelength).at(100.0), 1.0)
+        assert figures["exposure_s"][light] == pytest.approx(full)
+        assert max(channel[f"white_{light}"] for channel in figures["channels"].values()) == 1.0
+    assert figures["channels"]["b"]["white_A"] < figures["channels"]["b"]["white_D65"]
+    text = l3("check", "fiveband")[1]
+    assert "\n  b g c g\n  g o g r\n  c g b g\n  g r g o\n" in text
+    assert "cd s/m² of D65" in text
+
+
+def test_the_width_of_a_curve(tmp_path: Path) -> None:
+    path = tmp_path / "camera.toml"
+    path.write_text(bayer_camera().replace("[400, 700, 10]", "[400, 700, 1]"))
+    widths = [channel["fwhm_nm"] for channel in judge(path).meaning["channels"].values()]
+    assert widths == pytest.approx([2.3548 * sigma for sigma in (35, 40, 30)], rel=1e-3)
+    path.write_text(path.read_text().replace("[400, 700, 1]", "[400, 620, 1]"))
+    assert judge(path).meaning["channels"]["r"]["fwhm_nm"] is None
+
+
+def test_what_classes_mean(l3: L3) -> None:
+    files = json.loads(l3("check", "fiveband", "default", "--json")[1])["files"]
+    classes = next(each["meaning"] for each in files if each["kind"] == "classes")
+    chromas = load_recipe(CONFIGS / "classes/default.toml", TrainingRecipe).classes.chromas
+    assert [layer["classes_per_site"] for layer in classes["layers"]] == [10 * (chromas + 11), 10 * (19 + 11)]
+    assert classes["sites"] == 16
+    scenes = next(each["meaning"] for each in files if each["kind"] == "scenes")
+    assert (scenes["frames"], scenes["bytes"]) == (66, 66 * 160**2 * 34)
+    lab = next(each["meaning"] for each in files if each["kind"] == "lab")
+    assert lab["frames"] * 1164 * 2048 * 2 == lab["bytes"]
+
+
+def test_what_a_measurement_file_means(tmp_path: Path, l3: L3) -> None:
+    text = bayer_camera().partition("[responsivity]")[0].replace("gain_dn_per_e = 0.25\n", "")
+    text = re.sub("black_level_dn.*\nfixed.*\n", "", text) + "[optics]\nfocal_length_mm = 25\nf_number = 2.8\n"
+    text += '[curves]\nfile = "c.csv"\n[datasheet]\nblack_level_dn = 64\nwhite_level_dn = 4000\nwell_capacity_e = 15000\n'
+    (tmp_path / "m.toml").write_text(text)
+    (tmp_path / "c.csv").write_text("nm,r,g,b\n400,1,2,3\n500,2,3,1\n600,3,1,1\n")
+    code, out, err = l3("check", tmp_path / "m.toml")
+    assert (code, err) == (0, "")
+    assert out.splitlines()[0] == f"{tmp_path}/m.toml: a measurement file"
+    assert "[curves] c.csv" in out
+    assert "[datasheet] well of 15000 e-" in out
+    (tmp_path / "m.toml").write_text(text.replace("[datasheet]", "[uncertainty]\n[datasheet]").partition("[datasheet]")[0])
+    assert "give either [[white]] frames" in l3("check", tmp_path / "m.toml")[1]  # only the whole file says so
+
+
+def test_a_page_shows_the_curves(tmp_path: Path, l3: L3) -> None:
+    page = tmp_path / "cameras.html"
+    code, out, err = l3("check", "from_curves", "default", "--plot", page)
+    assert (code, err) == (0, f"{page}: 1 camera\n")
+    assert "a camera recipe" in out
+    text = page.read_text()
+    assert "Peaks: r 0.459 at 605 nm, g 0.559 at 530 nm, b 0.47 at 460 nm." in text
+    code, _, err = l3("check", "bayer", "--plot", page)
+    assert (code, page.read_text()) == (1, text)
+    assert "already exists" in err or "--force" in err
+    assert l3("check", "bayer", "--plot", page, "--force", "--quiet")[0] == 0
+    assert "there is no camera recipe without faults" in l3("check", "small", "--plot", page, "--force")[2]
+    assert "ends in .html" in l3("check", "bayer", "--plot", tmp_path / "a.svg")[2]
+    recipe = tmp_path / "scenes.html"
+    recipe.write_text(SMALL["scenes"])
+    assert "is an input" in l3("check", recipe, "bayer", "--plot", recipe, "--force")[2]
+    assert recipe.read_text() == SMALL["scenes"]
+
+
+# -------------------------------------------------------------------------------------------------- other files
+
+
+@pytest.mark.parametrize(
+    ("content", "line", "says"),
+    [
+        (b"a = 1\nb = \n", 2, "is not valid TOML"),
+        (b"", 1, "its kind cannot be told"),
+        (b'name = "x"\n[sensor]\n[cfa]\n[optics]\n', 1, "its kind cannot be told"),
+        (b"\xff\xfe\x00", 1, "is not a text file"),
+        (b'name = "x"\nbase = "none.toml"\nphase = [0, 0]\n', 2, "none.toml does not exist"),
+        (b"exposure_s = [1]\n[[scene]]\nsource = 'rgb'\nfile = 'a**b'\n", 4, "a**b is no glob"),
+        (b"exposure_s = [1]\n[[scene]]\nsource = 'rgb'\nfile = '%s'\n" % (b"x" * 300), 4, "File name too long"),
+        (b"[[scene]]\r\nsource = 'rgb'\r\n\r\nfile = 'x.png'\r\n", 4, "x.png does not exist"),
+    ],
+)
+def test_files_of_other_kinds(content: bytes, line: int, says: str, tmp_path: Path, l3: L3) -> None:
+    (tmp_path / "a.toml").write_bytes(content)
+    code, out, _ = l3("check", tmp_path / "a.toml")
+    assert code == 3
+    assert [found[1] for found in told(out) if says in found[2]] == [line]
+
+
+def test_wrong_calls(tmp_path: Path, refused: Refused) -> None:
+    assert 'did you mean "fiveband"' in refused(2, "check", "fivebnd")
+    assert "does not exist" in refused(3, "check", tmp_path / "none.toml")
+    assert "holds no recipes" in refused(3, "check", tmp_path)
+    assert "Missing argument" in refused(2, "check")
+
+
+def test_the_classes_of_a_site_are_those_of_the_rule() -> None:
+    """With a further feature, too."""
+    camera = load_camera(CONFIGS / "cameras/bayer.toml")
+    recipe = msgspec.convert(
+        {"classes": {"direction": {"orientations": 8}, "chromas": 1, "contrasts": [2, 4]}}, TrainingRecipe
+    )
+    rule = make_rule(recipe.classes, camera, np.arange(8).astype(np.uint16))
+    document, _ = meaning(recipe, Source(Path("a.toml"), {}, camera))
+    assert document["layers"][0]["classes_per_site"] == rule.classes_per_site
+    assert [*KINDS] == ["camera", "lab", "scenes", "classes", "measurements"]
+
+
+# ------------------------------------------------------------------------------- it agrees with what commands refuse
+
+
+def use(kind: str, path: Path, camera: CameraModel) -> None:
+    """What the command that reads such a recipe asks of it; an L3Error if it is refused."""
+    if kind == "camera":
+        load_camera(path)
+    elif kind == "lab":
+        plan(camera, load_recipe(path, LabRecipe), 0)
+    elif kind == "scenes":
+        recipe = load_recipe(path, SceneRecipe)
+        fitting(*prepare(recipe, path, camera, 0), path, False, Silent())
+    else:
+        classes = load_recipe(path, TrainingRecipe)
+        check_learning(classes.learning)
+        check_layers(classes.layer)
+        make_rule(classes.classes, camera, np.zeros(8, np.uint16))
+
+
+@settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data(), name=st.sampled_from(sorted(names())), number=st.integers(0, 2))
+def test_what_is_told_is_what_is_refused(
+    data: st.DataObject, name: str, number: int, bayer: CameraModel, tmp_path: Path
+) -> None:
+    kind, shipped = names()[name][number % len(names()[name])]
+    path = tmp_path / "recipe.toml"
+    for needed in ("bayer.toml", "from_curves.csv"):
+        shutil.copy(CONFIGS / "cameras" / needed, tmp_path / needed)
+    path.write_text(as_toml(spoilt(tomllib.loads(shipped.read_text()), data.draw)))
+    judged = judge(path, bayer)
+    if judged.kind != kind.name:  # without the keys that tell it
+        return
+    try:
+        use(kind.name, path, bayer)
+    except L3Error:
+        assert judged.findings
+        assert all(1 <= finding.line <= len(path.read_text().splitlines()) for finding in judged.findings)
+    else:
+        assert [finding for finding in judged.findings if "light that can be seen" not in finding.message] == []
+        assert judged.meaning

@@ -1,0 +1,149 @@
+"""A camera recipe with curves from a CSV file: as people write them, and what is wrong with them in one line each."""
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera_recipe import load_camera
+from l3cli.physics import spectra
+from tests.helpers.calls import L3, Refused
+from tests.helpers.paths import CONFIGS
+from tests.helpers.recipes import SMALL
+
+RECIPE = CONFIGS / "cameras/from_curves.toml"
+CSV = "from_curves.csv"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """The shipped recipe with its curves, and small scenes."""
+    for name in (RECIPE.name, CSV):
+        shutil.copy(RECIPE.with_name(name), tmp_path / name)
+    (tmp_path / "scenes.toml").write_text(SMALL["scenes"])
+    return tmp_path
+
+
+def curves() -> tuple[np.ndarray, np.ndarray]:
+    """(wavelength) nm and (wavelength, channel) % of the shipped file."""
+    table = np.loadtxt(RECIPE.with_name(CSV), delimiter=",", skiprows=1)
+    return table[:, 0], table[:, 1:]
+
+
+def written(heading: str, wavelength: np.ndarray, columns: np.ndarray, separator: str = ",") -> str:
+    rows = [separator.join(f"{value:.9g}" for value in row) for row in np.column_stack([wavelength, columns])]
+    return "\n".join([heading, *rows]) + "\n"
+
+
+def camera_of(folder: Path, text: str, **keys: str) -> CameraModel:
+    (folder / CSV).write_text(text)
+    recipe, path = RECIPE.read_text(), folder / "camera.toml"
+    added = "".join(f"\n{key} = {value}" for key, value in keys.items())
+    path.write_text(recipe.replace(f'file = "{CSV}"', f'file = "{CSV}"{added}'))
+    return load_camera(path)
+
+
+def test_quantum_efficiencies_are_read_as_they_are() -> None:
+    camera, (wavelength, percent) = load_camera(RECIPE), curves()
+    np.testing.assert_array_equal(camera.wavelength, wavelength)
+    np.testing.assert_allclose(camera.responsivity, percent.T / 100, rtol=1e-12)
+    assert camera.responsivity.max() == pytest.approx(0.56, abs=0.01)
+
+
+def test_other_units_orders_and_grids_of_the_same_curves(folder: Path) -> None:
+    truth, (nm, percent) = load_camera(RECIPE), curves()
+    share = percent / 100
+    amperes = share * (1.602176634e-19 * spectra.photons_from_energy(nm, np.ones(nm.size)))[:, None]  # e- a joule, in A/W
+    same = [
+        camera_of(folder, written("nm;b (e-/photon);r (e-/photon);g (e-/photon)", nm, share[:, [2, 0, 1]], ";")),
+        camera_of(folder, written("r,wavelength (um),g,b", share[:, :1], np.column_stack([nm / 1000, share[:, 1:]]))),
+        camera_of(folder, written("wavelength_nm,r (%),g (%),b (%)", nm[::-1], percent[::-1])),
+        camera_of(folder, written("wavelength_nm,r (A/W),g (A/W),b (A/W)", nm, amperes), per_energy="true"),
+        camera_of(folder, written("wavelength_nm,r (mA/W),g (A/W),b (A/W)", nm, amperes * [1e3, 1, 1]), per_energy="true"),
+        camera_of(folder, written("wavelength_nm,r (a.u.),g (rel.),b", nm, 7 * share), peak_efficiency=f"{share.max()}"),
+    ]
+    for camera in same:
+        np.testing.assert_allclose(camera.responsivity, truth.responsivity, rtol=1e-6)
+        np.testing.assert_allclose(camera.wavelength, truth.wavelength, rtol=1e-9)
+    on_grid = camera_of(folder, written("nm,r (%),g (%),b (%)", nm, percent), wavelength_nm="[400, 700, 10]")
+    assert on_grid.wavelength.tolist() == np.arange(400.0, 701, 10).tolist()
+    np.testing.assert_allclose(on_grid.responsivity[:, 3:-3], truth.responsivity[:, 8:-8:2], atol=0.02)
+
+
+def percent_without_unit(nm: np.ndarray, percent: np.ndarray) -> str:
+    return written("wavelength_nm,r,g,b", nm, percent)
+
+
+MISTAKES: dict[str, tuple[Callable[[np.ndarray, np.ndarray], str], str]] = {
+    "order": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm[[1, 0, *range(2, nm.size)]], percent), "must increase"),
+    "names": (
+        lambda nm, percent: written("nm,r (%),green (%),b (%)", nm, percent),
+        'column "green" is none of those wanted',
+    ),
+    "count": (lambda nm, percent: written("nm,r (%),g (%)", nm, percent[:, :2]), "holds 2 curves, 3 are wanted"),
+    "unit": (lambda nm, percent: written("nm,r (W/nm),g (W/nm),b (W/nm)", nm, percent), '"W/nm" is no unit of responsivity'),
+    "energy": (lambda nm, percent: written("nm,r (A/W),g (A/W),b (A/W)", nm, percent / 200), "per_energy = true"),
+    "relative": (lambda nm, percent: written("nm,r (a.u.),g (a.u.),b (a.u.)", nm, percent / 100), "give responsivity.peak"),
+    "percent": (percent_without_unit, 'its peak quantum efficiency is 55.93, and 1 at most can be; write "(%)"'),
+    "peak": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm, percent * 3), "quantum efficiency is 1.678"),
+    "share": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm, percent / 1000), "quantum efficiency is 0.0005593"),
+    "normal": (
+        lambda nm, percent: written("nm,r,g,b", nm, percent / percent.max()),
+        "curves peak at 1, as relative ones do",
+    ),
+    "below": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm, percent - 0.01), "channel g has negative values"),
+    "dark": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm, percent * [1, 0, 1]), "channel g has no light"),
+    "metres": (lambda nm, percent: written("wavelength,r,g,b", nm / 1000, percent), "perhaps 390…710 nm in um"),
+    "coarse": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm[::8], percent[::8]), "a gap between 390 and 430 nm"),
+    "gap": (
+        lambda nm, percent: written(
+            "nm,r (%),g (%),b (%)", np.delete(nm, range(20, 30)), np.delete(percent, range(20, 30), 0)
+        ),
+        "a gap between 485 and 540 nm",
+    ),
+    "cut": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm[:44], percent[:44]), "ends at 605 nm where channel r"),
+    "heading": (lambda nm, percent: written("nm,r (%),g (%)", nm, percent), "its heading names 3 columns, its rows have 4"),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_in_curves_is_one_line(mistake: str, folder: Path, refused: Refused, l3: L3) -> None:
+    text, says = MISTAKES[mistake]
+    (folder / CSV).write_text(text(*curves()))
+    line = refused(3, "simulate", folder / "scenes.toml", "--camera", folder / RECIPE.name, "-o", folder / "training.h5")
+    assert line.startswith(f"l3: {folder / CSV}")
+    assert says in line
+    code, out, _ = l3("check", folder / RECIPE.name)
+    number = RECIPE.read_text().partition("\nfile =")[0].count("\n") + 2
+    assert (code, out) == (3, f"{folder / RECIPE.name}:{number}: {line.removeprefix('l3: ')}")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "code", "says"),
+    [
+        (CSV, "none.csv", 3, "none.csv does not exist"),
+        (
+            f'file = "{CSV}"',
+            f'file = "{CSV}"\nwavelength_nm = [800, 900, 5]',
+            3,
+            "holds 390…710 nm, responsivity.wavelength_nm",
+        ),
+        (f'file = "{CSV}"', f'file = "{CSV}"\npeak_efficiency = 40', 2, "40 % is 0.4"),
+        (
+            f'file = "{CSV}"',
+            "gaussians = {r = []}",
+            2,
+            "missing key `wavelength_nm` in [responsivity], which gaussians need",
+        ),
+        (f'file = "{CSV}"', "", 2, "give either responsivity.gaussians or responsivity.file"),
+    ],
+)
+def test_a_mistake_in_the_recipe_is_one_line(
+    old: str, new: str, code: int, says: str, folder: Path, refused: Refused
+) -> None:
+    path = folder / RECIPE.name
+    path.write_text(path.read_text().replace(old, new))
+    assert says in refused(code, "simulate", folder / "scenes.toml", "--camera", path, "-o", folder / "training.h5")

@@ -1,0 +1,55 @@
+"""A sensor with flaws: defective pixels, clusters and lines, and a lens that gives its corners less light, of each channel
+another share."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.simulation.sensor import expose
+
+HOT, DEAD = 1, 2
+
+
+@dataclass(frozen=True)
+class Flaws:
+    """What is wrong with the pixels of one sensor."""
+
+    light: NDArray[np.float64]  # (row, col) share that the lens lets through
+    kind: NDArray[np.uint8]  # (row, col) 0, HOT or DEAD
+    offset: NDArray[np.float64]  # (row, col) DN, of hot pixels
+
+
+def shading(camera: CameraModel, corners: tuple[float, ...]) -> NDArray[np.float64]:
+    """(row, col) cos⁴-like fall-off to a share of `corners` (channel) in the corners of a mosaic."""
+    rows, cols = camera.rows, camera.cols
+    y, x = np.linspace(-1, 1, rows)[:, None], np.linspace(-1, 1, cols)
+    down, across = camera.cfa.shape
+    channel = camera.cfa[np.ix_(np.arange(rows) % down, np.arange(cols) % across)]
+    steep = (np.array(corners) ** -0.5 - 1)[channel]  # so that 1 / (1 + steep)² is the share in the corner
+    return np.asarray(1 / (1 + steep * (y**2 + x**2) / 2) ** 2)
+
+
+def flaws(camera: CameraModel, corners: tuple[float, ...], share: float = 0.001, lines: bool = True, seed: int = 0) -> Flaws:
+    """About `share` of the pixels defective: alone, in pairs, in clusters of 3 × 3; with `lines` a column and a row, too."""
+    rng = np.random.default_rng(seed)
+    shape = (camera.rows, camera.cols)
+    kind = np.zeros(shape, np.uint8)
+    wanted = max(round(share * kind.size), 3) if share else 0
+    while np.count_nonzero(kind) < wanted:
+        row, col = int(rng.integers(0, shape[0])), int(rng.integers(0, shape[1]))
+        down, across = [(1, 1), (1, 1), (1, 1), (1, 2), (3, 3)][int(rng.integers(5))]
+        kind[row : row + down, col : col + across] = rng.integers(HOT, DEAD + 1)
+    if lines:
+        kind[:, shape[1] // 3] = DEAD
+        kind[shape[0] // 4] = HOT
+    return Flaws(shading(camera, corners), kind, rng.uniform(0.1, 0.9, shape) * (camera.white_level - camera.black_level))
+
+
+def seen(
+    camera: CameraModel, wrong: Flaws, electrons: NDArray[np.floating], rng: np.random.Generator, noises: str = "all"
+) -> NDArray[np.uint16]:
+    """A raw frame (row, col) of mean photo-electrons by a sensor with flaws, exposed for 10 ms."""
+    values = expose(camera, electrons * wrong.light * (wrong.kind != DEAD), 0.01, rng, noises).astype(np.float64)
+    return np.minimum(values + wrong.offset * (wrong.kind == HOT), camera.white_level).astype(np.uint16)

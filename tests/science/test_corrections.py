@@ -1,0 +1,298 @@
+"""Defects are mended and shading is evened: to the same classes on every backend, and to pictures as of a sound camera."""
+
+import pickle
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from l3cli import api
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.corrections import DefectMap, FlatField
+from l3cli.artifacts.store import load, save
+from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.training_set import TrainingFrame, open_training_set
+from l3cli.correction import Correction, correction_of
+from l3cli.errors import InputFileError
+from l3cli.frame import RawFrame
+from l3cli.io.sequences import Pending
+from l3cli.mending import NEIGHBOURS, plan_mending
+from l3cli.physics.display import displayed, srgb_curve
+from l3cli.rendering import opencl_bands
+from l3cli.rendering.display import make_display
+from l3cli.rendering.exposure import LightMeter
+from l3cli.rendering.opencl import OpenCLRenderer
+from l3cli.rendering.reference import ReferenceRenderer
+from l3cli.rendering.white_source import usual_balance
+from l3cli.shading import FRACTION, STEP, clipped_from, evened, shading_of
+from l3cli.simulation.sensor import mosaic
+from l3cli.stages.rendering.corrections import CameraFile
+from l3cli.stages.rendering.executors import Local, Remote, RenderSetup
+from l3cli.stages.rendering.rendition import Exposed, Rendition, Unread
+from tests.helpers.calls import L3, Refused
+from tests.helpers.cameras import BAYER, FIVE_BAND, X_TRANS, random_camera
+from tests.helpers.flaws import Flaws, flaws, seen, shading
+from tests.helpers.tables import frame_of_all_levels, random_table, with_later
+
+SHAPE = (61, 150)
+CORNERS = (0.5, 0.54, 0.58, 0.52, 0.56)
+
+
+def field_of(shape: tuple[int, int], corners: tuple[float, ...]) -> FlatField:
+    """What evens out `flaws.shading`."""
+    rows, cols = np.linspace(0, shape[0] - 1, 33), np.linspace(0, shape[1] - 1, 49)
+    y, x = np.linspace(-1, 1, 33)[:, None], np.linspace(-1, 1, 49)
+    gain = [(1 + (share**-0.5 - 1) * (y**2 + x**2) / 2) ** 2 for share in corners]
+    return FlatField(rows, cols, np.array(gain))
+
+
+def map_of(wrong: Flaws) -> DefectMap:
+    position = np.argwhere(wrong.kind > 0)
+    return DefectMap(position, ("hot",) * len(position))
+
+
+TABLES = {
+    "processor": lambda: random_table(X_TRANS, bits=16, black_level=2048.4, patch=5),
+    "graphics": lambda: with_later(random_table(BAYER, black_level=100.4, patch=5), 3),
+}
+
+
+@pytest.mark.parametrize("variant", TABLES)
+def test_backends_agree_on_shaded_frames(variant: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    table, rng = TABLES[variant](), np.random.default_rng(4)
+    corners = tuple(np.linspace(0.5, 0.6, len(table.channels)))
+    taken = shading_of(field_of(SHAPE, corners), SHAPE, table.cfa)
+    assert taken.tint is not None
+    frame = replace(frame_of_all_levels(table, rng, SHAPE), shading=taken, dark=1.3)
+    reference, device = ReferenceRenderer(table), OpenCLRenderer(table, variant=variant)
+    display = make_display(table.white_point, 1.0, 8)
+    for pixels in (SHAPE[0] * SHAPE[1], 20 * SHAPE[1]):  # a single band, and several
+        monkeypatch.setattr(opencl_bands, "BAND_PIXELS", pixels)
+        device._frame_bands = None
+        for layer in range(len(table.layers)):
+            np.testing.assert_array_equal(device.labels(frame, layer), reference.labels(frame, layer))
+        np.testing.assert_allclose(device.outputs(frame), reference.exact_outputs(frame), atol=2e-5)
+        assert np.abs(device.picture(frame, display).astype(int) - reference.picture(frame, display)).max() <= 1
+        unshaded = replace(frame, shading=None)  # the same renderer renders other frames as ever
+        np.testing.assert_allclose(device.outputs(unshaded), reference.exact_outputs(unshaded), atol=1e-5)
+    gain = taken.gain_map(SHAPE[1])
+    assert gain.max() > 1.6
+    np.testing.assert_allclose(
+        reference.exact_outputs(frame),
+        gain * reference.exact_outputs(replace(frame, shading=replace(taken, gain=np.ones_like(taken.gain)))),
+    )
+
+
+@pytest.mark.parametrize(("bits", "black_level"), [(8, 0.0), (12, 108.93), (16, 2048.5), (16, 0.0)])
+def test_evening_keeps_clipped_pixels_clipped_and_others_not(bits: int, black_level: float) -> None:
+    top = 2**bits - 1
+    values = np.arange(1 << bits).astype(np.uint16)
+    clipped = clipped_from(black_level, top)
+    for share in (-0.5, -0.01, 0.0, 0.01, 0.5):
+        tint = np.full(values.shape, round(share * 2**FRACTION), np.int16)
+        after = evened(values, tint, black_level, top)
+        np.testing.assert_array_equal(after[clipped:], values[clipped:])
+        assert after[:clipped].max() < clipped
+        wanted = np.clip(black_level + (values[:clipped] - black_level) * (1 + share), 0, clipped - 1)
+        assert np.abs(after[:clipped] - wanted).max() <= 1.01 + top / 2 ** (FRACTION + 1)  # black level and tint are rounded
+
+
+def test_mending_takes_the_nearest_sound_pixels_of_the_channel() -> None:
+    rng = np.random.default_rng(6)
+    for cfa in (BAYER, FIVE_BAND, X_TRANS):
+        array = np.array(cfa, np.uint8)
+        shape = (60, 84)
+        channel = array[np.ix_(np.arange(60) % array.shape[0], np.arange(84) % array.shape[1])]
+        bad = rng.random(shape) < 0.01
+        bad[20:27, 30:35] = bad[:, 50:52] = bad[40] = bad[:3, :3] = True
+        plan = plan_mending(bad, array)
+        np.testing.assert_array_equal(np.sort(plan.target), np.flatnonzero(bad))
+        assert plan.source.shape == (bad.sum(), NEIGHBOURS)
+        assert not bad.ravel()[plan.source].any()
+        assert (channel.ravel()[plan.source] == channel.ravel()[plan.target][:, None]).all()
+        flat = (1000 + 100 * channel.astype(int)).astype(np.uint16)
+        broken = np.where(bad, rng.integers(0, 4096, shape), flat).astype(np.uint16)
+        kept = broken.copy()
+        np.testing.assert_array_equal(plan.mended(broken), flat)
+        np.testing.assert_array_equal(broken, kept)
+    with pytest.raises(InputFileError, match="100% of the pixels"):
+        plan_mending(np.ones((8, 8), bool), np.array(BAYER, np.uint8))
+    large = np.zeros((200, 200), bool)
+    large[50:100, 50:100] = True
+    with pytest.raises(InputFileError, match=r"pixel \(\d+, \d+\) has no sound neighbour within 16 pixels"):
+        plan_mending(large, np.array(BAYER, np.uint8))
+
+
+# ------------------------------------------------------------------------------------------------------------ quality
+
+
+def test_defects_cost_less_than_a_tenth_of_a_decibel(pipeline: Path) -> None:
+    """0.1 % of the pixels, pairs and clusters included, of a simulated frame that the table has not seen."""
+    table = load(TransformTable, pipeline / "table.h5")
+    with open_training_set(pipeline / "unseen.h5") as reader:
+        frame = next(iter(reader))
+        assert isinstance(frame, TrainingFrame)
+        rows, cols = frame.raw.shape
+        camera = replace(reader.head.camera, rows=rows, cols=cols)
+    electrons = mosaic(frame.electrons, camera.cfa)
+    scale = frame.exposure / table.output_unit
+    renderer = ReferenceRenderer(table)
+
+    def codes(xyz: np.ndarray) -> np.ndarray:
+        return 255 * srgb_curve(displayed(xyz, table.white_point, 0.5))
+
+    target = codes(scale * frame.target.astype(np.float64))
+
+    def error(wrong: Flaws, correction: Correction | None = None) -> float:
+        """dB of the mean squared error."""
+        raw = RawFrame("f", seen(camera, wrong, electrons, np.random.default_rng(2)), camera.black_level, camera.white_level)
+        raw = raw if correction is None else correction.corrected(raw)
+        return float(10 * np.log10(np.mean((codes(renderer.exact_outputs(raw)) - target) ** 2)))
+
+    wrong = flaws(camera, (1.0,) * 3, share=0.001, lines=False)
+    clean, broken = error(replace(wrong, kind=0 * wrong.kind)), error(wrong)
+    mended = error(wrong, correction_of(replace(camera, defects=map_of(wrong))))
+    assert broken > clean + 0.3
+    assert mended < clean + 0.1
+
+
+def test_corners_are_within_a_percent_of_the_middle(pipeline: Path) -> None:
+    """Of a white with noise, by a lens that lets half of the light through to the corners, of each channel another share."""
+    table, camera = load(TransformTable, pipeline / "table.h5"), load(CameraModel, pipeline / "camera.h5")
+    renderer, shape = ReferenceRenderer(table), (camera.rows, camera.cols)
+    sound = flaws(camera, (1.0,) * 3, share=0.0, lines=False)
+    lens = correction_of(replace(camera, defects=None, flat_field=field_of(shape, CORNERS[:3])))
+    light = np.full(shape, 0.8 * camera.full_scale)
+
+    def taken(wrong: Flaws) -> RawFrame:
+        return RawFrame(
+            "white", seen(camera, wrong, light, np.random.default_rng(3)), camera.black_level, camera.white_level
+        )
+
+    white = taken(replace(sound, light=shading(camera, CORNERS[:3])))
+    for frame, least, most in ((white, 0.4, 0.7), (lens.corrected(white), 0.99, 1.01)):
+        outputs = renderer.exact_outputs(frame)
+        middle = outputs[:, 80:112, 112:144].mean(axis=(1, 2))
+        corners = [outputs[:, row, col].mean(axis=(1, 2)) / middle for row in ENDS for col in ENDS]
+        assert least < np.min(corners) < np.max(corners) < most
+    meter = LightMeter(table)
+    assert meter.brightness(lens.corrected(white)) == pytest.approx(meter.brightness(taken(sound)), rel=0.02)
+
+
+ENDS = (slice(0, 16), slice(-16, None))
+
+
+# ------------------------------------------------------------------------------------------------------------- l3 render
+
+
+@pytest.fixture
+def flawed(tmp_path: Path) -> Path:
+    """A table, camera.h5 with its defects and flat field, and frames of a flawed sensor as .npy in frames/."""
+    plain = random_camera(BAYER, 3, 12, 100.0)
+    wrong = flaws(plain, CORNERS[:3], share=0.01, lines=False)
+    camera = replace(plain, defects=map_of(wrong), flat_field=field_of((24, 32), CORNERS[:3]))
+    save(camera, tmp_path / "camera.h5")
+    save(replace(random_table(BAYER, black_level=100.0, patch=3), camera=plain), tmp_path / "table.h5")
+    (tmp_path / "frames").mkdir()
+    for number in range(3):
+        electrons = np.full((24, 32), 3000.0 + 500 * number)
+        np.save(tmp_path / f"frames/{number}.npy", seen(plain, wrong, electrons, np.random.default_rng(number)))
+    return tmp_path
+
+
+def test_render_corrects_what_the_camera_knows(flawed: Path, l3: L3) -> None:
+    call = ("render", flawed / "table.h5", flawed / "frames/0.npy", "--backend", "reference", "-o")
+    camera, table = load(CameraModel, flawed / "camera.h5"), load(TransformTable, flawed / "table.h5")
+    assert l3(*call, flawed / "a.npy.exr", "--camera", flawed / "camera.h5")[0] == 0
+    assert l3(*call, flawed / "plain.exr")[0] == 0
+    assert (flawed / "plain.exr").read_bytes() != (flawed / "a.npy.exr").read_bytes()
+    save(replace(table, camera=camera), flawed / "knowing.h5")
+    assert l3(*call, flawed / "table.exr", "--camera", flawed / "knowing.h5")[0] == 0
+    assert (flawed / "table.exr").read_bytes() == (flawed / "a.npy.exr").read_bytes()
+    frame = RawFrame(
+        "f", np.load(flawed / "frames/0.npy"), table.black_level, table.white_level, dark=table.dark_signal(None)
+    )
+    corrected = correction_of(camera).corrected(frame)
+    by_name = api.read_raw(flawed / "frames/0.npy", table, camera=camera)
+    np.testing.assert_array_equal(by_name.values, corrected.values)
+    assert by_name.shading is not None
+    assert corrected.shading is not None
+    assert (corrected.values != frame.values).sum() <= len(camera.defects.position if camera.defects else ())
+
+
+def test_cameras_that_do_not_fit_are_refused(flawed: Path, refused: Refused) -> None:
+    camera, frame = load(CameraModel, flawed / "camera.h5"), flawed / "frames/0.npy"
+    call = ("render", flawed / "table.h5", frame, "-o", flawed / "a.png", "--camera")
+    save(replace(camera, cfa=np.roll(camera.cfa, 1, axis=1)), flawed / "turned.h5")
+    assert "array g r/b g, the table is for r g/g b" in refused(3, *call, flawed / "turned.h5")
+    save(replace(camera, defects=None, flat_field=None), flawed / "plain.h5")
+    assert "neither defects nor a flat field" in refused(3, *call, flawed / "plain.h5")
+    save(replace(camera, rows=48, flat_field=None), flawed / "large.h5")
+    assert (
+        "0.npy of 24×32 pixels, first site 0,0, is no whole frame of camera random of 48×32; give the --camera"
+        in refused(3, *call, flawed / "large.h5")
+    )
+    assert "first site 1,0" in refused(3, *call, flawed / "camera.h5", "--phase", "1,0")
+    assert "neither defects nor a flat field" in refused(3, *call, flawed / "table.h5")
+    assert "not an HDF5 file" in refused(3, *call, frame)
+    assert "nowhere.h5 does not exist" in refused(3, *call, flawed / "nowhere.h5")
+    refused(3, *call, flawed / "frames")
+    (flawed / "linked.png").hardlink_to(flawed / "camera.h5")
+    assert "input" in refused(2, *call[:4], flawed / "linked.png", "--force", "--camera", flawed / "camera.h5")
+
+
+def test_resume_knows_the_camera(flawed: Path, l3: L3) -> None:
+    (flawed / "frames/3.npy").write_bytes(b"broken")
+    call = (
+        "render",
+        flawed / "table.h5",
+        flawed / "frames",
+        "-o",
+        flawed / "out",
+        "--exposure",
+        1,
+        "--backend",
+        "reference",
+    )
+    assert l3(*call, "--camera", flawed / "camera.h5")[0] == 3
+    camera = load(CameraModel, flawed / "camera.h5")
+    save(replace(camera, defects=None), flawed / "other.h5")
+    assert "leave --resume out" in l3(*call, "--camera", flawed / "other.h5", "--resume")[2]
+    assert "leave --resume out" in l3(*call, "--resume")[2]
+    (flawed / "frames/3.npy").unlink()
+    np.save(flawed / "frames/3.npy", np.load(flawed / "frames/0.npy"))
+    assert l3(*call, "--camera", flawed / "camera.h5", "--resume")[0] == 0
+    assert (flawed / "out/3.png").read_bytes() == (flawed / "out/0.png").read_bytes()
+
+
+def test_workers_correct_alike_whoever_reads(flawed: Path) -> None:
+    """Jobs are pickled, as on their way to a worker; neither map nor gains travel with them."""
+    from l3cli.files import sha256
+    from l3cli.io.raw.files import KnownBetter, read_raw
+
+    table = load(TransformTable, flawed / "table.h5")
+    file = CameraFile(flawed / "camera.h5", sha256(flawed / "camera.h5"))
+    known = KnownBetter(correction=correction_of(load(CameraModel, file.path)))
+    shading = known.correction.shading if known.correction else None
+    path, rendition = flawed / "frames/1.npy", Rendition(usual_balance(table), 1.0, 8)
+    frame, pending = read_raw(path, table, known), Pending(1, "1", lambda: None)
+
+    def crew(function: Any, jobs: Iterable[Any]) -> Iterator[Any]:
+        for job in jobs:
+            sent = pickle.dumps(job)
+            assert shading is not None
+            assert shading.gain.tobytes() not in sent
+            yield function(pickle.loads(sent))
+
+    setup = RenderSetup(
+        flawed / "table.h5", sha256(flawed / "table.h5"), "reference", {}, KnownBetter(), rendition, None, file
+    )
+    ((_, here),) = Local(ReferenceRenderer(table), rendition).render(iter([Exposed(pending, frame, 1.0, None)]))
+    for given in (frame, Unread(path, sha256(path))):
+        exposed = Exposed(pending, given, 1.0, None)
+        ((_, made),) = Remote(crew, setup, True, shading).render(iter([exposed]))  # type: ignore[arg-type]
+        np.testing.assert_array_equal(made, here)
+    assert STEP % 16 == 0  # of the kernels' vectors none lies over a node

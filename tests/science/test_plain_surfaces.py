@@ -1,0 +1,157 @@
+"""Plain surfaces: what training learns of uniform areas beside the patches of its scenes (docs/method.md#plain-surfaces)."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera_recipe import load_camera
+from l3cli.artifacts.store import load
+from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.training_set import LightSpectrum
+from l3cli.classes.recipe import ClassRecipe
+from l3cli.classes.rule import make_rule
+from l3cli.classes.windows import neighbourhoods
+from l3cli.physics import spectra
+from l3cli.physics.display import delta_e_2000, lab
+from l3cli.simulation.light import make_light
+from l3cli.training.plain_surfaces import FEWEST, PlainSurfaces, plain_surfaces
+from tests.helpers.paths import CONFIGS
+
+SCENES = """
+illuminants = {lights}
+exposure_share = [0.9]
+[[scene]]
+source = "dead leaves"
+size = [96, 96]
+count = 6
+"""
+CLASSES = """
+[classes]
+patch = 5
+levels = 4
+chromas = 6
+contrasts = []
+[learning]
+patches = 2000
+draws = 3
+first_draws = 0
+plain_surfaces = {weight}
+"""
+
+
+def surfaces_of(camera: CameraModel, light: str, target: str | None = None) -> tuple[PlainSurfaces | None, np.ndarray]:
+    """Surfaces under a light with outputs under another, and the white of that."""
+    one, other = (spectrum(camera, name) for name in (light, target or light))
+    white = spectra.xyz_weights(other.wavelength) @ other.radiance
+    return plain_surfaces(camera, one, other, white / white[1]), white / white[1]
+
+
+def spectrum(camera: CameraModel, light: str) -> LightSpectrum:
+    return make_light(light, {}, camera.wavelength).spectrum
+
+
+@pytest.fixture(scope="module")
+def fiveband() -> CameraModel:
+    return load_camera(CONFIGS / "cameras/fiveband.toml")
+
+
+@pytest.mark.parametrize(("light", "target"), [("D65", None), ("A", None), ("F2", "D65")])
+def test_surfaces_are_learned_as_they_are(fiveband: CameraModel, light: str, target: str | None) -> None:
+    """The transform that the moments alone give answers every surface with about its colour."""
+    surfaces, white = surfaces_of(fiveband, light, target)
+    assert surfaces is not None
+    rule = make_rule(ClassRecipe(patch=5, levels=2, chromas=0), fiveband, np.zeros(32, np.uint16))
+    window = neighbourhoods(fiveband.cfa, 5, 5).channel[5]
+    (moments,) = surfaces.moments(rule, window)
+    assert moments is not None
+    assert np.allclose(moments, moments.T)
+    taps = window.size
+    system = moments[:taps, :taps] + 1e-9 * np.eye(taps)
+    transform = np.linalg.solve(system, moments[:taps, taps + 1 :])
+    error = delta_e_2000(lab(surfaces.signals[:, window] @ transform, white), lab(surfaces.outputs, white))
+    assert np.median(error) < (0.8 if target is None else 1.6)
+    assert moments[taps].any() == False  # noqa: E712  no intercept: darkness is answered with darkness
+
+
+def test_paint_counts_where_noise_leaves_it_open(fiveband: CameraModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    """White paint and pale yellow differ by less than noise: with greys of paint among the surfaces, paint is believed."""
+    surfaces, white = surfaces_of(fiveband, "D65")
+    assert surfaces is not None
+    rule = make_rule(ClassRecipe(patch=5, levels=2, chromas=0), fiveband, np.zeros(32, np.uint16))
+    window = neighbourhoods(fiveband.cfa, 5, 5).channel[0]
+    errors = []
+    for share in (0.0, 6.0):
+        monkeypatch.setattr("l3cli.training.plain_surfaces.GREY_SHARE", share)
+        (moments,) = surfaces.moments(rule, window)
+        assert moments is not None
+        taps = window.size
+        transform = np.linalg.solve(moments[:taps, :taps] + 1e-4 * np.eye(taps), moments[:taps, taps + 1 :])
+        paints = np.s_[-surfaces.greys :]
+        shown = surfaces.signals[paints][:, window] @ transform
+        errors.append(delta_e_2000(lab(shown, white), lab(surfaces.outputs[paints], white)).mean())
+    assert errors[1] < 0.95 * errors[0]
+
+
+def test_outputs_of_another_observer_are_not_taught(fiveband: CameraModel) -> None:
+    light = spectrum(fiveband, "D65")
+    functions = spectra.colour_matching_functions(light.wavelength, "CIE 1964")
+    white = spectra.matching_weights(functions, light.wavelength) @ light.radiance
+    assert plain_surfaces(fiveband, light, light, white / white[1]) is None
+
+
+def test_a_chroma_of_few_surfaces_is_left_to_its_patches(fiveband: CameraModel) -> None:
+    surfaces, _ = surfaces_of(fiveband, "D65")
+    assert surfaces is not None
+    kept = np.r_[: FEWEST * 5 - 1, len(surfaces.signals) - surfaces.greys : len(surfaces.signals)]
+    few = replace(surfaces, signals=surfaces.signals[kept], outputs=surfaces.outputs[kept])
+    rule = make_rule(ClassRecipe(patch=5, levels=2, chromas=0), fiveband, np.zeros(32, np.uint16))
+    assert few.moments(rule, neighbourhoods(fiveband.cfa, 5, 5).channel[0]) == [None]
+
+
+def learned(lights: list[str], weight: float, folder: Path, l3: Callable) -> TransformTable:
+    """A small table of the five-band camera."""
+    folder.mkdir(exist_ok=True)
+    (folder / "scenes.toml").write_text(SCENES.format(lights=str(lights).replace("'", '"')))
+    (folder / "classes.toml").write_text(CLASSES.format(weight=weight))
+    if not (folder / "scenes.h5").exists():
+        camera = CONFIGS / "cameras/fiveband.toml"
+        assert l3("simulate", folder / "scenes.toml", "--camera", camera, "-o", folder / "scenes.h5", "--quiet")[0] == 0
+    table = folder / f"table {weight}.h5"
+    assert l3("train", folder / "scenes.h5", "--classes", folder / "classes.toml", "-o", table, "--quiet")[0] == 0
+    return load(TransformTable, table)
+
+
+def chart_error(table: TransformTable, camera: CameraModel) -> float:
+    """Mean ΔE00 of what the unsaturated classes of a mean level make of plain areas of a ColorChecker, at all sites."""
+    light, rule = spectrum(camera, "D65"), table.first.rule
+    grid = light.wavelength
+    lit = spectra.colorchecker(grid)[1] * light.radiance
+    seen = spectra.resample(lit, grid, camera.wavelength) @ camera.electron_weights.T
+    signals = seen * (camera.saturation_exposure / camera.full_scale)
+    matching = spectra.xyz_weights(grid)
+    luminance = matching[1] @ light.radiance
+    white, wanted = matching @ light.radiance / luminance, lit @ matching.T / luminance
+    chromas = np.argmin(signals @ rule.chroma_weights.T, axis=1)
+    errors = []
+    for site, window in enumerate(neighbourhoods(camera.cfa, rule.patch, 5).channel):
+        classes = site * rule.classes_per_site + rule.join(2, 0, chromas)
+        shown = np.einsum("pot,pt->po", table.first.weights[classes], signals[:, window])
+        errors.append(delta_e_2000(lab(shown, white), lab(wanted, white)))
+    return float(np.mean(errors))
+
+
+def test_plain_colours_of_an_unseen_chart_are_truer(fiveband: CameraModel, tmp_path: Path, l3: Callable) -> None:
+    without, taught = (chart_error(learned(["D65"], weight, tmp_path, l3), fiveband) for weight in (0.0, 1.0))
+    assert taught < 0.8 * without
+
+
+def test_training_under_several_lights_is_left_to_its_patches(tmp_path: Path, l3: Callable) -> None:
+    """Their mean is the light of none of them."""
+    without, taught = (learned(["D65", "A"], weight, tmp_path, l3) for weight in (0.0, 3.0))
+    assert taught.light is not None
+    assert taught.light.spread > 0.1
+    np.testing.assert_array_equal(taught.first.weights, without.first.weights)
