@@ -11,6 +11,7 @@ from l3cli.rendering.portable.folder import folder_files
 from l3cli.rendering.portable.source import c_files
 from l3cli.stages.claims import Claims
 from l3cli.stages.console import Console
+from l3cli.stages.plan import Made, before_work
 
 Form = Literal["c", "folder"]
 MAKERS: Mapping[Form, Callable[[TransformTable], dict[str, bytes]]] = {"c": c_files, "folder": folder_files}
@@ -25,6 +26,7 @@ def export_table(table: Path, output: Path, form: Form, console: Console, *, for
         files = MAKERS[form](load(TransformTable, table))
         for name in files:
             claims.claim_file(output / name, force)
+        before_work({"table": [table]}, *(Made(output / name, "export", len(content)) for name, content in files.items()))
         for name, content in files.items():
             write_whole(output / name, content)
         console.say(f"{output}: {', '.join(files)} written")

@@ -117,7 +117,7 @@ def mosaic(table: TransformTable, shape: tuple[int, int], seed: int, level: floa
 
 
 @needs_compiler
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12, deadline=None, derandomize=True)
 @given(st.data())
 def test_any_mosaic_gets_the_classes_and_outputs_of_the_reference(built: Built, data: st.DataObject) -> None:
     table, reference = built.table, ReferenceRenderer(built.table)
@@ -128,7 +128,8 @@ def test_any_mosaic_gets_the_classes_and_outputs_of_the_reference(built: Built, 
     for layer in range(len(table.layers)):
         np.testing.assert_array_equal(labels[layer], reference.labels(frame, layer))
     exact = reference.exact_outputs(frame)
-    assert np.abs(outputs - exact).max() <= 1e-6 * max(1.0, np.abs(exact).max())
+    weights = np.abs(table.layers[-1].weights).sum(axis=-1).max()  # 16 in random layers: terms cancel, roundings do not
+    assert np.abs(outputs - exact).max() <= 4 * 2.0**-24 * weights * max(1.0, np.abs(exact).max())
 
 
 @needs_compiler
