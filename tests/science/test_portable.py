@@ -5,6 +5,7 @@ import dataclasses
 import itertools
 import json
 import os
+import re
 import shutil
 import subprocess
 from collections.abc import Callable
@@ -164,6 +165,17 @@ def test_32_bit_arm_agrees(built: Built) -> None:
     compile_c(built.folder, "-O1", "-static", "l3.c", "l3_table.c", "test.c", "-o", "l3_arm", compiler=ARM)
     done = subprocess.run([str(QEMU), "./l3_arm"], cwd=built.folder, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_numbers_do_not_follow_the_print_options_of_numpy() -> None:
+    table = random_table([[0, 1], [1, 2]], 12, 64.1, patch=3)
+    with np.printoptions(legacy=False):
+        plain = c_files(table)
+    with np.printoptions(legacy="1.13", precision=3):  # as a library may set them
+        assert c_files(table) == plain
+    text = plain["l3_table.c"].decode()
+    numbers = re.findall(r"[-+.e0-9]+(?=f)", text[text.index("float l3_intercept") :])
+    np.testing.assert_array_equal(np.array(numbers, np.float32), table.first.intercept.ravel())
 
 
 def read_folder(table: TransformTable) -> tuple[dict[str, Any], dict[str, NDArray]]:

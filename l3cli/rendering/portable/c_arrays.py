@@ -225,5 +225,5 @@ def _as_integers(values: NDArray) -> list[str]:
 
 
 def _as_floats(values: NDArray) -> list[str]:
-    """The shortest decimals that are read as the same float32."""
-    return [f"{value}f" for value in values.astype(np.float32).astype("U").tolist()]
+    """Nine digits, which are read as the same float32. numpy would follow print options, which libraries set."""
+    return [f"{value:.8e}f" if value else "0.0f" for value in values.astype(np.float32).tolist()]

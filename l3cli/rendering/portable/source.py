@@ -115,8 +115,7 @@ def _plane_macros(table: TransformTable) -> dict[str, int | str]:
 
 
 def _float(value: float) -> str:
-    text = str(np.float32(value))
-    return f"{text}f" if "." in text or "e" in text else f"{text}.0f"
+    return f"{float(np.float32(value))!r}f"
 
 
 def _header(table: TransformTable, vector: Vector, arrays: list[Array]) -> str:
