@@ -9,7 +9,7 @@ from l3cli.classes.decide import label_patches
 from l3cli.classes.windows import neighbourhoods
 from l3cli.frame import RawFrame
 from l3cli.physics import near_lights, spectra
-from l3cli.physics.display import BRADFORD
+from l3cli.physics.spaces import BRADFORD
 from l3cli.rendering.exposure import spread_patches, spread_shape
 from l3cli.rendering.white import GREY_LEVEL, SceneWhite, Whites
 

@@ -18,7 +18,7 @@ from l3cli.classes.later import first_label_words
 from l3cli.classes.plane_kernel import rule_constants, rule_macros, rule_snippets
 from l3cli.classes.planes import COARSE, COARSE_TOP, LUMINANCE, FixedPoint, raw_middle
 from l3cli.classes.windows import Integers, neighbourhoods
-from l3cli.physics.display import srgb_curve
+from l3cli.physics.spaces import Curve
 from l3cli.rendering.display import Display
 
 Macros = dict[str, int | str]
@@ -114,16 +114,22 @@ def display_macros(display: Display) -> Macros:
     """What the last stage writes."""
     macros: Macros = {"CODE": {8: "uchar", 16: "ushort"}[display.bits], "TOP": display.top}
     # Within 8e-5, which moves one value of 8 bits in 200 by one; within 1.2e-6, which is what float32 gives.
-    return macros | (curve_macros(2, 5) if display.bits == 8 else curve_macros(3, 8))
+    return macros | (curve_macros(display.curve, 2, 5) if display.bits == 8 else curve_macros(display.curve, 3, 8))
 
 
 @functools.cache
-def curve_macros(steps: int, degree: int) -> Macros:
-    """The power part of the sRGB curve as a polynomial in the fourth root (encoding.cl), fitted at Chebyshev's nodes."""
-    lowest = 0.0031308**0.25
+def curve_macros(curve: Curve, steps: int, degree: int) -> Macros:
+    """A curve, its power part as a polynomial in the fourth root (encoding.cl), fitted at Chebyshev's nodes."""
+    lowest = curve.knee**0.25
     root = lowest + (1 - lowest) * (np.cos(np.linspace(0, np.pi, 1001)) + 1) / 2
-    terms = np.polynomial.polynomial.polyfit(root, srgb_curve(root**4), degree)
-    return {"CURVE_STEPS": steps, "CURVE_DEGREE": degree, "CURVE_TERMS": ",".join(f"{term:.9g}f" for term in terms)}
+    terms = np.polynomial.polynomial.polyfit(root, curve.encoded(root**4), degree)
+    return {
+        "CURVE_KNEE": f"{curve.knee:.9g}f",
+        "CURVE_SLOPE": f"{curve.slope:.9g}f",
+        "CURVE_STEPS": steps,
+        "CURVE_DEGREE": degree,
+        "CURVE_TERMS": ",".join(f"{term:.9g}f" for term in terms),
+    }
 
 
 def class_arrays(table: TransformTable) -> tuple[NDArray, ...]:

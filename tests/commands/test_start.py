@@ -56,9 +56,10 @@ def test_one_frame_needs_one_process_few_libraries_and_few_programs(desk: Path, 
 def test_a_foreign_file_is_read_in_the_sandbox(desk: Path, tmp_path: Path) -> None:
     import OpenImageIO as oiio
 
-    from l3cli.io.images import encoded, read_mono
+    from l3cli.io.images import encoded
+    from l3cli.io.raw.pages import read_by_library
 
-    values, _ = read_mono(desk / "raw.tif")
+    values = read_by_library(desk / "raw.tif")["values"]
     spec = oiio.ImageSpec(values.shape[1], values.shape[0], 1, "uint16")
     spec.attribute("compression", "zip")
     (desk / "packed.tif").write_bytes(encoded("packed.tif", spec, values[..., None]))

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l3cli.io.images import read_mono, write_mosaic, write_picture
+from l3cli.io.images import write_mosaic, write_picture
 from l3cli.io.raw import plain_tiff, registry
+from l3cli.io.raw.pages import read_by_library
 from l3cli.limits import MEGAPIXELS, TRUST
 
 
@@ -27,7 +28,8 @@ def test_the_same_as_by_the_library(tmp_path: Path, shape: tuple[int, int], expo
     path = tmp_path / "a.tif"
     write_mosaic(path, mosaic(*shape), exposure)
     content = plain_tiff.read(path)
-    values, time = read_mono(path)
+    content = read_by_library(path)
+    values, time = content["values"], content["exposure"]
     assert content is not None
     np.testing.assert_array_equal(content["values"], mosaic(*shape))
     np.testing.assert_array_equal(content["values"], values)
@@ -46,7 +48,8 @@ def test_every_changed_byte_is_refused_or_read_as_by_the_library(tmp_path: Path)
             content = plain_tiff.read(broken)
             assert plain_tiff.is_plain(broken) == (content is not None)
             if content is not None:
-                values, time = read_mono(broken)
+                content = read_by_library(broken)
+                values, time = content["values"], content["exposure"]
                 np.testing.assert_array_equal(content["values"], values)
                 assert content["exposure"] == pytest.approx(time, rel=1e-6)
                 accepted += 1

@@ -20,6 +20,7 @@ from l3cli.io.raw.cfa_codes import LETTERS
 from l3cli.io.raw.content import RawContent, Request
 from l3cli.io.raw.libraw import opened
 from l3cli.io.raw.opcodes import Opcodes, bad_pixels, gain_of_pixels, read_opcodes
+from l3cli.io.raw.shot import shot_of_page
 from l3cli.io.raw.tiff_tags import (
     BROKEN,
     COLOUR_FILTER_ARRAY,
@@ -55,6 +56,7 @@ class Mosaic:
     exposure: float | None  # s
     neutral: NDArray[np.float64] | None  # (colour, 2) code and what a grey gives
     camera: list[str]  # make, model and other names
+    shot: dict[str, str | float]
     opcodes: Opcodes
     planes: tuple[int, ...]  # colour code of each plane
 
@@ -98,6 +100,7 @@ def described(path: Path, stored: NDArray[np.uint16]) -> RawContent:
         exposure=mosaic.exposure,
         neutral=mosaic.neutral,
         camera=mosaic.camera,
+        shot=mosaic.shot,
         notes=mosaic.opcodes.notes,
     )
     return content if gain is None else content | {"gain": gain}
@@ -210,6 +213,7 @@ def _mosaic(path: Path, first: Any, raw: Any, shape: tuple[int, ...]) -> Mosaic:
         exposure=exposure_time(first),
         neutral=_neutral(first, raw),
         camera=camera_names(first),
+        shot=shot_of_page(first),
         opcodes=read_opcodes(path, raw),
         planes=tuple(raw.tags.valueof(TiffTag.CFA_PLANE_COLOR) or (0, 1, 2)),
     )

@@ -19,6 +19,7 @@ from l3cli.io.raw.cfa_codes import Sensor, find_phase, neutral_of_channels
 from l3cli.io.raw.content import RawContent, Request, Stack
 from l3cli.io.raw.headerless import layout_of, stdin
 from l3cli.io.raw.registry import CAMERA_RAW, RawFormat, format_of
+from l3cli.io.raw.shot import believable_shot
 from l3cli.limits import require_picture
 from l3cli.shading import shading_of_gain
 
@@ -90,6 +91,7 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: KnownBetter) 
         content.get("exposure"),
         neutral=neutral_of_channels(content.get("neutral"), pattern if known.phase is None else None, frame_phase, table),
         taken_by=tuple(content.get("camera", ())),
+        shot=believable_shot(content.get("shot", {})),
         shading=None if gain is None else shading_of_gain(gain, table.cfa.shape),
         notes=content.get("notes", ()),
     )

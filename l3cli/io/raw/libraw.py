@@ -14,6 +14,7 @@ from l3cli.io.apart import apart
 from l3cli.io.names import named_in_utf8
 from l3cli.io.raw.cfa_codes import codes_of
 from l3cli.io.raw.content import RawContent, Request
+from l3cli.io.raw.shot import shot_of_file, shot_of_libraw
 from l3cli.io.raw.tiff_tags import BROKEN, camera_names
 from l3cli.limits import require_picture
 
@@ -27,7 +28,9 @@ def read(path: Path, _: Request) -> RawContent:
 def read_camera_raw(path: Path) -> RawContent:
     """What a camera raw holds within its visible area; InputFileError as from `opened`."""
     with opened(path) as raw:
-        return _visible(path, raw)
+        content = _visible(path, raw)
+        content["shot"] = shot_of_libraw(raw) | shot_of_file(path)
+    return content
 
 
 @contextlib.contextmanager

@@ -4,6 +4,7 @@ Reading, rendering and writing overlap in threads with short queues between them
 length; the libraries let go of Python's lock in their long calls.
 """
 
+import hashlib
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING
 from l3cli.errors import InputFileError, L3Error
 from l3cli.files import sha256
 from l3cli.frame import RawFrame, upright
+from l3cli.io.label import of_file, of_values
 from l3cli.io.sequences import Footage, Pending
 from l3cli.io.video import VideoChoice
 from l3cli.parallel.threads import Behind, ahead
@@ -76,7 +78,8 @@ def render_frames(
     tally, warnings, told = _Tally(), FrameWarnings(table), WhiteReport(source, footage.stills, console)
     for numbers in footage.missing:
         tally.leave_out(footage.absent(numbers), skip_bad, console, len(numbers))
-    with open_sink(destination, choice, table.outputs, mark) as (write, threads), Behind(write, DEPTH, threads) as writing:
+    sink = open_sink(destination, choice, rendition, table.outputs, mark, footage)
+    with sink as (write, threads), Behind(write, DEPTH, threads) as writing:
         meters = _Meters(LightMeter(table) if steady else None, whites, in_order)
         reading = ahead(_read(footage, destination, meters, mark, origins, executor.by_path), DEPTH)
         reading = console.progress(reading, footage.count and footage.count - footage.lost, "frames")
@@ -101,9 +104,9 @@ def render_frames(
 
 
 def follows(footage: Footage, destination: Destination) -> bool:
-    """Whether exposure and white that are measured follow one another in time: not of stills that become files, each of
-    which has its own."""
-    return not (footage.stills and destination.one_by_one)
+    """Whether exposure and white that are measured follow one another in time: not of stills that become
+    pictures, each of which has its own."""
+    return not (footage.stills and destination.pictures)
 
 
 @dataclass(frozen=True)
@@ -141,7 +144,9 @@ def _read(
             continue
         try:
             if by_path and pending.source and destination.one_by_one and not meters.any:
-                yield _Read(pending, Unread(pending.source.absolute(), sha256(pending.source)), kept=kept)
+                digest = sha256(pending.source)
+                unread = Unread(pending.source.absolute(), digest)
+                yield _Read(replace(pending, identity=of_file(digest)), unread, kept=kept)
                 continue
             frame = pending.read()
             if frame is None:
@@ -150,28 +155,37 @@ def _read(
                 break
             if not destination.one_by_one:
                 size = size or _upright_shape(frame)
-                _require_size(frame, size)
+                _require_size(frame, size, "first page" if destination.pictures else "video")
             read = meters.measured(pending, frame, kept)
         except (L3Error, OSError) as error:
             yield _Read(pending, None, error=error if isinstance(error, L3Error) else InputFileError(str(error)))
             continue
         if mark and pending.origin is None:
             pending = origins.of_read(pending, frame)
-            read = replace(read, pending=pending, kept=mark.keeps(file, pending.origin))
-        yield read
+            kept = mark.keeps(file, pending.origin)
+        if destination.pictures and not kept:
+            pending = replace(pending, identity=_identity(pending, frame))
+        yield replace(read, pending=pending, kept=kept)
     if mark:
         mark.refuse_others()
+
+
+def _identity(pending: Pending, frame: RawFrame) -> str:
+    """What a picture states of the frame that it was made from."""
+    if pending.source is not None:
+        return of_file(sha256(pending.source))
+    return of_values(hashlib.sha256(frame.values.astype("<u2", copy=False).tobytes()).hexdigest())
 
 
 def _upright_shape(frame: RawFrame) -> tuple[int, ...]:
     return upright(frame.values, frame.orientation).shape
 
 
-def _require_size(frame: RawFrame, size: tuple[int, ...]) -> None:
+def _require_size(frame: RawFrame, size: tuple[int, ...], of: str) -> None:
     shape = _upright_shape(frame)
     if shape != size:
         raise InputFileError(
-            f"{frame.name} has {shape[0]}×{shape[1]} pixels, the video {size[0]}×{size[1]}; give frames of one size"
+            f"{frame.name} has {shape[0]}×{shape[1]} pixels, the {of} {size[0]}×{size[1]}; give frames of one size"
         )
 
 
