@@ -27,7 +27,7 @@ COMMANDS = {
     "report": "artifacts → one page with plots and pictures",
     "compare": "evaluations of several cameras over luminance",
     "info": "kind, version, axes, units, history of an artifact",
-    "export": "camera → files that other software reads",
+    "export": "camera or table → files that other software reads, C source",
     "bench": "frame times on this machine, stage by stage",
     "check": "all that is wrong with recipes, and what they mean",
     "schema": "JSON schema of recipes, for editors",

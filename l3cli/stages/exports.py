@@ -10,9 +10,12 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import camera_files, load_camera
+from l3cli.artifacts.store import open_artifact
+from l3cli.artifacts.table import TransformTable
 from l3cli.calibration import colour
 from l3cli.calibration.datasheet import datasheet
 from l3cli.columns import printable
+from l3cli.errors import InputFileError
 from l3cli.files import write_whole
 from l3cli.io import profiles
 from l3cli.io.curves import export_curves, export_paths
@@ -22,6 +25,17 @@ from l3cli.stages.plan import Made, before_work
 
 DATASHEET, DCP = "datasheet.csv", "dcp.json"
 RASPBERRY_PI, SIMPLE = "libcamera_rpi.json", "libcamera_simple.yaml"
+
+
+def is_table(path: Path) -> bool:
+    """Whether a file holds a transform table and no camera; InputFileError if it holds neither."""
+    if path.suffix == ".toml":
+        return False
+    with open_artifact(path) as root:
+        kind = str(root.attrs["kind"])
+    if kind not in (CameraModel.kind, TransformTable.kind):
+        raise InputFileError(f"{path} holds a {kind}; give a camera model or recipe, or a transform table")
+    return kind == TransformTable.kind
 
 
 def always(folder: Path) -> list[Path]:
