@@ -69,8 +69,13 @@ class PlainSurfaces:
             return None
         count = np.append(np.ones(len(here) - self.greys), np.full(self.greys, GREY_SHARE * dyed / self.greys))[here]
         signals, outputs = self.signals[here], self.outputs[here]
-        rows = np.concatenate([signals[:, window], np.zeros((len(signals), 1)), outputs], axis=1)
-        return np.asarray((rows.T * (count / count.sum() / (signals.mean(axis=1) * outputs[:, 1]))) @ rows)
+        weight = count / count.sum() / (signals.mean(axis=1) * outputs[:, 1])
+        values = np.concatenate([signals, np.zeros((len(signals), 1)), outputs], axis=1)
+        # Not by BLAS, whose sums depend on how many threads it has.
+        products = np.einsum("s,si,sj->ij", weight, values, values, optimize=False)
+        channels = signals.shape[1]
+        columns = np.concatenate([window, np.arange(channels, values.shape[1])])  # all taps of a channel are alike
+        return np.asarray(products[np.ix_(columns, columns)])
 
 
 def plain_surfaces(camera: CameraModel, light: LightSpectrum, target: LightSpectrum, white: Array) -> PlainSurfaces | None:
@@ -82,14 +87,14 @@ def plain_surfaces(camera: CameraModel, light: LightSpectrum, target: LightSpect
     electrons = camera.electron_weights @ spectra.sampling_matrix(grid, camera.wavelength) * lit
     matching = spectra.xyz_weights(grid) * wanted
     of_white = matching.sum(axis=1)
-    if not of_white[1] > 0 or (np.abs(of_white / of_white[1] - white) > SAME_WHITE * white).any():
+    if not of_white.min() > 0 or (np.abs(of_white / of_white[1] - white) > SAME_WHITE * white).any():
         return None
     surfaces, greys = cached_reflectances(tuple(grid))
     every = np.concatenate([surfaces, greys])
-    signals = every @ electrons.T * (camera.saturation_exposure / camera.full_scale)
+    signals = np.einsum("sw,cw->sc", every, electrons * (camera.saturation_exposure / camera.full_scale))
     if not signals.min() > 0:
         return None
-    outputs = every @ (matching * (white / of_white)[:, None]).T
+    outputs = np.einsum("sw,ow->so", every, matching * (white / of_white)[:, None])
     return PlainSurfaces(signals, outputs, electrons.sum(axis=1), len(greys))
 
 

@@ -165,9 +165,9 @@ def test_every_option_with_a_number_declares_its_range() -> None:
 def test_variables_have_ranges_too(
     refused: Callable, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, table: Path, name: str, number: str
 ) -> None:
-    write_mosaic(tmp_path / "a.tif", frames()[0])
+    write_mosaic(tmp_path / "raw.png", frames()[0])  # decoded in the sandbox, as plain TIFFs are not
     monkeypatch.setenv(name, number)
-    line = refused(2, "render", table, tmp_path / "a.tif", "-o", tmp_path / "a.png", *FAST)
+    line = refused(2, "render", table, tmp_path / "raw.png", "-o", tmp_path / "a.png", *FAST)
     assert line.startswith(f"l3: {name}: ")
     assert "within" in line
     assert "unset it" in line
@@ -355,8 +355,8 @@ def test_a_decoder_that_cannot_start_is_no_damaged_file(
 ) -> None:
     from l3cli.io import apart
 
-    write_mosaic(tmp_path / "a.tif", frames()[0])
-    call = ("render", table, tmp_path / "a.tif", "-o", tmp_path / "a.png", *FAST)
+    write_mosaic(tmp_path / "raw.png", frames()[0])
+    call = ("render", table, tmp_path / "raw.png", "-o", tmp_path / "a.png", *FAST)
     apart._end_child()
     with monkeypatch.context() as patched:
         patched.setattr(sys, "executable", "/bin/false")
