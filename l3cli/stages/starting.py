@@ -4,6 +4,7 @@ import itertools
 import re
 import textwrap
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 
 from l3cli.files import atomic_output
@@ -37,11 +38,16 @@ def start(starter: Path, folder: Path, console: Console, *, force: bool = False)
     with Claims(console) as claims:
         claims.spare(*origins.values())
         claims.claim_folder(folder, force, *origins)
-        for name, origin in origins.items():
-            with atomic_output(folder / name) as temporary:
-                temporary.write_bytes(origin.read_bytes())
-                temporary.chmod(0o755 if origin.suffix == ".sh" else 0o644)
+        write_folder(folder, {name: origin.read_bytes() for name, origin in origins.items()})
         console.say(f"{folder}: {summary(starter)}; next: make -C {folder}")
+
+
+def write_folder(folder: Path, contents: Mapping[str, bytes]) -> None:
+    """Write files, each whole or not at all, into a folder, which is made; scripts may be run."""
+    for name, content in contents.items():
+        with atomic_output(folder / name) as temporary:
+            temporary.write_bytes(content)
+            temporary.chmod(0o755 if name.endswith(".sh") else 0o644)
 
 
 def summary(starter: Path) -> str:
