@@ -79,7 +79,7 @@ format: $(VENV)/installed ## format the sources, fix what ruff can
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-bench: $(VENV)/installed ## frame times by stage
+bench: $(VENV)/installed ## frame times by stage, beside the bare multiply-adds and other methods
 	$(L3) bench
 
 clean: ## remove what the other targets made

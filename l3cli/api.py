@@ -31,15 +31,16 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet
 from l3cli.correction import correction_of
 from l3cli.errors import InputFileError, RecipeError
-from l3cli.frame import RawFrame, upright
+from l3cli.frame import RawFrame
+from l3cli.io.images import FLOAT_BITS
 from l3cli.io.raw import files as raw_files
 from l3cli.io.raw.files import KnownBetter
-from l3cli.physics.display import scene_white
 from l3cli.recipes import find_recipe
-from l3cli.rendering.display import Display, require_xyz
+from l3cli.rendering.display import require_xyz
 from l3cli.rendering.renderer import make_renderer
+from l3cli.rendering.white_source import given_white, usual_balance, white_source
 from l3cli.stages.console import Console, Silent
-from l3cli.stages.rendering.rendition import Rendition, display_of, linear_of
+from l3cli.stages.rendering.rendition import OUTPUTS, Rendition, chosen_space, rendered
 
 Name = str | PathLike[str]
 KINDS: tuple[type[Artifact], ...] = (CameraModel, TrainingSet, TransformTable)
@@ -233,33 +234,41 @@ class Renderer:
         self._alone = threading.Lock()
 
     def picture(
-        self, frame: RawFrame | NDArray[np.uint16], *, exposure: float | None = None, white: str | None = None, bits: int = 8
-    ) -> NDArray[np.unsignedinteger]:
-        """sRGB, upright, (row, col, 3) as uint8 or, with 16 `bits`, uint16: what `l3 render` writes of the frame.
+        self, frame: RawFrame | NDArray[np.uint16], *, exposure: float | None = None, white: str | None = None,
+        space: str = "srgb", bits: int = 8,
+    ) -> NDArray[Any]:  # fmt: skip
+        """The picture, upright, (row, col, 3): what `l3 render` writes of the frame. uint8 or uint16 by `bits`; with 32
+        float32, linear and not clipped.
 
         `exposure`: factor of Y, None: the frame's 99th percentile is shown white. `white`: name ("D50", "3200K") or "x,y" of
-        the scene's white, None: the table's. RecipeError unless the table's outputs are X, Y, Z.
+        the scene's white, "camera" as the file states it, "auto" estimated on the frame, "ROW,COL" or "ROW,COL,SIZE" of a
+        grey in the picture, None: the table's. `space`: "srgb", "display-p3", "rec2020" or, linear, "acescg", "xyz".
+        RecipeError unless the table's outputs are X, Y, Z, InputFileError if the white cannot be taken from the frame.
         """
-        return next(self.pictures([frame], exposure=exposure, white=white, bits=bits))
+        return next(self.pictures([frame], exposure=exposure, white=white, space=space, bits=bits))
 
     def pictures(
         self, frames: Iterable[RawFrame | NDArray[np.uint16]], *, exposure: float | None = None, white: str | None = None,
-        bits: int = 8,
-    ) -> Iterator[NDArray[np.unsignedinteger]]:  # fmt: skip
+        space: str = "srgb", bits: int = 8,
+    ) -> Iterator[NDArray[Any]]:  # fmt: skip
         """`picture` of each frame, in order, as they are asked for; each has its automatic exposure."""
         require_xyz(self.table.outputs)
-        rendition = Rendition(self.table.white_point if white is None else scene_white(white), exposure, bits)
+        source = white_source(white, self.table) if white is not None else None
+        given = None if source else given_white(white, self.table)
+        shown = given.balance if given else usual_balance(self.table)
+        rendition = Rendition(shown, exposure, bits, chosen_space(space, bits == FLOAT_BITS))
         for each in frames:
             frame = self._frame(each)
+            white_of_frame = source.white(frame) if source else None
+            balance = white_of_frame.balance if white_of_frame else None
             with self._alone:
-                display: Display = display_of(self._renderer, frame, rendition, exposure or 0.0)
-                picture = self._renderer.picture(frame, display)
-            yield upright(picture, frame.orientation)
+                picture = rendered(self._renderer, frame, rendition, exposure or 0.0, balance=balance).pixels
+            yield picture
 
     def outputs(self, frame: RawFrame | NDArray[np.uint16]) -> NDArray[np.float32]:
         """The table's outputs, upright, (row, col, output); 1 is `table.output_unit` cd s/m²."""
         with self._alone:
-            planes: NDArray[np.float32] = linear_of(self._renderer, self._frame(frame))
+            planes: NDArray[np.float32] = rendered(self._renderer, self._frame(frame), OUTPUTS, 0.0).pixels
         return planes
 
     def labels(self, frame: RawFrame | NDArray[np.uint16]) -> NDArray[np.integer]:

@@ -6,7 +6,6 @@ wavelengths are where it says, other columns are known by their names whatever t
 converted. Without a heading the wavelengths, in nm, come first and the columns are in the order that is asked for.
 """
 
-import itertools
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,18 +18,21 @@ from l3cli.artifacts.camera import LONGEST
 from l3cli.config import LARGEST
 from l3cli.curve_table import CurveTable
 from l3cli.errors import InputFileError
-from l3cli.limits import read_bounded
+from l3cli.physics.spdx import read_spdx
+from l3cli.table_text import SEPARATORS, is_wavelength, read_text_table
 
+SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc", ".spdx", ".xml")  # of files that may hold spectra
 MOST_ROWS = 100_000
-WAVELENGTH = ("wavelength", "wavelengths", "lambda", "λ", "wl", "wave", "wvl")
 METRES, MICROMETRES, ANGSTROMS = 1e-3, 5.0, 2000.0  # what ends below the first or second, or begins above the third: no nm
-SEPARATORS = r"[\s_()\[\]/,]+"
 Array = NDArray[np.float64]
 
 
 def read_table(path: Path) -> CurveTable:
     """A CSV file of spectra; InputFileError if it is none, or if its wavelengths are not light's, in nm or as it says."""
-    heading, rows = _rows(path)
+    if path.suffix.lower() in (".spdx", ".xml"):
+        return _spdx(path)
+    text = read_text_table(path)
+    heading, rows = text.heading, text.rows
     if len(rows) > MOST_ROWS:
         raise InputFileError(f"{path}: give {MOST_ROWS} wavelengths at most, within 0…{LONGEST} nm")
     table = np.array(rows)
@@ -52,6 +54,20 @@ def read_table(path: Path) -> CurveTable:
     return CurveTable(path, wavelength, values, names, column_units)
 
 
+def _spdx(path: Path) -> CurveTable:
+    """The spectrum of an IES TM-27-14 file, in the unit of its quantity; InputFileError if it holds none."""
+    try:
+        wavelength, values, unit = read_spdx(path)
+    except ValueError as error:
+        raise InputFileError(f"{path} is no IES TM-27 spectrum ({error}); give one, or CSV") from error
+    if wavelength.size < 2 or not _monotonic(wavelength) or not (np.abs(values) <= LARGEST).all():
+        raise InputFileError(f"{path}: wavelengths must increase and every value be a number within ±{LARGEST:g}")
+    if not (wavelength.min() > 0 and METRES < wavelength.max() <= LONGEST):
+        raise InputFileError(f"{path}: give wavelengths within 0…{LONGEST} nm")
+    order = np.argsort(wavelength)
+    return CurveTable(path, wavelength[order], values[None, order], (path.stem,), (unit,))
+
+
 def _monotonic(wavelength: Array) -> bool:
     steps = np.diff(wavelength)
     return bool((steps > 0).all() or (steps < 0).all())
@@ -66,63 +82,9 @@ def other_unit(first: float, last: float) -> tuple[str, str] | None:
     return f"wavelengths {first:g}…{last:g} are no nm, but perhaps {first * nm:g}…{last * nm:g} nm in {unit}", unit
 
 
-def _rows(path: Path) -> tuple[list[str] | None, list[list[float]]]:
-    """The heading, if there is one, and the rows of numbers, all of one length."""
-    try:
-        lines = [
-            line.strip(" \r")
-            for line in read_bounded(path, "give a CSV file of spectra").decode("utf-8-sig").splitlines()
-            if line.strip()
-        ]
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not a text file"
-        raise InputFileError(f"{path}: {reason}; give a CSV file of spectra") from error
-    comments = list(itertools.takewhile(lambda line: line.startswith("#"), lines))
-    lines = [line for line in lines if not line.startswith("#")]
-    separator = next((each for each in ";\t," if any(each in line for line in lines)), None)
-    cells = [[cell.strip() for cell in line.split(separator)] for line in lines]
-    heading = cells.pop(0) if cells and not _is_number(cells[0][0], separator) else None
-    rows = [_numbers(row, separator, path) for row in cells]
-    if separator in (";", "\t") and {",", "."} <= {
-        letter for row in cells for cell in row for letter in cell if letter in ",."
-    }:
-        raise InputFileError(f"{path}: numbers have commas and points; write decimals with one of them, thousands with none")
-    if not rows or len({len(row) for row in rows}) != 1 or len(rows[0]) < 2:
-        raise InputFileError(f"{path}: rows must be a wavelength in nm and equally many values each")
-    if heading is None and comments:  # as numpy writes a heading
-        names = [cell.strip() for cell in comments[-1].lstrip("# ").split(separator)]
-        heading = names if len(names) == len(rows[0]) and any(map(_is_wavelength, names)) else None
-    if heading is not None and len(heading) != len(rows[0]):
-        raise InputFileError(
-            f"{path}: its heading names {len(heading)} columns, its rows have {len(rows[0])}; "
-            "name each, and with decimal commas separate columns by semicolons"
-        )
-    return heading, rows
-
-
-def _numbers(row: list[str], separator: str | None, path: Path) -> list[float]:
-    """The cells of a row, between semicolons or tabs with decimal commas or points."""
-    try:
-        return [float(_with_point(cell, separator)) for cell in row]
-    except ValueError:
-        raise InputFileError(f'{path}: "{(separator or " ").join(row)[:40]}" is not a row of numbers') from None
-
-
-def _with_point(cell: str, separator: str | None) -> str:
-    return cell.replace(",", ".") if separator in (";", "\t") else cell
-
-
-def _is_number(cell: str, separator: str | None) -> bool:
-    try:
-        float(_with_point(cell, separator))
-    except ValueError:
-        return False
-    return True
-
-
 def _wavelength_column(heading: Sequence[str], path: Path) -> tuple[int, float | None]:
     """Which column holds the wavelengths, and how many nm its unit has, if the heading says it."""
-    named = [number for number, cell in enumerate(heading) if _is_wavelength(cell)] or ([0] if not heading[0] else [])
+    named = [number for number, cell in enumerate(heading) if is_wavelength(cell)] or ([0] if not heading[0] else [])
     if len(named) != 1:
         which = " and ".join(f'"{heading[number][:40]}"' for number in named[:2]) or f'none of "{", ".join(heading)[:60]}"'
         raise InputFileError(f'{path}: {which} names the wavelengths; call one column "wavelength_nm"')
@@ -131,9 +93,3 @@ def _wavelength_column(heading: Sequence[str], path: Path) -> tuple[int, float |
     if not scales and re.search(r"[(\[/]", heading[named[0]]):
         raise InputFileError(f'{path}: "{heading[named[0]][:40]}" has no unit of wavelength; give nm, um or A')
     return named[0], scales[0] if scales else None
-
-
-def _is_wavelength(heading: str) -> bool:
-    words = [word for word in re.split(SEPARATORS, heading) if word]
-    lone = len(words) == 1 and words[0] not in ("m", "A") and units.length_nm(words[0]) is not None
-    return bool(words) and (words[0].lower() in WAVELENGTH or lone)

@@ -75,14 +75,21 @@ class CurveTable:
                 raise InputFileError(
                     f'{self.path}: its heading says "{heading}", the measurement file "{unit}"; correct one'
                 )
-            rows.append(self._to_photons(values, heading or unit or units.PHOTON_RADIANCE))
+            rows.append(self._to_photons(values, heading or unit or units.PHOTON_RADIANCE, absolute))
         photons = np.array(rows)
         if absolute and not {unit, *self.units} & set(RELATIVE):
             self._check_level(photons, unit is not None or any(self.units))
         return photons
 
-    def _to_photons(self, values: Array, unit: str) -> Array:
+    def _to_photons(self, values: Array, unit: str, absolute: bool) -> Array:
         conversion = _conversion(unit)
+        other = _without_angle(unit) if conversion is None else None
+        if other is not None and absolute:
+            raise InputFileError(
+                f'{self.path}: "{unit}" is of light that falls or flows, and no unit of spectral radiance; measure what the '
+                "camera sees"
+            )
+        conversion = conversion or other
         if conversion is None:
             raise InputFileError(
                 f'{self.path}: "{unit}" is no unit of spectral radiance; give "{units.PHOTON_RADIANCE}", '
@@ -121,8 +128,7 @@ class CurveTable:
 
     def shares(self) -> Array:
         """The columns as shares, 0…1; InputFileError if they are none, which a heading "(%)" converts."""
-        rows = [values * (0.01 if heading == "%" else 1.0) for values, heading in zip(self.values, self.units, strict=True)]
-        shares = np.array(rows)
+        shares = self.values * np.array([[_share(heading)] for heading in self.units])
         if shares.min() < 0 or shares.max() > 1:
             percent = '; if they are percent, write "(%)" after the column\'s name' if 1 < shares.max() <= 100 else ""
             raise InputFileError(f"{self.path}: values of {shares.min():g}…{shares.max():g} are no shares of light{percent}")
@@ -141,7 +147,7 @@ class CurveTable:
             if by_energy != per_energy:
                 wanted = str(by_energy).lower()
                 raise InputFileError(f'{self.path}: its heading says "{heading}", which is {key} = {wanted}; correct one')
-        return self.values * np.array([[0.01 if heading == "%" else 1.0] for heading in self.units])
+        return self.values * np.array([[_share(heading)] for heading in self.units])
 
     def efficiencies(self, per_energy: bool) -> Array:
         """The columns as quantum efficiencies, e-/photon, in the unit that the heading states and otherwise as they are;
@@ -171,6 +177,12 @@ class CurveTable:
         return np.array(rows)
 
 
+def _share(heading: str | None) -> float:
+    """What a column of shares is multiplied by: 0.01 of percent."""
+    unit = units.parse(heading) if heading is not None else None
+    return unit.scale if unit is not None and not unit.powers else 1.0
+
+
 def _energy_response(unit: units.Unit) -> bool | None:
     """Whether a responsivity in `unit` is per energy (True), per photon (False), or no responsivity at all (None)."""
     powers = unit.powers
@@ -183,11 +195,24 @@ def _conversion(unit: str) -> tuple[str, float] | None:
     """What a spectral radiance counts, "J" or "photon", and its size in photons/s/sr/m²/nm or W/(sr m² nm)."""
     if unit in RELATIVE:
         return ("J" if unit == "relative power" else "photon", 1.0)
-    parsed = units.parse(unit)
+    for text in filter(None, (unit, units.below_one_slash(unit))):
+        if found := _of_powers(units.parse(text), {"s": -1, "sr": -1, "m": -3}):
+            return found
+    return None
+
+
+def _of_powers(parsed: units.Unit | None, below: dict[str, int]) -> tuple[str, float] | None:
+    """What a unit counts, and its size, if it is one per all that is `below`."""
     for of in ("J", "photon"):
-        if parsed is not None and parsed.powers == {of: 1, "s": -1, "sr": -1, "m": -3}:
+        if parsed is not None and parsed.powers == {of: 1, **below}:
             return of, float(f"{parsed.scale * 1e-9:.9g}")
     return None
+
+
+def _without_angle(unit: str) -> tuple[str, float] | None:
+    """`_conversion` of what is no radiance, but an irradiance or a flux per wavelength, such as µW/cm²/nm."""
+    parsed = units.parse(unit)
+    return _of_powers(parsed, {"s": -1, "m": -3}) or _of_powers(parsed, {"s": -1, "m": -1})
 
 
 def _plain(name: str) -> str:

@@ -10,6 +10,19 @@ from l3cli.shading import Shading, evened
 
 
 @dataclass(frozen=True)
+class Shot:
+    """How a frame was taken, as its file states it; what it does not is empty or 0."""
+
+    make: str = ""
+    model: str = ""
+    lens: str = ""
+    date: str = ""  # of the exposure, "YYYY:MM:DD HH:MM:SS"
+    f_number: float = 0.0
+    focal_length: float = 0.0  # mm
+    iso: float = 0.0
+
+
+@dataclass(frozen=True)
 class RawFrame:
     """A mosaic with its black and white level and the site of the super-pixel that its first pixel has."""
 
@@ -22,6 +35,9 @@ class RawFrame:
     exposure: float | None = None  # s; None: unknown
     dark: float = 0.0  # DN above black, the mean signal of dark current …
     dark_measured: bool = False  # … by a dark frame, not by the exposure time
+    neutral: tuple[float, ...] | None = None  # (channel) of a grey, as the camera took it, of any scale; None: not stated
+    taken_by: tuple[str, ...] = ()  # make, model and other names of the camera, where the file has them
+    shot: Shot = Shot()
     shading: Shading | None = None  # what the lens takes, which is still in the values
     notes: tuple[str, ...] = ()  # what the file wants done to it, and nobody does
 

@@ -59,6 +59,8 @@ def ignore() -> None:
 # it acquired, or let it go twice; in the middle of a notification it would have the next one go to nobody.
 for _step in ("__enter__", "__exit__", "_release_save", "_acquire_restore", "notify"):
     uninterrupted(getattr(threading.Condition, _step))
+# A compiled module takes an exception in its import for a failure of its own, and who can do without the module goes on.
+uninterrupted(sys.modules["_frozen_importlib"]._find_and_load)
 
 
 # ------------------------------------------------------------------------------------------------------ exceptions

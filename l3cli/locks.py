@@ -6,6 +6,7 @@ import contextlib
 import fcntl
 import os
 from collections.abc import Iterator
+from contextvars import ContextVar
 from pathlib import Path
 
 from l3cli.errors import L3Error
@@ -24,6 +25,18 @@ from l3cli.files import (
 )
 from l3cli.interrupts import uninterrupted
 
+_WITHOUT_WRITING: ContextVar[bool] = ContextVar("without writing", default=False)
+
+
+@contextlib.contextmanager
+def without_writing() -> Iterator[None]:
+    """Within the block no lock is made and nothing swept: outputs are only refused that another run writes just now."""
+    token = _WITHOUT_WRITING.set(True)
+    try:
+        yield
+    finally:
+        _WITHOUT_WRITING.reset(token)
+
 
 @contextlib.contextmanager
 def sole_writer_of_file(path: Path) -> Iterator[bool]:
@@ -32,7 +45,7 @@ def sole_writer_of_file(path: Path) -> Iterator[bool]:
     Yields whether the storage knows locks at all. L3Error if another run writes the file, or its folder cannot be written.
     """
     with _claim(path, path.with_name(_lock_name(path.name))) as locked:
-        if locked:
+        if locked and not _WITHOUT_WRITING.get():
             sweep(path.parent, path)
         yield locked
 
@@ -45,7 +58,7 @@ def sole_writer_of_folder(folder: Path, name: str = "", inside: tuple[str, ...] 
     The folder is made; it is removed again if it is empty in the end. What worker processes left that were ended goes, too.
     """
     with _claim(folder / name, folder / (_lock_name(name) if name else LOCK)) as locked:
-        swept = [folder, *(folder / each for each in inside)] if locked else []
+        swept = [folder, *(folder / each for each in inside)] if locked and not _WITHOUT_WRITING.get() else []
         for each in swept:
             sweep(each)
         try:
@@ -64,8 +77,7 @@ def finished_together(folder: Path, run: str, force: bool) -> Iterator[None]:
     """Mark `folder` as of the run called `run` until the block ends without an error: if it is stopped, the same run may go
     on there. L3Error if the folder holds something else, unless `force`."""
     mark = folder / UNFINISHED
-    goes_on = mark.is_file() and mark.read_bytes() == run.encode()
-    refuse_filled_folder(folder, force or goes_on)
+    refuse_other_run(folder, run, force)
     write_whole(mark, run)
     try:
         yield
@@ -77,10 +89,21 @@ def finished_together(folder: Path, run: str, force: bool) -> Iterator[None]:
     mark.unlink(missing_ok=True)
 
 
+def refuse_other_run(folder: Path, run: str, force: bool) -> None:
+    """L3Error if `folder` holds anything but what a stopped run called `run` has left, unless `force`."""
+    mark = folder / UNFINISHED
+    goes_on = mark.is_file() and mark.read_bytes() == run.encode()
+    refuse_filled_folder(folder, force or goes_on)
+
+
 @contextlib.contextmanager
 def _claim(output: Path, lock: Path) -> Iterator[bool]:
     """Hold `lock` while the block lasts; folders that had to be made for it go again if they stay empty."""
     refuse_spared(lock)  # it is removed in the end
+    if _WITHOUT_WRITING.get():
+        _refuse_held(lock, output)
+        yield True
+        return
     made = [folder for folder in (lock.parent, *lock.parent.parents) if not folder.exists()]
     try:
         held = _take(lock, output)
@@ -93,6 +116,25 @@ def _claim(output: Path, lock: Path) -> Iterator[bool]:
         for folder in made:
             with contextlib.suppress(OSError):
                 folder.rmdir()
+
+
+def _refuse_held(lock: Path, output: Path) -> None:
+    """L3Error if another run holds the lock; no file is made or removed."""
+    held = _existing(lock)
+    if held is None:
+        return
+    try:
+        fcntl.flock(held, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        raise _busy(output) from error
+    except OSError:
+        pass  # storage without locks
+    finally:
+        os.close(held)
+
+
+def _busy(output: Path) -> L3Error:
+    return L3Error(f"{output} is being written by another run; wait until it ends or name another output")
 
 
 @uninterrupted
@@ -112,7 +154,7 @@ def _take(lock: Path, output: Path) -> int | None:
             fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             os.close(held)
-            raise L3Error(f"{output} is being written by another run; wait until it ends or name another output") from error
+            raise _busy(output) from error
         except OSError:
             _let_go(lock, held)
             return None

@@ -21,7 +21,7 @@ BASES = {
     "cm": (1e-2, {"m": 1}),
     "sr": (1.0, {"sr": 1}),
     "DN": (1.0, {"DN": 1}),
-    "%": (1e-2, {}),
+    **{name: (1e-2, {}) for name in ("%", "percent", "pct")},
     "1": (1.0, {}),
 }
 SPELLINGS = {
@@ -52,6 +52,7 @@ def parse(text: str) -> Unit | None:
         return None
     plain = re.sub(r"\bper\b", "/", "".join(SPELLINGS.get(letter, letter) for letter in text)).replace("^^", "^")
     plain = re.sub(r"\^-\^", "^-", plain).strip()
+    plain = re.sub(r"(?<=[a-z0-9])-(?=[a-z])", " ", plain)  # W/m2-sr-nm
     tokens, at = [], 0
     while at < len(plain):
         token = TOKEN.match(plain, at)
@@ -64,6 +65,13 @@ def parse(text: str) -> Unit | None:
     except (KeyError, IndexError):
         return None
     return unit if tokens and not rest else None
+
+
+def below_one_slash(text: str) -> str | None:
+    """A unit such as "W/sr·m²/nm" with everything behind its first slash below it; None where that changes nothing."""
+    above, slash, below = text.partition("/")
+    plain = re.sub(r"[/()]", " ", below)
+    return f"{above}/({plain})" if slash and plain.strip() else None
 
 
 def _product(tokens: list[re.Match[str]]) -> tuple[Unit, list[re.Match[str]]]:
@@ -102,6 +110,8 @@ def split(heading: str) -> tuple[str, str | None]:
     name, slash, rest = heading.partition(" / ")
     if slash and parse(rest):
         return name.strip(), rest.strip()
+    if heading.endswith(" %"):
+        return heading[:-2].strip(), "%"
     if heading[-1:] not in (")", "]"):
         return heading, None
     opening, closing = ("(", ")") if heading[-1] == ")" else ("[", "]")

@@ -2,6 +2,7 @@
 //
 // One work-item labels a tile of TILE columns and BAND rows, row after row.
 
+#ifndef TRANSFORM_ONLY  // a program beside one that has this kernel already
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
 void classes(__global const ushort *restrict raw,                // (row, col) DN
              __global const int *restrict row_source,            // (padded row)
@@ -65,3 +66,4 @@ void classes(__global const ushort *restrict raw,                // (row, col) D
         }
     }
 }
+#endif

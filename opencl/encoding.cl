@@ -1,7 +1,7 @@
 // Outputs → what is written, for as many pixels as `floats` holds (render/display.py is the float64 truth).
 //
-// The host chooses by macros: PLANES: the outputs as they are; else X, Y, Z by a matrix and the sRGB curve to three values a
-// pixel, each a CODE up to TOP.
+// The host chooses by macros: PLANES: the outputs as they are; else X, Y, Z by a matrix and the curve of a colour space to
+// three values a pixel, each a CODE up to TOP.
 
 #ifdef FIXED_POINT
 
@@ -23,7 +23,7 @@ INLINE ints coarse(ints plane) {
 // Library functions are calls and would end the vectors. So with y = x^(-1/4) by CURVE_STEPS of Newton's iteration, whose
 // first guess is within 3 % because a float's bits are nearly its logarithm, the power part of the curve is a polynomial in
 // z = x y^3 = x^(1/4), of CURVE_TERMS, the lowest first: few of both for 8 bits, more for the rest (layout.curve_macros).
-INLINE floats srgb_curve(floats linear) {
+INLINE floats curve(floats linear) {
     const float term[] = {CURVE_TERMS};
     const floats x = linear > 0.003f ? linear : (floats)0.003f, part = x * -0.25f;
     floats y = SAME_BITS(0x4f58cae5 - (SAME_BITS(x, ints) >> 2), floats);
@@ -36,7 +36,7 @@ INLINE floats srgb_curve(floats linear) {
     floats power = term[CURVE_DEGREE];
     #pragma unroll
     for (int i = CURVE_DEGREE - 1; i >= 0; i--) power = power * z + term[i];
-    return linear > 0.0031308f ? power : 12.92f * linear;
+    return linear > CURVE_KNEE ? power : CURVE_SLOPE * linear;
 }
 
 INLINE floats clip(floats linear) {
@@ -46,7 +46,7 @@ INLINE floats clip(floats linear) {
 
 // One channel's values as the codes that are written.
 INLINE uints encode(floats linear) {
-    return SAME_BITS(CONVERT(srgb_curve(clip(linear)) * (float)TOP + 0.5f, ints), uints);
+    return SAME_BITS(CONVERT(curve(clip(linear)) * (float)TOP + 0.5f, ints), uints);
 }
 
 #endif

@@ -21,7 +21,7 @@ INLINE size_t source_of(int i, int y0, int x0, __global const int *row_source, _
     return (size_t)row_source[row] * columns + column_source[column];
 }
 
-#if SOURCES == 1
+#if SOURCES == 1 && !defined(TRANSFORM_ONLY)
 
 __kernel __attribute__((reqd_work_group_size(TILE, BAND, 1)))
 void classes(__global const ushort *restrict raw,                // (row, col) DN

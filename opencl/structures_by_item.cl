@@ -1,5 +1,6 @@
 // Graphics variant: luminance and classes of the layer before → classes of the next, a work-item a pixel.
 
+#ifndef TRANSFORM_ONLY  // a program beside one that has this kernel already
 __kernel __attribute__((reqd_work_group_size(TILE, BAND, 1)))
 void structures(STRUCTURES_PARAMETERS) {
     const int x = get_group_id(0) * TILE + get_local_id(0), y = get_group_id(1) * BAND + get_local_id(1);
@@ -27,3 +28,4 @@ void structures(STRUCTURES_PARAMETERS) {
     const uint structure = structure_of(xx, yy, xy, (uint)words, strength_edges);
     labels[(size_t)y * columns + x] = DECIDED(first) ? FIRST_CLASS(first) : first + structure;
 }
+#endif

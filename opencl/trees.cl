@@ -155,6 +155,7 @@ INLINE void leaves_of(uints leaf[AT_ONCE], const Evidence e[AT_ONCE], __global c
     }
 }
 
+#ifndef TRANSFORM_ONLY  // a program beside one that has this kernel already
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
 void structures(STRUCTURES_PARAMETERS) {
     const int x0 = get_group_id(0) * TILE, y0 = get_group_id(1) * BAND;
@@ -202,3 +203,4 @@ void structures(STRUCTURES_PARAMETERS) {
         }
     }
 }
+#endif

@@ -10,6 +10,7 @@ INLINE uint next_node(uint node, const Evidence *e, __global const uint *nodes) 
     return (word >> 8) + (e->numerator[word & 0x3f] > as_float(nodes[2 * node]) * e->denominator[word >> 6 & 3]);
 }
 
+#ifndef TRANSFORM_ONLY  // a program beside one that has this kernel already
 __kernel __attribute__((reqd_work_group_size(TILE, BAND, 1)))
 void structures(STRUCTURES_PARAMETERS) {
     const int x = get_group_id(0) * TILE + get_local_id(0), y = get_group_id(1) * BAND + get_local_id(1);
@@ -65,3 +66,4 @@ void structures(STRUCTURES_PARAMETERS) {
     for (int step = 0; step < DEPTH; step++) node = next_node(node, &evidence, nodes);
     labels[(size_t)y * columns + x] = FIRST_CLASS(first) + (DECIDED(first) ? 0 : leaf_of_node[node]);
 }
+#endif

@@ -58,9 +58,9 @@ def fixed_point(table: TransformTable) -> FixedPoint:
     largest = max(2**table.bits - 1 - middle, middle)
     back = np.abs(intercept) + abs(table.black_level - middle) * np.abs(weights.sum(axis=-1))
     fraction = _fraction(weights, largest, back)
-    channel = window_channels(table.cfa, rule.patch)[rule.split(np.arange(len(weights))).site]
+    site = rule.split(np.arange(len(weights))).site
     scale = 2.0 ** fraction[:, None]
-    whole = _rounded(weights * scale[..., None], channel)
+    whole = _rounded(weights * scale[..., None], window_channels(table.cfa, rule.patch), site)
     back = np.rint(intercept * scale - table.black_level * whole.sum(axis=-1))
     return FixedPoint(whole.astype(np.int16), back.astype(np.int64), fraction)
 
@@ -72,7 +72,7 @@ def later_fixed_point(layer: PlaneLayer, basis: NDArray[np.float64]) -> FixedPoi
     fraction = _fraction(weights, COARSE_TOP, np.abs(intercept))
     scale = 2.0 ** fraction[:, None]
     source = np.repeat(np.arange(weights.shape[1]), layer.side**2)
-    whole = _rounded(weights * scale[..., None], np.broadcast_to(source, (len(weights), source.size)))
+    whole = _rounded(weights * scale[..., None], source[None], np.zeros(len(weights), np.int64))
     return FixedPoint(whole.astype(np.int16), np.rint(intercept * scale).astype(np.int64), fraction)
 
 
@@ -98,17 +98,20 @@ def _fraction(weights: NDArray[np.float64], largest: float, offset: NDArray[np.f
     return fraction.astype(np.int32)
 
 
-def _rounded(weights: NDArray[np.float64], channel: Integers) -> NDArray[np.float64]:
-    """Weights (class, plane, tap) of channels (class, tap) as whole numbers less than one away, of sums over each channel
-    that are the nearest."""
+def _rounded(weights: NDArray[np.float64], channels: Integers, layout: Integers) -> NDArray[np.float64]:
+    """Weights (class, plane, tap) as whole numbers less than one away, of sums over each channel that are the nearest; the
+    taps' channels (layout, tap) are those of the class's `layout` (class)."""
     whole = np.floor(weights)
-    missing, order = weights - whole, np.empty(weights.shape, np.int64)
-    for index in range(int(channel.max()) + 1):
-        member = (channel == index)[:, None]
-        left = np.where(member, missing, -1.0)  # a tap of another channel comes last
-        np.put_along_axis(order, np.argsort(-left, axis=-1, kind="stable"), np.arange(weights.shape[-1]), axis=-1)
-        up = np.rint((weights * member).sum(axis=-1)) - (whole * member).sum(axis=-1)
-        whole += member & (order < up[..., None])
+    for number, channel in enumerate(channels):
+        members = np.flatnonzero(layout == number)
+        for index in range(int(channel.max()) + 1):
+            part = np.ix_(members, np.arange(weights.shape[1]), np.flatnonzero(channel == index))
+            wanted, least = weights[part], whole[part]
+            order = np.argsort(least - wanted, axis=-1, kind="stable")  # those that lose most first
+            up = np.rint(wanted.sum(axis=-1)) - least.sum(axis=-1)
+            first = np.empty(order.shape, bool)
+            np.put_along_axis(first, order, np.arange(order.shape[-1]) < up[..., None], axis=-1)
+            whole[part] = least + first
     return whole
 
 

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from l3cli import __version__
-from l3cli.cli.terminal import drop, prepare, to_stderr
+from l3cli.cli.terminal import drop, prepare, show, to_stderr
 from l3cli.errors import L3Error, suggestion
 from l3cli.interrupts import Terminated, heed, leave_to_python
 from l3cli.limits import require_address_space
 from l3cli.stages.log import Logged
+from l3cli.stages.plan import Planned
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
@@ -26,7 +27,7 @@ COMMANDS = {
     "report": "artifacts → one page with plots and pictures",
     "compare": "evaluations of several cameras over luminance",
     "info": "kind, version, axes, units, history of an artifact",
-    "export": "camera → files that other software reads",
+    "export": "camera or table → files that other software reads, C source",
     "bench": "frame times on this machine, stage by stage",
     "check": "all that is wrong with recipes, and what they mean",
     "schema": "JSON schema of recipes, for editors",
@@ -108,6 +109,9 @@ def run(arguments: list[str]) -> int:
         result: Any = l3.main(arguments, prog_name="l3", standalone_mode=False)
         sys.stdout.flush()
         return result if isinstance(result, int) else 0
+    except Planned as plan:
+        show(*plan.lines)
+        return 0
     except click.exceptions.Exit as stop:
         return stop.exit_code
     except click.ClickException as error:

@@ -23,8 +23,9 @@ def bench(device: str | None, variant: str | None, list_only: bool, as_json: boo
 
     Rendering: medians of 20 frames. With a C compiler (CC or cc) each frame is timed in turn with the bare multiply-adds of
     its transforms on all cores, hand-vectorised: "limit" is the median of their ratio. The variant for the other type of
-    device and the numpy reference get small frames. Simulation: the fastest of 5 frames. Training: the faster
-    of 2 runs, both passes.
+    device and the numpy reference get small frames. Peers: the same transforms by a naive kernel, a work-item a pixel;
+    Menon's demosaicing, where colour-demosaicing is installed. Simulation: the fastest of 5 frames. Training:
+    the faster of 2 runs, both passes.
 
     \b
     Example: l3 bench --device 0 --json
@@ -43,6 +44,7 @@ def bench(device: str | None, variant: str | None, list_only: bool, as_json: boo
     show(*document["devices"])
     if not list_only:
         _rendering(document["results"])
+        _comparison(document)
         _simulation(document["simulate"])
         _training(document["train"])
 
@@ -61,6 +63,31 @@ def _rendering(results: list[dict[str, Any]]) -> None:
         rows.append([*what, *times, f"{result['frame_ms']:.2f}", f"{result['mp_per_s']:.1f}", limit])
     headings = ["", "frame", "patch", "classes", "outputs", "variant", *stages, "whole", "MP/s", "limit"]
     show_table(["", "rendering, milliseconds a frame; limit: times the bare multiply-adds"], headings, rows)
+
+
+def _comparison(document: dict[str, Any]) -> None:
+    rows = []
+    for result in document["results"]:
+        if "stages_sum_ms" in result:
+            what = [
+                f"{result['width']}×{result['height']}",
+                *(str(result[key]) for key in ("channels", "patch", "classes", "variant")),
+            ]
+            limit = [f"{result[key]:.2f}" for key in ("limit_ms", "limit_ratio") if key in result] or [
+                result["no_limit"],
+                "",
+            ]
+            rows.append([*what, f"{result['frame_ms']:.2f}", f"{result['stages_sum_ms']:.2f}", *limit])
+    headings = ["case", "channels", "patch", "classes", "variant", "frame", "sum of stages", "limit", "ratio"]
+    show_table(["", "a frame, the sum of its stages, the limit, milliseconds"], headings, rows)
+    rows = []
+    for peer in document["peers"]:
+        size = f"{peer['width']}×{peer['height']}"
+        rows.append([peer["peer"], size, str(peer["patch"]), f"{peer['theirs']:.3g}", f"{peer['ours']:.3g}", peer["unit"]])
+        rows[-1].append(f"{peer['ratio']:.1f}")
+    show_table(["", "peers"], ["peer", "case", "patch", "theirs", "l3", "unit", "ratio"], rows)
+    for what, ratio in document["five_against_nine"].items():
+        show(f"{what} of a Bayer array: 5×5 {ratio:.2f} times as fast as 9×9")
 
 
 def _simulation(results: list[dict[str, Any]]) -> None:

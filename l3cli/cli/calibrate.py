@@ -12,13 +12,31 @@ if TYPE_CHECKING:
     from l3cli.stages.console import Console
 
 
+def _draft(
+    folder: Path, output: Path, camera: Path | None, console: "Console", force: bool, measurements: Path | None,
+    others: dict[str, Any],
+) -> None:  # fmt: skip
+    """Write the draft; UsageError if what only a calibration takes is given, too."""
+    from l3cli.stages.drafting.draft import draft
+
+    given = [name for name in ("photos", "light", "truth", "export", "accept", "json") if others[name]]
+    if measurements is not None or given:
+        name = "MEASUREMENTS.toml" if measurements is not None else f"--{given[0].removesuffix('s')}"
+        raise click.UsageError(f"--draft writes a measurement file and calibrates nothing; leave {name} out")
+    draft(folder, output, console, camera=camera, force=force)
+
+
 @click.command()
 @click.argument("measurements", type=options.FILE, metavar="[MEASUREMENTS.toml]", required=False)
 @click.option(
     "--photo", "photos", type=options.FILE, metavar="RAW", multiple=True, help="Raw photo of a ColorChecker instead."
 )
 @click.option("--light", metavar="LIGHT", help='Its light: "D65", "3200K"…; without, it is guessed.')
-@options.output("Camera model to write")
+@click.option(
+    "--draft", type=options.FILE, metavar="FOLDER", help="Write a measurement file of the captures in FOLDER instead."
+)
+@click.option("--camera", type=options.CAMERA, metavar="CAMERA", help="Sensor, array and optics of the draft.")
+@options.output("Camera model to write; with --draft the measurement file")
 @click.option("--truth", type=options.CAMERA, metavar="CAMERA", help="Camera that a virtual lab measured, to compare with.")
 @click.option("--export", type=options.FILE, metavar="DIR", help='Also write there what "l3 export" writes.')
 @click.option(
@@ -27,19 +45,29 @@ if TYPE_CHECKING:
 @options.jobs
 @options.trust
 @options.force
+@options.dry_run
 @options.quiet
 @options.as_json
-def calibrate(measurements: Path | None, output: Path, console: "Console", as_json: bool, **others: Any) -> None:
+def calibrate(
+    measurements: Path | None, output: Path, draft: Path | None, camera: Path | None, console: "Console", as_json: bool,
+    force: bool, **others: Any,
+) -> None:  # fmt: skip
     """Estimate responsivities, gain and noise of a camera from its lab measurements, or from photos of a chart.
 
     \b
-    Example: l3 calibrate lab/MEASUREMENTS.toml -o camera.h5
+    Example: l3 calibrate --draft captures -o MEASUREMENTS.toml
+             l3 calibrate MEASUREMENTS.toml -o camera.h5
              l3 calibrate --photo chart.dng --light 3200K -o camera.h5
     """
+    if draft is not None:
+        _draft(draft, output, camera, console, force, measurements, others | {"json": as_json})
+        return
+    if camera is not None:
+        raise click.UsageError("--camera goes with --draft; a measurement file states its camera itself")
     from l3cli.calibration import text
     from l3cli.stages.calibration import calibrate as stage
 
-    _, result = stage(measurements, output, console, **others)
+    _, result = stage(measurements, output, console, force=force, **others)
     if as_json:
         show_json(result, console)
     else:

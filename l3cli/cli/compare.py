@@ -22,6 +22,7 @@ from l3cli.columns import printable
 )
 @options.output("HTML page with the curves", required=False)
 @options.force
+@options.dry_run
 @options.as_json
 def compare(
     evaluations: tuple[Path, ...], figures: tuple[str, ...], output: Path | None, force: bool, as_json: bool

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 )
 @click.option("--force", is_flag=True, help="Write pictures into a folder that is not empty.")
 @options.as_json
+@options.dry_run
 @options.quiet
 def evaluate(
     table: Path,

@@ -1,7 +1,7 @@
-"""l3 export: camera → files that other software reads."""
+"""l3 export: camera or transform table → files that other software reads, or that run elsewhere."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import click
 
@@ -13,23 +13,43 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("camera", type=options.CAMERA, metavar="CAMERA")
+@click.argument("artifact", type=options.CAMERA, metavar="CAMERA|TABLE.h5")
 @click.option("-o", "--output", type=options.FILE, required=True, metavar="DIR", help="Folder to write to.")
+@click.option(
+    "--to", "form", type=click.Choice(["c", "folder"]), help="Of a table: C99 source (as without it), or arrays with a JSON."
+)
 @options.force
+@options.dry_run
 @options.quiet
 @options.as_json
-def export(camera: Path, output: Path, force: bool, console: "Console", as_json: bool) -> None:
+def export(
+    artifact: Path, output: Path, form: Literal["c", "folder"] | None, force: bool, console: "Console", as_json: bool
+) -> None:
     """Write CAMERA, a camera.h5 or a camera recipe, as other software reads it: curves (CSV, rawtoaces JSON), data sheet
     (CSV), DCP matrices (JSON), of a Bayer array tuning files of libcamera. Prints how far the matrices for each light leave
     the colours of measured surfaces.
 
+    Or write TABLE.h5, a transform table, as C99 source that renders without l3 (make test compares it with l3's reference
+    on a test mosaic), or as little-endian arrays for other hardware.
+
     \b
-    Example: l3 export camera.h5 -o exported
+    Example: l3 export table.h5 -o source --to c
     """
     from l3cli.calibration.text import matrix_lines
-    from l3cli.stages.exports import export as stage
+    from l3cli.errors import RecipeError
+    from l3cli.stages.exports import export as export_camera
+    from l3cli.stages.exports import is_table
 
-    matrices = stage(camera, output, console, force=force)
+    if is_table(artifact):
+        from l3cli.stages.table_exports import export_table
+
+        files = export_table(artifact, output, form or "c", console, force=force)
+        if as_json:
+            show_json({"files": files}, console)
+        return
+    if form is not None:
+        raise RecipeError(f"--to is for transform tables; {artifact} is a camera: leave it out")
+    matrices = export_camera(artifact, output, console, force=force)
     if as_json:
         show_json({"matrices": matrices}, console)
     elif matrices:

@@ -34,6 +34,7 @@ def _completed(context: click.Context, parameter: click.Parameter, incomplete: s
 )
 @click.option("--light", metavar="LIGHT", help='Light of a ColorChecker in them: "D65", "3200K"…; without, it is guessed.')
 @options.force
+@options.dry_run
 @options.quiet
 def init(
     recipe: str | None, folder: Path | None, more: tuple[str, ...], photos: tuple[Path, ...], light: str | None,

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 @options.seed
 @options.jobs
 @options.force
+@options.dry_run
 @options.quiet
 def lab(camera: Path, output: Path, recipe: Path | None, seed: int, jobs: int, force: bool, console: "Console") -> None:
     """Simulate the lab measurements of CAMERA, as input for "l3 calibrate". CAMERA is a camera recipe, the name of one

@@ -156,8 +156,6 @@ def scheduler(command: Callable[..., Any]) -> Callable[..., Any]:
     def called(
         scheduler: str | None, tls_ca: Path | None, tls_cert: Path | None, tls_key: Path | None, **others: Any
     ) -> Any:
-        from l3cli.parallel.cluster import Scheduler
-
         console: Console = others["console"]
         claims(console).spare(*filter(None, [tls_ca, tls_cert, tls_key]))
         if scheduler is None:
@@ -166,6 +164,8 @@ def scheduler(command: Callable[..., Any]) -> Callable[..., Any]:
             return command(scheduler=None, **others)
         if others.get("jobs", 1) > 1:
             raise click.UsageError("--jobs is the number of processes here; leave it out with --scheduler")
+        from l3cli.parallel.cluster import Scheduler
+
         return command(scheduler=Scheduler(scheduler, tls_ca, tls_cert, tls_key, console.warn), **others)
 
     return _ADDRESS(_CA(_CERTIFICATE(_KEY(called))))
@@ -184,6 +184,22 @@ trust = click.option(
     expose_value=False,
     callback=_trust,
     help="Decode raw, image, MATLAB and video files without the sandbox, which limits time and memory.",
+)
+
+
+def _dry_run(context: click.Context, parameter: click.Parameter, value: bool) -> None:
+    if value:
+        from l3cli.stages.plan import dry_run
+
+        context.with_resource(dry_run())
+
+
+dry_run = click.option(
+    "--dry-run",
+    is_flag=True,
+    expose_value=False,
+    callback=_dry_run,
+    help="Check everything that is checked before work, say what would be read and made, and write nothing.",
 )
 
 

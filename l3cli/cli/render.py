@@ -86,7 +86,7 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
 @click.argument("table", type=options.FILE, metavar="TABLE.h5")
 @click.argument("inputs", type=options.FILE, nargs=-1, required=True, metavar="INPUT...")
 @options.output(
-    "Picture (.png .tif .jpg .exr), numbered files (a_%04d.png, a_####.tif), folder, video, or - (y4m to stdout)"
+    "Picture (.png .tif .jpg .jxl .exr .dng), numbered files (a_%04d.png, a_####.tif), folder, video, or - (y4m to stdout)"
 )
 @click.option(
     "--format", "suffix", default="png", show_default=True, metavar="SUFFIX", help="Suffix of the files in a folder."
@@ -123,9 +123,22 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
     help="Factor of Y; what it brings to 1 is shown white.",
 )
 @click.option(
-    "--white", metavar="NAME|x,y", help="Scene white shown neutral: illuminant or chromaticity [default: table's]."
+    "--white",
+    metavar="NAME|x,y|camera|auto|ROW,COL[,SIZE]",
+    help="Scene white shown neutral: light, chromaticity, the file's, estimated, or a grey's pixels [default: table's].",
 )
-@click.option("--bits", type=click.Choice(["8", "16"]), default="8", show_default=True, help="Bits a value of a picture.")
+@click.option(
+    "--space", type=click.Choice(["srgb", "display-p3", "rec2020", "acescg", "xyz"]),
+    help="Colour space [default: srgb; of .exr and 32 bits the table's outputs as they are].",
+)  # fmt: skip
+@click.option(
+    "--remosaic", type=click.Choice(["bayer"]),
+    help="Mosaic of a .dng [default: all three channels at every pixel].",
+)  # fmt: skip
+@click.option(
+    "--bits", type=click.Choice(["8", "16", "32"]), default="8", show_default=True,
+    help="Bits a value of a picture; 32: linear, floating point (.tif).",
+)  # fmt: skip
 @click.option(
     "--black-level", type=LEVEL, metavar="DN", help="Black level of the inputs [default: the file's or the table's]."
 )
@@ -167,12 +180,14 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
 @options.scheduler
 @options.trust
 @options.force
+@options.dry_run
 @options.quiet
 def render(
     table: Path, inputs: tuple[Path, ...], output: Path, suffix: str, frames: range | None, dataset: str | None,
     fps: Fraction | None, codec: str | None, crf: float | None, preset: str, backend: str, device: str | None,
-    variant: str | None, exposure: float | None, white: str | None, bits: str, black_level: float | None,
-    white_level: float | None, exposure_time: float | None, dark: tuple[Path, ...], camera: Path | None, hot: str,
+    variant: str | None, exposure: float | None, white: str | None, space: str | None, remosaic: str | None,
+    bits: str, black_level: float | None, white_level: float | None, exposure_time: float | None, dark: tuple[Path, ...],
+    camera: Path | None, hot: str,
     phase: tuple[int, int] | None, size: tuple[int, int] | None, packing: str | None,
     stride: int | None, skip_bad: bool, resume: bool, scheduler: "Scheduler | None", force: bool, console: "Console",
 ) -> int:  # fmt: skip
@@ -199,8 +214,9 @@ def render(
     known = KnownBetter(black_level, white_level, phase, size, packing, stride, exposure_time)
     left_out = stage(
         table, inputs, output, console, rate=fps, bits=int(bits), codec=codec, crf=crf, preset=preset, suffix=suffix,
-        frames=frames, dataset=dataset, known=known, dark=dark, camera=camera, hot=hot == "auto",
-        exposure=exposure, white=white, backend=backend, device=device, variant=variant, skip_bad=skip_bad, resume=resume,
+        frames=frames, dataset=dataset, known=known, dark=dark, camera=camera, hot=hot == "auto", exposure=exposure,
+        white=white, space=space, remosaic=remosaic, backend=backend, device=device, variant=variant, skip_bad=skip_bad,
+        resume=resume,
         scheduler=scheduler, force=force,
     )  # fmt: skip
     return 1 if left_out else 0

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 @options.output("HTML page to write")
 @options.backend
 @options.force
+@options.dry_run
 @options.quiet
 def report(artifacts: tuple[Path, ...], output: Path, backend: str, force: bool, console: "Console") -> None:
     """Show camera models, training sets and transform tables on one page that needs no network.

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 @options.jobs
 @options.trust
 @options.force
+@options.dry_run
 @options.quiet
 def simulate(
     scenes: Path, camera: Path, output: Path, pictures: Path | None, dng: Path | None, resume: bool, skip_bad: bool,

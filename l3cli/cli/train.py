@@ -66,6 +66,7 @@ def _shares(context: Any, parameter: Any, text: str | None) -> tuple[Fraction, .
 @options.scheduler
 @options.jobs
 @options.force
+@options.dry_run
 @options.quiet
 def train(
     files: tuple[Path, ...], classes: Path | None, shares: tuple[Fraction, ...] | None, output: Path,

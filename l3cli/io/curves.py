@@ -33,16 +33,21 @@ def write_curves(path: Path, wavelength: NDArray, columns: NDArray, names: Seque
     write_whole(path, "\n".join(lines) + "\n")
 
 
-def read_sweep(path: Path, photodiode: Path, channels: Sequence[str]) -> SweepTable:
+def read_sweep(path: Path, photodiode: Path, channels: Sequence[str], column: int | str = 0) -> SweepTable:
     """The table of a sweep: wavelength, light mean of each channel, dark mean of each channel, light and dark reading of the
-    photodiode, in this order or by name; and the response of that photodiode, per energy. InputFileError if it does not
-    cover the sweep."""
+    photodiode, in this order or by name; and the response of that photodiode, per energy, in a `column` of its table, by
+    name or by number from 1, 0 for the only one. InputFileError if it does not cover the sweep."""
     count = len(channels)
     wanted = [f"{kind} {channel}" for kind in ("light", "dark") for channel in channels] + ["diode light", "diode dark"]
     sweep = read_table(path).ordered(wanted, lambda name: DIODE.get(name.casefold(), name))
     wavelength, table = sweep.wavelength, sweep.values
-    diode_table = read_table(photodiode).counted(1)
-    grid, response = diode_table.wavelength, diode_table.per_energy()
+    diodes = read_table(photodiode)
+    if not column and len(diodes.values) > 1:
+        raise InputFileError(
+            f"{photodiode}: holds {len(diodes.values)} curves; name one, photodiode = "
+            f'{{file = "{photodiode.name}", column = 1}}'
+        )
+    grid, response = diodes.wavelength, diodes.column(column or 1).per_energy()
     if grid[0] > wavelength[0] or grid[-1] < wavelength[-1]:
         raise InputFileError(
             f"{photodiode}: its {grid[0]:g}…{grid[-1]:g} nm do not cover the sweep's "

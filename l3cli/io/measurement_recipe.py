@@ -8,7 +8,8 @@
       scale             [[chart]] ColorCheckers under known lights; without them the camera's responsivity is relative
       sensor            [[dark]] and [[white]] frames; without [[white]] a [datasheet] of declared figures; a photo
                         alone gives gain and dark noise
-    frames              single-channel 16-bit pictures (TIFF, PNG, PGM) of the whole sensor, raw DN, CFA phase (0, 0)
+    frames              single-channel 16-bit pictures (TIFF, PNG, PGM) or raw files (.npy, FITS, DNG, NEF…) of the whole
+                        sensor, raw DN, CFA phase (0, 0)
     spectra             CSV: wavelength in nm, then radiances in photons/s/sr/m²/nm, one column a light or a patch; other
                         units as a heading or the key `unit` states
 
@@ -24,6 +25,7 @@ import msgspec
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import CfaRecipe, NoiseRecipe, OpticsRecipe
 from l3cli.config import Count, Recipe
+from l3cli.curve_file import SUFFIXES
 from l3cli.files import write_whole
 
 
@@ -68,11 +70,23 @@ class ChartRecipe(CaptureRecipe, kw_only=True):
     unit: str | None = None  # as of [[mono]]
 
 
+class ColumnRecipe(Recipe):
+    """One column of a table of several."""
+
+    file: str
+    column: int | str  # its name, or its number from 1, the wavelength not counted
+
+
 class SweepRecipe(Recipe):
     """A monochromator sweep as a table of means."""
 
     table: str  # CSV: nm, light r, light g, …, dark r, dark g, … (means of each channel in DN), diode light, diode dark
-    photodiode: str  # CSV: nm, response of the photodiode per energy, such as A/W
+    photodiode: str | ColumnRecipe  # CSV: nm, response of the photodiode per energy, such as A/W
+
+    @property
+    def response(self) -> ColumnRecipe:
+        """The photodiode's table, and its column: the only one, or that which is named."""
+        return ColumnRecipe(self.photodiode, 0) if isinstance(self.photodiode, str) else self.photodiode
 
 
 class CurvesRecipe(Recipe):
@@ -148,15 +162,15 @@ def frame_names(recipe: MeasurementRecipe) -> list[str]:
 def spectrum_names(recipe: MeasurementRecipe) -> list[str]:
     """Every file of spectra, tables and curves a measurement file names, each once, in order."""
     names = [step.spectrum for step in recipe.mono] + [chart.radiance for chart in [*recipe.band, *recipe.chart]]
-    names += [recipe.sweep.table, recipe.sweep.photodiode] if recipe.sweep else []
+    names += [recipe.sweep.table, recipe.sweep.response.file] if recipe.sweep else []
     names += [recipe.curves.file] if recipe.curves else []
     names += [name for photo in recipe.photos for name in (photo.light, photo.chart) if name and is_table(name)]
     return list(dict.fromkeys(names))
 
 
 def is_table(name: str) -> bool:
-    """Whether a light or a chart is named as a CSV file."""
-    return name.lower().endswith(".csv")
+    """Whether a light or a chart is named as a file of spectra."""
+    return name.lower().endswith(SUFFIXES)
 
 
 def describe(camera: CameraModel, uncertainty: UncertaintyRecipe, **captures: Any) -> MeasurementRecipe:

@@ -124,7 +124,7 @@ def _common(capture: CaptureRecipe, table: str, body: Body, path: Path) -> dict[
             f"{path}: monitor of {capture.frames[0]} is {capture.monitor:g}; give the lamp's reading over the one when its "
             f"spectrum was measured, 1 where it is the same"
         )
-    files = FrameFiles(tuple(path.parent / name for name in capture.frames), (body.rows, body.cols), body.bits)
+    files = FrameFiles(tuple(path.parent / name for name in capture.frames), (body.rows, body.cols), body.bits, body)
     return {"name": capture.frames[0], "exposure": capture.seconds, "frames": files, "monitor": capture.monitor}
 
 
@@ -181,7 +181,9 @@ def patch_name(heading: str) -> str:
 def _curve(recipe: MeasurementRecipe, path: Path) -> SweepTable | FinishedCurves | None:
     if recipe.sweep is not None:
         sweep = recipe.sweep
-        return read_sweep(path.parent / sweep.table, path.parent / sweep.photodiode, recipe.cfa.channels)
+        response = sweep.response
+        paths = path.parent / sweep.table, path.parent / response.file
+        return read_sweep(*paths, recipe.cfa.channels, response.column)
     if recipe.curves is not None:
         return read_finished(path.parent / recipe.curves.file, recipe.cfa.channels, recipe.curves.per_energy)
     return None

@@ -76,7 +76,7 @@ def _check_alike(frames: Sequence[RawFrame], darks: Sequence[RawFrame], whites: 
 
 def _frame(path: Path, body: Body, levels: Levels) -> RawFrame:
     """A raw file as it stands, at its own levels."""
-    content = _content(path)
+    content = raw_content(path)
     black, white = content.get("black_level", levels.black), content.get("white_level", levels.white)
     if black is None:
         raise InputFileError(f"{path} states no black level; name a dark frame, as dark, or give a [datasheet]")
@@ -94,7 +94,8 @@ def _frame(path: Path, body: Body, levels: Levels) -> RawFrame:
         raise InputFileError(str(error)) from error
 
 
-def _content(path: Path) -> RawContent:
+def raw_content(path: Path) -> RawContent:
+    """What a raw file of one frame holds; InputFileError if it is no mosaic of one channel."""
     require_regular(path, RAW_FILE)
     kind = format_of(path)
     if not kind.holds_frame or kind.wants_geometry:
@@ -155,25 +156,31 @@ def _chart(photo: PhotoRecipe, path: Path) -> Chart:
 def recipe_of_photos(paths: Sequence[Path], light: str | None) -> MeasurementRecipe:
     """The measurement file of raw files that state their own array, levels and size: one camera, a photo each, under one
     light. Pixel pitch and optics, which no responsivity depends on, are declared. InputFileError if a file does not."""
-    content = _content(paths[0])
+    content = raw_content(paths[0])
     stated, white = content.get("pattern"), content.get("white_level")
     if stated is None or white is None or "black_level" not in content:
         raise InputFileError(
             f"{paths[0]} does not state its colour filter array and levels; write a measurement file with [photo] (README)"
         )
-    pattern = _shortest(stated)
-    if max(pattern.shape) > MAX_CFA:
+    cfa = array_of(stated)
+    if max(len(cfa.pattern), len(cfa.pattern[0].split())) > MAX_CFA:
         raise InputFileError(f"{paths[0]}: its colour filter array is larger than {MAX_CFA}×{MAX_CFA}")
-    names = {int(code): LETTERS[code].lower() if code < FREE_CODE else f"c{code}" for code in np.unique(pattern)}
     rows, cols = content["values"].shape
     bits = min(int(np.ceil(np.log2(white + 1))), MAX_BITS)
     return MeasurementRecipe(
         name=paths[0].stem,
         sensor=BodyRecipe(rows, cols, PITCH_UM, bits),
-        cfa=CfaRecipe(list(names.values()), [" ".join(names[int(code)] for code in row) for row in pattern]),
+        cfa=cfa,
         optics=OpticsRecipe(FOCAL_MM, F_NUMBER),
         photo=[PhotoRecipe(frames=[str(path.absolute())], light=light) for path in paths],
     )
+
+
+def array_of(codes: NDArray[np.integer]) -> CfaRecipe:
+    """The colour filter array of the codes (row, col) that a raw file states, its channels called by their letters."""
+    pattern = _shortest(codes)
+    names = {int(code): LETTERS[code].lower() if code < FREE_CODE else f"c{code}" for code in np.unique(pattern)}
+    return CfaRecipe(list(names.values()), [" ".join(names[int(code)] for code in row) for row in pattern])
 
 
 # ------------------------------------------------------------------------------------------- what glare adds to a photo

@@ -30,6 +30,7 @@ class Pending:
     read: Callable[[], RawFrame | None]  # None: there is no such frame, the stream ended before; InputFileError: broken
     source: Path | None = None  # the file that holds it alone
     origin: str | None = None  # what distinguishes it from another frame of its number, once computed
+    identity: str = ""  # what its picture says that it was made from (label.of_file, of_values), once computed
 
 
 @dataclass(frozen=True)

@@ -1,22 +1,12 @@
-"""The one door to processes, other machines (cluster) and threads (threads): the same results in the same order whatever
-the workers."""
+"""The one door to processes (processes), other machines (cluster) and threads (threads): the same results in the same order
+whatever the workers. What starts processes is imported when there are some to start: a single frame needs none."""
 
-import collections
 import contextlib
-import functools
-import multiprocessing
 import os
-import signal
-import threading
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from multiprocessing.connection import wait
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from l3cli.errors import L3Error
-from l3cli.interrupts import uninterrupted
 from l3cli.limits import ONE_BLAS_THREAD
 
 if TYPE_CHECKING:
@@ -65,76 +55,16 @@ def workers(jobs: int, scheduler: "Scheduler | None" = None) -> Iterator[Crew]:
     elif jobs == 1:
         yield Crew(1, map)
     else:
-        with _pool(jobs) as pool:
-            yield Crew(jobs, functools.partial(_pooled, pool, 2 * jobs))
+        from l3cli.parallel.processes import several
+
+        with several(jobs) as mapped:
+            yield Crew(jobs, mapped)
 
 
 def alone(function: Callable[[T], R], item: T) -> R:
     """function(item) by a separate process, whose memory nothing else has used."""
-    with _pool(1) as pool:
-        return _result(_submit(pool, function, item))
+    from l3cli.parallel.processes import several
 
-
-@contextlib.contextmanager
-def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
-    """Processes that end with the block: at once where it fails or is interrupted."""
-    saved = {name: os.environ.get(name) for name in ONE_BLAS_THREAD}
-    os.environ.update(ONE_BLAS_THREAD)
-    pool = ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), _end_with_parent)
-    before = multiprocessing.active_children()
-    try:
-        yield pool
-    except BaseException:
-        for child in multiprocessing.active_children():
-            if child not in before:
-                child.terminate()
-        # One that ends while it sends a result leaves half of it. The pool's thread waits for the rest as long as anybody
-        # could send it, and so do we, who hold that end of the pipe, too.
-        pool._result_queue._writer.close()  # type: ignore[attr-defined]
-        raise
-    finally:
-        pool.shutdown(cancel_futures=True)
-        for name, value in saved.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
-
-
-@uninterrupted  # a process that is only half started would wait for its beginning, and we for its end
-def _submit(pool: ProcessPoolExecutor, function: Callable[[T], R], item: T) -> "Future[R]":
-    """Hand an item to the pool, which may start a process for it: one that leaves Ctrl-C, which reaches the whole group, to
-    its parent. A blocked signal is inherited from the first instruction on, and still reaches the parent afterwards."""
-    old = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        return pool.submit(function, item)
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, old)
-
-
-def _result(future: "Future[R]") -> R:
-    try:
-        return future.result()
-    except BrokenProcessPool as error:
-        raise L3Error("a worker process was ended from outside, perhaps for lack of memory; use fewer ‹jobs›") from error
-
-
-def _end_with_parent() -> None:
-    """In a worker: end when the parent has, even if it was killed; nobody would take the results."""
-    parent: Any = multiprocessing.parent_process()
-
-    def watch() -> None:
-        wait([parent.sentinel])
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
-
-
-def _pooled(pool: ProcessPoolExecutor, most: int, function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
-    waiting: collections.deque[Future[R]] = collections.deque()
-    for item in items:
-        waiting.append(_submit(pool, function, item))
-        if len(waiting) >= most:
-            yield _result(waiting.popleft())
-    while waiting:
-        yield _result(waiting.popleft())
+    with several(1) as mapped:
+        (result,) = mapped(function, [item])
+    return result

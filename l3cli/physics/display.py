@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import RecipeError, shortened
+from l3cli.physics.spaces import SRGB_CURVE, SRGB_FROM_XYZ, adaptation_matrix
 from l3cli.physics.spectra import colour_science, white_point
 from l3cli.quantities import Quantity
 
@@ -18,27 +19,21 @@ Array = NDArray[np.floating]
 CHROMATICITY = Quantity(0.001, 0.999)  # x or y of a white
 WHITE_PERCENTILE = 99  # of Y, shown white, as the authors of the method show their pictures
 LUMA = np.array([0.2126, 0.7152, 0.0722])  # of sRGB's primaries (Rec. 709)
-# Written out, though colour-science has both: rendering a frame needs nothing else of it, and importing it takes longer.
-SRGB_FROM_XYZ = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])  # IEC 61966-2-1
 CODES = {8: np.uint8, 16: np.uint16}  # bits of a picture's codes → their type
-BRADFORD = np.array(
-    [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]]
-)  # cone response of XYZ
 
 
 # ------------------------------------------------------------------------------------------- white and exposure
-
-
-def adaptation_matrix(white: Array, to: Array) -> Array:
-    """Bradford chromatic adaptation (3, 3) of XYZ from `white` to `to`, each (3) with any Y."""
-    gain = (BRADFORD @ to / to[1]) / (BRADFORD @ white / white[1])
-    return np.linalg.solve(BRADFORD, gain[:, None] * BRADFORD)
 
 
 @functools.cache
 def daylight() -> Array:
     """XYZ (3), Y = 1, of D65, the white of displays."""
     return white_point("D65")
+
+
+def display_white() -> Array:
+    """XYZ (3), Y = 1 to four digits, of what sRGB's matrix shows as white: D65."""
+    return np.linalg.solve(SRGB_FROM_XYZ, np.ones(3))
 
 
 def white_luminance(luminance: Array) -> float:
@@ -84,8 +79,7 @@ def xyz_from_srgb_matrix() -> Array:
 
 def srgb_curve(linear: Array) -> Array:
     """Non-linear sRGB of linear values, both clipped to 0…1 (IEC 61966-2-1)."""
-    clipped = np.clip(linear, 0.0, 1.0)
-    return np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * np.maximum(clipped, 1e-9) ** (1 / 2.4) - 0.055)
+    return SRGB_CURVE.encoded(linear)
 
 
 def srgb_decoded(encoded: Array) -> Array:
@@ -93,9 +87,14 @@ def srgb_decoded(encoded: Array) -> Array:
     return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
 
 
+def codes(encoded: Array, bits: int = 8) -> NDArray[Any]:
+    """Encoded values in 0…1 as the codes of a picture file, of a depth in CODES: round((2^bits − 1) · value)."""
+    return np.floor(encoded * (2**bits - 1) + 0.5).astype(CODES[bits])
+
+
 def srgb_codes(linear: Array, bits: int = 8) -> NDArray[Any]:
-    """Linear sRGB as the codes of a picture file, of a depth in CODES: round((2^bits − 1) · non-linear sRGB)."""
-    return np.floor(srgb_curve(linear) * (2**bits - 1) + 0.5).astype(CODES[bits])
+    """Linear sRGB as the `codes` of a picture file."""
+    return codes(srgb_curve(linear), bits)
 
 
 # ------------------------------------------------------------------------------------------------ as it is seen

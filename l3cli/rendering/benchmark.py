@@ -29,11 +29,13 @@ from l3cli.frame import RawFrame
 from l3cli.physics import spectra
 from l3cli.rendering.display import make_display
 from l3cli.rendering.layout import VARIANTS
+from l3cli.rendering.naive import NaiveTransforms
 from l3cli.rendering.opencl import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
 
 FRAMES = 20  # timed frames of each case, after WARM_UP more
 WARM_UP = 3
+NAIVE_FRAMES = 7  # a naive kernel takes its time
 LIMIT_OUTPUTS = 3  # of limit.c
 
 
@@ -61,11 +63,14 @@ FULL = (
     Case(2048, 1164, 9, "five-band", "single"),
     Case(1280, 720, 5, "bayer", "fast"),
     Case(1280, 720, 5, "bayer", "single"),
+    Case(1280, 720, 9, "bayer", "fast"),
     Case(1280, 720, 9, "five-band", "fast", 1),
     Case(1280, 720, 9, "five-band", "fast", 8),
 )
 SMALL = (Case(320, 240, 9, "five-band", "fast"), Case(320, 240, 5, "bayer", "fast"))  # for what is not made for speed here
+PEER = Case(1280, 720, 9, "five-band", "fast")  # that is rendered by others, too
 TINY = (Case(64, 48, 9, "five-band", "fast"),)
+BAYER_CHANNELS = 3
 BITS, BLACK_LEVEL, WHITE_LEVEL, CASE_COUNT = 12, 109, 4095, 10
 
 
@@ -79,9 +84,30 @@ def jobs(device: str | None, variant: str | None) -> list[Callable[[], dict[str,
     return planned + [functools.partial(measure_reference, case) for case in TINY if variant is None]
 
 
+def five_against_nine(results: list[dict[str, Any]]) -> dict[str, float]:
+    """How many times faster patches of 5×5 are than of 9×9, by what else is the same: {"1280×720 fast": 1.6}."""
+    times = {
+        (
+            result["width"],
+            result["height"],
+            result["channels"],
+            result["classes"],
+            result["variant"],
+            result["patch"],
+        ): result
+        for result in results
+        if result["backend"] == "opencl" and result["channels"] == BAYER_CHANNELS
+    }
+    pairs = [(key, result, times.get((*key[:-1], 9))) for key, result in times.items() if key[-1] == 5]
+    return {
+        f"{key[0]}×{key[1]} {key[3]}": nine["frame_ms"] / five["frame_ms"] for key, five, nine in pairs if nine is not None
+    }
+
+
 def measure(case: Case, device: str | None = None, variant: str | None = None) -> dict[str, Any]:
     """Medians over FRAMES frames on an OpenCL device: frame_ms as the caller waits, stages_ms as the device counts them
-    (OpenCLRenderer.stage_times). With a compiler also limit_ms, and limit_ratio, the median of frame over limit."""
+    (OpenCLRenderer.stage_times), stages_sum_ms. With a compiler also limit_ms, and limit_ratio, the median of frame over
+    limit; else no_limit, the reason."""
     rng = np.random.default_rng(0)
     renderer = OpenCLRenderer(made_up_table(case, rng), device, variant)
     frame, display = made_up_frame(case, rng), make_display(spectra.white_point("D65"), 1.0, 8)
@@ -90,15 +116,34 @@ def measure(case: Case, device: str | None = None, variant: str | None = None) -
     def render() -> None:
         renderer.outputs(frame) if shown is None else renderer.picture(frame, shown)
 
-    with _limit(case) as limit:
+    with _limit(case) as (limit, no_limit):
         waits, limits = _times(render, limit)
     stages = [renderer.stage_times(frame, shown) for _ in range(FRAMES)]
     result = _result(case, "opencl", renderer.variant, renderer.device.name.strip(), waits)
     result["stages_ms"] = {stage: float(np.median([times[stage] for times in stages])) for stage in stages[0]}
+    result["stages_sum_ms"] = float(np.median([sum(times.values()) for times in stages]))
     if limits:
         result["limit_ms"] = float(np.median(limits))
         result["limit_ratio"] = float(np.median(np.divide(waits, limits)))
+    else:
+        result["no_limit"] = no_limit
     return result
+
+
+def measure_naive(case: Case, device: str | None = None, variant: str | None = None) -> dict[str, Any]:
+    """The transforms of a case by a naive kernel in turn with the renderer's, on one device and with the same labels:
+    medians of milliseconds that the device spends in the kernel."""
+    rng = np.random.default_rng(0)
+    table, frame = made_up_table(case, rng), made_up_frame(case, rng)
+    renderer = OpenCLRenderer(table, device, variant)
+    wanted = os.environ.get("L3_DEVICE", "") if device is None else device
+    naive = NaiveTransforms(table, wanted, frame, renderer.labels(frame))
+    renderer.stage_times(frame, None)
+    naive.milliseconds()
+    turns = [(naive.milliseconds(), renderer.stage_times(frame, None)["transforms"]) for _ in range(NAIVE_FRAMES)]
+    peer, ours = (float(np.median(times)) for times in zip(*turns, strict=True))
+    what = {"peer": "naive kernel", "width": case.width, "height": case.height, "patch": case.patch, "unit": "ms a frame"}
+    return {**what, "theirs": peer, "ours": ours, "ratio": peer / ours}
 
 
 def measure_reference(case: Case) -> dict[str, Any]:
@@ -149,12 +194,12 @@ def _result(case: Case, backend: str, variant: str, device: str, waits: list[flo
 
 
 @contextlib.contextmanager
-def _limit(case: Case) -> Iterator[Callable[[], float] | None]:
-    """A function that runs the bare multiply-adds of a case once and returns the milliseconds; None without a compiler, or
-    where limit.c does not compute the like."""
+def _limit(case: Case) -> Iterator[tuple[Callable[[], float] | None, str]]:
+    """A function that runs the bare multiply-adds of a case once and returns the milliseconds; None, and why, without a
+    compiler, or where limit.c does not compute the like."""
     compiler = shutil.which(os.environ.get("CC", "cc"))
     if compiler is None or case.outputs != LIMIT_OUTPUTS:
-        yield None
+        yield None, "no C compiler (CC or cc)" if compiler is None else f"of {LIMIT_OUTPUTS} outputs only"
         return
     with tempfile.TemporaryDirectory(prefix="l3-limit-") as folder:
         program = Path(folder, "limit")
@@ -162,7 +207,7 @@ def _limit(case: Case) -> Iterator[Callable[[], float] | None]:
         flags = ["-O3", "-march=native", "-fopenmp", f"-DPATCH={case.patch}"]
         built = subprocess.run([compiler, *flags, source, "-o", program, "-lm"], capture_output=True, check=False)
         if built.returncode:
-            yield None
+            yield None, f"{compiler} does not compile it"
             return
         # passive: threads that spin between frames would take the processor from what is timed in turn with them
         environment = {**os.environ, "OMP_WAIT_POLICY": "passive"}
@@ -179,7 +224,7 @@ def _limit(case: Case) -> Iterator[Callable[[], float] | None]:
                 ask.flush()
                 return float(answer.readline())
 
-            yield once
+            yield once, ""
 
 
 # Long: a rule and a table have many fields, and each is named.

@@ -1,4 +1,4 @@
-"""What a renderer makes of XYZ: a picture for a screen, matrix, clip, sRGB curve and rounding (docs/method.md#display)."""
+"""What a renderer makes of XYZ: a picture in a colour space, matrix, clip, curve and rounding (docs/method.md#display)."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import RecipeError
-from l3cli.physics.display import CODES, adaptation_matrix, srgb_codes, srgb_from_xyz_matrix
+from l3cli.physics.display import CODES, codes, display_white
+from l3cli.physics.spaces import SRGB, SRGB_CURVE, Curve, Space, adaptation_matrix
 
 MOST_LAYERS = 4
 
@@ -17,8 +18,9 @@ class Display:
     """Everything between XYZ and the picture, the last stage of rendering: code = top · curve(clip(matrix @ XYZ, 0, 1)),
     rounded."""
 
-    matrix: NDArray[np.float64]  # (3, 3) linear sRGB from XYZ, adaptation and exposure scale folded in
+    matrix: NDArray[np.float64]  # (3, 3) linear values from XYZ, adaptation and exposure scale folded in
     bits: int  # of a code, a key of CODES
+    curve: Curve = SRGB_CURVE
 
     def __post_init__(self) -> None:
         if self.matrix.shape != (3, 3) or not np.isfinite(self.matrix).all() or self.bits not in CODES:
@@ -34,14 +36,30 @@ class Display:
         return np.dtype(CODES[self.bits])
 
 
-def make_display(white: NDArray[np.floating], scale: float, bits: int) -> Display:
-    """A display that shows `scale` · XYZ of a scene whose white is `white` (3), adapted so that this white becomes that of
-    sRGB, D65; RecipeError if white or scale is not positive."""
-    if not (np.all(np.asarray(white) > 0) and np.isfinite(scale) and scale > 0):
+def make_display(white: NDArray[np.floating], scale: float, bits: int, space: Space = SRGB) -> Display:
+    """A display that shows `scale` · XYZ of a scene whose white is `white` (3) in a space that has a curve, adapted so that
+    this white becomes that of the space; RecipeError if white or scale is not positive."""
+    if not np.all(np.asarray(white) > 0):
         raise RecipeError("scene white and exposure must be positive")
-    primaries = srgb_from_xyz_matrix()
-    display_white = np.linalg.solve(primaries, np.ones(3))
-    return Display(np.asarray(primaries @ (scale * adaptation_matrix(white, display_white)), np.float64), bits)
+    return adapted_display(adaptation_matrix(white, display_white()), scale, bits, space)
+
+
+def adapted_display(adaptation: NDArray[np.floating], scale: float, bits: int, space: Space = SRGB) -> Display:
+    """A display that shows `scale` · `adaptation` (3, 3) @ XYZ of a scene, adapted to D65, in a space that has a curve;
+    RecipeError if the scale is not positive."""
+    if space.curve is None:
+        raise ValueError(f"{space.title} is linear and has no codes")
+    return Display(linear_matrix(adaptation, scale, space), bits, space.curve)
+
+
+def linear_matrix(adaptation: NDArray[np.floating], scale: float, space: Space) -> NDArray[np.float64]:
+    """Linear values of a space = M (3, 3) @ XYZ of a scene: `scale` · `adaptation` (3, 3) to D65, and from there to what the
+    space shows as white; RecipeError if the scale is not positive."""
+    if not (np.isfinite(scale) and scale > 0):
+        raise RecipeError("scene white and exposure must be positive")
+    daylight, neutral = display_white(), space.neutral_xyz
+    own = np.eye(3) if np.array_equal(daylight, neutral) else adaptation_matrix(daylight, neutral)
+    return np.asarray(space.from_xyz @ (own @ (scale * adaptation)), np.float64)
 
 
 def require_xyz(outputs: tuple[str, ...]) -> None:
@@ -61,4 +79,4 @@ def require_known_layers(table: TransformTable) -> None:
 def encode(planes: NDArray, display: Display) -> NDArray:
     """XYZ planes (output, row, col) as the display's codes (row, col, 3), computed in float64."""
     linear = np.einsum("po,orc->rcp", display.matrix, planes.astype(np.float64))
-    return srgb_codes(linear, display.bits)
+    return codes(display.curve.encoded(linear), display.bits)

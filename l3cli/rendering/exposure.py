@@ -8,12 +8,12 @@ import numpy as np
 
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.decide import label_patches
-from l3cli.classes.windows import neighbourhoods
+from l3cli.classes.windows import neighbourhoods, window_channels
 from l3cli.frame import RawFrame, mirrored_indices
 from l3cli.physics.display import WHITE_PERCENTILE
+from l3cli.rendering.balance import WhiteBalance, balanced_patches, followed_share
 
 GRID = (32, 48)  # rows and columns of pixels that are measured, at most
-TIME_CONSTANT = 1.0  # s, in which log exposure goes 63 % of the difference to that of a light that has changed
 
 
 class LightMeter:
@@ -28,10 +28,10 @@ class LightMeter:
         self._weights = np.ascontiguousarray(table.first.weights[:, 1])
         self._intercept = table.first.intercept[:, 1]
 
-    def brightness(self, frame: RawFrame) -> float:
-        """Y that ought to be shown white."""
+    def brightness(self, frame: RawFrame, balance: WhiteBalance | None = None) -> float:
+        """Y that ought to be shown white, of the frame with the gains of a white balance."""
         table = self.table
-        patches, site = spread_patches(frame, table)
+        patches, site = spread_patches(frame, table, None if balance is None else balance.gains)
         classes = table.first.rule.on_site(label_patches(patches.values, table.first.rule, self._near, site), site)
         signal = (patches.values.astype(np.float32) - np.float32(patches.black_level)) / np.float32(
             table.white_level - table.black_level
@@ -39,31 +39,38 @@ class LightMeter:
         luminance = np.einsum("nt,nt->n", self._weights[classes], signal) + self._intercept[classes]
         if patches.shading is not None:
             luminance *= patches.shading.gain[:, 0]
-        return frame.light_share * float(np.percentile(luminance, WHITE_PERCENTILE))
+        raised = 1.0 if balance is None else balance.luminance
+        return raised * frame.light_share * float(np.percentile(luminance, WHITE_PERCENTILE))
 
 
-def spread_patches(frame: RawFrame, table: TransformTable) -> tuple[RawFrame, int]:
-    """About 1500 patches (patch, tap) of a frame, evenly spread, at the table's levels, shading that of each patch; and the
-    CFA site of them all, that of the frame's first pixel."""
+def spread_patches(frame: RawFrame, table: TransformTable, gains: np.ndarray | None = None) -> tuple[RawFrame, int]:
+    """About 1500 patches (patch, tap) of a frame, evenly spread, at the table's levels, with the gains (channel) of a white
+    balance, shading that of each patch; and the CFA site of them all, that of the frame's first pixel."""
     period_row, period_col = table.cfa.shape
     rows, cols = frame.values.shape
-    row = _spread(rows, period_row, GRID[0], table.first.rule.patch)
-    col = _spread(cols, period_col, GRID[1], table.first.rule.patch)
+    row, col = (_windows(frame, table, axis) for axis in (0, 1))
     row_source = mirrored_indices(rows, table.first.rule.radius, period_row)[row]
     col_source = mirrored_indices(cols, table.first.rule.radius, period_col)[col]
     taken = (row_source[:, None, :, None], col_source[None, :, None, :])
     patches = frame.values[taken].reshape(-1, table.first.rule.patch**2)
     shading = None if frame.shading is None else frame.shading.of_patches(taken, row[:, 0], col[:, 0])
-    whole = replace(frame, values=patches, shading=shading)
-    levelled = whole.at_levels(table.black_level, table.white_level, table.bits).evened()
-    return levelled, frame.phase[0] * period_col + frame.phase[1]
+    cut, site = replace(frame, values=patches, shading=shading), frame.phase[0] * period_col + frame.phase[1]
+    if gains is not None:
+        cut = balanced_patches(cut, window_channels(table.cfa, table.first.rule.patch)[site], gains)
+    return cut.at_levels(table.black_level, table.white_level, table.bits).evened(), site
 
 
-def _spread(length: int, period: int, count: int, patch: int) -> np.ndarray:
-    """Padded indices (position, tap) of patches at up to `count` evenly spread samples of the first sample's phase."""
-    available = -(-length // period)
-    chosen = np.unique(np.linspace(0, available - 1, min(count, available)).round().astype(int))
-    return chosen[:, None] * period + np.arange(patch)
+def spread_shape(frame: RawFrame, table: TransformTable) -> tuple[int, int]:
+    """Rows and columns of the grid in which `spread_patches` lie, row by row."""
+    return len(_windows(frame, table, 0)), len(_windows(frame, table, 1))
+
+
+def _windows(frame: RawFrame, table: TransformTable, axis: int) -> np.ndarray:
+    """Padded indices (position, tap) along an axis of patches at evenly spread samples of the first sample's phase."""
+    period = table.cfa.shape[axis]
+    available = -(-frame.values.shape[axis] // period)
+    chosen = np.unique(np.linspace(0, available - 1, min(GRID[axis], available)).round().astype(int))
+    return chosen[:, None] * period + np.arange(table.first.rule.patch)
 
 
 class SteadyExposure:
@@ -74,7 +81,7 @@ class SteadyExposure:
     """
 
     def __init__(self, rate: Fraction) -> None:
-        self._share = 1 - math.exp(-1 / (float(rate) * TIME_CONSTANT))
+        self._share = followed_share(rate)
         self._log: float | None = None
 
     def scale(self, brightness: float) -> float:

@@ -1,25 +1,25 @@
 """Compiled kernels, kept from run to run.
 
 PoCL keeps what it compiles in a folder and believes whatever it finds there: a damaged file or a full disk ends the process,
-or gives other pixels. So it gets a folder of this process alone, on a disk with room. What it puts there for a program is
-kept as one file with its SHA-256, and laid there again before a later run builds that program; a kept file that is not as it
-was written is as good as none. Other drivers keep their kernels themselves; pyopencl's cache, which unpickles what it
-finds, is not used.
+or gives other pixels. So it gets a folder of this process alone, on a disk with room. A program whose kernels have run is
+kept as OpenCL's binary of it, one file with its SHA-256, of which a later run builds the program without the compiler; a
+kept file that is not as it was written is as good as none. Other drivers keep their kernels themselves; pyopencl's cache,
+which unpickles what it finds, is not used.
 """
 
 import atexit
 import contextlib
 import functools
 import hashlib
-import io
 import os
 import shutil
 import stat
 import tempfile
 import time
-import zipfile
-from collections.abc import Iterator
+import zlib
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, NamedTuple
 
 from l3cli.errors import DeviceError, L3Error
 from l3cli.files import sweep, write_whole
@@ -29,6 +29,17 @@ PREFIX = "l3-kernels-"
 ROOM = 16 << 20  # bytes, several times what the kernels of a table need while they are compiled
 YOUNG = 60  # seconds in which a folder may be another run's that has not locked it yet
 PROGRAMS = "??/*"  # PoCL's folders of a program each
+COMPILED = "*/*/*.so"  # below each of them: a folder a kernel, in it one for each size of work-groups
+GENERAL = "0-0-0"  # PoCL's folder, of each kernel, of the form for work-groups of any size
+
+
+class Made(NamedTuple):
+    """A program that has been built."""
+
+    program: Any
+    kernels: tuple[str, ...]  # their names
+    binary: Callable[[], bytes]
+    spares_general: bool  # whether the driver is known to leave alone the general forms that `_spare_general_forms` lays
 
 
 class _Cache:
@@ -38,32 +49,38 @@ class _Cache:
         self.kept = _kept_folder()
         self.folder = _private_folder(self.kept)
         self.unkept = "" if self.kept else "there is no home folder"
-        self._built: dict[Path, tuple[set[Path], set[str]]] = {}  # kept file: its programs, what it holds
+        self._new: dict[Path, tuple[set[Path], Made]] = {}  # file to be kept: PoCL's folders of what it is to hold
         os.environ["POCL_CACHE_DIR"] = str(self.folder)
 
-    @contextlib.contextmanager
-    def building(self, identity: str) -> Iterator[None]:
-        """Lay the kernels of a program, known by its `identity`, into PoCL's folder and hear what it adds to them."""
-        file = (self.kept or self.folder) / f"{hashlib.sha256(identity.encode()).hexdigest()}.kernels"
+    def built(self, identity: str, compiled: Callable[[], Made], of_binary: Callable[[bytes], Made | None]) -> Made:
+        """A program known by its `identity`: of the binary that is kept, or else compiled."""
+        file = (self.kept or self.folder) / f"{hashlib.sha256(identity.encode()).hexdigest()}.program"
+        binary = _read(file)
+        if binary is not None and (program := of_binary(binary)) is not None:
+            return program
         before = set(self.folder.glob(PROGRAMS))
-        held = set() if file in self._built else _lay(file, self.folder)
-        yield
-        programs, known = self._built.get(file, (set(), held))
-        self._built[file] = programs | (set(self.folder.glob(PROGRAMS)) - before), known
+        made = compiled()
+        if folders := set(self.folder.glob(PROGRAMS)) - before:
+            self._new[file] = folders, made
+        return made
 
     def keep(self) -> None:
-        """Keep what has been compiled; where that cannot be, `unkept` says why."""
-        for file, (programs, known) in self._built.items():
-            files = {path for program in programs for path in program.rglob("*") if path.is_file()}
-            names = {str(path.relative_to(self.folder)) for path in files}
-            if self.unkept or names <= known:
+        """Keep programs all of whose kernels have run; where that cannot be, `unkept` says why. No other one is: a kernel
+        that its binary lacks would be compiled in every run."""
+        for file, (folders, made) in list(self._new.items()):
+            if {path.stem for folder in folders for path in folder.glob(COMPILED)} < set(made.kernels):
+                continue
+            del self._new[file]
+            if self.unkept:
                 continue
             try:
-                write_whole(file, _packed(self.folder, names))
+                if made.spares_general:
+                    _spare_general_forms(folders)
+                content = zlib.compress(made.binary(), 1)
+                write_whole(file, hashlib.sha256(content).digest() + content)
                 sweep(file.parent)
-            except L3Error as error:
-                self.unkept = f"{file.parent}: {getattr(error.__cause__, 'strerror', None) or error}"
-            known |= names
+            except (L3Error, OSError) as error:
+                self.unkept = f"{file.parent}: {getattr(error.__cause__ or error, 'strerror', None) or error}"
 
 
 @functools.cache
@@ -77,13 +94,14 @@ def prepare() -> None:
     _cache()
 
 
-def building(identity: str) -> contextlib.AbstractContextManager[None]:
-    """A block in which a program is built. `identity` holds all that its kernels depend on."""
-    return _cache().building(identity)
+def built(identity: str, compiled: Callable[[], Made], of_binary: Callable[[bytes], Made | None]) -> Made:
+    """A program: of_binary(what an earlier run has kept of it), where that is not None, else compiled(). `identity` holds
+    all that its kernels depend on."""
+    return _cache().built(identity, compiled, of_binary)
 
 
 def keep() -> None:
-    """Keep the kernels that have run so far for later runs."""
+    """Keep the programs whose kernels have run so far for later runs."""
     _cache().keep()
 
 
@@ -152,25 +170,21 @@ def _remove_abandoned(place: Path) -> None:
                         shutil.rmtree(folder)
 
 
-def _packed(folder: Path, names: set[str]) -> bytes:
-    """Files below a folder as one, behind its SHA-256."""
-    packed = io.BytesIO()
-    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
-        for name in sorted(names):
-            archive.writestr(name, (folder / name).read_bytes())
-    content = packed.getvalue()
-    return hashlib.sha256(content).digest() + content
+def _spare_general_forms(programs: set[Path]) -> None:
+    """Give every kernel that has run as its general form the one that ran. PoCL puts the general form into a binary, too,
+    and compiles it for that, which takes as long as all before; it uses it only where it has no compiler."""
+    for compiled in [path for program in programs for path in program.glob(COMPILED)]:
+        general = compiled.parents[1] / GENERAL
+        if not general.exists():
+            general.mkdir()
+            os.link(compiled, general / compiled.name)
 
 
-def _lay(file: Path, folder: Path) -> set[str]:
-    """Unpack what is kept into a folder; the files' names, none if the file is not there or not as it was written."""
+def _read(file: Path) -> bytes | None:
+    """What is kept in a file; None if it is not there or not as it was written."""
     try:
         whole = file.read_bytes()
-    except OSError:
-        return set()
-    size = hashlib.sha256().digest_size
-    if hashlib.sha256(whole[size:]).digest() != whole[:size]:
-        return set()
-    with zipfile.ZipFile(io.BytesIO(whole[size:])) as archive:
-        archive.extractall(folder)
-        return set(archive.namelist())
+        size = hashlib.sha256().digest_size
+        return zlib.decompress(whole[size:]) if hashlib.sha256(whole[size:]).digest() == whole[:size] else None
+    except (OSError, zlib.error):
+        return None

@@ -18,7 +18,7 @@ from l3cli.classes.later import first_label_words
 from l3cli.classes.plane_kernel import rule_constants, rule_macros, rule_snippets
 from l3cli.classes.planes import COARSE, COARSE_TOP, LUMINANCE, FixedPoint, raw_middle
 from l3cli.classes.windows import Integers, neighbourhoods
-from l3cli.physics.display import srgb_curve
+from l3cli.physics.spaces import Curve
 from l3cli.rendering.display import Display
 
 Macros = dict[str, int | str]
@@ -35,11 +35,11 @@ class Cut:
     tile: int  # columns
     band: int  # rows
     group: tuple[int, int]  # work-items
-    lanes: int  # pixels, or taps, that a work-item takes side by side
+    lanes: int  # pixels, or taps, that a work-item takes side by side; 0: the device's compiler says (lanes.cl)
 
     @property
     def macros(self) -> Macros:
-        return {"TILE": self.tile, "BAND": self.band, "LANES": self.lanes}
+        return {"TILE": self.tile, "BAND": self.band, **({"LANES": self.lanes} if self.lanes else {})}
 
 
 def source_folder() -> Path:
@@ -52,17 +52,18 @@ def source_folder() -> Path:
 def first_source(variant: str, rule: ClassRule) -> str:
     """The .cl files of a variant for the layer that reads the mosaic, with the features of its rule, joined; #line keeps
     file and line in the compiler's messages."""
-    features = [texts(("vectors.cl", *snippets(rule))), f'#line 1 "joined features"\n{joined(rule)}']
-    return "\n".join([*features, texts(VARIANTS[variant].sources)])
+    features = [joined_files("vectors.cl", *snippets(rule)), f'#line 1 "joined features"\n{joined(rule)}']
+    return "\n".join([*features, joined_files(*VARIANTS[variant].sources)])
 
 
 def later_source(variant: str, rule: PlaneRule) -> str:
     """The .cl files of a variant for a layer that reads planes, with the formula of its rule."""
     formula, kernels = rule_snippets(rule)
-    return texts(("vectors.cl", "encoding.cl", "gradient.cl", formula, *VARIANTS[variant].later_sources, kernels[variant]))
+    files = ("vectors.cl", "encoding.cl", "gradient.cl", formula, *VARIANTS[variant].later_sources, kernels[variant])
+    return joined_files(*files)
 
 
-def texts(names: tuple[str, ...]) -> str:
+def joined_files(*names: str) -> str:
     """Files of opencl/, joined."""
     folder = source_folder()
     return "\n".join(f'#line 1 "{name}"\n{(folder / name).read_text(encoding="utf-8")}' for name in names)
@@ -113,16 +114,22 @@ def display_macros(display: Display) -> Macros:
     """What the last stage writes."""
     macros: Macros = {"CODE": {8: "uchar", 16: "ushort"}[display.bits], "TOP": display.top}
     # Within 8e-5, which moves one value of 8 bits in 200 by one; within 1.2e-6, which is what float32 gives.
-    return macros | (curve_macros(2, 5) if display.bits == 8 else curve_macros(3, 8))
+    return macros | (curve_macros(display.curve, 2, 5) if display.bits == 8 else curve_macros(display.curve, 3, 8))
 
 
 @functools.cache
-def curve_macros(steps: int, degree: int) -> Macros:
-    """The power part of the sRGB curve as a polynomial in the fourth root (encoding.cl), fitted at Chebyshev's nodes."""
-    lowest = 0.0031308**0.25
+def curve_macros(curve: Curve, steps: int, degree: int) -> Macros:
+    """A curve, its power part as a polynomial in the fourth root (encoding.cl), fitted at Chebyshev's nodes."""
+    lowest = curve.knee**0.25
     root = lowest + (1 - lowest) * (np.cos(np.linspace(0, np.pi, 1001)) + 1) / 2
-    terms = np.polynomial.polynomial.polyfit(root, srgb_curve(root**4), degree)
-    return {"CURVE_STEPS": steps, "CURVE_DEGREE": degree, "CURVE_TERMS": ",".join(f"{term:.9g}f" for term in terms)}
+    terms = np.polynomial.polynomial.polyfit(root, curve.encoded(root**4), degree)
+    return {
+        "CURVE_KNEE": f"{curve.knee:.9g}f",
+        "CURVE_SLOPE": f"{curve.slope:.9g}f",
+        "CURVE_STEPS": steps,
+        "CURVE_DEGREE": degree,
+        "CURVE_TERMS": ",".join(f"{term:.9g}f" for term in terms),
+    }
 
 
 def class_arrays(table: TransformTable) -> tuple[NDArray, ...]:

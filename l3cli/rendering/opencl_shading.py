@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.frame import RawFrame
-from l3cli.rendering.layout import Macros, texts
-from l3cli.rendering.opencl_devices import pyopencl
+from l3cli.rendering.layout import Macros, joined_files
 from l3cli.rendering.opencl_work import Band, Track
 from l3cli.shading import FRACTION, STEP, Shading, clipped_from
 
@@ -19,9 +18,10 @@ GROUP = 64  # work-items of one pixel each
 class DeviceShading:
     """Kernel and buffers, made when the first frame with a shading comes; buffers are kept while frames share theirs."""
 
-    def __init__(self, build: Callable[[str, Macros], Any], constant: Callable[[NDArray], Any], lanes: int) -> None:
-        """`build` makes a program of source and macros, `constant` puts an array on the device; `lanes`: of its vectors."""
-        self._build, self._constant, self._run = build, constant, LONG_RUN if lanes > 1 else 1
+    def __init__(self, kernel: Callable[[str, Macros, str], Any], constant: Callable[[NDArray], Any], lanes: int) -> None:
+        """`kernel` makes a kernel of source, macros and name, `constant` puts an array on the device; `lanes`: of its
+        vectors."""
+        self._make, self._constant, self._run = kernel, constant, LONG_RUN if lanes > 1 else 1
         self._kernel: Any = None
         self._shading: Shading | None = None
         self._buffers: dict[tuple[str, int, int], Any] = {}
@@ -35,16 +35,20 @@ class DeviceShading:
         """The buffer of a band's gains, which kernels take that are built so."""
         return () if shading is None else (self._buffer(shading, "gain", rows),)
 
+    @staticmethod
+    def evens(frame: RawFrame) -> bool:
+        """Whether a frame's channels are shaded unlike, so that its values on the device are to be written to."""
+        return frame.shading is not None and frame.shading.tint is not None
+
     def even(self, frame: RawFrame, track: Track, band: Band) -> Any:
-        """Enqueue the evening of a band's raw values on the device, which are those of a frame at the table's levels; None
-        if its channels are shaded alike."""
-        if frame.shading is None or frame.shading.tint is None:
-            return None
+        """Enqueue the evening of a band's raw values on the device, which are those of a frame at the table's levels and
+        `evens`."""
         if self._kernel is None:
-            program = self._build(texts(("vectors.cl", "shading.cl")), {"FRACTION": FRACTION, "RUN": self._run})
-            self._kernel = pyopencl().Kernel(program, "even_channels")
+            macros: Macros = {"FRACTION": FRACTION, "RUN": self._run}
+            self._kernel = self._make(joined_files("vectors.cl", "shading.cl"), macros, "even_channels")
         pixels = (band.raw_rows.stop - band.raw_rows.start) * band.columns
         levels = round(frame.black_level), clipped_from(frame.black_level, frame.white_level), pixels
+        assert frame.shading is not None
         tint = self._buffer(frame.shading, "tint", band.raw_rows)
         items, group = -(-pixels // self._run), GROUP if self._run == 1 else 1
         grid = (-(-items // group) * group,)

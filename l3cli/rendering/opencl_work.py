@@ -3,8 +3,10 @@
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.frame import RawFrame
 from l3cli.rendering.opencl_devices import pyopencl
 
 Source = Any  # a buffer of indices
@@ -17,7 +19,8 @@ class Track:
         """For a table of so many later layers."""
         cl = pyopencl()
         self.queue = cl.CommandQueue(context, properties=cl.command_queue_properties.PROFILING_ENABLE)
-        self.raw: Any = None
+        self.raw: Any = None  # what is read …
+        self.uploaded: Any = None  # … which is this, unless it is the host's array
         self.labels: Any = None
         self.planes: list[Any] = [None] * layers  # that each later layer reads
         self.later_labels: list[Any] = [None] * layers
@@ -30,12 +33,57 @@ class Track:
         return copy
 
 
+def shares_memory(device: Any) -> bool:
+    """Whether a device computes in the host's memory, so that nothing need be copied."""
+    return bool(device.type & pyopencl().device_type.CPU)
+
+
 class Work:
-    """What has been started for one frame: its events by stage, and the values that uploads may still be reading."""
+    """What has been started for one frame: its events by stage, and the arrays that the device may still use, which are kept
+    until it is done, also where an interrupt leaves the work."""
 
     def __init__(self, stages: tuple[str, ...]) -> None:
         self.events: dict[str, list[Any]] = {stage: [] for stage in stages}
-        self.sources: list[NDArray] = []
+        self.arrays: list[NDArray] = []
+        self._queues: list[Any] = []
+        self._in_place: list[Any] = []  # buffers that are arrays
+        self._mapped: list[tuple[Any, Any]] = []  # queue, what is mapped
+
+    def __del__(self) -> None:
+        for queue in self._queues:
+            queue.finish()
+
+    def in_place(self, queue: Any, array: NDArray, written: bool = False) -> Any:
+        """A buffer that is a contiguous array, to be read or `written` by a device that shares the host's memory."""
+        flags = pyopencl().mem_flags
+        self.arrays.append(array)
+        self._queues.append(queue)
+        access = flags.WRITE_ONLY if written else flags.READ_ONLY
+        self._in_place.append(pyopencl().Buffer(queue.context, flags.USE_HOST_PTR | access, hostbuf=array))
+        return self._in_place[-1]
+
+    def is_in_place(self, buffer: Any) -> bool:
+        return any(each is buffer for each in self._in_place)
+
+    def hand_back(self, queue: Any, buffer: Any, array: NDArray) -> None:
+        """Have the host see what is written into an array that is a buffer."""
+        cl = pyopencl()
+        mapped, event = cl.enqueue_map_buffer(
+            queue, buffer, cl.map_flags.READ, 0, array.shape, array.dtype, is_blocking=False
+        )
+        queue.flush()
+        self._mapped.append((queue, mapped.base))
+        self.add("download", event)
+
+    def end(self) -> dict[str, float]:
+        """`milliseconds`, after the last of the work."""
+        for event in self.events["download"]:
+            event.wait()
+        while self._mapped:
+            queue, mapping = self._mapped.pop()
+            mapping.release(queue)
+        self._queues.clear()
+        return self.milliseconds()
 
     def add(self, stage: str, event: Any) -> None:
         self.events[stage].append(event)
@@ -49,11 +97,23 @@ class Work:
 
 
 @dataclass(frozen=True)
+class Held:
+    """Outputs of a frame that are still on the device, as a track's result."""
+
+    frame: RawFrame
+    values: NDArray[np.uint16]  # a copy: a frame's own may be written to
+    track: Track
+    result: Any  # the buffer
+
+    def are_of(self, frame: RawFrame) -> bool:
+        """Whether they are those of a frame."""
+        return self.frame is frame and np.array_equal(self.values, frame.values)
+
+
+@dataclass(frozen=True)
 class PlaneStep:
     """How a layer that reads planes comes to them and to its classes."""
 
-    planes: Any  # kernel of the layer before
-    classes: Any  # kernel of its rule
     weights: Any  # of the layer before
     rule: tuple[Any, ...]
     nothing: Any  # where other transforms have a display's matrix

@@ -53,6 +53,11 @@ class ReferenceRenderer:
         planes, later_labels = self._later(levelled, labels, len(self.table.later))
         return share * later_outputs(planes, later_labels, self.table.later[-1])
 
+    def planes(self, frame: RawFrame) -> NDArray[np.int32]:
+        """What the last layer of a table of several reads of a frame, (plane, row, col)."""
+        levelled = at_table_levels(frame, self.table)
+        return self._later(levelled, table_labels(levelled, self.table), len(self.table.later))[0]
+
     @functools.cached_property
     def _fixed_points(self) -> list[FixedPoint]:
         """Of all layers but the last."""

@@ -22,6 +22,9 @@ BACKENDS = {
 class Renderer(Protocol):
     """Renders frames through the table it was made from; keeps whatever is the same from frame to frame."""
 
+    @property
+    def table(self) -> TransformTable: ...
+
     def labels(self, frame: RawFrame, layer: int = 0) -> NDArray[np.integer]:
         """Class (row, col) of every pixel in a layer of the table, equal for every backend."""
 

@@ -17,6 +17,7 @@ from l3cli.parallel import ordered_map
 from l3cli.stages import exports
 from l3cli.stages.claims import Claims
 from l3cli.stages.console import Console
+from l3cli.stages.plan import Made, before_work
 
 
 def calibrate(
@@ -42,10 +43,17 @@ def calibrate(
         claims.spare(*itertools.chain(*inputs.files.values()), *(camera_files(truth) if truth else ()))
         true = load_camera(truth) if truth else None
         measured = photo_measurements(photos, light) if measurements is None else load_measurements(measurements)
+        further: list[Path] = []
         if export:
             further = exports.by_array(export, measured.body.channels, measured.body.cfa)
-            for path in (*offset_paths(export, measured.photos), *further):
+            further += offset_paths(export, measured.photos)
+            for path in further:
                 claims.claim_file(path, force)
+        before_work(
+            inputs.files | {"camera to compare with": camera_files(truth) if truth else []},
+            Made(output, f"camera model of {len(measured.body.channels)} channels"),
+            *(Made(path, "export") for path in (*(exports.always(export) if export else ()), *further)),
+        )
 
         def each(function: Callable[[Any], Any], captures: Iterable[Any]) -> Iterator[Any]:
             captures = list(captures)

@@ -12,6 +12,7 @@ from l3cli.files import write_whole
 from l3cli.limits import read_bounded
 from l3cli.stages.claims import Claims
 from l3cli.stages.console import Console
+from l3cli.stages.plan import Made, before_work
 
 GIVE = 'give what "l3 evaluate --json" prints'
 
@@ -73,6 +74,7 @@ def compare(
         curves = {figure: [curve_of(document, figure) for document in documents] for figure in figures}
         require_comparable(next(iter(curves.values())))
         comparison = Comparison(curves, {figure: _changes(figure, cameras) for figure, cameras in curves.items()})
+        before_work({"evaluations": evaluations}, *([Made(page, "page")] if page is not None else []))
         if page is not None:
             _write_page(comparison, page)
         return comparison

@@ -17,13 +17,14 @@ from l3cli.evaluation.pictures import frame_pictures
 from l3cli.files import sha256
 from l3cli.frame import RawFrame
 from l3cli.io import images
-from l3cli.locks import finished_together
+from l3cli.locks import finished_together, refuse_other_run
 from l3cli.rendering.display import require_xyz
 from l3cli.rendering.renderer import Renderer, make_renderer
 from l3cli.stages.claims import Claims
 from l3cli.stages.console import Console
 from l3cli.stages.frame_names import frame_name
 from l3cli.stages.input_warnings import warn_if_trained_on, warn_if_unlike, warn_of_kernels
+from l3cli.stages.plan import Made, before_work
 
 
 def evaluate(
@@ -44,10 +45,15 @@ def evaluate(
             claims.spare(table, frames)
             claims.hold_folder(pictures, "*.png")
         with open_training_set(frames) as reader, contextlib.ExitStack() as unfinished:
+            evaluation = Evaluation(transforms, reader.head, viewing, border)
+            made = []
             if pictures is not None:
                 key = json.dumps([__version__, sha256(table), sha256(frames), backend, viewing])
+                refuse_other_run(pictures, key, force)
+                made = [Made(pictures, f"pictures of {len(reader)} frames")]
+            before_work({"table": [table], "frames": [frames]}, *made)
+            if pictures is not None:
                 unfinished.enter_context(finished_together(pictures, key, force))
-            evaluation = Evaluation(transforms, reader.head, viewing, border)
             warn_if_trained_on(transforms, table, frames, console)
             warn_if_unlike((table, transforms), (frames, reader.head.camera), console)
             renderer = make_renderer(backend, transforms)

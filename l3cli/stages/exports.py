@@ -10,17 +10,32 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import camera_files, load_camera
+from l3cli.artifacts.store import open_artifact
+from l3cli.artifacts.table import TransformTable
 from l3cli.calibration import colour
 from l3cli.calibration.datasheet import datasheet
 from l3cli.columns import printable
+from l3cli.errors import InputFileError
 from l3cli.files import write_whole
 from l3cli.io import profiles
 from l3cli.io.curves import export_curves, export_paths
 from l3cli.stages.claims import Claims
 from l3cli.stages.console import Console
+from l3cli.stages.plan import Made, before_work
 
 DATASHEET, DCP = "datasheet.csv", "dcp.json"
 RASPBERRY_PI, SIMPLE = "libcamera_rpi.json", "libcamera_simple.yaml"
+
+
+def is_table(path: Path) -> bool:
+    """Whether a file holds a transform table and no camera; InputFileError if it holds neither."""
+    if path.suffix == ".toml":
+        return False
+    with open_artifact(path) as root:
+        kind = str(root.attrs["kind"])
+    if kind not in (CameraModel.kind, TransformTable.kind):
+        raise InputFileError(f"{path} holds a {kind}; give a camera model or recipe, or a transform table")
+    return kind == TransformTable.kind
 
 
 def always(folder: Path) -> list[Path]:
@@ -48,6 +63,8 @@ def export(
         further = by_array(output, model.channels, model.cfa)
         for path in further:
             claims.claim_file(path, force)
+        made = (Made(path, "export") for path in (*always(output), *further))
+        before_work({"camera": camera_files(camera)}, *made)
         matrices = write(model, output, console)
         written = [*always(output), *(further if matrices else [])]
         console.say(f"{output}: {', '.join(path.name for path in written)} written")

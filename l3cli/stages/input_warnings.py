@@ -1,5 +1,6 @@
 """Warnings of inputs that a table was not made for, and what to do about them."""
 
+import re
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -9,6 +10,7 @@ from l3cli.files import sha256
 from l3cli.frame import RawFrame
 from l3cli.rendering.coverage import CoverageMeter
 from l3cli.rendering.kernels import unkept
+from l3cli.rendering.sites import best_phases
 from l3cli.stages.console import Console
 
 if TYPE_CHECKING:
@@ -17,9 +19,12 @@ if TYPE_CHECKING:
 
     from l3cli.artifacts.camera import CameraModel
     from l3cli.artifacts.table import TransformTable
-    from l3cli.io.sequences import Pending
+    from l3cli.rendering.white import SceneWhite
+    from l3cli.stages.rendering.rendition import Exposed
 
 NOTABLE = {"darker": 0.05, "brighter": 0.05, "untrained": 0.2, "saturated": 0.1}  # shares of a frame that are worth a word
+SITES_DIFFER = 0.1  # of the mean of a channel, between its sites, from which on the array is not where it is taken to be …
+SITES_AGREE = 0.4  # … if another phase leaves no more than this of it
 NEAR_WHITE = 0.02  # distance of chromaticities u′v′ from which on two whites are different lights
 
 
@@ -30,6 +35,9 @@ class FrameWarnings:
     table: "TransformTable"
     _seen: int = 0
     _untimed: list[str] = field(default_factory=list)  # frames whose exposure time and dark level are unknown
+    _others: dict[str, tuple[str, int]] = field(
+        default_factory=dict
+    )  # what is said of the camera or the array: frame, number
     _notes: dict[str, str] = field(default_factory=dict)  # first frame of each
     _worst: dict[str, tuple[float, str, int]] = field(default_factory=dict)  # share, frame, number of frames
 
@@ -41,6 +49,9 @@ class FrameWarnings:
         self._seen += 1
         if self.table.dark_signal(1.0) and frame.exposure is None and not frame.dark_measured:
             self._untimed.append(frame.name)
+        for text in filter(None, [other_camera(frame, self.table), other_phase(frame, self.table)]):
+            first, count = self._others.get(text, (frame.name, 0))
+            self._others[text] = first, count + 1
         for note in frame.notes:
             self._notes.setdefault(note, frame.name)
         coverage = self._meter.coverage(frame)
@@ -50,14 +61,12 @@ class FrameWarnings:
                 worst, name, count = self._worst.get(what, (0.0, "", 0))
                 self._worst[what] = (share, frame.name, count + 1) if share > worst else (worst, name, count + 1)
 
-    def watched(
-        self, frames: "Iterator[tuple[Pending, RawFrame, float]]", stills: bool
-    ) -> "Iterator[tuple[Pending, RawFrame, float]]":
+    def watched(self, frames: "Iterator[Exposed]", stills: bool) -> "Iterator[Exposed]":
         """Pass frames on, after a check of every still, or the first frame of a sequence, unless others are to read it."""
-        for pending, frame, scale in frames:
-            if isinstance(frame, RawFrame) and (stills or not self._seen):
-                self.measure(frame)
-            yield pending, frame, scale
+        for each in frames:
+            if isinstance(each.frame, RawFrame) and (stills or not self._seen):
+                self.measure(each.frame)
+            yield each
 
     def report(self, console: Console) -> None:
         """One line for each warning."""
@@ -76,11 +85,43 @@ class FrameWarnings:
                 f"{self._untimed[0]}: exposure time unknown; dark current of the training's {exposure:.3g} s is taken off "
                 f"({dark:.2g} DN); give ‹exposure_time› or ‹dark›"
             )
+        for text, (name, count) in self._others.items():
+            console.warn(f"{name}{f' and {count - 1} more' if count > 1 else ''}: {text}")
         for note, name in self._notes.items():
             console.warn(f"{name}: {note}")
         for what, (share, name, count) in self._worst.items():
             where = name if self._seen == 1 else f"{count} of {self._seen} frames, most in {name}"
             console.warn(f"{where}: {share:.0%} of the pixels {texts[what]}")
+
+
+def other_camera(frame: "RawFrame", table: "TransformTable") -> str:
+    """What there is to say if a file names another camera than the table's; "" if it names none, or that one."""
+    theirs = [_words(name) for name in frame.taken_by]
+    ours = _words(table.camera_name)
+    if not frame.taken_by or any(ours & words - _words(frame.taken_by[0]) or ours == words for words in theirs):
+        return ""
+    name = max(frame.taken_by[:2], key=len)
+    return (
+        f"it was taken by {name}, the table is for {table.camera_name}; give the table of this camera, or name it so in "
+        "its recipe"
+    )
+
+
+def _words(name: str) -> set[str]:
+    return set(re.findall(r"[0-9a-z]+", name.lower()))
+
+
+def other_phase(frame: "RawFrame", table: "TransformTable") -> str:
+    """What there is to say if the sites of one channel differ as they do where a file misstates its array, or "";
+    with the phase that fits."""
+    now, least, phases = best_phases(frame, table)
+    if now < SITES_DIFFER or not phases or least > SITES_AGREE * now:
+        return ""
+    fitting = " or ".join(f"{row},{col}" for row, col in phases)
+    return (
+        f"sites of one channel differ by {now:.0%} on average, its colour filter array begins elsewhere than it says; "
+        f"‹phase› {fitting} leaves {least:.1%}"
+    )
 
 
 def warn_of_white(asked: str, white: np.ndarray, table: "TransformTable", console: Console) -> None:
@@ -89,7 +130,16 @@ def warn_of_white(asked: str, white: np.ndarray, table: "TransformTable", consol
         x, y = table.white_point[:2] / table.white_point.sum()
         console.warn(
             f"‹white› {asked} is far from the mean light of the training, x,y = {x:.4f},{y:.4f}: "
-            "colours are adapted, not learned for it; train with it among the illuminants of SCENES.toml"
+            "colours are adapted from it alone; name the light, or train with it among the illuminants of SCENES.toml"
+        )
+
+
+def warn_of_odd_white(what: str, white: "SceneWhite", console: Console) -> None:
+    """Say so if no light that is likely gives a white."""
+    if not white.plausible:
+        console.warn(
+            f"{what} is what no daylight, lamp or black body gives the table's camera ({white}); is it the table of this "
+            "camera? give ‹white› otherwise"
         )
 
 

@@ -20,6 +20,7 @@ from l3cli.simulation.lab_recipe import LabRecipe
 from l3cli.simulation.sensor_defects import DefectRecipe
 from l3cli.stages.claims import Claims, refuse_unwritable
 from l3cli.stages.console import Console
+from l3cli.stages.plan import Made, before_work
 from l3cli.units import PHOTON_RADIANCE
 
 MONO = "spectra/mono.csv"  # spectra of the monochromator's steps
@@ -48,6 +49,12 @@ def measure(
         captures = plan(model, chosen, seed)
         for name in _names(captures):
             refuse_spared(output / name)
+        frames = sum(capture.trials for capture in captures)
+        before_work(
+            {"camera": camera_files(camera), "lab recipe": [recipe] if recipe else []},
+            Made(output, f"{len(_names(captures)) - frames} files of spectra and measurements"),
+            Made(output, f"{frames} frames of {model.rows}×{model.cols}", 2 * frames * model.rows * model.cols),
+        )
         file.unlink(missing_ok=True)  # written last, it never names frames of two runs
         work = [(capture, trial) for capture in captures for trial in range(capture.trials)]
         write_frame = functools.partial(_write_frame, model, chosen.defects, output, seed)
@@ -62,7 +69,7 @@ def measure(
 def _write_frame(model: CameraModel, defects: DefectRecipe, folder: Path, seed: int, job: tuple[LabCapture, int]) -> None:
     """Take and write one frame, in whatever process."""
     capture, trial = job
-    write_mosaic(folder / _frame_name(capture, trial), take(model, capture, trial, seed, defects))
+    write_mosaic(folder / _frame_name(capture, trial), take(model, capture, trial, seed, defects), capture.exposure)
 
 
 def _frame_name(capture: LabCapture, trial: int) -> str:

@@ -14,6 +14,7 @@ from l3cli.stages.claims import Claims
 from l3cli.stages.console import Console
 from l3cli.stages.photo_camera import photographed
 from l3cli.stages.photo_recipe import CURVES, PhotoCamera
+from l3cli.stages.plan import Made, before_work
 from l3cli.stages.starting import COMMON, write_folder
 
 RAW_SUFFIXES = (".dng", *CAMERA_RAW.suffixes)  # of files that say which camera they are of
@@ -44,8 +45,11 @@ def start_from(
             places[name]: photographed(taken, light, console)
             for name, taken in console.progress(cameras.items(), len(cameras), "cameras")
         }
+        contents = {place: _contents(camera) for place, camera in made.items()}
+        sizes = {place / name: len(content) for place, texts in contents.items() for name, content in texts.items()}
+        before_work({"photos": files}, *(Made(path, "recipe", size) for path, size in sizes.items()))
         for place, camera in made.items():
-            write_folder(place, _contents(camera))
+            write_folder(place, contents[place])
             load_camera(place / "camera.toml")  # what cannot be simulated is refused now
             console.say(_told(place, camera))
     return list(made)

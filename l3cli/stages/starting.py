@@ -11,6 +11,7 @@ from l3cli.files import atomic_output
 from l3cli.recipes import known_benchmarks, known_recipes, recipe_folder
 from l3cli.stages.claims import Claims
 from l3cli.stages.console import Console
+from l3cli.stages.plan import Made, before_work
 
 # What a folder of recipes holds beside its camera.toml: name there ← name in configs/.
 COMMON = {
@@ -38,6 +39,8 @@ def start(starter: Path, folder: Path, console: Console, *, force: bool = False)
     with Claims(console) as claims:
         claims.spare(*origins.values())
         claims.claim_folder(folder, force, *origins)
+        made = [Made(folder / name, "copy", origin.stat().st_size) for name, origin in origins.items()]
+        before_work({"recipes": origins.values()}, *made)
         write_folder(folder, {name: origin.read_bytes() for name, origin in origins.items()})
         console.say(f"{folder}: {summary(starter)}; next: make -C {folder}")
 

@@ -3,16 +3,22 @@
 import functools
 import json
 import shutil
+from importlib.util import find_spec
 
+import numpy as np
 import pytest
 
 from l3cli import parallel
 from l3cli.classes.recipe import ClassRecipe
 from l3cli.rendering import benchmark
+from l3cli.rendering.naive import NaiveTransforms
+from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.simulation import benchmark as simulation
 from l3cli.training import benchmark as training
 from l3cli.training.recipe import TrainingRecipe
 from tests.helpers.calls import L3, Refused
+from tests.helpers.cameras import BAYER
+from tests.helpers.tables import XYZ, frame_of_all_levels, random_table
 
 FIELDS = {
     "width", "height", "patch", "channels", "outputs", "classes", "backend", "variant", "device", "stages_ms", "frame_ms",
@@ -25,6 +31,7 @@ STAGES = ["upload", "classes", "transforms", "encode", "download"]
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(benchmark, "FULL", (benchmark.Case(80, 50, 5, "bayer", "fast"),))
     monkeypatch.setattr(benchmark, "SMALL", (benchmark.Case(40, 30, 5, "bayer", "fast", 2),))
+    monkeypatch.setattr(benchmark, "PEER", benchmark.Case(40, 30, 5, "bayer", "fast"))
     monkeypatch.setattr(benchmark, "TINY", (benchmark.Case(20, 10, 5, "bayer", "fast"),))
     monkeypatch.setattr(simulation, "CASES", ())
     monkeypatch.setattr(training, "CASES", ())
@@ -54,6 +61,30 @@ def test_json_says_what_was_measured_how(l3: L3, monkeypatch: pytest.MonkeyPatch
     assert sum(learned["stages_ns"].values()) == pytest.approx(1e9 / learned["rows_per_s"])
     assert ("limit_ratio" in document["results"][0]) == (shutil.which("cc") is not None)
     assert "limit_ratio" not in document["results"][1]  # limit.c has three outputs
+    for result in document["results"][:2]:
+        assert result["stages_sum_ms"] > 0
+        assert ("limit_ratio" in result) != ("no_limit" in result)
+    peers = [peer["peer"] for peer in document["peers"]]
+    assert peers == ["naive kernel", "Menon (colour-demosaicing)"][: 1 + bool(find_spec("colour_demosaicing"))]
+    assert all(peer["ratio"] == pytest.approx(peer["theirs"] / peer["ours"]) for peer in document["peers"])
+    assert document["five_against_nine"] == {}  # the same frame is not timed with 9×9
+
+
+def test_patches_of_five_and_nine_are_compared_where_all_else_is_the_same() -> None:
+    usual = {"width": 80, "height": 50, "channels": 3, "classes": "fast", "variant": "processor", "backend": "opencl"}
+    results = [{**usual, "patch": 5, "frame_ms": 2.0}, {**usual, "patch": 9, "frame_ms": 5.0}]
+    others = [{**results[0], "channels": 5}, {**results[0], "width": 90}, {**results[0], "backend": "reference"}]
+    assert benchmark.five_against_nine([*others, *results]) == {"80×50 fast": 2.5}
+
+
+@pytest.mark.parametrize(("phase", "outputs"), [((0, 0), XYZ), ((1, 0), ("a", "b"))])
+def test_the_naive_kernel_does_the_same(phase: tuple[int, int], outputs: tuple[str, ...]) -> None:
+    table = random_table(BAYER, bits=12, black_level=64.0, outputs=outputs)
+    frame = frame_of_all_levels(table, np.random.default_rng(0), (37, 51), phase)
+    reference = ReferenceRenderer(table)
+    naive = NaiveTransforms(table, "", frame, reference.labels(frame).astype(np.uint32))
+    assert naive.milliseconds() > 0
+    np.testing.assert_allclose(naive.outputs(), reference.outputs(frame), atol=1e-5)
 
 
 def test_table_of_one_variant_without_a_compiler(l3: L3, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -61,10 +92,12 @@ def test_table_of_one_variant_without_a_compiler(l3: L3, monkeypatch: pytest.Mon
     code, out, _ = l3("bench", "--variant", "processor", "--device", "0", "--quiet")
     assert code == 0
     lines = out.splitlines()
-    (line,) = [line for line in lines if "80×50" in line]
+    line, comparison = [line for line in lines if "80×50" in line][:2]
     assert "processor" in line
     assert "graphics" not in out
     assert len(line.split()) == 13  # the last would be the ratio to the limit
+    assert comparison.endswith("no C compiler (CC or cc)")
+    assert any(line.split()[:3] == ["naive", "kernel", "40×30"] for line in lines)
 
 
 def test_devices_are_listed_and_wrong_ones_refused(l3: L3, refused: Refused) -> None:

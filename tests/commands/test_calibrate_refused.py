@@ -93,7 +93,7 @@ def no_picture(path: Path) -> None:
     ("spoil", "says"),
     [
         (Path.unlink, "does not exist"),
-        (truncate, "truncated"),
+        (truncate, "not an image that can be read"),
         (too_small, "100×100 pixels, the sensor 192×256"),
         (too_deep, "more than 12 bits"),
         (no_picture, "not an image"),
@@ -196,6 +196,20 @@ def test_a_table_makes_a_relative_camera(table: Path, tmp_path: Path, l3: L3) ->
     assert not camera.absolute
     assert camera.gain == pytest.approx((4000 - 64) / 20000)
     assert camera.noise.read_noise == 0
+
+
+def test_a_photodiodes_column_is_named(table: Path, tmp_path: Path, l3: L3, refused: Refused) -> None:
+    """A certificate with an uncertainty beside the response: one column, by name or number; none is guessed."""
+    assert l3("calibrate", table / "MEASUREMENTS.toml", "-o", tmp_path / "one.h5", "--quiet")[0] == 0
+    (table / "diode.csv").write_text("nm,response (A/W),u (%)\n390,0.5,3\n710,0.9,2\n")
+    line = refused(3, "calibrate", table / "MEASUREMENTS.toml", "-o", tmp_path / "two.h5")
+    assert 'name one, photodiode = {file = "diode.csv", column = 1}' in line
+    text = (table / "MEASUREMENTS.toml").read_text()
+    for column in ("1", '"response"'):
+        (table / "MEASUREMENTS.toml").write_text(text.replace('"diode.csv"', f'{{file = "diode.csv", column = {column}}}'))
+        assert l3("calibrate", table / "MEASUREMENTS.toml", "-o", tmp_path / "two.h5", "--quiet", "--force")[0] == 0
+        one, two = load(CameraModel, tmp_path / "one.h5"), load(CameraModel, tmp_path / "two.h5")
+        np.testing.assert_array_equal(one.responsivity, two.responsivity)
 
 
 @pytest.mark.parametrize(

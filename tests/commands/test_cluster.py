@@ -107,6 +107,8 @@ def made(bayer_recipe: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("train", folder / "training.h5", "--classes", folder / "classes.toml", "-o", folder / "table.h5"),
         ("render", *frames(folder), "--exposure", 1, "-o", folder / "pictures"),
         ("render", *frames(folder), "-o", folder / "video.y4m"),
+        ("render", *frames(folder), "-o", folder / "raw/####.dng", "--remosaic", "bayer"),
+        ("render", *frames(folder), "-o", folder / "pages.tif", "--bits", 32, "--space", "acescg"),
     ):
         assert run([*map(str, command), "--quiet"]) == 0
     return folder
@@ -159,12 +161,21 @@ def test_a_shard_gives_the_same_bytes(cluster: Cluster, made: Path, tmp_path: Pa
 
 
 def test_render_gives_the_same_bytes(cluster: Cluster, made: Path, tmp_path: Path, l3: Callable) -> None:
-    """Files that workers read, and frames that are sent to them because their exposure follows those before."""
+    """Files that workers read, and frames that are sent to them because their exposure or white follows those before."""
     where = ("--scheduler", cluster.address)
     assert l3("render", *frames(made), "--exposure", 1, "-o", tmp_path / "pictures", *where)[0] == 0
     assert _content(tmp_path / "pictures") == _content(made / "pictures")
     assert l3("render", *frames(made), "-o", tmp_path / "video.y4m", *where)[0] == 0
     assert (tmp_path / "video.y4m").read_bytes() == (made / "video.y4m").read_bytes()
+    for name, white, there in (("here", "auto", ()), ("there", "auto", where), ("named", "A", ()), ("sent", "A", where)):
+        assert l3("render", *frames(made), "--exposure", 1, "--white", white, "-o", tmp_path / name, *there)[0] == 0
+    assert _content(tmp_path / "here") == _content(tmp_path / "there") != _content(made / "pictures")
+    assert _content(tmp_path / "named") == _content(tmp_path / "sent")
+    assert l3("render", *frames(made), "-o", tmp_path / "raw/####.dng", "--remosaic", "bayer", *where)[0] == 0
+    assert _content(tmp_path / "raw") == _content(made / "raw")
+    pages = ("-o", tmp_path / "pages.tif", "--bits", 32, "--space", "acescg")
+    assert l3("render", *frames(made), *pages, *where)[0] == 0
+    assert (tmp_path / "pages.tif").read_bytes() == (made / "pages.tif").read_bytes()
 
 
 def test_a_broken_frame_is_named_or_left_out(cluster: Cluster, made: Path, tmp_path: Path, l3: Callable) -> None:

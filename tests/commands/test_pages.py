@@ -63,11 +63,11 @@ def test_pages_are_read_one_by_one_in_any_order(tmp_path: Path, monkeypatch: pyt
         monkeypatch.setenv(TRUST, trusting)
         assert count_pages(path) == COUNT
         for number in (3, 0, 4, 4, 1):
-            np.testing.assert_array_equal(read_page(path, number)[0], frames()[number])
+            np.testing.assert_array_equal(read_page(path, number)["values"], frames()[number])
     other = write_pages(tmp_path / "b.tif", frames()[::-1])
-    np.testing.assert_array_equal(read_page(other, 0)[0], frames()[-1])
+    np.testing.assert_array_equal(read_page(other, 0)["values"], frames()[-1])
     write_pages(path, frames()[::-1])  # another file takes the name
-    np.testing.assert_array_equal(read_page(path, 0)[0], frames()[-1])
+    np.testing.assert_array_equal(read_page(path, 0)["values"], frames()[-1])
 
 
 def test_a_tiff_of_one_page_is_a_frame_as_before(l3: L3, tmp_path: Path, table: Path) -> None:

@@ -52,7 +52,7 @@ def raw(tmp_path: Path, mosaic: np.ndarray) -> Path:
 # ---------------------------------------------------------------------------------------------------- image files
 
 
-@pytest.mark.parametrize("name", ["a.png", "a.tif", "a.TIFF"])
+@pytest.mark.parametrize("name", ["a.png", "a.tif", "a.TIFF", "a.jxl"])
 @pytest.mark.parametrize("bits", [8, 16])
 def test_lossless_pictures_come_back_as_written(tmp_path: Path, name: str, bits: int) -> None:
     picture = np.random.default_rng(0).integers(0, 2**bits, (5, 7, 3)).astype(f"uint{bits}")
@@ -85,8 +85,9 @@ def test_exr_keeps_floats_and_names(tmp_path: Path) -> None:
 
 def test_pictures_say_that_they_are_srgb(tmp_path: Path) -> None:
     write_picture(tmp_path / "a.png", np.zeros((2, 2, 3), np.uint8))
-    assert b"sRGB" in (tmp_path / "a.png").read_bytes()
-    for name in ("a.tif", "a.jpg"):
+    content = (tmp_path / "a.png").read_bytes()
+    assert (b"iCCP" in content, b"sRGB" in content, b"gAMA" in content) == (True, False, False)  # one of them, says PNG
+    for name in ("a.png", "a.tif", "a.jpg"):
         write_picture(tmp_path / name, np.zeros((2, 2, 3), np.uint8))
         source = oiio.ImageInput.open(str(tmp_path / name))
         assert source is not None
@@ -198,7 +199,7 @@ def test_automatic_exposure_shows_one_percent_white(l3: L3, tmp_path: Path, tabl
 
 
 def test_the_same_input_gives_the_same_bytes(l3: L3, tmp_path: Path, table: Path, raw: Path) -> None:
-    suffixes = ("png", "tif", "jpg", "exr")
+    suffixes = ("png", "tif", "jpg", "jxl", "exr", "dng")
     for name in ("a", "b"):
         for suffix in suffixes:
             assert l3("render", table, raw, "-o", tmp_path / f"{name}.{suffix}")[0] == 0
@@ -226,6 +227,8 @@ def test_picture_is_turned_upright(
 ) -> None:
     frame = RawFrame("f", mosaic[:6, :10], RGGB.black_level, RGGB.white_level, orientation=6)
     monkeypatch.setattr("l3cli.io.sequences.read_raw", lambda *_: frame)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "frame.dng").touch()
     for name in ("a.png", "a.exr"):
         assert l3("render", table, "frame.dng", "-o", tmp_path / name)[0] == 0
         assert read_image(tmp_path / name)[0].shape == (10, 6, 3)

@@ -22,7 +22,8 @@ from l3cli.io.numbered import numbered_files, numbered_name
 from l3cli.io.raw.files import KnownBetter
 from l3cli.io.sequences import find_frames
 from l3cli.physics.display import exposure_scale
-from l3cli.rendering.exposure import TIME_CONSTANT, LightMeter, SteadyExposure
+from l3cli.rendering.balance import TIME_CONSTANT
+from l3cli.rendering.exposure import LightMeter, SteadyExposure
 from l3cli.rendering.reference import ReferenceRenderer
 from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import BAYER, FIVE_BAND

@@ -1,10 +1,12 @@
 """Where a command runs: closed streams, small and foreign disks, other locales, odd file names, odd variables."""
 
+import hashlib
 import json
 import os
 import shutil
 import subprocess
 import sys
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -174,22 +176,22 @@ def test_who_says_yes_trusts_and_what_is_neither_is_refused(monkeypatch: pytest.
 PROGRAM = """
 import numpy as np
 from l3cli.rendering import opencl_devices
-from l3cli.rendering.opencl import OpenCLRenderer
+from l3cli.rendering.opencl_programs import Compiler
 cl = opencl_devices.pyopencl()
-class Bare(OpenCLRenderer):
-    def __init__(self):
-        self.device = opencl_devices.choose_device("")
-        self._context = cl.Context([self.device])
-one = Bare()
-kernel = cl.Kernel(one._compile("__kernel void f(__global int *a) { a[get_global_id(0)] = 7; }", []), "f")
-queue, numbers = cl.CommandQueue(one._context), np.zeros(16, np.int32)
-buffer = cl.Buffer(one._context, cl.mem_flags.WRITE_ONLY, numbers.nbytes)
+device = opencl_devices.choose_device("")
+context = cl.Context([device])
+compiler = Compiler(context, device)
+made = compiler.build("__kernel void f(__global int *a) { a[get_global_id(0)] = 7; }", {})
+kernel = compiler.kernel(made, "f")
+queue, numbers = cl.CommandQueue(context), np.zeros(16, np.int32)
+buffer = cl.Buffer(context, cl.mem_flags.WRITE_ONLY, numbers.nbytes)
 kernel(queue, (16,), None, buffer)
 cl.enqueue_copy(queue, numbers, buffer)
 assert (numbers == 7).all()
 from l3cli.rendering import kernels
-kernels.keep()
-print(kernels.unkept())
+was_compiled = bool(kernels._cache()._new)
+compiler.keep()
+print(kernels.unkept(), "compiled" if was_compiled else "kept")
 """
 
 
@@ -208,16 +210,25 @@ def tree(folder: Path) -> dict[str, bytes]:
 
 
 def test_kernels_are_kept_and_a_damaged_cache_is_built_anew(tmp_path: Path) -> None:
-    assert computed(XDG_CACHE_HOME=str(tmp_path)) == ""
+    assert computed(XDG_CACHE_HOME=str(tmp_path)) == "compiled"
     kept = tree(tmp_path)
     assert list(map(os.path.dirname, kept)) == ["l3cli/kernels"]
     written = {name: (tmp_path / name).stat().st_mtime_ns for name in kept}
-    assert computed(XDG_CACHE_HOME=str(tmp_path)) == ""
-    assert {name: (tmp_path / name).stat().st_mtime_ns for name in kept} == written  # nothing had to be built
+    assert computed(XDG_CACHE_HOME=str(tmp_path)) == "kept"
+    assert {name: (tmp_path / name).stat().st_mtime_ns for name in kept} == written
     for name, content in kept.items():
         (tmp_path / name).write_bytes(content[:-9] + bytes([content[-9] ^ 1]) + content[-8:])
-    assert computed(XDG_CACHE_HOME=str(tmp_path)) == ""
+    assert computed(XDG_CACHE_HOME=str(tmp_path)) == "compiled"
     assert {name: (tmp_path / name).stat().st_mtime_ns for name in kept}.items().isdisjoint(written.items())
+
+
+def test_a_binary_that_the_driver_refuses_is_compiled_anew(tmp_path: Path) -> None:
+    assert computed(XDG_CACHE_HOME=str(tmp_path)) == "compiled"
+    (file,) = tmp_path.rglob("*.program")
+    content = zlib.compress(b"of another driver")
+    file.write_bytes(hashlib.sha256(content).digest() + content)
+    assert computed(XDG_CACHE_HOME=str(tmp_path)) == "compiled"
+    assert computed(XDG_CACHE_HOME=str(tmp_path)) == "kept"
 
 
 @pytest.mark.parametrize("variables", [{"HOME": "/proc"}, {"HOME": ""}])

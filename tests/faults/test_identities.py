@@ -142,7 +142,7 @@ def test_a_simulation_is_not_resumed_with_other_files_behind_its_recipes(
         f'exposure_share = [0.9]\n[[scene]]\nsource = "envi"\nfile = "cube.hdr"\nholds = "reflectance"\n{broken}'
     )
     write_picture(desk / "broken.png", np.random.default_rng(0).integers(0, 256, (20, 24, 3)).astype(np.uint8))
-    (desk / "broken.png").write_bytes((desk / "broken.png").read_bytes()[:300])  # its header is whole
+    (desk / "broken.png").write_bytes((desk / "broken.png").read_bytes()[:-400])  # its header is whole
     call = ["simulate", "envi.toml", "--camera", "camera.toml", "-o", "t.h5", "--quiet"]
     assert l3(*call)[0] == 3
     content = (desk / changed).read_bytes()

@@ -6,9 +6,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.layers import MosaicLayer, PlaneLayer
 from l3cli.artifacts.structure_rule import StructureRule
 from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.training_set import LightSpectrum
 from l3cli.artifacts.tree_rule import TESTS, TreeRule
 from l3cli.classes.decide import label_mosaic
 from l3cli.classes.later import plane_evidence
@@ -16,7 +18,9 @@ from l3cli.classes.planes import fixed_point
 from l3cli.classes.recipe import ClassRecipe
 from l3cli.classes.rule import make_rule
 from l3cli.classes.tree import EVERY, Evidence
+from l3cli.classes.windows import window_channels
 from l3cli.frame import RawFrame
+from l3cli.physics import spectra
 from l3cli.rendering.later import first_planes
 from tests.helpers.cameras import random_camera
 
@@ -164,3 +168,30 @@ def random_table(
             condition=np.ones(classes, np.float32),
         ),
     )
+
+
+def colorimetric_table(camera: CameraModel, light: str = "D65") -> TransformTable:
+    """A table of a camera that shows every plain area, at all levels, as a matrix of its channels: the one that answers
+    surfaces under `light` best, white before all."""
+    wavelength = camera.wavelength
+    radiance = spectra.illuminant(light, wavelength)
+    surfaces = spectra.reflectance_library(wavelength)[::10]
+    surfaces = np.vstack([surfaces, np.ones(wavelength.size) * 100])  # white counts most
+    signals, white = (surfaces * radiance) @ camera.electron_weights.T, camera.electron_weights @ radiance
+    xyz = (surfaces * radiance) @ spectra.xyz_weights(wavelength).T / (spectra.xyz_weights(wavelength)[1] @ radiance)
+    matrix = np.linalg.lstsq(signals / white.max(), xyz, rcond=None)[0].T
+    table = random_table(camera.cfa, camera.bits, camera.black_level, 5)
+    channel = window_channels(camera.cfa, 5)
+    of_site = np.array([matrix[:, taps] / np.bincount(taps)[taps] for taps in channel]).astype(np.float32)
+    case_of_code = np.maximum(table.first.rule.case_of_code, 1)
+    case_of_code[0] = 0  # nothing clips
+    saturation = int(camera.black_level + 0.98 * (camera.white_level - camera.black_level))
+    rule = dataclasses.replace(table.first.rule, case_of_code=case_of_code, saturation=saturation)
+    weights = np.repeat(of_site, rule.classes_per_site, axis=0)
+    shown = matrix @ (white / white.max())
+    spectrum = LightSpectrum(wavelength, radiance.astype(np.float32))
+    made = dataclasses.replace(
+        table, channels=camera.channels, camera_name=camera.name, white_level=camera.white_level, camera=camera,
+        light=spectrum, white_point=shown / shown[1], exposure=0.01,
+    )  # fmt: skip
+    return with_first(made, rule=rule, weights=weights, intercept=np.zeros_like(table.first.intercept))

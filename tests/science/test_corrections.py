@@ -26,11 +26,12 @@ from l3cli.rendering.display import make_display
 from l3cli.rendering.exposure import LightMeter
 from l3cli.rendering.opencl import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
+from l3cli.rendering.white_source import usual_balance
 from l3cli.shading import FRACTION, STEP, clipped_from, evened, shading_of
 from l3cli.simulation.sensor import mosaic
 from l3cli.stages.rendering.corrections import CameraFile
 from l3cli.stages.rendering.executors import Local, Remote, RenderSetup
-from l3cli.stages.rendering.rendition import Rendition, Unread
+from l3cli.stages.rendering.rendition import Exposed, Rendition, Unread
 from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import BAYER, FIVE_BAND, X_TRANS, random_camera
 from tests.helpers.flaws import Flaws, flaws, seen, shading
@@ -276,7 +277,7 @@ def test_workers_correct_alike_whoever_reads(flawed: Path) -> None:
     file = CameraFile(flawed / "camera.h5", sha256(flawed / "camera.h5"))
     known = KnownBetter(correction=correction_of(load(CameraModel, file.path)))
     shading = known.correction.shading if known.correction else None
-    path, rendition = flawed / "frames/1.npy", Rendition(table.white_point, 1.0, 8)
+    path, rendition = flawed / "frames/1.npy", Rendition(usual_balance(table), 1.0, 8)
     frame, pending = read_raw(path, table, known), Pending(1, "1", lambda: None)
 
     def crew(function: Any, jobs: Iterable[Any]) -> Iterator[Any]:
@@ -289,8 +290,9 @@ def test_workers_correct_alike_whoever_reads(flawed: Path) -> None:
     setup = RenderSetup(
         flawed / "table.h5", sha256(flawed / "table.h5"), "reference", {}, KnownBetter(), rendition, None, file
     )
-    ((_, here),) = Local(ReferenceRenderer(table), rendition).render(iter([(pending, frame, 1.0)]))
+    ((_, here),) = Local(ReferenceRenderer(table), setup).render(iter([Exposed(pending, frame, 1.0, None)]))
     for given in (frame, Unread(path, sha256(path))):
-        ((_, made),) = Remote(crew, setup, True, shading).render(iter([(pending, given, 1.0)]))  # type: ignore[arg-type]
-        np.testing.assert_array_equal(made, here)
+        exposed = Exposed(pending, given, 1.0, None)
+        ((_, made),) = Remote(crew, setup, True, shading).render(iter([exposed]))  # type: ignore[arg-type]
+        np.testing.assert_array_equal(made.pixels, here.pixels)
     assert STEP % 16 == 0  # of the kernels' vectors none lies over a node

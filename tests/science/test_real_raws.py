@@ -1,16 +1,18 @@
 """Real raw files through a table learned for a camera that is known only by published responsivities."""
 
 import os
+import struct
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import l3cli
 from l3cli.cli import run
 from l3cli.io.images import read_image
 from l3cli.physics import spectra
-from l3cli.physics.display import adaptation_matrix, delta_e_2000, lab
+from l3cli.physics.display import adaptation_matrix, daylight, delta_e_2000, displayed_xyz, lab, srgb_decoded
 
 # The camera: published curves of the Canon 600D, whose sensor is that of the 550D that took colorchart.dng. The noise
 # figures are plausible for that generation; black, white and depth are those of the file.
@@ -133,3 +135,31 @@ def test_another_phase_and_other_levels(table: Path, l3: Callable) -> None:
 def test_a_linear_dng_is_refused(table: Path, tmp_path: Path, refused: Callable) -> None:
     raw = Path(os.environ["L3_DATA"]) / "raw/canon_eos_6d.dng"
     assert "demosaicked" in refused(3, "render", table, raw, "-o", tmp_path / "picture.png")
+
+
+def test_greys_of_the_chart_are_neutral_by_a_grey_and_by_a_file_that_states_it(
+    table: Path, l3: Callable, tmp_path: Path
+) -> None:
+    """The camera was set to daylight (5500 K), the chart is lit by tungsten: what the file states is no grey's. A copy that
+    states the neutral of the chart's second grey shows it so. Dark greys carry the glare of a blue window: 4 to 5."""
+    raw = Path(os.environ["L3_DATA"]) / "raw/colorchart.dng"
+    frame = l3cli.read_raw(raw, l3cli.load(table))  # type: ignore[arg-type]
+    assert frame.neutral == (1.0, 2.477, 1.462)
+    window = (
+        frame.values[PATCH_ROWS[3] - 20 : PATCH_ROWS[3] + 20, PATCH_COLS[1] - 20 : PATCH_COLS[1] + 20] - frame.black_level
+    )
+    colours = {"r": window[0::2, 0::2].mean(), "g": window[0::2, 1::2].mean(), "b": window[1::2, 1::2].mean()}
+    stated = struct.pack("<6I", 1000, 1000, 2477, 1000, 1462, 1000)
+    content = raw.read_bytes()
+    assert content.count(stated) == 1
+    new = struct.pack("<6I", *(int(number) for colour in "rgb" for number in (colours[colour] * 1000, 1000)))
+    (tmp_path / "stated.dng").write_bytes(content.replace(stated, new))
+    for file, white in ((tmp_path / "stated.dng", "camera"), (raw, f"{PATCH_ROWS[3]},{PATCH_COLS[1]}")):
+        code, _, err = l3("render", table, file, "--white", white, "--bits", 16, "-o", tmp_path / "a.tif", "--force")
+        assert code == 0
+        assert 2700 < float(err.split(" K,")[0].split()[-1]) < 3100
+        windows = patch_windows(srgb_decoded(read_image(tmp_path / "a.tif")[0] / 65535), 18)[18:]
+        chroma = np.hypot(*lab(displayed_xyz(windows.mean(axis=(1, 2))), daylight())[:, 1:].T)
+        print(white, np.round(chroma, 1))
+        assert chroma[:3].max() < 3
+        assert chroma.max() < 6

@@ -27,6 +27,7 @@ FLOORS = [
         "columns",
         "quantities",
         "units",
+        "table_text",
     },
     {"physics"},
     {

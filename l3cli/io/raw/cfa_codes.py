@@ -82,6 +82,23 @@ def find_phase(name: str, pattern: NDArray[np.integer], sensor: FilterArray) -> 
     return fitting[0]
 
 
+def neutral_of_channels(
+    neutral: NDArray[np.float64] | None, pattern: NDArray[np.integer] | None, phase: tuple[int, int], sensor: FilterArray
+) -> tuple[float, ...] | None:
+    """What each of a sensor's channels gives of a grey, by what the colours of a file give, `neutral` (colour, 2) with their
+    codes: by name or, of a file whose CFA `pattern` begins at site `phase`, by place. None where a channel has none."""
+    if neutral is None:
+        return None
+    of_code = {int(code): float(signal) for code, signal in neutral}
+    codes = dict(enumerate(channel_codes(sensor.channels).tolist()))
+    if pattern is not None:
+        size = np.lcm(pattern.shape, sensor.cfa.shape)
+        ours, theirs = _tiled(shifted_cfa(sensor.cfa, phase), size), _tiled(pattern, size)
+        codes |= dict(zip(ours.ravel().tolist(), theirs.ravel().tolist(), strict=True))
+    signals = [of_code.get(codes[channel]) for channel in range(len(sensor.channels))]
+    return None if None in signals else tuple(signals)  # type: ignore[arg-type]
+
+
 def _fits(ours: NDArray[np.uint8], theirs: NDArray[np.integer], channels: Sequence[str]) -> bool:
     pairs = set(zip(ours.ravel().tolist(), theirs.ravel().tolist(), strict=True))
     one_to_one = len(pairs) == len({channel for channel, _ in pairs}) == len({code for _, code in pairs})

@@ -21,6 +21,9 @@ class RawContent(TypedDict):
     pattern: NotRequired[NDArray[np.int64]]  # (row, col) colour codes of the CFA, from pixel (0, 0) on
     orientation: NotRequired[int]  # LibRaw's flip code
     exposure: NotRequired[float | None]  # s
+    neutral: NotRequired[NDArray[np.float64] | None]  # (colour, 2) code of the CFA and what it gives of a grey, of any scale
+    camera: NotRequired[list[str]]  # make and model, and other names of the camera that took it
+    shot: NotRequired[dict[str, str | float]]  # fields of Shot, as far as they are stated
     gain: NotRequired[NDArray[np.float32]]  # (row, col) that the file wants its values above black to be multiplied by
     notes: NotRequired[tuple[str, ...]]  # what of the file's wishes is not carried out
 

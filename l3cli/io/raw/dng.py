@@ -4,7 +4,6 @@ LibRaw unpacks the pixels, of whatever packing and compression it knows, and app
 any CFA for 2 × 2 or 6 × 6 and black levels for four numbers. So all that pixels mean is read here, from the tags.
 """
 
-import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -21,7 +20,9 @@ from l3cli.io.raw.cfa_codes import LETTERS
 from l3cli.io.raw.content import RawContent, Request
 from l3cli.io.raw.libraw import opened
 from l3cli.io.raw.opcodes import Opcodes, bad_pixels, gain_of_pixels, read_opcodes
+from l3cli.io.raw.shot import shot_of_page
 from l3cli.io.raw.tiff_tags import (
+    BROKEN,
     COLOUR_FILTER_ARRAY,
     FRACTIONS,
     LINEAR_RAW,
@@ -30,6 +31,7 @@ from l3cli.io.raw.tiff_tags import (
     UNSIGNED,
     UPRIGHT,
     TiffTag,
+    camera_names,
 )
 from l3cli.io.video import storable_rate
 from l3cli.mending import plan_mending
@@ -37,7 +39,6 @@ from l3cli.mending import plan_mending
 WHITE_CODE = LETTERS.index("W")
 LIBRAW_FLIP = (0, 0, 1, 3, 2, 4, 6, 7, 5)  # of the TIFF orientation 0…8
 FRAME_RATE = 51044  # the tag of CinemaDNG
-BROKEN = (ValueError, TypeError, KeyError, IndexError, AttributeError, ZeroDivisionError, OverflowError, struct.error)
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,9 @@ class Mosaic:
     black_of_col: NDArray[np.float64]  # (active col), DN added
     white_level: float  # DN
     exposure: float | None  # s
+    neutral: NDArray[np.float64] | None  # (colour, 2) code and what a grey gives
+    camera: list[str]  # make, model and other names
+    shot: dict[str, str | float]
     opcodes: Opcodes
     planes: tuple[int, ...]  # colour code of each plane
 
@@ -94,6 +98,9 @@ def described(path: Path, stored: NDArray[np.uint16]) -> RawContent:
         pattern=pattern,
         orientation=mosaic.orientation,
         exposure=mosaic.exposure,
+        neutral=mosaic.neutral,
+        camera=mosaic.camera,
+        shot=mosaic.shot,
         notes=mosaic.opcodes.notes,
     )
     return content if gain is None else content | {"gain": gain}
@@ -204,9 +211,25 @@ def _mosaic(path: Path, first: Any, raw: Any, shape: tuple[int, ...]) -> Mosaic:
         black_of_col=_of_length(raw, TiffTag.BLACK_LEVEL_DELTA_H, cols),
         white_level=float(_numbers(raw, TiffTag.WHITE_LEVEL, (2**raw.bitspersample - 1,))[0]),
         exposure=exposure_time(first),
+        neutral=_neutral(first, raw),
+        camera=camera_names(first),
+        shot=shot_of_page(first),
         opcodes=read_opcodes(path, raw),
         planes=tuple(raw.tags.valueof(TiffTag.CFA_PLANE_COLOR) or (0, 1, 2)),
     )
+
+
+def _neutral(first: Any, raw: Any) -> NDArray[np.float64] | None:
+    """Codes of the colour planes and the signals that the camera took for those of a grey; None where they are not stated,
+    or are none."""
+    try:
+        codes = _numbers(raw, TiffTag.CFA_PLANE_COLOR, (0, 1, 2))
+        signals = np.asarray(_numbers(first, TiffTag.AS_SHOT_NEUTRAL, ()), np.float64)
+    except BROKEN:  # pixels need none of it
+        return None
+    if len(signals) != len(codes) or not (np.isfinite(signals).all() and signals.min() > 0):
+        return None
+    return np.stack([np.asarray(codes, np.float64), signals], axis=1)
 
 
 def exposure_time(page: Any) -> float | None:

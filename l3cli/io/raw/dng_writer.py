@@ -3,9 +3,8 @@
 Nothing in a file depends on when and where it was written.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -16,26 +15,24 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.files import atomic_output
 from l3cli.io.raw.cfa_codes import channel_codes
 from l3cli.io.raw.tiff_tags import (
-    ASCII,
     BYTE,
     COLOUR_FILTER_ARRAY,
     DOUBLE,
-    FRACTIONS,
     LONG,
     RATIONAL,
     RECTANGULAR,
     SHORT,
     SRATIONAL,
     UPRIGHT,
+    Entry,
     TiffTag,
+    entry,
+    text_entry,
 )
 
 COLOR_MATRICES = (TiffTag.COLOR_MATRIX_1, TiffTag.COLOR_MATRIX_2)
 ILLUMINANTS = (TiffTag.CALIBRATION_ILLUMINANT_1, TiffTag.CALIBRATION_ILLUMINANT_2)
 LIGHT_CODES = {"A": 17, "D65": 21}  # of CalibrationIlluminant (EXIF LightSource), in the order of the matrices
-FINE = 10**9  # denominator at most
-LARGEST = 2**31 - 1  # of numerator and denominator
-Tag = tuple[int, int, int, object, bool]
 
 
 @dataclass(frozen=True)
@@ -74,36 +71,36 @@ def write_dng(
         )
 
 
-def _mosaic_tags(camera: CameraModel, shape: Sequence[int]) -> list[Tag]:
+def _mosaic_tags(camera: CameraModel, shape: Sequence[int]) -> list[Entry]:
     rows, cols = shape
     codes = channel_codes(camera.channels)
     return [
-        _tag(TiffTag.NEW_SUBFILE_TYPE, LONG, [0]),  # the full picture
-        _tag(TiffTag.CFA_REPEAT_PATTERN_DIM, SHORT, camera.cfa.shape),
-        _tag(TiffTag.CFA_PATTERN, BYTE, codes[camera.cfa].ravel()),
-        _tag(TiffTag.CFA_PLANE_COLOR, BYTE, codes[_planes(camera)]),
-        _tag(TiffTag.CFA_LAYOUT, SHORT, [RECTANGULAR]),
-        _tag(TiffTag.BLACK_LEVEL_REPEAT_DIM, SHORT, [1, 1]),
-        _tag(TiffTag.BLACK_LEVEL, RATIONAL, [camera.black_level]),
-        _tag(TiffTag.WHITE_LEVEL, LONG, [camera.white_level]),
-        _tag(TiffTag.DEFAULT_SCALE, RATIONAL, [1, 1]),
-        _tag(TiffTag.DEFAULT_CROP_ORIGIN, LONG, [0, 0]),
-        _tag(TiffTag.DEFAULT_CROP_SIZE, LONG, [cols, rows]),
-        _tag(TiffTag.ACTIVE_AREA, LONG, [0, 0, rows, cols]),
+        entry(TiffTag.NEW_SUBFILE_TYPE, LONG, [0]),  # the full picture
+        entry(TiffTag.CFA_REPEAT_PATTERN_DIM, SHORT, camera.cfa.shape),
+        entry(TiffTag.CFA_PATTERN, BYTE, codes[camera.cfa].ravel()),
+        entry(TiffTag.CFA_PLANE_COLOR, BYTE, codes[_planes(camera)]),
+        entry(TiffTag.CFA_LAYOUT, SHORT, [RECTANGULAR]),
+        entry(TiffTag.BLACK_LEVEL_REPEAT_DIM, SHORT, [1, 1]),
+        entry(TiffTag.BLACK_LEVEL, RATIONAL, [camera.black_level]),
+        entry(TiffTag.WHITE_LEVEL, LONG, [camera.white_level]),
+        entry(TiffTag.DEFAULT_SCALE, RATIONAL, [1, 1]),
+        entry(TiffTag.DEFAULT_CROP_ORIGIN, LONG, [0, 0]),
+        entry(TiffTag.DEFAULT_CROP_SIZE, LONG, [cols, rows]),
+        entry(TiffTag.ACTIVE_AREA, LONG, [0, 0, rows, cols]),
     ]
 
 
-def _colour_tags(camera: CameraModel, colour: RawColour, neutral: NDArray[np.floating] | None) -> list[Tag]:
+def _colour_tags(camera: CameraModel, colour: RawColour, neutral: NDArray[np.floating] | None) -> list[Entry]:
     tags, planes = [], _planes(camera)
     for index, (light, code) in enumerate(LIGHT_CODES.items()):
-        tags.append(_tag(COLOR_MATRICES[index], SRATIONAL, colour.matrices[light][planes].ravel()))
-        tags.append(_tag(ILLUMINANTS[index], SHORT, [code]))
+        tags.append(entry(COLOR_MATRICES[index], SRATIONAL, colour.matrices[light][planes].ravel()))
+        tags.append(entry(ILLUMINANTS[index], SHORT, [code]))
     if neutral is not None:
-        tags.append(_tag(TiffTag.AS_SHOT_NEUTRAL, RATIONAL, neutral[planes]))
+        tags.append(entry(TiffTag.AS_SHOT_NEUTRAL, RATIONAL, neutral[planes]))
     full_scale = camera.white_level - camera.black_level
     constant, linear, _ = camera.noise_terms()
     noise = (linear / full_scale, constant / full_scale**2)  # variance = S · x + O of values x between black and white level
-    return [*tags, _tag(TiffTag.NOISE_PROFILE, DOUBLE, noise)]
+    return [*tags, entry(TiffTag.NOISE_PROFILE, DOUBLE, noise)]
 
 
 def _planes(camera: CameraModel) -> list[int]:
@@ -117,37 +114,16 @@ def _planes(camera: CameraModel) -> list[int]:
     return planes
 
 
-def _shot(camera: CameraModel, exposure: float) -> list[Tag]:
+def _shot(camera: CameraModel, exposure: float) -> list[Entry]:
     name = camera.name.encode("ascii", "replace").decode()
     return [
-        _text(TiffTag.MAKE, "l3cli"),
-        _text(TiffTag.MODEL, name),
-        _tag(TiffTag.ORIENTATION, SHORT, [UPRIGHT]),
-        _tag(TiffTag.EXPOSURE_TIME, RATIONAL, [exposure]),
-        _tag(TiffTag.F_NUMBER, RATIONAL, [camera.optics.f_number]),
-        _tag(TiffTag.FOCAL_LENGTH, RATIONAL, [camera.optics.focal_length * 1e3]),
-        _tag(TiffTag.DNG_VERSION, BYTE, [1, 4, 0, 0]),
-        _tag(TiffTag.DNG_BACKWARD_VERSION, BYTE, [1, 1, 0, 0]),
-        _text(TiffTag.UNIQUE_CAMERA_MODEL, name),
+        text_entry(TiffTag.MAKE, "l3cli"),
+        text_entry(TiffTag.MODEL, name),
+        entry(TiffTag.ORIENTATION, SHORT, [UPRIGHT]),
+        entry(TiffTag.EXPOSURE_TIME, RATIONAL, [exposure]),
+        entry(TiffTag.F_NUMBER, RATIONAL, [camera.optics.f_number]),
+        entry(TiffTag.FOCAL_LENGTH, RATIONAL, [camera.optics.focal_length * 1e3]),
+        entry(TiffTag.DNG_VERSION, BYTE, [1, 4, 0, 0]),
+        entry(TiffTag.DNG_BACKWARD_VERSION, BYTE, [1, 1, 0, 0]),
+        text_entry(TiffTag.UNIQUE_CAMERA_MODEL, name),
     ]
-
-
-def _tag(code: int, kind: int, numbers: Iterable[float]) -> Tag:
-    if kind == DOUBLE:
-        values: list[float] = [float(number) for number in numbers]
-    elif kind in FRACTIONS:
-        fractions = [_fraction(float(number)) for number in numbers]
-        values = [part for fraction in fractions for part in (fraction.numerator, fraction.denominator)]
-    else:
-        values = [int(number) for number in numbers]
-    count = len(values) // (2 if kind in FRACTIONS else 1)
-    return code, kind, count, tuple(values) if len(values) > 1 else values[0], True
-
-
-def _fraction(number: float) -> Fraction:
-    """The nearest fraction whose parts fit into 32 bits."""
-    return Fraction(number).limit_denominator(min(FINE, int(LARGEST / max(1.0, abs(number)))))
-
-
-def _text(code: int, text: str) -> Tag:
-    return code, ASCII, 0, text, True

@@ -15,10 +15,11 @@ from l3cli.errors import InputFileError
 from l3cli.files import STDIN, require_regular
 from l3cli.frame import RawFrame, shifted_cfa
 from l3cli.hot_pixels import HotTest
-from l3cli.io.raw.cfa_codes import Sensor, find_phase
+from l3cli.io.raw.cfa_codes import Sensor, find_phase, neutral_of_channels
 from l3cli.io.raw.content import RawContent, Request, Stack
 from l3cli.io.raw.headerless import layout_of, stdin
 from l3cli.io.raw.registry import CAMERA_RAW, RawFormat, format_of
+from l3cli.io.raw.shot import believable_shot
 from l3cli.limits import require_picture
 from l3cli.shading import shading_of_gain
 
@@ -78,15 +79,19 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: KnownBetter) 
     if values.size == 0 or values.ndim != 2:
         raise InputFileError(f"{name} holds no pixels; give a raw file")
     require_picture(name, *values.shape)
+    frame_phase = find_phase(name, pattern, table) if pattern is not None and known.phase is None else (0, 0)
     gain = content.get("gain")
     frame = RawFrame(
         name,
         np.ascontiguousarray(values, np.uint16),
         content.get("black_level", table.black_level),
         content.get("white_level", table.white_level),
-        find_phase(name, pattern, table) if pattern is not None and known.phase is None else (0, 0),
+        frame_phase,
         content.get("orientation", 0),
         content.get("exposure"),
+        neutral=neutral_of_channels(content.get("neutral"), pattern if known.phase is None else None, frame_phase, table),
+        taken_by=tuple(content.get("camera", ())),
+        shot=believable_shot(content.get("shot", {})),
         shading=None if gain is None else shading_of_gain(gain, table.cfa.shape),
         notes=content.get("notes", ()),
     )

@@ -14,6 +14,8 @@ from l3cli.io.apart import apart
 from l3cli.io.names import named_in_utf8
 from l3cli.io.raw.cfa_codes import codes_of
 from l3cli.io.raw.content import RawContent, Request
+from l3cli.io.raw.shot import shot_of_file, shot_of_libraw
+from l3cli.io.raw.tiff_tags import BROKEN, camera_names
 from l3cli.limits import require_picture
 
 
@@ -26,7 +28,9 @@ def read(path: Path, _: Request) -> RawContent:
 def read_camera_raw(path: Path) -> RawContent:
     """What a camera raw holds within its visible area; InputFileError as from `opened`."""
     with opened(path) as raw:
-        return _visible(path, raw)
+        content = _visible(path, raw)
+        content["shot"] = shot_of_libraw(raw) | shot_of_file(path)
+    return content
 
 
 @contextlib.contextmanager
@@ -76,7 +80,30 @@ def _visible(path: Path, raw: Any) -> RawContent:
         pattern=pattern,
         orientation=int(raw.sizes.flip),
         exposure=exposure,
+        neutral=_neutral(raw, letters),
+        camera=_camera_names(path),
     )
+
+
+def _neutral(raw: Any, letters: str) -> NDArray[np.float64] | None:
+    """Codes of the colours and the signals that the camera took for those of a grey: one over its multipliers. None where it
+    states none, or LibRaw does not know them: then all are 1 or 0."""
+    multipliers = np.array(raw.camera_whitebalance[: len(letters)], np.float64)
+    stated = {code: 1 / each for code, each in zip(codes_of(letters).tolist(), multipliers, strict=False) if each > 0}
+    if len(stated) < len(set(letters)) or len(set(stated.values())) == 1:
+        return None
+    return np.array(list(stated.items()))
+
+
+def _camera_names(path: Path) -> list[str]:
+    """As camera_names, of a raw file that is a TIFF file, as most are; nothing of another."""
+    import tifffile
+
+    try:
+        with tifffile.TiffFile(path) as file:
+            return camera_names(file.pages[0])
+    except (tifffile.TiffFileError, *BROKEN, OSError):  # LibRaw has read the file, whatever kind it is of
+        return []
 
 
 def _levels(raw: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -10,15 +10,14 @@ import struct
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from l3cli.errors import InputFileError
 from l3cli.files import stamp
 from l3cli.io.apart import apart
-from l3cli.io.images import mono_of, open_image, read_mono, require_bearable, require_whole_stack
+from l3cli.io.images import mono_of, open_image, opened, require_bearable, require_whole_stack
 from l3cli.io.names import named_in_utf8
+from l3cli.io.raw import plain_tiff
 from l3cli.io.raw.content import RawContent, Request, Stack
+from l3cli.io.raw.shot import shot_of_spec
 from l3cli.io.raw.tiff_tags import ONE_OF_MANY, REDUCED, TiffTag
 
 TIFF, BIG_TIFF = 42, 43  # versions
@@ -30,17 +29,32 @@ _opened: dict[tuple[Any, ...], Any] = {}  # the last file, by what would change 
 
 def read(path: Path, _: Request) -> RawContent:
     """The frame that a picture of one channel holds."""
-    values, exposure = read_mono(path)
-    return RawContent(values=values, exposure=exposure)
+    if (plain := plain_tiff.read(path)) is not None:
+        return plain
+    return read_by_library(path)
+
+
+@apart
+def read_by_library(path: Path) -> RawContent:
+    """As `read`, of any picture."""
+    with opened(path) as (source, spec):
+        return _content(path, source, spec)
+
+
+def _content(path: Path, source: Any, spec: Any) -> RawContent:
+    """The frame that an input is at."""
+    values, exposure = mono_of(path, source, spec)
+    return RawContent(values=values, exposure=exposure, shot=shot_of_spec(spec))
 
 
 def stack(path: Path, _: Request) -> Stack | None:
     """The frames of a TIFF of several pages."""
+    if plain_tiff.is_plain(path):
+        return None
     count = count_pages(path)
 
     def frame(number: int) -> RawContent:
-        values, exposure = read_page(path, number)
-        return RawContent(values=values, exposure=exposure)
+        return read_page(path, number)
 
     return Stack(count, frame, "page", 1) if count > 1 else None
 
@@ -61,11 +75,11 @@ def count_pages(path: Path) -> int:
 
 
 @apart
-def read_page(path: Path, number: int) -> tuple[NDArray[np.uint16], float | None]:
-    """One page (row, col) of one channel, values as stored, and its exposure time (s); pages count from 0."""
+def read_page(path: Path, number: int) -> RawContent:
+    """One page of one channel, values as stored; pages count from 0."""
     source = _page(path, number)
     require_bearable(path, source.spec())
-    return mono_of(path, source, source.spec())
+    return _content(path, source, source.spec())
 
 
 def _page(path: Path, number: int) -> Any:

@@ -22,7 +22,8 @@ class RawFormat:
     module: str  # of this folder
     holds_frame: bool = True  # False: such a file is a sequence, never a frame
     stackable: bool = False  # may hold several frames
-    sandboxed: bool = True  # decoded in a process apart
+    sandboxed: bool = True  # decoded in a process apart …
+    plain: str | None = None  # … unless `is_plain` of this module says that a file is simple enough to be read here
     wants_geometry: bool = False  # Request.layout
     wants_dataset: bool = False  # Request.dataset
     has_rate: bool = False  # a file of one frame may state the frames a second of its sequence
@@ -42,7 +43,7 @@ class RawFormat:
 
     @property
     def _reader(self) -> Any:
-        return importlib.import_module(f"l3cli.io.raw.{self.module}")
+        return _reader(self.module)
 
 
 PGM = RawFormat((".pgm",), "pgm", sandboxed=False)
@@ -55,7 +56,7 @@ CAMERA_RAW = RawFormat(
 )  # fmt: skip
 HEADERLESS = (".raw", ".bin", *("." + packing for packing in PACKED))
 FORMATS = (
-    RawFormat((".tif", ".tiff"), "pages", stackable=True),
+    RawFormat((".tif", ".tiff"), "pages", stackable=True, plain="plain_tiff"),
     RawFormat((".png",), "pages"),
     PGM,
     RawFormat((".npy",), "npy", stackable=True, sandboxed=False),
@@ -80,6 +81,12 @@ def is_frame(path: Path) -> bool:
 
 
 def needs_sandbox(path: Path) -> bool:
-    """Whether a file of this name is decoded in a process apart; a name without suffix, of a folder or of stdin, does not
-    tell."""
-    return bool(path.suffix) and format_of(path).sandboxed
+    """Whether a file is decoded in a process apart; a name without suffix, of a folder or of stdin, does not tell."""
+    kind = format_of(path)
+    if not path.suffix or not kind.sandboxed:
+        return False
+    return kind.plain is None or not _reader(kind.plain).is_plain(path)
+
+
+def _reader(module: str) -> Any:
+    return importlib.import_module(f"l3cli.io.raw.{module}")

@@ -110,8 +110,8 @@ def _check_chart(path: Path, chart: ChartRecipe, table: str) -> None:
 def _curve_faults(recipe: MeasurementRecipe, source: Source) -> Iterator[Fault]:
     channels, sweep, curves = recipe.cfa.channels, recipe.sweep, recipe.curves
     if sweep is not None:
-        paths = source.beside(sweep.table), source.beside(sweep.photodiode)
-        yield from source.attempt(("sweep", "table"), read_sweep, *paths, channels)
+        paths = source.beside(sweep.table), source.beside(sweep.response.file)
+        yield from source.attempt(("sweep", "table"), read_sweep, *paths, channels, sweep.response.column)
     if curves is not None:
         yield from source.attempt(("curves", "file"), read_finished, source.beside(curves.file), channels, curves.per_energy)
     if recipe.prior is not None:

@@ -5,7 +5,7 @@ import hashlib
 import json
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +13,13 @@ from l3cli.errors import RecipeError
 from l3cli.files import atomic_output, refuse_existing, refuse_spared
 from l3cli.io import images
 from l3cli.io.numbered import PATTERN, last_number, numbered_files, numbered_name
+from l3cli.io.paged import PAGED, new_pages
 from l3cli.io.sequences import Footage, Pending
 from l3cli.io.video import VideoChoice, check_video, is_video, new_video, new_y4m
 from l3cli.locks import sole_writer_of_folder
 from l3cli.stages.claims import Claims, refuse_unwritable
 from l3cli.stages.rendering.mark import Mark, Origins
-from l3cli.stages.rendering.rendition import file_of
+from l3cli.stages.rendering.rendition import Rendition, file_of
 
 PICTURE_WRITERS = 2  # threads that compress picture files
 STDOUT = Path("-")
@@ -26,11 +27,13 @@ STDOUT = Path("-")
 
 @dataclass(frozen=True)
 class Destination:
-    """Where pictures go: "stream" (y4m to stdout), "video", "pattern" (numbered files), "folder" or a single "file"."""
+    """Where pictures go: "stream" (y4m to stdout), "video", "pattern" (numbered files), "folder", a single
+    "file", or "pages" of one."""
 
     path: Path
     kind: str
     suffix: str  # of the files in a folder
+    bits: int = 8  # of a value
 
     @property
     def one_by_one(self) -> bool:
@@ -38,9 +41,19 @@ class Destination:
         return self.kind in ("pattern", "folder", "file")
 
     @property
+    def pictures(self) -> bool:
+        """Whether every frame becomes a picture by itself, be it a file or a page."""
+        return self.one_by_one or self.kind == "pages"
+
+    @property
     def linear(self) -> bool:
-        """Whether linear outputs are written rather than pictures."""
-        return self.one_by_one and images.is_linear(self.file(0, "frame"))
+        """Whether linear values are written rather than codes."""
+        return self.one_by_one and images.is_linear(self.file(0, "frame"), self.bits)
+
+    @property
+    def raw(self) -> bool:
+        """Whether files for raw developers are written."""
+        return self.file_suffix is not None and self.file_suffix.lower() == images.RAW
 
     def file(self, number: int, stem: str) -> Path:
         """The file of a frame."""
@@ -61,6 +74,8 @@ class Destination:
 
 def destination_of(output: Path, suffix: str, choice: VideoChoice) -> Destination:
     """The destination that a name asks for; RecipeError if nothing of that name can be written."""
+    if choice.bits == images.FLOAT_BITS and (output == STDOUT or is_video(output)):
+        raise RecipeError("values of 32 bits are for pictures; name a .tif or .exr, or leave ‹bits› out")
     if output == STDOUT:
         destination = Destination(output, "stream", suffix)
         check_video(Path("stdout.y4m"), choice)
@@ -71,10 +86,17 @@ def destination_of(output: Path, suffix: str, choice: VideoChoice) -> Destinatio
         check_video(output, choice)
     else:
         kind = "file" if output.suffix and not output.is_dir() else "folder"
-        destination = Destination(output, "pattern" if PATTERN.search(output.name) else kind, suffix)
+        destination = Destination(output, "pattern" if PATTERN.search(output.name) else kind, suffix, choice.bits)
         images.check_format(destination.file(0, "frame"), choice.bits)
         if choice.codec or choice.crf is not None:
             raise RecipeError(f"{output}: ‹codec› and ‹crf› are for videos; name a .mp4, .mov or .mkv")
+    return destination
+
+
+def paged(destination: Destination, footage: Footage) -> Destination:
+    """The destination with pages, if it is a single file that can have them and there are several frames."""
+    if destination.kind == "file" and footage.count != 1 and destination.path.suffix.lower() in PAGED:
+        return replace(destination, kind="pages")
     return destination
 
 
@@ -100,7 +122,7 @@ def refuse_outputs(destination: Destination, footage: Footage, force: bool, mark
         count = "a sequence" if footage.count is None else f"{footage.count} frames"
         raise RecipeError(
             f"{destination.path} holds one picture, the inputs are {count}; name a folder, a pattern "
-            f"({destination.path.stem}_%04d{destination.path.suffix}) or a video"
+            f"({destination.path.stem}_%04d{destination.path.suffix}), a .tif or a video"
         )
     if destination.kind not in ("pattern", "folder"):
         return
@@ -177,24 +199,28 @@ def _refuse_changed(destination: Destination, footage: Footage, mark: Mark, orig
 
 @contextlib.contextmanager
 def open_sink(
-    destination: Destination, choice: VideoChoice, outputs: tuple[str, ...], mark: Mark | None
-) -> Iterator[tuple[Callable[[tuple[Pending, Any]], None], int]]:
+    destination: Destination, choice: VideoChoice, rendition: Rendition, outputs: tuple[str, ...], mark: Mark | None,
+    footage: Footage,
+) -> Iterator[tuple[Callable[[tuple[Pending, Any]], None], int]]:  # fmt: skip
     """What writes a frame, and the number of threads that may do so at a time."""
     if destination.one_by_one:
 
         def write(item: tuple[Pending, Any]) -> None:
             pending, made = item
             file = destination.file(pending.number, pending.stem)
-            content = made if isinstance(made, bytes) else file_of(file, made, outputs)
+            content = made if isinstance(made, bytes) else file_of(file, made, rendition, outputs)
             with atomic_output(file) as temporary:
                 temporary.write_bytes(content)
                 if mark:
                     mark.add(file, temporary, pending.origin)
 
         yield write, PICTURE_WRITERS
+    elif destination.kind == "pages":
+        with new_pages(destination.path, rendition.space, footage.count) as pages:
+            yield lambda item: pages.write(item[1].pixels, item[1].label), 1
     elif destination.kind == "stream" or destination.path.suffix.lower() == ".y4m":
         with new_y4m(None if destination.kind == "stream" else destination.path, choice) as stream:
-            yield lambda item: stream.write(item[1]), 1
+            yield lambda item: stream.write(item[1].pixels), 1
     else:
         with new_video(destination.path, choice) as video:
-            yield lambda item: video.write(item[1]), 1
+            yield lambda item: video.write(item[1].pixels), 1

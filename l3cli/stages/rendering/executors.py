@@ -12,12 +12,14 @@ from typing import TYPE_CHECKING, Any
 from l3cli.errors import InputFileError, L3Error
 from l3cli.files import require_same
 from l3cli.frame import RawFrame, upright
+from l3cli.io.label import Label
 from l3cli.io.raw.files import KnownBetter, read_raw
 from l3cli.io.sequences import Pending
 from l3cli.parallel import Crew
+from l3cli.rendering.balance import WhiteBalance
 from l3cli.rendering.display import Display
 from l3cli.stages.rendering.corrections import CameraFile, correction_again
-from l3cli.stages.rendering.rendition import Exposed, Rendition, Unread, display_of, file_of, linear_of, pixels_of
+from l3cli.stages.rendering.rendition import Exposed, Rendered, Rendition, Unread, file_of, rendered, shown
 
 if TYPE_CHECKING:
     from l3cli.artifacts.table import TransformTable
@@ -31,28 +33,39 @@ class Local:
 
     by_path = False  # whether it reads files itself
 
-    def __init__(self, renderer: "Renderer", rendition: Rendition) -> None:
-        self._renderer, self._rendition = renderer, rendition
+    def __init__(self, renderer: "Renderer", setup: "RenderSetup") -> None:
+        self._renderer, self._rendition, self._digest = renderer, setup.rendition, setup.digest
 
     def render(self, exposed: Iterator[Exposed]) -> Iterator[tuple[Pending, Any]]:
-        """Picture, or linear outputs where there is no white, (row, col, value), of each frame, in order.
+        """Each frame rendered, in order.
 
         Pictures whose exposure is known beforehand overlap on the device: while one is written the next is at work.
         """
         at_work: collections.deque[tuple[Pending, RawFrame]] = collections.deque()
 
-        def displayed() -> Iterator[tuple[RawFrame, Display]]:
-            for pending, frame, scale in exposed:
-                at_work.append((pending, frame))
-                yield frame, display_of(self._renderer, frame, self._rendition, scale)
-
-        if self._rendition.white is None:
-            for pending, frame, _ in exposed:
-                yield pending, linear_of(self._renderer, frame)
+        rendition, usual = self._rendition, self._rendition.balance
+        if usual is None or rendition.is_linear:
+            for each in exposed:
+                frame = _read(each)
+                label = label_of(frame, self._digest, each.pending.identity)
+                yield each.pending, rendered(self._renderer, frame, rendition, each.scale, label, each.balance)
             return
+
+        def displayed() -> Iterator[tuple[RawFrame, Display]]:
+            for each in exposed:
+                frame = _read(each)
+                at_work.append((each.pending, frame))
+                yield shown(self._renderer, frame, rendition, each.balance or usual, each.scale)
+
         for picture in self._renderer.pictures(displayed()):
             pending, frame = at_work.popleft()
-            yield pending, upright(picture, frame.orientation)
+            label = label_of(frame, self._digest, pending.identity)
+            yield pending, Rendered(upright(picture, frame.orientation), label)
+
+
+def _read(exposed: Exposed) -> RawFrame:
+    assert isinstance(exposed.frame, RawFrame)  # who renders here leaves no file unread
+    return exposed.frame
 
 
 @dataclass(frozen=True)
@@ -76,6 +89,8 @@ class RenderJob:
     setup: RenderSetup
     frame: RawFrame | Unread
     scale: float  # of exposure; 0: automatic
+    balance: WhiteBalance | None  # the frame's own
+    identity: str  # of the frame, as its picture states it
 
 
 class Remote:
@@ -86,18 +101,24 @@ class Remote:
         self._crew, self._setup, self.by_path, self._shading = crew, setup, by_path, shading
 
     def render(self, exposed: Iterator[Exposed]) -> Iterator[tuple[Pending, Any]]:
-        """Pixels of each frame, content of its picture's file, or what is wrong with it, in order."""
+        """Each frame rendered, the content of its picture's file, or what is wrong with it, in order."""
         away: collections.deque[Pending] = collections.deque()
 
         def jobs() -> Iterator[RenderJob]:
-            for pending, frame, scale in exposed:
-                away.append(pending)
+            for each in exposed:
+                frame = each.frame
+                away.append(each.pending)
                 if isinstance(frame, RawFrame) and frame.shading is self._shading:
                     frame = replace(frame, shading=None)  # larger than the frame, and the same for all
-                yield RenderJob(self._setup, frame, scale)
+                yield RenderJob(self._setup, frame, each.scale, each.balance, each.pending.identity)
 
         for made in self._crew(_rendered, jobs()):
             yield away.popleft(), made
+
+
+def label_of(frame: RawFrame, table: str, identity: str) -> Label:
+    """What the picture of a frame states; `table`: SHA-256 of the table."""
+    return Label(frame.shot, frame.exposure, table, identity)
 
 
 def _rendered(job: RenderJob) -> Any:
@@ -114,10 +135,9 @@ def _rendered(job: RenderJob) -> Any:
             return error if isinstance(error, L3Error) else InputFileError(str(error))
     elif correction is not None and frame.shading is None:
         frame = replace(frame, shading=correction.shading)  # its defects are mended already
-    pixels = pixels_of(renderer, frame, setup.rendition, job.scale)
-    if setup.suffix is None:
-        return pixels
-    return file_of(Path(f"frame{setup.suffix}"), pixels, table.outputs)
+    label = label_of(frame, setup.digest, job.identity)
+    made = rendered(renderer, frame, setup.rendition, job.scale, label, job.balance)
+    return made if setup.suffix is None else file_of(Path(f"frame{setup.suffix}"), made, setup.rendition, table.outputs)
 
 
 @functools.lru_cache(1)
@@ -141,7 +161,7 @@ def executor_of(setup: RenderSetup, table: "TransformTable", scheduler: "Schedul
     from l3cli.rendering.renderer import make_renderer
 
     if scheduler is None:
-        yield Local(make_renderer(setup.backend, table, **setup.engine), setup.rendition)
+        yield Local(make_renderer(setup.backend, table, **setup.engine), setup)
     else:
         with workers(1, scheduler) as crew:
             known, correction = replace(setup.known, dark=None, correction=None), setup.known.correction

@@ -15,17 +15,18 @@ from l3cli.files import sha256
 from l3cli.io.raw.files import KnownBetter
 from l3cli.io.sequences import Footage, find_frames, read_dark
 from l3cli.io.video import VideoChoice
-from l3cli.physics.display import scene_white
 from l3cli.rendering.display import require_xyz
+from l3cli.rendering.white_source import given_white, usual_balance, white_source
 from l3cli.stages.claims import Claims
 from l3cli.stages.console import Console
 from l3cli.stages.input_warnings import warn_of_kernels, warn_of_white
 from l3cli.stages.rendering.corrections import CameraFile, correction_in, hot_test
-from l3cli.stages.rendering.destination import Destination, claim, destination_of, marked, refuse_missing
+from l3cli.stages.rendering.destination import Destination, claim, destination_of, marked, paged, refuse_missing
 from l3cli.stages.rendering.executors import RenderSetup, executor_of
 from l3cli.stages.rendering.mark import Origins
-from l3cli.stages.rendering.rendition import Rendition
-from l3cli.stages.rendering.sequence import is_steady, render_frames
+from l3cli.stages.rendering.plan import plan
+from l3cli.stages.rendering.rendition import Rendition, chosen_space, for_developers, outputs_as_they_are
+from l3cli.stages.rendering.sequence import follows, render_frames
 
 if TYPE_CHECKING:
     from l3cli.parallel.cluster import Scheduler
@@ -39,9 +40,9 @@ def render(
     codec: str | None = None, crf: float | None = None, preset: str = "veryfast", suffix: str = "png",
     frames: range | None = None, dataset: str | None = None, known: KnownBetter = NOTHING_KNOWN, dark: tuple[Path, ...] = (),
     camera: Path | None = None, hot: bool = False,
-    exposure: float | None = None, white: str | None = None, backend: str = "opencl", device: str | None = None,
-    variant: str | None = None, skip_bad: bool = False, resume: bool = False, scheduler: "Scheduler | None" = None,
-    force: bool = False,
+    exposure: float | None = None, white: str | None = None, space: str | None = None, remosaic: str | None = None,
+    backend: str = "opencl", device: str | None = None, variant: str | None = None, skip_bad: bool = False,
+    resume: bool = False, scheduler: "Scheduler | None" = None, force: bool = False,
 ) -> int:  # fmt: skip
     """Render raw frames through a table into a picture, numbered files, a folder (of files that end in `suffix`) or a video;
     how many frames were left out.
@@ -50,7 +51,9 @@ def render(
     numbers of those to take. `dataset`: of an HDF5 input. `known`: what is known better of the inputs than they say; `dark`:
     frames without light, whose mean is taken off; `camera`: model whose defects and flat field are corrected; `hot`: mend
     each frame's hot pixels. `exposure`: factor of Y, None: automatic. `white`: name or chromaticity of the scene's white,
-    None: the table's. `skip_bad`: leave out broken frames. `resume`: go on where a run was stopped.
+    "camera", "auto" or "ROW,COL[,SIZE]" of a grey, None: the table's. `space`: of the values, None: sRGB, in floating point
+    the outputs as they are; `remosaic`: mosaic of a DNG file, "bayer". `skip_bad`: leave out broken frames. `resume`: go on
+    where a run was stopped.
     RecipeError, InputFileError, DeviceError or L3Error before anything is written where that is known.
     """
     # One long sequence: in this order a refusal comes before any work, and no output takes the place of what is read.
@@ -60,8 +63,7 @@ def render(
     with Claims(console) as claims:
         claims.spare(table, *inputs, *dark, *filter(None, [camera]))
         claim(destination, force, claims)
-        if destination.linear and (exposure is not None or white is not None):
-            raise RecipeError(".exr files hold the outputs as they are; ‹exposure› and ‹white› are for pictures")
+        _refuse_misplaced(destination, white, exposure, space, remosaic)
         if engine and backend != "opencl":
             raise RecipeError(f"‹{next(iter(engine))}› is for the opencl backend; leave it or ‹backend› {backend} out")
         transforms = load(TransformTable, table)
@@ -70,28 +72,31 @@ def render(
         model = None if camera is None else CameraFile(camera.absolute(), sha256(camera))
         correction = None if model is None else correction_in(model, transforms)
         known = replace(known, correction=correction, hot=hot_test(transforms) if hot else None)
-        rendition = _rendition(destination, white, exposure, bits, transforms, console)
+        source = white_source(white, transforms) if white is not None else None
+        rendition = _rendition(destination, None if source else white, exposure, space, remosaic, bits, transforms, console)
         footage = find_frames(inputs, transforms, known, frames, dataset)
+        destination = paged(destination, footage)
         if not footage.is_stream:
             _spared(footage, claims)
         if not skip_bad:
             refuse_missing(footage)
         choice = replace(choice, rate=rate or footage.rate or USUAL_RATE)
+        plan(table, inputs, dark, footage, destination, force or resume, skip_bad)
         setup = RenderSetup(
             table.absolute(), sha256(table), backend, engine, known, rendition, destination.file_suffix, model
         )
-        steady = is_steady(footage, destination, rendition)
+        steady = follows(footage, destination) and (rendition.measures_exposure or source is not None)
         chosen = {"device": os.environ.get("L3_DEVICE"), **engine}
         levels = (replace(known, dark=None, correction=None), known.dark and known.dark.digest)
         key: list[Any] = [setup.digest, __version__, frames, dataset, suffix, backend, chosen, exposure, white, choice]
-        key += [*levels, known.correction and known.correction.digest, steady]
+        key += [space, remosaic, *levels, known.correction and known.correction.digest, steady]
         origins = functools.partial(Origins, inputs[0], steady)
         with (
             marked(destination, key, resume, force, footage, origins) as mark,
             executor_of(setup, transforms, scheduler) as executor,
         ):
             failures = render_frames(
-                footage, destination, executor, transforms, rendition, choice, mark, origins(), skip_bad, console
+                footage, destination, executor, transforms, rendition, source, choice, mark, origins(), skip_bad, console
             )
         warn_of_kernels(console)
         return failures
@@ -103,15 +108,33 @@ def _spared(footage: Footage, claims: Claims) -> Footage:
     return footage
 
 
+def _refuse_misplaced(
+    destination: Destination, white: str | None, exposure: float | None, space: str | None, remosaic: str | None
+) -> None:
+    """RecipeError if something is asked for that the destination cannot have."""
+    if destination.linear and space is None and (exposure is not None or white is not None):
+        raise RecipeError(
+            "files of floating point hold the outputs as they are; ‹exposure› and ‹white› are for those of a ‹space›"
+        )
+    if space not in (None, "srgb") and not destination.one_by_one:
+        raise RecipeError("videos are sRGB; leave ‹space› out, or name pictures")
+    if space is not None and destination.raw:
+        raise RecipeError("a DNG file has channels of its own; leave ‹space› out")
+    if remosaic is not None and not destination.raw:
+        raise RecipeError("‹remosaic› is for raw developers; name a .dng")
+
+
 def _rendition(
-    destination: Destination, white: str | None, exposure: float | None, bits: int, table: TransformTable, console: Console
-) -> Rendition:
+    destination: Destination, white: str | None, exposure: float | None, space: str | None, remosaic: str | None,
+    bits: int, table: TransformTable, console: Console,
+) -> Rendition:  # fmt: skip
     """How outputs become pictures; RecipeError if they cannot."""
-    if destination.linear:
-        return Rendition(None, None, bits)
+    if destination.linear and space is None:
+        return outputs_as_they_are(table)
     require_xyz(table.outputs)
-    if white is None:
-        return Rendition(table.white_point, exposure, bits)
-    rendition = Rendition(scene_white(white), exposure, bits)
-    warn_of_white(white, rendition.white, table, console)
-    return rendition
+    given, space_of = given_white(white, table), chosen_space(space, destination.linear)
+    balance = usual_balance(table) if white is None or given is None else given.balance
+    if white is not None and given is not None and not given.modelled:
+        warn_of_white(white, given.light.xyz, table, console)
+    rendition = Rendition(balance, exposure, bits, space_of)
+    return for_developers(rendition, remosaic) if destination.raw else rendition

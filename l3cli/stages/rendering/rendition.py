@@ -1,16 +1,22 @@
-"""What makes a picture of a raw frame's outputs: white, exposure, bits; or the outputs as they are."""
+"""What makes a picture of a raw frame's outputs: white, exposure, colour space, bits; or the outputs as they are."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from l3cli.artifacts.table import TransformTable
+from l3cli.errors import RecipeError, suggestion
 from l3cli.frame import RawFrame, upright
 from l3cli.io import images
+from l3cli.io.label import NOTHING, Label
+from l3cli.io.raw.developed import MOSAICS, dng_file, raw_values
 from l3cli.io.sequences import Pending
 from l3cli.physics.display import exposure_scale
-from l3cli.rendering.display import Display, make_display
+from l3cli.physics.spaces import REC2020, SPACES, SRGB, XYZ, Space, chromaticity_of
+from l3cli.rendering.balance import WhiteBalance, balanced
+from l3cli.rendering.display import Display, adapted_display, linear_matrix
 
 if TYPE_CHECKING:
     from l3cli.rendering.renderer import Renderer
@@ -20,9 +26,57 @@ if TYPE_CHECKING:
 class Rendition:
     """What makes pictures of outputs."""
 
-    white: Any  # XYZ of the scene's white; None: outputs are written as they are
+    balance: WhiteBalance | None  # of frames that have none of their own; None: outputs are written as they are
     exposure: float | None  # None: automatic
     bits: int
+    space: Space | None = SRGB  # of the values; without a curve they are linear, in floating point. None: no colours
+    raw: bool = False  # for raw developers: the exposure is stated, not carried out
+    mosaic: str | None = None  # … a mosaic of the pixels, one of MOSAICS
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether values are linear, in floating point."""
+        return self.space is None or self.space.curve is None
+
+    @property
+    def measures_exposure(self) -> bool:
+        """Whether pictures are made whose exposure is automatic."""
+        return self.balance is not None and self.exposure is None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the values of a picture."""
+        return ("X", "Y", "Z") if self.space and self.space.name == XYZ.name else ("R", "G", "B")
+
+
+OUTPUTS = Rendition(None, None, images.FLOAT_BITS, None)  # as they are
+
+
+def chosen_space(name: str | None, linear: bool) -> Space:
+    """The space of pictures, None: sRGB, without its curve where values are `linear`; RecipeError if there is none of this
+    name, or it has no codes and they are asked for."""
+    if name is not None and name not in SPACES:
+        raise RecipeError(f'space "{name}" is unknown; {suggestion(name, SPACES)}')
+    space = SPACES[name or SRGB.name]
+    if linear:
+        return replace(space, title=f"{space.title}, linear", curve=None) if space.curve else space
+    if space.curve is None:
+        raise RecipeError(f"{name} is linear and has no codes; name an .exr, or a .tif with ‹bits› 32")
+    return space
+
+
+def for_developers(rendition: Rendition, mosaic: str | None) -> Rendition:
+    """The rendition that leaves exposure to raw developers; RecipeError if there is no such mosaic."""
+    if mosaic is not None and mosaic not in MOSAICS:
+        raise RecipeError(f'mosaic "{mosaic}" is unknown; {suggestion(mosaic, MOSAICS)}')
+    return replace(rendition, space=replace(REC2020, curve=None), raw=True, mosaic=mosaic)
+
+
+def outputs_as_they_are(table: TransformTable) -> Rendition:
+    """The rendition that leaves a table's outputs as they are; X, Y, Z are colours."""
+    if table.outputs != ("X", "Y", "Z"):
+        return OUTPUTS
+    return replace(OUTPUTS, space=replace(XYZ, title="CIE XYZ", neutral=chromaticity_of(table.white_point)))
 
 
 @dataclass(frozen=True)
@@ -33,27 +87,59 @@ class Unread:
     digest: str  # SHA-256 of the file
 
 
-Exposed = tuple[Pending, Any, float]  # with the frame (RawFrame or Unread) and the scale of its exposure, 0: automatic
+@dataclass(frozen=True)
+class Exposed:
+    """A frame to be rendered, and how it is shown."""
+
+    pending: Pending
+    frame: RawFrame | Unread
+    scale: float  # of its exposure, 0: automatic
+    balance: WhiteBalance | None  # its own; None: the rendition's
 
 
-def pixels_of(renderer: "Renderer", frame: RawFrame, rendition: Rendition, scale: float) -> Any:
-    """The picture of a frame, or its linear outputs where there is no white, upright: (row, col, value)."""
-    if rendition.white is None:
-        return linear_of(renderer, frame)
-    return upright(renderer.picture(frame, display_of(renderer, frame, rendition, scale)), frame.orientation)
+@dataclass(frozen=True)
+class Rendered:
+    """A frame that has been rendered, and what its file says of it."""
+
+    pixels: Any  # (row, col, value), of a mosaic (row, col)
+    label: Label
+    scale: float = 0.0  # of its exposure, which the pixels of a raw file do not have
 
 
-def linear_of(renderer: "Renderer", frame: RawFrame) -> Any:
-    """The outputs of a frame as they are, upright: (row, col, output)."""
-    return upright(np.moveaxis(renderer.outputs(frame), 0, -1), frame.orientation)
+def rendered(
+    renderer: "Renderer", frame: RawFrame, rendition: Rendition, scale: float, label: Label = NOTHING,
+    balance: WhiteBalance | None = None,
+) -> Rendered:  # fmt: skip
+    """A frame as the rendition wants it, upright; `scale`: of its exposure, 0: automatic; `balance`: the frame's own, None:
+    the rendition's."""
+    balance = balance or rendition.balance
+    if balance is not None and not rendition.is_linear:
+        balanced_frame, display = shown(renderer, frame, rendition, balance, scale)
+        return Rendered(upright(renderer.picture(balanced_frame, display), frame.orientation), label)
+    planes = renderer.outputs(frame if balance is None else balanced(frame, renderer.table, balance.gains))
+    if balance is not None and rendition.space is not None:
+        scale = scale * balance.luminance or exposure_scale(planes[1])
+        matrix = linear_matrix(balance.adaptation, 1.0 if rendition.raw else scale, rendition.space)
+        planes = np.einsum("po,orc->prc", matrix.astype(np.float32), planes)
+    pixels = upright(np.moveaxis(planes, 0, -1), frame.orientation)
+    return Rendered(raw_values(pixels, rendition.mosaic) if rendition.raw else pixels, label, scale)
 
 
-def display_of(renderer: "Renderer", frame: RawFrame, rendition: Rendition, scale: float) -> Display:
-    """How the outputs of a frame are shown; `scale`: of its exposure, 0: automatic."""
+def shown(
+    renderer: "Renderer", frame: RawFrame, rendition: Rendition, balance: WhiteBalance, scale: float
+) -> tuple[RawFrame, Display]:
+    """A frame with the gains of its white balance, and how its outputs are shown; `scale`: of its exposure, 0: automatic."""
+    frame = balanced(frame, renderer.table, balance.gains)
     # The exposure of one frame alone needs the whole frame's luminance before the first value is encoded: two runs.
-    return make_display(rendition.white, scale or exposure_scale(renderer.outputs(frame)[1]), rendition.bits)
+    scale = scale * balance.luminance or exposure_scale(renderer.outputs(frame)[1])
+    return frame, adapted_display(balance.adaptation, scale, rendition.bits, rendition.space or SRGB)
 
 
-def file_of(path: Path, made: Any, outputs: tuple[str, ...]) -> bytes:
-    """The content of a picture's file, or of one of linear outputs if its name asks for them."""
-    return images.linear_file(path, made, outputs) if images.is_linear(path) else images.picture_file(path, made)
+def file_of(path: Path, made: Rendered, rendition: Rendition, outputs: tuple[str, ...]) -> bytes:
+    """The content of a frame's file: a picture, or linear values; `outputs`: names of the table's."""
+    if rendition.raw:
+        return dng_file(made.pixels, made.scale, made.label)
+    if not rendition.is_linear:
+        return images.picture_file(path, made.pixels, rendition.space or SRGB, made.label)
+    names = outputs if rendition.balance is None else rendition.names
+    return images.linear_file(path, made.pixels, names, rendition.space, made.label)

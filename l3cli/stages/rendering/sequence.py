@@ -4,22 +4,28 @@ Reading, rendering and writing overlap in threads with short queues between them
 length; the libraries let go of Python's lock in their long calls.
 """
 
+import hashlib
 import time
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from l3cli.errors import InputFileError, L3Error
 from l3cli.files import sha256
 from l3cli.frame import RawFrame, upright
+from l3cli.io.label import of_file, of_values
 from l3cli.io.sequences import Footage, Pending
 from l3cli.io.video import VideoChoice
 from l3cli.parallel.threads import Behind, ahead
+from l3cli.rendering.balance import SteadyWhite, WhiteBalance
 from l3cli.rendering.exposure import LightMeter, SteadyExposure
+from l3cli.rendering.white import SceneWhite
+from l3cli.rendering.white_source import WhiteSource
 from l3cli.stages.console import Console
 from l3cli.stages.input_warnings import FrameWarnings
 from l3cli.stages.rendering.destination import Destination, open_sink
 from l3cli.stages.rendering.executors import Local, Remote
+from l3cli.stages.rendering.frame_whites import FrameWhites, WhiteReport
 from l3cli.stages.rendering.mark import Mark, Origins
 from l3cli.stages.rendering.rendition import Exposed, Rendition, Unread
 
@@ -36,6 +42,8 @@ class _Read:
     pending: Pending
     frame: RawFrame | Unread | None
     brightness: float = 0.0
+    white: SceneWhite | None = None  # measured on it
+    balance: WhiteBalance | None = None  # what it is shown with, if not the rendition's
     error: L3Error | None = None
     kept: bool = False  # its picture is there already
     lost: int = 1  # frames that there are not, if there is an error
@@ -58,20 +66,24 @@ class _Tally:
 
 def render_frames(
     footage: Footage, destination: Destination, executor: Local | Remote, table: "TransformTable",
-    rendition: Rendition, choice: VideoChoice, mark: Mark | None, origins: Origins, skip_bad: bool, console: Console,
+    rendition: Rendition, source: WhiteSource | None, choice: VideoChoice, mark: Mark | None, origins: Origins,
+    skip_bad: bool, console: Console,
 ) -> int:  # fmt: skip
     """Render every frame into the destination; how many were left out. What is broken is raised, or, with `skip_bad`, said
-    and left out."""
+    and left out. `source`: of the white of each frame, None: that of the rendition."""
     start = time.monotonic()
-    steady = SteadyExposure(choice.rate) if is_steady(footage, destination, rendition) else None
-    tally, warnings = _Tally(), FrameWarnings(table)
+    in_order = follows(footage, destination)
+    steady = SteadyExposure(choice.rate) if in_order and rendition.measures_exposure else None
+    whites = FrameWhites(source, SteadyWhite(choice.rate) if in_order else None) if source else None
+    tally, warnings, told = _Tally(), FrameWarnings(table), WhiteReport(source, footage.stills, console)
     for numbers in footage.missing:
         tally.leave_out(footage.absent(numbers), skip_bad, console, len(numbers))
-    with open_sink(destination, choice, table.outputs, mark) as (write, threads), Behind(write, DEPTH, threads) as writing:
-        meter = LightMeter(table) if steady else None
-        reading = ahead(_read(footage, destination, meter, mark, origins, executor.by_path), DEPTH)
+    sink = open_sink(destination, choice, rendition, table.outputs, mark, footage)
+    with sink as (write, threads), Behind(write, DEPTH, threads) as writing:
+        meters = _Meters(LightMeter(table) if steady else None, whites, in_order)
+        reading = ahead(_read(footage, destination, meters, mark, origins, executor.by_path), DEPTH)
         reading = console.progress(reading, footage.count and footage.count - footage.lost, "frames")
-        exposed = warnings.watched(_exposed(reading, rendition, steady, skip_bad, tally, console), footage.stills)
+        exposed = warnings.watched(_exposed(reading, rendition, steady, skip_bad, tally, told, console), footage.stills)
         for pending, made in executor.render(exposed):
             if isinstance(made, L3Error):
                 tally.done -= 1
@@ -81,6 +93,7 @@ def render_frames(
         if not tally.done:
             raise InputFileError("none of the frames could be read; nothing is written")
     warnings.report(console)
+    told.report()
     done, failures = tally.done, tally.failures
     if not footage.stills:
         rate = done / max(time.monotonic() - start, 1e-9)
@@ -90,15 +103,35 @@ def render_frames(
     return failures
 
 
-def is_steady(footage: Footage, destination: Destination, rendition: Rendition) -> bool:
-    """Automatic exposure is steady in time, except for stills that become files: each of those has its own."""
-    return rendition.white is not None and rendition.exposure is None and not (footage.stills and destination.one_by_one)
+def follows(footage: Footage, destination: Destination) -> bool:
+    """Whether exposure and white that are measured follow one another in time: not of stills that become
+    pictures, each of which has its own."""
+    return not (footage.stills and destination.pictures)
+
+
+@dataclass(frozen=True)
+class _Meters:
+    """What is measured on frames as they are read."""
+
+    light: LightMeter | None
+    whites: FrameWhites | None
+    in_order: bool  # whether what a frame is shown with depends on those before it
+
+    @property
+    def any(self) -> bool:
+        return bool(self.light or self.whites)
+
+    def measured(self, pending: Pending, frame: RawFrame, kept: bool) -> _Read:
+        white = self.whites.measured(frame) if self.whites else None
+        balance = self.whites.balance if self.whites else None
+        brightness = self.light.brightness(frame, balance) if self.light else 0.0
+        return _Read(pending, frame, brightness, white, balance, kept=kept)
 
 
 def _read(
-    footage: Footage, destination: Destination, meter: LightMeter | None, mark: Mark | None, origins: Origins, by_path: bool
+    footage: Footage, destination: Destination, meters: _Meters, mark: Mark | None, origins: Origins, by_path: bool
 ) -> Iterator[_Read]:
-    """Read, and measure, frame after frame; of frames that are kept only what the exposure of later ones needs. `by_path`
+    """Read, and measure, frame after frame; of frames that are kept only what later ones need of it. `by_path`
     a file that becomes a file, and is not measured, is left to who renders it."""
     size: tuple[int, ...] | None = None
     for pending in footage.frames:
@@ -106,12 +139,14 @@ def _read(
         if mark:
             pending = origins.of(pending)
             kept = pending.origin is not None and mark.keeps(file, pending.origin)
-        if kept and meter is None and not footage.is_stream:
+        if kept and not (meters.any and meters.in_order) and not footage.is_stream:
             yield _Read(pending, None, kept=True)
             continue
         try:
-            if by_path and pending.source and destination.one_by_one and meter is None:
-                yield _Read(pending, Unread(pending.source.absolute(), sha256(pending.source)), kept=kept)
+            if by_path and pending.source and destination.one_by_one and not meters.any:
+                digest = sha256(pending.source)
+                unread = Unread(pending.source.absolute(), digest)
+                yield _Read(replace(pending, identity=of_file(digest)), unread, kept=kept)
                 continue
             frame = pending.read()
             if frame is None:
@@ -120,28 +155,37 @@ def _read(
                 break
             if not destination.one_by_one:
                 size = size or _upright_shape(frame)
-                _require_size(frame, size)
-            brightness = meter.brightness(frame) if meter else 0.0
+                _require_size(frame, size, "first page" if destination.pictures else "video")
+            read = meters.measured(pending, frame, kept)
         except (L3Error, OSError) as error:
             yield _Read(pending, None, error=error if isinstance(error, L3Error) else InputFileError(str(error)))
             continue
         if mark and pending.origin is None:
             pending = origins.of_read(pending, frame)
             kept = mark.keeps(file, pending.origin)
-        yield _Read(pending, frame, brightness, kept=kept)
+        if destination.pictures and not kept:
+            pending = replace(pending, identity=_identity(pending, frame))
+        yield replace(read, pending=pending, kept=kept)
     if mark:
         mark.refuse_others()
+
+
+def _identity(pending: Pending, frame: RawFrame) -> str:
+    """What a picture states of the frame that it was made from."""
+    if pending.source is not None:
+        return of_file(sha256(pending.source))
+    return of_values(hashlib.sha256(frame.values.astype("<u2", copy=False).tobytes()).hexdigest())
 
 
 def _upright_shape(frame: RawFrame) -> tuple[int, ...]:
     return upright(frame.values, frame.orientation).shape
 
 
-def _require_size(frame: RawFrame, size: tuple[int, ...]) -> None:
+def _require_size(frame: RawFrame, size: tuple[int, ...], of: str) -> None:
     shape = _upright_shape(frame)
     if shape != size:
         raise InputFileError(
-            f"{frame.name} has {shape[0]}×{shape[1]} pixels, the video {size[0]}×{size[1]}; give frames of one size"
+            f"{frame.name} has {shape[0]}×{shape[1]} pixels, the {of} {size[0]}×{size[1]}; give frames of one size"
         )
 
 
@@ -151,6 +195,7 @@ def _exposed(
     steady: SteadyExposure | None,
     skip_bad: bool,
     tally: _Tally,
+    told: WhiteReport,
     console: Console,
 ) -> Iterator[Exposed]:
     """The frames to render, each with its scale (0: automatic exposure); what is broken is raised, or said and counted."""
@@ -161,5 +206,7 @@ def _exposed(
         tally.done += 1
         if each.frame is not None:
             scale = rendition.exposure or (steady.scale(each.brightness) if steady else 0.0)
+            if isinstance(each.frame, RawFrame):
+                told.tell(each.frame, each.white)
             if not each.kept:
-                yield each.pending, each.frame, scale
+                yield Exposed(each.pending, each.frame, scale, each.balance)

@@ -8,6 +8,7 @@ from l3cli.report.page import LIMIT, render_page
 from l3cli.stages.claims import Claims
 from l3cli.stages.console import Console
 from l3cli.stages.input_warnings import warn_of_kernels
+from l3cli.stages.plan import Made, before_work
 from l3cli.stages.reporting.artifacts import by_kind
 from l3cli.stages.reporting.sections import compose
 
@@ -22,7 +23,9 @@ def report(
     with Claims(console) as claims:
         claims.spare(*artifacts)
         claims.claim_file(output, force)
-        title, lead, sections = compose(by_kind(artifacts), backend, console)
+        kinds = by_kind(artifacts)
+        before_work({"artifacts": artifacts}, Made(output, "page"))
+        title, lead, sections = compose(kinds, backend, console)
         page = render_page(title, lead, sections).encode()
         write_whole(output, page)
         warn_of_kernels(console)

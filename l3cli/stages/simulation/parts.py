@@ -29,21 +29,29 @@ def open_folder(output: Path, key: str, resume: bool, force: bool) -> Path:
     making."""
     folder, mark = _folder_and_mark(output)
     if folder.exists():
-        for each in folder.iterdir():
-            refuse_spared(each)
-        if not mark.is_file() and not all(is_ours(each.name) for each in folder.iterdir()):
-            raise L3Error(f"{folder} holds files that l3 did not make; move it elsewhere")
-        if resume and mark.is_file():
-            if mark.read_text() == key:
-                sweep(folder)
-                return folder
-            if not force:
-                raise RecipeError(
-                    f"{folder} is of a run with another recipe, camera, seed or version; leave ‹resume› out or add ‹force›"
-                )
+        if goes_on(output, key, resume, force):
+            sweep(folder)
+            return folder
         _remove(folder)
     write_whole(mark, key)
     return folder
+
+
+def goes_on(output: Path, key: str, resume: bool, force: bool) -> bool:
+    """Whether the run called `key` goes on with frames that are stored beside `output`; errors as of `open_folder`."""
+    folder, mark = _folder_and_mark(output)
+    if not folder.exists():
+        return False
+    for each in folder.iterdir():
+        refuse_spared(each)
+    if not mark.is_file() and not all(is_ours(each.name) for each in folder.iterdir()):
+        raise L3Error(f"{folder} holds files that l3 did not make; move it elsewhere")
+    same = resume and mark.is_file() and mark.read_text() == key
+    if resume and mark.is_file() and not same and not force:
+        raise RecipeError(
+            f"{folder} is of a run with another recipe, camera, seed or version; leave ‹resume› out or add ‹force›"
+        )
+    return same
 
 
 @contextlib.contextmanager

@@ -10,14 +10,16 @@ from l3cli.artifacts.camera_recipe import camera_files, load_camera
 from l3cli.artifacts.training_set import TrainingSet, open_training_set, write_training_set
 from l3cli.config import load_recipe
 from l3cli.files import refuse_existing
-from l3cli.locks import finished_together
+from l3cli.locks import finished_together, refuse_other_run
 from l3cli.parallel import workers
 from l3cli.simulation.recipe import SceneRecipe, shots
 from l3cli.stages.claims import Claims
 from l3cli.stages.console import Console
+from l3cli.stages.plan import Made, before_work, is_dry
 from l3cli.stages.simulation.parts import (
     StoredFrames,
     close_folder,
+    goes_on,
     is_of_run,
     key_of,
     open_folder,
@@ -26,7 +28,7 @@ from l3cli.stages.simulation.parts import (
 from l3cli.stages.simulation.pictures import WRITTEN, write_beside
 from l3cli.stages.simulation.preparation import fitting, head_of, input_files, prepare
 from l3cli.stages.simulation.run import SimulationRun
-from l3cli.stages.simulation.units import received, simulate_unit, units_of
+from l3cli.stages.simulation.units import frame_bytes, received, simulate_unit, units_of
 
 if TYPE_CHECKING:
     from l3cli.parallel.cluster import Scheduler
@@ -51,7 +53,8 @@ def simulate(
     with Claims(console) as claims:
         claims.spare(scenes, *camera_files(camera))
         claims.hold_file(output)
-        remove_finished(output)
+        if not is_dry():
+            remove_finished(output)
         refuse_existing(output, force or resume)
         for folder in folders:
             claims.hold_folder(folder, *WRITTEN)
@@ -67,6 +70,8 @@ def simulate(
         stands = resume and not force and is_of_run(output, run.key)
         if not stands:
             refuse_existing(output, force)
+        if is_dry():
+            _plan(run, files, (scenes, camera), (output, *folders), resume, stands, force)
         with contextlib.ExitStack() as unfinished:
             for folder in folders:
                 unfinished.enter_context(finished_together(folder, run.key, force))
@@ -83,6 +88,24 @@ def simulate(
         left_out = f"; {bad} scene{'s' if bad > 1 else ''} left out" if bad else ""
         console.say(f"{output}: {total} frame{'s' if total > 1 else ''}{left_out}")
         return bad
+
+
+def _plan(
+    run: SimulationRun, files: list[list[Path]], recipes: tuple[Path, Path], outputs: tuple[Path, ...], resume: bool,
+    stands: bool, force: bool,
+) -> None:  # fmt: skip
+    """In a dry run, what would be read and made."""
+    output, *folders = outputs
+    for folder in folders:
+        refuse_other_run(folder, run.key, force)
+    stored = not stands and goes_on(output, run.key, resume, force)
+    total = sum(len(each) for _, each in shots(run.recipe, files)) if run.recipe.scene else 0
+    frames = f"{total + len(run.recipe.pair)} frames of {run.camera.rows}×{run.camera.cols}"
+    how = ", some of which are stored" if stored else ""
+    size = (total + len(run.recipe.pair)) * frame_bytes(run)
+    inputs = {"recipes": [recipes[0], *camera_files(recipes[1])], **input_files(run, files)}
+    made = [] if stands else [Made(output, f"training set, {frames}{how}, {size} bytes before compression")]
+    before_work(inputs, *made, *(Made(folder, f"pictures of {frames}") for folder in folders))
 
 
 def _simulate_frames(

@@ -17,6 +17,7 @@ from l3cli.config import parse_recipe
 from l3cli.errors import InputFileError
 from l3cli.stages.claims import Claims
 from l3cli.stages.console import Console
+from l3cli.stages.plan import Made, before_work
 from l3cli.stages.training.later_layers import tell_what_is_left_out
 from l3cli.stages.training.layer_shards import merged_layer, write_layer_shard
 from l3cli.stages.training.passes import Execution, first_pass, sum_unit, summed
@@ -45,7 +46,8 @@ def train_shard(
     with Claims(console) as claims:
         claims.spare(*training, *filter(None, [classes, first]))
         claims.claim_file(output, force)
-        with executed(training, console, classes, shares, seed, jobs, scheduler) as (run, execution):
+        made = Made(output, f"partial sums, shard {shard[0]} of {shard[1]},")
+        with executed(training, console, classes, shares, seed, jobs, scheduler, made) as (run, execution):
             table = load(TransformTable, first) if first else None
             tell_what_is_left_out(run, console)
             if table and run.has_later_layers and table.history == run.history(LAYERS[len(table.later)]):
@@ -102,7 +104,7 @@ def merge_shards(shards: tuple[Path, ...], output: Path, console: Console, *, fo
     with Claims(console) as claims:
         claims.spare(*shards)
         claims.claim_file(output, force)
-        table = _merged(shards)
+        table = _merged(shards, output)
         save(table, output)
         say_table(table, output, console)
         if made := table.history[-1].options.get("pass"):
@@ -110,10 +112,11 @@ def merge_shards(shards: tuple[Path, ...], output: Path, console: Console, *, fo
         return table
 
 
-def _merged(shards: tuple[Path, ...]) -> TransformTable:
+def _merged(shards: tuple[Path, ...], output: Path) -> TransformTable:
     with contextlib.ExitStack() as stack:
         readers = [stack.enter_context(open_partial_sums(path)) for path in shards]
         _require_all_shards(shards, [reader.head for reader in readers])
+        before_work({"partial sums": shards}, Made(output, f"transform table of {len(shards)} shards"))
         head = readers[0].head
         recipe, seed = _recipe_and_seed(head, shards[0])
         if isinstance(head, PartialLayerSums):

@@ -14,6 +14,7 @@ from l3cli.errors import RecipeError
 from l3cli.parallel import workers
 from l3cli.stages.claims import Claims
 from l3cli.stages.console import Console
+from l3cli.stages.plan import Made, before_work
 from l3cli.stages.training.later_layers import learn_later
 from l3cli.stages.training.passes import Execution, first_pass, learn_unit, summed
 from l3cli.stages.training.run import TrainingRun, open_run
@@ -39,7 +40,8 @@ def train(
     with Claims(console) as claims:
         claims.spare(*training, *filter(None, [classes]))
         claims.claim_file(output, force)
-        with executed(training, console, classes, shares, seed, jobs, scheduler) as (run, execution):
+        made = Made(output, "transform table")
+        with executed(training, console, classes, shares, seed, jobs, scheduler, made) as (run, execution):
             table = _learn(run, execution)
             save(table, output)
         say_table(table, output, console)
@@ -49,12 +51,15 @@ def train(
 @contextlib.contextmanager
 def executed(
     training: tuple[Path, ...], console: Console, classes: Path | None, shares: tuple[Fraction, ...] | None, seed: int,
-    jobs: int, scheduler: "Scheduler | None",
+    jobs: int, scheduler: "Scheduler | None", made: Made,
 ) -> Iterator[tuple[TrainingRun, Execution]]:  # fmt: skip
-    """The run of these training sets, and who does its work; errors in the recipe name its file."""
+    """The run of these training sets, and who does its work; errors in the recipe name its file. `made`: what of it."""
     if scheduler:
         training = tuple(path.absolute() for path in training)  # for workers elsewhere
     run = open_run(training, classes, shares, seed)
+    frames = sum(source.frames for source in run.training)
+    made = replace(made, what=f"{made.what} of {sum(run.patches)} patches in {frames} frames")
+    before_work({"training sets": training, "class recipe": [classes] if classes else []}, made)
     try:
         with workers(jobs, scheduler) as crew:  # they start while the first reads
             yield run, Execution(crew, scheduler is not None, console)

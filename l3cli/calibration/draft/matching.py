@@ -1,0 +1,159 @@
+"""Tables of spectra → captures: by wavelength, by light, or in the order of their names."""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import PurePath
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.calibration.draft.names import Name, read_name
+from l3cli.calibration.draft.sorting import Group, Scale
+from l3cli.curve_table import CurveTable
+from l3cli.measurement import PATCHES
+
+NARROW_NM = 40.0  # between the first and the last half of its peak: a line
+NEAR_NM = 5.0  # of a step's name and the peak of its spectrum
+Array = NDArray[np.floating]
+
+
+@dataclass(frozen=True)
+class Spectra:
+    """A table of spectra in the folder."""
+
+    path: str  # as the measurement file will name it
+    name: Name  # what its path within the folder says
+    table: CurveTable
+
+    @property
+    def narrow(self) -> bool:
+        """Whether most columns are lines, as steps of a monochromator are."""
+        return float(np.mean([_narrow(self.table.wavelength, curve) for curve in self.table.values])) > 0.5
+
+    @property
+    def of_patches(self) -> bool:
+        """Whether it has a column for each patch of a ColorChecker."""
+        return len(self.table.values) == PATCHES and not self.narrow
+
+
+@dataclass(frozen=True)
+class Column:
+    """One spectrum of a table."""
+
+    spectra: Spectra
+    number: int  # from 1
+    name: str | None
+    nm: float  # what its heading says, or else its peak
+
+    @property
+    def key(self) -> int | str:
+        """How a measurement file names it."""
+        names = self.spectra.table.names or ()
+        return self.name if self.name and names.count(self.name) == 1 else self.number
+
+
+def columns_of(tables: Sequence[Spectra]) -> list[Column]:
+    """Every line spectrum of the tables, in their order."""
+    columns = []
+    for spectra in tables:
+        if not spectra.narrow:
+            continue
+        names = spectra.table.names or (None,) * len(spectra.table.values)
+        for number, (name, curve) in enumerate(zip(names, spectra.table.values, strict=True), 1):
+            stated = read_name(f"{name}.csv").nm if name else None
+            stated = stated if stated is not None or len(names) > 1 else spectra.name.nm
+            peak = float(spectra.table.wavelength[int(np.argmax(curve))])
+            columns.append(Column(spectra, number, name, peak if stated is None else stated))
+    return columns
+
+
+def match_steps(steps: Sequence[Group], columns: Sequence[Column], scale: Scale, notes: list[str]) -> list[Column | None]:
+    """The spectrum of each monochromatic capture: by wavelength where its name says it, else in order."""
+    if not columns or not steps:
+        return [None] * len(steps)
+    found = [_by_wavelength(step.first.name, columns) for step in steps]
+    unnamed = [number for number, step in enumerate(steps) if step.first.name.nm is None]
+    if unnamed:
+        rest = [column for column in columns if all(column is not each for each in found)]
+        given = _in_order([steps[number] for number in unnamed], rest, scale, notes)
+        for number, column in zip(unnamed, given, strict=True):
+            found[number] = column
+    return found
+
+
+def _in_order(
+    steps: Sequence[Group], columns: Sequence[Column], scale: Scale, notes: list[str]
+) -> Sequence[Column] | list[None]:
+    """The spectra of captures whose names state no wavelength, if they are as many; none otherwise."""
+    numbers = list(range(len(steps))) if len(steps) == len(columns) else _steps_in_order(steps, scale)
+    if numbers[-1] + 1 != len(columns):
+        notes.append(
+            f"{len(steps)} monochromatic captures and {len(columns)} spectra: which belong together is not known; write the "
+            "wavelength into the names (mono_450nm.tif), or name spectrum and column of each"
+        )
+        return [None] * len(steps)
+    notes.append(
+        f"spectra given to {len(steps)} monochromatic captures in the order of their names, {columns[0].nm:g} to "
+        f"{columns[-1].nm:g} nm"
+    )
+    return [columns[number] for number in numbers]
+
+
+def _steps_in_order(steps: Sequence[Group], scale: Scale) -> list[int]:
+    """The number of each capture's step, where one that is taken again too long follows its step."""
+    numbers = [0]
+    for before, step in itertools.pairwise(steps):
+        again = scale.clipped(step) and not scale.clipped(before)
+        numbers.append(numbers[-1] + (0 if again else 1))
+    return numbers
+
+
+def _by_wavelength(name: Name, columns: Sequence[Column]) -> Column | None:
+    if name.nm is None:
+        return None
+    wanted = name.nm
+    nearest = min(abs(column.nm - wanted) for column in columns)
+    if nearest > NEAR_NM:
+        return None
+    near = [column for column in columns if abs(column.nm - wanted) == nearest]
+
+    def unlike(column: Column) -> tuple[int, int]:
+        words = read_name(f"{column.name}.csv").words if column.name else column.spectra.name.words
+        return len(words ^ name.words), column.number
+
+    return min(near, key=unlike)
+
+
+def match_charts(charts: Sequence[Group], tables: Sequence[Spectra], notes: list[str]) -> list[Spectra | None]:
+    """The table of radiances of each chart: by the light that both names say, else in order."""
+    patches = [table for table in tables if table.of_patches]
+    lights = [table.name.light for table in patches]
+    found: list[Spectra | None] = []
+    for chart in charts:
+        light = chart.first.name.light
+        found.append(patches[lights.index(light)] if light is not None and lights.count(light) == 1 else None)
+    if None in found and len(patches) == len(charts):
+        notes.append(f"radiances given to {len(charts)} charts in the order of their names: check them")
+        return list(patches)
+    return found
+
+
+def match_light(chart: Group, tables: Sequence[Spectra]) -> tuple[Spectra | None, bool]:
+    """The measured light of a photo of a chart: the broad spectrum that its light or its file is called by, or else the only
+    one there is; and whether names say so."""
+    broad = [table for table in tables if len(table.table.values) == 1 and not table.narrow]
+    same = [table for table in broad if table.name.light is not None and table.name.light == chart.first.name.light]
+    if len(same) == 1:
+        return same[0], True
+    stem = PurePath(chart.first.name.path).stem.lower()
+    named = [table for table in broad if PurePath(table.name.path).stem.lower() in stem]
+    if len(named) == 1:
+        return named[0], True
+    return (broad[0], False) if len(broad) == 1 and broad[0].name.light is None else (None, False)
+
+
+def _narrow(wavelength: Array, curve: Array) -> bool:
+    base = float(np.median(curve))
+    above = wavelength[curve - base > 0.5 * (curve.max() - base)]
+    return bool(above.size) and bool(np.ptp(above) <= NARROW_NM)

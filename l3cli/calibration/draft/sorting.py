@@ -1,0 +1,166 @@
+"""Frames → captures: which kind each frame is, by its name or else by what it shows, and which frames belong together."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.calibration.draft.names import Name, natural
+from l3cli.calibration.draft.summary import EVEN, Summary
+
+DARK = 0.01  # of the range from the darkest to the brightest frame: without light
+ALIKE = 0.04  # relative, of signals: frames of one capture, sites of one channel, captures of one light
+CLIPPED = 0.97  # of the brightest values: saturated
+RATE = 0.1  # relative, of light a second: captures of one light
+LEAST_WHITES = 3  # exposures of one light that are taken for the white series
+BRIGHT_DARK, BRIGHTER = 0.05, 5.0  # of the range, times the noise: a frame called dark that is none
+Array = NDArray[np.floating]
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A raw frame as it lies in the folder."""
+
+    name: Name
+    summary: Summary
+    seconds: float | None  # s, as the file or else its name says
+    by_name: bool = False  # whether the exposure time is the name's
+
+
+@dataclass(frozen=True)
+class Group:
+    """Frames of one scene at one exposure."""
+
+    kind: str  # dark, white, mono, band, chart; "plain" or "structured" where nothing tells more
+    frames: tuple[Frame, ...]
+
+    @property
+    def first(self) -> Frame:
+        return self.frames[0]
+
+    @property
+    def level(self) -> Array:
+        """(site) mean DN."""
+        return np.asarray(np.mean([frame.summary.level for frame in self.frames], axis=0))
+
+
+@dataclass(frozen=True)
+class Scale:
+    """What all frames together tell of the converter."""
+
+    black: Array  # (site) DN of the darkest frames
+    bright: float  # DN of the brightest pixels but a tenth
+
+    @property
+    def range(self) -> float:
+        return max(self.bright - float(self.black.mean()), 1.0)
+
+    def signal(self, group: Group) -> Array:
+        """(site) DN above black."""
+        return np.asarray(group.level - self.black)
+
+    def clipped(self, group: Group) -> bool:
+        """Whether a site of a capture saturates."""
+        high = max(float(frame.summary.high.max()) for frame in group.frames)
+        return high - self.black.mean() >= CLIPPED * self.range
+
+
+def scale_of(frames: Sequence[Frame], black: float | None) -> Scale:
+    """Black and bright of a folder's frames; `black`: DN, as their files state it. Without that, and without a frame that is
+    called dark or whose sites all show the same, it is unknown and taken as 0."""
+    sites = frames[0].summary.level.size
+    called = [frame for frame in frames if frame.name.kind == "dark"]
+    darkest = min(called or frames, key=lambda frame: float(frame.summary.level.mean()))
+    bright = max(float(frame.summary.high.max()) for frame in frames)
+    if black is not None:
+        level: Array = np.full(sites, black)
+    elif called or (darkest.summary.unevenness(0.0) < EVEN and np.ptp(darkest.summary.level) < DARK * bright / 3):
+        level = darkest.summary.level
+    else:
+        level = np.zeros(sites)
+    return Scale(level, bright)
+
+
+def sort_frames(frames: Sequence[Frame], scale: Scale, notes: list[str]) -> list[Group]:
+    """The captures of a folder, in the order of their names; `notes` gets a line for each name that its frame belies."""
+    ordered = sorted(frames, key=lambda frame: natural(frame.name.path))
+    kinds = [_kind(frame, scale, notes) for frame in ordered]
+    groups: dict[tuple[object, ...], list[Frame]] = {}
+    for frame, kind in zip(ordered, kinds, strict=True):
+        time = None if frame.seconds is None else float(f"{frame.seconds:.3g}")
+        known = (kind, frame.name.nm, frame.name.light, time, frame.name.words if kind != "dark" else None)
+        members = groups.setdefault((*known, frame.name.series if frame.seconds is None else None), [])
+        members.append(frame)
+    captures = [Group(str(key[0]), tuple(part)) for key, members in groups.items() for part in _alike(members, scale)]
+    return sorted(captures, key=lambda group: natural(group.first.name.path))
+
+
+def _kind(frame: Frame, scale: Scale, notes: list[str]) -> str:
+    """A frame's kind as its name says, or else what it shows."""
+    name, black = frame.name, float(scale.black.mean())
+    signal = frame.summary.level - scale.black
+    share = float(signal.max()) / scale.range
+    if name.kind == "dark" and share > BRIGHT_DARK and signal.max() > BRIGHTER * frame.summary.noise:
+        notes.append(f"{name.path}: called dark, but {signal.max():.0f} DN brighter than the darkest frame: check it")
+    if name.kind == "chart" and name.nm is not None:
+        return "band"
+    if name.kind is not None:
+        return name.kind
+    if share < DARK and float(np.ptp(signal)) < DARK * scale.range / 3:
+        return "dark"
+    structured = share >= DARK and frame.summary.unevenness(black) > EVEN
+    if name.nm is not None:
+        return "band" if structured else "mono"
+    return "structured" if structured else "plain"
+
+
+def _alike(members: Sequence[Frame], scale: Scale) -> Iterable[list[Frame]]:
+    """Frames that share all that their names say, divided where they show different light."""
+    parts: list[list[Frame]] = []
+    for frame in members:
+        signal = frame.summary.level - scale.black
+        for part in parts:
+            other = part[0].summary.level - scale.black
+            if np.abs(signal - other).max() <= max(ALIKE * float(np.abs(other).max()), DARK * scale.range):
+                part.append(frame)
+                break
+        else:
+            parts.append([frame])
+    return parts
+
+
+def with_plain_kinds(groups: Sequence[Group], scale: Scale, notes: list[str]) -> list[Group]:
+    """The captures with "plain" ones called white or mono: white is the light of which most frames are taken, at several
+    exposures. Clipped ones, whose colour is unknown, are what the captures before them are."""
+    plain = [group for group in groups if group.kind == "plain"]
+    if not plain:
+        return list(groups)
+    usable = [group for group in plain if not scale.clipped(group)]
+    has_white = any(group.kind == "white" for group in groups)
+    largest: list[Group] = []
+    for group in usable:
+        cluster = [other for other in usable if _same_light(group, other, scale)]
+        largest = max(largest, cluster, key=lambda each: sum(len(group.frames) for group in each))
+    white = [] if has_white or len(largest) < LEAST_WHITES else largest
+    kinds: dict[int, str] = {}
+    last = "mono"
+    for group in plain:
+        if group in usable:
+            last = "white" if any(group is each for each in white) else "mono"
+        kinds[id(group)] = last
+    whites = sum(kind == "white" for kind in kinds.values())
+    notes.append(
+        f"by what they show, since no name says it: {whites} captures taken for white (one light at several exposures), "
+        f"{len(kinds) - whites} for monochromatic steps"
+    )
+    return [replace(group, kind=kinds.get(id(group), group.kind)) for group in groups]
+
+
+def _same_light(group: Group, other: Group, scale: Scale) -> bool:
+    """Whether two captures differ in exposure alone: one colour and, where exposure times are known, one rate."""
+    one, two = scale.signal(group), scale.signal(other)
+    if min(one.max(), two.max()) <= 0 or np.abs(one / one.max() - two / two.max()).max() > ALIKE:
+        return False
+    times = group.first.seconds, other.first.seconds
+    return None in times or abs(one.max() * times[1] / (two.max() * times[0]) - 1.0) < RATE

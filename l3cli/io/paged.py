@@ -1,0 +1,64 @@
+"""A sequence as the pages of one TIFF, written as they come, so that memory does not grow with their number."""
+
+import contextlib
+import errno
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
+
+from l3cli.files import atomic_output
+from l3cli.io.icc import icc_profile
+from l3cli.io.label import Label
+from l3cli.io.raw.shot import entries_of
+from l3cli.physics.spaces import Space
+
+PAGED = (".tif", ".tiff")
+ROOM = 4_000_000_000  # bytes of pixels in a file of 32-bit offsets
+
+
+class Pages:
+    """The pages of a file that is being written."""
+
+    def __init__(self, path: Path, space: Space | None, count: int | None) -> None:
+        """`space`: of the values; `count`: pages that there will be, None: unknown."""
+        self._path, self._space, self._count = path, space, count
+        self._file: Any = None
+
+    def write(self, pixels: NDArray[Any], label: Label) -> None:
+        """Append a page (row, col, value), with what it says of itself."""
+        import tifffile
+
+        if self._file is None:
+            is_big = self._count is None or self._count * pixels.nbytes > ROOM
+            self._file = tifffile.TiffWriter(self._path, bigtiff=is_big, byteorder="<")
+        rows, _, values = pixels.shape
+        try:
+            self._file.write(
+                pixels,
+                photometric="rgb" if values == 3 else "minisblack",
+                planarconfig="contig",
+                rowsperstrip=rows,
+                metadata=None,
+                software=label.software,
+                description=label.description,
+                iccprofile=icc_profile(self._space) if self._space else None,
+                extratags=entries_of(label.shot, label.exposure),
+                contiguous=False,
+            )
+        except OSError as error:
+            # Of an array that does not fit numpy says only how much of it has been written.
+            raise OSError(error.errno or errno.ENOSPC, os.strerror(error.errno or errno.ENOSPC)) from error
+
+    def close(self) -> None:
+        if self._file is not None:
+            self._file.close()
+
+
+@contextlib.contextmanager
+def new_pages(path: Path, space: Space | None, count: int | None) -> Iterator[Pages]:
+    """The pages of a new file, which appears whole or not at all."""
+    with atomic_output(path) as temporary, contextlib.closing(Pages(temporary, space, count)) as pages:
+        yield pages

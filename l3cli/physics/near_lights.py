@@ -1,0 +1,97 @@
+"""Lights that scenes have: black bodies and daylight, more or less green; which of them a colour, or a camera's grey, is of
+(docs/method.md#scene-white)."""
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.physics import spectra
+
+Array = NDArray[np.floating]
+
+WAVELENGTH = np.arange(380.0, 781.0, 5.0)  # nm: where an eye sees
+MIREDS = np.concatenate([np.arange(40.0, 250.0, 10.0), np.arange(250.0, 631.0, 10.0)])  # 10^6 / K: 25 000 K to 1600 K
+DAYLIGHT_MIRED = 250.0  # 4000 K: from here down light is daylight, above it a black body's
+GREENS = np.arange(-0.8, 1.01, 0.1)  # natural logarithm of what a light has more, in the green, than black body or daylight
+GREEN_NM, GREEN_WIDTH = 545.0, 45.0  # where the lines of fluorescent lamps lie that make them green
+FINER = 10  # steps of the second search in one of the first
+
+
+@dataclass(frozen=True)
+class NearLight:
+    """A light by its place beside black bodies and daylight."""
+
+    xyz: NDArray[np.float64]  # (3) of a perfect white, Y = 1
+    kelvin: float  # correlated colour temperature
+    duv: float  # distance from the black bodies in CIE 1960 uv, above zero if greener
+    misfit: float  # RMS difference of the logarithms of a camera's channels from those that were asked for
+    radiance: Array | None  # relative photon radiance on the camera's grid; None: not known
+
+
+def radiance(mired: float, green: float, wavelength: Array) -> Array:
+    """Relative photon radiance (wavelength) of a light of this correlated colour temperature, `green` as in GREENS."""
+    kelvin = 1e6 / mired
+    plain = spectra.illuminant(f"{'D' if mired <= DAYLIGHT_MIRED else ''}{kelvin:.6f}K", wavelength)
+    return np.asarray(plain * _greener(green, wavelength))
+
+
+def _greener(green: float, wavelength: Array) -> Array:
+    """What a light has of each wavelength, as a factor."""
+    return np.asarray(np.exp(green * np.exp(-(((wavelength - GREEN_NM) / GREEN_WIDTH) ** 2))))
+
+
+def light_of_neutral(weights: Array, wavelength: Array, neutral: Array) -> NearLight:
+    """The light under which a grey gives a camera of `weights` (channel, wavelength) the signals `neutral` (channel), of any
+    scale: by least squares in their logarithms. Channels whose signal is not above zero are left out."""
+    used = neutral > 0
+    wanted = _centred(np.log(neutral[used]))
+    mireds, greens = MIREDS, GREENS
+    for _ in range(2):
+        lights = np.array([radiance(each, 0.0, wavelength) for each in mireds])
+        signals = np.einsum("cw,mw,gw->mgc", weights[used], lights, [_greener(each, wavelength) for each in greens])
+        error = np.sqrt(((_centred(np.log(np.maximum(signals, 1e-30))) - wanted) ** 2).mean(axis=-1))
+        row, col = np.unravel_index(int(error.argmin()), error.shape)
+        mired, green, misfit = float(mireds[row]), float(greens[col]), float(error[row, col])
+        mireds = np.clip(mired + np.linspace(-10, 10, 2 * FINER + 1), MIREDS[0], MIREDS[-1])
+        greens = np.clip(green + np.linspace(-0.1, 0.1, 2 * FINER + 1), GREENS[0], GREENS[-1])
+    xyz = spectra.xyz_weights(WAVELENGTH) @ radiance(mired, green, WAVELENGTH)
+    return NearLight(xyz / xyz[1], *temperature(xyz), misfit, radiance(mired, green, wavelength))
+
+
+def light_of(white: Array) -> NearLight:
+    """A light of which no more is known than its white (3)."""
+    return NearLight(np.asarray(white / white[1], np.float64), *temperature(white), 0.0, None)
+
+
+def temperature(xyz: Array) -> tuple[float, float]:
+    """Correlated colour temperature (K) of a white (3) within 1600…25 000 K, and its distance from the black bodies in CIE
+    1960 uv, above zero if it is greener than they."""
+    mireds, locus = _black_bodies()
+    point = uv(xyz)
+    step = np.diff(locus, axis=0)
+    along = np.clip(((point - locus[:-1]) * step).sum(axis=1) / (step**2).sum(axis=1), 0.0, 1.0)
+    apart = point - locus[:-1] - along[:, None] * step
+    nearest = int((apart**2).sum(axis=1).argmin())
+    mired = mireds[nearest] + along[nearest] * (mireds[nearest + 1] - mireds[nearest])
+    side = step[nearest][0] * apart[nearest][1] - step[nearest][1] * apart[nearest][0]
+    return float(1e6 / mired), float(np.copysign(np.linalg.norm(apart[nearest]), side))
+
+
+def uv(xyz: Array) -> NDArray[np.float64]:
+    """CIE 1960 uv (…, 2) of XYZ (…, 3)."""
+    x, y, z = np.moveaxis(np.asarray(xyz, np.float64), -1, 0)
+    return np.stack([4 * x, 6 * y], axis=-1) / (x + 15 * y + 3 * z)[..., None]
+
+
+@functools.cache
+def _black_bodies() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Reciprocal temperatures (mired) and CIE 1960 uv (…, 2) of black bodies."""
+    mireds = np.arange(MIREDS[0], MIREDS[-1] + 1, 5.0)
+    lights = np.array([spectra.illuminant(f"{1e6 / each:.6f}K", WAVELENGTH) for each in mireds])
+    return mireds, uv(lights @ spectra.xyz_weights(WAVELENGTH).T)
+
+
+def _centred(logarithms: Array) -> Array:
+    return np.asarray(logarithms - logarithms.mean(axis=-1, keepdims=True))

@@ -1,0 +1,105 @@
+"""Colour spaces that pictures are written in: primaries, white, transfer curve (docs/method.md#display).
+
+Sources: IEC 61966-2-1 (sRGB), SMPTE EG 432-1 with the sRGB curve (Display P3), ITU-R BT.2020-2, Academy S-2014-004 (ACEScg).
+"""
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array: TypeAlias = NDArray[np.floating]
+XY: TypeAlias = tuple[float, float]  # chromaticity
+
+# Written out, though colour-science has both: rendering a frame needs nothing else of it, and importing it takes longer.
+SRGB_FROM_XYZ = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])  # IEC 61966-2-1
+BRADFORD = np.array(
+    [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]]
+)  # cone response of XYZ
+D65: XY = (0.3127, 0.3290)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Encoded value of a linear one x in 0…1: gain · x^exponent − offset above `knee`, slope · x up to it."""
+
+    knee: float
+    slope: float
+    gain: float
+    offset: float
+    exponent: float
+
+    def encoded(self, linear: Array) -> Array:
+        """Encoded values of linear ones, both clipped to 0…1."""
+        clipped = np.clip(linear, 0.0, 1.0)
+        return np.where(clipped <= self.knee, self.slope * clipped, self._power(np.maximum(clipped, 1e-9)))
+
+    def _power(self, linear: Array) -> Array:
+        return self.gain * linear**self.exponent - self.offset
+
+
+SRGB_CURVE = Curve(0.0031308, 12.92, 1.055, 0.055, 1 / 2.4)
+BT2020_CURVE = Curve(0.018053968510807, 4.5, 1.09929682680944, 0.09929682680944, 0.45)
+
+
+@dataclass(frozen=True)
+class Space:
+    """A space of three values; where all are equal the colour is `white`."""
+
+    name: str  # that it is asked for by
+    title: str
+    primaries: tuple[XY, XY, XY]
+    white: XY
+    curve: Curve | None  # None: values are linear, and not clipped
+    neutral: XY | None = None  # what a white surface is shown as; None: `white`
+
+    @property
+    def neutral_xyz(self) -> Array:
+        """XYZ (3), Y = 1, of a white surface."""
+        return xyz_of(self.neutral) if self.neutral else np.linalg.solve(self.from_xyz, np.ones(3))
+
+    @property
+    def to_xyz(self) -> Array:
+        """XYZ = M (3, 3) @ linear values, by the definition of the primaries."""
+        columns = np.array([(x, y, 1 - x - y) for x, y in self.primaries]).T
+        return columns * np.linalg.solve(columns, xyz_of(self.white))
+
+    @property
+    def from_xyz(self) -> Array:
+        """Linear values = M (3, 3) @ XYZ; that of sRGB as its standard rounds it."""
+        return SRGB_FROM_XYZ.copy() if self.name == SRGB.name else np.linalg.inv(self.to_xyz)
+
+
+REC709 = ((0.64, 0.33), (0.30, 0.60), (0.15, 0.06))
+SRGB = Space("srgb", "sRGB", REC709, D65, SRGB_CURVE)
+REC2020 = Space("rec2020", "Rec. 2020", ((0.708, 0.292), (0.170, 0.797), (0.131, 0.046)), D65, BT2020_CURVE)
+XYZ = Space("xyz", "CIE XYZ, white D65", ((1.0, 0.0), (0.0, 1.0), (0.0, 0.0)), (1 / 3, 1 / 3), None, D65)
+SPACES = {
+    space.name: space
+    for space in (
+        SRGB,
+        Space("display-p3", "Display P3", ((0.680, 0.320), (0.265, 0.690), (0.150, 0.060)), D65, SRGB_CURVE),
+        REC2020,
+        Space("acescg", "ACEScg", ((0.713, 0.293), (0.165, 0.830), (0.128, 0.044)), (0.32168, 0.33767), None),
+        XYZ,
+    )
+}
+
+
+def xyz_of(chromaticity: XY) -> Array:
+    """XYZ (3), Y = 1, of a chromaticity x, y."""
+    x, y = chromaticity
+    return np.array([x, y, 1 - x - y]) / y
+
+
+def chromaticity_of(xyz: Array) -> XY:
+    """Chromaticity x, y of XYZ (3)."""
+    x, y, _ = np.asarray(xyz, np.float64) / np.sum(xyz)
+    return float(x), float(y)
+
+
+def adaptation_matrix(white: Array, to: Array) -> Array:
+    """Bradford chromatic adaptation (3, 3) of XYZ from `white` to `to`, each (3) with any Y."""
+    gain = (BRADFORD @ to / to[1]) / (BRADFORD @ white / white[1])
+    return np.linalg.solve(BRADFORD, gain[:, None] * BRADFORD)

@@ -1,0 +1,138 @@
+"""The programs of a table on an OpenCL device, each built when a frame first needs it."""
+
+import warnings
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from l3cli.artifacts.table import TransformTable
+from l3cli.rendering import kernels, layout
+from l3cli.rendering.display import Display
+from l3cli.rendering.opencl_devices import pyopencl
+
+BUILD_OPTIONS = ("-w", "-cl-mad-enable", "-cl-std=CL1.2")
+TRANSFORM_ONLY: layout.Macros = {"TRANSFORM_ONLY": 1}  # without the kernel of the classes, which another program has
+SPARING = "PoCL 3.0"  # the version of which it was tried; others compile general forms once more before they are kept
+Key = tuple[Any, ...]
+# What makes pictures of outputs: its files and its cut, of as many lanes as the device's compiler has registers for if 0.
+ENCODERS = {
+    "processor": (("rows.cl", "encode.cl"), layout.Cut(256, 48, (1, 1), 0)),
+    "graphics": (("encode_by_item.cl",), layout.Cut(64, 4, (64, 4), 1)),
+}
+
+
+class Compiler:
+    """Builds programs for a device, or takes those that an earlier run has built."""
+
+    def __init__(self, context: Any, device: Any) -> None:
+        self.context, self._device = context, device
+        self.has_news = False  # a kernel that has not been kept, or has not run before
+
+    def build(self, source: str, macros: layout.Macros) -> kernels.Made:
+        """A program."""
+        cl, device = pyopencl(), self._device
+        options = [*BUILD_OPTIONS, *(f"-D{name}={value}" for name, value in macros.items())]
+        identity = (device.platform.name, device.platform.version, device.name, device.version, device.driver_version)
+
+        def compiled() -> kernels.Made:
+            return _made(cl.Program(self.context, source).build(options))
+
+        def of_binary(binary: bytes) -> kernels.Made | None:
+            try:
+                return _made(cl.Program(self.context, [device], [binary]).build())
+            except cl.Error:  # a driver that has changed and still has the same version
+                return None
+
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # pyopencl warns of every word a compiler says
+            return kernels.built("\0".join([*identity, *options, source]), compiled, of_binary)
+
+    def kernel(self, made: kernels.Made, name: str) -> Any:
+        """A kernel of a program."""
+        self.has_news = True
+        return pyopencl().Kernel(made.program, name)
+
+    def keep(self) -> None:
+        """Keep what has been compiled, once it has run: PoCL compiles kernels when they run."""
+        if self.has_news:
+            kernels.keep()
+            self.has_news = False
+
+
+def _made(program: Any) -> kernels.Made:
+    def binary() -> bytes:
+        return bytes(program.get_info(pyopencl().program_info.BINARIES)[0])
+
+    spares = SPARING in program.devices[0].platform.version
+    return kernels.Made(program, tuple(program.kernel_names.split(";")), binary, spares)
+
+
+class Programs:
+    """The kernels of a table's layers, counted from 0, and what makes pictures of outputs.
+
+    `ending`: what the transforms write (layout.py). `lanes`: length of the processor variant's vectors; None: what the
+    device's compiler has registers for.
+    """
+
+    def __init__(self, compiler: Compiler, table: TransformTable, variant: str, lanes: int | None) -> None:
+        self._compiler, self._table, self._variant = compiler, table, variant
+        self._programs: dict[Key, kernels.Made] = {}  # by layer, -1: an encoder; and ending
+        self._kernels: dict[Key, Any] = {}  # by program and name
+        self._last = len(table.later)
+        self._encoder_files, known = ENCODERS[variant]
+        self.encoder_cut = replace(known, lanes=lanes or known.lanes)
+        self.cut = layout.VARIANTS[variant].cut(table, self._lanes())
+
+    def transforms(self, ending: layout.Macros) -> Any:
+        """The kernel of the last layer's transforms."""
+        return self._kernel(self._built(self._last, ending), "transform")
+
+    def planes(self, layer: int) -> Any:
+        """The kernel that makes what layer `layer` + 1 reads."""
+        return self._kernel(self._built(layer, layout.TO_PLANES), "transform")
+
+    def classes(self, layer: int) -> Any:
+        """The kernel that finds a layer's classes, out of whichever program of it there is."""
+        usual = layout.TO_PLANES if layer < self._last else layout.OUTPUTS_AS_THEY_ARE
+        key = next((key for key in self._programs if key[0] == layer), None) or self._built(layer, usual)
+        return self._kernel(key, "structures" if layer else "classes")
+
+    def encoder(self, ending: layout.Macros) -> Any:
+        """The kernel that makes pictures of outputs."""
+        key = self._built(-1, ending)
+        return self._kernel(key, *self._programs[key].kernels)
+
+    def _kernel(self, key: Key, name: str) -> Any:
+        if (*key, name) not in self._kernels:
+            self._kernels[*key, name] = self._compiler.kernel(self._programs[key], name)
+        return self._kernels[*key, name]
+
+    def _built(self, layer: int, ending: layout.Macros) -> Key:
+        """The key of a program, which is built now if it has not been before."""
+        key = (layer, *ending.items())
+        if key not in self._programs:
+            source, macros, cut = self._parts(layer)
+            if any(other[0] == layer for other in self._programs):
+                macros = {**macros, **TRANSFORM_ONLY}
+            self._programs[key] = self._compiler.build(source, {**macros, **ending, **cut.macros})
+        return key
+
+    def _parts(self, layer: int) -> tuple[str, layout.Macros, layout.Cut]:
+        """Source, shapes and cut of a program."""
+        if layer < 0:
+            files = ("lanes.cl", "vectors.cl", "encoding.cl", *self._encoder_files)
+            return layout.joined_files(*files), {}, self.encoder_cut
+        if layer == 0:
+            return layout.first_source(self._variant, self._table.first.rule), layout.table_macros(self._table), self.cut
+        later = self._table.later[layer - 1]
+        return layout.later_source(self._variant, later.rule), layout.later_macros(self._table, later), self.cut
+
+    def _lanes(self) -> int:
+        """Pixels side by side, by the name of an encoder: that of usual pictures, which is soon needed. It runs once on a
+        pixel, so that it can be kept."""
+        kernel, cl, context = self.encoder(layout.display_macros(Display(np.eye(3), 8))), pyopencl(), self._compiler.context
+        queue, group = cl.CommandQueue(context), self.encoder_cut.group
+        buffers = [cl.Buffer(context, cl.mem_flags.READ_WRITE, 64) for _ in range(3)]
+        kernel(queue, group, group, *buffers, np.int32(1), np.int32(1)).wait()
+        return int(kernel.function_name.rpartition("_")[2])

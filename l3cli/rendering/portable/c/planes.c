@@ -1,0 +1,122 @@
+/* ------------------------------------------------------------------------------------------------- transforms to planes */
+
+/* A layer that another follows makes three planes in whole numbers of 32 bits, from values and weights of 16, so that the classes
+ * of the next layer are the same on every processor.
+ *
+ * Patches are dot products of values one behind the other. So the latest rows lie in a ring column by column: with S values a pixel
+ * (1 of the mosaic, 3 of planes) and windows of side P, padded column p's padded row k lies at ring[(p * P + k) * S], and the patch
+ * of column x of row y begins at ring[(x * P + y) * S]. One row on, every patch moves by S values, and the new pixel of column p
+ * falls where column p + 1 kept the row that is needed no more. Taps are filled up to whole sixteens by weights of zero. */
+
+/* A layer's weights (class, plane, tap), intercepts (class, plane) and binary points (class). */
+typedef struct {
+    const int16_t *weights;
+    const int32_t *intercept;
+    const uint8_t *fraction;
+} FixedPoint;
+
+static inline int32_t to_plane(int32_t sum, int fraction) {
+    return clamped((sum + (1 << fraction >> 1)) >> fraction, -L3_PLANE_TOP, L3_PLANE_TOP);
+}
+
+/* One row: patches (x) `step` values apart -> planes (plane, pixel), whose pixels lie `pixels` apart. */
+static inline void fixed_point_row(const int16_t *restrict patches, ptrdiff_t step, int taps, const FixedPoint *fixed,
+                                   const uint32_t *restrict labels, int columns, ptrdiff_t pixels, int32_t *restrict planes) {
+    for (int x = 0; x < columns; x++) {
+        const int16_t *restrict patch = patches + x * step;
+        const int16_t *restrict weights = fixed->weights + (size_t)labels[x] * 3 * (size_t)taps;
+        const int32_t *intercept = fixed->intercept + (size_t)labels[x] * 3;
+        const int fraction = fixed->fraction[labels[x]];
+        int32_t first = 0, second = 0, third = 0;
+        for (int t = 0; t < taps; t++) {
+            first += patch[t] * weights[t];
+            second += patch[t] * weights[taps + t];
+            third += patch[t] * weights[2 * taps + t];
+        }
+        planes[x] = to_plane(first + intercept[0], fraction);
+        planes[pixels + x] = to_plane(second + intercept[1], fraction);
+        planes[2 * pixels + x] = to_plane(third + intercept[2], fraction);
+    }
+}
+
+/* The padded mosaic and its classes -> planes (plane, row, column). */
+static void mosaic_to_planes(const uint16_t *restrict padded, int16_t *restrict ring, size_t ring_values, int rows, int columns,
+                             const uint32_t *restrict labels, int32_t *restrict planes) {
+    static const FixedPoint fixed = {l3_weights, l3_intercept, l3_fraction};
+    const ptrdiff_t span = padded_span(columns), pixels = (ptrdiff_t)rows * columns;
+    for (size_t i = 0; i < ring_values; i++) ring[i] = 0;
+    for (int k = 0; k < rows + DIAMETER; k++) {
+        const uint16_t *restrict row = padded + k * span;
+        for (int p = 0; p < columns + DIAMETER; p++) ring[(ptrdiff_t)p * L3_PATCH + k] = (int16_t)(row[p] - L3_RAW_MIDDLE);
+        if (k < DIAMETER) continue;
+        const ptrdiff_t at = (ptrdiff_t)(k - DIAMETER) * columns;
+        fixed_point_row(ring + k - DIAMETER, L3_PATCH, L3_TAPS, &fixed, labels + at, columns, pixels, planes + at);
+    }
+}
+
+/* The column that stands where column `wanted` of a plane is missing. */
+static inline int mirrored_column(int wanted, int columns) {
+    return wanted >= 0 && wanted < columns ? wanted : mirrored(wanted, columns, 1);
+}
+
+/* Planes as a layer reads them that another follows: coarser, so that they fit 16 bits. */
+static int16_t coarse(int32_t plane) {
+    return (int16_t)clamped((plane + (1 << L3_COARSE >> 1)) >> L3_COARSE, -L3_COARSE_TOP, L3_COARSE_TOP);
+}
+
+/* Planes and classes of a layer -> planes of the next. */
+static void planes_to_planes(const L3PlaneLayer *layer, const int32_t *restrict from, int16_t *restrict ring, size_t ring_values,
+                             int rows, int columns, const uint32_t *restrict labels, int32_t *restrict planes) {
+    const FixedPoint fixed = {layer->fixed_weights, layer->fixed_intercept, layer->fraction};
+    const int radius = layer->side / 2;
+    const ptrdiff_t step = 3 * layer->side, pixels = (ptrdiff_t)rows * columns;
+    for (size_t i = 0; i < ring_values; i++) ring[i] = 0;
+    for (int k = 0; k < rows + 2 * radius; k++) {
+        const int32_t *restrict row = from + (ptrdiff_t)mirrored(k - radius, rows, 1) * columns;
+        for (int p = 0; p < columns + 2 * radius; p++) {
+            const int column = mirrored_column(p - radius, columns);
+            for (int s = 0; s < 3; s++) ring[p * step + 3 * k + s] = coarse(row[s * pixels + column]);
+        }
+        if (k < 2 * radius) continue;
+        const ptrdiff_t at = (ptrdiff_t)(k - 2 * radius) * columns;
+        fixed_point_row(ring + 3 * (k - 2 * radius), step, layer->taps, &fixed, labels + at, columns, pixels, planes + at);
+    }
+}
+
+/* ------------------------------------------------------------------------------------------------- transforms to outputs */
+
+/* Sum of products, in sixteen parts that do not wait for one another. */
+static inline float dot(const float *restrict a, const float *restrict b) {
+    float part[16] = {0}, eight[8], four[4];
+    for (int t = 0; t < L3_LAST_TAPS; t += 16)
+        for (int i = 0; i < 16; i++) part[i] += a[t + i] * b[t + i];
+    for (int i = 0; i < 8; i++) eight[i] = part[i] + part[i + 8];
+    for (int i = 0; i < 4; i++) four[i] = eight[i] + eight[i + 4];
+    return (four[0] + four[2]) + (four[1] + four[3]);
+}
+
+/* Planes and classes of the last layer -> outputs (output, row, column). */
+static void planes_to_outputs(const L3PlaneLayer *layer, const int32_t *restrict from, float *restrict ring, size_t ring_values,
+                              int rows, int columns, const uint32_t *restrict labels, float *restrict outputs) {
+    const int radius = layer->side / 2;
+    const float *weights = layer->weights, *intercept = layer->intercept;
+    const ptrdiff_t step = 3 * layer->side, pixels = (ptrdiff_t)rows * columns;
+    for (size_t i = 0; i < ring_values; i++) ring[i] = 0;
+    for (int k = 0; k < rows + 2 * radius; k++) {
+        const int32_t *restrict row = from + (ptrdiff_t)mirrored(k - radius, rows, 1) * columns;
+        for (int p = 0; p < columns + 2 * radius; p++) {
+            const int column = mirrored_column(p - radius, columns);
+            for (int s = 0; s < 3; s++) ring[p * step + 3 * k + s] = (float)row[s * pixels + column];
+        }
+        if (k < 2 * radius) continue;
+        const ptrdiff_t at = (ptrdiff_t)(k - 2 * radius) * columns;
+        for (int x = 0; x < columns; x++) {
+            const float *patch = ring + x * step + 3 * (k - 2 * radius);
+            const size_t first = (size_t)labels[at + x] * L3_OUTPUTS;
+            for (size_t o = 0; o < L3_OUTPUTS; o++)
+                outputs[(ptrdiff_t)o * pixels + at + x] =
+                    dot(patch, weights + (first + o) * L3_LAST_TAPS) + intercept[first + o];
+        }
+    }
+}
+

@@ -1,0 +1,229 @@
+"""The constant arrays of a table's C source, and the structs that name those of later layers."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.layers import PlaneLayer
+from l3cli.artifacts.structure_rule import StructureRule
+from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.tree_rule import TreeRule
+from l3cli.classes import contrast, direction, level, saturation
+from l3cli.classes.features import further_features
+from l3cli.classes.planes import fixed_point, later_fixed_point, opponent_basis
+from l3cli.classes.tree import EVERY, turned_tests
+from l3cli.classes.windows import neighbourhoods
+from l3cli.rendering.layout import (
+    Weights,
+    WholeWeights,
+    first_plane_weights,
+    first_weights,
+    later_plane_weights,
+    later_weights,
+)
+
+TAP_GROUP = 16  # taps are filled up to a multiple by weights of zero, so that loops over them have no rest
+TYPES = {
+    "int8": "int8_t",
+    "uint8": "uint8_t",
+    "int16": "int16_t",
+    "uint16": "uint16_t",
+    "int32": "int32_t",
+    "uint32": "uint32_t",
+    "float32": "float",
+}
+PER_LINE = 20  # numbers
+
+
+@dataclass(frozen=True)
+class Array:
+    """A constant array of l3_table.c: rows of its last axis are lines; `nested` ones keep their other axes in C."""
+
+    name: str
+    values: NDArray
+    axes: str
+    nested: bool = True
+
+    @property
+    def local(self) -> bool:
+        """Whether only l3_table.c names it."""
+        return not self.name.startswith("l3_")
+
+    @property
+    def storage(self) -> str:
+        return "static " if self.local else ""
+
+    @property
+    def declaration(self) -> str:
+        shape = self.values.shape if self.nested else (self.values.size,)
+        return f"{self.storage}const {TYPES[self.values.dtype.name]} {self.name}{''.join(f'[{length}]' for length in shape)}"
+
+    def lines(self) -> Iterator[str]:
+        yield f"/* {self.axes} */"
+        yield f"{self.declaration} = {{"
+        yield from _rows(self.values if self.nested else self.values.reshape(-1, self.values.shape[-1]), self.nested)
+        yield "};"
+
+
+def filled(taps: int) -> int:
+    """A number of taps with those of weight zero that fill it up."""
+    return -(-taps // TAP_GROUP) * TAP_GROUP
+
+
+def table_arrays(table: TransformTable) -> tuple[list[Array], list[str]]:
+    """The arrays of l3_table.c, and the lines that follow them."""
+    rule, near = table.first.rule, neighbourhoods(table.cfa, table.first.rule.patch, len(table.channels))
+    arrays = [
+        Array("l3_cfa", table.cfa, "channel of each site (CFA row, CFA column)"),
+        Array("l3_count", near.count.astype(np.uint8), "taps of each channel in the patch of a site (site, channel)"),
+        Array("l3_mean_reciprocal", near.mean_reciprocal.astype(np.uint32), "round(65536 / count) (site, channel)"),
+        Array("l3_variance_reciprocal", near.variance_reciprocal.astype(np.uint32), "round(512 / count) (site, channel)"),
+        Array("l3_level_tops", _some(level.kernel_array(rule)), "highest level sum below each level edge (edge)"),
+        Array("l3_contrast_edges", _some(contrast.kernel_array(rule)), "contrast edges, times 512 (edge, level)"),
+        Array(
+            "l3_case_of_code", saturation.kernel_array(rule), "saturation case of each pattern of saturated channels (code)"
+        ),
+        Array("l3_chroma_weights", rule.chroma_weights, "(chroma, channel)"),
+    ]
+    lines = []
+    for _, axis in further_features(rule):
+        edges = axis.constants[direction.HEAD :].reshape(-1, rule.levels)
+        arrays.append(Array("l3_direction_edges", edges, "strength edges (edge, level)"))
+        lines += ["/* sum, top, left, rows, columns, sign */", "const L3Window l3_windows[L3_WINDOWS] = {",
+                  *(f"{{{', '.join(map(str, window))}}}," for window in axis.windows), "};"]  # fmt: skip
+    if table.later:
+        more, layers = _layers(table)
+        return [*arrays, *more], [*lines, *layers, ""]
+    return [*arrays, *_floats("l3_", _filled_weights(first_weights(table)), nested=True)], [*lines, ""]
+
+
+def _layers(table: TransformTable) -> tuple[list[Array], list[str]]:
+    """Arrays and structs of a table of several layers."""
+    basis = opponent_basis(table.white_point)
+    arrays = _fixed("l3_", first_plane_weights(fixed_point(table), table.bits))
+    turned = [turned_tests(turn) for turn in range(8)]
+    arrays += [
+        Array("l3_turned_test", np.array([tests for tests, _ in turned], np.uint8), "(orientation, test)"),
+        Array("l3_turned_sign", np.array([signs for _, signs in turned]).astype(np.int8), "(orientation, test)"),
+        Array("l3_denominator", np.array([test.denominator for test in EVERY], np.uint8), "denominator of each test (test)"),
+    ]
+    structs, entries = [], []
+    for number, layer in enumerate(table.later, 2):
+        prefix = f"layer{number}_"
+        rule, last = layer.rule, number == len(table.layers)
+        if last:
+            arrays += _floats(prefix, _filled_weights(later_weights(layer)), nested=False)
+        else:
+            whole = later_plane_weights(later_fixed_point(layer, basis))
+            arrays += _fixed(prefix, whole)
+        more, struct = _structure(prefix, rule) if isinstance(rule, StructureRule) else _tree(prefix, rule)
+        doc = "of gradients (level of the first layer)"
+        scale = (("factor", rule.gradient_factor), ("shift", rule.gradient_shift))
+        arrays += [*(Array(prefix + name, values, doc) for name, values in scale), *more]
+        structs.append(struct)
+        entries.append(_entry(table, layer, prefix, last))
+    return arrays, [*structs, "", "const L3PlaneLayer l3_layers[L3_LAYERS - 1] = {", *entries, "};"]
+
+
+def _entry(table: TransformTable, layer: PlaneLayer, prefix: str, last: bool) -> str:
+    rule = layer.rule
+    structured = isinstance(rule, StructureRule)
+    step = rule.level_step if isinstance(rule, StructureRule) else table.first.rule.levels
+    fields: dict[str, int | str] = {
+        "side": layer.side,
+        "taps": filled(3 * layer.side**2),
+        "levels": rule.levels,
+        "level_step": step,
+        "structures": rule.structures,
+        "kinds": rule.kinds,
+        "gradient_factor": f"{prefix}factor",
+        "gradient_shift": f"{prefix}shift",
+        "structure" if structured else "tree": f"&{prefix}rule",
+    }
+    if last:
+        fields |= {"weights": f"{prefix}weights", "intercept": f"{prefix}intercept"}
+    else:
+        fields |= {
+            "fixed_weights": f"{prefix}weights",
+            "fixed_intercept": f"{prefix}intercept",
+            "fraction": f"{prefix}fraction",
+        }
+    return "    {" + ", ".join(f".{name} = {value}" for name, value in fields.items()) + "},"
+
+
+def _structure(prefix: str, rule: StructureRule) -> tuple[list[Array], str]:
+    arrays = [
+        Array(f"{prefix}edges", _some(rule.strength_edges), "strength edges (edge)"),
+        Array(f"{prefix}turns", rule.turns, "signs of the tensor's components (site, component)", nested=False),
+    ]
+    values = f"{rule.strengths}, {rule.coherence}, {prefix}edges, {prefix}turns"
+    return arrays, f"static const L3Structure {prefix}rule = {{{values}}};"
+
+
+def _tree(prefix: str, rule: TreeRule) -> tuple[list[Array], str]:
+    arrays = [
+        Array(f"{prefix}test", rule.test, "(node)"),
+        Array(f"{prefix}threshold", rule.threshold, "(node)"),
+        Array(f"{prefix}branch", rule.branch, "first of a node's two branches; 0: a leaf (node)"),
+        Array(f"{prefix}leaf", rule.leaf.astype(np.uint16), "number of the leaf (node)"),
+        Array(f"{prefix}turns", rule.turns, "orientation in which a site is learned (site)"),
+    ]
+    values = ", ".join(f"{prefix}{name}" for name in ("test", "threshold", "branch", "leaf", "turns"))
+    return arrays, f"static const L3Tree {prefix}rule = {{{values}}};"
+
+
+def _floats(prefix: str, weights: Weights, nested: bool) -> list[Array]:
+    return [
+        Array(f"{prefix}weights", weights.taps, "(class, output, tap)", nested),
+        Array(f"{prefix}intercept", weights.intercept, "(class, output)", nested),
+    ]
+
+
+def _fixed(prefix: str, whole: WholeWeights) -> list[Array]:
+    taps = _fill(whole.taps)
+    return [
+        Array(f"{prefix}weights", taps, "(class, plane, tap)", nested=False),
+        Array(f"{prefix}intercept", whole.intercept, "(class, plane)", nested=False),
+        Array(f"{prefix}fraction", whole.fraction.astype(np.uint8), "binary point (class)"),
+    ]
+
+
+def _filled_weights(weights: Weights) -> Weights:
+    return Weights(_fill(weights.taps), weights.intercept)
+
+
+def _fill(taps: NDArray) -> NDArray:
+    return np.pad(taps, ((0, 0), (0, 0), (0, filled(taps.shape[-1]) - taps.shape[-1])))
+
+
+def _some(edges: NDArray) -> NDArray:
+    """Edges, or one that nobody reads where there are none: C has no empty arrays."""
+    return edges if edges.size else np.zeros((1, *edges.shape[1:]), edges.dtype)
+
+
+def _rows(values: NDArray, braces: bool) -> Iterator[str]:
+    """Lines of the numbers of an array, the axes before the last in braces."""
+    if values.ndim > 1:
+        for each in values:
+            rows = list(_rows(each, braces))
+            if braces:
+                rows[0] = "{" + rows[0]
+                rows[-1] = rows[-1].rstrip(",") + "},"
+            yield from rows
+        return
+    write: Callable[[NDArray], list[str]] = _as_floats if values.dtype.kind == "f" else _as_integers
+    numbers = write(values)
+    for start in range(0, len(numbers), PER_LINE):
+        yield ", ".join(numbers[start : start + PER_LINE]) + ","
+
+
+def _as_integers(values: NDArray) -> list[str]:
+    suffix = "u" if values.dtype == np.uint32 else ""
+    return [f"{value}{suffix}" for value in values.tolist()]
+
+
+def _as_floats(values: NDArray) -> list[str]:
+    """Nine digits, which are read as the same float32. numpy would follow print options, which libraries set."""
+    return [f"{value:.8e}f" if value else "0.0f" for value in values.astype(np.float32).tolist()]

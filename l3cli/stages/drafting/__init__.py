@@ -1,0 +1,1 @@
+"""A folder of captures → the draft of a measurement file."""

@@ -1,0 +1,258 @@
+"""What was found in a folder → the text of a measurement file."""
+
+import json
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.calibration.draft import charts
+from l3cli.calibration.draft.matching import Column, columns_of, match_charts, match_light, match_steps
+from l3cli.calibration.draft.sorting import Group
+from l3cli.calibration.draft.text import DraftText
+from l3cli.curve_table import BRIGHTEST, DIMMEST, CurveTable
+from l3cli.errors import listed
+from l3cli.io.captures import read_capture
+from l3cli.stages.drafting.body import describe_camera
+from l3cli.stages.drafting.survey import Survey
+from l3cli.units import PHOTON_RADIANCE, POWER_RADIANCE
+
+HEAD = "Draft: complete the lines marked TODO, check those marked ASSUMED, then run l3 calibrate on this file."
+LAMP = (
+    "Where a lamp was read during captures: monitor = its reading over that when its spectrum was measured (else 1.0).",
+    "How well lights were known, at the end of the file: [uncertainty] lamp_drift = 0.01 (relative), wavelength_nm = 0.1",
+)
+LEAST_CHARTS = 2  # that separate gain from light
+CORNERS = [[10, 10], [240, 10], [240, 170], [10, 170]]  # an example
+PAIR = 2  # frames that noise is measured on
+
+
+def compose(seen: Survey, camera: CameraModel | None, name: str, folder: str) -> DraftText:
+    """The draft of everything in a folder, whose frames' names begin with `folder`."""
+    return _Composer(seen, camera, folder).text(name)
+
+
+class _Composer:
+    def __init__(self, seen: Survey, camera: CameraModel | None, folder: str) -> None:
+        self.seen, self.camera, self.folder = seen, camera, folder
+        self.out = DraftText()
+        self.steps, self.bands = seen.of_kind("mono"), seen.of_kind("band")
+        self.charts = seen.of_kind("chart", "structured")
+        self.whites, self.darks = seen.of_kind("white"), seen.of_kind("dark")
+        if self.steps and self.bands:  # one source of responsivity; narrow light on an even field is the better one
+            seen.notes.append(f"{len(self.bands)} captures of a chart in narrow bands beside monochromatic ones: left out")
+            self.bands = []
+
+    def text(self, name: str) -> DraftText:
+        """Everything, in the order of a measurement file."""
+        out = self.out
+        if self.camera is not None:
+            out.key("name", self.camera.name)
+        else:
+            out.assume("name", name, "the folder's name", said=False)
+        corners = self._chart_corners()
+        describe_camera(out, self.seen, self.camera, photo=not self.steps and not self.bands and bool(self.charts))
+        if self.steps:
+            self._mono()
+        elif self.bands:
+            self._bands()
+        if self.charts:
+            self._charts(corners) if self.steps else self._photos(corners) if not self.bands else None
+        if self.bands:
+            self._datasheet()
+        if not self.steps and not self.bands and not self.charts:
+            what = "no source of responsivity: monochromatic captures, a chart, or finished curves"
+            out.todo_table("[curves]", what, ("file", "curves.csv"), ("per_energy", True))
+        self._sensor_frames()
+        unused = [
+            table.name.path for table in self.seen.tables if json.dumps(table.path, ensure_ascii=False) not in str(out)
+        ]
+        if unused:
+            self.seen.notes.append(f"tables of spectra that nothing refers to: {listed(unused)}")
+        out.head(HEAD, *self.seen.notes)
+        return out
+
+    # -------------------------------------------------------------------------------------------------- captures
+
+    def _common(self, group: Group, heading: str) -> None:
+        """Frames and exposure time of a capture."""
+        out, first = self.out, group.first
+        out.table(heading)
+        out.key("frames", [self._named(frame.name.path) for frame in group.frames])
+        if first.seconds is None:
+            out.todo("exposure_s", 0.01, "s; neither the file nor its name states the exposure time", first.name.path)
+        else:
+            out.key("exposure_s", float(f"{first.seconds:.6g}"), "by its name" if first.by_name else "")
+
+    def _named(self, path: str) -> str:
+        return path if self.folder == "." else f"{self.folder}/{path}"
+
+    def _mono(self) -> None:
+        out, seen = self.out, self.seen
+        columns = columns_of(seen.tables)
+        matched = match_steps(self.steps, columns, seen.scale, seen.notes)
+        out.comment("", *LAMP)
+        for step, column in zip(self.steps, matched, strict=True):
+            self._common(step, "[[mono]]")
+            uneven = step.first.summary.unevenness(float(seen.scale.black.mean()))
+            if uneven > 4 * charts.DIM and not seen.scale.clipped(step):
+                out.comment(f"the light is uneven by {uneven:.0%}: a [[mono]] frame is an even field")
+            if column is None:
+                out.todo("spectrum", "spectra/mono.csv", "measured radiance of this light", step.first.name.path)
+                continue
+            out.key("spectrum", column.spectra.path)
+            how = "" if step.first.name.nm is not None else f"ASSUMED: in order, {column.nm:g} nm"
+            out.key("column", column.key, how)
+            self._unit(column.spectra.table, column.number - 1)
+        _say_unused(columns, matched, seen.notes)
+
+    def _unit(self, table: CurveTable, column: int | None) -> None:
+        """The unit of radiances, where their heading states none."""
+        values = table.values if column is None else table.values[column : column + 1]
+        if any(table.units):
+            return
+        if DIMMEST <= values.max() <= BRIGHTEST:
+            self.out.assume("unit", PHOTON_RADIANCE, "the heading states none; it is as large as such radiances are", False)
+        else:
+            where = table.path.name
+            self.out.todo("unit", POWER_RADIANCE, f"its heading states none, it peaks at {values.max():.3g}", where)
+
+    def _chart_corners(self) -> dict[int, charts.Corners]:
+        """The corners of each chart by the identity of its capture; captures that show something else are left out."""
+        seen, found = self.seen, dict[int, charts.Corners]()
+        for group in list(self.charts):
+            corners = charts.find_corners(self._mosaic(group.first.name.path) - self._black, seen.period)
+            if corners is not None:
+                found[id(group)] = corners
+            elif group.kind == "structured":
+                self.charts.remove(group)
+                seen.notes.append(f"{group.first.name.path}: neither even nor a chart that is found; left out")
+        return found
+
+    @property
+    def _black(self) -> float:
+        return self.seen.black_level if self.seen.black_level is not None else float(self.seen.scale.black.mean())
+
+    def _mosaic(self, path: str) -> Any:
+        return read_capture(self.seen.listing.folder / path).values.astype(np.float64)
+
+    def _corners(self, corners: charts.Corners | None, path: str, optional: bool = False) -> None:
+        what = "col, row of the outer corners of patches 1, 6, 24, 19; no chart was found"
+        if corners is not None:
+            self.out.key("corners", corners, "found")
+        elif not optional:
+            self.out.todo("corners", CORNERS, what, path)
+
+    def _charts(self, corners: dict[int, charts.Corners]) -> None:
+        """[[chart]] captures beside a monochromator."""
+        out, seen = self.out, self.seen
+        tables = match_charts(self.charts, seen.tables, seen.notes)
+        for number, (group, table) in enumerate(zip(self.charts, tables, strict=True), 1):
+            path = group.first.name.path
+            self._common(group, "[[chart]]")
+            light = group.first.name.light or (table.name.light if table else None)
+            if light:
+                out.key("illuminant", light)
+            else:
+                out.assume("illuminant", f"light {number}", "a name for reports", said=False)
+            self._corners(corners.get(id(group)), path)
+            if table is None:
+                example = f"spectra/chart_{light or number}.csv"
+                out.todo("radiance", example, "CSV of the measured radiance of every patch, a column each", path)
+            else:
+                out.key(
+                    "radiance", table.path, "" if table.name.light and table.name.light == light else "ASSUMED: in order"
+                )
+                self._unit(table.table, None)
+
+    def _bands(self) -> None:
+        """[[band]] captures: a chart behind narrow filters."""
+        out, seen = self.out, self.seen
+        corners = charts.corners_of_series(self.bands, seen.scale, seen.period, self._mosaic)
+        tables = [table for table in seen.tables if table.of_patches]
+        for group in self.bands:
+            path, nm = group.first.name.path, group.first.name.nm
+            self._common(group, "[[band]]")
+            out.key("illuminant", f"{nm:g} nm")
+            self._corners(corners, path)
+            same = [table for table in tables if table.name.nm == nm]
+            if same:
+                out.key("radiance", same[0].path)
+                self._unit(same[0].table, None)
+            else:
+                what = f"CSV: light of the {nm:g} nm band times reflectance, a column for each of the 24 patches"
+                out.todo("radiance", f"spectra/{nm:g}nm.csv", what, path)
+                out.todo("unit", "relative power", "of these radiances, where the heading states none", path)
+
+    def _photos(self, corners: dict[int, charts.Corners]) -> None:
+        """[[photo]]: charts alone."""
+        out, seen = self.out, self.seen
+        for group in self.charts:
+            path = group.first.name.path
+            out.table("[[photo]]")
+            out.key("frames", [self._named(frame.name.path) for frame in group.frames])
+            light, (measured, named) = group.first.name.light, match_light(group, seen.tables)
+            if measured is not None and named:
+                out.key("light", measured.path)
+            elif measured is not None:
+                out.assume("light", measured.path, "the only measured light in the folder")
+            elif light:
+                out.assume("light", light, "by its name")
+            else:
+                out.comment('light = "D65"  or "3200K", or a CSV of its spectrum; without it, it is guessed')
+            self._corners(corners.get(id(group)), path)
+            same = [dark for dark in self.darks if dark.first.seconds == group.first.seconds]
+            if same and not self._measured_sensor:
+                out.key("dark", [self._named(frame.name.path) for frame in same[0].frames])
+            elif seen.black_level is None and not same:
+                out.todo("dark", ["dark.tif"], "frames without light, same exposure: no file states black", path)
+
+    # ---------------------------------------------------------------------------------------------------- sensor
+
+    @property
+    def _measured_sensor(self) -> bool:
+        """Whether there are white frames and dark ones to measure the sensor by."""
+        return bool(self.whites) and bool(self.darks)
+
+    def _sensor_frames(self) -> None:
+        out, mono = self.out, bool(self.steps)
+        if mono and len(self.charts) < LEAST_CHARTS:
+            what = f"charts under {LEAST_CHARTS} lights or more give the scale; found: {len(self.charts)}"
+            common = (("frames", ["chart_A.tif"]), ("exposure_s", 0.01), ("illuminant", "A"))
+            out.todo_table("[[chart]]", what, *common, ("corners", CORNERS), ("radiance", "chart_A.csv"))
+        if self.bands:
+            self._list("dark", self.darks)
+            return
+        if self.charts and not mono and not self._measured_sensor:
+            return  # photos do without
+        self._list("white", self.whites)
+        self._list("dark", self.darks)
+        example = (("frames", ["a_1.tif", "a_2.tif"]), ("exposure_s", 0.01))
+        if not self.whites:
+            out.todo_table("[[white]]", "even light at several exposures up to saturation, two frames each", *example)
+        if not self.darks:
+            out.todo_table("[[dark]]", "no light, at two exposures or more, two frames each", *example)
+
+    def _list(self, kind: str, groups: Sequence[Group]) -> None:
+        for group in groups:
+            if len(group.frames) < PAIR:
+                self.seen.notes.append(f"{group.first.name.path}: a single {kind} frame, from which no noise is measured")
+            self._common(group, f"[[{kind}]]")
+            if len(group.frames) < PAIR:
+                self.out.todo("frames", ["a_1.tif", "a_2.tif"], "two frames or more", group.first.name.path)
+
+    def _datasheet(self) -> None:
+        top = self.seen.top
+        self.out.todo_table(
+            "[datasheet]", "the sensor's figures: bands do not measure it",
+            ("black_level_dn", round(self._black)), ("white_level_dn", top), ("well_capacity_e", 10000),
+            ("read_noise_e", 5.0),
+        )  # fmt: skip
+
+
+def _say_unused(columns: Sequence[Column], matched: Sequence[Column | None], notes: list[str]) -> None:
+    unused = [column for column in columns if all(column is not each for each in matched)]
+    if unused and any(matched):
+        where = ", ".join(f"{column.nm:g} nm" for column in unused[:6])
+        notes.append(f"{len(unused)} spectra belong to no monochromatic capture: {where}{' …' if len(unused) > 6 else ''}")

@@ -1,0 +1,212 @@
+"""What lies in a folder of captures: frames of one sensor by what they show, tables of spectra, and what is left out."""
+
+import os
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.calibration.draft.matching import Spectra
+from l3cli.calibration.draft.names import natural, read_name, with_bare_wavelengths
+from l3cli.calibration.draft.sorting import Frame, Group, Scale, scale_of, sort_frames, with_plain_kinds
+from l3cli.calibration.draft.summary import altered, drawn, period_of, summarise
+from l3cli.errors import InputFileError, L3Error, RecipeError
+from l3cli.io.captures import CaptureFolder, RawFile, list_captures, read_capture, read_spectra
+from l3cli.stages.console import Console
+
+SAMPLED = 6  # frames that an array's period is taken from
+MOST_NOTED = 12  # frames of which each gets a line of its own
+
+
+def named_from(path: Path, output: Path) -> str:
+    """How a measurement file names a path: relative to its folder, whole where that leads out of it."""
+    relative = os.path.relpath(path, output.parent)
+    return str(path.absolute()) if relative.startswith("..") else Path(relative).as_posix()
+
+
+@dataclass(frozen=True)
+class Survey:
+    """A folder as it was found."""
+
+    listing: CaptureFolder
+    shape: tuple[int, int]
+    period: tuple[int, int]
+    pattern: NDArray[np.int64] | None  # codes of the array that the files state
+    black_level: float | None  # DN, as the files state it
+    white_level: float | None  # DN
+    scale: Scale
+    groups: list[Group]
+    tables: list[Spectra]
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def top(self) -> int:
+        """DN, the largest value of all frames."""
+        return max(frame.summary.top for group in self.groups for frame in group.frames)
+
+    def path(self, frame: Frame) -> Path:
+        return self.listing.folder / frame.name.path
+
+    def of_kind(self, *kinds: str) -> list[Group]:
+        return [group for group in self.groups if group.kind in kinds]
+
+
+@dataclass(frozen=True)
+class _Fact:
+    """What a file states of its frame."""
+
+    path: str
+    shape: tuple[int, int]
+    pattern: NDArray[np.int64] | None
+    black: float | None
+    white: float | None
+    seconds: float | None
+    mean: float
+
+    @property
+    def sensor(self) -> tuple[object, ...]:
+        return self.shape, None if self.pattern is None else self.pattern.tobytes()
+
+
+def survey(folder: Path, output: Path, camera: CameraModel | None, console: Console) -> Survey:
+    """Read every file of a folder. InputFileError if it holds no raw frame, RecipeError if they are not of `camera`."""
+    listing = list_captures(folder)
+    notes = list(listing.notes)
+    tables = [
+        Spectra(named_from(folder / name, output), read_name(name), table) for name, table in read_spectra(listing, notes)
+    ]
+    tables.sort(key=lambda each: natural(each.name.path))
+    facts, frames = _facts(listing, notes, console)
+    if not facts:
+        raise InputFileError(_nothing(folder, tables, notes))
+    kept = _of_one_sensor(facts, notes)
+    shape, pattern = kept[0].shape, kept[0].pattern
+    if camera is not None and shape != (camera.rows, camera.cols):
+        raise RecipeError(
+            f"{camera.name} has {camera.rows}×{camera.cols} pixels, the frames {shape[0]}×{shape[1]}; give their camera"
+        )
+    period = _period(kept, camera, listing, pattern)
+    usable = _summarised(kept, period, listing, notes, frames, console)
+    if not usable:
+        raise InputFileError(f"{folder} holds no raw frame that can be used; {notes[-1]}")
+    usable = _with_wavelengths(usable, notes)
+    black = next((fact.black for fact in kept if fact.black is not None), None)
+    white = next((fact.white for fact in kept if fact.white is not None), None)
+    scale = scale_of(usable, black)
+    groups = with_plain_kinds(sort_frames(usable, scale, notes), scale, notes)
+    return Survey(listing, shape, period, pattern, black, white, scale, groups, tables, notes)
+
+
+def _with_wavelengths(usable: list[Frame], notes: list[str]) -> list[Frame]:
+    """The frames with wavelengths that their names state without a unit."""
+    names = with_bare_wavelengths([frame.name for frame in usable])
+    new = [name for name, frame in zip(names, usable, strict=True) if name != frame.name]
+    if new:
+        notes.append(f"numbers in the names of {len(new)} monochromatic frames taken for nm: {new[0].nm:g} in {new[0].path}")
+    return [replace(frame, name=name) for frame, name in zip(usable, names, strict=True)]
+
+
+def _nothing(folder: Path, tables: Sequence[Spectra], notes: Sequence[str]) -> str:
+    """That there is no frame, what there is, and what can be done with it."""
+    if tables:
+        table = tables[0]
+        first, last = table.table.wavelength[[0, -1]]
+        held = f"{table.name.path} ({len(table.table.values)} columns, {first:g}…{last:g} nm)"
+        more = f" and {len(tables) - 1} more" if len(tables) > 1 else ""
+        return (
+            f"{folder} holds no raw frame, but tables such as {held}{more}; finished curves need no draft: name them in a "
+            "measurement file, as [curves] (README)"
+        )
+    reason = f": {notes[0].removesuffix('; left out')}" if notes else ""
+    return f"{folder} holds no raw frame{reason}; give the folder of a camera's captures"
+
+
+def _facts(listing: CaptureFolder, notes: list[str], console: Console) -> tuple[list[_Fact], dict[str, RawFile]]:
+    """What every frame's file states, and the frames that fit into memory meanwhile."""
+    facts, kept, room = [], dict[str, RawFile](), 64 << 20
+    refused: list[str] = []
+    for path in console.progress(listing.frames, len(listing.frames), "files"):
+        try:
+            raw = read_capture(listing.folder / path)
+        except L3Error as error:
+            refused.append(str(error).replace(f"{listing.folder / path}", path).partition(";")[0] + "; left out")
+            continue
+        rows, cols = raw.values.shape
+        mean = float(raw.values.mean())
+        facts.append(_Fact(path, (rows, cols), raw.pattern, raw.black_level, raw.white_level, raw.seconds, mean))
+        if raw.values.nbytes < room:
+            room -= raw.values.nbytes
+            kept[path] = raw
+    notes += _few(refused)
+    return facts, kept
+
+
+def _few(lines: Sequence[str]) -> list[str]:
+    return [
+        *lines[:MOST_NOTED],
+        *([f"{len(lines) - MOST_NOTED} more such files left out"] if len(lines) > MOST_NOTED else []),
+    ]
+
+
+def _of_one_sensor(facts: Sequence[_Fact], notes: list[str]) -> list[_Fact]:
+    """The frames of the size and array that most frames have."""
+    count = Counter(fact.sensor for fact in facts)
+    usual = max(count, key=lambda sensor: (count[sensor], -[fact.sensor for fact in facts].index(sensor)))
+    for sensor in count:
+        if sensor != usual:
+            others = [fact for fact in facts if fact.sensor == sensor]
+            rows, cols = others[0].shape
+            notes.append(
+                f"{len(others)} of {len(facts)} frames are of another size or array ({rows}×{cols}, such as "
+                f"{others[0].path}): left out; draft them apart"
+            )
+    return [fact for fact in facts if fact.sensor == usual]
+
+
+def _period(
+    facts: Sequence[_Fact], camera: CameraModel | None, listing: CaptureFolder, pattern: NDArray[np.int64] | None
+) -> tuple[int, int]:
+    """Rows and columns of the array: the camera's, that of the files, or as the brightest frames show it."""
+    if camera is not None:
+        return camera.cfa.shape[0], camera.cfa.shape[1]
+    if pattern is not None:
+        return pattern.shape[0], pattern.shape[1]
+    bright = sorted(facts, key=lambda fact: -fact.mean)
+    sample = bright[:: max(1, len(bright) // SAMPLED)][:SAMPLED]
+    frames = [read_capture(listing.folder / fact.path).values for fact in sample]
+    return period_of([frame for frame in frames if not drawn(frame)] or frames)
+
+
+def _summarised(
+    facts: Sequence[_Fact],
+    period: tuple[int, int],
+    listing: CaptureFolder,
+    notes: list[str],
+    kept: dict[str, RawFile],
+    console: Console,
+) -> list[Frame]:
+    """Every frame by what it shows; those that are no raw values are left out or noted."""
+    usable, refused, changed = [], [], Counter[str]()
+    for fact in console.progress(facts, len(facts), "frames"):
+        raw = kept.get(fact.path) or read_capture(listing.folder / fact.path)
+        if drawn(raw.values):
+            refused.append(f"{fact.path}: has no noise, as masks and drawings have none; left out")
+            continue
+        if change := altered(raw.values):
+            changed[change] += 1
+        name = read_name(fact.path)
+        seconds = fact.seconds if fact.seconds is not None else name.seconds
+        if fact.seconds is not None and name.seconds is not None and abs(fact.seconds / name.seconds - 1) > 0.1:
+            refused.append(
+                f"{fact.path}: its name says {name.seconds:g} s, its file {fact.seconds:g} s; the file's is taken"
+            )
+        usable.append(Frame(name, summarise(raw.values, period), seconds, fact.seconds is None))
+    notes += _few(refused)
+    notes += [
+        f"{count} frame{'s' * (count > 1)}: {what}; check that they are raw values" for what, count in changed.most_common(2)
+    ]
+    return usable

@@ -1,0 +1,66 @@
+"""The white of frame after frame, and what is said of it."""
+
+from l3cli.frame import RawFrame
+from l3cli.rendering.balance import SteadyWhite, WhiteBalance
+from l3cli.rendering.white import SceneWhite
+from l3cli.rendering.white_source import WhiteSource
+from l3cli.stages.console import Console
+from l3cli.stages.input_warnings import warn_of_odd_white
+
+
+class FrameWhites:
+    """Measures frames in their order. `steady`: the balance follows from frame to frame, or stays that of the first one if
+    the source is held; without it each frame has its own."""
+
+    def __init__(self, source: WhiteSource, steady: SteadyWhite | None) -> None:
+        self._source, self._steady = source, steady
+        self._first: SceneWhite | None = None
+        self.balance: WhiteBalance | None = None  # of the last frame measured; None: there was nothing to tell it by
+
+    def measured(self, frame: RawFrame) -> SceneWhite | None:
+        """White of the next frame, None where there is nothing to tell it by; InputFileError if it cannot be taken."""
+        if self._steady is None:
+            white = self._source.white(frame)
+            self.balance = white.balance if white else None
+            return white
+        if self._first is not None and self._source.held:
+            return self._first
+        white = self._source.white(frame)
+        self._first = self._first or white
+        self.balance = self._steady.balance(white.balance if white else None)
+        return white
+
+
+class WhiteReport:
+    """Says which white was assumed: of every still, of the first frame of a sequence and, if it has moved, of the last."""
+
+    def __init__(self, source: WhiteSource | None, stills: bool, console: Console) -> None:
+        self._source, self._stills, self._console = source, stills, console
+        self._last: tuple[str, SceneWhite] | None = None
+        self._said: SceneWhite | None = None
+        self._warned = False
+
+    def tell(self, frame: RawFrame, white: SceneWhite | None) -> None:
+        """Take note of a frame."""
+        if self._source is None:
+            return
+        if white is None:
+            if self._stills:
+                self._console.say(f"{frame.name}: nothing to tell its white by; the table's is taken")
+            return
+        self._last = frame.name, white
+        if self._stills or self._said is None:
+            self._say(frame.name, white)
+        if not self._warned:
+            self._warned = True
+            warn_of_odd_white(f"{frame.name}: its white, {self._source.about},", white, self._console)
+
+    def report(self) -> None:
+        """At the end."""
+        if self._last and self._last[1] is not self._said:
+            self._say(*self._last)
+
+    def _say(self, name: str, white: SceneWhite) -> None:
+        assert self._source is not None
+        self._said = white
+        self._console.say(f"{name}: white {self._source.about}: {white}")

@@ -1,0 +1,28 @@
+// Processor variant: outputs X, Y, Z of a frame → its picture, as `transform` writes it. A frame whose exposure is measured on
+// its outputs is encoded when they are there. The kernel's name tells the host how many LANES it has.
+//
+// One work-item takes a tile of TILE columns and BAND rows.
+
+#if LANES == 16
+#define ENCODE encode_16
+#else
+#define ENCODE encode_8
+#endif
+
+__kernel __attribute__((reqd_work_group_size(1, 1, 1)))
+void ENCODE(__global const float *restrict outputs,  // (output, row, col)
+            __global const float *restrict matrix,   // (3, 3) encoded values from X, Y, Z, before the curve
+            __global CODE *restrict picture,         // (row, col, 3)
+            int rows, int columns) {
+    const int x0 = get_group_id(0) * TILE, y0 = get_group_id(1) * BAND;
+    const int y1 = min(y0 + BAND, rows), width = min(TILE, columns - x0);
+    const size_t pixels = (size_t)rows * columns;
+    float planes[3 * TILE];
+    for (int i = 0; i < 3 * TILE; i++) planes[i] = 0;
+    for (int y = y0; y < y1; y++) {
+        const size_t at = (size_t)y * columns + x0;
+        for (int o = 0; o < 3; o++)
+            for (int x = 0; x < width; x++) planes[o * TILE + x] = outputs[o * pixels + at + x];
+        write_row(picture, planes, matrix, at, width, pixels);
+    }
+}

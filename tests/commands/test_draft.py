@@ -1,0 +1,279 @@
+"""l3 calibrate --draft: a folder of captures, named as labs name them, gives their measurement file."""
+
+import re
+import shutil
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.store import load
+from l3cli.cli import run
+from l3cli.curve_file import read_table
+from l3cli.io.captures import read_capture
+from l3cli.io.curves import write_curves
+from l3cli.io.images import write_mosaic, write_picture
+from l3cli.io.raw.dng_writer import LIGHT_CODES, RawColour, write_dng
+from l3cli.units import PHOTON_RADIANCE
+from tests.helpers.calls import L3, Refused
+
+LAB = """
+lamp_drift = 0.0
+monitor_error = 0.0
+wavelength_error_nm = 0.0
+falloff = 0.05
+[mono]
+step_nm = 30
+bandwidth_nm = 30
+overexposed = 1
+[chart]
+illuminants = ["A", "D65"]
+[white]
+levels = [0.2, 0.5, 0.8, 1.5]
+trials = 2
+[dark]
+exposures_s = [0.01, 0.1, 0.5]
+trials = 2
+"""
+Naming = Callable[[str, int, str, float, int, int], str]  # kind, capture, light, seconds, trial, frame → path
+
+
+def flat(kind: str, capture: int, light: str, seconds: float, trial: int, frame: int) -> str:
+    """Everything in the name."""
+    return f"{kind}_{light}_{seconds * 1000:g}ms_{trial + 1:02d}.tif"
+
+
+def by_kind(kind: str, capture: int, light: str, seconds: float, trial: int, frame: int) -> str:
+    """A folder for each kind, numbers alone within."""
+    return f"{kind}/step{capture:03d}_{trial}.tif"
+
+
+def as_cameras(kind: str, capture: int, light: str, seconds: float, trial: int, frame: int) -> str:
+    """No kind at all."""
+    return f"IMG_{frame:04d}.TIF"
+
+
+@pytest.fixture(scope="module")
+def lab(bayer_recipe: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What a lab without drift measures of the small Bayer camera; camera.h5 is what its own measurement file gives."""
+    folder = tmp_path_factory.mktemp("draft") / "lab"
+    folder.mkdir()
+    (folder / "lab.toml").write_text(LAB)
+    assert run(["lab", str(bayer_recipe), "-o", str(folder), "--recipe", str(folder / "lab.toml"), "--quiet"]) == 0
+    assert run(["calibrate", str(folder / "MEASUREMENTS.toml"), "-o", str(folder / "camera.h5"), "--quiet"]) == 0
+    return folder
+
+
+def with_a_file_a_step(folder: Path) -> None:
+    """The spectra of the monochromator as a spectrometer saves them: a file each, the unit in its preamble."""
+    table = read_table(folder / "mono.csv")
+    (folder / "mono.csv").unlink()
+    for number, curve in enumerate(table.values):
+        rows = "\n".join(f"{nm:.4f}\t{value:.8g}" for nm, value in zip(table.wavelength, curve, strict=True))
+        text = f"Spectrometer: QEP01234\nUnits: photons/s/sr/m²/nm\n>>>>>Begin Spectral Data<<<<<\n{rows}\n"
+        (folder / f"step_{number:02d}.txt").write_text(text)
+
+
+def renamed(lab: Path, folder: Path, naming: Naming, timed: bool = True) -> Path:
+    """The lab's captures and spectra in another folder under other names, without its measurement file."""
+    frame = 0
+    measured = tomllib.loads((lab / "MEASUREMENTS.toml").read_text())
+    for kind in ("mono", "chart", "white", "dark"):
+        for number, capture in enumerate(measured[kind]):
+            for trial, name in enumerate(capture["frames"]):
+                frame += 1
+                light = Path(name).stem.split("_")[1]
+                path = folder / naming(kind, number, light, capture["exposure_s"], trial, frame)
+                path.parent.mkdir(parents=True, exist_ok=True)
+                if timed:
+                    shutil.copy(lab / name, path)
+                else:
+                    write_mosaic(path, read_capture(lab / name).values)
+    for path in (lab / "spectra").iterdir():
+        shutil.copy(path, folder)
+    if naming is by_kind:
+        with_a_file_a_step(folder)
+    return folder
+
+
+@pytest.mark.parametrize("naming", [flat, by_kind, as_cameras])
+def test_a_draft_gives_the_camera_of_the_labs_own_file(
+    naming: Naming, lab: Path, bayer_recipe: Path, tmp_path: Path, l3: L3
+) -> None:
+    folder = renamed(lab, tmp_path / "captures", naming)
+    code, out, err = l3("calibrate", "--draft", folder, "--camera", bayer_recipe, "-o", folder / "M.toml")
+    assert (code, out) == (0, "")
+    assert "next: l3 calibrate" in err
+    assert "TODO " not in (folder / "M.toml").read_text().partition("\n")[2]
+    assert l3("calibrate", folder / "M.toml", "-o", tmp_path / "camera.h5", "--quiet")[::2] == (0, "")
+    drafted, own = load(CameraModel, tmp_path / "camera.h5"), load(CameraModel, lab / "camera.h5")
+    assert (drafted.gain, drafted.black_level, drafted.white_level) == (own.gain, own.black_level, own.white_level)
+    assert drafted.noise == own.noise
+    # The corners of the charts are found, to a third of a pixel, not given.
+    np.testing.assert_allclose(drafted.responsivity, own.responsivity, atol=2e-4 * own.responsivity.max())
+
+
+def test_what_nobody_states_is_marked(lab: Path, tmp_path: Path, l3: L3, refused: Refused) -> None:
+    """Exposure times, pixel pitch and optics; the array is seen in the monochromatic frames."""
+
+    def without_times(kind: str, capture: int, light: str, seconds: float, trial: int, frame: int) -> str:
+        return f"{kind}_{light}_{capture}_{trial}.tif"
+
+    folder = renamed(lab, tmp_path / "captures", without_times, timed=False)
+    code, _, err = l3("calibrate", "--draft", folder, "-o", folder / "M.toml")
+    assert code == 0
+    assert "missing: exposure_s of mono_430nm_0_0.tif and" in err
+    assert "missing: pixel_pitch_um of [sensor]" in err
+    text = (folder / "M.toml").read_text()
+    assert text.count("# TODO exposure_s = 0.01") == text.count("\n[[")
+    assert tomllib.loads(text)["cfa"] == {"channels": ["r", "g", "b"], "pattern": ["r g", "g b"]}
+    assert "missing key `pixel_pitch_um` in [sensor]" in refused(2, "calibrate", folder / "M.toml", "-o", tmp_path / "c.h5")
+    whole = re.sub("# TODO (pixel|focal|f_num)", r"\1", text)
+    (folder / "M.toml").write_text(whole)
+    assert "exposure_s" in refused(2, "calibrate", folder / "M.toml", "-o", tmp_path / "c.h5")
+
+
+def test_raw_files_of_cameras_state_their_array_and_times(lab: Path, bayer: CameraModel, tmp_path: Path, l3: L3) -> None:
+    """The lab's frames as DNG, one kind as FITS: the same sensor."""
+    fits = pytest.importorskip("astropy.io.fits")
+    folder = tmp_path / "captures"
+    colour = RawColour({light: np.eye(3) for light in LIGHT_CODES})
+    for path in lab.glob("*/*.tif"):
+        file = folder / path.relative_to(lab).with_suffix(".dng")
+        file.parent.mkdir(parents=True, exist_ok=True)
+        raw = read_capture(path)
+        if path.parent.name != "dark":
+            write_dng(file, raw.values, bayer, colour, None, raw.seconds or 1.0)
+            continue
+        header = fits.Header({"EXPTIME": raw.seconds, "BAYERPAT": "RGGB"})
+        fits.writeto(file.with_suffix(".fits"), raw.values, header)
+    for path in (lab / "spectra").iterdir():
+        shutil.copy(path, folder)
+    assert l3("calibrate", "--draft", folder, "-o", folder / "M.toml", "--quiet")[0] == 0
+    text = (folder / "M.toml").read_text()
+    assert 'pattern = ["r g", "g b"]' in text
+    assert "exposure_s" in text
+    for line, value in (("pixel_pitch_um", 4.0), ("focal_length_mm", 25.0), ("f_number", 2.8)):
+        text = re.sub(f"# TODO {line} = .*", f"{line} = {value}", text)
+    (folder / "M.toml").write_text(text)
+    assert l3("calibrate", folder / "M.toml", "-o", tmp_path / "camera.h5", "--quiet")[::2] == (0, "")
+    drafted, own = load(CameraModel, tmp_path / "camera.h5"), load(CameraModel, lab / "camera.h5")
+    assert (drafted.gain, drafted.black_level, drafted.noise) == (own.gain, own.black_level, own.noise)
+    (folder / "M.toml").write_text(text.replace('"r g", "g b"', '"g r", "b g"'))
+    code, _, err = l3("calibrate", folder / "M.toml", "-o", tmp_path / "other.h5", "--quiet")
+    assert (code, err.count("\n")) == (3, 1)
+    assert "cfa.pattern" in err
+
+
+def test_names_alone_tell_exposure_times(lab: Path, bayer_recipe: Path, tmp_path: Path, l3: L3) -> None:
+    folder = renamed(lab, tmp_path / "captures", flat, timed=False)
+    assert l3("calibrate", "--draft", folder, "--camera", bayer_recipe, "-o", folder / "M.toml", "--quiet")[0] == 0
+    drafted, own = (
+        tomllib.loads((path / name).read_text()) for path, name in ((folder, "M.toml"), (lab, "MEASUREMENTS.toml"))
+    )
+    for kind in ("mono", "white", "dark"):
+        assert sorted(each["exposure_s"] for each in drafted[kind]) == sorted(each["exposure_s"] for each in own[kind])
+
+
+def test_spectra_go_to_their_steps_whatever_is_missing(lab: Path, bayer_recipe: Path, tmp_path: Path, l3: L3) -> None:
+    """Steps whose names state the wavelength keep theirs; for a stray frame none is guessed. One step taken again too long
+    needs no spectrum of its own."""
+    folder = renamed(lab, tmp_path / "captures", flat)
+    draft = ("calibrate", "--draft", folder, "--camera", bayer_recipe, "-o", folder / "M.toml", "--force")
+    steps = sorted(folder.glob("mono_*nm_*.tif"))
+    stray = steps[0].rename(folder / "stray.tif")
+    steps[1].unlink()
+    code, _, err = l3(*draft)
+    assert code == 0
+    assert "missing: spectrum of stray.tif: " in err
+    for capture in tomllib.loads((folder / "M.toml").read_text())["mono"]:
+        if capture["frames"] != ["stray.tif"]:
+            assert capture["column"] == capture["frames"][0].split("_")[1].replace("-", " ")
+    stray.unlink()
+
+    for number, path in enumerate(sorted(folder.glob("mono_*"))):
+        path.rename(folder / f"mono_{number:02d}.tif")
+    table = read_table(folder / "mono.csv")
+    assert table.names is not None
+    kept = [number for number, name in enumerate(table.names) if "long" not in name][2:]
+    write_curves(
+        folder / "mono.csv", table.wavelength, table.values[kept], [table.names[number] for number in kept], PHOTON_RADIANCE
+    )
+    code, _, err = l3(*draft)
+    assert code == 0
+    assert f"spectra given to {len(kept) + 1} monochromatic captures in the order of their names" in err
+    columns = [capture["column"] for capture in tomllib.loads((folder / "M.toml").read_text())["mono"]]
+    assert len(columns) - len(set(columns)) == 1  # the step that is taken again
+
+
+def test_what_is_no_raw_frame_is_told_apart(lab: Path, tmp_path: Path, l3: L3) -> None:
+    """Developed pictures, masks, stretched values, frames of another sensor: a line each, and none is taken."""
+    folder = tmp_path / "captures"
+    shutil.copytree(lab / "white", folder)
+    values = read_capture(next(folder.glob("*.tif"))).values
+    for name in ("developed.tif", "shown.jpg"):
+        write_picture(folder / name, np.zeros((192, 256, 3), np.uint8))
+    patches = np.arange(24, dtype=np.uint16).reshape(4, 6)
+    write_mosaic(folder / "labels.png", np.repeat(np.repeat(patches, 48, 0), 43, 1)[:, :256])
+    write_mosaic(folder / "white_other.tif", values[:96])
+    write_mosaic(folder / "white_shifted.tif", (values << 4).astype(np.uint16))
+    write_mosaic(folder / "white_stretched.tif", np.rint(values * (65535 / 4095)).astype(np.uint16))
+    (folder / "notes.txt").write_text("The lamp was warm.\n")
+    code, _, err = l3("calibrate", "--draft", folder, "-o", tmp_path / "M.toml")
+    assert code == 0
+    assert "developed.tif has 3 channels of uint8; left out" in err
+    assert "1 × .jpg: developed pictures, never raw values; left out" in err
+    assert "labels.png: has no noise, as masks and drawings have none; left out" in err
+    assert "another size or array (96×256, such as white_other.tif): left out" in err
+    assert "1 frame: all values are multiples of 16: stored shifted" in err
+    assert "of the frequent values the next one never occurs: stretched or companded" in err
+    assert "notes.txt" not in err
+    frames = "".join(re.findall("frames = .*", (tmp_path / "M.toml").read_text()))
+    assert not re.search("developed|shown|labels|other", frames)
+
+
+def test_a_photo_of_a_chart_is_found(l3_data: Path, tmp_path: Path, l3: L3) -> None:
+    """The colour chart in its picture, the developed DNG and the headerless dump left out."""
+    assert l3("calibrate", "--draft", l3_data / "raw", "-o", tmp_path / "M.toml", "--quiet")[0] == 0
+    drafted = tomllib.loads((tmp_path / "M.toml").read_text())
+    assert drafted["photo"][0]["frames"] == [str(l3_data / "raw/colorchart.dng")]
+    corners = np.array(drafted["photo"][0]["corners"])
+    np.testing.assert_allclose(corners, [[664, 578], [1304, 564], [1315, 973], [645, 985]], atol=2.0)
+    assert (drafted["sensor"]["rows"], drafted["sensor"]["cols"], drafted["sensor"]["bits"]) == (1156, 1734, 14)
+
+
+def test_a_photo_gets_the_light_that_was_measured(l3_data: Path, tmp_path: Path, l3: L3) -> None:
+    """The only lamp in the folder, as its spectrometer writes it, makes a measurement file that is taken at once."""
+    folder = tmp_path / "captures"
+    folder.mkdir()
+    (folder / "colorchart.dng").symlink_to(l3_data / "raw/colorchart.dng")
+    grid = np.arange(380, 781, 5)
+    rows = "\n".join(f"{nm};{(nm / 560) ** 3:.4f}".replace(".", ",") for nm in grid)
+    (folder / "lamp.txt").write_bytes(f"Wavelength;Irradiance\r\n[nm];[µW/cm²/nm]\r\n{rows}\r\n".encode("utf-16"))
+    code, _, err = l3("calibrate", "--draft", folder, "-o", folder / "M.toml")
+    assert code == 0
+    assert 'assumed: light = "lamp.txt": the only measured light in the folder' in err
+    assert "next: l3 calibrate" in err
+
+
+def test_drafts_are_refused_before_any_work(lab: Path, tmp_path: Path, refused: Refused) -> None:
+    draft = ("calibrate", "--draft", lab)
+    assert "ends in .toml" in refused(2, *draft, "-o", tmp_path / "camera.h5")
+    assert "--force" in refused(1, *draft, "-o", lab / "MEASUREMENTS.toml")
+    assert "is no folder" in refused(3, "calibrate", "--draft", tmp_path / "none", "-o", tmp_path / "M.toml")
+    assert "is no folder" in refused(3, "calibrate", "--draft", lab / "lab.toml", "-o", tmp_path / "M.toml")
+    (tmp_path / "empty").mkdir()
+    assert "holds no raw frame" in refused(3, "calibrate", "--draft", tmp_path / "empty", "-o", tmp_path / "M.toml")
+    assert "holds no raw frame, but tables such as" in refused(
+        3, "calibrate", "--draft", lab / "spectra", "-o", tmp_path / "M.toml"
+    )
+    assert "leave --photo out" in refused(2, *draft, "-o", tmp_path / "M.toml", "--photo", "a.dng")
+    assert "leave MEASUREMENTS.toml out" in refused(2, *draft, lab / "MEASUREMENTS.toml", "-o", tmp_path / "M.toml")
+    assert "--camera goes with --draft" in refused(
+        2, "calibrate", lab / "MEASUREMENTS.toml", "--camera", "bayer", "-o", tmp_path / "c.h5"
+    )
+    assert "give their camera" in refused(2, *draft, "--camera", "fiveband", "-o", tmp_path / "M.toml")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["empty"]

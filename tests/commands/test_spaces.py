@@ -1,0 +1,173 @@
+"""Pictures say what they are: colour spaces, checked against colour-science; profiles, read by Little CMS."""
+
+import io
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+from PIL import Image, ImageCms
+
+import l3cli as l3_python
+from l3cli.artifacts.store import save
+from l3cli.frame import RawFrame
+from l3cli.io.icc import icc_profile
+from l3cli.io.images import picture_file, read_image
+from l3cli.physics.display import scene_white
+from l3cli.physics.spaces import D65, SPACES, SRGB, adaptation_matrix, chromaticity_of, xyz_of
+from l3cli.physics.spectra import colour_science
+from l3cli.rendering.display import encode, make_display
+from l3cli.rendering.reference import ReferenceRenderer
+from tests.helpers.cameras import BAYER
+from tests.helpers.tables import random_table
+
+TABLE = random_table(BAYER, bits=12, black_level=64.0, patch=5)
+ENCODED = [name for name, space in SPACES.items() if space.curve]
+KNOWN = {"srgb": "sRGB", "display-p3": "Display P3", "rec2020": "ITU-R BT.2020", "acescg": "ACEScg"}
+
+
+@pytest.fixture(scope="module")
+def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a table and a frame of it."""
+    folder = tmp_path_factory.mktemp("spaces")
+    save(TABLE, folder / "table.h5")
+    np.save(folder / "frame.npy", np.random.default_rng(5).integers(60, 3000, (24, 30)).astype(np.uint16))
+    return folder
+
+
+def outputs(folder: Path) -> np.ndarray:
+    """(output, row, col) of the folder's frame."""
+    frame = RawFrame("f", np.load(folder / "frame.npy"), TABLE.black_level, TABLE.white_level)
+    return ReferenceRenderer(TABLE).exact_outputs(frame)
+
+
+def said(path: Path) -> Any:
+    """What a file says of itself, by OpenImageIO."""
+    source = oiio.ImageInput.open(str(path))
+    assert source is not None
+    return source.spec()
+
+
+# -------------------------------------------------------------------------------------------------------- formulas
+
+
+@pytest.mark.parametrize("name", KNOWN)
+def test_spaces_are_those_of_the_standards(name: str) -> None:
+    space, theirs = SPACES[name], colour_science().RGB_COLOURSPACES[KNOWN[name]]
+    np.testing.assert_allclose(space.primaries, theirs.primaries)
+    np.testing.assert_allclose(space.white, theirs.whitepoint)
+    np.testing.assert_allclose(space.from_xyz, theirs.matrix_XYZ_to_RGB, atol=2e-4)  # theirs are rounded
+    linear = np.linspace(0, 1, 1001)
+    if space.curve:
+        np.testing.assert_allclose(space.curve.encoded(linear), theirs.cctf_encoding(linear), atol=3e-4)  # BT.2020: 12 bits
+
+
+@pytest.mark.parametrize("name", SPACES)
+def test_white_is_white(name: str) -> None:
+    space, white = SPACES[name], scene_white("A")
+    if space.curve:
+        codes = encode(white[:, None, None], make_display(white, 1.0, 16, space))
+        assert codes.tolist() == [[[65535] * 3]]
+    np.testing.assert_allclose(space.from_xyz @ space.neutral_xyz, xyz_of(D65) if name == "xyz" else np.ones(3), atol=1e-12)
+
+
+@pytest.mark.parametrize("name", SPACES)
+def test_little_cms_reads_the_primaries(name: str) -> None:
+    """A profile's colorants are those of the connection space, whose white is D50."""
+    space = SPACES[name]
+    profile = ImageCms.ImageCmsProfile(io.BytesIO(icc_profile(space))).profile
+    assert (profile.profile_description, profile.is_matrix_shaper) == (space.title, True)
+    adapted = adaptation_matrix(space.neutral_xyz, np.array([0.9642, 1.0, 0.8249])) @ space.to_xyz
+    primaries: Any = (profile.red_primary, profile.green_primary, profile.blue_primary)
+    for column, (xyz, _) in zip(adapted.T, primaries, strict=True):
+        np.testing.assert_allclose(xyz, column, atol=3e-5)
+    assert icc_profile(space) == icc_profile.__wrapped__(space)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tif", ".jpg"])
+@pytest.mark.parametrize("name", ENCODED)
+def test_whoever_follows_the_profile_sees_the_same_colours(name: str, suffix: str) -> None:
+    """Colours of sRGB in a file of each space, brought to sRGB by Little CMS and its own profile."""
+    codes = np.random.default_rng(2).integers(40, 216, (8, 8, 3))
+    xyz = np.moveaxis(((codes / 255 + 0.055) / 1.055) ** 2.4 @ np.linalg.inv(SRGB.from_xyz).T, -1, 0)
+    picture = encode(xyz, make_display(SRGB.neutral_xyz, 1.0, 8, SPACES[name])).repeat(8, 0).repeat(8, 1)
+    stored = Image.open(io.BytesIO(picture_file(Path("a" + suffix), picture, SPACES[name])))
+    profile = ImageCms.ImageCmsProfile(io.BytesIO(stored.info["icc_profile"]))
+    shown = ImageCms.profileToProfile(
+        stored, profile, ImageCms.createProfile("sRGB"), renderingIntent=ImageCms.Intent.RELATIVE_COLORIMETRIC
+    )
+    assert shown is not None
+    assert np.abs(np.asarray(shown).astype(int)[4::8, 4::8] - codes).max() <= (
+        8 if suffix == ".jpg" else 3
+    )  # a step of a wide space
+
+
+# -------------------------------------------------------------------------------------------------------- l3 render
+
+
+@pytest.mark.parametrize(
+    ("name", "bits", "backend"),
+    [("rec2020", 8, "opencl"), ("rec2020", 16, "opencl"), *((name, 16, "reference") for name in ENCODED)],
+)
+def test_codes_are_those_of_the_reference(l3: Callable, desk: Path, name: str, bits: int, backend: str) -> None:
+    options = ("--exposure", 0.7, "--white", "A", "--bits", bits, "--backend", backend, "--force", "--quiet")
+    assert l3("render", desk / "table.h5", desk / "frame.npy", "-o", desk / "a.tif", "--space", name, *options)[0] == 0
+    truth = encode(outputs(desk), make_display(scene_white("A"), 0.7, bits, SPACES[name]))
+    assert np.abs(read_image(desk / "a.tif")[0].astype(int) - truth).max() <= (1 if bits == 8 else 2)
+
+
+@pytest.mark.parametrize("file", ["a.exr", "a.tif"])
+@pytest.mark.parametrize("name", SPACES)
+def test_floating_point_is_linear_and_whole(l3: Callable, desk: Path, name: str, file: str) -> None:
+    options = ("--bits", 32, "--exposure", 2, "--white", "A", "--force", "--quiet")
+    assert l3("render", desk / "table.h5", desk / "frame.npy", "-o", desk / file, "--space", name, *options)[0] == 0
+    pixels, channels = read_image(desk / file)
+    space = SPACES[name]
+    matrix = space.from_xyz @ adaptation_matrix(scene_white("A"), space.neutral_xyz) * 2
+    truth = np.einsum("po,orc->rcp", matrix, outputs(desk))
+    np.testing.assert_allclose(pixels, truth, atol=1e-5)
+    assert truth.max() > 1
+    assert pixels.dtype == np.float32
+    assert channels == (("X", "Y", "Z") if (name, file) == ("xyz", "a.exr") else ("R", "G", "B"))
+    again = l3_python.Renderer(TABLE).picture(np.load(desk / "frame.npy"), exposure=2, white="A", space=name, bits=32)
+    np.testing.assert_array_equal(again, pixels)
+
+
+def test_outputs_as_they_are_say_their_white(l3: Callable, desk: Path) -> None:
+    for name in ("o.exr", "o.tif"):
+        assert l3("render", desk / "table.h5", desk / "frame.npy", "-o", desk / name, "--bits", 32)[0] == 0
+        np.testing.assert_allclose(np.moveaxis(read_image(desk / name)[0], -1, 0), outputs(desk), atol=1e-5)
+    spec = said(desk / "o.exr")
+    np.testing.assert_allclose(spec["chromaticities"], (1, 0, 0, 1, 0, 0, 1 / 3, 1 / 3), atol=1e-6)
+    np.testing.assert_allclose(spec["adoptedNeutral"], chromaticity_of(TABLE.white_point), atol=1e-6)
+    profile = ImageCms.ImageCmsProfile(io.BytesIO(said(desk / "o.tif")["ICCProfile"].tobytes()))
+    assert profile.profile.profile_description == "CIE XYZ"
+
+
+def test_exr_has_the_chromaticities_of_its_space(l3: Callable, desk: Path) -> None:
+    assert l3("render", desk / "table.h5", desk / "frame.npy", "-o", desk / "c.exr", "--space", "acescg")[0] == 0
+    spec = said(desk / "c.exr")
+    np.testing.assert_allclose(
+        spec["chromaticities"], (0.713, 0.293, 0.165, 0.83, 0.128, 0.044, 0.32168, 0.33767), atol=1e-6
+    )
+
+
+@pytest.mark.parametrize(
+    ("output", "options", "said"),
+    [
+        ("x.png", ("--space", "acescg"), "name an .exr, or a .tif with --bits 32"),
+        ("x.tif", ("--space", "xyz", "--bits", 16), "linear"),
+        ("x.png", ("--bits", 32), "x.png: .png holds 8 or 16 bits a value, not 32; use .tif or .exr"),
+        ("x.mp4", ("--bits", 32), "name a .tif or .exr"),
+        ("x.mp4", ("--space", "rec2020"), "videos are sRGB; leave --space out"),
+        ("x.exr", ("--white", "A"), "--space"),
+        ("x.png", ("--space", "sRGB"), 'did you mean "srgb"?'),
+    ],
+)
+def test_spaces_that_cannot_be_are_refused(
+    refused: Callable, desk: Path, output: str, options: tuple[str, ...], said: str
+) -> None:
+    assert said in refused(2, "render", desk / "table.h5", desk / "frame.npy", "-o", desk / output, *options)
+    assert not (desk / output).exists()

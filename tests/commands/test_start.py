@@ -1,0 +1,66 @@
+"""What `l3 render` of one frame imports, compiles and starts: no more than it needs."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.helpers.hostile_environments import make_desk
+from tests.helpers.paths import CONFIGS
+
+UNNEEDED = {"asyncio", "av", "colour", "concurrent.futures", "dask", "distributed", "jinja2", "multiprocessing", "rawpy"}
+UNNEEDED |= {"rich", "scipy", "ssl", "tifffile", "l3cli.parallel.cluster", "l3cli.simulation", "l3cli.training"}
+PROGRAM = """
+import json, sys
+from l3cli.cli import run
+code = run(sys.argv[1:])
+from l3cli.io import apart
+print(json.dumps({"code": code, "modules": sorted(sys.modules), "sandbox": apart._child is not None}))
+"""
+
+
+@pytest.fixture(scope="module")
+def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("desk")
+    make_desk(folder)
+    return folder
+
+
+def rendered(desk: Path, cache: Path, frame: str) -> dict[str, Any]:
+    """What a process says of itself that has rendered a frame."""
+    known = {name: value for name, value in os.environ.items() if name not in ("POCL_CACHE_DIR", "L3_TRUST")}
+    known |= {"PYTHONPATH": str(CONFIGS.parent), "XDG_CACHE_HOME": str(cache)}
+    call = [sys.executable, "-c", PROGRAM, "render", f"{desk}/table.h5", f"{desk}/{frame}", "-o", f"{desk}/x.png", "--force"]
+    ended = subprocess.run(call, env=known, capture_output=True, text=True, check=True)
+    said: dict[str, Any] = json.loads(ended.stdout)
+    assert said["code"] == 0, ended.stderr
+    return said
+
+
+def test_one_frame_needs_one_process_few_libraries_and_few_programs(desk: Path, tmp_path: Path) -> None:
+    first = rendered(desk, tmp_path, "raw.tif")
+    assert not UNNEEDED & set(first["modules"])
+    assert not first["sandbox"]
+    kept = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.program")}
+    assert len(kept) == 2  # classes and transforms of a layer; what encodes their outputs
+    made = (desk / "x.png").read_bytes()
+    assert rendered(desk, tmp_path, "raw.tif")["modules"] == first["modules"]
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.program")} == kept
+    assert (desk / "x.png").read_bytes() == made
+
+
+def test_a_foreign_file_is_read_in_the_sandbox(desk: Path, tmp_path: Path) -> None:
+    import OpenImageIO as oiio
+
+    from l3cli.io.images import encoded
+    from l3cli.io.raw.pages import read_by_library
+
+    values = read_by_library(desk / "raw.tif")["values"]
+    spec = oiio.ImageSpec(values.shape[1], values.shape[0], 1, "uint16")
+    spec.attribute("compression", "zip")
+    (desk / "packed.tif").write_bytes(encoded("packed.tif", spec, values[..., None]))
+    assert rendered(desk, tmp_path, "packed.tif")["sandbox"]

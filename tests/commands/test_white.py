@@ -1,0 +1,234 @@
+"""l3 render --white: the file's, a grey's, estimated, by name; right and wrong calls, sequences, resumed runs, Python."""
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import l3cli
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.store import save
+from l3cli.artifacts.table import TransformTable
+from l3cli.io.images import read_image
+from l3cli.io.raw.dng_writer import LIGHT_CODES, RawColour, write_dng
+from l3cli.physics import spectra
+from l3cli.rendering.white_source import CAMERA
+from tests.helpers.tables import colorimetric_table
+
+FAST = ("--backend", "reference")
+GREY = (30, 40)  # row and column in the grey half of `mosaic`
+ROUNDING = (
+    3  # codes of 8 bits between the channels of a grey that is neutral: a DN of 12 bits, the gains on it, the sRGB curve
+)
+
+
+def mosaic(camera: CameraModel, light: str, share: float = 0.5) -> np.ndarray:
+    """Grey on the left, coloured squares and white on the right, under a light."""
+    surfaces = spectra.reflectance_library(camera.wavelength)[5:300:20]
+    surfaces = np.vstack([np.full(camera.wavelength.size, 0.5), np.full(camera.wavelength.size, 0.9), surfaces])
+    radiance = spectra.illuminant(light, camera.wavelength)
+    signals = (surfaces * radiance) @ camera.electron_weights.T / (camera.electron_weights @ radiance).max()
+    chosen = np.zeros((60, 160), int)
+    chosen[:, 80:] = np.arange(6 * 8).reshape(6, 8).repeat(10, 0).repeat(10, 1) % (len(surfaces) - 1) + 1
+    values = np.take_along_axis(signals[chosen], np.tile(camera.cfa, (30, 80))[..., None], axis=2)[..., 0]
+    return np.rint(camera.black_level + share * values * (camera.white_level - camera.black_level)).astype(np.uint16)
+
+
+def dng(path: Path, camera: CameraModel, light: str, values: np.ndarray, stated: str | None = "") -> Path:
+    """A frame as DNG that states the neutral of its light, or of another one."""
+    neutral = camera.electron_weights @ spectra.illuminant(stated or light, camera.wavelength)
+    colour = RawColour(dict.fromkeys(LIGHT_CODES, np.eye(3)))
+    write_dng(path, values, camera, colour, None if stated is None else neutral / neutral.max(), 0.01)
+    return path
+
+
+@pytest.fixture(scope="module")
+def table(bayer: CameraModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("white") / "table.h5"
+    save(colorimetric_table(dataclasses.replace(bayer, noise=dataclasses.replace(bayer.noise, dark_current=0.0))), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def warm(bayer: CameraModel, table: Path) -> Path:
+    return dng(table.parent / "warm.dng", bayer, "3200K", mosaic(bayer, "3200K"))
+
+
+def grey(picture: Path) -> np.ndarray:
+    return read_image(picture)[0][10:50, 10:70].astype(int)
+
+
+def cast(picture: Path) -> int:
+    """The largest difference between the channels of the grey half."""
+    return int(np.ptp(grey(picture), axis=2).max())
+
+
+def test_the_white_that_the_file_states(l3: Callable, table: Path, warm: Path, tmp_path: Path) -> None:
+    code, _, err = l3("render", table, warm, "--white", CAMERA, "-o", tmp_path / "a.png", *FAST)
+    assert code == 0
+    line, *warnings = err.splitlines()
+    assert line.startswith(f"{warm}: white as the file states it: x,y = 0.42")
+    assert 3150 < float(line.split(" K,")[0].split()[-1]) < 3250
+    assert not [each for each in warnings if "camera" in each or "array" in each]
+    assert cast(tmp_path / "a.png") <= ROUNDING
+    assert l3("render", table, warm, "-o", tmp_path / "b.png", *FAST)[0] == 0
+    assert cast(tmp_path / "b.png") > 40
+
+
+@pytest.mark.parametrize("white", ["30,40", "30,40,24", "3200K"])
+def test_a_grey_of_the_picture_or_a_name_shows_it_neutral(
+    l3: Callable, table: Path, warm: Path, tmp_path: Path, white: str
+) -> None:
+    """Exposure means the same whatever the white: the grey has half of white's luminance, white half of full scale."""
+    code, _, err = l3("render", table, warm, "--white", white, "--exposure", 1, "-o", tmp_path / "a.png", *FAST)
+    assert code == 0
+    assert ("about row 30, column 40" in err) == ("," in white)
+    assert cast(tmp_path / "a.png") <= ROUNDING
+    assert l3("render", table, warm, "--white", "0.42,0.4", "--exposure", 1, "-o", tmp_path / "b.png", *FAST)[0] == 0
+    assert abs(grey(tmp_path / "a.png")[..., 1].mean() - grey(tmp_path / "b.png")[..., 1].mean()) < 4
+
+
+def test_automatic_white_is_told_and_takes_most_of_a_cast_away(
+    l3: Callable, table: Path, warm: Path, tmp_path: Path
+) -> None:
+    code, _, err = l3("render", table, warm, "--white", "auto", "-o", tmp_path / "a.png", *FAST)
+    assert code == 0
+    assert "white estimated on the frame: x,y = 0." in err
+    assert cast(tmp_path / "a.png") < 25
+
+
+@pytest.mark.parametrize(
+    ("code", "white", "why"),
+    [
+        (2, "30,40,0", "2…1000 pixels"),
+        (2, "30,40,2.5", "whole number"),
+        (2, "-3,40", "0…1000000 pixels"),
+        (2, "30,40,3,5", "is not a chromaticity"),
+        (2, "cameras", "unknown"),
+        (2, "AUTO", "unknown"),
+        (3, "58,40", "not inside its 60×160 pixels"),
+        (3, "5000,5000", "not inside"),
+        (3, "30,120,1000", "not inside"),
+    ],
+)
+def test_whites_that_cannot_be(
+    refused: Callable, table: Path, warm: Path, tmp_path: Path, code: int, white: str, why: str
+) -> None:
+    assert why in refused(code, "render", table, warm, "--white", white, "-o", tmp_path / "a.png", *FAST)
+
+
+def test_frames_whose_white_cannot_be_taken(
+    refused: Callable, table: Path, bayer: CameraModel, tmp_path: Path, l3: Callable
+) -> None:
+    raw, picture = mosaic(bayer, "A"), tmp_path / "a.png"
+    np.save(tmp_path / "plain.npy", raw)
+    dng(tmp_path / "none.dng", bayer, "A", raw, stated=None)
+    for name in ("plain.npy", "none.dng"):
+        assert "does not state" in refused(3, "render", table, tmp_path / name, "--white", "camera", "-o", picture, *FAST)
+    raw[20:40, 20:60] = int(bayer.white_level)
+    np.save(tmp_path / "clipped.npy", raw)
+    assert "clipped" in refused(3, "render", table, tmp_path / "clipped.npy", "--white", "30,40,20", "-o", picture, *FAST)
+    raw[20:40, 20:60] = int(bayer.black_level) + np.arange(40) % 3
+    np.save(tmp_path / "dark.npy", raw)
+    assert "too dark" in refused(3, "render", table, tmp_path / "dark.npy", "--white", "30,40,20", "-o", picture, *FAST)
+    np.save(tmp_path / "black.npy", np.full_like(raw, int(bayer.black_level)))
+    code, _, err = l3("render", table, tmp_path / "black.npy", "--white", "auto", "-o", picture, *FAST)
+    assert code == 0
+    assert "nothing to tell its white by" in err
+    exr = refused(2, "render", table, tmp_path / "plain.npy", "--white", "auto", "-o", tmp_path / "a.exr", *FAST)
+    assert "--white" in exr
+
+
+def test_a_neutral_that_no_light_gives_and_another_camera_are_warned_of(
+    l3: Callable, table: Path, bayer: CameraModel, tmp_path: Path
+) -> None:
+    other = dataclasses.replace(bayer, name="Canon EOS 550D")
+    colour = RawColour(dict.fromkeys(LIGHT_CODES, np.eye(3)))
+    write_dng(tmp_path / "odd.dng", mosaic(bayer, "A"), other, colour, np.array([1.0, 0.2, 1.0]), 0.01)
+    code, _, err = l3("render", table, tmp_path / "odd.dng", "--white", "camera", "-o", tmp_path / "a.png", *FAST)
+    assert code == 0
+    assert "is what no daylight, lamp or black body gives the table's camera" in err
+    assert "it was taken by Canon EOS 550D, the table is for small Bayer" in err
+
+
+def test_an_array_that_a_file_misstates_is_warned_of_with_the_phase(
+    l3: Callable, table: Path, bayer: CameraModel, tmp_path: Path
+) -> None:
+    raw = dng(tmp_path / "shifted.dng", bayer, "D65", mosaic(bayer, "D65")[:, 1:].copy())
+    err = l3("render", table, raw, "-o", tmp_path / "a.png", *FAST)[2]
+    assert "sites of one channel differ by" in err
+    assert "--phase 0,1 or 1,0" in err
+    assert "sites" not in l3("render", table, raw, "-o", tmp_path / "b.png", "--phase", "0,1", *FAST)[2]
+
+
+def clip(folder: Path, camera: CameraModel, lights: tuple[str, ...]) -> Path:
+    folder.mkdir()
+    for number, light in enumerate(lights):
+        dng(folder / f"{number}.dng", camera, light, mosaic(camera, light))
+    return folder
+
+
+@pytest.mark.parametrize("white", ["auto", "camera"])
+def test_white_is_followed_in_sequences_and_the_same_when_resumed(
+    l3: Callable, table: Path, bayer: CameraModel, tmp_path: Path, white: str
+) -> None:
+    """At 30 frames a second a step of light is followed by 3 % a frame; what is resumed is what it would have been."""
+    folder = clip(tmp_path / "clip", bayer, ("3200K", "3200K", "D65", "D65", "D65"))
+    call = ("render", table, folder, "--white", white, "--exposure", 1, *FAST)
+    code, _, err = l3(*call, "-o", tmp_path / "out")
+    assert code == 0
+    assert err.count("white ") == 2  # of the first and of the last frame
+    pictures = {path.name: path.read_bytes() for path in sorted((tmp_path / "out").iterdir())}
+    shown = [grey(tmp_path / "out" / f"{number}.png") for number in range(5)]
+    step = [each[..., 2].mean() - each[..., 0].mean() for each in shown]
+    assert step[2] > step[3] > step[4] > step[2] - 40  # bluish after the step, ever less so
+    (folder / "4.dng").rename(tmp_path / "4.dng")
+    (folder / "4.dng").write_bytes(b"broken")
+    assert l3(*call, "-o", tmp_path / "again", "--quiet")[0] == 3
+    (tmp_path / "4.dng").replace(folder / "4.dng")
+    (tmp_path / "again/1.png").unlink()
+    (folder / "1.dng").rename(tmp_path / "1.dng")
+    dng(folder / "1.dng", bayer, "D65", mosaic(bayer, "D65"))  # all later pictures would be others
+    assert "leave --resume out" in l3(*call, "-o", tmp_path / "again", "--resume")[2]
+    (tmp_path / "1.dng").replace(folder / "1.dng")
+    assert l3(*call, "-o", tmp_path / "again", "--resume", "--quiet") == (0, "", "")
+    assert {path.name: path.read_bytes() for path in sorted((tmp_path / "again").iterdir())} == pictures
+
+
+def test_a_grey_is_measured_on_the_first_frame_of_a_sequence_and_on_every_still(
+    l3: Callable, table: Path, bayer: CameraModel, tmp_path: Path
+) -> None:
+    folder = clip(tmp_path / "clip", bayer, ("3200K", "D65"))
+    call = ("render", table, "--white", "30,40", "--exposure", 1, *FAST, "-o")
+    assert l3(*call, tmp_path / "held", folder)[0] == 0
+    assert cast(tmp_path / "held/0.png") <= ROUNDING
+    assert cast(tmp_path / "held/1.png") > 40
+    code, _, err = l3(*call, tmp_path / "stills", folder / "0.dng", folder / "1.dng")
+    assert (code, err.count(": white of 32×32 pixels")) == (0, 2)
+    assert max(cast(tmp_path / f"stills/{number}.png") for number in range(2)) <= ROUNDING
+
+
+def test_python_gives_the_pictures_of_the_command(
+    l3: Callable, table: Path, warm: Path, bayer: CameraModel, tmp_path: Path
+) -> None:
+    renderer = l3cli.Renderer(table, backend="reference")
+    frame = l3cli.read_raw(warm, renderer.table)
+    assert frame.neutral is not None
+    for white in ("camera", "auto", "30,40", "A"):
+        assert l3("render", table, warm, "--white", white, "-o", tmp_path / "a.png", "--force", "--quiet", *FAST)[0] == 0
+        np.testing.assert_array_equal(renderer.picture(frame, white=white), read_image(tmp_path / "a.png")[0])
+    with pytest.raises(l3cli.errors.InputFileError, match="does not state"):
+        renderer.picture(mosaic(bayer, "A"), white="camera")
+
+
+def test_a_table_of_an_older_file_adapts_from_what_it_shows(l3: Callable, table: Path, warm: Path, tmp_path: Path) -> None:
+    made = l3cli.load(table)
+    assert isinstance(made, TransformTable)
+    save(dataclasses.replace(made, camera=None, light=None), tmp_path / "old.h5")
+    for white in ("camera", "30,40", "auto"):
+        code, _, err = l3("render", tmp_path / "old.h5", warm, "--white", white, "-o", tmp_path / "a.png", "--force", *FAST)
+        assert code == 0
+        assert ": white " in err
+        assert cast(tmp_path / "a.png") <= (25 if white == "auto" else ROUNDING)

@@ -1,0 +1,230 @@
+"""Tables as C99 source and as plain arrays: the same classes and outputs as the reference renderer."""
+
+import ctypes
+import dataclasses
+import itertools
+import json
+import os
+import re
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import ArrayLike, NDArray
+
+from l3cli.artifacts.structure_rule import StructureRule
+from l3cli.artifacts.table import TransformTable
+from l3cli.classes import direction
+from l3cli.frame import RawFrame
+from l3cli.rendering.portable.folder import folder_files
+from l3cli.rendering.portable.source import c_files
+from l3cli.rendering.portable.wordlengths import in_words
+from l3cli.rendering.reference import ReferenceRenderer
+from tests.helpers.tables import random_table, with_first, with_later, with_tree
+
+CC = os.environ.get("CC") or shutil.which("cc") or shutil.which("gcc")
+ARM, QEMU = shutil.which("arm-linux-gnueabihf-gcc"), shutil.which("qemu-arm")
+WARNINGS = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Werror"]
+XTRANS = ["gbggrg", "rgrbgb", "gbggrg", "grggbg", "brbgrg", "grggbg"]
+SIX = [["rgb".index(letter) for letter in row] for row in XTRANS]
+
+
+def a_table(cfa: ArrayLike, bits: int, black_level: float, **keys: Any) -> TransformTable:
+    """A random table in which what is not saturated has case 0: there chromas, structures and leaves decide."""
+    table = random_table(cfa, bits, black_level, **keys)
+    cases = table.first.rule.case_of_code.copy()
+    cases[0], cases[-1] = 0, cases.max()
+    return with_first(table, rule=dataclasses.replace(table.first.rule, case_of_code=cases))
+
+
+def with_strengths(table: TransformTable, *edges: int) -> TransformTable:
+    """The table with other edges of strength in its later layers, as many as they had."""
+    later = []
+    for layer in table.later:
+        assert isinstance(layer.rule, StructureRule)
+        few = np.array(edges[: layer.rule.strengths], np.uint32)
+        later.append(dataclasses.replace(layer, structure=dataclasses.replace(layer.rule, strength_edges=few)))
+    return dataclasses.replace(table, later=tuple(later))
+
+
+TABLES: dict[str, Callable[[], TransformTable]] = {
+    "one layer, 2 × 3, 16 bits": lambda: a_table([[0, 1, 2], [2, 0, 1]], 16, 600.25, contrasts=(0.5, 3.0)),
+    "directions, two outputs": lambda: a_table(
+        [[0, 1], [1, 2]], 10, 40.0, outputs=("a", "b"), contrasts=(),
+        direction=direction.Keys(orientations=8, strengths=(4.0,), coherence=0.5),
+    ),
+    "three layers, 2 × 4, 16 bits": lambda: with_strengths(
+        with_later(a_table([[0, 1, 2, 1], [2, 1, 0, 1]], 16, 64.0, patch=7, contrasts=()), 3, 5),
+        5_000_000, 100_000_000, 700_000_000, 1_500_000_000,
+    ),
+    "a tree, 6 × 6": lambda: with_tree(a_table(SIX, 12, 64.0, contrasts=())),
+}  # fmt: skip
+needs_compiler = pytest.mark.skipif(CC is None, reason="there is no C compiler (cc, gcc or CC)")
+
+
+class Built:
+    """A table, the folder with its C source, and l3_render of it."""
+
+    def __init__(self, table: TransformTable, folder: Path) -> None:
+        self.table, self.folder = table, folder
+        for name, content in c_files(table).items():
+            (folder / name).write_bytes(content)
+        compile_c(folder, "-O1", "-fPIC", "-c", "l3_table.c")
+        compile_c(folder, "-O1", "-fPIC", "-shared", "l3.c", "l3_table.o", "-o", "l3.so")
+        self._library: Any = ctypes.CDLL(str(folder / "l3.so"))
+        self._library.l3_workspace_bytes.restype = ctypes.c_size_t
+
+    def render(self, frame: RawFrame) -> tuple[NDArray[np.uint32], NDArray[np.float32]]:
+        """Labels (layer, row, col) and outputs (output, row, col); the workspace is full of rubbish before."""
+        rows, columns = frame.values.shape
+        workspace = np.full(self._library.l3_workspace_bytes(rows, columns), 0xA5, np.uint8)
+        labels = np.empty((len(self.table.layers), rows, columns), np.uint32)
+        outputs = np.empty((len(self.table.outputs), rows, columns), np.float32)
+        raw, *buffers = (
+            array.ctypes.data_as(ctypes.c_void_p)
+            for array in (np.ascontiguousarray(frame.values), workspace, labels, outputs)
+        )
+        assert self._library.l3_render(raw, rows, columns, *frame.phase, *buffers) == 0
+        return labels, outputs
+
+    def refuses(self, rows: int, columns: int, phase: tuple[int, int]) -> bool:
+        return bool(self._library.l3_render(None, rows, columns, *phase, None, None, None) == -1)
+
+
+def compile_c(folder: Path, *arguments: str, compiler: str | None = CC) -> None:
+    done = subprocess.run([str(compiler), *WARNINGS, *arguments], cwd=folder, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.fixture(scope="module", params=TABLES)
+def built(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Built:
+    return Built(TABLES[request.param](), tmp_path_factory.mktemp("c"))
+
+
+def mosaic(table: TransformTable, shape: tuple[int, int], seed: int, level: float, phase: tuple[int, int]) -> RawFrame:
+    """Texture about a level, a share of full scale; every seventh pixel is anything that 16 bits hold."""
+    rng = np.random.default_rng(seed)
+    span = table.white_level - table.black_level
+    blocks = rng.normal(size=(shape[0] // 5 + 1, shape[1] // 5 + 1)).repeat(5, 0).repeat(5, 1)[: shape[0], : shape[1]]
+    values = table.black_level + level * span * (1 + 0.4 * blocks + 0.1 * rng.normal(size=shape))
+    values = np.where(rng.random(shape) < seed % 2 / 7, rng.integers(0, 2**16, shape), values)
+    return RawFrame("drawn", np.clip(values, 0, 2**16 - 1).astype(np.uint16), table.black_level, table.white_level, phase)
+
+
+@needs_compiler
+@settings(max_examples=12, deadline=None, derandomize=True)
+@given(st.data())
+def test_any_mosaic_gets_the_classes_and_outputs_of_the_reference(built: Built, data: st.DataObject) -> None:
+    table, reference = built.table, ReferenceRenderer(built.table)
+    shape = data.draw(st.tuples(st.integers(1, 24), st.sampled_from([1, 2, 3, 7, 30, 131, 160])))
+    phase = data.draw(st.tuples(*(st.integers(0, length - 1) for length in table.cfa.shape)))
+    frame = mosaic(table, shape, data.draw(st.integers(0, 999)), data.draw(st.sampled_from([0.003, 0.05, 0.4, 1.1])), phase)
+    labels, outputs = built.render(frame)
+    for layer in range(len(table.layers)):
+        np.testing.assert_array_equal(labels[layer], reference.labels(frame, layer))
+    exact = reference.exact_outputs(frame)
+    weights = np.abs(table.layers[-1].weights).sum(axis=-1).max()  # 16 in random layers: terms cancel, roundings do not
+    assert np.abs(outputs - exact).max() <= 4 * 2.0**-24 * weights * max(1.0, np.abs(exact).max())
+
+
+@needs_compiler
+def test_the_test_program_agrees_under_sanitizers(built: Built) -> None:
+    compile_c(built.folder, "-O1", "-fsanitize=address,undefined", "l3.c", "test.c", "l3_table.o", "-o", "l3_test")
+    done = subprocess.run(["./l3_test"], cwd=built.folder, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("classes that differ: 0 of ")
+    wrong = bytearray((built.folder / "test_labels.bin").read_bytes())
+    wrong[-4] ^= 1
+    other = built.folder / "spoiled"
+    other.mkdir()
+    for name in ("test_raw.bin", "test_outputs.bin"):
+        shutil.copy(built.folder / name, other)
+    (other / "test_labels.bin").write_bytes(wrong)
+    done = subprocess.run(["../l3_test"], cwd=other, capture_output=True, text=True)
+    assert done.returncode == 1
+    assert done.stdout.startswith("classes that differ: 1 of ")
+
+
+@needs_compiler
+def test_sizes_and_phases_that_cannot_be_are_refused(built: Built) -> None:
+    rows, _ = built.table.cfa.shape
+    for shape, phase in (((0, 9), (0, 0)), ((9, -1), (0, 0)), ((70_000, 9), (0, 0)), ((9, 9), (rows, 0)), ((9, 9), (0, -1))):
+        assert built.refuses(*shape, phase)
+
+
+@needs_compiler
+@pytest.mark.parametrize("built", ["a tree, 6 × 6"], indirect=True)
+@pytest.mark.skipif(ARM is None or QEMU is None, reason="needs arm-linux-gnueabihf-gcc and qemu-arm")
+def test_32_bit_arm_agrees(built: Built) -> None:
+    compile_c(built.folder, "-O1", "-static", "l3.c", "l3_table.c", "test.c", "-o", "l3_arm", compiler=ARM)
+    done = subprocess.run([str(QEMU), "./l3_arm"], cwd=built.folder, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_numbers_do_not_follow_the_print_options_of_numpy() -> None:
+    table = random_table([[0, 1], [1, 2]], 12, 64.1, patch=3)
+    with np.printoptions(legacy=False):
+        plain = c_files(table)
+    with np.printoptions(legacy="1.13", precision=3):  # as a library may set them
+        assert c_files(table) == plain
+    text = plain["l3_table.c"].decode()
+    numbers = re.findall(r"[-+.e0-9]+(?=f)", text[text.index("float l3_intercept") :])
+    np.testing.assert_array_equal(np.array(numbers, np.float32), table.first.intercept.ravel())
+
+
+def read_folder(table: TransformTable) -> tuple[dict[str, Any], dict[str, NDArray]]:
+    """table.json and the arrays that it names, read as it says and as nothing else does."""
+    files = folder_files(table)
+    document = json.loads(files.pop("table.json"))
+    arrays = {}
+    for entry in document["arrays"]:
+        content = files.pop(entry["file"])
+        values = np.frombuffer(content, np.dtype(entry["dtype"]).newbyteorder("<")).reshape(entry["shape"])
+        assert len(entry["axes"]) == values.ndim
+        assert entry["unit"]
+        arrays[entry["name"]] = values
+    assert not files, "files that table.json does not name"
+    return document, arrays
+
+
+def test_arrays_of_one_layer_make_the_outputs_of_the_test_mosaic() -> None:
+    document, arrays = read_folder(random_table([[0, 1], [1, 2]], 12, 64.0))
+    black, white = (document["table"][key]["value"] for key in ("black_level", "white_level"))
+    radius, sizes = document["layers"][0]["patch"]["value"] // 2, document["layers"][0]["sizes"]
+    raw, (labels,), outputs = arrays["test_raw"], arrays["test_labels"], arrays["test_outputs"]
+    assert sizes["classes"] == len(arrays["layer0/weights"]) > labels.max()
+    words = arrays["layer0/word_weights"] * 2.0 ** -arrays["layer0/word_fraction"].astype(float)[:, None, None]
+    coarse = 8 * 10 ** (-document["word_lengths"]["chosen"]["least_psnr_db"] / 20)
+    for weights, most in ((arrays["layer0/weights"], 1e-6), (words, coarse)):
+        for row, col in itertools.product(range(5, 35, 7), range(5, 140, 3)):
+            patch = (raw[row - radius : row + radius + 1, col - radius : col + radius + 1].ravel() - black) / (white - black)
+            made = weights[labels[row, col]].astype(float) @ patch + arrays["layer0/intercept"][labels[row, col]]
+            np.testing.assert_allclose(made, outputs[:, row, col], atol=most)
+
+
+def test_two_bits_more_cost_twelve_decibels_less() -> None:
+    document, arrays = read_folder(with_later(random_table([[0, 1], [1, 2]], 12, 64.0, contrasts=()), 3))
+    costs = {(each["binary_point_of"], each["bits"]): each["psnr_db"] for each in document["word_lengths"]["costs"]}
+    for scale in ("class", "table"):
+        steps = np.diff([costs[scale, bits] for bits in (8, 10, 12, 14, 16)])
+        assert ((steps > 9) & (steps < 15)).all(), steps
+    assert all(costs["class", bits] >= costs["table", bits] - 0.5 for bits in (8, 10, 12, 14, 16))
+    chosen = document["word_lengths"]["chosen"]["bits"]
+    assert costs["class", chosen] >= 60 > costs["class", chosen - 2]
+    assert np.abs(arrays["layer1/word_weights"].astype(int)).max() < 2 ** (chosen - 1)
+    assert arrays["layer0/fixed_weights"].dtype == np.int16
+
+
+def test_words_are_the_nearest_that_fit() -> None:
+    weights = np.array([[[0.3, -0.9]], [[1e-3, 0.0]], [[0.0, 0.0]]], np.float32)
+    words = in_words(weights, 8, "class")
+    assert words.fraction[:2].tolist() == [7, 16]
+    assert np.abs(words.whole).max() <= 127
+    assert (np.abs(words.weights - weights) <= np.ldexp(0.5, -words.fraction.astype(int))[:, None, None]).all()
+    assert set(in_words(weights, 8, "table").fraction.tolist()) == {7}
