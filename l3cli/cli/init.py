@@ -23,21 +23,47 @@ def _completed(context: click.Context, parameter: click.Parameter, incomplete: s
 @click.command()
 @click.argument("recipe", required=False, metavar="[RECIPE]", shell_complete=_completed)
 @click.argument("folder", type=options.FILE, required=False, metavar="[DIR]")
+@click.argument("more", nargs=-1, metavar="")
+@click.option(
+    "--from",
+    "photos",
+    type=options.FILE,
+    metavar="RAW",
+    multiple=True,
+    help="The camera that took a raw file (DNG, CR2, NEF…), or those of a folder; may be given several times.",
+)
+@click.option("--light", metavar="LIGHT", help='Light of a ColorChecker in them: "D65", "3200K"…; without, it is guessed.')
 @options.force
 @options.dry_run
 @options.quiet
-def init(recipe: str | None, folder: Path | None, force: bool, console: "Console") -> None:
+def init(
+    recipe: str | None, folder: Path | None, more: tuple[str, ...], photos: tuple[Path, ...], light: str | None,
+    force: bool, console: "Console",
+) -> None:  # fmt: skip
     """Make DIR with the recipes of one kind of camera and a Makefile that makes a picture and a report from them, and
-    the same pipeline for Snakemake and for job arrays of Slurm. A benchmark's Makefile learns from one folder of your
+    the same pipeline for Snakemake and for job arrays of Slurm. With --from, the recipe is that of the camera which took
+    the raw files; of several cameras, each gets a folder in DIR. A benchmark's Makefile learns from one folder of your
     pictures and evaluates on another.
 
     Without arguments, list the recipes.
 
     \b
     Example: l3 init bayer demo && make -C demo
+             l3 init --from photo.dng mine && make -C mine
     """
+    from l3cli.stages.photo_start import start_from
     from l3cli.stages.starting import start, starters, summary
 
+    if photos:  # the shell may have made several files of a pattern
+        named = [Path(each) for each in (recipe, folder, *more) if each is not None]
+        if not named:
+            raise click.UsageError('name the folder to make, such as "l3 init --from photo.dng mine"')
+        start_from([*photos, *named[:-1]], named[-1], console, light=light, force=force)
+        return
+    if light is not None:
+        raise click.UsageError("--light is that of photos; give them with --from")
+    if more:
+        raise click.UsageError(f'one recipe and one folder are wanted, not "{more[0]}"; give raw files with --from')
     known = starters()
     if recipe is None:
         wide = max(map(len, known))

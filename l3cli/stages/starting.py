@@ -4,6 +4,7 @@ import itertools
 import re
 import textwrap
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 
 from l3cli.files import atomic_output
@@ -40,11 +41,16 @@ def start(starter: Path, folder: Path, console: Console, *, force: bool = False)
         claims.claim_folder(folder, force, *origins)
         made = [Made(folder / name, "copy", origin.stat().st_size) for name, origin in origins.items()]
         before_work({"recipes": origins.values()}, *made)
-        for name, origin in origins.items():
-            with atomic_output(folder / name) as temporary:
-                temporary.write_bytes(origin.read_bytes())
-                temporary.chmod(0o755 if origin.suffix == ".sh" else 0o644)
+        write_folder(folder, {name: origin.read_bytes() for name, origin in origins.items()})
         console.say(f"{folder}: {summary(starter)}; next: make -C {folder}")
+
+
+def write_folder(folder: Path, contents: Mapping[str, bytes]) -> None:
+    """Write files, each whole or not at all, into a folder, which is made; scripts may be run."""
+    for name, content in contents.items():
+        with atomic_output(folder / name) as temporary:
+            temporary.write_bytes(content)
+            temporary.chmod(0o755 if name.endswith(".sh") else 0o644)
 
 
 def summary(starter: Path) -> str:

@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from l3cli.calibration.photo import lights
 from l3cli.calibration.photo.estimate import estimate
+from l3cli.calibration.photo.matrices import ColourMatrix, curves_of_matrices, usual_curves
 from l3cli.calibration.photo.prior import WAVELENGTH, Prior, of_cameras, statistics
 from l3cli.io.curves import read_finished
 from l3cli.io.priors import prior_files, read_cameras
@@ -142,6 +143,35 @@ def test_a_second_light(cameras: list[Camera], surfaces: np.ndarray) -> None:
     outcome = study(cameras, surfaces, second=True)
     assert np.median(outcome.responses) <= 0.0025
     assert np.percentile(outcome.responses, 95) <= 0.006
+
+
+def test_colour_matrices_alone(cameras: list[Camera], surfaces: np.ndarray) -> None:
+    """No photo but the matrices of a DNG for A and D65, by least squares over a ColorChecker, in four decimals: error of
+    responses to other surfaces over the largest, their mean known; beside the mean of all other cameras."""
+    errors: dict[str, list[np.ndarray]] = {name: [] for name in ("A", "D65", "F11", "mean of cameras")}
+    weights = spectra.xyz_weights(WAVELENGTH)
+    for camera in cameras[:52]:
+        truth, prior, stated = camera.responsivity, prior_without(cameras[:52], camera), []
+        for name in ("A", "D65"):
+            light = spectra.illuminant(name, WAVELENGTH)
+            chart = photos.REFLECTANCE * light / (light @ weights[1])
+            values = np.linalg.lstsq(chart @ weights.T, chart @ truth.T, rcond=None)[0].T
+            stated.append(ColourMatrix(name, np.round(values / np.abs(values).max(), 4)))
+        ours, usual = (curves.relative for curves in (curves_of_matrices(stated, prior), usual_curves(prior)))
+        for name in ("A", "D65", "F11"):
+            errors[name].append(response_errors(truth, ours, name, surfaces))
+            errors["mean of cameras"].append(response_errors(truth, usual, name, surfaces))
+    for name, parts in errors.items():
+        median, high = (100 * np.percentile(np.concatenate(parts), share) for share in (50, 95))
+        print(f"{name}: {median:.2f} % ({high:.2f})")
+        assert name == "mean of cameras" or (median <= 0.4 and high <= 2.0)
+
+
+def response_errors(truth: np.ndarray, ours: np.ndarray, light: str, surfaces: np.ndarray) -> np.ndarray:
+    stimuli = surfaces * spectra.illuminant(light, WAVELENGTH)
+    seen, true = stimuli @ ours.T, stimuli @ truth.T
+    errors: np.ndarray = np.abs(seen * true.sum(axis=0) / seen.sum(axis=0) - true) / true.max(axis=0)
+    return errors.ravel()
 
 
 def test_a_wrong_light_is_noticed(cameras: list[Camera]) -> None:

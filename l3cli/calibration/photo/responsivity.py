@@ -71,10 +71,11 @@ def fit_photos(measurements: Measurements) -> tuple[Curves, PhotoFit, SensorFigu
         measured=_padded([shot.values for shot in shots], 0.0),
         predicted=_padded(list(posterior.predicted), 0.0),
     )
-    return _curves(posterior), fit, sensor
+    return curves_of(posterior), fit, sensor
 
 
-def _curves(posterior: Posterior) -> Curves:
+def curves_of(posterior: Posterior) -> Curves:
+    """Its responsivities to a common peak of 1, with their 95 % bands."""
     count, size = posterior.responsivity.shape
     deviation = np.sqrt(np.maximum(np.diag(posterior.covariance), 0.0)).reshape(count, size)
     relative = posterior.responsivity.astype(np.float64)

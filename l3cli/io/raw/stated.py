@@ -1,0 +1,183 @@
+"""What a raw file states of its camera beside the frame: names, colour matrices, noise, lens (DNG 1.7, Exif, LibRaw)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.files import require_regular
+from l3cli.io.apart import apart
+from l3cli.io.raw.cfa_codes import codes_of
+from l3cli.io.raw.libraw import opened
+from l3cli.io.raw.tiff_tags import COLOUR_FILTER_ARRAY, FRACTIONS, TiffTag
+
+ANALOG_BALANCE, CAMERA_CALIBRATION = 50727, {TiffTag.COLOR_MATRIX_1: 50723, TiffTag.COLOR_MATRIX_2: 50724}
+LIGHTS = {  # values of Exif's LightSource, which DNG calls calibration illuminants → names of lights
+    1: "D55", 2: "F2", 3: "A", 4: "D55", 9: "D55", 10: "D65", 11: "D75", 12: "F1", 13: "F3", 14: "F2", 15: "F3", 17: "A",
+    18: "B", 19: "C", 20: "D55", 21: "D65", 22: "D75", 23: "D50", 24: "3200K",
+}  # fmt: skip
+USUAL_LIGHT = "D65"  # of a matrix without one, as of those in LibRaw
+UNITS_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # of Exif's FocalPlaneResolutionUnit
+PITCHES_UM = 0.5, 50.0  # that are believed
+LONGEST = 60  # letters of a name
+
+
+@dataclass(frozen=True)
+class StatedMatrix:
+    """From XYZ of a surface under a light to what the camera collects."""
+
+    light: str  # its name
+    assumed: bool  # whether the file does not name it
+    rows: dict[int, NDArray[np.float64]]  # colour code → (3) its row
+
+    def of(self, codes: Sequence[int | None]) -> NDArray[np.float64]:
+        """(channel, 3) the rows of these colours."""
+        return np.array([self.rows[code] for code in codes if code is not None])
+
+
+@dataclass(frozen=True)
+class Stated:
+    """What a raw file states of its camera; None and "" where it does not."""
+
+    camera: str  # make and model
+    matrices: tuple[StatedMatrix, ...]
+    noise: tuple[float, float] | None  # variance = slope · signal + constant, as shares of full scale above black
+    iso: float | None
+    pitch_um: float | None
+    focal_length_mm: float | None
+    f_number: float | None
+
+
+def stated(path: Path) -> Stated:
+    """What the file in `path` states; what its tags state wrongly counts as not stated. InputFileError if it is no raw
+    file that can be opened."""
+    require_regular(path, "give a raw file")
+    names, numbers, matrices = _stated(path)
+    found = tuple(
+        StatedMatrix(LIGHTS.get(int(light), USUAL_LIGHT), int(light) not in LIGHTS, rows)
+        for light, codes, values in matrices
+        if (rows := _rows(codes, values))
+    )
+    slope, constant = numbers.get("noise_slope"), numbers.get("noise_constant")
+    noise = (slope, constant) if slope and constant is not None and 0 < slope < 1 and 0 <= constant < 1 else None
+    pitch = _positive(numbers.get("pitch_um"))
+    return Stated(
+        camera=_named(names),
+        matrices=found,
+        noise=noise,
+        iso=_positive(numbers.get("iso")),
+        pitch_um=pitch if pitch and PITCHES_UM[0] <= pitch <= PITCHES_UM[1] else None,
+        focal_length_mm=_positive(numbers.get("focal_length_mm")),
+        f_number=_positive(numbers.get("f_number")),
+    )
+
+
+def _rows(codes: NDArray, values: NDArray) -> dict[int, NDArray[np.float64]]:
+    """The rows of a matrix by their colour's code, of several of one code the first; nothing of one that says nothing."""
+    values = np.asarray(values, np.float64)
+    if values.size != 3 * len(codes) or not np.isfinite(values).all() or not values.any(axis=-1).all():
+        return {}
+    rows: dict[int, NDArray[np.float64]] = {}
+    for code, row in zip(codes.tolist(), values.reshape(-1, 3), strict=True):
+        rows.setdefault(int(code), row)
+    return rows
+
+
+def _named(names: list[str]) -> str:
+    """Make and model as one name, the make once: "Canon", "Canon EOS 550D" → "Canon EOS 550D"."""
+    make, model = (" ".join("".join(c if c.isprintable() else " " for c in name).split())[:LONGEST] for name in names)
+    return model if model.lower().startswith(make.lower()) else f"{make} {model}".strip()
+
+
+def _positive(value: float | None) -> float | None:
+    return value if value is not None and 0 < value < 1e6 else None
+
+
+# ------------------------------------------------------------------------------------- in the process that decodes
+
+
+@apart
+def _stated(path: Path) -> tuple[list[str], dict[str, float], list[tuple[int, NDArray, NDArray]]]:
+    """Make and model, numbers by name, matrices with the codes of their light and rows."""
+    names, numbers, matrices = _of_tags(path)
+    with opened(path) as raw:
+        if not matrices:
+            letters = raw.color_desc.decode("ascii", "replace")[: raw.num_colors]
+            values = np.array(raw.rgb_xyz_matrix, np.float64)[: len(letters)]
+            matrices = [(0, codes_of(letters), values)] if values.any() else []
+        shot = getattr(raw, "other", None)  # rawpy has it since 0.26
+        told = {"iso": "iso_speed", "focal_length_mm": "focal_length", "f_number": "aperture"}
+        if not getattr(shot, "focal_length", 0.0):
+            del told["f_number"]  # LibRaw says 1 where the file says nothing
+        numbers = {name: float(getattr(shot, key, 0.0)) for name, key in told.items()} | numbers
+    return names, numbers, matrices
+
+
+def _of_tags(path: Path) -> tuple[list[str], dict[str, float], list[tuple[int, NDArray, NDArray]]]:
+    """What of a file that is a TIFF or DNG its tags state; nothing of others."""
+    import tifffile
+
+    try:
+        with tifffile.TiffFile(path) as file:
+            first = file.pages[0]
+            pages = [first, *(first.pages or ())]
+            names = [str(first.tags.valueof(tag) or "") for tag in (TiffTag.MAKE, TiffTag.MODEL)]
+            return names, _numbers(pages), _matrices(pages)
+    except Exception:  # LibRaw says what is wrong with a file; tags that nobody needs are no reason to refuse it
+        return ["", ""], {}, []
+
+
+def _numbers(pages: list[Any]) -> dict[str, float]:
+    tags = pages[0].tags
+    exif = tags.valueof(TiffTag.EXIF)
+    exif = exif if isinstance(exif, dict) else {}
+    stated = {
+        "iso": exif.get("ISOSpeedRatings"),
+        "focal_length_mm": tags.valueof(TiffTag.FOCAL_LENGTH) or exif.get("FocalLength"),
+        "f_number": tags.valueof(TiffTag.F_NUMBER) or exif.get("FNumber"),
+    }
+    found = {name: number for name, value in stated.items() if (number := _number(value))}
+    per_unit, unit = _number(exif.get("FocalPlaneXResolution")), exif.get("FocalPlaneResolutionUnit", 2)
+    if per_unit and unit in UNITS_MM:
+        found["pitch_um"] = 1000.0 * UNITS_MM[unit] / per_unit
+    profile = next((page.tags.valueof(TiffTag.NOISE_PROFILE) for page in pages if TiffTag.NOISE_PROFILE in page.tags), None)
+    if profile is not None:
+        slope, constant = np.asarray(profile, np.float64).reshape(-1, 2).mean(axis=0).tolist()
+        found |= {"noise_slope": slope, "noise_constant": constant}
+    return found
+
+
+def _matrices(pages: list[Any]) -> list[tuple[int, NDArray, NDArray]]:
+    """XYZ → what the camera collects: AnalogBalance · CameraCalibration · ColorMatrix."""
+    tags = pages[0].tags
+    raw = [page for page in pages if page.tags.valueof(TiffTag.PHOTOMETRIC_INTERPRETATION) == COLOUR_FILTER_ARRAY]
+    codes = np.array(list((raw or pages)[0].tags.valueof(TiffTag.CFA_PLANE_COLOR) or (0, 1, 2)), np.int64)
+    count, found = len(codes), []
+    kinds = (
+        (TiffTag.COLOR_MATRIX_1, TiffTag.CALIBRATION_ILLUMINANT_1),
+        (TiffTag.COLOR_MATRIX_2, TiffTag.CALIBRATION_ILLUMINANT_2),
+    )
+    for tag, light in kinds:
+        if tag in tags:
+            balance = _fractions(tags.get(ANALOG_BALANCE), np.ones(count))
+            own = _fractions(tags.get(CAMERA_CALIBRATION[tag]), np.eye(count)).reshape(count, count)
+            values = balance[:, None] * (own @ _fractions(tags.get(tag), np.zeros(0)).reshape(count, 3))
+            found.append((int(tags.valueof(light) or 0), codes, values))
+    return found
+
+
+def _fractions(tag: Any, default: NDArray) -> NDArray:
+    if tag is None or tag.dtype not in FRACTIONS:
+        return default
+    values = np.asarray(tag.value, np.float64).reshape(-1, 2)
+    return values[:, 0] / values[:, 1]
+
+
+def _number(value: Any) -> float | None:
+    """A number or a fraction; None of anything else."""
+    if isinstance(value, tuple | list):
+        value = value[0] if len(value) != 2 else value[0] / value[1] if value[1] else 0.0
+    return float(value) if isinstance(value, int | float) else None

@@ -1,0 +1,126 @@
+"""What raw files say of their camera → the text of a camera recipe and its file of curves; what they do not say is assumed,
+in comments."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.camera_recipe import LEAST_F_NUMBER, LEAST_FOCAL_MM
+from l3cli.frame import RawFrame
+from l3cli.io.photos import F_NUMBER, FOCAL_MM, PITCH_UM
+from l3cli.io.raw.stated import Stated
+from l3cli.measurement import Body
+
+CURVES = "curves.csv"
+PEAK_EFFICIENCY = 0.4  # of usual silicon cameras behind their lens
+ELECTRONS_PER_UM2 = 1500.0  # that fill a pixel of usual sensors at ISO 100
+BASE_ISO = 100.0
+READ_NOISE_E = 3.0  # of usual sensors
+FEWEST_ELECTRONS = 100.0  # at full scale
+Array = NDArray[np.floating]
+
+
+@dataclass(frozen=True)
+class SensorNoise:
+    """The sensor at the photo's sensitivity, and where that is from."""
+
+    gain: float  # DN/e-
+    read_noise_e: float
+    source: str
+
+
+@dataclass(frozen=True)
+class PhotoCamera:
+    """A camera as its raw files show it."""
+
+    photo: Path
+    body: Body
+    frame: RawFrame
+    stated: Stated
+    wavelength: Array  # (wavelength) nm
+    curves: Array  # (channel, wavelength) per photon, to a common peak of 1
+    origin: str  # of the curves
+    noise: SensorNoise
+    light: str | None = None  # of the photo, where its chart tells
+
+    @property
+    def name(self) -> str:
+        return self.stated.camera or self.body.name
+
+    @property
+    def assumed(self) -> list[str]:
+        """What the files do not say and the recipe assumes."""
+        told = self.stated
+        names = {"pixel pitch": told.pitch_um, "focal length": self._focal_mm, "f-number": self._f_number}
+        return ["peak efficiency", *(name for name, value in names.items() if value is None)]
+
+    @property
+    def _focal_mm(self) -> float | None:
+        value = self.stated.focal_length_mm
+        return value if value is not None and value >= LEAST_FOCAL_MM else None
+
+    @property
+    def _f_number(self) -> float | None:
+        value = self.stated.f_number
+        return value if value is not None and value >= LEAST_F_NUMBER else None
+
+    def recipe(self) -> str:
+        """The camera recipe, with a comment on what each figure is from."""
+        body, frame = self.body, self.frame
+        rows = "\n".join(f'  "{" ".join(body.channels[site] for site in row)}",' for row in body.cfa)
+        pitch, full = self.stated.pitch_um, (frame.white_level - frame.black_level) / self.noise.gain
+        return f"""\
+# {self.name}, as its raw file shows it ({self.photo.name}). What the file does not say is assumed,
+# and marked so: mend it if you know better.
+name = {json.dumps(self.name, ensure_ascii=False)}
+
+[sensor] # size, bits and levels are the file's
+rows = {body.rows}
+cols = {body.cols}
+pixel_pitch_um = {pitch or PITCH_UM:.4g}{"" if pitch else " # assumed"}
+bits = {body.bits}
+gain_dn_per_e = {self.noise.gain:.4g} # {self.noise.source}: {full:.3g} e- at full scale
+black_level_dn = {frame.black_level:g}
+white_level_dn = {frame.white_level:g}
+
+[cfa] # from the first pixel of the file on
+channels = {json.dumps(list(body.channels))}
+pattern = [
+{rows}
+]
+
+[responsivity] # {self.origin}
+file = "{CURVES}"
+peak_efficiency = {PEAK_EFFICIENCY} # assumed: the curves are relative; lens and filters included
+
+[noise] # dark current, DSNU and PRNU are taken as 0; dark and white frames tell them (l3 calibrate)
+read_noise_e = {self.noise.read_noise_e:.4g} # {self.noise.source}
+well_capacity_e = {full:.6g}
+
+[optics]
+focal_length_mm = {self._focal_mm or FOCAL_MM:.4g}{"" if self._focal_mm else " # assumed"}
+f_number = {self._f_number or F_NUMBER:.3g}{"" if self._f_number else " # assumed"}
+"""
+
+    def curve_file(self) -> str:
+        """The curves as CSV, relative, per photon."""
+        heading = ",".join(["wavelength_nm", *self.body.channels])
+        lines = (
+            f"{at:g}," + ",".join(f"{value:.5f}" for value in row)
+            for at, row in zip(self.wavelength, self.curves.T, strict=True)
+        )
+        return "\n".join([heading, *lines]) + "\n"
+
+
+def noise_of(stated: Stated, span: float) -> SensorNoise:
+    """The noise that a raw file states, or what is usual at its sensitivity; `span` DN lie between its levels."""
+    if stated.noise is not None:
+        slope, constant = stated.noise
+        return SensorNoise(span * slope, float(np.sqrt(constant)) / slope, "as the file's noise profile says")
+    share = BASE_ISO / max(stated.iso or BASE_ISO, BASE_ISO)
+    full = max(ELECTRONS_PER_UM2 * (stated.pitch_um or PITCH_UM) ** 2 * share, FEWEST_ELECTRONS)
+    where = f"ISO {stated.iso:g}" if stated.iso else f"ISO {BASE_ISO:g}"
+    return SensorNoise(span / full, READ_NOISE_E, f"assumed, as is usual at {where}")

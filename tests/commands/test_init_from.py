@@ -1,0 +1,169 @@
+"""l3 init --from: cameras by their raw files, from the folder that is made to a picture of the photo itself."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera_recipe import load_camera
+from l3cli.calibration.colour import light_matrices
+from l3cli.calibration.photo.prior import WAVELENGTH
+from l3cli.io.images import read_image
+from l3cli.io.raw.dng_writer import RawColour, write_dng
+from l3cli.physics import spectra
+from tests.helpers import dng_files, photos
+from tests.helpers.calls import L3, Refused
+from tests.helpers.recipes import SMALL
+
+XTRANS = np.array([[1, 0, 1, 1, 2, 1], [2, 1, 2, 0, 1, 0], [1, 0, 1, 1, 2, 1]] * 2)
+SRATIONAL, ASCII = 10, 2
+IDENTITY = RawColour({"A": np.eye(3), "D65": np.eye(3)})
+
+
+def scene(camera: CameraModel, seed: int = 0) -> np.ndarray:
+    """A raw frame of a slope and its noise, without a chart."""
+    rng = np.random.default_rng(seed)
+    slope = np.linspace(0.1, 0.6, 128)[:, None] * np.linspace(0.5, 1.0, 160)
+    electrons = rng.poisson(slope * (camera.white_level - camera.black_level) / camera.gain)
+    return np.rint(camera.black_level + camera.gain * electrons).astype(np.uint16)
+
+
+@pytest.fixture(scope="module")
+def photo(bayer: CameraModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A DNG of the small Bayer camera with its matrices and noise profile."""
+    path = tmp_path_factory.mktemp("photo") / "photo.dng"
+    found = {light: light_matrices(bayer, light) for light in ("A", "D65")}
+    matrices = {light: each.colour.values for light, each in found.items() if each}
+    write_dng(path, scene(bayer), bayer, RawColour(matrices), None, 0.01)
+    return path
+
+
+def responses(camera: CameraModel, light: str) -> np.ndarray:
+    """(surface, channel) of a ColorChecker over those of a white."""
+    seen = spectra.illuminant(light, camera.wavelength) * camera.responsivity
+    shares: np.ndarray = spectra.colorchecker(camera.wavelength)[1] @ seen.T / seen.sum(axis=1)
+    return shares
+
+
+def test_a_camera_by_its_matrices_and_noise_profile(bayer: CameraModel, photo: Path, tmp_path: Path, l3: L3) -> None:
+    folder = tmp_path / "mine"
+    code, out, err = l3("init", "--from", photo, folder)
+    assert (code, out) == (0, "")
+    assert err.count("\n") == 1
+    assert "curves of the colour matrices for A and D65" in err
+    assert "noise as the file's noise profile says" in err
+    assert "assumed: peak efficiency, pixel pitch;" in err
+    assert f"make -C {folder} && l3 render {folder}/table.h5 {photo} -o picture.png" in err
+    camera = load_camera(folder / "camera.toml")
+    assert (camera.name, camera.channels, camera.bits) == ("l3cli small Bayer", ("r", "g", "b"), 12)
+    assert (camera.rows, camera.cols) == (128, 160)
+    assert (camera.black_level, camera.white_level) == (bayer.black_level, bayer.white_level)
+    np.testing.assert_array_equal(camera.cfa, bayer.cfa)
+    assert camera.gain == pytest.approx(bayer.gain, rel=0.05)
+    assert camera.noise.read_noise == pytest.approx(bayer.noise.read_noise, rel=0.5)  # with what else does not grow
+    assert camera.optics.f_number == bayer.optics.f_number
+    assert camera.optics.focal_length == bayer.optics.focal_length
+    for light in ("A", "D65"):
+        assert np.abs(responses(camera, light) - responses(bayer, light)).max() < 0.03
+    assert "pixel_pitch_um = 5 # assumed" in (folder / "camera.toml").read_text()
+    for name, text in {"Makefile": "CAMERA ?= camera.toml", "slurm.sh": "${CAMERA:-camera.toml}"}.items():
+        assert text in (folder / name).read_text()
+    assert os.access(folder / "slurm.sh", os.X_OK)
+
+
+def test_its_folder_leads_to_a_picture_of_the_photo(photo: Path, tmp_path: Path, l3: L3) -> None:
+    folder = tmp_path / "mine"
+    assert l3("init", "--from", photo, folder, "--quiet")[0] == 0
+    for recipe, text in SMALL.items():
+        (folder / f"{recipe}.toml").write_text(text)
+    environment = {name: value for name, value in os.environ.items() if name not in ("MAKEFLAGS", "MAKELEVEL")}
+    dry = ["make", "--dry-run", "-C", str(folder), f"L3={sys.executable} -m l3cli"]
+    steps = subprocess.run(dry, text=True, capture_output=True, check=True, env=environment).stdout
+    assert "--camera camera.toml" in steps
+    assert "calibrate" not in steps
+    assert l3("check", folder / "camera.toml")[0] == 0
+    simulate = ("simulate", folder / "scenes.toml", "--camera", folder / "camera.toml", "-o", folder / "t.h5", "--quiet")
+    assert l3(*simulate)[0] == 0
+    train = ("train", folder / "t.h5", "--classes", folder / "classes.toml", "-o", folder / "table.h5", "--quiet")
+    assert l3(*train)[0] == 0
+    code, _, err = l3("render", folder / "table.h5", photo, "-o", tmp_path / "picture.png")
+    assert code == 0, err
+    assert read_image(tmp_path / "picture.png")[0].shape == (128, 160, 3)
+
+
+def test_a_camera_by_the_chart_in_its_photo(bayer: CameraModel, tmp_path: Path, l3: L3) -> None:
+    camera = replace(bayer, rows=600, cols=800, black_level=256.0, white_level=4095.0, name="of charts")
+    chart = photos.photograph(photos.UPRIGHT, np.random.default_rng(0)) + camera.black_level
+    (tmp_path / "taken").mkdir()
+    write_dng(tmp_path / "taken/a.dng", scene(camera), camera, IDENTITY, None, 0.01)
+    values = np.clip(np.rint(chart), 0, 4095).astype(np.uint16)
+    write_dng(tmp_path / "taken/b.dng", values, camera, IDENTITY, None, 0.01)
+    code, _, err = l3("init", "--from", tmp_path / "taken", "--light", "D65", tmp_path / "mine")
+    assert code == 0, err
+    assert "curves of the classic ColorChecker in b.dng, under D65;" in err
+    assert "--white D65" in err
+    made, truth = load_camera(tmp_path / "mine/camera.toml"), photos.drawn(1)
+    light = spectra.illuminant("A", WAVELENGTH)
+    for ours, true in zip(made.responsivity, truth, strict=True):
+        figures = [photos.REFLECTANCE @ (light * curve) / (light * curve).sum() for curve in (ours, true)]
+        assert np.abs(figures[0] - figures[1]).max() < 0.02
+
+
+def test_a_mixed_folder_is_sorted_by_camera(bayer: CameraModel, photo: Path, tmp_path: Path, l3: L3) -> None:
+    taken = tmp_path / "taken"
+    taken.mkdir()
+    for name in ("1.DNG", "2.dng"):
+        shutil.copy(photo, taken / name)
+    dng_files.write_dng(taken / "3.dng", scene(bayer), XTRANS, tags={272: (ASCII, list(b"X/T 1\0"))})
+    (taken / "4.dng").write_bytes(b"nothing")
+    (taken / "5.jpg").write_bytes(b"nothing")
+    code, _, err = l3("init", "--from", taken, tmp_path / "all")
+    assert code == 0, err
+    assert {path.name for path in (tmp_path / "all").iterdir()} == {"l3cli_small_bayer", "x_t_1"}
+    lines = err.splitlines()
+    assert sum("left out" in line and "4.dng" in line for line in lines) == 1
+    assert sum("next: make" in line for line in lines) == 2
+    made = load_camera(tmp_path / "all/x_t_1/camera.toml")
+    assert made.cfa.shape == (6, 6) or made.cfa.shape == (3, 6)
+    assert "the mean of 52 measured cameras" in (tmp_path / "all/x_t_1/camera.toml").read_text()
+    again = ("init", "--from", taken / "1.DNG", taken / "2.dng", tmp_path / "one")  # as a shell expands *.dng
+    assert l3(*again)[0] == 0
+    assert (tmp_path / "one/camera.toml").is_file()
+
+
+def test_wrong_calls(photo: Path, bayer: CameraModel, tmp_path: Path, refused: Refused) -> None:
+    assert "name the folder to make" in refused(2, "init", "--from", photo)
+    assert "give them with --from" in refused(2, "init", "bayer", tmp_path / "new", "--light", "A")
+    assert "give raw files with --from" in refused(2, "init", "bayer", tmp_path / "new", "more")
+    assert "is a file; name a folder" in refused(1, "init", "--from", photo, photo)
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full/mine.txt").write_text("")
+    assert "is not empty; add --force" in refused(1, "init", "--from", photo, tmp_path / "full")
+    assert "holds no raw files" in refused(3, "init", "--from", tmp_path / "full", tmp_path / "new")
+    assert "does not exist" in refused(3, "init", "--from", tmp_path / "none.dng", tmp_path / "new")
+    assert 'illuminant "D66"' in refused(2, "init", "--from", photo, tmp_path / "new", "--light", "D66")
+    np.save(tmp_path / "raw.npy", scene(bayer))
+    assert "l3 init bayer" in refused(3, "init", "--from", tmp_path / "raw.npy", tmp_path / "new")
+    (tmp_path / "broken.dng").write_bytes(photo.read_bytes()[:2000])
+    assert "broken.dng" in refused(3, "init", "--from", tmp_path / "broken.dng", tmp_path / "new")
+    magenta = np.array([[3, 4], [5, 3]])
+    dng_files.write_dng(tmp_path / "cmy.dng", scene(bayer), magenta, tags={50710: (1, [3, 4, 5])})
+    assert "nothing tells the curves" in refused(3, "init", "--from", tmp_path / "cmy.dng", tmp_path / "new")
+
+
+@pytest.mark.parametrize(
+    "bad", [{50721: (SRATIONAL, [0, 0] * 9)}, {50721: (3, [1])}, {33421: (3, [2, 2]), 272: (ASCII, [7, 0])}]
+)
+def test_damaged_tags_count_as_none(bad: dng_files.Tags, bayer: CameraModel, tmp_path: Path, l3: L3) -> None:
+    dng_files.write_dng(tmp_path / "odd.dng", scene(bayer), np.array([[0, 1], [1, 2]]), tags=bad)
+    code, _, err = l3("init", "--from", tmp_path / "odd.dng", tmp_path / "new")
+    assert code == 0, err
+    assert "the mean of 52 measured cameras" in err
+    assert json.loads('"' + load_camera(tmp_path / "new/camera.toml").name + '"')
