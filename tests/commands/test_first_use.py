@@ -26,7 +26,7 @@ ASKED = {  # every place where a recipe is asked for: what goes before it ← wh
     ("lab",): (("-o", "x"), "cameras", "camera"),
     ("lab", "camera.toml", "-o", "x", "--recipe"): ((), "lab", "recipe"),
     ("calibrate", "m.toml", "-o", "x", "--truth"): ((), "cameras", "truth"),
-    ("export",): (("-o", "x"), "cameras", "camera"),
+    ("export",): (("-o", "x"), "cameras", "artifact"),
     ("simulate",): (("--camera", "c.h5", "-o", "x"), "scenes", "scenes"),
     ("simulate", "s.toml", "-o", "x", "--camera"): ((), "cameras", "camera"),
     ("train", "t.h5", "-o", "x", "--classes"): ((), "classes", "classes"),

@@ -88,14 +88,15 @@ def _parsed(stream: BinaryIO) -> _Plain:
     per_strip = min(_one(tags, ROWS_PER_STRIP), rows)
     if _one(tags, TiffTag.PHOTOMETRIC_INTERPRETATION) != BLACK_IS_ZERO or bits not in (8, 16) or not rows * cols * per_strip:
         raise _NotPlain
-    row_bytes = cols * bits // 8
-    lengths = tuple(row_bytes * min(per_strip, rows - first) for first in range(0, min(rows, size), per_strip))
-    offsets = tags.get(OFFSETS, ())
+    row_bytes, offsets = cols * bits // 8, tags.get(OFFSETS, ())
+    if not len(offsets) == len(tags.get(COUNTS, ())) == -(-rows // per_strip):
+        raise _NotPlain
+    lengths = tuple(row_bytes * min(per_strip, rows - first) for first in range(0, rows, per_strip))
     try:
         too_large = rows * cols > most_pixels()
     except RecipeError:  # of the setting: whoever reads all kinds says so
         too_large = True
-    if too_large or rows * row_bytes > size or tags.get(COUNTS) != lengths or len(offsets) != len(lengths):
+    if too_large or rows * row_bytes > size or tags[COUNTS] != lengths:
         raise _NotPlain
     if any(offset + length > size for offset, length in zip(offsets, lengths, strict=True)):
         raise _NotPlain
