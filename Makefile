@@ -4,22 +4,24 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO := build/demo
 CURVE := build/curve
+DOCS := build/docs
 JOBS ?= 2
 INPUTS ?= 20000
+PORT ?= 8000
 PLACES ?= 500
 L3 := $(BIN)/l3
 TIMED := bash -c 'time "$$0" "$$@"'
 
-.PHONY: help install demo demo-steps test study soak video fuzz curve lint format bench clean
+.PHONY: help install demo demo-steps docs docs-build test study soak video fuzz curve lint format bench clean
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 
 help: ## this list
-	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
 
 $(VENV)/installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[dev]"
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[dev,docs]"
 	touch $@
 
 install: $(VENV)/installed ## a .venv with l3, PoCL and the development tools
@@ -42,6 +44,12 @@ demo-steps:
 
 test: $(VENV)/installed ## the test suite
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile
+
+docs: docs-build ## the pages of docs/ as a site, on http://127.0.0.1:8000 until Ctrl-C (PORT=…)
+	$(BIN)/python -m http.server --directory $(DOCS)/html --bind 127.0.0.1 $(PORT)
+
+docs-build: $(VENV)/installed ## the same without serving; fails on any warning and any link that leads nowhere
+	$(BIN)/python docs/site/build.py $(DOCS)
 
 study: $(VENV)/installed ## calibration over 21 seeds, quality, time and memory of large inputs (ten minutes)
 	$(BIN)/python -m pytest -m slow -s --ignore tests/studies/test_video_rate.py
@@ -74,6 +82,7 @@ lint: $(VENV)/installed ## ruff format and check, mypy
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+	$(BIN)/mypy docs/site
 
 format: $(VENV)/installed ## format the sources, fix what ruff can
 	$(BIN)/ruff format .
