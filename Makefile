@@ -5,6 +5,7 @@ BIN := $(VENV)/bin
 DEMO := build/demo
 CURVE := build/curve
 DOCS := build/docs
+RELEASE := build/release
 JOBS ?= 2
 INPUTS ?= 20000
 PORT ?= 8000
@@ -12,7 +13,7 @@ PLACES ?= 500
 L3 := $(BIN)/l3
 TIMED := bash -c 'time "$$0" "$$@"'
 
-.PHONY: help install demo demo-steps docs docs-build test study soak video fuzz curve lint format bench clean
+.PHONY: help install demo demo-steps docs docs-build wheels test study soak video fuzz curve lint format bench clean
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 
@@ -50,6 +51,16 @@ docs: docs-build ## the pages of docs/ as a site, on http://127.0.0.1:8000 until
 
 docs-build: $(VENV)/installed ## the same without serving; fails on any warning and any link that leads nowhere
 	$(BIN)/python docs/site/build.py $(DOCS)
+
+wheels: ## dist/: source distribution, the wheel built from it, both checked, and the wheel tried alone
+	$(PYTHON) -m venv --clear $(RELEASE)
+	$(RELEASE)/bin/python -m pip install --quiet --disable-pip-version-check build twine
+	rm -rf dist && $(RELEASE)/bin/python -m build --outdir dist .
+	$(RELEASE)/bin/python -m twine check --strict dist/*
+	$(PYTHON) -m venv --clear $(RELEASE)
+	$(RELEASE)/bin/python -m pip install --quiet --disable-pip-version-check dist/*.whl
+	cd $(RELEASE) && bin/python -I -m l3cli info --version && bin/python -I -m l3cli init bayer camera && \
+	  ! bin/python -I -c "import tests" 2>/dev/null
 
 study: $(VENV)/installed ## calibration over 21 seeds, quality, time and memory of large inputs (ten minutes)
 	$(BIN)/python -m pytest -m slow -s --ignore tests/studies/test_video_rate.py
