@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[2]
 FRONT = {"CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md", "SECURITY.md": "security.md"}
 AS_THEY_ARE = ("LICENSE", "CITATION.cff")
 CONTENTS = {
-    "Start": ["tutorial", "chart-photo", "own-lab", "own-array"],
+    "Start": ["install", "tutorial", "chart-photo", "own-lab", "own-array"],
     "Use": ["raw-files", "video", "clusters", "python", "export"],
     "Reference": ["commands", "reference/commands", "recipes", "reference/recipes", "artifacts", "reference/artifacts"],
     "What to expect": ["benchmarks", "limits", "robustness", "method"],
@@ -23,7 +23,7 @@ CONTENTS = {
 
 def gather(folder: Path) -> None:
     """Write the pages of the site into a new `folder`."""
-    shutil.copytree(ROOT / "docs", folder, ignore=shutil.ignore_patterns("site", "__pycache__"))
+    shutil.copytree(ROOT / "docs", folder, ignore=shutil.ignore_patterns("site", "Dockerfile", "meta.yaml", "__pycache__"))
     for path in folder.rglob("*.md"):
         path.write_text(relinked(path.read_text(encoding="utf-8")), encoding="utf-8")
     for name, page in FRONT.items():

@@ -144,7 +144,7 @@ def test_the_commands_of_a_block_run(
             continue
         for words in commands(line):
             prepare(words, tmp_path)
-            code, _, err = l3(*words, *(["--quiet"] if words[0] not in ("init", "schema", "check") else []))
+            code, _, err = l3(*words, *(["--quiet"] if words[0] not in ("info", "init", "schema", "check") else []))
             assert code == 0, f"{name}: l3 {' '.join(words)}: {err}"
         for folder in re.findall(r"make -C (\w+)", line):
             subprocess.run(["make", "-n", "-C", folder], check=True, capture_output=True)
