@@ -1,12 +1,7 @@
-"""The GStreamer element: pixels of `l3 render`, caps that are agreed on, errors on the bus.
-
-GStreamer runs the system's Python, here with this environment's packages before its own.
-"""
+"""The GStreamer element: pixels of `l3 render`, caps that are agreed on, errors on the bus."""
 
 import json
-import os
 import subprocess
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -16,19 +11,10 @@ import pytest
 from l3cli.artifacts.store import save
 from l3cli.io.images import read_image
 from tests.helpers.calls import L3
-from tests.helpers.pages import examples
-from tests.helpers.paths import ROOT
+from tests.helpers.gstreamer import PYTHON, environment, require_gstreamer
+from tests.helpers.readme import PAGES, fenced
 from tests.helpers.sequences import COUNT, RGGB, frames
 
-PYTHON = "/usr/bin/python3"  # of the system, for which GStreamer's is made
-PROBE = """
-import gi, h5py
-for name in ("Gst", "GstBase", "GstVideo"):
-    gi.require_version(name, "1.0")
-from gi.repository import Gst, GstBase, GstVideo
-Gst.init(None)
-assert Gst.ElementFactory.find("rawvideoparse")
-"""
 # Every pipeline: the error that it ends with, or None.
 RUN = """
 import json, sys
@@ -47,22 +33,10 @@ print(json.dumps(told))
 SOURCE = "filesrc location=clip.raw ! rawvideoparse format=gray16-le width=28 height=20 framerate=30/1"
 
 
-def environment() -> dict[str, str]:
-    """That of a program of the system that is to find this environment's packages."""
-    packages = [path for path in sys.path if path.endswith("-packages")]
-    kept = {name: value for name, value in os.environ.items() if not name.startswith(("VIRTUAL_ENV", "GST_"))}
-    plugins = {"GST_PLUGIN_PATH": str(ROOT / "l3cli/video_hosts/plugins")}
-    return {**kept, **plugins, "PATH": "/usr/bin:/bin", "PYTHONPATH": os.pathsep.join([str(ROOT), *packages])}
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A table and a clip of its camera, where there is a GStreamer that can use them."""
-    if not Path(PYTHON).exists():
-        pytest.skip(f"no {PYTHON}, for which GStreamer's Python is made")
-    probe = subprocess.run([PYTHON, "-c", PROBE], env=environment(), capture_output=True, text=True)
-    if probe.returncode:
-        pytest.skip(f"no GStreamer, or {PYTHON} cannot use this environment: {probe.stderr.strip().splitlines()[-1]}")
+    require_gstreamer()
     folder = tmp_path_factory.mktemp("hosts")
     save(RGGB, folder / "table.h5")
     frames().astype("<u2").tofile(folder / "clip.raw")
@@ -95,7 +69,7 @@ def read(path: Path, dtype: str = "u1", channels: int = 3, cols: int = 28) -> np
 
 def test_the_example_of_gst_launch_gives_the_pixels_of_the_command(l3: L3, folder: Path, tmp_path: Path) -> None:
     """The plugin as the loader finds it; exposure follows the light, as in the command."""
-    (line,) = (text for text in examples("video-hosts.md", "sh") if "l3render" in text)
+    (line,) = (text for text in fenced(PAGES["video-hosts.md"], "sh") if "l3render" in text)
     env = {**environment(), "GST_REGISTRY": str(tmp_path / "registry.bin")}
     done = subprocess.run(["sh", "-c", line], cwd=folder, env=env, capture_output=True, text=True, timeout=100)
     if 'no element "l3render"' in done.stderr:
@@ -105,7 +79,7 @@ def test_the_example_of_gst_launch_gives_the_pixels_of_the_command(l3: L3, folde
 
 
 def test_the_example_in_python_gives_the_pixels_of_the_command(l3: L3, folder: Path, tmp_path: Path) -> None:
-    (script,) = (text for text in examples("video-hosts.md", "python") if "gstreamer" in text)
+    (script,) = (text for text in fenced(PAGES["video-hosts.md"], "python") if "gstreamer" in text)
     assert len(script.splitlines()) <= 11
     subprocess.run([PYTHON, "-c", script], cwd=folder, env=environment(), check=True, timeout=100)
     film = read(folder / "film16.rgba", "<u2", 4)

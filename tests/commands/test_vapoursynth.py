@@ -12,7 +12,7 @@ from l3cli import api
 from l3cli.artifacts.store import save
 from l3cli.io.images import read_image
 from tests.helpers.calls import L3
-from tests.helpers.pages import examples
+from tests.helpers.readme import PAGES, fenced
 from tests.helpers.sequences import COUNT, RGGB, frames, write_raw_video
 
 vs: Any = pytest.importorskip("vapoursynth", reason='has wheels for Python ≥ 3.12 alone: "make vapoursynth"')
@@ -59,7 +59,7 @@ def rendered(l3: L3, folder: Path, out: Path, *options: object, clip: str = "cli
 def test_the_example_gives_the_pixels_of_the_command(
     l3: L3, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bits: int
 ) -> None:
-    (script,) = (text for text in examples("video-hosts.md", "python") if "vapoursynth" in text)
+    (script,) = (text for text in fenced(PAGES["video-hosts.md"], "python") if "vapoursynth" in text)
     assert len(script.splitlines()) <= 10
     script = script.replace('"clip.mkv"', '"clip.mkv", cachemode=0').replace("bits=16", f"bits={bits}, exposure=0.7")
     monkeypatch.chdir(folder)
