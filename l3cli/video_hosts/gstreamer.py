@@ -74,6 +74,7 @@ class L3Render(GstBase.BaseTransform):
     def __init__(self) -> None:
         super().__init__()
         self._mosaics: Any = None  # a Mosaics, from start to stop
+        self._said = ""  # the error that was told since the start: caps are tried several times
         self._picture: Any = None  # what makes the picture of the next frame
         self._source: Any = None  # _Layout of the caps that were agreed on …
         self._target: Any = None  # … for frames, for pictures
@@ -81,6 +82,7 @@ class L3Render(GstBase.BaseTransform):
     # ------------------------------------------------------------------------------------------------- start and stop
 
     def do_start(self) -> bool:
+        self._said = ""
         try:
             self._mosaics = self._opened()
         except Exception as error:  # nothing may fall through to GStreamer, which would print a traceback and go on
@@ -161,10 +163,11 @@ class L3Render(GstBase.BaseTransform):
         return Gst.FlowReturn.OK
 
     def _failed(self, error: Exception) -> bool:
-        """Tell the application what went wrong."""
+        """Tell the application, once, what went wrong."""
         text = told(error, "-")
-        domain, code = Gst.ResourceError.quark(), Gst.ResourceError.FAILED
-        self.post_message(Gst.Message.new_error(self, GLib.Error.new_literal(domain, text, code), ""))
+        if text != self._said:
+            self._said, code = text, Gst.ResourceError.FAILED
+            self.post_message(Gst.Message.new_error(self, GLib.Error.new_literal(Gst.ResourceError.quark(), text, code), ""))
         return False
 
 
