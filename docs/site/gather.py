@@ -14,7 +14,7 @@ FRONT = {"CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md", "
 AS_THEY_ARE = ("LICENSE", "CITATION.cff")
 CONTENTS = {
     "Start": ["install", "tutorial", "chart-photo", "own-lab", "own-array"],
-    "Use": ["raw-files", "video", "clusters", "python", "export"],
+    "Use": ["raw-files", "video", "video-hosts", "clusters", "python", "export"],
     "Reference": ["commands", "reference/commands", "recipes", "reference/recipes", "artifacts", "reference/artifacts"],
     "What to expect": ["benchmarks", "limits", "robustness", "method"],
     "Project": ["architecture", "contributing", "changelog", "security", "reference/licences"],
