@@ -6,6 +6,8 @@ from typing import Any
 
 from markup import code, page, plain, table
 
+from l3cli.io.correction_recipe import CorrectionRecipe
+from l3cli.recipe_schema import schema_of
 from l3cli.stages.checking.kinds import KINDS
 from l3cli.stages.checking.schema import schema
 
@@ -16,21 +18,24 @@ INTRO = (
 
 
 def recipe_pages() -> dict[str, str]:
-    pages = {f"{kind}.md": recipe_page(kind) for kind in KINDS}
-    tree = "\n".join(["```{toctree}", *KINDS, "```"])
+    schemas = {kind: (f"{KINDS[kind].title.removeprefix('a ')}s", schema(kind)) for kind in KINDS}
+    schemas["corrections"] = (
+        "measurement files of a known camera",
+        schema_of((CorrectionRecipe,), CorrectionRecipe.title, {}),
+    )
+    pages = {f"{kind}.md": recipe_page(*each) for kind, each in schemas.items()}
+    tree = "\n".join(["```{toctree}", *schemas, "```"])
     return pages | {"recipes.md": page("# Recipes by key", INTRO, tree)}
 
 
-def recipe_page(kind: str) -> str:
-    whole = schema(kind)
+def recipe_page(kinds: str, whole: dict[str, Any]) -> str:
     places: dict[str, list[str]] = {}
     roots = list(references(whole))
     for root in roots:
         _place(whole["$defs"], root, "", False, places)
-    title = f"Keys of {KINDS[kind].title.removeprefix('a ')}s"
     usual = whole["$defs"][roots[0]]["properties"]
     tops = {root: [key for key in whole["$defs"][root]["required"] if key not in usual] for root in roots}
-    return page(f"# {title}", *(section(whole["$defs"][name], places[name], tops.get(name, [])) for name in places))
+    return page(f"# Keys of {kinds}", *(section(whole["$defs"][name], places[name], tops.get(name, [])) for name in places))
 
 
 def references(value: Any) -> Iterator[str]:
