@@ -4,16 +4,21 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from l3cli.artifacts.training_set import TrainingPair
+from l3cli.simulation.recipe import shots as asked
 from l3cli.stages.frame_names import frame_name
 from l3cli.stages.simulation.run import SimulationRun
 
-WRITTEN = ("*_raw.tif", "*_ideal.png", "*_ideal.exr", "*.dng")  # into the folders of pictures
+MOTION = ("down", "right", "seen")  # channels of a file of motion
+WRITTEN = ("*_raw.tif", "*_ideal.png", "*_ideal.exr", "*_motion.exr", "*.dng")  # into the folders of pictures
 
 
-def write_beside(run: SimulationRun, frames: Iterable[TrainingPair], pictures: Path | None, dng: Path | None) -> None:
-    """The pictures and DNGs of all `frames`, as far as they are asked for."""
+def write_beside(
+    run: SimulationRun, files: list[list[Path]], frames: Iterable[TrainingPair], pictures: Path | None, dng: Path | None
+) -> None:
+    """The pictures and DNGs of all `frames`, as far as they are asked for; `files` are those of each source."""
     if pictures:
         _write_pictures(run, frames, pictures)
+        _write_motion(run, files, pictures)
     if dng:
         _write_dng(run, frames, dng)
 
@@ -34,6 +39,19 @@ def _write_pictures(run: SimulationRun, frames: Iterable[TrainingPair], folder: 
             continue
         display = make_display(frame.white, 1.0 / frame.white[1], bits=8)
         write_picture(folder / f"{name}_ideal.png", encode(frame.target, display))
+
+
+def _write_motion(run: SimulationRun, files: list[list[Path]], folder: Path) -> None:
+    """Of each frame of a clip what it has moved by since the frame before."""
+    import numpy as np
+
+    from l3cli.io.images import write_linear
+    from l3cli.stages.simulation.clips import known_motion
+
+    for wanted, shots in asked(run.recipe, files) if run.recipe.scene else ():
+        for shot in shots if wanted.source.motion else ():
+            planes = np.moveaxis(known_motion(wanted, shot.moment, run), 0, -1)
+            write_linear(folder / f"{frame_name(shot.index, wanted.name)}_motion.exr", planes, MOTION)
 
 
 def _write_dng(run: SimulationRun, frames: Iterable[TrainingPair], folder: Path) -> None:
