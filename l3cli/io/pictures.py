@@ -21,7 +21,7 @@ from l3cli.physics.display import srgb_decoded
 
 Linear = NDArray[np.float32]  # (row, col, 3) linear sRGB
 GIVE = 'give a folder of pictures, a pattern such as "out/%04d.png", or a video'
-IDEAL, MOTION = "*_ideal.png", "*_motion.exr"  # what a simulation writes beside raw frames
+IDEAL, MOTION = "_ideal.png", "_motion.exr"  # ends of the names that a simulation gives
 KNOWN_MOTION = ("down", "right", "seen")
 
 
@@ -66,12 +66,9 @@ def read_motion(path: Path, shape: tuple[int, int]) -> Linear:
 
 
 def _in_folder(folder: Path) -> PictureSequence:
-    simulated = sorted(folder.glob(IDEAL), key=natural_order)
+    simulated = sorted(folder.glob(f"*{IDEAL}"), key=natural_order)
     if simulated:
-        motion = sorted(folder.glob(MOTION), key=natural_order)
-        stems = [path.name.removesuffix(IDEAL[1:]) for path in simulated]
-        known = [path.name.removesuffix(MOTION[1:]) for path in motion] == stems
-        return _of_files(folder, simulated, tuple(motion) if known else ())
+        return _of_files(folder, simulated)
     files = [path for path in folder.iterdir() if path.suffix.lower() in PICTURES and path.name[0] != "."]
     kinds = sorted({path.suffix.lower() for path in files})
     if len(kinds) > 1:
@@ -79,7 +76,7 @@ def _in_folder(folder: Path) -> PictureSequence:
     return _of_files(folder, sorted(files, key=natural_order))
 
 
-def _of_files(path: Path, files: list[Path], motion: tuple[Path, ...] = ()) -> PictureSequence:
+def _of_files(path: Path, files: list[Path]) -> PictureSequence:
     if not files:
         raise InputFileError(f"{path} holds no pictures; {GIVE}")
     if wrong := next((each for each in files if each.suffix.lower() not in PICTURES), None):
@@ -90,7 +87,9 @@ def _of_files(path: Path, files: list[Path], motion: tuple[Path, ...] = ()) -> P
             raise InputFileError(
                 f"{each} is {size[0]}×{size[1]}, {files[0].name} {shape[0]}×{shape[1]}; give pictures of one size"
             )
-    return PictureSequence(str(path), shape, len(files), lambda: map(rgb.read, files), tuple(files), motion)
+    motion = tuple(each.with_name(each.name.removesuffix(IDEAL) + MOTION) for each in files if each.name.endswith(IDEAL))
+    known = motion if len(motion) == len(files) and all(each.is_file() for each in motion) else ()
+    return PictureSequence(str(path), shape, len(files), lambda: map(rgb.read, files), tuple(files), known)
 
 
 # ------------------------------------------------------------------------------------------------------------ videos

@@ -1,14 +1,18 @@
 """`l3 evaluate --sequence`: what it takes, prints and refuses."""
 
 import json
+import re
 from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from l3cli.artifacts import store
+from l3cli.artifacts.camera import CameraModel
 from l3cli.io.images import write_linear, write_picture
 from l3cli.io.video import VideoChoice, new_video, new_y4m
+from l3cli.report.sequence import sequence_section
 from tests.helpers.calls import L3, Refused
 
 SHAPE = (24, 32)
@@ -162,3 +166,75 @@ def test_a_dry_run_reads_no_picture(ideal: Path, tmp_path: Path, l3: L3) -> None
     assert code == 0
     assert "4 files" in out + err
     assert "nothing has been written" in out + err
+
+
+# ----------------------------------------------------------------------------------------------------------- report
+
+
+@pytest.fixture
+def evaluations(ideal: Path, tmp_path: Path, l3: L3) -> tuple[Path, Path]:
+    """Of a sequence beside its ideal and of one without."""
+    noisy = folder_of(tmp_path / "noisy", pictures(sigma=4.0))
+    for name, more in {"with.json": ("--ideal", ideal), "without.json": ()}.items():
+        code, out, _ = l3("evaluate", "--sequence", noisy, *more, "--json", "--quiet")
+        assert code == 0
+        (tmp_path / name).write_text(out)
+    return tmp_path / "with.json", tmp_path / "without.json"
+
+
+def test_a_report_plots_sequences_over_their_frames(
+    evaluations: tuple[Path, Path], fiveband: CameraModel, tmp_path: Path, l3: L3
+) -> None:
+    store.save(fiveband, tmp_path / "camera.h5")
+    assert l3("report", *evaluations, tmp_path / "camera.h5", "-o", tmp_path / "both.html", "--quiet") == (0, "", "")
+    assert l3("report", *evaluations, "-o", tmp_path / "alone.html", "--quiet") == (0, "", "")
+    for page in (tmp_path / "both.html", tmp_path / "alone.html"):
+        section = page.read_text().partition(">Sequences over time</h2>")[2].partition("</section>")[0]
+        plots = re.findall(r"<svg viewBox.*?</svg></svg>", section)
+        assert len(plots) == 6
+        assert [plot.count('stroke-linejoin="round"') for plot in plots] == [
+            2,
+            2,
+            1,
+            1,
+            1,
+            2,
+        ]  # what has no ideal has no error
+        assert all('class="mark"' not in plot for plot in plots)  # names stand in the legend, not on the curves
+        assert "with.json" in section
+        assert "temporal σ" in section
+
+
+def test_a_line_keeps_its_colour_where_another_is_missing(evaluations: tuple[Path, Path]) -> None:
+    documents = {path.name: json.loads(path.read_text()) for path in reversed(evaluations)}
+    section = sequence_section(documents)
+    figures = {figure.title: figure for figure in section.parts[1].blocks[0].figures}  # type: ignore[union-attr]
+    keys = {title: {key.label: key.colour for key in figure.legend} for title, figure in figures.items()}
+    assert keys["Error along the motion"]["with.json"] == keys["Noise over time"]["with.json"]
+    assert keys["Noise over time"]["with.json"] != keys["Noise over time"]["without.json"]
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "",
+        "{}",
+        "[]",
+        '{"kind": "sequence"}',
+        '{"kind": "other"}',
+        "[" * 100000,
+        '{"kind": "sequence", "frames": []}',
+        "\x00",
+    ],
+)
+def test_what_is_no_evaluation_is_not_reported(content: str, tmp_path: Path, refused: Refused) -> None:
+    (tmp_path / "a.json").write_text(content)
+    assert "no evaluation of a sequence" in refused(3, "report", tmp_path / "a.json", "-o", tmp_path / "a.html")
+
+
+def test_an_evaluation_of_a_single_frame_is_none(evaluations: tuple[Path, Path], tmp_path: Path, refused: Refused) -> None:
+    document = json.loads(evaluations[0].read_text())
+    document["frames"] = document["frames"][:1]
+    (tmp_path / "a.json").write_text(json.dumps(document))
+    assert "fewer than two frames" in refused(3, "report", tmp_path / "a.json", "-o", tmp_path / "a.html")
+    assert "does not exist" in refused(3, "report", tmp_path / "none.json", "-o", tmp_path / "a.html")
