@@ -99,7 +99,7 @@ def print_sequence(figures: "SequenceFigures") -> None:
         ["… of the patches' means", _known(figures.patch_sigma)],
         ["share of still patches", f"{figures.still_share:.1%}"],
         [f"largest jump of mean L* (frame {figures.largest_jump_frame})", _known(figures.largest_jump)],
-        ["warped error of L*", _known(figures.warped_error)],
+        [f"warped error of L* ({figures.motion or 'no'} motion)", _known(figures.warped_error)],
         ["PSNR dB", _known(figures.psnr)],
         ["ΔE00 mean", _known(figures.mean_delta_e)],
     ]

@@ -3,10 +3,13 @@
 Pictures are linear sRGB (row, col, 3), 1 being display white; lightness is CIE L*, from 0 to 100.
 """
 
+from typing import Literal
+
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.evaluation.block_motion import estimated_motion
 from l3cli.evaluation.quality import cropped
 from l3cli.evaluation.similarity import psnr
 from l3cli.physics.display import displayed_delta_e, lightness, srgb_curve
@@ -37,6 +40,7 @@ class SequenceFigures(msgspec.Struct, forbid_unknown_fields=True, tag_field="kin
 
     rendered: str
     ideal: str | None
+    motion: Literal["known", "estimated"] | None  # that errors are followed along
     frames: list[FrameFigures]
     still_share: float  # of the patches that show the same all the time
     temporal_sigma: float | None  # L*, of a pixel over time, root mean square over still patches
@@ -56,7 +60,9 @@ class SequenceEvaluation:
         self._frames: list[FrameFigures] = []
         self._cells: list[Array] = []  # of each frame the mean L* of every patch
         self._steps: list[Array] = []  # … of each but the first the mean square of its change
-        self._last: tuple[Array, Array | None] | None = None  # L* of the last frame, and of its error
+        self._motion: Literal["known", "estimated"] | None = None
+        self._last: Array | None = None  # L* of the last frame
+        self._ideal: tuple[Array, Array] | None = None  # … of its ideal, and what it is above that
         self._offset = 0.0  # of the last frame's mean L* from the ideal's, or from 0
         self._sum: Array | float = 0.0
         self._squares: Array | float = 0.0
@@ -64,16 +70,20 @@ class SequenceEvaluation:
 
     def add(self, rendered: Array, ideal: Array | None = None, motion: Array | None = None) -> None:
         """Count the next frame; `motion` (3, row, col): what it has moved by since the last one, pixels down and right, and
-        where that is known."""
+        where that is known. Without it the motion is estimated of the ideal pictures."""
         light = lightness(np.clip(rendered, 0.0, 1.0))
         wanted = None if ideal is None else lightness(np.clip(ideal, 0.0, 1.0))
-        error = None if wanted is None else light - wanted
         warped = None
-        if error is not None and motion is not None and self._last is not None and self._last[1] is not None:
-            warped = _warped_error(error, self._last[1], motion, self._border)
+        if wanted is not None:
+            error = light - wanted
+            if self._ideal is not None:
+                self._motion = "estimated" if motion is None else "known"
+                motion = estimated_motion(wanted, self._ideal[0]) if motion is None else motion
+                warped = _warped_error(error, self._ideal[1], motion, self._border)
+            self._ideal = wanted, error
         light = cropped(light, self._border)
-        step = None if self._last is None else light - self._last[0]
-        self._last = (light, error)
+        step = None if self._last is None else light - self._last
+        self._last = light
         self._sum, self._squares = self._sum + light, self._squares + light**2
         self._cells.append(_cell_means(light))
         if step is not None:
@@ -94,7 +104,7 @@ class SequenceEvaluation:
             pictures = [np.clip(_cropped(each, self._border), 0.0, 1.0) for each in (rendered, ideal)]
             quality = psnr(*map(srgb_curve, pictures))
             difference = float(displayed_delta_e(*pictures).mean())
-        mean = float(self._last[0].mean())
+        mean = float(self._last.mean())
         offset = mean - (0.0 if wanted is None else float(wanted.mean()))
         jump = None if step is None else offset - self._offset
         self._offset = offset
@@ -112,6 +122,7 @@ class SequenceEvaluation:
         warped = [frame.warped_error for frame in self._frames if frame.warped_error is not None]
         return SequenceFigures(
             *self._names,
+            self._motion,
             self._frames,
             still_share=float(still.mean()),
             temporal_sigma=self._temporal_sigma(still),

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.ndimage import gaussian_filter, map_coordinates
 
+from l3cli.evaluation.block_motion import estimated_motion
 from l3cli.evaluation.sequence import SequenceEvaluation, SequenceFigures
 from l3cli.physics.display import daylight, displayed_xyz, lab, lightness
 
@@ -30,11 +32,14 @@ def noisy(light: np.ndarray, sigma: float, frames: int, seed: int = 1) -> list[n
 
 
 def figures(
-    rendered: list[np.ndarray], ideal: list[np.ndarray] | None = None, motion: list[np.ndarray] | None = None
-) -> SequenceFigures:
+    rendered: list[np.ndarray], ideal: list[np.ndarray] | None = None, motion: list[np.ndarray] | None = None,
+    estimated: bool = False,
+) -> SequenceFigures:  # fmt: skip
+    """Figures of L*; a `motion` that is neither given nor `estimated` is none."""
+    motion = motion or [moved((0, 0))] * len(rendered)
     evaluation = SequenceEvaluation("ours", ideal and "ideal")  # type: ignore[arg-type]
     for number, light in enumerate(rendered):
-        evaluation.add(grey(light), grey(ideal[number]) if ideal else None, motion[number] if motion else None)
+        evaluation.add(grey(light), grey(ideal[number]) if ideal else None, None if estimated else motion[number])
     return evaluation.figures()
 
 
@@ -141,10 +146,60 @@ def test_where_the_motion_is_not_known_nothing_is_judged() -> None:
     ideal = pan((0, 3), 3)
     motion = [np.zeros((3, *SHAPE), np.float32)] * 3
     assert figures(ideal, ideal, motion).warped_error is None
-    assert figures(ideal, ideal).warped_error is None
     half = [np.stack([*each[:2], each[2] * (np.arange(SHAPE[1]) < 40)]) for each in [moved((0, 3))] * 3]
     wrong = [light + 20 * (np.arange(SHAPE[1]) >= 40) * number for number, light in enumerate(ideal)]
     assert figures(wrong, ideal, half).warped_error == pytest.approx(0, abs=0.35)  # a spline reaches a few pixels far
+
+
+def textured(shape: tuple[int, int], seed: int = 3) -> np.ndarray:
+    """L* of blobs a few pixels wide."""
+    blobs = gaussian_filter(np.random.default_rng(seed).standard_normal(shape), 2.0)
+    return 50 + 12 * blobs / blobs.std()
+
+
+def shifted(whole: np.ndarray, by: tuple[float, float]) -> np.ndarray:
+    """The middle of a picture that has moved by so many pixels down and right."""
+    place = np.indices(SHAPE) + 32.0 - np.array(by)[:, None, None]
+    return map_coordinates(whole, place, order=3)
+
+
+@given(st.tuples(st.floats(-14, 14), st.floats(-14, 14)))
+@settings(max_examples=8, deadline=None)
+def test_a_motion_that_is_not_known_is_estimated(by: tuple[float, float]) -> None:
+    whole = textured((SHAPE[0] + 64, SHAPE[1] + 64))
+    down, right, seen = estimated_motion(shifted(whole, by), shifted(whole, (0, 0)))
+    inner = (slice(24, -24), slice(24, -24))
+    assert np.median(np.hypot(down - by[0], right - by[1])[inner]) < 0.1
+    assert seen[inner].mean() > 0.95
+
+
+def test_things_that_move_apart_are_followed_apart() -> None:
+    wide, thing = textured((128, 160)), textured((128, 160), seed=4)
+    frames = [shifted(wide, (0, 0)), shifted(wide, (0, 1))]
+    for number, frame in enumerate(frames):
+        frame[16 + 3 * number : 48 + 3 * number, 20:60] = thing[16:48, 20:60]
+    down, right, seen = estimated_motion(frames[1], frames[0])
+    assert np.median(down[28:42, 30:50]) == pytest.approx(3, abs=0.1)
+    assert np.median(right[28:42, 30:50]) == pytest.approx(0, abs=0.1)
+    assert np.median(right[:, 76:90]) == pytest.approx(1, abs=0.1)
+    assert seen[28:42, 30:50].mean() > 0.95
+
+
+def test_after_a_cut_nothing_was_seen_before() -> None:
+    frames = [textured(SHAPE, seed) for seed in (5, 6)]
+    assert estimated_motion(*frames)[2].mean() < 0.15
+    assert abs(estimated_motion(frames[0], frames[0])[:2]).max() < 1e-9
+    assert estimated_motion(frames[0], frames[0])[2].all()
+
+
+def test_errors_along_an_estimated_motion_are_those_along_the_known_one() -> None:
+    whole = textured((SHAPE[0] + 64, SHAPE[1] + 64))
+    ideal = [shifted(whole, (0.4 * number, 2.3 * number)) for number in range(3)]
+    noise = [light + each for light, each in zip(ideal, noisy(0 * ideal[0], 1.0, 3), strict=True)]
+    known, estimated = figures(noise, ideal, [moved((0.4, 2.3))] * 3), figures(noise, ideal, estimated=True)
+    assert (known.motion, estimated.motion) == ("known", "estimated")
+    assert estimated.warped_error == pytest.approx(known.warped_error, rel=0.03)
+    assert figures(ideal, ideal, estimated=True).warped_error == 0
 
 
 def test_without_an_ideal_what_moves_is_not_taken_for_noise() -> None:
