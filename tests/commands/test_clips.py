@@ -1,6 +1,7 @@
 """Clips as files: `l3 simulate` of scenes with a motion, and what it refuses of them."""
 
 import dataclasses
+import json
 from pathlib import Path
 
 import numpy as np
@@ -81,6 +82,9 @@ def test_a_check_counts_the_frames(clip: Path, bayer_recipe: Path, l3: L3) -> No
     assert (code, err) == (0, "")
     assert "3 frames: 1 scenes (1 of them clips) ×" in out
     assert "the largest frame 32×40" in out
+    _, out, _ = l3("check", clip / "clip.toml", bayer_recipe, "--json")
+    meaning = json.loads(out)["files"][0]["meaning"]
+    assert meaning["bytes"] == 3 * meaning["largest_bytes"]
 
 
 @pytest.mark.parametrize(

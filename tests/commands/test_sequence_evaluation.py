@@ -11,7 +11,9 @@ import pytest
 from l3cli.artifacts import store
 from l3cli.artifacts.camera import CameraModel
 from l3cli.io.images import write_linear, write_picture
+from l3cli.io.pictures import find_pictures
 from l3cli.io.video import VideoChoice, new_video, new_y4m
+from l3cli.physics.display import srgb_curve
 from l3cli.report.sequence import sequence_section
 from tests.helpers.calls import L3, Refused
 
@@ -87,6 +89,16 @@ def test_videos_are_judged_as_their_pictures(name: str, bits: int, ideal: Path, 
     light = [frame["mean_lightness"] for frame in document["frames"]]
     _, plain, _ = l3("evaluate", "--sequence", ideal, "--json")
     assert light == pytest.approx([frame["mean_lightness"] for frame in json.loads(plain)["frames"]], abs=0.6)
+
+
+@pytest.mark.parametrize("name", ["a.mp4", "a.mov", "a.y4m"])
+def test_colours_of_videos_are_those_that_were_written(name: str, tmp_path: Path) -> None:
+    colour = np.broadcast_to(np.array([20, 200, 40], np.uint8), (32, 32, 3))
+    with (new_y4m if name == "a.y4m" else new_video)(tmp_path / name, VideoChoice(Fraction(24), 8)) as video:
+        video.write(colour)
+        video.write(colour)
+    for picture in find_pictures(tmp_path / name).pictures():
+        assert np.allclose(srgb_curve(picture) * 255, colour, atol=3)
 
 
 def test_two_videos_are_read_beside_each_other(tmp_path: Path, l3: L3) -> None:

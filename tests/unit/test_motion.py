@@ -1,12 +1,14 @@
 """Clips: what moves by a known motion is where it should be, and the known motion says so (docs/method.md#motion)."""
 
+import dataclasses
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.ndimage import map_coordinates
+from scipy.ndimage import binary_dilation, binary_erosion, map_coordinates
 
 from l3cli.simulation import clip
 from l3cli.simulation.motion import Course, Motion, MovingLeaves, course, room
@@ -102,8 +104,8 @@ def test_shake_has_its_deviation_and_is_bounded() -> None:
 # ---------------------------------------------------------------------------------------------------------- leaves
 
 
-def leafy(**keys: Any) -> tuple[Course, list[clip.Sprite]]:
-    leaves = MovingLeaves(count=1, radius_pixels=(9.0, 9.0), speed_pixels_per_frame=(2.5, 2.5))
+def leafy(speed: float = 2.5, **keys: Any) -> tuple[Course, list[clip.Sprite]]:
+    leaves = MovingLeaves(count=1, radius_pixels=(9.0, 9.0), speed_pixels_per_frame=(speed, speed))
     of = a_course(frames=4, leaves=leaves, **keys)
     return of, clip.sprites(of, np.full((1, 1), 0.5), (0,))
 
@@ -125,6 +127,20 @@ def test_a_leaf_moves_as_fast_as_it_says_over_a_scene_that_stays() -> None:
     over = frames(np.full(CANVAS, 0.2), of, things)
     assert all(frame[0, 0] == pytest.approx(0.2) for frame in over)
     assert all(frame.max() <= 1 for frame in over)
+
+
+def test_a_leaf_that_the_camera_follows_is_sharp_under_an_open_shutter() -> None:
+    of, things = leafy(speed=6.0)
+    of.start[:] = 0
+    pan = (float(of.velocity[0, 0]), float(of.velocity[0, 1]))
+
+    def first(shutter: float, pan: tuple[float, float], velocity: np.ndarray) -> np.ndarray:
+        motion = msgspec.structs.replace(of.motion, shutter=shutter, pan_pixels_per_frame=pan)
+        return frames(np.zeros(CANVAS), dataclasses.replace(of, motion=motion, velocity=velocity), things)[0]
+
+    sharp = first(0.0, (0.0, 0.0), 0 * of.velocity)
+    assert np.allclose(first(1.0, pan, of.velocity), sharp, atol=1e-4)
+    assert not np.allclose(first(1.0, pan, 0 * of.velocity), first(0.0, pan, 0 * of.velocity), atol=0.1)
 
 
 def test_a_leaf_outside_the_frame_is_not_seen() -> None:
@@ -169,3 +185,15 @@ def test_leaves_move_on_their_own_and_what_they_uncover_was_not_seen() -> None:
     freed = np.roll(cover[0], -1, axis=1) & ~cover[1]  # the scene moves left by one
     assert freed.sum() > 5
     assert not seen[freed].any()
+
+
+def test_what_a_fast_leaf_uncovers_or_nears_is_not_taken_for_what_was_there() -> None:
+    of, things = leafy(speed=11.0)
+    of.start[:] = 0
+    seen = clip.motion_between(of, things, 2)[2] > 0
+    was, now = (clip._shown(of, things, number) == 0 for number in (1, 2))
+    assert (was & ~now).sum() > 40
+    assert not seen[was & ~now].any()  # uncovered
+    rim = binary_dilation(now, iterations=2) & ~binary_erosion(now, iterations=2)
+    assert not seen[rim].any()
+    assert seen.mean() > 0.3
