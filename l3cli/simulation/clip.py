@@ -12,7 +12,7 @@ from l3cli.simulation.motion import Course, View, before
 
 Array = NDArray[np.float64]
 Cube = NDArray[np.float32]  # (row, col, band)
-FINE = 0.25  # pixels between the samples that a leaf is drawn by
+FINE, MOST = 0.25, 256  # pixels between the samples that a leaf is drawn by, and most such samples in its radius
 TEXTURE = 0.3  # standard deviation of the logarithm of a leaf's brightness
 COVERED = 0.5  # share of a pixel from which on it shows a leaf
 TINY = 1e-6  # pixels
@@ -21,8 +21,9 @@ UNSURE = 2  # pixels about an edge of a leaf whose content is of both sides: len
 
 @dataclass(frozen=True)
 class Sprite:
-    """A leaf drawn every FINE pixels about its place: how much of each sample it covers, and how bright it is there."""
+    """A leaf drawn about its place: how much of each sample it covers, and how bright it is there."""
 
+    step: float  # pixels a sample
     cover: Cube  # (row, col, 2): share covered; share times brightness
     colour: NDArray[np.float32]  # (band) its reflectance, or signal
 
@@ -32,12 +33,13 @@ def sprites(course: Course, colours: NDArray[np.floating], seed: tuple[int, ...]
     drawn = []
     for number, (radius, colour) in enumerate(zip(course.radius, colours, strict=True)):
         rng = np.random.default_rng([*seed, number])
-        half = int(np.ceil(radius / FINE)) + 2  # the rim is empty
-        at = ((np.arange(2 * half) + 0.5 - half) * FINE).astype(np.float32)
+        step = max(FINE, radius / MOST)
+        half = int(np.ceil(radius / step)) + 2  # the rim is empty
+        at = ((np.arange(2 * half) + 0.5 - half) * step).astype(np.float32)
         shape, angle, slimness = int(rng.integers(5)), rng.uniform(0, np.pi), rng.uniform(0.4, 1.0)
         mask = leaves.inside(shape, at[:, None], at[None], radius, angle, slimness).astype(np.float32)
         bright = np.exp(TEXTURE * leaves.pink(rng, mask.shape, 1.2)).astype(np.float32)
-        drawn.append(Sprite(np.stack([mask, mask * bright], axis=2), colour.astype(np.float32)))
+        drawn.append(Sprite(step, np.stack([mask, mask * bright], axis=2), colour.astype(np.float32)))
     return drawn
 
 
@@ -105,7 +107,7 @@ def _lay(seen: Cube, thing: Sprite, view: View, place: Array) -> None:
     if min(window) <= 0:
         return
     at = (float(place[0]), float(place[1]))
-    cover = sampled(thing.cover, view, (seen.shape[0], seen.shape[1]), at, FINE, top, window)
+    cover = sampled(thing.cover, view, (seen.shape[0], seen.shape[1]), at, thing.step, top, window)
     part = seen[top[0] : top[0] + window[0], top[1] : top[1] + window[1]]
     part *= 1 - cover[..., :1]
     part += np.minimum(cover[..., 1:] * thing.colour, cover[..., :1])  # no brighter than a perfect white
@@ -113,7 +115,7 @@ def _lay(seen: Cube, thing: Sprite, view: View, place: Array) -> None:
 
 def _window(thing: Sprite, view: View, place: Array, size: tuple[int, int]) -> tuple[tuple[int, int], tuple[int, int]]:
     """First pixel and size of the part of a frame that a leaf may show in."""
-    half = np.array(thing.cover.shape[:2]) * FINE / 2
+    half = np.array(thing.cover.shape[:2]) * thing.step / 2
     middle = np.array(size) / 2
     low = np.clip(np.floor((place - half - view.centre) * view.zoom + middle) - 1, 0, size).astype(int)
     high = np.clip(np.ceil((place + half - view.centre) * view.zoom + middle) + 1, 0, size).astype(int)
@@ -148,10 +150,11 @@ def _shown(course: Course, things: list[Sprite], number: int) -> NDArray[np.intp
     size = course.motion.size
     view, shown = course.view(number), np.full(course.motion.size, -1)
     for leaf, place in reversed(list(enumerate(course.leaves(number)))):
-        top, window = _window(things[leaf], view, place, size)
+        thing = things[leaf]
+        top, window = _window(thing, view, place, size)
         if min(window) > 0:
             at = (float(place[0]), float(place[1]))
-            cover = sampled(things[leaf].cover[..., :1], view, size, at, FINE, top, window)[..., 0]
+            cover = sampled(thing.cover[..., :1], view, size, at, thing.step, top, window)[..., 0]
             shown[top[0] : top[0] + window[0], top[1] : top[1] + window[1]][cover > COVERED] = leaf
     return shown
 

@@ -12,11 +12,12 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.config import Count, Positive, Recipe, Share
+from l3cli.config import Count, Recipe, Share
 from l3cli.faults import Fault, fault
 
 Array = NDArray[np.float64]
 Zoom = Annotated[float, msgspec.Meta(ge=0.5, le=2.0)]
+Radius = Annotated[float, msgspec.Meta(gt=0, le=256)]
 NotNegative = Annotated[float, msgspec.Meta(ge=0)]
 FARTHEST_SHAKE = 3.0  # standard deviations
 LEAST_ZOOM = 1e-6
@@ -26,8 +27,8 @@ SUBFRAMES = 8  # moments that an open shutter averages
 class MovingLeaves(Recipe):
     """Leaves of one material each that cross the scene, straight ahead, the first of them on top."""
 
-    count: Count = 1
-    radius_pixels: tuple[Positive, Positive] = (8.0, 24.0)  # smallest, largest
+    count: Annotated[int, msgspec.Meta(ge=1, le=64)] = 1
+    radius_pixels: tuple[Radius, Radius] = (8.0, 24.0)  # smallest, largest
     speed_pixels_per_frame: tuple[NotNegative, NotNegative] = (1.0, 2.0)  # slowest, fastest; each in a direction of its own
 
 

@@ -98,6 +98,8 @@ def test_a_check_counts_the_frames(clip: Path, bayer_recipe: Path, l3: L3) -> No
         (("frames = 3", "zoom_per_frame = 1.1"), "frames"),
         (("count = 2", "radius_pixels = [9, 3]"), "give the smaller first"),
         (("count = 2", "radius_pixels = [0, 3]"), "give more than 0"),
+        (("count = 2", "radius_pixels = [9, 1e6]"), "the most is 256"),
+        (("count = 2", "count = 1000000"), "the most is 64"),
         (("shake_pixels = 0.2", "zoom_per_frame = 5"), "the most is 2"),
         (("shake_pixels = 0.2", "shutter = 50"), "the most is 1"),
     ],

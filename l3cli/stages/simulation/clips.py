@@ -41,13 +41,13 @@ def clip_of(
     return frame
 
 
-def known_motion(wanted: sources.WantedScene, number: int, run: SimulationRun) -> NDArray[np.float32]:
-    """What frame `number` of a clip has moved by since the frame before, as `clip.motion_between` gives it."""
+def known_motion(wanted: sources.WantedScene, run: SimulationRun) -> Callable[[int], NDArray[np.float32]]:
+    """What each frame of a clip has moved by since the frame before, as `clip.motion_between` gives it."""
     from l3cli.simulation import clip
 
     course = _course(wanted, run)
-    uncoloured = np.zeros((len(course.radius), 1))
-    return clip.motion_between(course, clip.sprites(course, uncoloured, _seed(wanted, run, LEAVES)), number)
+    things = clip.sprites(course, np.zeros((len(course.radius), 1)), _seed(wanted, run, LEAVES))
+    return lambda number: clip.motion_between(course, things, number)
 
 
 def _course(wanted: sources.WantedScene, run: SimulationRun) -> "Course":

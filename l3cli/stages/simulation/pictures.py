@@ -60,10 +60,13 @@ def _write_motion(run: SimulationRun, files: list[list[Path]], folder: Path) -> 
 
     lengths = {}
     for wanted, shots in asked(run.recipe, files) if run.recipe.scene else ():
-        for shot in shots if wanted.source.motion else ():
-            planes = np.moveaxis(known_motion(wanted, shot.moment, run), 0, -1)
-            write_linear(folder / f"{frame_name(shot.index, wanted.name)}_motion.exr", planes, MOTION)
-            if shot.moment == 0 and wanted.source.motion is not None:
+        if wanted.source.motion is None:
+            continue
+        moved = known_motion(wanted, run)
+        for shot in shots:
+            name = frame_name(shot.index, wanted.name)
+            write_linear(folder / f"{name}_motion.exr", np.moveaxis(moved(shot.moment), 0, -1), MOTION)
+            if shot.moment == 0:
                 lengths[shot.index] = wanted.source.motion.frames
     return lengths
 
