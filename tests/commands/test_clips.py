@@ -2,19 +2,23 @@
 
 import dataclasses
 import json
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from l3cli.artifacts import store
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import open_training_set, read_part
 from l3cli.config import load_recipe
 from l3cli.io.images import read_image
+from l3cli.io.pictures import find_pictures
 from l3cli.simulation.recipe import SceneRecipe, shots
 from l3cli.stages.simulation.preparation import prepare
 from l3cli.stages.simulation.units import simulate_unit, units_of
 from tests.helpers.calls import L3, Refused
+from tests.helpers.tables import colorimetric_table
 
 CLIP = """
 exposure_mean = [0.02]
@@ -62,6 +66,28 @@ def test_all_frames_of_a_clip_have_one_exposure_and_each_its_own_noise(clip: Pat
     signal = [float(frame.raw.mean() - camera.black_level) / (camera.white_level - camera.black_level) for frame in frames]
     assert signal[0] == pytest.approx(0.02, rel=0.1)
     assert not np.array_equal(frames[0].raw[:, 2:], frames[1].raw[:, :-2])
+
+
+def test_the_exposure_that_is_said_renders_as_bright_as_the_ideal(
+    bayer_recipe: Path, bayer: CameraModel, tmp_path: Path, l3: L3
+) -> None:
+    """By a table that shows plain areas as they are."""
+    recipe = CLIP.replace("[0.02]", "[0.3]").replace("dead leaves", "grey ramp") + '[sensor]\nnoise = "none"\n'
+    (tmp_path / "clip.toml").write_text(recipe)
+    call = ("simulate", tmp_path / "clip.toml", "--camera", bayer_recipe, "-o", tmp_path / "clip.h5")
+    code, _, err = l3(*call, "--pictures", tmp_path / "clip")
+    assert code == 0
+    said = re.search(r"frames 0–2: --exposure (\S+) renders them", err)
+    assert said
+    store.save(colorimetric_table(bayer), tmp_path / "table.h5")
+    raws = tmp_path / "clip/%05d_grey-ramp-0-0_raw.tif"
+    render = ("render", tmp_path / "table.h5", raws, "-o", tmp_path / "out/%05d.png", "--backend", "reference", "--quiet")
+    assert l3(*render, "--exposure", said[1])[0] == 0
+    code, out, err = l3("evaluate", "--sequence", tmp_path / "out/%05d.png", "--ideal", tmp_path / "clip", "--json")
+    assert (code, err) == (0, "")  # no word of another brightness
+    light = [np.mean(list(find_pictures(each).pictures())) for each in (tmp_path / "out", tmp_path / "clip")]
+    assert light[0] == pytest.approx(light[1], rel=0.02)
+    assert json.loads(out)["motion"] == "known"
 
 
 def test_the_frames_are_the_same_however_they_are_shared_out(clip: Path, bayer: CameraModel, tmp_path: Path) -> None:
