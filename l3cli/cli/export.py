@@ -18,12 +18,23 @@ if TYPE_CHECKING:
 @click.option(
     "--to", "form", type=click.Choice(["c", "folder"]), help="Of a table: C99 source (as without it), or arrays with a JSON."
 )
+@click.option(
+    "--words",
+    type=click.Choice(["float32", "int16"]),
+    help="Of C source: outputs as floats, or in steps of 2^-12. [float32]",
+)
 @options.force
 @options.dry_run
 @options.quiet
 @options.as_json
 def export(
-    artifact: Path, output: Path, form: Literal["c", "folder"] | None, force: bool, console: "Console", as_json: bool
+    artifact: Path,
+    output: Path,
+    form: Literal["c", "folder"] | None,
+    words: Literal["float32", "int16"] | None,
+    force: bool,
+    console: "Console",
+    as_json: bool,
 ) -> None:
     """Write CAMERA, a camera.h5 or a camera recipe, as other software reads it: curves (CSV, rawtoaces JSON), data sheet
     (CSV), DCP matrices (JSON), of a Bayer array tuning files of libcamera. Prints how far the matrices for each light leave
@@ -43,12 +54,12 @@ def export(
     if is_table(artifact):
         from l3cli.stages.table_exports import export_table
 
-        files = export_table(artifact, output, form or "c", console, force=force)
+        files = export_table(artifact, output, form or "c", console, words=words, force=force)
         if as_json:
             show_json({"files": files}, console)
         return
-    if form is not None:
-        raise RecipeError(f"--to is for transform tables; {artifact} is a camera: leave it out")
+    if option := "--to" if form else "--words" if words else None:
+        raise RecipeError(f"{option} is for transform tables; {artifact} is a camera: leave it out")
     matrices = export_camera(artifact, output, console, force=force)
     if as_json:
         show_json({"matrices": matrices}, console)

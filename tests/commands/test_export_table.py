@@ -53,6 +53,22 @@ def test_a_folder_is_written_alike_twice(table: Path, tmp_path: Path, l3: L3) ->
     assert named | {"table.json"} == set(contents(tmp_path / "one"))
 
 
+def test_words_are_of_c_source(table: Path, bayer: CameraModel, tmp_path: Path, l3: L3, refused: Refused) -> None:
+    assert l3("export", table, "-o", tmp_path / "c", "--words", "int16", "--quiet")[0] == 0
+    assert sorted(contents(tmp_path / "c")) == C_FILES
+    assert "typedef int16_t L3Output;" in (tmp_path / "c" / "l3_table.h").read_text()
+    assert "$" not in contents(tmp_path / "c")["README.md"].decode()
+    assert "--words is for C source" in refused(
+        2, "export", table, "-o", tmp_path / "f", "--to", "folder", "--words", "int16"
+    )
+    save(bayer, tmp_path / "camera.h5")
+    assert "--words is for transform" in refused(
+        2, "export", tmp_path / "camera.h5", "-o", tmp_path / "f", "--words", "int16"
+    )
+    assert "'half'; there are float32, int16" in refused(2, "export", table, "-o", tmp_path / "f", "--words", "half")
+    assert not (tmp_path / "f").exists()
+
+
 def test_wrong_artifacts_and_forms_are_refused(table: Path, bayer: CameraModel, tmp_path: Path, refused: Refused) -> None:
     save(bayer, tmp_path / "camera.h5")
     line = refused(2, "export", tmp_path / "camera.h5", "-o", tmp_path / "c", "--to", "c")

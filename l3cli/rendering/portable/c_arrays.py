@@ -16,13 +16,15 @@ from l3cli.classes.planes import fixed_point, later_fixed_point, opponent_basis
 from l3cli.classes.tree import EVERY, turned_tests
 from l3cli.classes.windows import neighbourhoods
 from l3cli.rendering.layout import (
-    Weights,
+    PLANES,
     WholeWeights,
+    by_column,
     first_plane_weights,
     first_weights,
     later_plane_weights,
     later_weights,
 )
+from l3cli.rendering.portable.short_words import ShortWords
 
 TAP_GROUP = 16  # taps are filled up to a multiple by weights of zero, so that loops over them have no rest
 TYPES = {
@@ -35,6 +37,7 @@ TYPES = {
     "float32": "float",
 }
 PER_LINE = 20  # numbers
+SHORT_TOP = 2**15 - 1
 
 
 @dataclass(frozen=True)
@@ -72,8 +75,8 @@ def filled(taps: int) -> int:
     return -(-taps // TAP_GROUP) * TAP_GROUP
 
 
-def table_arrays(table: TransformTable) -> tuple[list[Array], list[str]]:
-    """The arrays of l3_table.c, and the lines that follow them."""
+def table_arrays(table: TransformTable, short: ShortWords | None) -> tuple[list[Array], list[str]]:
+    """The arrays of l3_table.c, those of the last layer floats unless `short`, and the lines that follow them."""
     rule, near = table.first.rule, neighbourhoods(table.cfa, table.first.rule.patch, len(table.channels))
     arrays = [
         Array("l3_cfa", table.cfa, "channel of each site (CFA row, CFA column)"),
@@ -93,10 +96,37 @@ def table_arrays(table: TransformTable) -> tuple[list[Array], list[str]]:
         arrays.append(Array("l3_direction_edges", edges, "strength edges (edge, level)"))
         lines += ["/* sum, top, left, rows, columns, sign */", "const L3Window l3_windows[L3_WINDOWS] = {",
                   *(f"{{{', '.join(map(str, window))}}}," for window in axis.windows), "};"]  # fmt: skip
+    arrays += _last_words(table, short) if short else _last_floats(table)
     if table.later:
         more, layers = _layers(table)
         return [*arrays, *more], [*lines, *layers, ""]
-    return [*arrays, *_floats("l3_", _filled_weights(first_weights(table)), nested=True)], [*lines, ""]
+    return arrays, [*lines, ""]
+
+
+def _last_floats(table: TransformTable) -> list[Array]:
+    weights = later_weights(table.later[-1]) if table.later else first_weights(table)
+    return [
+        Array("l3_last_weights", _fill(weights.taps), "(class, output, tap)", nested=False),
+        Array("l3_last_intercept", weights.intercept, "(class, output)", nested=False),
+    ]
+
+
+def _last_words(table: TransformTable, words: ShortWords) -> list[Array]:
+    taps = _fill(by_column(words.whole, PLANES if table.later else 1))
+    short = np.clip(taps, -SHORT_TOP, SHORT_TOP).astype(np.int16)
+    rest = taps - short
+    return [
+        Array("l3_last_weights", short, "times 2^(shift + L3_SPLIT) (class, output, tap)", nested=False),
+        Array("l3_last_intercept", words.intercept, "times 2^shift (class, output)", nested=False),
+        Array("l3_last_shift", words.fraction, "from sums to outputs (class, output)", nested=False),
+        Array(
+            "l3_last_rest",
+            rest.sum(axis=-1, dtype=np.int32),
+            "what one weight has beyond 16 bits (class, output)",
+            nested=False,
+        ),
+        Array("l3_last_tap", np.abs(rest).argmax(axis=-1).astype(np.uint16), "which (class, output)", nested=False),
+    ]
 
 
 def _layers(table: TransformTable) -> tuple[list[Array], list[str]]:
@@ -113,11 +143,8 @@ def _layers(table: TransformTable) -> tuple[list[Array], list[str]]:
     for number, layer in enumerate(table.later, 2):
         prefix = f"layer{number}_"
         rule, last = layer.rule, number == len(table.layers)
-        if last:
-            arrays += _floats(prefix, _filled_weights(later_weights(layer)), nested=False)
-        else:
-            whole = later_plane_weights(later_fixed_point(layer, basis))
-            arrays += _fixed(prefix, whole)
+        if not last:
+            arrays += _fixed(prefix, later_plane_weights(later_fixed_point(layer, basis)))
         more, struct = _structure(prefix, rule) if isinstance(rule, StructureRule) else _tree(prefix, rule)
         doc = "of gradients (level of the first layer)"
         scale = (("factor", rule.gradient_factor), ("shift", rule.gradient_shift))
@@ -142,9 +169,7 @@ def _entry(table: TransformTable, layer: PlaneLayer, prefix: str, last: bool) ->
         "gradient_shift": f"{prefix}shift",
         "structure" if structured else "tree": f"&{prefix}rule",
     }
-    if last:
-        fields |= {"weights": f"{prefix}weights", "intercept": f"{prefix}intercept"}
-    else:
+    if not last:
         fields |= {
             "fixed_weights": f"{prefix}weights",
             "fixed_intercept": f"{prefix}intercept",
@@ -174,13 +199,6 @@ def _tree(prefix: str, rule: TreeRule) -> tuple[list[Array], str]:
     return arrays, f"static const L3Tree {prefix}rule = {{{values}}};"
 
 
-def _floats(prefix: str, weights: Weights, nested: bool) -> list[Array]:
-    return [
-        Array(f"{prefix}weights", weights.taps, "(class, output, tap)", nested),
-        Array(f"{prefix}intercept", weights.intercept, "(class, output)", nested),
-    ]
-
-
 def _fixed(prefix: str, whole: WholeWeights) -> list[Array]:
     taps = _fill(whole.taps)
     return [
@@ -188,10 +206,6 @@ def _fixed(prefix: str, whole: WholeWeights) -> list[Array]:
         Array(f"{prefix}intercept", whole.intercept, "(class, plane)", nested=False),
         Array(f"{prefix}fraction", whole.fraction.astype(np.uint8), "binary point (class)"),
     ]
-
-
-def _filled_weights(weights: Weights) -> Weights:
-    return Weights(_fill(weights.taps), weights.intercept)
 
 
 def _fill(taps: NDArray) -> NDArray:

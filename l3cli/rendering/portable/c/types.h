@@ -22,9 +22,8 @@ typedef struct {
     const uint8_t *gradient_factor, *gradient_shift; /* (level of the first layer) */
     const L3Structure *structure;                    /* either this … */
     const L3Tree *tree;                              /* … or this */
-    const float *weights, *intercept;                /* (class, output, tap), (class, output) of the last layer */
     const int16_t *fixed_weights;                    /* (class, plane, tap), */
     const int32_t *fixed_intercept;                  /* (class, plane) */
-    const uint8_t *fraction;                         /* and (class) of others */
+    const uint8_t *fraction;                         /* and (class) of all but the last layer */
 } L3PlaneLayer;
 
