@@ -32,8 +32,8 @@ static void render_layers(const Workspace *w, int rows, int columns, int phase_r
         const L3PlaneLayer *layer = l3_layers + i;
         const int32_t *planes = w->planes[i % 2];
         uint32_t *own = labels + (i + 1) * pixels;
-        if (layer->tree) label_by_tree(&w->gradients, layer, planes, labels, rows, columns, phase_row, phase_column, own);
-        else label_by_structure(&w->gradients, layer, planes, labels, rows, columns, phase_row, phase_column, own);
+        if (layer->tree) label_by_tree(&w->gradients, layer, planes, labels, rows, columns, own);
+        else label_by_structure(&w->gradients, layer, planes, labels, rows, columns, own);
         if (i == L3_LAYERS - 2) planes_to_outputs(layer, planes, &w->ring, w->ring_values, rows, columns, own, outputs);
         else planes_to_planes(layer, planes, w->fixed_ring, w->ring_values, rows, columns, own, w->planes[(i + 1) % 2]);
     }
