@@ -16,7 +16,10 @@ if TYPE_CHECKING:
 @click.argument("artifact", type=options.CAMERA, metavar="CAMERA|TABLE.h5")
 @click.option("-o", "--output", type=options.FILE, required=True, metavar="DIR", help="Folder to write to.")
 @click.option(
-    "--to", "form", type=click.Choice(["c", "folder"]), help="Of a table: C99 source (as without it), or arrays with a JSON."
+    "--to",
+    "form",
+    type=click.Choice(["c", "folder", "onnx"]),
+    help="Of a table: C99 source (as without it), arrays with a JSON, or an ONNX graph (slow: for verification).",
 )
 @click.option(
     "--words",
@@ -30,7 +33,7 @@ if TYPE_CHECKING:
 def export(
     artifact: Path,
     output: Path,
-    form: Literal["c", "folder"] | None,
+    form: Literal["c", "folder", "onnx"] | None,
     words: Literal["float32", "int16"] | None,
     force: bool,
     console: "Console",
@@ -41,7 +44,7 @@ def export(
     the colours of measured surfaces.
 
     Or write TABLE.h5, a transform table, as C99 source that renders without l3 (make test compares it with l3's reference
-    on a test mosaic), or as little-endian arrays for other hardware.
+    on a test mosaic), as little-endian arrays for other hardware, or as an ONNX graph.
 
     \b
     Example: l3 export table.h5 -o source --to c

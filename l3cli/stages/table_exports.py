@@ -1,4 +1,4 @@
-"""Transform table → files that run, or are read, elsewhere: C source, or plain arrays."""
+"""Transform table → files that run, or are read, elsewhere: C source, plain arrays, or an ONNX graph."""
 
 from pathlib import Path
 from typing import Literal
@@ -8,20 +8,21 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.errors import RecipeError
 from l3cli.files import write_whole
 from l3cli.rendering.portable.folder import folder_files
+from l3cli.rendering.portable.onnx_model import onnx_files
 from l3cli.rendering.portable.source import Words, c_files
 from l3cli.stages.claims import Claims
 from l3cli.stages.console import Console
 from l3cli.stages.plan import Made, before_work
 
-Form = Literal["c", "folder"]
+Form = Literal["c", "folder", "onnx"]
 
 
 def export_table(
     table: Path, output: Path, form: Form, console: Console, *, words: Words | None = None, force: bool = False
 ) -> list[str]:
     """Write a transform table into a folder in one of the forms, C source with outputs in `words` (without: float32); the
-    names of the files. InputFileError if it is no table or beyond the form, RecipeError if words are given for another form,
-    L3Error if a file cannot be written."""
+    names of the files. InputFileError if it is no table or beyond the form, RecipeError if words are given for another form
+    or onnx is not installed, L3Error if a file cannot be written."""
     if words and form != "c":
         raise RecipeError("‹words› is for C source; leave it out")
     with Claims(console) as claims:
@@ -38,4 +39,6 @@ def export_table(
 
 
 def _files(table: TransformTable, form: Form, words: Words) -> dict[str, bytes]:
-    return c_files(table, words) if form == "c" else folder_files(table)
+    if form == "c":
+        return c_files(table, words)
+    return folder_files(table) if form == "folder" else onnx_files(table)

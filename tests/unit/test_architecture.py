@@ -66,6 +66,7 @@ DOORS = {
     "jinja2": ("report/",),
     "markupsafe": ("report/",),
     "colour_demosaicing": ("evaluation/",),
+    "onnx": ("rendering/portable/onnx_graph.py",),
 }
 LONGEST = 300  # lines of a module
 
