@@ -21,11 +21,13 @@ from numpy.typing import ArrayLike, NDArray
 from l3cli.artifacts.structure_rule import StructureRule
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes import direction
+from l3cli.errors import InputFileError
 from l3cli.frame import RawFrame
 from l3cli.rendering.portable.folder import folder_files
 from l3cli.rendering.portable.short_words import OUTPUT_FRACTION, OUTPUT_TOP, short_words
 from l3cli.rendering.portable.source import Words, c_files
-from l3cli.rendering.portable.wordlengths import in_words
+from l3cli.rendering.portable.vector import drawn_mosaic
+from l3cli.rendering.portable.wordlengths import SEED, SHAPE, in_words, short_cost
 from l3cli.rendering.reference import ReferenceRenderer
 from tests.helpers.tables import random_table, with_first, with_later, with_tree
 
@@ -169,6 +171,19 @@ def test_the_test_program_agrees_under_sanitizers(built: Built) -> None:
 
 
 @needs_compiler
+@pytest.mark.parametrize("built", [case for case in CASES if case[1] == "int16"], indirect=True, ids=", ".join)
+def test_short_words_cost_what_is_stated(built: Built) -> None:
+    table = built.table
+    frame = RawFrame("drawn", drawn_mosaic(table, SHAPE, SEED), table.black_level, table.white_level)
+    top = OUTPUT_TOP / 2**OUTPUT_FRACTION
+    exact = np.clip(ReferenceRenderer(table).exact_outputs(frame), -top, top)
+    made = np.ldexp(built.render(frame)[1].astype(float), -OUTPUT_FRACTION)
+    stated, _ = short_cost(table, short_words(table))
+    assert abs(-10 * np.log10(np.square(made - exact).mean()) - stated) < 0.1
+    assert f"words are {stated:.1f} dB below" in (built.folder / "README.md").read_text(encoding="utf-8")
+
+
+@needs_compiler
 def test_sizes_and_phases_that_cannot_be_are_refused(built: Built) -> None:
     rows, _ = built.table.cfa.shape
     for shape, phase in (((0, 9), (0, 0)), ((9, -1), (0, 0)), ((70_000, 9), (0, 0)), ((9, 9), (rows, 0)), ((9, 9), (0, -1))):
@@ -245,6 +260,14 @@ def test_words_are_the_nearest_that_fit() -> None:
     assert np.abs(words.whole).max() <= 127
     assert (np.abs(words.weights - weights) <= np.ldexp(0.5, -words.fraction.astype(int))[:, None, None]).all()
     assert set(in_words(weights, 8, "table").fraction.tolist()) == {7}
+
+
+def test_transforms_beyond_short_words_are_refused() -> None:
+    table = random_table([[0, 1], [1, 2]])
+    with pytest.raises(InputFileError, match="too large for words of 16 bits; export them as float32"):
+        short_words(with_first(table, weights=table.first.weights * 1e6))
+    zero = short_words(with_first(table, weights=table.first.weights * 0))
+    assert not zero.whole.any()
 
 
 @pytest.mark.parametrize("name", ["one layer, 2 × 3, 16 bits", "a tree, 6 × 6"])

@@ -68,7 +68,9 @@ def short_words(table: TransformTable) -> ShortWords:
     most = np.minimum(MOST_WEIGHT / (second + 1e-30), MOST_SUM * 2.0**split / (sums + 1e-30))
     fraction = np.minimum(MOST_FRACTION + split, np.floor(np.log2(most)))
     if fraction.min() < split:
-        raise InputFileError("transforms of the last layer are too large for words of 16 bits; export float32")
+        raise InputFileError(
+            "transforms of the last layer are too large for words of 16 bits; export them as float32 (‹words›)"
+        )
     scaled = weights * 2.0 ** fraction[..., None]
     whole = np.concatenate([_rounded(scaled[members], likeness) for members, likeness in _likenesses(table)])
     intercept = (intercept + black * weights.sum(axis=-1)) * 2.0 ** (fraction - split) - black * whole.sum(
