@@ -95,8 +95,9 @@ def table_arrays(table: TransformTable, short: ShortWords | None) -> tuple[list[
     for _, axis in further_features(rule):
         edges = axis.constants[direction.HEAD :].reshape(-1, rule.levels)
         arrays.append(Array("l3_direction_edges", edges, "strength edges (edge, level)"))
-        lines += ["/* sum, top, left, rows, columns, sign */", "const L3Window l3_windows[L3_WINDOWS] = {",
-                  *(f"{{{', '.join(map(str, window))}}}," for window in axis.windows), "};"]  # fmt: skip
+        windows = sorted(axis.windows, key=lambda window: (window.top, window.rows, window.sum))
+        lines += ["/* sum, top, left, rows, columns, sign */", "const L3Window l3_windows[L3_WINDOWS] = {"]
+        lines += [*(f"{{{', '.join(map(str, window))}}}," for window in windows), "};"]
     arrays += _last_words(table, short) if short else _last_floats(table)
     if table.later:
         more, layers = _layers(table)
