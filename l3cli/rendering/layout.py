@@ -173,24 +173,24 @@ class WholeWeights:
 
 def first_weights(table: TransformTable) -> Weights:
     """Of a table's only layer, per DN above black."""
-    taps = _by_column(table.first.weights, 1) / (table.white_level - table.black_level)
+    taps = by_column(table.first.weights, 1) / (table.white_level - table.black_level)
     return Weights(taps.astype(np.float32), table.first.intercept)
 
 
 def first_plane_weights(fixed: FixedPoint, bits: int) -> WholeWeights:
     """Of the first layer if another follows it; raw values lose `raw_middle`."""
     intercept = fixed.intercept + raw_middle(bits) * fixed.weights.sum(axis=-1, dtype=np.int64)
-    return WholeWeights(_by_column(fixed.weights, 1), intercept.astype(np.int32), fixed.fraction)
+    return WholeWeights(by_column(fixed.weights, 1), intercept.astype(np.int32), fixed.fraction)
 
 
 def later_plane_weights(fixed: FixedPoint) -> WholeWeights:
     """Of a layer that reads planes if another follows it."""
-    return WholeWeights(_by_column(fixed.weights, PLANES), fixed.intercept.astype(np.int32), fixed.fraction)
+    return WholeWeights(by_column(fixed.weights, PLANES), fixed.intercept.astype(np.int32), fixed.fraction)
 
 
 def later_weights(layer: PlaneLayer) -> Weights:
     """Of the last layer, if it reads planes, per step of a plane."""
-    return Weights((_by_column(layer.weights, PLANES) * PLANE_STEP).astype(np.float32), layer.intercept)
+    return Weights((by_column(layer.weights, PLANES) * PLANE_STEP).astype(np.float32), layer.intercept)
 
 
 def rule_arrays(table: TransformTable, rule: PlaneRule, variant: str) -> tuple[NDArray, ...]:
@@ -199,7 +199,7 @@ def rule_arrays(table: TransformTable, rule: PlaneRule, variant: str) -> tuple[N
     return (first_label_words(rule, table.first.rule), *rule_constants(rule, variant))
 
 
-def _by_column(weights: NDArray, planes: int) -> NDArray:
+def by_column(weights: NDArray, planes: int) -> NDArray:
     """(class, output, tap) from taps plane by plane, row by row, to taps column by column, row by row, plane by plane."""
     classes, outputs, taps = weights.shape
     side = math.isqrt(taps // planes)
