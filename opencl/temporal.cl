@@ -38,10 +38,22 @@ INLINE ints most_of(ints a, int b) {
 // Values as u.
 INLINE ints units(ints value, int spare) { return least_of(value, (1 << (16 - spare)) - 1) << spare; }
 
-// Means over a period, of STRIP blocks of a row of periods.
-__kernel void means(__global const ushort *restrict values, __global ushort *restrict plane, int spare, int block_columns) {
-    const int row = get_global_id(1), first = get_global_id(0) * STRIP, last = min(first + STRIP, block_columns);
-    const int columns = block_columns * BLOCK_COLUMNS;
+// Planes have MARGIN rows and columns about them that repeat their edge, and rows of SLACK columns more, so that windows, and
+// vectors that begin in one, may go beyond.
+INLINE int row_length(int columns) { return columns + 2 * MARGIN + SLACK; }
+
+INLINE void fill_margin(__global ushort *row, int columns, bool left, bool right) {
+    for (int x = 0; left && x < MARGIN; x++) row[x] = row[MARGIN];
+    for (int x = MARGIN + columns; right && x < row_length(columns); x++) row[x] = row[MARGIN + columns - 1];
+}
+
+// Means over a period, of STRIP blocks of a row of a plane, its margin included.
+__kernel void means(__global const ushort *restrict values, __global ushort *restrict plane, int spare, int rows,
+                    int block_columns) {
+    const int line = get_global_id(1), row = clamp(line - MARGIN, 0, rows - 1);
+    const int first = get_global_id(0) * STRIP, last = min(first + STRIP, block_columns);
+    const int columns = block_columns * BLOCK_COLUMNS, units_across = BLOCK_COLUMNS / PERIOD_COLUMNS;
+    plane += line * row_length(block_columns * units_across);
     for (int block = first; block < last; block++) {
         __global const ushort *corner = values + row * PERIOD_ROWS * columns + block * BLOCK_COLUMNS;
         int down[BLOCK_COLUMNS];
@@ -50,63 +62,54 @@ __kernel void means(__global const ushort *restrict values, __global ushort *res
             for (int y = 0; y < PERIOD_ROWS; y++) sum += units(READ(corner + y * columns + x), spare);
             WRITE_PRIVATE(down + x, sum);
         }
-        for (int i = 0; i < BLOCK_COLUMNS / PERIOD_COLUMNS; i++) {
+        for (int i = 0; i < units_across; i++) {
             int sum = PERIOD_SITES / 2;
             for (int x = 0; x < PERIOD_COLUMNS; x++) sum += down[i * PERIOD_COLUMNS + x];
-            plane[(row * block_columns + block) * (BLOCK_COLUMNS / PERIOD_COLUMNS) + i] = sum / PERIOD_SITES;
+            plane[MARGIN + block * units_across + i] = sum / PERIOD_SITES;
         }
     }
+    fill_margin(plane, block_columns * units_across, first == 0, last == block_columns);
 }
 
 // Means of two by two of a plane whose rows are `wide`.
-__kernel void halve(__global const ushort *restrict fine, __global ushort *restrict coarse, int wide, int columns) {
-    const int row = get_global_id(1), first = get_global_id(0) * STRIP, last = min(first + STRIP, columns);
-    __global const ushort *above = fine + 2 * row * wide, *below = above + wide;
+__kernel void halve(__global const ushort *restrict fine, __global ushort *restrict coarse, int wide, int rows, int columns) {
+    const int line = get_global_id(1), row = clamp(line - MARGIN, 0, rows - 1);
+    const int first = get_global_id(0) * STRIP, last = min(first + STRIP, columns);
+    __global const ushort *above = fine + (2 * row + MARGIN) * row_length(wide) + MARGIN, *below = above + row_length(wide);
+    coarse += line * row_length(columns);
     for (int column = first; column < last; column++) {
         const int left = 2 * column;
-        coarse[row * columns + column] = (above[left] + above[left + 1] + below[left] + below[left + 1] + 2) >> 2;
+        coarse[MARGIN + column] = (above[left] + above[left + 1] + below[left] + below[left + 1] + 2) >> 2;
     }
+    fill_margin(coarse, columns, first == 0, last == columns);
 }
 
 typedef struct {
-    __global const ushort *now, *before;
-    int2 size, first, window;  // rows and columns: of the planes; where the window begins, and its own
+    __global const ushort *now, *before;  // where the window begins
+    int2 window;                          // rows and columns
+    int length;                           // of the planes' rows
 } Search;
-
-INLINE int at(__global const ushort *plane, int2 size, int row, int column) {
-    return plane[clamp(row, 0, size.x - 1) * size.y + clamp(column, 0, size.y - 1)];
-}
 
 // The sum of differences; where it is not below `limit`, something that is not, either.
 INLINE int cost(const Search *s, int2 vector, int limit) {
-    const int2 from = s->first + vector, end = from + s->window, own_end = s->first + s->window;
-    const bool inside = min(min(from.x, from.y), min(s->first.x, s->first.y)) >= 0 &&
-                        max(end.x, own_end.x) <= s->size.x && max(end.y, own_end.y) <= s->size.y;
+    __global const ushort *now = s->now, *before = s->before + vector.x * s->length + vector.y;
     int sum = 0;
-    if (!inside) {
-        for (int y = 0; y < s->window.x && sum < limit; y++)
-            for (int x = 0; x < s->window.y; x++)
-                sum += abs_diff(at(s->now, s->size, s->first.x + y, s->first.y + x),
-                                at(s->before, s->size, from.x + y, from.y + x));
-        return sum;
-    }
-    __global const ushort *now = s->now + s->first.x * s->size.y + s->first.y;
-    __global const ushort *before = s->before + from.x * s->size.y + from.y;
-#if LANES > 1
-    if (s->window.y % 8 == 0) {
-        eight_ints sums = 0;
-        for (int y = 0; y < s->window.x; y++, now += s->size.y, before += s->size.y)
-            for (int x = 0; x < s->window.y; x += 8) {
-                const eight_ints a = CONVERT(LOAD_GLOBAL(eight_shorts, now + x), eight_ints);
-                const eight_ints b = CONVERT(LOAD_GLOBAL(eight_shorts, before + x), eight_ints);
-                sums += a > b ? a - b : b - a;
-            }
-        for (int i = 0; i < 8; i++) sum += sums[i];
-        return sum;
-    }
-#endif
-    for (int y = 0; y < s->window.x && sum < limit; y++, now += s->size.y, before += s->size.y)
+#if LANES == 1
+    for (int y = 0; y < s->window.x && sum < limit; y++, now += s->length, before += s->length)
         for (int x = 0; x < s->window.y; x++) sum += abs_diff((int)now[x], (int)before[x]);
+#else
+    const eight_ints lane = {0, 1, 2, 3, 4, 5, 6, 7};
+    eight_ints sums = 0;
+    for (int x = 0; x < s->window.y; x += 8) {
+        const eight_ints left = s->window.y - x, within = lane < left;  // all bits, or none
+        for (int y = 0; y < s->window.x; y++) {
+            const eight_ints a = CONVERT(LOAD_GLOBAL(eight_shorts, now + y * s->length + x), eight_ints);
+            const eight_ints b = CONVERT(LOAD_GLOBAL(eight_shorts, before + y * s->length + x), eight_ints);
+            sums += (a > b ? a - b : b - a) & within;
+        }
+    }
+    for (int i = 0; i < 8; i++) sum += sums[i];
+#endif
     return sum;
 }
 
@@ -122,7 +125,7 @@ INLINE Best better(const Search *s, Best best, int2 vector, int reluctance) {
     return best;
 }
 
-// The vector of every block at one level, of those of the coarser one; -D LEVEL would need a program each.
+// The vector of every block, in units of planes of one level, of those of the coarser one.
 __kernel void search(__global const ushort *restrict now, __global const ushort *restrict before,
                      __global const int2 *restrict parents, __global int2 *restrict vectors,
                      __global const int *restrict spread, int level, int coarsest, int2 size, int2 window, int root,
@@ -130,12 +133,15 @@ __kernel void search(__global const ushort *restrict now, __global const ushort 
     const int row = get_global_id(1), begin = get_global_id(0) * STRIP, last = min(begin + STRIP, block_columns);
     const int2 period = (int2)(PERIOD_ROWS, PERIOD_COLUMNS), unit = period << level;
     const int2 block = (int2)(BLOCK_ROWS, BLOCK_COLUMNS), frame = (int2)(block_rows, block_columns) * block;
+    const int length = row_length(size.y);
     for (int column = begin; column < last; column++) {
         const int2 corner = (int2)(row, column) * block, least = -(corner / unit), most = (frame - block - corner) / unit;
-        const Search s = {now, before, size, corner / unit - (window - block / unit) / 2, window};
+        const int2 first = corner / unit - (window - block / unit) / 2 + MARGIN;
+        const int from = first.x * length + first.y;
+        const Search s = {now + from, before + from, window, length};
         int sum = 0;
         for (int y = 0; y < window.x; y++)
-            for (int x = 0; x < window.y; x++) sum += at(now, size, s.first.x + y, s.first.y + x);
+            for (int x = 0; x < window.y; x++) sum += s.now[y * length + x];
         const int reluctance = spread[sum / (window.x * window.y) >> 8] * (5 * RELUCTANCE * root) >> (7 + level);
         Best best = {(int2)(0, 0), INT_MAX};
         best.cost = cost(&s, best.vector, INT_MAX);
@@ -143,11 +149,14 @@ __kernel void search(__global const ushort *restrict now, __global const ushort 
             const int2 places[5] = {(int2)(row, column), (int2)(max(row - 1, 0), column),
                                     (int2)(min(row + 1, block_rows - 1), column), (int2)(row, max(column - 1, 0)),
                                     (int2)(row, min(column + 1, block_columns - 1))};
+            const int least_cost = best.cost;
+            int2 tried = best.vector;
             for (int i = 0; i < 5; i++) {
-                const int2 parent = parents[places[i].x * block_columns + places[i].y] * 2;
-                best = better(&s, best, clamp(parent, least, most), reluctance);
+                const int2 parent = clamp(parents[places[i].x * block_columns + places[i].y] * 2, least, most);
+                if (any(parent != tried)) best = better(&s, best, parent, reluctance);
+                tried = parent;
             }
-            best.cost = cost(&s, best.vector, INT_MAX);
+            best.cost = all(best.vector == 0) ? least_cost : best.cost - reluctance;
         }
         const int2 start = best.vector;
         const int reach = coarsest ? FARTHEST : 1;

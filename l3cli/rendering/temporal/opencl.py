@@ -18,6 +18,7 @@ from l3cli.rendering.temporal.grid import Grid
 from l3cli.rendering.temporal.noise import LINEAR_FRACTION, UNEVEN_FRACTION, Kind, NoiseTerms, noise_of
 
 STRIPS = {"processor": 32, "graphics": 1}  # blocks, cells or periods of a work-item
+MARGIN, SLACK = 4, 8  # rows and columns about a plane, and columns behind it
 KERNELS = ("means", "halve", "search", "evidence", "weigh", "blend")
 
 
@@ -75,6 +76,8 @@ def _macros(period: tuple[int, ...]) -> layout.Macros:
         "SHARE_BITS": blend.ONE.bit_length() - 1,
         "LINEAR_FRACTION": LINEAR_FRACTION,
         "UNEVEN_FRACTION": UNEVEN_FRACTION,
+        "MARGIN": MARGIN,
+        "SLACK": SLACK,
         "RELUCTANCE": motion.RELUCTANCE,
         "FARTHEST": motion.FARTHEST,
         **{name: getattr(blend, name) for name in names},
@@ -93,7 +96,10 @@ class _Buffers:
         self.sizes = [(grid.shape[0] // grid.period[0], grid.shape[1] // grid.period[1])]
         while len(self.sizes) < grid.planes:
             self.sizes.append((self.sizes[-1][0] // 2, self.sizes[-1][1] // 2))
-        self.now, self.before = ([device.buffer(2 * rows * cols) for rows, cols in self.sizes] for _ in range(2))
+        self.now, self.before = (
+            [device.buffer(2 * (rows + 2 * MARGIN) * (cols + 2 * MARGIN + SLACK)) for rows, cols in self.sizes]
+            for _ in range(2)
+        )
         self.vectors = [device.buffer(8 * blocks) for _ in range(2)]
         self.found, self.weights = device.buffer(24 * cells), device.buffer(2 * cells)
         self.strips = grid.cells[0] * -(-grid.cells[1] // device.strip)
@@ -153,10 +159,11 @@ class OpenCLFilter:
             (buffers.raw, buffers.now, self._noise.spare),
             (buffers.kept[0], buffers.before, 0),
         ):
-            device.run("means", buffers.sizes[0][0], grid.blocks[1], source, planes[0], spare, grid.blocks[1])
+            rows = buffers.sizes[0][0]
+            device.run("means", rows + 2 * MARGIN, grid.blocks[1], source, planes[0], spare, rows, grid.blocks[1])
             for level in range(1, grid.planes):
-                size = buffers.sizes[level]
-                device.run("halve", *size, planes[level - 1], planes[level], buffers.sizes[level - 1][1], size[1])
+                (rows, columns), wide = buffers.sizes[level], buffers.sizes[level - 1][1]
+                device.run("halve", rows + 2 * MARGIN, columns, planes[level - 1], planes[level], wide, rows, columns)
         for level in reversed(range(grid.planes)):
             buffers.vectors.reverse()
             window = grid.window(level)
