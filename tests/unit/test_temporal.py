@@ -55,6 +55,7 @@ def test_kernels_agree_with_the_reference_on_every_value(cfa: ArrayLike, bits: i
         assert reference.kept is not None
         assert np.array_equal(reference.kept.values, kernels.kept())
         assert np.array_equal(ours.values, theirs.values)
+        assert ours.noise_share == theirs.noise_share
         weights.append(reference.kept.left.mean() / ONE)
     assert min(weights) < 0.7  # much was blended
     assert reference.vectors is not None

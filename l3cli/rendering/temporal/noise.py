@@ -15,6 +15,7 @@ from l3cli.frame import RawFrame
 
 DEEP = 16  # bits of a value
 LINEAR_FRACTION, UNEVEN_FRACTION = 8, 30  # bits behind the point of the linear and the quadratic term
+SHARES = (1.0, 0.5, 0.25)  # of a camera's noise, that classes are decided against
 LEVELS = 256  # of a period's mean, for which the noise of a difference is listed
 
 
@@ -51,6 +52,18 @@ def noise_of(camera: CameraModel, black_level: float, white_level: float, sites:
         uneven=round(uneven * 2**UNEVEN_FRACTION),
         spread=np.maximum(np.rint(np.sqrt(2 * variance / sites)), 1).astype(np.int32),
     )
+
+
+def share_left(camera: CameraModel, frame: RawFrame, left: float) -> float:
+    """The share of a camera's noise variance at a frame's mean level, what pixels always differ by included, if a share
+    `left` remains of what varies in time: the least of SHARES that is not below it."""
+    stretch = (camera.white_level - camera.black_level) / (frame.white_level - frame.black_level)
+    signal = max(float(frame.values.mean()) - frame.black_level, 0.0) * stretch
+    constant, linear, quadratic = camera.noise_terms()
+    fixed = camera.gain**2 * (camera.noise.dsnu**2 + camera.noise.column_noise**2) + quadratic * signal**2
+    whole = constant + (linear + quadratic * signal) * signal
+    share = (fixed + left * (whole - fixed)) / whole
+    return min((each for each in SHARES if each >= share), default=1.0)
 
 
 def to_units(values: NDArray[np.uint16], noise: NoiseTerms) -> NDArray[np.uint16]:

@@ -15,7 +15,7 @@ from l3cli.rendering.opencl_devices import choose_device, pyopencl, refusals
 from l3cli.rendering.opencl_programs import Compiler
 from l3cli.rendering.temporal import blend, motion
 from l3cli.rendering.temporal.grid import Grid
-from l3cli.rendering.temporal.noise import LINEAR_FRACTION, UNEVEN_FRACTION, Kind, NoiseTerms, noise_of
+from l3cli.rendering.temporal.noise import LINEAR_FRACTION, UNEVEN_FRACTION, Kind, NoiseTerms, noise_of, share_left
 
 STRIPS = {"processor": 32, "graphics": 1}  # blocks, cells or periods of a work-item
 MARGIN, SLACK = 4, 8  # rows and columns about a plane, and columns behind it
@@ -106,6 +106,7 @@ class _Buffers:
         self.cuts = device.buffer(4 * self.strips)
         read_only = flags.READ_ONLY | flags.COPY_HOST_PTR
         self.spread = pyopencl().Buffer(device.context, read_only, hostbuf=noise.spread)
+        self.host_left = np.empty(grid.cells, np.uint16)
         self.host = np.empty(grid.shape, np.uint16)
 
 
@@ -133,12 +134,15 @@ class OpenCLFilter:
                 "blend", *grid.blocks, buffers.raw, buffers.kept[0], buffers.vectors[0], buffers.left[0], buffers.weights,
                 buffers.cuts, buffers.kept[1], buffers.left[1], buffers.made, *levels,
             )  # fmt: skip
+            cl.enqueue_copy(device.queue, buffers.host_left, buffers.left[1], is_blocking=False)
             cl.enqueue_copy(device.queue, buffers.host, buffers.made)
             device.compiler.keep()
             for pair in (buffers.kept, buffers.left):
                 pair.reverse()
             rows, cols = frame.values.shape
-            return replace(frame, values=buffers.host[:rows, :cols].copy())
+            left = int(buffers.host_left.sum(dtype=np.int64)) / (buffers.host_left.size * blend.ONE)
+            made = buffers.host[:rows, :cols].copy()
+            return replace(frame, values=made, noise_share=share_left(self._camera, frame, left))
 
     def kept(self) -> NDArray[np.uint16]:
         """What is kept of the frames so far, u (row, col)."""

@@ -5,10 +5,10 @@ from dataclasses import replace
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.frame import RawFrame
-from l3cli.rendering.temporal.blend import Blend, blended, first_blend
+from l3cli.rendering.temporal.blend import ONE, Blend, blended, first_blend
 from l3cli.rendering.temporal.grid import Grid
 from l3cli.rendering.temporal.motion import Vectors, planes_of, vectors_of
-from l3cli.rendering.temporal.noise import Kind, noise_of, of_units, to_units
+from l3cli.rendering.temporal.noise import Kind, noise_of, of_units, share_left, to_units
 
 
 class ReferenceFilter:
@@ -32,7 +32,9 @@ class ReferenceFilter:
             self.vectors = vectors_of(planes_of(values, grid), planes_of(self.kept.values, grid), grid, noise)
             self.kept = blended(values, self.kept, self.vectors, grid, noise)
         rows, cols = frame.values.shape
-        return replace(frame, values=of_units(self.kept.values[:rows, :cols], noise))
+        made = of_units(self.kept.values[:rows, :cols], noise)
+        share = share_left(self._camera, frame, int(self.kept.left.sum()) / (self.kept.left.size * ONE))
+        return replace(frame, values=made, noise_share=share)
 
 
 def reference_filters(period: tuple[int, ...], camera: CameraModel) -> Callable[[], ReferenceFilter]:
