@@ -136,7 +136,6 @@ class OpenCLFilter:
             )  # fmt: skip
             cl.enqueue_copy(device.queue, buffers.host_left, buffers.left[1], is_blocking=False)
             cl.enqueue_copy(device.queue, buffers.host, buffers.made)
-            device.compiler.keep()
             for pair in (buffers.kept, buffers.left):
                 pair.reverse()
             rows, cols = frame.values.shape
@@ -198,4 +197,9 @@ def opencl_filters(
 ) -> Callable[[], OpenCLFilter]:
     """What makes filters on a device, as OpenCLRenderer chooses it; they share its kernels, and a thread."""
     chosen = Device(period, device, variant)
+    # PoCL compiles kernels when they run: now, since a renderer in another thread may compile when the first frame comes.
+    first, tiny = OpenCLFilter(chosen, period, camera), Grid.of((1, 1), period).shape
+    for _ in range(2):
+        first.filtered(RawFrame("none", np.zeros(tiny, np.uint16), camera.black_level, camera.white_level))
+    chosen.compiler.keep()
     return lambda: OpenCLFilter(chosen, period, camera)
