@@ -173,7 +173,7 @@ INLINE int left_before(__global const ushort *left, int2 cell, int2 vector, int 
     return left[place.x * cell_columns + place.y];
 }
 
-// Of every cell the power of its residuals, that of their sum, and what noise makes of each.
+// Of every cell the power of its residuals, their sum, and what noise makes of the power of either.
 __kernel void evidence(__global const ushort *restrict raw, __global const ushort *restrict kept,
                        __global const int2 *restrict vectors, __global const ushort *restrict left,
                        __global ulong *restrict found, int spare, int black, int linear, int base, ulong fixed,
@@ -216,16 +216,19 @@ __kernel void evidence(__global const ushort *restrict raw, __global const ushor
                 variance = variance * (ONE + left_before(left, cell, vector, cell_columns)) / ONE;
                 if (vector.x || vector.y) variance += 2 * SITES * (fixed + (level * level * uneven >> UNEVEN_FRACTION));
                 __global ulong *own = found + 3 * (cell.x * cell_columns + cell.y);
-                own[0] = power, own[1] = sum * sum, own[2] = variance;
+                own[0] = power, own[1] = (ulong)sum, own[2] = variance;
             }
         }
     }
 }
 
 // Evidence of three cells, one below the other, as far as there are.
-INLINE ulong3 down(__global const ulong *found, int above, int below, int column, int cell_columns) {
-    ulong3 sum = 0;
-    for (int row = above; row <= below; row++) sum += vload3(row * cell_columns + column, found);
+INLINE ulong4 down(__global const ulong *found, int above, int below, int column, int cell_columns) {
+    ulong4 sum = 0;
+    for (int row = above; row <= below; row++) {
+        const ulong3 cell = vload3(row * cell_columns + column, found);
+        sum += (ulong4)(cell.x, cell.y * cell.y, cell.y, cell.z);  // of a sum below zero, too, the product is right
+    }
     return sum;
 }
 
@@ -236,16 +239,18 @@ __kernel void weigh(__global const ulong *restrict found, __global const int2 *r
     const int row = get_global_id(1), begin = get_global_id(0) * STRIP, last = min(begin + STRIP, cell_columns);
     int others = 0;
     const int above = max(row - 1, 0), below = min(row + 1, cell_rows - 1);
-    ulong3 left_side = 0, middle = 0, right_side = begin ? down(found, above, below, begin - 1, cell_columns) : (ulong3)(0);
+    ulong4 left_side = 0, middle = 0, right_side = begin ? down(found, above, below, begin - 1, cell_columns) : (ulong4)(0);
     for (int column = begin - 1; column < last; column++) {
         left_side = middle, middle = right_side;
-        right_side = column + 1 < cell_columns ? down(found, above, below, column + 1, cell_columns) : (ulong3)(0);
+        right_side = column + 1 < cell_columns ? down(found, above, below, column + 1, cell_columns) : (ulong4)(0);
         if (column < begin) continue;
-        const ulong3 around = left_side + middle + right_side;
-        const ulong power = around.x, mean = around.y, variance = around.z;
+        const ulong4 around = left_side + middle + right_side;
+        const ulong power = around.x, mean = around.y, wide = around.z * around.z, variance = around.w;
         const int powers = min(power * ONE / variance, (ulong)MOST), means = min(mean * ONE / variance, (ulong)MOST);
+        const int wides = min(wide * ONE / variance, (ulong)MOST);
         others += powers > CUT;
-        const int beyond = max(powers - POWER_FREE, 0) * POWER_FACTOR + max(means - MEAN_FREE, 0) * MEAN_FACTOR;
+        const int beyond = max(powers - POWER_FREE, 0) * POWER_FACTOR + max(means - MEAN_FREE, 0) * MEAN_FACTOR +
+                           max(wides - WIDE_FREE, 0) * WIDE_FACTOR;
         const int block = row / CELL_DOWN * (cell_columns / CELL_ACROSS) + column / CELL_ACROSS;
         const int2 vector = vectors[block] * (int2)(PERIOD_ROWS, PERIOD_COLUMNS);
         const int prior = left_before(left, (int2)(row, column), vector, cell_columns) + beyond;

@@ -23,6 +23,7 @@ POWER_FREE, POWER_FACTOR = (
 )  # the residuals' power, relative to noise: what is let pass, and the factor beyond
 MEAN_FREE, MEAN_FACTOR = ONE * 2, 1  # the same of the power of a cell's mean
 CLIPPED = (1 << 14) - 1  # u, of a residual that is weighed: sums of squares then fit a kernel's 32 bits
+WIDE_FREE, WIDE_FACTOR = ONE * 6, 1  # and of the sum of all cells about it
 MOST = 64 * ONE  # of residuals, relative to noise
 CUT = 8 * ONE  # residuals' power from which on a cell is of another scene
 FEW = 2  # a frame of which one cell in so many is of another scene restarts the filter
@@ -49,11 +50,12 @@ def blended(values: NDArray[np.uint16], before: Blend, vectors: Vectors, grid: G
     kept = before.values[rows + of_pixel[..., 0], cols + of_pixel[..., 1]].astype(np.int64)
     residual = values - kept
     left = _moved_left(before.left, vectors, grid)
-    power, mean, expected = _evidence(values, residual, left, vectors, grid, noise)
-    power, mean = (np.minimum(each * ONE // expected, MOST) for each in (power, mean))
+    power, mean, wide, expected = _evidence(values, residual, left, vectors, grid, noise)
+    power, mean, wide = (np.minimum(each * ONE // expected, MOST) for each in (power, mean, wide))
     if np.count_nonzero(power > CUT) * FEW > power.size:
         return first_blend(values, grid)
     beyond = np.maximum(power - POWER_FREE, 0) * POWER_FACTOR + np.maximum(mean - MEAN_FREE, 0) * MEAN_FACTOR
+    beyond += np.maximum(wide - WIDE_FREE, 0) * WIDE_FACTOR
     prior = left + beyond
     weight = np.maximum(ONE * prior // (ONE + prior), LEAST_WEIGHT)
     left = np.minimum(((ONE - weight) ** 2 * left + weight**2 * ONE) // ONE**2 + 1, ONE)
@@ -79,8 +81,9 @@ def _by_cell(of_block: NDArray, grid: Grid) -> NDArray:
 
 def _evidence(
     values: NDArray[np.uint16], residual: Cells, left: Cells, vectors: Vectors, grid: Grid, noise: NoiseTerms
-) -> tuple[Cells, Cells, Cells]:
-    """Of three by three cells about each: power of the residuals, power of the cells' sums, and what noise makes of each."""
+) -> tuple[Cells, Cells, Cells, Cells]:
+    """Of three by three cells about each: power of the residuals, of each cell's sum, of the sum of all, and what noise
+    makes of any of them."""
     signal = np.maximum(_sums(values.astype(np.int64), grid) - grid.sites * noise.black, 0)
     variance = (signal * noise.linear >> LINEAR_FRACTION) + grid.sites * noise.constant
     level = signal // grid.sites
@@ -88,7 +91,7 @@ def _evidence(
     variance = variance * (ONE + left) // ONE + np.where(_by_cell((vectors != 0).any(axis=2), grid), fixed, 0)
     clipped = np.clip(residual, -CLIPPED, CLIPPED)
     sums = _sums(clipped, grid)
-    return _nearby(_sums(clipped * clipped, grid)), _nearby(sums * sums), _nearby(variance)
+    return _nearby(_sums(clipped * clipped, grid)), _nearby(sums * sums), _nearby(sums) ** 2, _nearby(variance)
 
 
 def _sums(values: Cells, grid: Grid) -> Cells:

@@ -61,6 +61,8 @@ def _macros(period: tuple[int, ...]) -> layout.Macros:
         "POWER_FACTOR",
         "MEAN_FREE",
         "MEAN_FACTOR",
+        "WIDE_FREE",
+        "WIDE_FACTOR",
         "CLIPPED",
         "MOST",
         "CUT",
