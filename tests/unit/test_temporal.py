@@ -152,3 +152,18 @@ def test_what_nothing_depends_on_is_not_needed(wanted: set[int]) -> None:
 def test_a_table_without_its_camera_is_refused() -> None:
     with pytest.raises(RecipeError, match="train the table again"):
         filters("reference", random_table(BAYER))
+
+
+def test_a_faint_edge_leaves_little_behind() -> None:
+    """A plain area that is brighter by 0.6 standard deviations of the noise, and uncovers 3 pixels a frame."""
+    camera = random_camera(BAYER, 3, 12, BLACK)
+    left = []
+    for seed in range(3):
+        rng, filtered = np.random.default_rng(seed), ReferenceFilter((2, 2), camera)
+        for number in range(14):
+            light = np.full((48, 128), 260.0)
+            light[:, 3 * number + 20 :] += 10.4
+            made = filtered.filtered(exposed(rng, light, camera.gain, 12))
+        behind = made.values[:, 3 * 13 + 20 - 12 : 3 * 13 + 20]
+        left.append((behind.mean() - BLACK) / camera.gain - 260)
+    assert np.mean(left) / 10.4 < 0.2
