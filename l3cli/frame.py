@@ -39,6 +39,7 @@ class RawFrame:
     taken_by: tuple[str, ...] = ()  # make, model and other names of the camera, where the file has them
     shot: Shot = Shot()
     shading: Shading | None = None  # what the lens takes, which is still in the values
+    noise_share: float = 1.0  # of its camera's noise variance that it has: less where a filter in time has taken some out
     notes: tuple[str, ...] = ()  # what the file wants done to it, and nobody does
 
     def __post_init__(self) -> None:

@@ -175,6 +175,9 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
     metavar="BYTES",
     help="Bytes from row to row [default: no padding].",
 )
+@click.option(
+    "--temporal", is_flag=True, help="Frames follow one another in time: blend each with what is not noise of those before."
+)
 @click.option("--skip-bad", is_flag=True, help="Leave out missing and broken frames; exit code 1 if there were any.")
 @click.option("--resume", is_flag=True, help="Continue a sequence of pictures where a run was stopped.")
 @options.scheduler
@@ -189,7 +192,8 @@ def render(
     bits: str, black_level: float | None, white_level: float | None, exposure_time: float | None, dark: tuple[Path, ...],
     camera: Path | None, hot: str,
     phase: tuple[int, int] | None, size: tuple[int, int] | None, packing: str | None,
-    stride: int | None, skip_bad: bool, resume: bool, scheduler: "Scheduler | None", force: bool, console: "Console",
+    stride: int | None, temporal: bool, skip_bad: bool, resume: bool, scheduler: "Scheduler | None", force: bool,
+    console: "Console",
 ) -> int:  # fmt: skip
     """Render INPUT through TABLE.h5: files (DNG, camera raw, one-channel TIFF, PNG or PGM, FITS, .npy, headerless .raw,
     .bin, .raw10 or .raw12), or a sequence: a folder, a pattern (a_%04d.tif, a_####.tif), a quoted glob, a stack (.npy, HDF5,
@@ -217,6 +221,6 @@ def render(
         frames=frames, dataset=dataset, known=known, dark=dark, camera=camera, hot=hot == "auto", exposure=exposure,
         white=white, space=space, remosaic=remosaic, backend=backend, device=device, variant=variant, skip_bad=skip_bad,
         resume=resume,
-        scheduler=scheduler, force=force,
+        scheduler=scheduler, force=force, temporal=temporal,
     )  # fmt: skip
     return 1 if left_out else 0

@@ -147,21 +147,21 @@ def _renderer(
     """The table and what renders through it, made once a worker."""
     from l3cli.artifacts.store import load
     from l3cli.artifacts.table import TransformTable
-    from l3cli.rendering.renderer import make_renderer
+    from l3cli.rendering.quiet import quiet_renderer
 
     require_same(path, digest)
     table = load(TransformTable, path)
-    return table, make_renderer(backend, table, **dict(engine))
+    return table, quiet_renderer(backend, table, **dict(engine))
 
 
 @contextlib.contextmanager
 def executor_of(setup: RenderSetup, table: "TransformTable", scheduler: "Scheduler | None") -> "Iterator[Local | Remote]":
     """Who renders: this process, or the workers of a scheduler."""
     from l3cli.parallel import workers
-    from l3cli.rendering.renderer import make_renderer
+    from l3cli.rendering.quiet import quiet_renderer
 
     if scheduler is None:
-        yield Local(make_renderer(setup.backend, table, **setup.engine), setup)
+        yield Local(quiet_renderer(setup.backend, table, **setup.engine), setup)
     else:
         with workers(1, scheduler) as crew:
             known, correction = replace(setup.known, dark=None, correction=None), setup.known.correction
