@@ -89,7 +89,12 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
         const int y = y0 + k - 2 * RADIUS;
         const size_t at = (size_t)y * columns + x0;
         for (int x = 0; x < width; x++) label[x] = labels[at + x];
-        for (int x = 0; x < width; x += LANES) apply(planes, ring + (k - 2 * RADIUS) * SOURCES, label, weights, x);
+        __global const SOURCE *next = source + (size_t)row_source[min(y0 + k + 1, y1 + 2 * RADIUS - 1)] * columns + x0;
+        for (int x = 0; x < width; x += LANES) {
+            for (int s = 0; s < SOURCES; s++) FETCH(next + s * stride + x);
+            FETCH(labels + at + columns + x);
+            apply(planes, ring + (k - 2 * RADIUS) * SOURCES, label, weights, x);
+        }
 #ifdef SHADED
         even_row(planes, gain + (size_t)y * GAIN_NODES(columns), x0, width);
 #endif
