@@ -75,15 +75,14 @@ class Work:
         self._mapped.append((queue, mapped.base))
         self.add("download", event)
 
-    def end(self) -> dict[str, float]:
-        """`milliseconds`, after the last of the work."""
+    def end(self) -> None:
+        """Wait for the last of the work."""
         for event in self.events["download"]:
             event.wait()
         while self._mapped:
             queue, mapping = self._mapped.pop()
             mapping.release(queue)
         self._queues.clear()
-        return self.milliseconds()
 
     def add(self, stage: str, event: Any) -> None:
         self.events[stage].append(event)
