@@ -63,7 +63,6 @@ class OpenCLRenderer:
             self._tracks = deque(Track(self._context, len(table.later)) for _ in range(TRACKS))
             self._frame_bands: tuple[tuple[int, ...], tuple[Band, ...]] | None = None
             self._held: Held | None = None
-            self._typed: set[Any] = set()  # kernels
             self._in_place = shares_memory(self.device)
             self._shading = DeviceShading(self._kernel, self._constant, self._cut.lanes)
 
@@ -261,11 +260,7 @@ class OpenCLRenderer:
         rows, columns = shape
         cut = cut or self._cut
         grid = (-(-columns // cut.tile) * cut.group[0], -(-rows // cut.band) * cut.group[1])
-        arguments = (*arguments, np.int32(rows), np.int32(columns))
-        if kernel not in self._typed:  # of kernels that state them pyopencl need not find out all types in every frame
-            kernel.set_scalar_arg_dtypes([type(each) if isinstance(each, np.generic) else None for each in arguments])
-            self._typed.add(kernel)
-        return kernel(track.queue, grid, cut.group, *arguments)
+        return track.run(kernel, grid, cut.group, *arguments, np.int32(rows), np.int32(columns))
 
     def _kernel(self, source: str, macros: layout.Macros, name: str) -> Any:
         """A kernel of a program of its own."""
