@@ -68,7 +68,7 @@ INLINE void part_outputs(totals output[4], totals folded[SUMS][LANES / 4]) {
 // LANES pixels from x on: plane o → made[o].
 INLINE void apply(totals *made, const tap *patches, const uint *label, __global const tap *weights, int x) {
     totals folded[SUMS][LANES / 4], output[4];
-    #pragma unroll
+    #pragma nounroll  // as fast, and compiled in half the time
     for (int n = 0; n < LANES / 2; n += 2) {
         totals pair[2][SUMS];
         #pragma unroll

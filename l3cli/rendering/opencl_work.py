@@ -28,8 +28,8 @@ class Track:
         self._typed: set[Any] = set()  # kernels
 
     def run(self, kernel: Any, grid: tuple[int, ...], group: tuple[int, ...], *arguments: Any) -> Any:
-        """Enqueue a kernel. Its types are stated once: pyopencl would find them out anew each time, which takes longer than all
-        else before a frame's first kernel."""
+        """Enqueue a kernel. Its types are stated once: pyopencl would find them out anew each time, which takes longer than
+        all else before a frame's first kernel."""
         if kernel not in self._typed:
             kernel.set_scalar_arg_dtypes([type(each) if isinstance(each, np.generic) else None for each in arguments])
             self._typed.add(kernel)
