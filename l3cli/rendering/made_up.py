@@ -5,10 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.class_rule import ClassRule
+from l3cli.artifacts.class_rule import Axis, ClassRule, FurtherFeatures
 from l3cli.artifacts.layers import PLANE_STEP, MosaicLayer, PlaneLayer
 from l3cli.artifacts.structure_rule import StructureRule
 from l3cli.artifacts.table import TransformTable
+from l3cli.classes import direction
 from l3cli.classes.chroma import CHROMA_FRACTION, chroma_weights
 from l3cli.classes.level import LEVEL_FRACTION
 from l3cli.classes.structure import NOISE_TRACE, SIGMA
@@ -36,7 +37,7 @@ CFAS = {
 CLASSES = {"fast": (10, 1), "single": (20, 8), "default": (10, 9)}  # levels and chromas of recipes in configs/classes
 SIDE = 5  # of the windows of the second layer …
 TWO_LAYERS = ("default",)  # … that these have
-STRENGTHS, COHERENCE = (1.7, 8.0), 31  # as configs/classes/default.toml has them
+STRENGTHS, COHERENCE, DIRECTED = (1.7, 8.0), 31, 2.0  # as configs/classes/default.toml has them
 BITS, BLACK_LEVEL, WHITE_LEVEL, CASE_COUNT = 12, 109, 4095, 10
 
 
@@ -65,6 +66,7 @@ def made_up_table(case: Case, rng: np.random.Generator) -> TransformTable:
         case_of_code=case_of_code,
         chroma_black_level=BLACK_LEVEL * 2**CHROMA_FRACTION,
         chroma_weights=chroma_weights(centres),
+        features=FurtherFeatures.of((_directions(case, levels),)) if two_layers else None,
     )
     classes = cfa.size * rule.classes_per_site
     weights = rng.standard_normal((classes, case.outputs, case.patch**2)) / case.patch
@@ -92,6 +94,16 @@ def made_up_table(case: Case, rng: np.random.Generator) -> TransformTable:
         ),
         later=(_second_layer(rule, cfa.size, case.outputs, levels, rng),) if two_layers else (),
     )
+
+
+def _directions(case: Case, level_edges: NDArray[np.float64]) -> Axis:
+    """The directions of the recipe `default` before a second layer."""
+    period = max(CFAS[case.cfa].shape)
+    span = case.patch - period
+    noise = np.sqrt(2 * period**2 * _variance(np.append(level_edges, WHITE_LEVEL)))  # DN, of a difference of two boxes
+    constants = [direction.SCALE, direction.SCALE, 4, 1, 0, *np.rint(DIRECTED * direction.SCALE * noise).tolist()]
+    windows = direction.boxes(case.patch, period, direction.inner_span(span))
+    return Axis("direction", 5, windows, np.array(constants, np.int32))
 
 
 def _second_layer(
