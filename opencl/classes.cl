@@ -28,10 +28,18 @@ void classes(__global const ushort *restrict raw,                // (row, col) D
     for (int i = 0; i < CHANNELS * SPAN; i++) near.square[0][i] = 0;
     for (int i = 0; i < SPREAD * SPAN; i++) near.saturated[0][i] = 0;
     for (int i = 0; i < CHANNELS * SPAN; i++) runs.sum[0][i] = runs.square[0][i] = 0;
+#ifdef BOX_ROWS
+    Boxes around;
+    for (int i = 0; i < SPAN + 16; i++) around.down[i] = 0;
+    for (int i = 0; i < PATCH * SPAN; i++) around.sum[0][i] = 0;
+#endif
     for (int k = 0; k < y1 - y0 + 2 * RADIUS; k++) {
         // The slot after the newest holds the row that leaves; while the first patch fills it holds zeros.
         ushort *entering = ring[k % (PATCH + 1)], *leaving = ring[(k + 1) % (PATCH + 1)];
         ingest(entering, raw + (size_t)row_source[y0 + k] * columns, column_source, x0, columns);
+#ifdef BOX_ROWS
+        add_boxes(&around, ring, k, span);
+#endif
         const int row_phase = PADDED_PHASE(y0 + k, phase_row, CFA_ROWS);
         const int leaving_phase = PADDED_PHASE(y0 + k + (CFA_ROWS - 1) * PATCH, phase_row, CFA_ROWS);
         slide(&near, entering, member + row_phase * PERIOD, leaving, member + leaving_phase * PERIOD, padded_phase, span);
@@ -57,7 +65,7 @@ void classes(__global const ushort *restrict raw,                // (row, col) D
             }
 #ifdef EACH_WINDOW
 #define ADD_WINDOW(s, top, left, rows, columns, sign) \
-    evidence.window_sum[s] = evidence.window_sum[s] sign window_sum(ring, k - 2 * RADIUS, top, left, rows, columns, x);
+    evidence.window_sum[s] = evidence.window_sum[s] sign WINDOW_SUM(top, left, rows, columns);
             EACH_WINDOW(ADD_WINDOW)
 #endif
             const shorts code = patch_saturated(&runs, x);

@@ -108,7 +108,49 @@ INLINE uints patch_square(const Runs *runs, const Columns *columns, int c, int p
     return total;
 }
 
-#ifdef EACH_WINDOW
+#if defined(BOX_ROWS)  // windows of further features that are all of one size: sums over each box of it are formed once
+#if BOX_ROWS * BOX_COLUMNS <= 16  // 16 · 4095 fits 16 bits
+typedef ushort box;
+typedef full_shorts boxes;
+typedef full_shorts_unaligned some_boxes;
+#define BOXED(p) (LOAD_PRIVATE(full_shorts, p) >> SHIFT)
+#define BOX_SUMS(p) CONVERT(LOAD_PRIVATE(shorts, p), ints)
+#else
+typedef uint box;
+typedef uints boxes;
+typedef uints_unaligned some_boxes;
+#define BOXED(p) CONVERT(LOAD_PRIVATE(shorts, p) >> SHIFT, uints)
+#define BOX_SUMS(p) SAME_BITS(LOAD_PRIVATE(uints, p), ints)
+#endif
+#define BOX_LANES (int)(sizeof(boxes) / sizeof(box))
+
+typedef struct {
+    box sum[PATCH][SPAN];   // of boxes whose first column is p; those with padded row k - y0 at the bottom in slot (k - y0) % PATCH
+    box down[SPAN + 16];    // one column of the newest
+} Boxes;
+
+// The boxes whose last row is k, the newest in the ring.
+INLINE void add_boxes(Boxes *around, ushort ring[PATCH + 1][SPAN], int k, int span) {
+    for (int p = 0; p < span; p += BOX_LANES) {
+        boxes sum = BOXED(ring[k % (PATCH + 1)] + p);
+        #pragma unroll
+        for (int j = 1; j < BOX_ROWS; j++) sum += BOXED(ring[(k + PATCH + 1 - j) % (PATCH + 1)] + p);
+        *(some_boxes *)(around->down + p) = sum;
+    }
+    for (int p = 0; p < span; p += BOX_LANES) {
+        boxes sum = *(const some_boxes *)(around->down + p);
+        #pragma unroll
+        for (int i = 1; i < BOX_COLUMNS; i++) sum += *(const some_boxes *)(around->down + p + i);
+        *(some_boxes *)(around->sum[k % PATCH] + p) = sum;
+    }
+}
+
+// Values of a window of the patches whose first column is p and whose first row is padded row `first`.
+INLINE ints window_sum(const Boxes *around, int first, int top, int left, int p) {
+    return BOX_SUMS(around->sum[(first + top + BOX_ROWS - 1) % PATCH] + p + left);
+}
+#define WINDOW_SUM(top, left, rows, columns) window_sum(&around, k - 2 * RADIUS, top, left, x)
+#elif defined(EACH_WINDOW)
 // Values of a window of those patches, whose rows lie in the ring from slot `first` on. A row's sum fits 16 bits.
 INLINE ints window_sum(ushort ring[PATCH + 1][SPAN], int first, int top, int left, int rows, int columns, int p) {
     ints total = (ints)0;
@@ -121,6 +163,7 @@ INLINE ints window_sum(ushort ring[PATCH + 1][SPAN], int first, int top, int lef
     }
     return total;
 }
+#define WINDOW_SUM(top, left, rows, columns) window_sum(ring, k - 2 * RADIUS, top, left, rows, columns, x)
 #endif
 
 // Channels saturated near the centres of those patches, one bit a channel.
