@@ -14,8 +14,8 @@ def snippets(rule: ClassRule) -> tuple[str, ...]:
 
 def joined(rule: ClassRule) -> str:
     """The further features as rule.cl asks for them: FURTHER values together, from WINDOW_SUMS sums over the windows that
-    EACH_WINDOW names, by `further_of`. Values past the end of an axis are its last. BOX_ROWS and BOX_COLUMNS: their size, where
-    all windows have the same."""
+    EACH_WINDOW names, by `further_of`. Values past the end of an axis are its last. BOX_ROWS and BOX_COLUMNS: the size of
+    all windows, where it is the same."""
     windows, values = [], []
     sums = constants = 0
     for axis in rule.axes:
