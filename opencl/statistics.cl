@@ -108,48 +108,38 @@ INLINE uints patch_square(const Runs *runs, const Columns *columns, int c, int p
     return total;
 }
 
-#if defined(BOX_ROWS)  // windows of further features that are all of one size: sums over each box of it are formed once
-#if BOX_ROWS * BOX_COLUMNS <= 16  // 16 · 4095 fits 16 bits
+#ifdef BOX_ROWS
+// Windows of one size are shared by many pixels: what each row adds is added up once, over the windows that end with it.
+#if BOX_ROWS * BOX_COLUMNS <= 16  // 12-bit values
 typedef ushort box;
-typedef full_shorts boxes;
-typedef full_shorts_unaligned some_boxes;
-#define BOXED(p) (LOAD_PRIVATE(full_shorts, p) >> SHIFT)
-#define BOX_SUMS(p) CONVERT(LOAD_PRIVATE(shorts, p), ints)
+#define LOAD_BOX(p) CONVERT(LOAD_PRIVATE(shorts, p), ints)
+#define BOX_OF(total) CONVERT(total, shorts)
+#define STORE_BOX(p) STORE_PRIVATE(shorts, p)
 #else
 typedef uint box;
-typedef uints boxes;
-typedef uints_unaligned some_boxes;
-#define BOXED(p) CONVERT(LOAD_PRIVATE(shorts, p) >> SHIFT, uints)
-#define BOX_SUMS(p) SAME_BITS(LOAD_PRIVATE(uints, p), ints)
+#define LOAD_BOX(p) SAME_BITS(LOAD_PRIVATE(uints, p), ints)
+#define BOX_OF(total) (total)
+#define STORE_BOX(p) STORE_PRIVATE(uints, p)
 #endif
-#define BOX_LANES (int)(sizeof(boxes) / sizeof(box))
 
-typedef struct {
-    box sum[PATCH][SPAN];   // of boxes whose first column is p; those with padded row k - y0 at the bottom in slot (k - y0) % PATCH
-    box down[SPAN + 16];    // one column of the newest
-} Boxes;
-
-// The boxes whose last row is k, the newest in the ring.
-INLINE void add_boxes(Boxes *around, ushort ring[PATCH + 1][SPAN], int k, int span) {
-    for (int p = 0; p < span; p += BOX_LANES) {
-        boxes sum = BOXED(ring[k % (PATCH + 1)] + p);
+// Sums over the boxes whose last row is in slot `newest` of the ring and whose first column is p → boxes[p].
+INLINE void add_boxes(box *boxes, ushort ring[PATCH + 1][SPAN], int newest, int span) {
+    ushort down[SPAN];
+    for (int p = 0; p < span; p += 2 * LANES) {
+        full_shorts sum = 0;
         #pragma unroll
-        for (int j = 1; j < BOX_ROWS; j++) sum += BOXED(ring[(k + PATCH + 1 - j) % (PATCH + 1)] + p);
-        *(some_boxes *)(around->down + p) = sum;
+        for (int j = 0; j < BOX_ROWS; j++)
+            sum += LOAD_PRIVATE(full_shorts, ring[(newest + PATCH + 1 - j) % (PATCH + 1)] + p) >> SHIFT;
+        STORE_PRIVATE(full_shorts, down + p) = sum;
     }
-    for (int p = 0; p < span; p += BOX_LANES) {
-        boxes sum = *(const some_boxes *)(around->down + p);
+    for (int p = span; p < SPAN; p++) down[p] = 0;
+    for (int p = 0; p < span; p += LANES) {
+        uints total = 0;
         #pragma unroll
-        for (int i = 1; i < BOX_COLUMNS; i++) sum += *(const some_boxes *)(around->down + p + i);
-        *(some_boxes *)(around->sum[k % PATCH] + p) = sum;
+        for (int i = 0; i < BOX_COLUMNS; i++) total += CONVERT(LOAD_PRIVATE(shorts, down + p + i), uints);
+        STORE_BOX(boxes + p) = BOX_OF(total);
     }
 }
-
-// Values of a window of the patches whose first column is p and whose first row is padded row `first`.
-INLINE ints window_sum(const Boxes *around, int first, int top, int left, int p) {
-    return BOX_SUMS(around->sum[(first + top + BOX_ROWS - 1) % PATCH] + p + left);
-}
-#define WINDOW_SUM(top, left, rows, columns) window_sum(&around, k - 2 * RADIUS, top, left, x)
 #elif defined(EACH_WINDOW)
 // Values of a window of those patches, whose rows lie in the ring from slot `first` on. A row's sum fits 16 bits.
 INLINE ints window_sum(ushort ring[PATCH + 1][SPAN], int first, int top, int left, int rows, int columns, int p) {
@@ -163,7 +153,6 @@ INLINE ints window_sum(ushort ring[PATCH + 1][SPAN], int first, int top, int lef
     }
     return total;
 }
-#define WINDOW_SUM(top, left, rows, columns) window_sum(ring, k - 2 * RADIUS, top, left, rows, columns, x)
 #endif
 
 // Channels saturated near the centres of those patches, one bit a channel.
