@@ -58,8 +58,8 @@ def axis(keys: Keys, camera: CameraModel, rule: ClassRule, dark: float, observed
         raise RecipeError("classes.direction.strengths must be there, be positive and increase")
     period = math.lcm(*camera.cfa.shape)
     span = rule.patch - period
-    inner = _inner_span(span)
-    windows = _windows(rule.patch, period, inner)
+    inner = inner_span(span)
+    windows = boxes(rule.patch, period, inner)
     responses = np.array([(1 + span % 2) * span, inner * math.sqrt(2)])
     multipliers = np.rint(SCALE * responses.min() / responses).astype(np.int64)
     edges = _strength_edges(keys, windows, multipliers, camera, rule, dark)
@@ -69,12 +69,12 @@ def axis(keys: Keys, camera: CameraModel, rule: ClassRule, dark: float, observed
     return Axis("direction", size, windows, np.array([*head, *edges.ravel().tolist()], np.int32))
 
 
-def _inner_span(span: int) -> int:
+def inner_span(span: int) -> int:
     """How far apart boxes lie, down and across, that are about `span` apart along a diagonal, and as symmetric."""
     return max(2 - span % 2, span - 2 * round((span - span / math.sqrt(2)) / 2))
 
 
-def _windows(patch: int, period: int, inner: int) -> tuple[Window, ...]:
+def boxes(patch: int, period: int, inner: int) -> tuple[Window, ...]:
     """The boxes of the four differences. Where none lies in the middle, the two beside it are both taken."""
     span = patch - period
     near, far = (span - inner) // 2, (span + inner) // 2

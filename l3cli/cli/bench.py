@@ -50,10 +50,10 @@ def bench(device: str | None, variant: str | None, list_only: bool, as_json: boo
 
 
 def _rendering(results: list[dict[str, Any]]) -> None:
-    stages = list(results[0]["stages_ms"])
-    rows = []
+    longest = max(results, key=lambda result: len(result["stages_ms"]))
+    stages, rows = list(longest["stages_ms"]), []
     for number, result in enumerate(results, 1):
-        times = [f"{result['stages_ms'][stage]:.2f}" for stage in stages]
+        times = [f"{result['stages_ms'][stage]:.2f}" if stage in result["stages_ms"] else "" for stage in stages]
         limit = f"{result['limit_ratio']:.2f}" if "limit_ratio" in result else ""
         what = [
             str(number),  # identifies rows where the table is divided

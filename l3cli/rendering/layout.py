@@ -1,6 +1,5 @@
 """How the kernels see a table: macros for shapes, arrays for values, sources in their order (opencl/*.cl)."""
 
-import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ from l3cli.classes.later import first_label_words
 from l3cli.classes.plane_kernel import rule_constants, rule_macros, rule_snippets
 from l3cli.classes.planes import COARSE, COARSE_TOP, LUMINANCE, FixedPoint, raw_middle
 from l3cli.classes.windows import Integers, neighbourhoods
-from l3cli.physics.spaces import Curve
+from l3cli.rendering.curves import curve_macros, curve_pieces
 from l3cli.rendering.display import Display
 
 Macros = dict[str, int | str]
@@ -114,22 +113,9 @@ def display_macros(display: Display) -> Macros:
     """What the last stage writes."""
     macros: Macros = {"CODE": {8: "uchar", 16: "ushort"}[display.bits], "TOP": display.top}
     # Within 8e-5, which moves one value of 8 bits in 200 by one; within 1.2e-6, which is what float32 gives.
-    return macros | (curve_macros(display.curve, 2, 5) if display.bits == 8 else curve_macros(display.curve, 3, 8))
-
-
-@functools.cache
-def curve_macros(curve: Curve, steps: int, degree: int) -> Macros:
-    """A curve, its power part as a polynomial in the fourth root (encoding.cl), fitted at Chebyshev's nodes."""
-    lowest = curve.knee**0.25
-    root = lowest + (1 - lowest) * (np.cos(np.linspace(0, np.pi, 1001)) + 1) / 2
-    terms = np.polynomial.polynomial.polyfit(root, curve.encoded(root**4), degree)
-    return {
-        "CURVE_KNEE": f"{curve.knee:.9g}f",
-        "CURVE_SLOPE": f"{curve.slope:.9g}f",
-        "CURVE_STEPS": steps,
-        "CURVE_DEGREE": degree,
-        "CURVE_TERMS": ",".join(f"{term:.9g}f" for term in terms),
-    }
+    if display.bits == 8:
+        return macros | curve_macros(display.curve, 2, 5) | curve_pieces(display.curve, display.top)
+    return macros | curve_macros(display.curve, 3, 8)
 
 
 def class_arrays(table: TransformTable) -> tuple[NDArray, ...]:
