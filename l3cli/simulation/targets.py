@@ -56,7 +56,8 @@ def output_weights(target: Target, camera: CameraModel, light: Light, bands: Arr
     if target.light:
         light = target.light.at(light.luminance)
     if target.kind == CAMERA:
-        return electron_weights(camera, light, bands) * (camera.saturation_exposure / camera.full_scale)
+        weights = electron_weights(camera, light, bands) * (camera.saturation_exposure / camera.full_scale)
+        return weights if camera.readout is None else weights * camera.channel_gains[:, None]
     if target.functions:
         grid, values = target.functions
         functions: Array = spectra.average(values, grid, light.wavelength)

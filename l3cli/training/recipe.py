@@ -1,11 +1,11 @@
 """What a class recipe (configs/classes) may say."""
 
 import itertools
-import math
 from collections.abc import Iterator
 from typing import Annotated, ClassVar, Literal
 
 import msgspec
+import numpy as np
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.tree_rule import MOST_LEAVES
@@ -90,15 +90,21 @@ class TrainingRecipe(Recipe):
 
 def for_camera(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
     """The recipe with what it leaves to the camera: the darkest level, where it names none, is that of a signal as large as
-    its noise, but not below the levels of the classes (docs/method.md#level-rescaling)."""
-    if recipe.learning.darkest:
-        return recipe
-    constant, linear, quadratic = camera.noise_terms()
+    its noise, but not below the levels of the classes (docs/method.md#level-rescaling); the brightest is so far above where
+    the least sensitive channel clips as it is elsewhere above where all do (docs/method.md#exposures)."""
+    learning, sensitivity = recipe.learning, camera.sensitivity
+    mean = float(sensitivity.mean())
+    if camera.readout is not None:
+        learning = msgspec.structs.replace(learning, brightest=learning.brightest * mean / float(sensitivity.min()))
+    if learning.darkest:
+        return msgspec.structs.replace(recipe, learning=learning)
+    constant, linear, quadratic = camera.noise_terms(channel=np.arange(len(camera.channels)))
     power = max(1 - quadratic, 1e-6)  # of s² = constant + linear s + quadratic s²
-    signal = (linear + math.sqrt(linear**2 + 4 * power * constant)) / (2 * power)
-    level = max(signal / (camera.white_level - camera.black_level), recipe.classes.lowest_level)
-    darkest = min(level, MOST_OF_HIGHLIGHTS * recipe.learning.highlight_from)
-    return msgspec.structs.replace(recipe, learning=msgspec.structs.replace(recipe.learning, darkest=darkest))
+    signals = (linear + np.sqrt(linear**2 + 4 * power * constant)) / (2 * power)
+    signal = float(np.min(signals / sensitivity)) * mean
+    level = max(signal / (camera.white_level - camera.black_level), recipe.classes.lowest_level * mean)
+    darkest = min(level, MOST_OF_HIGHLIGHTS * learning.highlight_from)
+    return msgspec.structs.replace(recipe, learning=msgspec.structs.replace(learning, darkest=darkest))
 
 
 def check_learning(recipe: LearningRecipe) -> None:

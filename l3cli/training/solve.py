@@ -33,6 +33,8 @@ class Goal:
     white_level: float  # DN, at which a pixel of the camera saturates
     misled: Array | float = 0.0  # (channel) how far off, relatively, surfaces make the signals of white
     surfaces: PlainSurfaces | None = None  # under the training light; None: not known, or the outputs are others
+    filters: tuple[int, ...] = ()  # (channel) first channel with its filter; (): every channel has its own
+    sensitivity: Array | None = None  # (channel) as of the camera; None: all alike
 
 
 class Equations(NamedTuple):
@@ -96,7 +98,8 @@ def solve(
     equations = _equations(recipe, goal, rule)
     basis = _opponent_basis(goal)
     white = white_channels(sums, rule, window, goal.white, goal.white_signal, goal.misled)
-    greys = grey_patches(sums, rule, window, goal.white, goal.black_level, goal.white_level, white)
+    levels = goal.black_level, goal.white_level
+    greys = grey_patches(sums, rule, window, goal.white, *levels, white, goal.filters, goal.sensitivity)
     surfaces = _surfaces(rule, window, goal, white) if recipe.plain_surfaces else {}
     gains = None
     if goal.outputs == goal.channels:

@@ -83,6 +83,7 @@ def macros(table: TransformTable) -> dict[str, int | str]:
         "VARIANCE_CAP": f"UINT32_C({(2**32 - 1) // len(table.channels)})",
         **saturation.macros(rule),
         "CHROMAS": rule.chromas,
+        "SPARED": rule.spared_cases,
         "CHROMA_BLACK_LEVEL": rule.chroma_black_level,
         "FURTHER": rule.further,
         "KINDS": rule.kinds,

@@ -35,11 +35,11 @@ static Gradients gradients_in(Room *room, int columns) {
 static int32_t *plane_row(const Gradients *g, int plane, int k) { return g->plane + (plane * WINDOW + k % WINDOW) * g->span; }
 static int32_t *quantity_row(const Gradients *g, int q, int k) { return g->quantity + (q * WINDOW + k % WINDOW) * g->span; }
 
-/* What a class of the first layer says: its level, and its saturation case, 0 where nothing is saturated. */
+/* What a class of the first layer says: its level, and its saturation case, 0 where no filter is lost. */
 static uint32_t level_of(uint32_t label) { return label / (L3_CONTRASTS * L3_FURTHER * L3_KINDS) % L3_LEVELS; }
 static uint32_t case_of(uint32_t label) {
     const uint32_t kind = label % L3_KINDS;
-    return kind < L3_CHROMAS ? 0 : kind - L3_CHROMAS + 1;
+    return kind < L3_CHROMAS + L3_SPARED ? 0 : kind - L3_CHROMAS - L3_SPARED + 1;
 }
 
 /* Padded row k of a plane into its ring. */
