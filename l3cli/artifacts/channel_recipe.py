@@ -55,6 +55,18 @@ def filters_of(channel: Mapping[str, ChannelRecipe], channels: Sequence[str]) ->
     return [(channel[name].like if name in channel else None) or name for name in channels]
 
 
+def settings_of(readout: Readout | None, channels: Sequence[str]) -> dict[str, ChannelRecipe]:
+    """The recipe of a readout without its read noise, of channels that differ from the others."""
+    if readout is None:
+        return {}
+    rows = zip(channels, readout.same_filter, readout.channel_exposure, readout.channel_gain, strict=True)
+    each = {
+        name: ChannelRecipe(None if channels[first] == name else channels[first], float(exposure), float(gain))
+        for name, first, exposure, gain in rows
+    }
+    return {name: one for name, one in each.items() if one != ChannelRecipe()}
+
+
 def readout_of(channel: Mapping[str, ChannelRecipe], channels: Sequence[str], read_noise: float) -> Readout | None:
     """The readout of channels without `channel_faults`, `read_noise` (e-) being that of those that name none; None if all
     are read alike."""

@@ -1,6 +1,6 @@
 """The transform table: layers of class rules and weights, all that rendering needs (docs/method.md#classes)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -78,6 +78,13 @@ class TransformTable(Artifact):
     def layers(self) -> tuple[MosaicLayer | PlaneLayer, ...]:
         """All layers in the order in which they render."""
         return (self.first, *self.later)
+
+    def pictured(self) -> "TransformTable":
+        """The table of X, Y, Z alone if other outputs follow them, which no picture shows; else the table itself."""
+        if self.outputs[:3] != ("X", "Y", "Z") or len(self.outputs) == 3 or self.later:
+            return self
+        first = replace(self.first, weights=self.first.weights[:, :3], intercept=self.first.intercept[:, :3])
+        return replace(self, outputs=self.outputs[:3], white_point=self.white_point[:3], first=first)
 
     def dark_signal(self, exposure: float | None) -> float:
         """DN above black that dark current makes, on average, in `exposure` s; if that is unknown, in that of training. A

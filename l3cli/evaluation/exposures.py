@@ -25,8 +25,8 @@ def merges(camera: CameraModel) -> dict[str, Merge | None]:
 
 
 def merged(planes: Array, frame: TrainingPair, camera: CameraModel, balance: Array) -> Array:
-    """All channels of a filter weighed by the inverse of their noise, without those clipped about a pixel; where all are, the
-    least sensitive."""
+    """All channels of a filter weighed by the inverse of their noise, without those clipped about a pixel; where all are,
+    the least sensitive."""
     span, channels = camera.white_level - camera.black_level, np.arange(len(camera.channels))
     clipped = interpolate((frame.raw >= camera.black_level + CLIPPED * span).astype(np.float64), camera.cfa) > TOUCHED
     in_dn = (camera.gain * camera.channel_gains / np.where(balance > 0, balance, np.inf))[:, None, None]
