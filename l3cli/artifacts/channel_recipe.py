@@ -1,13 +1,14 @@
 """[channel.NAME] of a recipe: channels that are exposed or amplified apart, and those that share a filter."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 
 from l3cli.artifacts.readout import MOST_GAIN, SHORTEST, Readout
 from l3cli.config import Recipe
 from l3cli.errors import suggestion
-from l3cli.faults import Fault, fault
+from l3cli.faults import Fault, fault, refuse_first
 
 MOST_NOISE = 1e4  # e-
 
@@ -65,6 +66,12 @@ def settings_of(readout: Readout | None, channels: Sequence[str]) -> dict[str, C
         for name, first, exposure, gain in rows
     }
     return {name: one for name, one in each.items() if one != ChannelRecipe()}
+
+
+def settings_from(channel: Mapping[str, ChannelRecipe], channels: Sequence[str], path: Path) -> Readout | None:
+    """The readout of a measurement file, of which the read noise is not yet known; RecipeError if there is no such."""
+    refuse_first(channel_faults(channel, channels), path)
+    return readout_of(channel, channels, 0.0)
 
 
 def readout_of(channel: Mapping[str, ChannelRecipe], channels: Sequence[str], read_noise: float) -> Readout | None:

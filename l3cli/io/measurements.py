@@ -11,13 +11,12 @@ import numpy as np
 
 from l3cli.artifacts.camera import Noise, Optics
 from l3cli.artifacts.camera_recipe import MOST_PRNU, check_lengths, check_share, parse_cfa
-from l3cli.artifacts.channel_recipe import channel_faults, readout_of
+from l3cli.artifacts.channel_recipe import settings_from
 from l3cli.artifacts.schema import Stage
 from l3cli.config import load_recipe, read_text
 from l3cli.curve_file import read_table
 from l3cli.curve_table import RELATIVE, CurveTable
 from l3cli.errors import InputFileError, RecipeError
-from l3cli.faults import refuse_first
 from l3cli.files import sha256, stamp
 from l3cli.io.correction_recipe import correction_files, correction_measurements, has_base
 from l3cli.io.curves import read_finished, read_sweep
@@ -233,7 +232,6 @@ def _body(recipe: MeasurementRecipe, path: Path) -> Body:
     if 0 < optics.object_distance_m <= optics.focal_length_mm * 1e-3:
         raise RecipeError(f"{path}: optics.object_distance_m is nearer than the focal length; give 0 for infinity")
     cfa = parse_cfa(recipe.cfa, str(path))
-    refuse_first(channel_faults(recipe.channel, recipe.cfa.channels), path)
     if sensor.rows < SITE_PIXELS * cfa.shape[0] or sensor.cols < SITE_PIXELS * cfa.shape[1]:
         raise RecipeError(f"{path}: {sensor.rows}×{sensor.cols} pixels are too few to measure noise; check sensor")
     return Body(
@@ -245,7 +243,7 @@ def _body(recipe: MeasurementRecipe, path: Path) -> Body:
         channels=tuple(recipe.cfa.channels),
         cfa=cfa,
         optics=Optics(optics.focal_length_mm * 1e-3, optics.f_number, optics.object_distance_m),
-        readout=readout_of(recipe.channel, recipe.cfa.channels, 0.0),
+        readout=settings_from(recipe.channel, recipe.cfa.channels, path),
     )
 
 

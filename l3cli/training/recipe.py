@@ -93,13 +93,14 @@ class TrainingRecipe(Recipe):
 def for_camera(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
     """The recipe with what it leaves to the camera: the darkest level, where it names none, is that of a signal as large as
     its noise, but not below the levels of the classes (docs/method.md#level-rescaling); the brightest is so far above where
-    the least sensitive channel clips as it is elsewhere above where all do (docs/method.md#exposures). RecipeError if planes between layers cannot hold what channels differ by."""
+    the least sensitive channel clips as it is elsewhere above where all do (docs/method.md#exposures). RecipeError if planes
+    between layers cannot hold what channels differ by."""
     learning, sensitivity = recipe.learning, camera.sensitivity
     mean = float(sensitivity.mean())
     if recipe.layer and sensitivity.min() < LEAST_SENSITIVE:
         raise RecipeError(
-            f"channels of {camera.name} differ {1 / sensitivity.min():.3g} times in exposure and gain, planes between layers "
-            f"hold {1 / LEAST_SENSITIVE:g} times full scale; take a class recipe of one layer, such as single"
+            f"channels of {camera.name} differ {1 / sensitivity.min():.3g} times in exposure and gain, planes between "
+            f"layers hold {1 / LEAST_SENSITIVE:g} times full scale; take a class recipe of one layer, such as single"
         )
     if camera.readout is not None:
         learning = msgspec.structs.replace(learning, brightest=learning.brightest * mean / float(sensitivity.min()))

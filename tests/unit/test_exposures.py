@@ -29,6 +29,7 @@ from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.simulation.sensor import expose
 from l3cli.training.highlights import grey_patches
 from l3cli.training.recipe import LayerRecipe, TrainingRecipe, for_camera
+from l3cli.training.sums import empty_sums
 from tests.helpers.cameras import random_camera
 from tests.helpers.tables import random_table, with_first, with_later
 
@@ -126,7 +127,7 @@ def test_the_level_of_clipped_channels_is_told_by_the_others() -> None:
     assert noise[1] == pytest.approx(float(one) / 2)  # half of the channels are clipped, and have none
     learning = for_camera(TrainingRecipe(), model).learning
     assert learning.brightest == pytest.approx(2.5 * 16 * model.sensitivity.mean())
-    with pytest.raises(RecipeError, match="differ 32 times in exposure and gain.*take a class recipe of one layer"):
+    with pytest.raises(RecipeError, match=r"differ 32 times in exposure and gain.*take a class recipe of one layer"):
         for_camera(TrainingRecipe(layer=(LayerRecipe(),)), camera(1 / 32))
 
 
@@ -148,17 +149,8 @@ def test_greys_are_taught_by_the_filters_that_are_lost() -> None:
     rule = make_rule(ClassRecipe(patch=5, levels=8), model, cases, spared_cases=spared_cases(cases, FILTERS))
     window = model.channel_map((5, 5)).ravel().astype(np.int64)
     signal = np.array([1.0, 0.8, 1 / 16, 0.05])
-    taught = grey_patches(
-        None,
-        rule,
-        window,
-        np.ones(3),
-        model.black_level,
-        model.white_level,
-        signal,
-        FILTERS,
-        model.sensitivity,  # type: ignore[arg-type]
-    )
+    sums, levels = empty_sums(rule, 3), (model.black_level, model.white_level)
+    taught = grey_patches(sums, rule, window, np.ones(3), *levels, signal, FILTERS, model.sensitivity)
     kinds = rule.split(np.array(sorted(taught))).kind
     assert (rule.lost(kinds) == 0).any()
     assert (rule.lost(kinds) > 0).any()
