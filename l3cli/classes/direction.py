@@ -26,9 +26,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.class_rule import Axis, ClassRule, Window
+from l3cli.artifacts.class_rule import ClassRule
+from l3cli.artifacts.further_features import Axis, Window
 from l3cli.artifacts.table import TransformTable
-from l3cli.classes import level
+from l3cli.classes import contrast, level
 from l3cli.classes.windows import Integers
 from l3cli.config import Recipe, Share
 from l3cli.errors import RecipeError
@@ -97,9 +98,9 @@ def _strength_edges(
         down, across = slice(window.top, window.top + window.rows), slice(window.left, window.left + window.columns)
         counts[window.sum, down, across] += window.sign
     power = ((counts**2).sum(axis=(1, 2)) * multipliers[[0, 1, 0, 1]] ** 2).mean()
-    span = camera.white_level - camera.black_level
-    levels = level.centres(level.inner_bounds(rule, camera.black_level, camera.white_level))
-    variance = camera.noise_variance(levels * span, dark) / 4**rule.shift + 1 / 12
+    means = level.centres(level.inner_bounds(rule, camera.black_level, camera.white_level))
+    shares = level.unclipped_level(means, camera.sensitivity) / camera.sensitivity.mean()
+    variance = contrast.noise_of_grey(shares, camera, dark) / 4**rule.shift + 1 / 12
     edges = np.array(keys.strengths)[:, None] * np.sqrt(variance * power)
     return np.minimum(np.rint(edges), 2**31 - 1).astype(np.int64)
 

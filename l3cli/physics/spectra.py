@@ -154,12 +154,23 @@ OBSERVERS = {
 }
 
 
+INFRARED = 740.0, 780.0, 1000.0  # nm, of near_infrared: where it begins, is whole, and ends
+LUMINOUS_WIDTH = 106.86  # nm, integral of ȳ of CIE 1931
+
+
 def colour_matching_functions(wavelength: Array, observer: str = "CIE 1931") -> Array:
     """x̄ ȳ z̄, (3, wavelength), of a key of OBSERVERS, linearly interpolated from the tabulated 1 nm observer."""
     if observer not in OBSERVERS:
         raise RecipeError(f'observer "{observer}" is unknown; {suggestion(observer, OBSERVERS)}')
     cmfs = colour_science().MSDS_CMFS[OBSERVERS[observer]]
     return cmfs.values.T @ interpolation_matrix(cmfs.wavelengths, wavelength).T
+
+
+def near_infrared(wavelength: Array) -> Array:
+    """(wavelength) of a band of near infrared, scaled as ȳ is, so that a light of equal power up to 830 nm gives as much of
+    it as of Y: from 740 nm, where eyes end, rising to 780 nm, where CIE's IR-A begins; zero beyond 1000 nm."""
+    band = np.clip((wavelength - INFRARED[0]) / (INFRARED[1] - INFRARED[0]), 0.0, 1.0) * (wavelength <= INFRARED[2])
+    return np.asarray(band * (LUMINOUS_WIDTH / (830.0 - (INFRARED[0] + INFRARED[1]) / 2)))
 
 
 def matching_weights(functions: Array, wavelength: Array) -> Array:

@@ -112,10 +112,12 @@ def _signalled(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
     """Of a picture of channel signals the target (channel, row, col) in the unit of the camera's bands, what the channels
     collect (channel, row, col) e-/s, and the target's white (channel)."""
-    full = white_rates(camera, light).max()
+    full = (white_rates(camera, light) * camera.channel_gains).max()
     white = full * camera.saturation_exposure / camera.full_scale
     signal = np.moveaxis(picture.signal, -1, 0)
     rates, ideal = (np.ascontiguousarray(signal * np.float32(unit)) for unit in (full, white))
+    if camera.readout is not None:
+        rates *= (camera.sensitivity / camera.channel_gains).astype(np.float32)[:, None, None]
     return ideal, rates, np.full(len(signal), white)
 
 

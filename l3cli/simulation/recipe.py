@@ -51,7 +51,7 @@ class SensorSetting(Recipe):
 
 
 class TargetRecipe(Recipe):
-    outputs: str = "CIE 1931"  # or "CIE 1964", "luminance", "camera" (its bands everywhere), a CSV of matching functions
+    outputs: str = "CIE 1931"  # or "CIE 1964", "luminance", "CIE 1931 + IR", "camera" (its bands), a CSV of functions
     illuminant: str | None = None  # another light than falls on the frame: illuminant correction
 
 

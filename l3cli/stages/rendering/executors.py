@@ -124,7 +124,8 @@ def label_of(frame: RawFrame, table: str, identity: str) -> Label:
 def _rendered(job: RenderJob) -> Any:
     """In a worker: the picture of a frame, or what is wrong with its file."""
     setup = job.setup
-    table, renderer = _renderer(setup.table, setup.digest, setup.backend, tuple(setup.engine.items()))
+    pictures = setup.rendition.balance is not None
+    table, renderer = _renderer(setup.table, setup.digest, setup.backend, tuple(setup.engine.items()), pictures)
     frame = job.frame
     correction = None if setup.camera is None else correction_again(setup.camera)
     if isinstance(frame, Unread):
@@ -142,15 +143,16 @@ def _rendered(job: RenderJob) -> Any:
 
 @functools.lru_cache(1)
 def _renderer(
-    path: Path, digest: str, backend: str, engine: tuple[tuple[str, str | None], ...]
+    path: Path, digest: str, backend: str, engine: tuple[tuple[str, str | None], ...], pictures: bool
 ) -> "tuple[TransformTable, Renderer]":
-    """The table and what renders through it, made once a worker."""
+    """The table, of `pictures` X, Y, Z alone, and what renders through it, made once a worker."""
     from l3cli.artifacts.store import load
     from l3cli.artifacts.table import TransformTable
     from l3cli.rendering.quiet import quiet_renderer
 
     require_same(path, digest)
     table = load(TransformTable, path)
+    table = table.pictured() if pictures else table
     return table, quiet_renderer(backend, table, **dict(engine))
 
 

@@ -70,6 +70,8 @@ def render(
         if engine and backend != "opencl":
             raise RecipeError(f"‹{next(iter(engine))}› is for the opencl backend; leave it or ‹backend› {backend} out")
         transforms = load(TransformTable, table)
+        if not destination.linear or space is not None:
+            transforms = transforms.pictured()
         if dark:
             known = replace(known, dark=read_dark(_spared(find_frames(dark, transforms, known), claims)))
         model = None if camera is None else CameraFile(camera.absolute(), sha256(camera))
