@@ -75,7 +75,7 @@ def atomic_output(path: Path) -> Iterator[Path]:
             os.close(held)
 
 
-def write_whole(path: Path, content: bytes | str) -> None:
+def write_whole(path: Path, content: bytes | memoryview | str) -> None:
     """Write `content` (text as UTF-8) to `path` whole or not at all."""
     with atomic_output(path) as temporary:
         temporary.write_bytes(content.encode() if isinstance(content, str) else content)

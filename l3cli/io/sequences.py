@@ -20,6 +20,8 @@ from l3cli.io.raw.content import Stack
 from l3cli.io.raw.files import KnownBetter, frame_of, read_raw, read_stack, read_stdin
 from l3cli.io.raw.registry import format_of, is_frame
 
+STDIN_NAME = "stdin"  # in messages
+
 
 @dataclass(frozen=True)
 class Pending:
@@ -119,9 +121,17 @@ def _divided(wanted: range, numbers: Collection[int]) -> tuple[Sequence[int], li
 
 def read_dark(footage: Footage) -> DarkFrame:
     """The mean of frames that were exposed without light; InputFileError if one is missing, broken or of another kind."""
-    if footage.count is None:
+    if footage.what == STDIN_NAME:
         raise RecipeError("dark frames are files, not a stream; save them first")
-    return average_dark(frame for pending in footage.frames if (frame := pending.read()) is not None)
+    # A video says only by its end how many frames it has.
+    return average_dark(_until_none(pending.read() for pending in footage.frames))
+
+
+def _until_none(frames: Iterable[RawFrame | None]) -> Iterator[RawFrame]:
+    for frame in frames:
+        if frame is None:
+            return
+        yield frame
 
 
 @dataclass(frozen=True)
@@ -246,4 +256,4 @@ def _of_stack(what: str, stem: str, stack: Stack, table: TransformTable, known: 
 def _stdin(table: TransformTable, known: KnownBetter) -> _Series:
     if known.size is None:
         raise RecipeError("raw frames on stdin have no header with their size; give it with ‹size› ROWSxCOLS")
-    return _of_stack("stdin", "", read_stdin(table, known), table, known)
+    return _of_stack(STDIN_NAME, "", read_stdin(table, known), table, known)

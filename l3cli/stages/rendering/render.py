@@ -76,8 +76,7 @@ def render(
         rendition = _rendition(destination, None if source else white, exposure, space, remosaic, bits, transforms, console)
         footage = find_frames(inputs, transforms, known, frames, dataset)
         destination = paged(destination, footage)
-        if not footage.is_stream:
-            _spared(footage, claims)
+        _spared(footage, claims)
         if not skip_bad:
             refuse_missing(footage)
         choice = replace(choice, rate=rate or footage.rate or USUAL_RATE)
@@ -103,8 +102,9 @@ def render(
 
 
 def _spared(footage: Footage, claims: Claims) -> Footage:
-    """Frames whose files no output may replace."""
-    claims.spare(*(pending.source for pending in footage.frames if pending.source))
+    """Frames whose files no output may replace; those of a stream, which may be endless, lie in one file."""
+    if not footage.is_stream:
+        claims.spare(*(pending.source for pending in footage.frames if pending.source))
     return footage
 
 

@@ -61,6 +61,7 @@ def simulate(
         if scheduler:
             scenes = scenes.absolute()  # its files are searched for by workers elsewhere
         model, recipe = load_camera(camera), load_recipe(scenes, SceneRecipe)
+        _ = model.saturation_exposure  # InputFileError where training would have none
         run, files = prepare(recipe, scenes, model, seed)
         files, bad = fitting(run, files, scenes, skip_bad, console)
         inputs = {"camera": camera_files(camera), **input_files(run, files)}
