@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 from l3cli.cli import options
-from l3cli.cli.terminal import show_json
+from l3cli.cli.results import Result
 
 if TYPE_CHECKING:
     from l3cli.stages.console import Console
@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     help="Write the table's, ideal and basic picture and an error map (black: ΔE00 0, white: 10) of every frame as PNG.",
 )
 @click.option("--force", is_flag=True, help="Write pictures into a folder that is not empty.")
-@options.as_json
 @options.dry_run
 @options.quiet
 def evaluate(
@@ -48,9 +47,8 @@ def evaluate(
     border: int | None,
     pictures: Path | None,
     force: bool,
-    as_json: bool,
     console: "Console",
-) -> None:
+) -> Result:
     """Render the raw frames of a training set that TABLE was not trained on and compare them with their targets.
 
     Pictures are compared as displayed: adapted to D65, the 99th percentile of the target's luminance shown as white.
@@ -67,9 +65,6 @@ def evaluate(
     from l3cli.stages.evaluation import evaluate as stage
 
     document = stage(table, frames, console, backend=backend, viewing=viewing, border=border, pictures=pictures, force=force)
-    if as_json:
-        show_json(document, console)
-        return
     from l3cli.cli.quality_tables import print_tables
 
-    print_tables(document)
+    return Result(document, lambda: print_tables(document))

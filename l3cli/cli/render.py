@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from l3cli.cli import options
+from l3cli.cli.results import Result
 from l3cli.errors import shortened
 
 if TYPE_CHECKING:
@@ -190,7 +191,7 @@ def render(
     camera: Path | None, hot: str,
     phase: tuple[int, int] | None, size: tuple[int, int] | None, packing: str | None,
     stride: int | None, skip_bad: bool, resume: bool, scheduler: "Scheduler | None", force: bool, console: "Console",
-) -> int:  # fmt: skip
+) -> Result:  # fmt: skip
     """Render INPUT through TABLE.h5: files (DNG, camera raw, one-channel TIFF, PNG or PGM, FITS, .npy, headerless .raw,
     .bin, .raw10 or .raw12), or a sequence: a folder, a pattern (a_%04d.tif, a_####.tif), a quoted glob, a stack (.npy, HDF5,
     FITS), a headerless file of many frames, a grey video (FFV1 in MKV), or - (headerless frames on stdin).
@@ -219,4 +220,4 @@ def render(
         resume=resume,
         scheduler=scheduler, force=force,
     )  # fmt: skip
-    return 1 if left_out else 0
+    return Result({}, code=1 if left_out else 0)
