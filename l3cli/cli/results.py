@@ -26,7 +26,7 @@ class Result:
 
     document: Mapping[str, Any] = field(default_factory=dict)  # ready for JSON
     text: Callable[[], object] | None = None  # prints the same for people; None: messages have said it
-    fault: L3Error | None = None  # that the result shows
+    fault: BaseException | None = None  # that the result shows, or that ended the command when this much was done
     code: int = 0  # exit code, if there is no fault
 
 
@@ -60,7 +60,8 @@ class Record:
     def show(self, result: Result | None, code: int) -> None:
         """Print the document, and under "run" how the command ran; digests unless an error has ended it."""
         seconds, console = time.monotonic() - self.start, recorded(self.console)
-        roles, outputs = (self.ledger.inputs, outputs_of(self.ledger)) if result else ({}, [])
+        is_whole = result is not None and (result.fault is None or isinstance(result.fault, L3Error))
+        roles, outputs = (self.ledger.inputs, outputs_of(self.ledger)) if is_whole else ({}, [])  # no waiting after Ctrl-C
         close_ledger()
         inputs = {role: [_file(path, at, console) for path, at in files.items()] for role, files in roles.items()}
         made = [_file(path, dated(path), console) for path in outputs]

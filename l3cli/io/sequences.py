@@ -89,9 +89,9 @@ def find_frames(
 
     InputFileError if there are none; RecipeError if several inputs are not all files.
     """
-    plain = [path for path in inputs if _is_one_file(path)]
+    plain = [path for path in inputs if is_one_file(path)]
     if len(plain) < len(inputs) and len(inputs) > 1:
-        other = next(path for path in inputs if not _is_one_file(path))
+        other = next(path for path in inputs if not is_one_file(path))
         raise RecipeError(f"{other} is a sequence; give it alone, or several files of one frame each")
     stills = len(inputs) > 1
     series = _of_files("the inputs", inputs, table, known) if stills else _series(inputs[0], table, known, dataset)
@@ -134,6 +134,20 @@ def _until_none(frames: Iterable[RawFrame | None]) -> Iterator[RawFrame]:
         yield frame
 
 
+def frame_files(path: Path) -> list[Path]:
+    """The files that an input, of whatever kind, lies in; InputFileError if there are none."""
+    if path.is_dir():
+        return _in_folder(path)
+    if not path.exists() and PATTERN.search(path.name):
+        return list(numbered_files(path).values())
+    return _globbed(path) if not path.exists() and _is_glob(path) else [path]
+
+
+def is_still(path: Path, table: TransformTable, known: KnownBetter) -> bool:
+    """Whether this is a file of one frame."""
+    return is_one_file(path) and not (path.exists() and read_stack(path, table, known))
+
+
 @dataclass(frozen=True)
 class Frames:
     """The frames of a series, made one by one each time they are gone through: there may be many."""
@@ -151,7 +165,7 @@ class Frames:
         return Pending(number, series.stem(number), functools.partial(series.read, number), source)
 
 
-def _is_one_file(path: Path) -> bool:
+def is_one_file(path: Path) -> bool:
     """Whether this is the name of a file, existing or not, that can hold just one frame."""
     if path == STDIN or path.is_dir() or not format_of(path).holds_frame:
         return False

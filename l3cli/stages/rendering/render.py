@@ -26,7 +26,7 @@ from l3cli.stages.rendering.executors import RenderSetup, executor_of
 from l3cli.stages.rendering.mark import Origins
 from l3cli.stages.rendering.plan import plan
 from l3cli.stages.rendering.rendition import Rendition, chosen_space, for_developers, outputs_as_they_are
-from l3cli.stages.rendering.sequence import follows, render_frames
+from l3cli.stages.rendering.sequence import Tally, follows, render_frames
 
 if TYPE_CHECKING:
     from l3cli.parallel.cluster import Scheduler
@@ -43,9 +43,8 @@ def render(
     exposure: float | None = None, white: str | None = None, space: str | None = None, remosaic: str | None = None,
     backend: str = "opencl", device: str | None = None, variant: str | None = None, skip_bad: bool = False,
     resume: bool = False, scheduler: "Scheduler | None" = None, force: bool = False,
-) -> int:  # fmt: skip
-    """Render raw frames through a table into a picture, numbered files, a folder (of files that end in `suffix`) or a video;
-    how many frames were left out.
+) -> Tally:  # fmt: skip
+    """Render raw frames through a table into a picture, numbered files, a folder (of files that end in `suffix`) or a video.
 
     `rate`: frames/s of a video, None: the input's or 30; `bits`, `codec`, `crf`, `preset`: of pictures and videos. `frames`:
     numbers of those to take. `dataset`: of an HDF5 input. `known`: what is known better of the inputs than they say; `dark`:
@@ -94,11 +93,11 @@ def render(
             marked(destination, key, resume, force, footage, origins) as mark,
             executor_of(setup, transforms, scheduler) as executor,
         ):
-            failures = render_frames(
+            tally = render_frames(
                 footage, destination, executor, transforms, rendition, source, choice, mark, origins(), skip_bad, console
             )
         warn_of_kernels(console)
-        return failures
+        return tally
 
 
 def _spared(footage: Footage, claims: Claims) -> Footage:
