@@ -1,4 +1,4 @@
-"""What can go wrong, and the exit code each kind of failure gives (README, "Exit codes").
+"""What can go wrong, and the exit code each kind of failure gives (docs/robustness.md#exit-codes).
 
 A message that names a parameter marks it ‹force›, by its name in Python; the command line writes its option there, --force.
 """

@@ -1,6 +1,6 @@
 """Artifacts in files: HDF5 after the declarations of their dataclasses, whole or not at all, with their history.
 
-README.md#artifacts says what the files promise.
+docs/artifacts.md says what the files promise.
 """
 
 import contextlib

@@ -98,7 +98,7 @@ def l3(context: click.Context) -> None:
 
 
 def main() -> None:
-    """Run the command line; every failure ends as one line on stderr and the exit code of README, "Exit codes"."""
+    """Run the command line; every failure ends as one line on stderr and its exit code (docs/robustness.md#exit-codes)."""
     prepare()
     heed()
     code = run(sys.argv[1:])

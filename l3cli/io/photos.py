@@ -161,7 +161,8 @@ def recipe_of_photos(paths: Sequence[Path], light: str | None) -> MeasurementRec
     stated, white = content.get("pattern"), content.get("white_level")
     if stated is None or white is None or "black_level" not in content:
         raise InputFileError(
-            f"{paths[0]} does not state its colour filter array and levels; write a measurement file with [photo] (README)"
+            f"{paths[0]} does not state its colour filter array and levels; write a measurement file with [[photo]] "
+            '(documentation, "A camera from one photo of a chart")'
         )
     cfa = array_of(stated)
     if max(len(cfa.pattern), len(cfa.pattern[0].split())) > MAX_CFA:

@@ -210,7 +210,7 @@ def _tabulated(name: str, wavelength: Array) -> Array:
     key = f"FL{name[1:]}" if re.fullmatch(r"F\d+", name) else name
     if key not in illuminant_names():
         close = nearest(name, illuminant_names()) or f"usual ones are {USUAL_LIGHTS};"
-        every = f'README, "Lights", lists all {len(illuminant_names())}'
+        every = f'documentation, "Lights", lists all {len(illuminant_names())}'
         raise RecipeError(f'illuminant "{shortened(name)}" is unknown; {close} {every}')
     table = colour_science().SDS_ILLUMINANTS[key]
     return table.values @ _step_matrix(table.wavelengths, wavelength, held=True).T

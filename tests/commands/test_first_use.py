@@ -20,7 +20,7 @@ from l3cli.cli import l3 as program
 from l3cli.io.images import write_picture
 from l3cli.stages.starting import COMMON
 from tests.helpers.paths import CONFIGS
-from tests.helpers.readme import commands, sessions
+from tests.helpers.readme import PAGES, commands, sessions
 
 ASKED = {  # every place where a recipe is asked for: what goes before it ← what goes after, kind, parameter
     ("lab",): (("-o", "x"), "cameras", "camera"),
@@ -98,7 +98,7 @@ def test_the_worked_example_finds_its_recipes_in_an_installed_wheel(tmp_path: Pa
     package = tmp_path / "site/l3cli"
     shutil.copytree(CONFIGS.parent / "l3cli", package, ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copytree(CONFIGS, package / "configs")
-    asked = [words for line, _ in sessions()[0] for words in commands(line)]
+    asked = [words for line, _ in sessions(PAGES["tutorial.md"])[0] for words in commands(line)]
     code = (
         "import click, pathlib\nfrom l3cli.cli import l3\n"
         f"for name, *words in {asked!r}:\n"

@@ -119,11 +119,12 @@ def test_completion_offers_commands_options_words_and_files_at_once() -> None:
     assert completed("l3 report camera") == ["file,camera"]
 
 
-def test_bash_completes_with_the_line_of_the_readme(tmp_path: Path) -> None:
+def test_bash_completes_with_the_line_of_the_docs(tmp_path: Path) -> None:
     program = tmp_path / "l3"
     program.write_text(f'#!/bin/sh\nexec {sys.executable} -c "from l3cli.cli import main; main()" "$@"\n')
     program.chmod(0o755)
-    (line,) = re.findall(r'^    (eval "\$\(.*bash_source.*?\)")', (CONFIGS.parent / "README.md").read_text(), re.MULTILINE)
+    page = (CONFIGS.parent / "docs/commands.md").read_text()
+    (line,) = re.findall(r'^    (eval "\$\(.*bash_source.*?\)")', page, re.MULTILINE)
     script = f'{line}\nCOMP_WORDS=(l3 eval) COMP_CWORD=1\n_l3_completion l3\necho "${{COMPREPLY[@]}}"'
     path = f"{tmp_path}:{os.environ['PATH']}"
     environment = {**os.environ, "PATH": path, "PYTHONPATH": str(CONFIGS.parent)}
@@ -140,7 +141,7 @@ def test_the_scripts_of_other_shells(
         l3.main([], prog_name="l3")
     assert stop.value.code == 0
     assert word in capsys.readouterr().out
-    assert f"_L3_COMPLETE={shell}_source" in (CONFIGS.parent / "README.md").read_text()
+    assert f"_L3_COMPLETE={shell}_source" in (CONFIGS.parent / "docs/commands.md").read_text()
 
 
 # ---------------------------------------------------------------------------------------------------- suggestions

@@ -1,4 +1,4 @@
-"""README holds what it says: its commands are complete and run, what it shows is what is printed, what it names is there."""
+"""README and docs/ hold what they say: commands are complete, what is shown is what is printed, what is named is there."""
 
 import dataclasses
 import glob
@@ -26,18 +26,17 @@ from l3cli.simulation.lab_recipe import LabRecipe
 from l3cli.simulation.recipe import SceneRecipe
 from l3cli.training.recipe import TrainingRecipe
 from tests.helpers.paths import CONFIGS
-from tests.helpers.readme import README, commands, sessions
+from tests.helpers.readme import ALL, PAGES, README, commands, sessions
+from tests.helpers.readme import shown as code_of
 
 ROOT = CONFIGS.parent
-ARCHITECTURE = (ROOT / "docs/architecture.md").read_text(encoding="utf-8")
 RECIPES: dict[str, type[Recipe]] = {
     "cameras": CameraRecipe, "lab": LabRecipe, "scenes": SceneRecipe, "classes": TrainingRecipe,
 }  # fmt: skip
 OF_BENCHMARK: dict[str, type[Recipe]] = {
     "camera": CameraRecipe, "training": SceneRecipe, "test": SceneRecipe, "classes": TrainingRecipe,
 }  # fmt: skip
-SHOWN = [line[4:] for line in README.splitlines() if line.startswith("    ")]  # what stands in blocks of commands
-LINES = [line.removeprefix("$ ") for line in SHOWN if re.match(r"(\$ )?(l3 |.*\| l3 )", line)]
+LINES = [line.removeprefix("$ ") for line in code_of(ALL) if re.match(r"(\$ )?(l3 |.*\| l3 )", line)]
 
 
 def command(name: str) -> click.Command:
@@ -58,14 +57,15 @@ def test_every_command_shown_is_complete(line: str) -> None:
 
 
 def test_there_are_enough_of_them() -> None:
-    assert len(LINES) >= 20
+    assert len(LINES) >= 50
     assert {name for line in LINES for name, *_ in commands(line)} >= {*COMMANDS} - {"compare", "info", "bench", "init"}
 
 
-def test_the_table_of_commands_has_all_of_them_in_order() -> None:
-    listed = re.findall(r"^\| `l3 ([a-z]+) ?", README, re.MULTILINE)
+@pytest.mark.parametrize("page", [README, PAGES["commands.md"]], ids=["README", "commands"])
+def test_the_table_of_commands_has_all_of_them_in_order(page: str) -> None:
+    listed = re.findall(r"^\| `l3 ([a-z]+)[ `]", page, re.MULTILINE)
     assert listed == list(COMMANDS)
-    for first, *cells in (row.split("|")[1:] for row in README.splitlines() if row.startswith("| `l3 ")):
+    for first, *cells in (row.split("|")[1:] for row in page.splitlines() if row.startswith("| `l3 ")):
         _require_options(first, " ".join(cells))
 
 
@@ -81,7 +81,7 @@ def options_of(name: str) -> set[str]:
 
 def test_every_option_named_in_passing_exists() -> None:
     known = {"--help", "--version"}.union(*(options_of(name) for name in COMMANDS))
-    named = {option for code in re.findall(r"`([^`\n]+)`", README) for option in re.findall(r"(?<!\S)--[a-z][a-z-]+", code)}
+    named = {option for code in re.findall(r"`([^`\n]+)`", ALL) for option in re.findall(r"(?<!\S)--[a-z][a-z-]+", code)}
     assert len(named) > 15
     assert named <= known | {"--cores", "--executor"}  # of snakemake
 
@@ -122,7 +122,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_worked_example_prints_what_is_shown(small: Path, l3: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(small)
     monkeypatch.setattr(recipes, "recipe_folder", lambda: small / "configs")
-    session, *_ = sessions()
+    session, *_ = sessions(PAGES["tutorial.md"])
     assert [commands(line)[0][0] for line, _ in session] == [
         "lab", "calibrate", "simulate", "train", "simulate", "render", "evaluate",
     ]  # fmt: skip
@@ -142,28 +142,19 @@ def test_the_worked_example_prints_what_is_shown(small: Path, l3: Callable, monk
 # ------------------------------------------------------------------------------------------------- files and links
 
 
-def test_links_lead_somewhere() -> None:
-    for link in re.findall(r"\]\(([^)#]+)\)", README):
-        if link.startswith("build/"):
-            made = (ROOT / "Makefile").read_text().replace("$(DEMO)", "build/demo")
-            assert link in made, f"make demo does not make {link}"
-        elif "://" not in link:
-            assert (ROOT / link).exists(), link
-
-
 def test_files_named_exist() -> None:
-    named = set(re.findall(r"(?<![\w/.])((?:configs|tests|opencl|l3cli|\.ci)/[\w./-]*\w)", README + ARCHITECTURE))
+    named = set(re.findall(r"(?<![\w/.])((?:configs|tests|opencl|l3cli|\.ci)/[\w./-]*\w)", ALL))
     assert len(named) > 25
     for name in sorted(named):
         assert (ROOT / name).exists(), name
-    for module in re.findall(r"`([a-z_]+)\.(?:py|html|css)`", README + ARCHITECTURE):
-        assert list((ROOT / "l3cli").rglob(f"{module}.*")), module
+    for module in re.findall(r"`([a-z_]+)\.(?:py|html|css)`", ALL):
+        assert [*(ROOT / "l3cli").rglob(f"{module}.*"), *(ROOT / "tests").rglob(f"{module}.py")], module
 
 
 def test_make_targets_named_exist() -> None:
     texts = (ROOT / "Makefile").read_text() + (CONFIGS / "pipelines/Makefile").read_text()
     targets = set(re.findall(r"^([a-z-]+):", texts, re.MULTILINE))
-    named = set(re.findall(r"`make ([a-z]+)`", README)) | set(re.findall(r"^    make ([a-z]+)", README, re.MULTILINE))
+    named = set(re.findall(r"`make ([a-z]+)`", ALL)) | set(re.findall(r"^    make ([a-z]+)", ALL, re.MULTILINE))
     assert named >= {"demo", "test", "bench"}
     assert named <= targets
 
@@ -172,7 +163,7 @@ def test_the_trees_of_artifacts_name_what_there_is() -> None:
     known = {"frames", "pairs", "history"}
     for kind in (CameraModel, TrainingSet, TransformTable, PartialSums, PartialLayerSums, *GROUPS.values()):
         known |= fields(kind)
-    block = [line for line in SHOWN if re.search("[├└]─", line)]
+    block = [line for line in code_of(PAGES["artifacts.md"]) if re.search("[├└]─", line)]
     cells = [cell for line in block for cell in re.findall(r"[├└]─ (.*?)(?:\s{2,}|$)", line)]
     named = {word for cell in cells for word in re.findall(r"(?:^|, )([a-z_]+)", re.sub(r"\(.*?\)", "", cell))}
     assert len(named) > 35
@@ -193,7 +184,7 @@ def fields(kind: type) -> set[str]:
 def test_the_architecture_names_every_module_of_the_lower_floors() -> None:
     for path in (ROOT / "l3cli").glob("*.py"):
         if path.stem != "__init__":
-            assert path.name in ARCHITECTURE, path.name
+            assert path.name in PAGES["architecture.md"], path.name
 
 
 # -------------------------------------------------------------------------------------------------------- recipes

@@ -1,4 +1,4 @@
-"""README, and the commands that it shows."""
+"""README and the pages of docs/, and the commands that they show."""
 
 import re
 import shlex
@@ -6,6 +6,21 @@ import shlex
 from tests.helpers.paths import ROOT
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
+PAGES = {path.name: path.read_text(encoding="utf-8") for path in sorted((ROOT / "docs").glob("*.md"))}
+ALL = "\n\n".join([README, *PAGES.values()])
+
+
+def shown(text: str) -> list[str]:
+    """The lines of a page's blocks of code, indented or fenced."""
+    lines, fenced = [], False
+    for line in text.splitlines():
+        if line.startswith("```"):
+            fenced = not fenced
+        elif fenced:
+            lines.append(line)
+        elif line.startswith("    "):
+            lines.append(line[4:])
+    return lines
 
 
 def commands(line: str) -> list[list[str]]:
@@ -14,11 +29,11 @@ def commands(line: str) -> list[list[str]]:
     return [words[1:] for part in parts if (words := shlex.split(part)) and words[0] == "l3"]
 
 
-def sessions() -> list[list[tuple[str, list[str]]]]:
-    """Blocks with `$ l3 …`: each command with the lines shown below it."""
+def sessions(text: str) -> list[list[tuple[str, list[str]]]]:
+    """Blocks with `$ l3 …` of a page: each command with the lines shown below it."""
     blocks: list[list[tuple[str, list[str]]]] = []
     inside = False
-    for line in README.splitlines():
+    for line in text.splitlines():
         if line.startswith("    $ l3 "):
             if not inside:
                 blocks.append([])

@@ -133,6 +133,7 @@ def random_table(
     channels = int(np.max(cfa)) + 1
     camera = random_camera(cfa, channels, bits, black_level)
     case_of_code = rng.integers(0, 5, 2**channels).astype(np.uint16)
+    case_of_code[0] = 0  # Chromas, structures and leaves are told apart only where nothing clips.
     recipe = ClassRecipe(
         patch=patch,
         levels=7,

@@ -144,7 +144,7 @@ def test_plain_areas_show_no_pattern_at_any_level(learned: Learned) -> None:
 def test_plain_areas_show_no_pattern_under_noise(learned: Learned) -> None:
     """Noise sorts the pixels of a plain area into different classes, at some sites more often than at others: within 0.2 %
     and what the mean of so many pixels can be off by chance; up to 1 % in the dark, where noise decides the class, and where
-    a channel is just about to clip, or 2.5 % if plain areas have no classes for themselves there (README, Limits)."""
+    a channel is just about to clip, or 2.5 % if plain areas have no classes for themselves there (docs/limits.md)."""
     renderer, rng = make_renderer("opencl", learned.table), np.random.default_rng(3)
     clip = learned.rates / learned.rates.max()
     for exposure in (0.01, 0.03, 0.1, 0.2, 0.4, 0.6, 0.8, 1.05, 1.15, 1.3, 1.5, 2.0, 3.0):

@@ -34,7 +34,7 @@ from l3cli.artifacts.training_set import (
 from l3cli.errors import InputFileError
 from tests.helpers.artifacts import a_camera, a_frame, a_table, some_layer_sums, some_sums
 from tests.helpers.paths import CONFIGS, ROOT
-from tests.helpers.readme import README
+from tests.helpers.readme import PAGES
 
 KINDS = ("camera", "training", "table", "sums", "layer_sums")
 STORED = (
@@ -149,8 +149,8 @@ def test_a_whole_table_opens_as_a_tree(folder: Path) -> None:
     tree.close()
 
 
-def test_the_example_of_the_readme_runs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    lines = README.partition("    import xarray\n")[2].partition("\n\n")[0].splitlines()
+def test_the_example_of_the_docs_runs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    lines = PAGES["artifacts.md"].partition("    import xarray\n")[2].partition("\n\n")[0].splitlines()
     monkeypatch.chdir(folder)
     names: dict[str, Any] = {"xarray": xarray}
     shown = []

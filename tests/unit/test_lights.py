@@ -1,4 +1,4 @@
-"""Lights by name: one short line for an unknown one, and a list of all in README."""
+"""Lights by name: one short line for an unknown one, and a list of all in the docs."""
 
 import re
 
@@ -27,7 +27,7 @@ def test_an_unknown_light_is_one_short_line(name: str, cure: str) -> None:
     line = str(caught.value)
     assert cure in line
     assert len(line) < 220
-    assert f'README, "Lights", lists all {len(spectra.illuminant_names())}' in line
+    assert f'documentation, "Lights", lists all {len(spectra.illuminant_names())}' in line
 
 
 def test_the_usual_ones_are_lights() -> None:
@@ -35,8 +35,8 @@ def test_the_usual_ones_are_lights() -> None:
         assert spectra.illuminant(name, WAVELENGTH).min() > 0
 
 
-def test_readme_lists_all() -> None:
-    text = (ROOT / "README.md").read_text()
+def test_the_docs_list_all() -> None:
+    text = (ROOT / "docs/recipes.md").read_text()
     (bullet,) = re.findall(r"^\* \*\*Lights\*\*(.*?)^\* ", text, re.MULTILINE | re.DOTALL)
     listed = set()
     for first, last in re.findall(r"`([^`]+)`(?:…`([^`]+)`)?", bullet):

@@ -119,7 +119,7 @@ def _nothing(folder: Path, tables: Sequence[Spectra], notes: Sequence[str]) -> s
         more = f" and {len(tables) - 1} more" if len(tables) > 1 else ""
         return (
             f"{folder} holds no raw frame, but tables such as {held}{more}; finished curves need no draft: name them in a "
-            "measurement file, as [curves] (README)"
+            'measurement file, as [curves] (documentation, "Measurement files")'
         )
     reason = f": {notes[0].removesuffix('; left out')}" if notes else ""
     return f"{folder} holds no raw frame{reason}; give the folder of a camera's captures"
