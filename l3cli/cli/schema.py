@@ -11,7 +11,7 @@ from l3cli.cli.terminal import show_json
 if TYPE_CHECKING:
     from l3cli.stages.console import Console
 
-KINDS = ("camera", "lab", "scenes", "classes", "measurements")
+KINDS = ("camera", "lab", "scenes", "classes", "measurements", "output")
 
 
 @click.command()
@@ -20,6 +20,8 @@ KINDS = ("camera", "lab", "scenes", "classes", "measurements")
 def schema(kind: str, console: "Console") -> Result:
     """Print the JSON schema of a KIND of recipe: camera, lab, scenes, classes or measurements. With it editors (taplo, Even
     Better TOML) check a recipe whose first line is "#:schema camera.schema.json", the file that holds it.
+
+    With output as KIND, print the schema of what commands print with --json.
 
     \b
     Example: l3 schema camera

@@ -26,6 +26,7 @@ from l3cli.locks import sole_writer_of_folder
 from l3cli.stages.claims import Claims, refuse_unwritable
 from l3cli.stages.console import Console, Gathering
 from l3cli.stages.plan import Planned, is_dry
+from l3cli.stages.rendering.destination import Destination
 from l3cli.stages.rendering.job_state import Entry, JobState, identity_of_clip, identity_of_output
 from l3cli.stages.rendering.sequence import Tally
 
@@ -214,7 +215,7 @@ class ClipJob:
             self._refuse_output(source, output, is_file)
             self.state.note(source, Entry(of, os.path.realpath(output)))
             begun = True
-            goes_on = ours and same and not is_file
+            goes_on = ours and same and not is_file and Destination(output, "folder", self._suffix).mark.is_file()
             tally = self._render((source,), output, heard, resume=goes_on, force=self.force or (ours and not goes_on))
         except (L3Error, OSError) as error:
             self._fail(source, output, of, begun, heard, error)
