@@ -1,4 +1,4 @@
-"""The JSON schema of what --json prints: how a command ran in full, of its results the keys and what they are."""
+"""The JSON schema of what commands print as JSON: how a command ran in full, of its results the keys and what they are."""
 
 from typing import Any
 
@@ -42,8 +42,8 @@ RUN = _structure(
     error=_maybe(
         _structure(kind={"enum": ["failure", "call", "input", "device", "interrupted", "terminated"]}, message=TEXT)
     ),
-    warnings=_told(_listed(TEXT), "the first 1000, also with --quiet"),
-    messages=_told(_listed(TEXT), "the first 1000, also with --quiet"),
+    warnings=_told(_listed(TEXT), "the first 1000, said or not"),
+    messages=_told(_listed(TEXT), "the first 1000, said or not"),
     messages_left_out=_told(COUNT, "warnings and messages beyond these"),
     started=_told({"type": "string", "format": "date-time"}, "UTC"),
     seconds=_told(SECONDS, "of the whole command, by the clock, without computing digests"),
@@ -67,18 +67,18 @@ CLIP = _structure(
 ANY: dict[str, Any] = {}
 RESULTS: dict[str, dict[str, dict[str, Any]]] = {  # command → keys of its results; a call has those of what it is asked for
     "calibrate": {
-        "measurements": _told(TEXT, "the draft, with --draft"),
+        "measurements": _told(TEXT, "the draft, where one is asked for"),
         "camera": _told(ANY, "name → value and unit"),
         **_keys("channels, lights, bands, photos, prior, next light, smoothing, responsivity, declared, left out, defects"),
         **_keys("defect map, corner fall-off %, saturation reached"),
-        "truth": _told(ANY, "with --truth: the same of the true camera, and errors"),
-        "matrices": _told(ANY, "with --export as of l3 export"),
+        "truth": _told(ANY, "where a truth is given: the same of the true camera, and errors"),
+        "matrices": _told(ANY, "as of l3 export, where that is asked for"),
     },
     "simulate": {"training_set": TEXT, "frames": COUNT, "scenes_left_out": COUNT},
     "train": {
         "table": TEXT,
         "layers": _listed(_structure(classes=COUNT, without_patches=COUNT)),
-        "pass": _told(_maybe(TEXT), "of --merge that is not the last one"),
+        "pass": _told(_maybe(TEXT), "of merged shards, unless it is the last one"),
         "partial_sums": TEXT,
         "shard": _told(_listed(COUNT), "number from 1, of how many"),
     },
@@ -123,7 +123,7 @@ DRY_RUN = _structure(
 
 
 def output_schema() -> dict[str, Any]:
-    """The schema of what any command prints with --json."""
+    """The schema of what any command prints as JSON."""
     document: dict[str, Any] = {"type": "object", "properties": {"run": {"$ref": "#/$defs/run"}}, "required": ["run"]}
     of_command = [
         {
@@ -132,6 +132,6 @@ def output_schema() -> dict[str, Any]:
         }
         for command, keys in RESULTS.items()
     ]
-    title = "what an l3 command prints with --json"
+    title = "what an l3 command prints as JSON"
     document |= {"allOf": of_command, "unevaluatedProperties": False}
     return {"$schema": DIALECT, "title": title, **document, "$defs": {"run": RUN, "dry_run": DRY_RUN}}
