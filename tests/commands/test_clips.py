@@ -19,6 +19,7 @@ from l3cli.artifacts.store import save
 from l3cli.errors import DeviceError, L3Error, RecipeError
 from l3cli.io.images import write_mosaic
 from l3cli.io.raw.files import KnownBetter
+from l3cli.rendering.renderer import make_renderer
 from l3cli.stages.checking.output_schema import output_schema
 from l3cli.stages.console import Silent
 from l3cli.stages.rendering.clips import ClipJob, name_of
@@ -315,6 +316,26 @@ def test_memory_is_that_of_what_lies_in_the_folder(watched: Callable, shots: Pat
     job, _ = watched(*steps, nothing)
     assert job.summary.counts["rendered"] == 4
     assert job.state.entry(here / "3.npy") is None
+
+
+def test_a_renderer_is_made_once_and_anew_after_an_error(
+    watched: Callable, shots: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What OpenCL builds for one stays in memory."""
+    made: list[str] = []
+
+    def counted(backend: str, *about: Any, **options: Any) -> Any:
+        made.append(backend)
+        return make_renderer(backend, *about, **options)
+
+    monkeypatch.setattr("l3cli.rendering.renderer.make_renderer", counted)
+    for name in ("a.npy", "b.npy", "d.npy"):
+        shutil.copy(shots / "still.npy", tmp_path / "in" / name)
+    watched(nothing)
+    assert made == ["reference"]
+    (tmp_path / "in/c.npy").write_bytes(b"cut")
+    watched(nothing, nothing, force=True)
+    assert made == ["reference"] * 3
 
 
 def test_a_watch_that_cannot_be_is_refused(watched: Callable, refused: Refused, table: Path, tmp_path: Path) -> None:

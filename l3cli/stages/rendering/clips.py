@@ -27,6 +27,7 @@ from l3cli.stages.claims import Claims, refuse_unwritable
 from l3cli.stages.console import Console, Gathering
 from l3cli.stages.plan import Planned, is_dry
 from l3cli.stages.rendering.destination import Destination
+from l3cli.stages.rendering.executors import Renderers
 from l3cli.stages.rendering.job_state import Entry, JobState, identity_of_clip, identity_of_output
 from l3cli.stages.rendering.sequence import Tally
 
@@ -123,7 +124,9 @@ class ClipJob:
         if folder == STDIN or is_video(folder) or PATTERN.search(folder.name) or folder.is_file():
             raise RecipeError(f"{folder} is for one clip; name a folder, and the kind of its files with ‹format›")
         self.folder, self.console, self.force, self.summary = folder, console, force, Summary()
-        self._path, self._suffix, self._render = table, suffix, render
+        self._renderers = Renderers()
+        self._path, self._suffix = table, suffix
+        self._render = functools.partial(render, renderers=self._renderers)
         self._table, self._dated = load(TransformTable, table), dated(table)
         choices = {name: value for name, value in render.keywords.items() if name not in ("skip_bad", "scheduler")}
         self._known: KnownBetter = choices["known"]
@@ -232,6 +235,7 @@ class ClipJob:
         self, source: Path, output: Path, of: str, begun: bool, heard: Gathering, error: L3Error | OSError
     ) -> None:  # fmt: skip
         """Say and count what is wrong with a clip; raise what would be wrong with every other one, too."""
+        self._renderers.forget()
         cause = error if isinstance(error, OSError) else error.__cause__
         if isinstance(error, DeviceError) or (isinstance(cause, OSError) and cause.errno in FULL):
             raise error

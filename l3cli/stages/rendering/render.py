@@ -22,7 +22,7 @@ from l3cli.stages.console import Console
 from l3cli.stages.input_warnings import warn_of_kernels, warn_of_white
 from l3cli.stages.rendering.corrections import CameraFile, correction_in, hot_test
 from l3cli.stages.rendering.destination import Destination, claim, destination_of, marked, paged, refuse_missing
-from l3cli.stages.rendering.executors import RenderSetup, executor_of
+from l3cli.stages.rendering.executors import Renderers, RenderSetup, executor_of
 from l3cli.stages.rendering.mark import Origins
 from l3cli.stages.rendering.plan import plan
 from l3cli.stages.rendering.rendition import Rendition, chosen_space, for_developers, outputs_as_they_are
@@ -42,7 +42,7 @@ def render(
     camera: Path | None = None, hot: bool = False,
     exposure: float | None = None, white: str | None = None, space: str | None = None, remosaic: str | None = None,
     backend: str = "opencl", device: str | None = None, variant: str | None = None, skip_bad: bool = False,
-    resume: bool = False, scheduler: "Scheduler | None" = None, force: bool = False,
+    resume: bool = False, scheduler: "Scheduler | None" = None, renderers: Renderers | None = None, force: bool = False,
 ) -> Tally:  # fmt: skip
     """Render raw frames through a table into a picture, numbered files, a folder (of files that end in `suffix`) or a video.
 
@@ -52,7 +52,7 @@ def render(
     each frame's hot pixels. `exposure`: factor of Y, None: automatic. `white`: name or chromaticity of the scene's white,
     "camera", "auto" or "ROW,COL[,SIZE]" of a grey, None: the table's. `space`: of the values, None: sRGB, in floating point
     the outputs as they are; `remosaic`: mosaic of a DNG file, "bayer". `skip_bad`: leave out broken frames. `resume`: go on
-    where a run was stopped.
+    where a run was stopped. `renderers`: shared with other runs.
     RecipeError, InputFileError, DeviceError or L3Error before anything is written where that is known.
     """
     # One long sequence: in this order a refusal comes before any work, and no output takes the place of what is read.
@@ -91,7 +91,7 @@ def render(
         origins = functools.partial(Origins, inputs[0], steady)
         with (
             marked(destination, key, resume, force, footage, origins) as mark,
-            executor_of(setup, transforms, scheduler) as executor,
+            executor_of(setup, transforms, scheduler, renderers or Renderers()) as executor,
         ):
             tally = render_frames(
                 footage, destination, executor, transforms, rendition, source, choice, mark, origins(), skip_bad, console
