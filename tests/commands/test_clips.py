@@ -120,7 +120,14 @@ def test_a_clip_that_fails_stops_no_other_and_is_all_that_is_done_again(
 def test_if_all_fail_the_exit_code_is_that_of_the_first(l3: L3, tmp_path: Path, table: Path) -> None:
     call = ("render", table, tmp_path / "a.mkv", tmp_path / "b.mkv", "-o", tmp_path / "out", *FAST)
     assert l3(*call)[0] == 3
-    assert l3(*call, "--force", "--bits", 32, "--format", "mp4")[0] == 2
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_no_clip_can_become_is_refused_before_work(refused: Refused, tmp_path: Path, table: Path, shots: Path) -> None:
+    call = ("render", table, shots / "fold", shots / "v.mkv", "-o", tmp_path / "out", *FAST)
+    assert "values of 32 bits are for pictures" in refused(2, *call, "--bits", 32, "--format", "mp4")
+    assert "--codec and --crf are for videos" in refused(2, *call, "--crf", 3)
+    assert "pictures are written as" in refused(2, *call, "--format", "gif")
 
 
 def test_two_clips_of_one_name_or_one_that_is_there_are_refused_before_work(

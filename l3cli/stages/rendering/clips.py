@@ -20,13 +20,13 @@ from l3cli.files import FULL, STDIN, UNFINISHED, refuse_existing, refuse_filled_
 from l3cli.io.numbered import PATTERN
 from l3cli.io.raw.files import KnownBetter
 from l3cli.io.sequences import frame_files, is_one_file, is_still
-from l3cli.io.video import is_video
+from l3cli.io.video import USUAL_RATE, VideoChoice, is_video
 from l3cli.ledger import dated
 from l3cli.locks import sole_writer_of_folder
 from l3cli.stages.claims import Claims, refuse_unwritable
 from l3cli.stages.console import Console, Gathering
 from l3cli.stages.plan import Planned, is_dry
-from l3cli.stages.rendering.destination import Destination
+from l3cli.stages.rendering.destination import Destination, destination_of
 from l3cli.stages.rendering.executors import Renderers
 from l3cli.stages.rendering.job_state import Entry, JobState, identity_of_clip, identity_of_output
 from l3cli.stages.rendering.sequence import Tally
@@ -120,7 +120,7 @@ class ClipJob:
         self, table: Path, folder: Path, suffix: str, render: Render, console: Console, *, force: bool = False
     ) -> None:  # fmt: skip
         """`suffix`: of videos, or of the pictures in a folder for each clip; `render`: of one clip, with all that its bytes
-        depend on beside table and clip among its keywords. RecipeError if the output is no folder."""
+        depend on beside table and clip among its keywords. RecipeError if the output is no folder or cannot hold this."""
         if folder == STDIN or is_video(folder) or PATTERN.search(folder.name) or folder.is_file():
             raise RecipeError(f"{folder} is for one clip; name a folder, and the kind of its files with ‹format›")
         self.folder, self.console, self.force, self.summary = folder, console, force, Summary()
@@ -130,6 +130,9 @@ class ClipJob:
         self._table, self._dated = load(TransformTable, table), dated(table)
         choices = {name: value for name, value in render.keywords.items() if name not in ("skip_bad", "scheduler")}
         self._known: KnownBetter = choices["known"]
+        about = {name: choices[name] for name in ("codec", "crf", "preset") if name in choices}
+        choice = VideoChoice(choices.get("rate") or USUAL_RATE, choices.get("bits", 8), **about)
+        destination_of(folder / f"clip.{suffix}", suffix, choice)
         named = (each for value in choices.values() for each in (value if isinstance(value, tuple) else (value,)))
         files = [dated(each) for each in named if isinstance(each, Path)]  # of darks and cameras
         key = [sha256(table), __version__, suffix, sorted(choices.items()), files]
@@ -177,7 +180,7 @@ class ClipJob:
             for number, source in enumerate(sources, 1):
                 self.console.say(f"clip {number} of {len(sources)}: {source}")
                 self.one(source)
-            self.state.end(complete=not self.summary.counts[FAILED])
+            self.state.end(complete=not self.summary.counts[FAILED] or not self.state.has_outputs)
 
     def _plan(self, sources: Sequence[Path]) -> None:
         """In a dry run Planned for all clips; what is wrong with the first one is raised."""

@@ -105,6 +105,11 @@ class JobState:
         known = {os.path.realpath(clip) for clip in clips}
         self._entries = {clip: entry for clip, entry in self._entries.items() if clip in known}
 
+    @property
+    def has_outputs(self) -> bool:
+        """Whether anything is there that the run has made or begun."""
+        return any(entry.begun and os.path.exists(entry.output) for entry in self._entries.values())
+
     def end(self, complete: bool) -> None:
         """Remove the file of a run that has made everything."""
         if self._file is not None:

@@ -14,7 +14,7 @@ from l3cli.errors import RecipeError
 from l3cli.files import sha256
 from l3cli.io.raw.files import KnownBetter
 from l3cli.io.sequences import Footage, find_frames, read_dark
-from l3cli.io.video import VideoChoice
+from l3cli.io.video import USUAL_RATE, VideoChoice
 from l3cli.rendering.display import require_xyz
 from l3cli.rendering.white_source import given_white, usual_balance, white_source
 from l3cli.stages.claims import Claims
@@ -31,7 +31,6 @@ from l3cli.stages.rendering.sequence import Tally, follows, render_frames
 if TYPE_CHECKING:
     from l3cli.parallel.cluster import Scheduler
 
-USUAL_RATE = Fraction(30)  # frames a second, where neither the caller nor the input gives it
 NOTHING_KNOWN = KnownBetter()
 
 
