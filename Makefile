@@ -2,6 +2,8 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+PYTHON312 ?= python3.12
+NEWER := build/vapoursynth
 DEMO := build/demo
 CURVE := build/curve
 JOBS ?= 2
@@ -10,7 +12,7 @@ PLACES ?= 500
 L3 := $(BIN)/l3
 TIMED := bash -c 'time "$$0" "$$@"'
 
-.PHONY: help install demo demo-steps test study soak video fuzz curve lint format bench clean
+.PHONY: help install demo demo-steps test vapoursynth study soak video fuzz curve lint format bench clean
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 
@@ -42,6 +44,15 @@ demo-steps:
 
 test: $(VENV)/installed ## the test suite
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile
+
+# VapourSynth has wheels for Python ≥ 3.12 alone.
+$(NEWER)/installed: pyproject.toml
+	$(PYTHON312) -m venv $(NEWER)
+	$(NEWER)/bin/python -m pip install --quiet --disable-pip-version-check -e ".[vapoursynth,video]" vapoursynth-bestsource pytest hypothesis
+	touch $@
+
+vapoursynth: $(NEWER)/installed ## the tests of the VapourSynth filter, under PYTHON312=python3.12 or newer
+	$(NEWER)/bin/python -m pytest tests/commands/test_vapoursynth.py
 
 study: $(VENV)/installed ## calibration over 21 seeds, quality, time and memory of large inputs (ten minutes)
 	$(BIN)/python -m pytest -m slow -s --ignore tests/studies/test_video_rate.py

@@ -15,7 +15,7 @@ nothing unless they are given a `console` (`l3cli.stages.console.Console`).
 import contextlib
 import tempfile
 import threading
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from fractions import Fraction
 from os import PathLike
 from pathlib import Path
@@ -32,15 +32,14 @@ from l3cli.artifacts.training_set import TrainingSet
 from l3cli.correction import correction_of
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.frame import RawFrame
-from l3cli.io.images import FLOAT_BITS
 from l3cli.io.raw import files as raw_files
 from l3cli.io.raw.files import KnownBetter
 from l3cli.recipes import find_recipe
-from l3cli.rendering.display import require_xyz
+from l3cli.rendering.balance import WhiteBalance
 from l3cli.rendering.renderer import make_renderer
-from l3cli.rendering.white_source import given_white, usual_balance, white_source
 from l3cli.stages.console import Console, Silent
-from l3cli.stages.rendering.rendition import OUTPUTS, Rendition, chosen_space, rendered
+from l3cli.stages.rendering.following import Following, shown_as
+from l3cli.stages.rendering.rendition import OUTPUTS, Rendition, rendered
 
 Name = str | PathLike[str]
 KINDS: tuple[type[Artifact], ...] = (CameraModel, TrainingSet, TransformTable)
@@ -252,29 +251,41 @@ class Renderer:
         space: str = "srgb", bits: int = 8,
     ) -> Iterator[NDArray[Any]]:  # fmt: skip
         """`picture` of each frame, in order, as they are asked for; each has its automatic exposure."""
-        require_xyz(self.table.outputs)
-        source = white_source(white, self.table) if white is not None else None
-        given = None if source else given_white(white, self.table)
-        shown = given.balance if given else usual_balance(self.table)
-        rendition = Rendition(shown, exposure, bits, chosen_space(space, bits == FLOAT_BITS))
+        rendition, source = shown_as(self.table, exposure, white, space, bits)
         for each in frames:
             frame = self._frame(each)
-            white_of_frame = source.white(frame) if source else None
-            balance = white_of_frame.balance if white_of_frame else None
-            with self._alone:
-                picture = rendered(self._renderer, frame, rendition, exposure or 0.0, balance=balance).pixels
-            yield picture
+            measured = source.white(frame) if source else None
+            yield self._pixels(frame, rendition, exposure or 0.0, measured.balance if measured else None)
+
+    def sequence(
+        self, rate: Fraction | None, *, exposure: float | None = None, white: str | None = None, space: str = "srgb",
+        bits: int = 8,
+    ) -> Callable[[RawFrame | NDArray[np.uint16]], NDArray[Any]]:  # fmt: skip
+        """What makes the `picture` of each frame of a sequence, called with one after the other. Exposure and white that are
+        measured follow at `rate` (frames/s), as in `l3 render` of a sequence; None: they stay those of the first frame that
+        it is called with, and the others may come in any order, from any thread."""
+        rendition, source = shown_as(self.table, exposure, white, space, bits)
+        following = Following(self.table, rendition, source, rate)
+
+        def picture(given: RawFrame | NDArray[np.uint16]) -> NDArray[Any]:
+            frame = self._frame(given)
+            return self._pixels(frame, rendition, *following.shown(frame))
+
+        return picture
 
     def outputs(self, frame: RawFrame | NDArray[np.uint16]) -> NDArray[np.float32]:
         """The table's outputs, upright, (row, col, output); 1 is `table.output_unit` cd s/m²."""
-        with self._alone:
-            planes: NDArray[np.float32] = rendered(self._renderer, self._frame(frame), OUTPUTS, 0.0).pixels
-        return planes
+        return self._pixels(self._frame(frame), OUTPUTS, 0.0, None)
 
     def labels(self, frame: RawFrame | NDArray[np.uint16]) -> NDArray[np.integer]:
         """The class (row, col) of every pixel, as the sensor lies."""
         with self._alone:
             return self._renderer.labels(self._frame(frame))
+
+    def _pixels(self, frame: RawFrame, rendition: Rendition, scale: float, balance: WhiteBalance | None) -> NDArray[Any]:
+        with self._alone:
+            pixels: NDArray[Any] = rendered(self._renderer, frame, rendition, scale, balance=balance).pixels
+        return pixels
 
     def _frame(self, given: RawFrame | NDArray[np.uint16]) -> RawFrame:
         if isinstance(given, RawFrame):

@@ -23,6 +23,9 @@ void classes(__global const ushort *restrict raw,                // (row, col) D
     ushort ring[PATCH + 1][SPAN];  // the latest rows, padded row k - y0 in slot (k - y0) % (PATCH + 1)
     Columns near;
     Runs runs;
+#ifdef BOX_ROWS
+    box boxes[PATCH + 1][SPAN];  // sums over boxes by their last row, in its slot
+#endif
     for (int i = 0; i < (PATCH + 1) * SPAN; i++) ring[0][i] = 0;
     for (int i = 0; i < CHANNELS * SPAN; i++) near.sum[0][i] = 0;
     for (int i = 0; i < CHANNELS * SPAN; i++) near.square[0][i] = 0;
@@ -35,6 +38,9 @@ void classes(__global const ushort *restrict raw,                // (row, col) D
         const int row_phase = PADDED_PHASE(y0 + k, phase_row, CFA_ROWS);
         const int leaving_phase = PADDED_PHASE(y0 + k + (CFA_ROWS - 1) * PATCH, phase_row, CFA_ROWS);
         slide(&near, entering, member + row_phase * PERIOD, leaving, member + leaving_phase * PERIOD, padded_phase, span);
+#ifdef BOX_ROWS
+        add_boxes(boxes[k % (PATCH + 1)], ring, k % (PATCH + 1), span);
+#endif
         const int late = k - (RADIUS - SATURATION_RADIUS);  // saturation counts in fewer rows: the lowest came earlier
         if (late >= 0)
             saturated_row(near.saturated[late % SPREAD], ring[late % (PATCH + 1)],
@@ -53,7 +59,11 @@ void classes(__global const ushort *restrict raw,                // (row, col) D
                              patch_square(&runs, &near, c, x), LOAD_GLOBAL(uints, mean_reciprocal + at),
                              LOAD_GLOBAL(uints, variance_reciprocal + at), RULE);
             }
-#ifdef EACH_WINDOW
+#ifdef BOX_ROWS
+#define ADD_WINDOW(s, top, left, rows, columns, sign) \
+    evidence.window_sum[s] = evidence.window_sum[s] sign LOAD_BOX(boxes[(k - 2 * RADIUS + top + rows - 1) % (PATCH + 1)] + x + left);
+            EACH_WINDOW(ADD_WINDOW)
+#elif defined(EACH_WINDOW)
 #define ADD_WINDOW(s, top, left, rows, columns, sign) \
     evidence.window_sum[s] = evidence.window_sum[s] sign window_sum(ring, k - 2 * RADIUS, top, left, rows, columns, x);
             EACH_WINDOW(ADD_WINDOW)

@@ -108,7 +108,39 @@ INLINE uints patch_square(const Runs *runs, const Columns *columns, int c, int p
     return total;
 }
 
-#ifdef EACH_WINDOW
+#ifdef BOX_ROWS
+// Windows of one size are shared by many pixels: what each row adds is added up once, over the windows that end with it.
+#if BOX_ROWS * BOX_COLUMNS <= 16  // 12-bit values
+typedef ushort box;
+#define LOAD_BOX(p) CONVERT(LOAD_PRIVATE(shorts, p), ints)
+#define BOX_OF(total) CONVERT(total, shorts)
+#define STORE_BOX(p) STORE_PRIVATE(shorts, p)
+#else
+typedef uint box;
+#define LOAD_BOX(p) SAME_BITS(LOAD_PRIVATE(uints, p), ints)
+#define BOX_OF(total) (total)
+#define STORE_BOX(p) STORE_PRIVATE(uints, p)
+#endif
+
+// Sums over the boxes whose last row is in slot `newest` of the ring and whose first column is p → boxes[p].
+INLINE void add_boxes(box *boxes, ushort ring[PATCH + 1][SPAN], int newest, int span) {
+    ushort down[SPAN];
+    for (int p = 0; p < span; p += 2 * LANES) {
+        full_shorts sum = 0;
+        #pragma unroll
+        for (int j = 0; j < BOX_ROWS; j++)
+            sum += LOAD_PRIVATE(full_shorts, ring[(newest + PATCH + 1 - j) % (PATCH + 1)] + p) >> SHIFT;
+        STORE_PRIVATE(full_shorts, down + p) = sum;
+    }
+    for (int p = span; p < SPAN; p++) down[p] = 0;
+    for (int p = 0; p < span; p += LANES) {
+        uints total = 0;
+        #pragma unroll
+        for (int i = 0; i < BOX_COLUMNS; i++) total += CONVERT(LOAD_PRIVATE(shorts, down + p + i), uints);
+        STORE_BOX(boxes + p) = BOX_OF(total);
+    }
+}
+#elif defined(EACH_WINDOW)
 // Values of a window of those patches, whose rows lie in the ring from slot `first` on. A row's sum fits 16 bits.
 INLINE ints window_sum(ushort ring[PATCH + 1][SPAN], int first, int top, int left, int rows, int columns, int p) {
     ints total = (ints)0;

@@ -47,15 +47,16 @@ class Keys(Recipe):
     coherence: Share | None = None  # the axis across may vary by this share of the largest difference; none: not asked
 
 
+def fits(camera: CameraModel, patch: int) -> bool:
+    """Whether boxes of one period leave room within a patch to be told apart."""
+    return math.lcm(*camera.cfa.shape) < patch
+
+
 def axis(keys: Keys, camera: CameraModel, rule: ClassRule, dark: float, observed: NDArray[np.float64] | None) -> Axis:
-    """Windows, multipliers and strength edges by the camera's noise; RecipeError if the patch is too small."""
+    """Windows, multipliers and strength edges by the camera's noise; RecipeError if the strengths cannot be."""
     if not keys.strengths or tuple(sorted(set(keys.strengths))) != keys.strengths or keys.strengths[0] <= 0:
         raise RecipeError("classes.direction.strengths must be there, be positive and increase")
     period = math.lcm(*camera.cfa.shape)
-    if period >= rule.patch:
-        raise RecipeError(
-            f"classes.direction needs a patch of more than {period} pixels for this CFA; enlarge classes.patch"
-        )
     span = rule.patch - period
     inner = _inner_span(span)
     windows = _windows(rule.patch, period, inner)

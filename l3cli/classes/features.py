@@ -60,6 +60,9 @@ class FurtherFeature(Feature, Protocol):
     which gives what `values` gives. Window sums are of v = DN >> shift, below 2²⁰ in size.
     """
 
+    def fits(self, camera: CameraModel, patch: int) -> bool:
+        """Whether patches of side `patch` are large enough to see it on a camera's array; else rules do without it."""
+
     def axis(
         self, keys: Any, camera: CameraModel, rule: ClassRule, dark: float, observed: NDArray[np.float64] | None
     ) -> Axis:

@@ -14,7 +14,8 @@ def snippets(rule: ClassRule) -> tuple[str, ...]:
 
 def joined(rule: ClassRule) -> str:
     """The further features as rule.cl asks for them: FURTHER values together, from WINDOW_SUMS sums over the windows that
-    EACH_WINDOW names, by `further_of`. Values past the end of an axis are its last."""
+    EACH_WINDOW names, by `further_of`. Values past the end of an axis are its last. BOX_ROWS and BOX_COLUMNS are the size of
+    the windows where all have one."""
     windows, values = [], []
     sums = constants = 0
     for axis in rule.axes:
@@ -27,6 +28,9 @@ def joined(rule: ClassRule) -> str:
         ]
         sums, constants = sums + axis.sums, constants + len(axis.constants)
     lines = [f"#define FURTHER {rule.further}", f"#define WINDOW_SUMS {max(1, sums)}"]
+    sizes = {(window.rows, window.columns) for axis in rule.axes for window in axis.windows}
+    if len(sizes) == 1:
+        lines += [f"#define BOX_{name} {size}" for name, size in zip(("ROWS", "COLUMNS"), *sizes, strict=True)]
     if rule.axes:
         lines += [
             f"#define EACH_WINDOW(add) {' '.join(windows)}",

@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from l3cli.artifacts.camera import CameraModel
 from l3cli.classes import chroma, contrast, level, saturation
 from l3cli.classes.features import FURTHER
 from l3cli.config import Count, Recipe
@@ -37,3 +38,8 @@ else:
 def switched_on(recipe: ClassRecipe) -> dict[str, Any]:
     """The tables of the further features that a recipe has, by name, in the order of FURTHER."""
     return {name: keys for name in FURTHER if (keys := getattr(recipe, name)) is not None}
+
+
+def left_out(recipe: ClassRecipe, camera: CameraModel) -> list[str]:
+    """Names of the features switched on that patches are too small for on a camera's array."""
+    return [name for name in switched_on(recipe) if not FURTHER[name].fits(camera, recipe.patch)]

@@ -56,6 +56,7 @@ def make_rule(
         axes = tuple(
             FURTHER[name].axis(keys, camera, rule, dark, None if observed is None else observed[name])
             for name, keys in switched_on(recipe).items()
+            if FURTHER[name].fits(camera, recipe.patch)
         )
         return replace(rule, features=FurtherFeatures.of(axes)) if axes else rule
     except ValueError as error:

@@ -13,8 +13,16 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("table", type=options.FILE, metavar="TABLE.h5")
-@click.argument("frames", type=options.FILE, metavar="TRAINING.h5")
+@click.argument("table", type=options.FILE, required=False, metavar="TABLE.h5")
+@click.argument("frames", type=options.FILE, required=False, metavar="TRAINING.h5")
+@click.option(
+    "--sequence", type=options.FILE, metavar="PICTURES",
+    help="Instead of a table: rendered pictures (folder, pattern, glob, video) to be judged over time.",
+)  # fmt: skip
+@click.option(
+    "--ideal", type=options.FILE, metavar="PICTURES",
+    help="What the sequence should be, such as the folder of l3 simulate --pictures.",
+)  # fmt: skip
 @options.backend
 @click.option(
     "--viewing",
@@ -40,8 +48,10 @@ if TYPE_CHECKING:
 @options.dry_run
 @options.quiet
 def evaluate(
-    table: Path,
-    frames: Path,
+    table: Path | None,
+    frames: Path | None,
+    sequence: Path | None,
+    ideal: Path | None,
     backend: str,
     viewing: float,
     border: int | None,
@@ -59,12 +69,29 @@ def evaluate(
     are bilinear interpolation, Malvar and Menon for Bayer, spectral differences (sd) and the pseudo-panchromatic image
     difference (ppid) for arrays in which every band occurs once a period.
 
+    With --sequence: noise and flicker of CIE L* over time on patches that stand still, the largest jump of a frame's
+    mean, and beside ideal pictures PSNR, ΔE00 and how the error changes along the known motion.
+
     \b
     Example: l3 evaluate table.h5 unseen.h5 --json
     """
+    if sequence is not None:
+        if table is not None or pictures is not None:
+            raise click.UsageError("--sequence judges pictures; leave TABLE.h5, TRAINING.h5 and --pictures out")
+        return _evaluate_sequence(sequence, ideal, border, console)
+    if table is None or frames is None or ideal is not None:
+        raise click.UsageError("give TABLE.h5 and TRAINING.h5, or --sequence PICTURES with or without --ideal")
     from l3cli.stages.evaluation import evaluate as stage
 
     document = stage(table, frames, console, backend=backend, viewing=viewing, border=border, pictures=pictures, force=force)
     from l3cli.cli.quality_tables import print_tables
 
     return Result(document, lambda: print_tables(document))
+
+
+def _evaluate_sequence(sequence: Path, ideal: Path | None, border: int | None, console: "Console") -> Result:
+    from l3cli.cli.quality_tables import print_sequence
+    from l3cli.stages.sequence_evaluation import document, evaluate_sequence
+
+    figures = evaluate_sequence(sequence, console, ideal=ideal, border=border)
+    return Result(document(figures), lambda: print_sequence(figures))

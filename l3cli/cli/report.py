@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("artifacts", type=options.FILE, nargs=-1, required=True, metavar="ARTIFACT.h5...")
+@click.argument("artifacts", type=options.FILE, nargs=-1, required=True, metavar="ARTIFACT.h5|SEQUENCE.json…")
 @options.output("HTML page to write")
 @options.backend
 @options.force
@@ -23,7 +23,8 @@ def report(artifacts: tuple[Path, ...], output: Path, backend: str, force: bool,
     """Show camera models, training sets and transform tables on one page that needs no network.
 
     Every table is evaluated on every training set that it was not trained on. A camera is shown once; if no camera
-    model is given, those stored in the training sets are shown.
+    model is given, those stored in the training sets are shown. What l3 evaluate --sequence prints as JSON is plotted over
+    time, several of them in one plot.
 
     \b
     Example: l3 report camera.h5 training.h5 table.h5 unseen.h5 -o report.html

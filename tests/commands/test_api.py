@@ -4,6 +4,7 @@ import inspect
 import subprocess
 import sys
 import threading
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from l3cli.artifacts.training_set import TrainingSet
 from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.io.images import read_image
 from tests.helpers.cameras import BAYER
+from tests.helpers.sequences import RGGB, frames
 from tests.helpers.tables import random_table
 
 
@@ -70,6 +72,25 @@ def test_arrays_generators_and_threads_share_a_renderer() -> None:
     for thread in threads:
         thread.join()
     assert all(np.array_equal(made[index], expected[index]) for index in range(6))
+
+
+def test_a_sequence_is_shown_as_the_command_shows_it(tmp_path: Path) -> None:
+    """Exposure and white follow; without a rate those of the first frame hold, in any order."""
+    clip = (1000 + (frames() - 64.0) / 8).astype(np.uint16)  # near to a grey
+    l3.save(RGGB, tmp_path / "table.h5")
+    np.save(tmp_path / "clip.npy", clip)
+    l3.render(tmp_path / "table.h5", tmp_path / "clip.npy", tmp_path / "out", white="8,8,8", backend="reference")
+    expected = [read_image(path)[0] for path in sorted((tmp_path / "out").glob("*.png"))]
+    renderer = l3.Renderer(RGGB, backend="reference")
+    show = renderer.sequence(Fraction(30), white="8,8,8")
+    assert all(np.array_equal(show(frame), picture) for frame, picture in zip(clip, expected, strict=True))
+    held = renderer.sequence(None, white="8,8,8")
+    first, last = held(clip[0]), held(clip[-1])
+    np.testing.assert_array_equal(first, expected[0])
+    assert (last != expected[-1]).any()
+    np.testing.assert_array_equal(held(clip[0]), first)
+    fixed = renderer.sequence(Fraction(30), exposure=0.7)(clip[1])
+    np.testing.assert_array_equal(fixed, renderer.picture(clip[1], exposure=0.7))
 
 
 def test_what_is_loaded_and_saved_is_the_same_file(pipeline: Path, tmp_path: Path) -> None:

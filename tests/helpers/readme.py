@@ -23,6 +23,11 @@ def shown(text: str) -> list[str]:
     return lines
 
 
+def fenced(text: str, language: str) -> list[str]:
+    """The blocks of a page that are marked as of a language, in order."""
+    return re.findall(rf"^```{language}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+
+
 def commands(line: str) -> list[list[str]]:
     """The `l3` commands of a line of shell, as lists of words."""
     parts = re.split(r"\s(?:\||&&)\s", line.partition("   #")[0].partition("  →")[0])

@@ -48,6 +48,7 @@ FLOORS = [
     {"calibration", "simulation", "training", "rendering", "evaluation", "report", "io", "parallel"},
     {"stages"},
     {"api", "cli"},
+    {"video_hosts"},
     {"__main__"},
 ]
 DOORS = {
@@ -67,6 +68,8 @@ DOORS = {
     "jinja2": ("report/",),
     "markupsafe": ("report/",),
     "colour_demosaicing": ("evaluation/",),
+    "vapoursynth": ("video_hosts/vapoursynth.py",),
+    "gi": ("video_hosts/gstreamer.py", "video_hosts/plugins/"),
 }
 LONGEST = 300  # lines of a module
 

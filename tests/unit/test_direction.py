@@ -15,7 +15,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.classes import direction
 from l3cli.classes.decide import label_mosaic, label_patches
 from l3cli.classes.names import class_name
-from l3cli.classes.recipe import ClassRecipe
+from l3cli.classes.recipe import ClassRecipe, left_out
 from l3cli.classes.rule import make_rule
 from l3cli.classes.windows import neighbourhoods, sites
 from l3cli.errors import InputFileError, RecipeError
@@ -23,6 +23,7 @@ from l3cli.frame import RawFrame, pad_mosaic
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.training.symmetry import class_stabilisers, orientations, stabilisers, turned_classes
 from tests.helpers.calls import L3
+from tests.helpers.cameras import bayer_camera, random_camera
 from tests.helpers.tables import XYZ, random_table, with_first
 
 FOUR, EIGHT = direction.Keys(), direction.Keys(orientations=8, strengths=(3.0, 9.0), coherence=0.5)
@@ -118,17 +119,35 @@ def test_only_turns_that_keep_every_direction_average_sums(bayer: CameraModel) -
 
 
 @pytest.mark.parametrize(
-    ("keys", "patch", "message"),
+    ("keys", "message"),
     [
-        (direction.Keys(strengths=()), 9, "strengths must be there"),
-        (direction.Keys(strengths=(3.0, 2.0)), 9, "increase"),
-        (direction.Keys(strengths=(-1.0, 2.0)), 9, "positive"),
-        (FOUR, 3, "more than 4 pixels|does not reach"),
+        (direction.Keys(strengths=()), "strengths must be there"),
+        (direction.Keys(strengths=(3.0, 2.0)), "increase"),
+        (direction.Keys(strengths=(-1.0, 2.0)), "positive"),
     ],
 )
-def test_an_impossible_direction_is_refused(fiveband: CameraModel, keys: direction.Keys, patch: int, message: str) -> None:
+def test_an_impossible_direction_is_refused(fiveband: CameraModel, keys: direction.Keys, message: str) -> None:
     with pytest.raises(RecipeError, match=message):
-        a_rule(fiveband, keys, patch)
+        a_rule(fiveband, keys)
+
+
+@pytest.mark.parametrize(("rows", "columns", "fits"), [(4, 2, True), (2, 8, True), (3, 4, False), (8, 5, False)])
+def test_a_large_array_does_without(rows: int, columns: int, fits: bool) -> None:
+    camera = random_camera(np.arange(rows * columns).reshape(rows, columns) % 2, 2, 12, 0.0)
+    assert [axis.name for axis in a_rule(camera, FOUR).axes] == ["direction"] * fits
+    further: dict[str, Any] = {"direction": FOUR}
+    assert left_out(ClassRecipe(patch=9, **further), camera) == ["direction"] * (not fits)
+
+
+def test_training_tells_what_it_does_without(tmp_path: Path, l3: L3) -> None:
+    camera, scenes, classes = (tmp_path / f"{name}.toml" for name in ("camera", "scenes", "classes"))
+    camera.write_text(bayer_camera(pattern=("g r b", "b g r")))
+    scenes.write_text('exposure_share = [0.8]\n[[scene]]\nsource = "dead leaves"\nsize = [32, 32]\ncount = 2\n')
+    classes.write_text("[classes]\npatch = 5\n[classes.direction]\n[learning]\npatches = 500\nfirst_draws = 0\n")
+    assert l3("simulate", scenes, "--camera", camera, "-o", tmp_path / "training.h5")[0] == 0
+    code, _, err = l3("train", tmp_path / "training.h5", "--classes", classes, "-o", tmp_path / "table.h5")
+    assert code == 0, err
+    assert "classes.direction is left out: an array of 2×3 sites leaves no room for it in patches of 5 pixels" in err
 
 
 def with_axis(table: TransformTable, axis: Axis) -> TransformTable:

@@ -57,6 +57,9 @@ TABLES = {
     "sixteen": lambda: random_table(SIXTEEN, bits=13, patch=15, outputs=("a",), contrasts=(1.4, 3.0), wild=True),
     "mono": lambda: random_table([[0]], bits=16, patch=11, outputs=tuple("abcdefghijklmnop"), wild=True),
     "directions": lambda: random_table(BAYER, bits=14, black_level=256.0, patch=9, direction=direction.Keys()),
+    "directions of a large array": lambda: random_table(
+        np.arange(36).reshape(6, 6) % 5, patch=9, direction=direction.Keys(strengths=(2.0,))
+    ),
     "8 directions": lambda: random_table(
         FIVE_BAND, black_level=100.0, direction=direction.Keys(orientations=8, strengths=(1.5, 6.0), coherence=0.4)
     ),

@@ -103,6 +103,10 @@ def _above(axis, sums):
     return sums[..., 0] * int(axis.constants[0]) - sums[..., 1] * 9
 
 
+def fits(camera, patch):
+    return patch >= 3
+
+
 def axis(keys, camera, rule, dark, observed):
     whole, middle = rule.patch, rule.radius - 1
     windows = (Window(0, middle, middle, 3, 3, 1), Window(1, 0, 0, whole, whole, 1))

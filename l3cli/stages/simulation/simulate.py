@@ -83,12 +83,12 @@ def simulate(
             if stands:
                 with open_training_set(output, unchanged=True) as frames:
                     total = len(frames)
-                    write_beside(run, frames, pictures, dng)
+                    write_beside(run, files, frames, pictures, dng, console)
             else:
                 run = dataclasses.replace(run, folder=open_folder(output, run.key, resume, force))
                 with close_folder(run.folder):
                     total = _simulate_frames(run, files, head, jobs, scheduler, console)
-                    write_beside(run, StoredFrames(run, total), pictures, dng)
+                    write_beside(run, files, StoredFrames(run, total), pictures, dng, console)
                     _assemble(run, head, output, total, console)  # last: whoever has the set has its pictures, too
         left_out = f"; {bad} scene{'s' if bad > 1 else ''} left out" if bad else ""
         console.say(f"{output}: {total} frame{'s' if total > 1 else ''}{left_out}")

@@ -9,6 +9,7 @@ from typing import Any
 from l3cli.artifacts.partial_sums import ClassSums
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet
+from l3cli.classes.recipe import left_out
 from l3cli.parallel import Crew
 from l3cli.stages.console import Console
 from l3cli.stages.training.run import TrainingRun, TrainingSource, frames_of
@@ -38,6 +39,12 @@ def first_pass(run: TrainingRun, execution: Execution) -> TrainingPass:
     learning = run.recipe.learning
     check_learning(learning)
     check_layers(run.recipe.layer)
+    for name in left_out(run.recipe.classes, run.head.camera):
+        sites = "×".join(map(str, run.head.camera.cfa.shape))
+        patch = run.recipe.classes.patch
+        execution.console.alert(
+            f"classes.{name} is left out: an array of {sites} sites leaves no room for it in patches of {patch} pixels"
+        )
     patches = pilot_patches(run.patches)
     size = max(1, min(MOST_PILOTED, len(patches) // (4 * execution.crew.size)))
     chunks = (range(first, min(first + size, len(patches))) for first in range(0, len(patches), size))

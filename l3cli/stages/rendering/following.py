@@ -1,0 +1,60 @@
+"""How frames are shown that are in memory: exposure and white as given, or as those of a rendered sequence."""
+
+import threading
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+from l3cli.frame import RawFrame
+from l3cli.io.images import FLOAT_BITS
+from l3cli.rendering.balance import SteadyWhite, WhiteBalance
+from l3cli.rendering.display import require_xyz
+from l3cli.rendering.exposure import LightMeter, SteadyExposure
+from l3cli.rendering.white_source import WhiteSource, given_white, usual_balance, white_source
+from l3cli.stages.rendering.frame_whites import FrameWhites
+from l3cli.stages.rendering.rendition import Rendition, chosen_space
+
+if TYPE_CHECKING:
+    from l3cli.artifacts.table import TransformTable
+
+ANY_RATE = Fraction(30)  # frames/s, where only one frame is measured
+
+
+def shown_as(
+    table: "TransformTable", exposure: float | None, white: str | None, space: str, bits: int
+) -> tuple[Rendition, WhiteSource | None]:
+    """How pictures are made, and where frames have their white from, None: all have that of the rendition. RecipeError
+    if there is no such white or space, or the table's outputs are not X, Y, Z."""
+    require_xyz(table.outputs)
+    source = white_source(white, table) if white is not None else None
+    given = None if source else given_white(white, table)
+    shown = given.balance if given else usual_balance(table)
+    return Rendition(shown, exposure, bits, chosen_space(space, bits == FLOAT_BITS)), source
+
+
+class Following:
+    """Exposure scale and white balance of each frame, in order. `source`: of the white, None: the rendition's; `rate`:
+    frames/s at which both follow what is measured, None: both stay those of the first frame."""
+
+    def __init__(
+        self, table: "TransformTable", rendition: Rendition, source: WhiteSource | None, rate: Fraction | None
+    ) -> None:
+        self._held = rate is None
+        self._rate = rate or ANY_RATE
+        self._fixed = rendition.exposure
+        self._meter = LightMeter(table) if rendition.measures_exposure else None
+        self._steady = SteadyExposure(self._rate)
+        self._whites = FrameWhites(source, SteadyWhite(self._rate)) if source else None
+        self._alone = threading.Lock()
+        self._first: tuple[float, WhiteBalance | None] | None = None
+
+    def shown(self, frame: RawFrame) -> tuple[float, WhiteBalance | None]:
+        """Scale of the next frame, and its balance, None: the rendition's. InputFileError if its white cannot be taken."""
+        with self._alone:
+            if self._held and self._first is not None:
+                return self._first
+            if self._whites:
+                self._whites.measured(frame)
+            balance = self._whites.balance if self._whites else None
+            scale = self._steady.scale(self._meter.brightness(frame, balance)) if self._meter else self._fixed or 0.0
+            self._first = scale, balance
+            return self._first

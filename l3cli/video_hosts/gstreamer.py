@@ -1,0 +1,211 @@
+"""A GStreamer element, l3render: raw frames to RGB.
+
+    from l3cli.video_hosts.gstreamer import register
+
+    register()
+    pipeline = Gst.parse_launch("… ! l3render table=table.h5 ! videoconvert ! …")
+
+gst-launch-1.0 and other programs come to it by plugins/python/l3render.py, in their search path (docs/video-hosts.md).
+"""
+
+import sys
+from fractions import Fraction
+from typing import Any
+
+from l3cli.errors import L3Error, RecipeError
+from l3cli.video_hosts.told import told
+
+INSTALL = "GStreamer's Python is missing; Debian has it in python3-gst-1.0 and gir1.2-gst-plugins-base-1.0"
+
+try:
+    import gi
+
+    for _room in ("Gst", "GstBase", "GstVideo"):
+        gi.require_version(_room, "1.0")
+    from gi.repository import GLib, GObject, Gst, GstBase, GstVideo
+except (ImportError, ValueError) as _missing:
+    raise L3Error(INSTALL) from _missing
+if not Gst.is_initialized():
+    Gst.init(None)  # what follows is made of its types
+
+NAME = "l3render"
+ORDERS = ("rggb", "bggr", "grbg", "gbrg")
+DEPTHS = ("", "10le", "12le", "14le", "16le")  # of video/x-bayer, after the order; GStreamer 1.24 made those above 8 bits
+MOSAICS = (
+    "video/x-raw, format=(string){ GRAY16_LE, GRAY8 }; "
+    f"video/x-bayer, format=(string){{ {', '.join(order + depth for depth in DEPTHS for order in ORDERS)} }}"
+)
+BITS = {"RGB": 8, "RGBA64_LE": 16}
+PICTURES = f"video/x-raw, format=(string){{ {', '.join(BITS)} }}, colorimetry=(string)sRGB"
+KEPT = ("width", "height", "framerate", "pixel-aspect-ratio")  # of a stream, on both sides
+USUAL_RATE = Fraction(30)  # frames/s, where the stream has none
+
+
+def _pad(name: str, direction: Any, caps: str) -> Any:
+    return Gst.PadTemplate.new(name, direction, Gst.PadPresence.ALWAYS, Gst.Caps.from_string(caps))
+
+
+class L3Render(GstBase.BaseTransform):
+    """Renders mosaics, one channel in DN, as `l3 render` does a sequence: sRGB of 8 bits (RGB) or 16 (RGBA64_LE), by what
+    the next element takes. What does not fit ends the stream with an error of one line."""
+
+    __gtype_name__ = "L3Render"
+    __gstmetadata__ = (
+        "L3 renderer",
+        "Filter/Converter/Video",
+        "Raw frames to RGB by a table of l3 train",
+        "the l3cli authors",
+    )
+    __gsttemplates__ = (_pad("sink", Gst.PadDirection.SINK, MOSAICS), _pad("src", Gst.PadDirection.SRC, PICTURES))
+
+    table = GObject.Property(type=str, default="", nick="Table", blurb="File of l3 train")
+    exposure = GObject.Property(type=float, default=0, minimum=0, maximum=1e9, blurb="Factor of Y; 0: automatic, followed")
+    white = GObject.Property(
+        type=str, default="", blurb='White of the scene: "D50", "x,y", "auto", "ROW,COL"; "": the table\'s'
+    )
+    black_level = GObject.Property(type=float, default=-1, minimum=-1, maximum=65535, blurb="DN; -1: the table's")
+    white_level = GObject.Property(type=float, default=-1, minimum=-1, maximum=65535, blurb="DN; -1: the table's")
+    phase = GObject.Property(type=str, default="", blurb='CFA site of the first pixel, "ROW,COL"; "": as stated, or 0,0')
+    size = GObject.Property(type=str, default="", blurb='Of frames of another size than the table\'s, "ROWSxCOLS"')
+    camera = GObject.Property(type=str, default="", blurb="File of a model whose defects and flat field are corrected")
+    backend = GObject.Property(type=str, default="opencl", blurb="opencl or reference")
+    device = GObject.Property(type=str, default="", blurb="OpenCL device, by a part of its name or its number")
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._mosaics: Any = None  # a Mosaics, from start to stop
+        self._said = ""  # the error that was told since the start: caps are tried several times
+        self._picture: Any = None  # what makes the picture of the next frame
+        self._source: Any = None  # _Layout of the caps that were agreed on …
+        self._target: Any = None  # … for frames, for pictures
+
+    # ------------------------------------------------------------------------------------------------- start and stop
+
+    def do_start(self) -> bool:
+        self._said = ""
+        try:
+            self._mosaics = self._opened()
+        except Exception as error:  # nothing may fall through to GStreamer, which would print a traceback and go on
+            return self._failed(error)
+        return True
+
+    def do_stop(self) -> bool:
+        self._mosaics = self._picture = None
+        return True
+
+    def _opened(self) -> Any:
+        try:
+            from l3cli.video_hosts.mosaics import Asked, Mosaics, pair
+        except ImportError as error:
+            version = f"{sys.version_info.major}.{sys.version_info.minor}"
+            raise L3Error(
+                f"GStreamer's Python {version} cannot import what l3cli needs ({error}); install l3cli for Python {version}"
+            ) from error
+        if not self.table:
+            raise RecipeError("table names no file; give the one written by l3 train")
+        asked = Asked(
+            self.exposure or None,
+            self.white or None,
+            None if self.black_level < 0 else self.black_level,
+            None if self.white_level < 0 else self.white_level,
+            pair(self.phase, ",", "phase"),
+            pair(self.size, "x", "size"),
+            self.camera or None,
+            self.backend,
+            self.device or None,
+        )
+        return Mosaics(self.table, asked)
+
+    # ------------------------------------------------------------------------------------------------- agreeing on caps
+
+    def do_transform_caps(self, direction: Any, caps: Any, within: Any) -> Any:
+        template = Gst.Caps.from_string(PICTURES if direction == Gst.PadDirection.SINK else MOSAICS)
+        made = Gst.Caps.new_empty()
+        for this in (caps.get_structure(number) for number in range(caps.get_size())):
+            for number in range(template.get_size()):
+                other = template.get_structure(number).copy()
+                for name in filter(this.has_field, KEPT):
+                    other.set_value(name, this.get_value(name))
+                made.append_structure(other)
+        return within.intersect_full(made, Gst.CapsIntersectMode.FIRST) if within else made
+
+    def do_set_caps(self, incaps: Any, outcaps: Any) -> bool:
+        try:
+            self._source, self._target = _Layout(incaps), _Layout(outcaps)
+            self._mosaics.require_size(*self._source.shape)
+            bits = BITS[outcaps.get_structure(0).get_string("format")]
+            show = self._mosaics.renderer.sequence
+            self._picture = show(self._source.rate, exposure=self.exposure or None, white=self.white or None, bits=bits)
+        except Exception as error:
+            return self._failed(error)
+        return True
+
+    def do_transform_size(self, direction: Any, caps: Any, size: int, othercaps: Any) -> tuple[bool, int]:
+        return True, _Layout(othercaps).nbytes
+
+    def do_get_unit_size(self, caps: Any) -> tuple[bool, int]:
+        return True, _Layout(caps).nbytes
+
+    # ------------------------------------------------------------------------------------------------- frame by frame
+
+    def do_transform(self, inbuf: Any, outbuf: Any) -> Any:
+        try:
+            with inbuf.map(Gst.MapFlags.READ) as read, outbuf.map(Gst.MapFlags.WRITE) as written:
+                values = self._source.pixels(inbuf, read.data)[..., 0]
+                picture = self._picture(self._mosaics.frame(values, self._source.order))
+                pixels = self._target.pixels(outbuf, written.data)
+                pixels[..., :3] = picture
+                if pixels.shape[2] > 3:
+                    pixels[..., 3] = 65535  # opaque
+        except Exception as error:
+            self._failed(error)
+            return Gst.FlowReturn.ERROR
+        return Gst.FlowReturn.OK
+
+    def _failed(self, error: Exception) -> bool:
+        """Tell the application, once, what went wrong."""
+        text = told(error, "-")
+        if text != self._said:
+            self._said, code = text, Gst.ResourceError.FAILED
+            self.post_message(Gst.Message.new_error(self, GLib.Error.new_literal(Gst.ResourceError.quark(), text, code), ""))
+        return False
+
+
+class _Layout:
+    """Where the values of a frame lie in a buffer, by its caps."""
+
+    def __init__(self, caps: Any) -> None:
+        """RecipeError for what is not frame after frame of whole rows."""
+        structure = caps.get_structure(0)
+        form = structure.get_string("format")
+        self.order: str | None = None  # of a Bayer array's colours
+        self.shape = structure.get_value("height"), structure.get_value("width")
+        if structure.get_name() == "video/x-bayer":
+            self.order, self.channels, self.dtype = form[:4], 1, "<u2" if form[4:] else "u1"
+            self.stride, self.offset = -(-self.shape[1] * int(self.dtype[-1]) // 4) * 4, 0
+            self.nbytes = self.stride * self.shape[0]
+        else:
+            info = GstVideo.VideoInfo.new_from_caps(caps)
+            if info.interlace_mode != GstVideo.VideoInterlaceMode.PROGRESSIVE:
+                raise RecipeError("the stream is interlaced, which no mosaic is; give whole frames")
+            self.channels, self.dtype = info.finfo.n_components, "u1" if form in ("GRAY8", "RGB") else "<u2"
+            self.stride, self.offset, self.nbytes = info.stride[0], info.offset[0], info.size
+        found, above, below = structure.get_fraction("framerate")
+        self.rate = Fraction(above, below) if found and above > 0 else USUAL_RATE
+
+    def pixels(self, buffer: Any, content: Any) -> Any:
+        """The array (row, col, channel) that a buffer's content is. RecipeError if it is too small."""
+        import numpy as np
+
+        meta = GstVideo.buffer_get_video_meta(buffer)
+        stride, offset = (meta.stride[0], meta.offset[0]) if meta else (self.stride, self.offset)
+        pixel = np.dtype(self.dtype).itemsize * self.channels
+        if offset + stride * (self.shape[0] - 1) + pixel * self.shape[1] > len(content):
+            raise RecipeError(f"a buffer of {len(content)} bytes holds no frame of {self.shape[0]}×{self.shape[1]} pixels")
+        strides = stride, pixel, np.dtype(self.dtype).itemsize
+        return np.ndarray((*self.shape, self.channels), self.dtype, content, offset, strides)
+
+
+def register() -> None:
+    """Make the element known to GStreamer in this process."""
+    Gst.Element.register(None, NAME, Gst.Rank.NONE, L3Render)

@@ -1,0 +1,75 @@
+"""What every host shares: a table that is open for mosaics of one size."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
+
+from l3cli.api import Renderer
+from l3cli.errors import RecipeError
+from l3cli.files import sha256
+from l3cli.frame import RawFrame
+from l3cli.io.raw.cfa_codes import codes_of
+from l3cli.io.raw.files import KnownBetter, frame_of
+from l3cli.quantities import NoSuchNumber, Quantity
+from l3cli.stages.rendering.corrections import CameraFile, correction_in
+
+MOST, LEAST = 1e9, 1e-9  # times Y, of an exposure
+PIXELS = Quantity(0, 1_000_000, "pixels", whole=True)
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What the user of a host asks for, each as the option of `l3 render`; None: as there without it."""
+
+    exposure: float | None = None  # times Y
+    white: str | None = None
+    black_level: float | None = None  # DN
+    white_level: float | None = None  # DN
+    phase: tuple[int, int] | None = None  # CFA row and column of pixel (0, 0)
+    size: tuple[int, int] | None = None  # rows, columns of the frames; None: those of the table
+    camera: str | None = None  # file of a model whose defects and flat field are corrected
+    backend: str = "opencl"
+    device: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.exposure is not None and not LEAST <= self.exposure <= MOST:
+            raise RecipeError(f"exposure {self.exposure:g} is not within {LEAST:g}…{MOST:g} times Y")
+
+
+class Mosaics:
+    """A table that is open for frames of one size. RecipeError, InputFileError or DeviceError if it cannot be."""
+
+    def __init__(self, table: str, asked: Asked) -> None:
+        self.renderer = Renderer(table, backend=asked.backend, device=asked.device)
+        sensor = self.renderer.table
+        self._size = asked.size or (sensor.rows, sensor.cols)
+        model = None if asked.camera is None else CameraFile(Path(asked.camera).absolute(), sha256(Path(asked.camera)))
+        correction = None if model is None else correction_in(model, sensor)
+        self._known = KnownBetter(asked.black_level, asked.white_level, asked.phase, correction=correction)
+
+    def require_size(self, rows: int, cols: int) -> None:
+        """RecipeError unless frames have the size that is expected: others may begin at another site of the array."""
+        if (rows, cols) != self._size:
+            raise RecipeError(
+                f"frames of {rows}×{cols} pixels (rows × columns) are not of the {self._size[0]}×{self._size[1]} "
+                f"expected; if they are meant, give ‹size› {rows}x{cols}, and ‹phase› if they begin at another CFA site"
+            )
+
+    def frame(self, values: NDArray[Any], order: str | None = None) -> RawFrame:
+        """The raw frame of values (row, col) in DN. `order`: colours of a Bayer array from its first pixel on, "rggb", as
+        the host states them, None: as the table says. InputFileError if they do not fit."""
+        pattern = {} if order is None else {"pattern": codes_of(order).reshape(2, 2)}
+        return frame_of("the frame", {"values": values, **pattern}, self.renderer.table, self._known)  # type: ignore[typeddict-item]
+
+
+def pair(text: str, separator: str, name: str) -> tuple[int, int] | None:
+    """Two whole numbers, "720x1280" or "0,1"; None where there is no text. RecipeError if it is something else."""
+    if not text:
+        return None
+    try:
+        first, second = (int(PIXELS.read(part)) for part in text.split(separator))
+    except (NoSuchNumber, ValueError):
+        raise RecipeError(f'{name} "{text}" is not two whole numbers with "{separator}" between them') from None
+    return first, second

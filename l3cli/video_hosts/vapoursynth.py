@@ -1,0 +1,89 @@
+"""A VapourSynth filter: clips of raw frames to RGB.
+
+from l3cli.video_hosts.vapoursynth import render
+
+picture = render(core.bs.VideoSource("raw.mkv"), "table.h5", bits=16)
+"""
+
+import os
+from typing import Any
+
+import numpy as np
+
+from l3cli.errors import L3Error
+from l3cli.video_hosts.mosaics import Asked, Mosaics
+from l3cli.video_hosts.told import told
+
+INSTALL = 'VapourSynth is missing; install it, with Python ≥ 3.12, by: pip install "l3cli[vapoursynth]"'
+
+try:
+    import vapoursynth as vs
+except ModuleNotFoundError as missing:
+    raise L3Error(INSTALL) from missing
+
+FORMATS = {8: vs.RGB24, 16: vs.RGB48, 32: vs.RGBS}
+
+
+def render(
+    clip: Any, table: str | os.PathLike[str], *, bits: int = 8, exposure: float | None = None, white: str | None = None,
+    black_level: float | None = None, white_level: float | None = None, phase: tuple[int, int] | None = None,
+    size: tuple[int, int] | None = None, camera: str | os.PathLike[str] | None = None, backend: str = "opencl",
+    device: str | None = None,
+) -> Any:  # fmt: skip
+    """The clip (vapoursynth.VideoNode) that a table makes of a clip of mosaics, GRAY8 to GRAY16, values in DN.
+
+    `bits`: 8 gives RGB24 and 16 RGB48, sRGB as `l3 render` writes it; 32 RGBS, linear and not clipped. `exposure`: factor of
+    Y, `white`: of the scene, as in `l3 render`; what is measured, as without them, is measured on the first frame and holds
+    for the clip, so that frames may be asked for in any order. `black_level`, `white_level` (DN), `phase` (CFA row, column
+    of the first pixel): None: the table's. `size` (rows, columns): of frames that are meant to be of another size than the
+    table's. `camera`: file of a model whose defects and flat field are corrected. `backend`, `device`: as the options.
+
+    Frames may be rendered from any number of threads; one is at work on the device at a time. The first is rendered at once.
+    vapoursynth.Error, one line, for a clip, file or value that does not fit.
+    """
+    try:
+        if bits not in FORMATS:
+            raise L3Error(f"{bits} bits cannot be; ask for 8, 16 or 32")
+        asked = Asked(
+            exposure, white, black_level, white_level, phase, size, None if camera is None else os.fspath(camera), backend,
+            device,
+        )  # fmt: skip
+        mosaics = Mosaics(os.fspath(table), asked)
+        _require_mosaics(clip)
+        mosaics.require_size(clip.height, clip.width)
+        show = mosaics.renderer.sequence(None, exposure=exposure, white=white, bits=bits)
+        with clip.get_frame(0) as first:
+            show(mosaics.frame(np.asarray(first[0])))
+    except (L3Error, OSError) as error:
+        raise vs.Error(f"l3: {told(error)}") from error
+
+    def shown(n: int, f: list[Any]) -> Any:
+        raw, made = f[0], f[1].copy()
+        try:
+            picture = show(mosaics.frame(np.asarray(raw[0])))
+        except L3Error as error:
+            raise vs.Error(f"l3: frame {n}: {told(error)}") from error
+        for plane in range(3):
+            np.asarray(made[plane])[...] = picture[..., plane]
+        made.props.update(raw.props)
+        made.props.update(_colours(linear=bits == 32))
+        return made
+
+    blank = vs.core.std.BlankClip(clip, format=FORMATS[bits], keep=True)
+    return blank.std.ModifyFrame([clip, blank], shown)
+
+
+def _require_mosaics(clip: Any) -> None:
+    """L3Error unless a clip has one plane of 8 to 16 bits, and frames of one format."""
+    form = clip.format
+    if form is None or not clip.width:
+        raise L3Error("the clip's frames differ in format or size; give one of mosaics of one size")
+    if form.color_family != vs.GRAY or form.sample_type != vs.INTEGER or form.bits_per_sample > 16:
+        raise L3Error(f"the clip is {form.name}; a mosaic is GRAY8 to GRAY16, in DN")
+
+
+def _colours(linear: bool) -> dict[str, int]:
+    """Frame properties that say what the values are: sRGB, or with its primaries and linear, in full range."""
+    transfer = vs.TRANSFER_LINEAR if linear else vs.TRANSFER_IEC_61966_2_1
+    named = {"_Matrix": vs.MATRIX_RGB, "_Primaries": vs.PRIMARIES_BT709, "_Transfer": transfer, "_Range": vs.RANGE_FULL}
+    return {name: int(value) for name, value in named.items()}
