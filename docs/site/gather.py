@@ -13,8 +13,8 @@ ROOT = Path(__file__).parents[2]
 FRONT = {"CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md", "SECURITY.md": "security.md"}
 AS_THEY_ARE = ("LICENSE", "CITATION.cff")
 CONTENTS = {
-    "Start": ["install", "tutorial", "chart-photo", "own-lab", "own-array"],
-    "Use": ["raw-files", "video", "video-hosts", "clusters", "python", "export"],
+    "Start": ["install", "tutorial", "chart-photo", "own-lab", "own-array", "arrays"],
+    "Use": ["raw-files", "video", "temporal", "jobs", "video-hosts", "clusters", "python", "export"],
     "Reference": ["commands", "reference/commands", "recipes", "reference/recipes", "artifacts", "reference/artifacts"],
     "What to expect": ["benchmarks", "flicker", "limits", "robustness", "method"],
     "Project": ["architecture", "contributing", "changelog", "security", "reference/licences"],

@@ -189,9 +189,12 @@ class CameraModel(Artifact):
     def saturation_exposure(self) -> float:
         """cd s/m²: scene luminance × exposure time at which a perfect white under D65 just fills the brightest channel.
 
-        InputFileError if the camera collects next to nothing of that light.
+        InputFileError if the camera collects next to nothing of that light, or its wavelengths are all invisible.
         """
-        white = spectra.at_luminance(spectra.illuminant("D65", self.wavelength), self.wavelength, 1.0)
+        try:
+            white = spectra.at_luminance(spectra.illuminant("D65", self.wavelength), self.wavelength, 1.0)
+        except InputFileError as error:
+            raise InputFileError(f"camera {self.name}: {error}") from None
         electrons = float((self.signal_weights @ white).max())
         exposure = self.full_scale / electrons if electrons > 0 else np.inf
         if not exposure <= MOST:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 from l3cli.cli import options
-from l3cli.cli.terminal import show_json
+from l3cli.cli.results import Result
 
 if TYPE_CHECKING:
     from l3cli.stages.console import Console
@@ -45,7 +45,6 @@ if TYPE_CHECKING:
     help="Write the table's, ideal and basic picture and an error map (black: ΔE00 0, white: 10) of every frame as PNG.",
 )
 @click.option("--force", is_flag=True, help="Write pictures into a folder that is not empty.")
-@options.as_json
 @options.dry_run
 @options.quiet
 def evaluate(
@@ -58,9 +57,8 @@ def evaluate(
     border: int | None,
     pictures: Path | None,
     force: bool,
-    as_json: bool,
     console: "Console",
-) -> None:
+) -> Result:
     """Render the raw frames of a training set that TABLE was not trained on and compare them with their targets.
 
     Pictures are compared as displayed: adapted to D65, the 99th percentile of the target's luminance shown as white.
@@ -80,28 +78,20 @@ def evaluate(
     if sequence is not None:
         if table is not None or pictures is not None:
             raise click.UsageError("--sequence judges pictures; leave TABLE.h5, TRAINING.h5 and --pictures out")
-        _evaluate_sequence(sequence, ideal, border, as_json, console)
-        return
+        return _evaluate_sequence(sequence, ideal, border, console)
     if table is None or frames is None or ideal is not None:
         raise click.UsageError("give TABLE.h5 and TRAINING.h5, or --sequence PICTURES with or without --ideal")
     from l3cli.stages.evaluation import evaluate as stage
 
     document = stage(table, frames, console, backend=backend, viewing=viewing, border=border, pictures=pictures, force=force)
-    if as_json:
-        show_json(document, console)
-        return
     from l3cli.cli.quality_tables import print_tables
 
-    print_tables(document)
+    return Result(document, lambda: print_tables(document))
 
 
-def _evaluate_sequence(sequence: Path, ideal: Path | None, border: int | None, as_json: bool, console: "Console") -> None:
+def _evaluate_sequence(sequence: Path, ideal: Path | None, border: int | None, console: "Console") -> Result:
+    from l3cli.cli.quality_tables import print_sequence
     from l3cli.stages.sequence_evaluation import document, evaluate_sequence
 
     figures = evaluate_sequence(sequence, console, ideal=ideal, border=border)
-    if as_json:
-        show_json(document(figures), console)
-        return
-    from l3cli.cli.quality_tables import print_sequence
-
-    print_sequence(figures)
+    return Result(document(figures), lambda: print_sequence(figures))

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Literal
 import click
 
 from l3cli.cli import options, terminal
-from l3cli.cli.terminal import show, show_json
+from l3cli.cli.results import Result
+from l3cli.cli.terminal import show
 
 if TYPE_CHECKING:
     from l3cli.stages.console import Console
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
 @options.force
 @options.dry_run
 @options.quiet
-@options.as_json
 def export(
     artifact: Path,
     output: Path,
@@ -37,8 +37,7 @@ def export(
     words: Literal["float32", "int16"] | None,
     force: bool,
     console: "Console",
-    as_json: bool,
-) -> None:
+) -> Result:
     """Write CAMERA, a camera.h5 or a camera recipe, as other software reads it: curves (CSV, rawtoaces JSON), data sheet
     (CSV), DCP matrices (JSON), of a Bayer array tuning files of libcamera. Prints how far the matrices for each light leave
     the colours of measured surfaces.
@@ -58,13 +57,8 @@ def export(
         from l3cli.stages.table_exports import export_table
 
         files = export_table(artifact, output, form or "c", console, words=words, force=force)
-        if as_json:
-            show_json({"files": files}, console)
-        return
+        return Result({"files": files})
     if option := "--to" if form else "--words" if words else None:
         raise RecipeError(f"{option} is for transform tables; {artifact} is a camera: leave it out")
     matrices = export_camera(artifact, output, console, force=force)
-    if as_json:
-        show_json({"matrices": matrices}, console)
-    elif matrices:
-        show(*matrix_lines(matrices, terminal.width()))
+    return Result({"matrices": matrices}, lambda: show(*matrix_lines(matrices, terminal.width())) if matrices else None)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 from l3cli.cli import options
+from l3cli.cli.results import Result
 
 if TYPE_CHECKING:
     from l3cli.stages.console import Console
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 @options.force
 @options.dry_run
 @options.quiet
-def report(artifacts: tuple[Path, ...], output: Path, backend: str, force: bool, console: "Console") -> None:
+def report(artifacts: tuple[Path, ...], output: Path, backend: str, force: bool, console: "Console") -> Result:
     """Show camera models, training sets and transform tables on one page that needs no network.
 
     Every table is evaluated on every training set that it was not trained on. A camera is shown once; if no camera
@@ -31,3 +32,4 @@ def report(artifacts: tuple[Path, ...], output: Path, backend: str, force: bool,
     from l3cli.stages.reporting.report import report as stage
 
     stage(artifacts, output, console, backend=backend, force=force)
+    return Result({"page": str(output)})

@@ -57,7 +57,9 @@ def evaluate_sequence(
 def read_sequence_figures(path: Path) -> SequenceFigures:
     """What `l3 evaluate --sequence` printed as JSON; InputFileError if a file holds something else."""
     try:
-        figures = msgspec.json.decode(read_bounded(path, GIVE), type=SequenceFigures)
+        printed = msgspec.json.decode(read_bounded(path, GIVE), type=dict[str, Any])
+        printed.pop("run", None)  # how the command ran
+        figures = msgspec.convert(printed, SequenceFigures)
     except (OSError, msgspec.MsgspecError, RecursionError) as error:
         raise InputFileError(f"{path} is no evaluation of a sequence; {GIVE}") from error
     if len(figures.frames) < 2:

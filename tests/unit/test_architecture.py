@@ -23,6 +23,7 @@ FLOORS = [
         "recipe_schema",
         "recipes",
         "files",
+        "ledger",
         "locks",
         "columns",
         "quantities",

@@ -47,6 +47,7 @@ def describe(camera: CameraModel) -> dict[str, Any]:
     rates = {name: white_rates(camera, light) * camera.channel_gains for name, light in lights.items()}  # of 1 cd/m²
     if dark := [name for name, rate in rates.items() if not rate.max() > 0]:
         raise InputFileError(f"camera {camera.name} collects nothing of {' and '.join(dark)}; check responsivity")
+    _ = camera.saturation_exposure  # the same of the light of its own wavelengths alone
     sites = np.bincount(camera.cfa.ravel(), minlength=len(camera.channels))
     curves: dict[str, Any] = {}
     for number, name in enumerate(camera.channels):

@@ -156,14 +156,36 @@ def _renderer(
     return table, quiet_renderer(backend, table, **dict(engine))
 
 
+class Renderers:
+    """Makes renderers and keeps the last one, for runs one after the other: to make one takes a while, and what OpenCL has
+    built of it stays in memory."""
+
+    def __init__(self) -> None:
+        self._kept: dict[Any, Renderer] = {}
+
+    def of(self, setup: RenderSetup, table: "TransformTable") -> "Renderer":
+        """The renderer of a run."""
+        from l3cli.rendering.quiet import quiet_renderer
+
+        key = setup.digest, table.outputs, setup.backend, tuple(setup.engine.items())
+        if key not in self._kept:
+            self._kept = {key: quiet_renderer(setup.backend, table, **setup.engine)}
+        return self._kept[key]
+
+    def forget(self) -> None:
+        """After an error: it may be in the middle of a frame."""
+        self._kept = {}
+
+
 @contextlib.contextmanager
-def executor_of(setup: RenderSetup, table: "TransformTable", scheduler: "Scheduler | None") -> "Iterator[Local | Remote]":
+def executor_of(
+    setup: RenderSetup, table: "TransformTable", scheduler: "Scheduler | None", renderers: Renderers
+) -> "Iterator[Local | Remote]":
     """Who renders: this process, or the workers of a scheduler."""
     from l3cli.parallel import workers
-    from l3cli.rendering.quiet import quiet_renderer
 
     if scheduler is None:
-        yield Local(quiet_renderer(setup.backend, table, **setup.engine), setup)
+        yield Local(renderers.of(setup, table), setup)
     else:
         with workers(1, scheduler) as crew:
             known, correction = replace(setup.known, dark=None, correction=None), setup.known.correction

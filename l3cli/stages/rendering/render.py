@@ -15,7 +15,7 @@ from l3cli.errors import DeviceError, RecipeError
 from l3cli.files import sha256
 from l3cli.io.raw.files import KnownBetter
 from l3cli.io.sequences import Footage, find_frames, read_dark
-from l3cli.io.video import VideoChoice
+from l3cli.io.video import USUAL_RATE, VideoChoice
 from l3cli.rendering.display import require_xyz
 from l3cli.rendering.temporal.chunks import Chunks
 from l3cli.rendering.temporal.filters import filters
@@ -25,16 +25,15 @@ from l3cli.stages.console import Console
 from l3cli.stages.input_warnings import warn_of_kernels, warn_of_white
 from l3cli.stages.rendering.corrections import CameraFile, correction_in, hot_test
 from l3cli.stages.rendering.destination import Destination, claim, destination_of, marked, paged, refuse_missing
-from l3cli.stages.rendering.executors import RenderSetup, executor_of
+from l3cli.stages.rendering.executors import Renderers, RenderSetup, executor_of
 from l3cli.stages.rendering.mark import Origins
 from l3cli.stages.rendering.plan import plan
 from l3cli.stages.rendering.rendition import Rendition, chosen_space, for_developers, outputs_as_they_are
-from l3cli.stages.rendering.sequence import follows, render_frames
+from l3cli.stages.rendering.sequence import Tally, follows, render_frames
 
 if TYPE_CHECKING:
     from l3cli.parallel.cluster import Scheduler
 
-USUAL_RATE = Fraction(30)  # frames a second, where neither the caller nor the input gives it
 NOTHING_KNOWN = KnownBetter()
 
 
@@ -45,10 +44,10 @@ def render(
     camera: Path | None = None, hot: bool = False,
     exposure: float | None = None, white: str | None = None, space: str | None = None, remosaic: str | None = None,
     backend: str = "opencl", device: str | None = None, variant: str | None = None, skip_bad: bool = False,
-    resume: bool = False, scheduler: "Scheduler | None" = None, force: bool = False, temporal: bool = False,
-) -> int:  # fmt: skip
-    """Render raw frames through a table into a picture, numbered files, a folder (of files that end in `suffix`) or a video;
-    how many frames were left out.
+    resume: bool = False, scheduler: "Scheduler | None" = None, renderers: Renderers | None = None, force: bool = False,
+    temporal: bool = False,
+) -> Tally:  # fmt: skip
+    """Render raw frames through a table into a picture, numbered files, a folder (of files that end in `suffix`) or a video.
 
     `rate`: frames/s of a video, None: the input's or 30; `bits`, `codec`, `crf`, `preset`: of pictures and videos. `frames`:
     numbers of those to take. `dataset`: of an HDF5 input. `known`: what is known better of the inputs than they say; `dark`:
@@ -56,7 +55,8 @@ def render(
     each frame's hot pixels. `exposure`: factor of Y, None: automatic. `white`: name or chromaticity of the scene's white,
     "camera", "auto" or "ROW,COL[,SIZE]" of a grey, None: the table's. `space`: of the values, None: sRGB, in floating point
     the outputs as they are; `remosaic`: mosaic of a DNG file, "bayer". `skip_bad`: leave out broken frames. `resume`: go on
-    where a run was stopped. `temporal`: frames follow one another in time, and share what is not noise.
+    where a run was stopped. `renderers`: shared with other runs. `temporal`: frames follow one another in time, and share
+    what is not noise.
     RecipeError, InputFileError, DeviceError or L3Error before anything is written where that is known.
     """
     # One long sequence: in this order a refusal comes before any work, and no output takes the place of what is read.
@@ -81,8 +81,7 @@ def render(
         rendition = _rendition(destination, None if source else white, exposure, space, remosaic, bits, transforms, console)
         footage = find_frames(inputs, transforms, known, frames, dataset)
         destination = paged(destination, footage)
-        if not footage.is_stream:
-            _spared(footage, claims)
+        _spared(footage, claims)
         if not skip_bad:
             refuse_missing(footage)
         choice = replace(choice, rate=rate or footage.rate or USUAL_RATE)
@@ -99,14 +98,14 @@ def render(
         origins = functools.partial(Origins, inputs[0], steady or temporal)
         with (
             marked(destination, key, resume, force, footage, origins) as mark,
-            executor_of(setup, transforms, scheduler) as executor,
+            executor_of(setup, transforms, scheduler, renderers or Renderers()) as executor,
         ):
-            failures = render_frames(
+            tally = render_frames(
                 footage, destination, executor, transforms, rendition, source, choice, mark, origins(), skip_bad, console,
                 chunks,
             )  # fmt: skip
         warn_of_kernels(console)
-        return failures
+        return tally
 
 
 def _chunks(
@@ -125,8 +124,9 @@ def _chunks(
 
 
 def _spared(footage: Footage, claims: Claims) -> Footage:
-    """Frames whose files no output may replace."""
-    claims.spare(*(pending.source for pending in footage.frames if pending.source))
+    """Frames whose files no output may replace; those of a stream, which may be endless, lie in one file."""
+    if not footage.is_stream:
+        claims.spare(*(pending.source for pending in footage.frames if pending.source))
     return footage
 
 

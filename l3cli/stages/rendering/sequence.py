@@ -52,11 +52,12 @@ class _Read:
 
 
 @dataclass
-class _Tally:
-    """How many frames there are pictures of, and how many were left out."""
+class Tally:
+    """How many frames there are pictures of, how many were left out, and in what time."""
 
     done: int = 0
     failures: int = 0
+    seconds: float = 0.0  # from the first frame's reading to the last one's writing
 
     def leave_out(self, error: L3Error, skip_bad: bool, console: Console, count: int = 1) -> None:
         """Say that a frame, or several, are left out; raise why, unless `skip_bad`."""
@@ -70,14 +71,14 @@ def render_frames(
     footage: Footage, destination: Destination, executor: Local | Remote, table: "TransformTable",
     rendition: Rendition, source: WhiteSource | None, choice: VideoChoice, mark: Mark | None, origins: Origins,
     skip_bad: bool, console: Console, temporal: Chunks | None = None,
-) -> int:  # fmt: skip
-    """Render every frame into the destination; how many were left out. What is broken is raised, or, with `skip_bad`, said
-    and left out. `source`: of the white of each frame, None: that of the rendition; `temporal`: filters them in time."""
+) -> Tally:  # fmt: skip
+    """Render every frame into the destination. What is broken is raised, or, with `skip_bad`, said and left out.
+    `source`: of the white of each frame, None: that of the rendition; `temporal`: filters them in time."""
     start = time.monotonic()
     in_order = follows(footage, destination)
     steady = SteadyExposure(choice.rate) if in_order and rendition.measures_exposure else None
     whites = FrameWhites(source, SteadyWhite(choice.rate) if in_order else None) if source else None
-    tally, warnings, told = _Tally(), FrameWarnings(table), WhiteReport(source, footage.stills, console)
+    tally, warnings, told = Tally(), FrameWarnings(table), WhiteReport(source, footage.stills, console)
     for numbers in footage.missing:
         tally.leave_out(footage.absent(numbers), skip_bad, console, len(numbers))
     sink = open_sink(destination, choice, rendition, table.outputs, mark, footage)
@@ -96,13 +97,13 @@ def render_frames(
             raise InputFileError("none of the frames could be read; nothing is written")
     warnings.report(console)
     told.report()
+    tally.seconds = max(time.monotonic() - start, 1e-9)
     done, failures = tally.done, tally.failures
     if not footage.stills:
-        rate = done / max(time.monotonic() - start, 1e-9)
-        console.say(f"{destination.path}: {done} frames, {rate:.3g} a second")
+        console.say(f"{destination.path}: {done} frames, {done / tally.seconds:.3g} a second")
     if failures:
         console.alert(f"l3: {failures} of {done + failures} frames left out")
-    return failures
+    return tally
 
 
 def follows(footage: Footage, destination: Destination) -> bool:
@@ -217,7 +218,7 @@ def _exposed(
     rendition: Rendition,
     steady: SteadyExposure | None,
     skip_bad: bool,
-    tally: _Tally,
+    tally: Tally,
     told: WhiteReport,
     console: Console,
 ) -> Iterator[Exposed]:
