@@ -1,7 +1,8 @@
 """Frames that a filter in time has left less noise than their camera's: classes decide against what is left.
 
 What a class rule compares with noise is scaled by the share of its variance that is left: contrasts and directions of a
-mosaic, strengths of edges. So detail that noise would hide is told from flat areas again. Transforms stay as they were learned.
+mosaic, strengths of edges. So detail that noise would hide is told from flat areas again. Transforms stay as they were
+learned.
 """
 
 import itertools
