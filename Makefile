@@ -6,13 +6,14 @@ PYTHON312 ?= python3.12
 NEWER := build/vapoursynth
 DEMO := build/demo
 CURVE := build/curve
+NOTEBOOKS := build/notebooks
 JOBS ?= 2
 INPUTS ?= 20000
 PLACES ?= 500
 L3 := $(BIN)/l3
 TIMED := bash -c 'time "$$0" "$$@"'
 
-.PHONY: help install demo demo-steps test vapoursynth study soak video fuzz curve lint format bench clean
+.PHONY: help install demo demo-steps test vapoursynth study soak video fuzz curve lint format bench notebooks clean
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 
@@ -44,6 +45,9 @@ demo-steps:
 
 test: $(VENV)/installed ## the test suite
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile
+
+notebooks: $(VENV)/installed ## the notebooks of docs/ are run and written as pages, code beside outputs (half a minute)
+	$(BIN)/python docs/site/execute_notebooks.py $(NOTEBOOKS)
 
 # VapourSynth has wheels for Python ≥ 3.12 alone.
 $(NEWER)/installed: pyproject.toml
