@@ -6,23 +6,26 @@ PYTHON312 ?= python3.12
 NEWER := build/vapoursynth
 DEMO := build/demo
 CURVE := build/curve
+DOCS := build/docs
 NOTEBOOKS := build/notebooks
+RELEASE := build/release
 JOBS ?= 2
 INPUTS ?= 20000
+PORT ?= 8000
 PLACES ?= 500
 L3 := $(BIN)/l3
 TIMED := bash -c 'time "$$0" "$$@"'
 
-.PHONY: help install demo demo-steps test vapoursynth study soak video fuzz curve lint format bench notebooks clean
+.PHONY: help install demo demo-steps docs docs-build notebooks wheels test vapoursynth study soak video fuzz curve lint format bench clean
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 
 help: ## this list
-	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
 
 $(VENV)/installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[dev]"
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[dev,docs]"
 	touch $@
 
 install: $(VENV)/installed ## a .venv with l3, PoCL and the development tools
@@ -46,8 +49,24 @@ demo-steps:
 test: $(VENV)/installed ## the test suite
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile
 
-notebooks: $(VENV)/installed ## the notebooks of docs/ are run and written as pages, code beside outputs (half a minute)
+docs: docs-build ## the pages of docs/ as a site, on http://127.0.0.1:8000 until Ctrl-C (PORT=…)
+	$(BIN)/python -m http.server --directory $(DOCS)/html --bind 127.0.0.1 $(PORT)
+
+docs-build: notebooks ## the same without serving; fails on any warning and any link that leads nowhere
+	$(BIN)/python docs/site/build.py $(DOCS)
+
+notebooks: $(VENV)/installed ## the notebooks of docs/ are run, and written as pages of code and outputs (half a minute)
 	$(BIN)/python docs/site/execute_notebooks.py $(NOTEBOOKS)
+
+wheels: ## dist/: source distribution, the wheel built from it, both checked, and the wheel tried alone
+	$(PYTHON) -m venv --clear $(RELEASE)
+	$(RELEASE)/bin/python -m pip install --quiet --disable-pip-version-check build twine
+	rm -rf dist && $(RELEASE)/bin/python -m build --outdir dist .
+	$(RELEASE)/bin/python -m twine check --strict dist/*
+	$(PYTHON) -m venv --clear $(RELEASE)
+	$(RELEASE)/bin/python -m pip install --quiet --disable-pip-version-check dist/*.whl
+	cd $(RELEASE) && bin/python -I -m l3cli info --version && bin/python -I -m l3cli init bayer camera && \
+	  ! bin/python -I -c "import tests" 2>/dev/null
 
 # VapourSynth has wheels for Python ≥ 3.12 alone.
 $(NEWER)/installed: pyproject.toml
@@ -89,6 +108,7 @@ lint: $(VENV)/installed ## ruff format and check, mypy
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+	$(BIN)/mypy docs/site
 
 format: $(VENV)/installed ## format the sources, fix what ruff can
 	$(BIN)/ruff format .

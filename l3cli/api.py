@@ -160,7 +160,7 @@ def render(
 
     files = (inputs,) if isinstance(inputs, str | PathLike) else tuple(inputs)
     with _file(table) as file, _one_blas_thread():
-        return stage.render(file, tuple(map(Path, files)), Path(output), console or Silent(), **options)
+        return stage.render(file, tuple(map(Path, files)), Path(output), console or Silent(), **options).failures
 
 
 def evaluate(

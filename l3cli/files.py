@@ -18,6 +18,7 @@ from pathlib import Path
 
 from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.interrupts import uninterrupted
+from l3cli.ledger import note_output
 
 TEMPORARY = re.compile(r"\.(.*)\.[0-9a-f]{8}\.l3tmp(\.[^.]*)?")
 LOCK = ".l3lock"
@@ -75,7 +76,7 @@ def atomic_output(path: Path) -> Iterator[Path]:
             os.close(held)
 
 
-def write_whole(path: Path, content: bytes | str) -> None:
+def write_whole(path: Path, content: bytes | memoryview | str) -> None:
     """Write `content` (text as UTF-8) to `path` whole or not at all."""
     with atomic_output(path) as temporary:
         temporary.write_bytes(content.encode() if isinstance(content, str) else content)
@@ -123,6 +124,7 @@ def _put_in_place(temporary: Path, path: Path) -> None:
     """Give a file its name, both on the disk."""
     _flush(temporary)
     os.replace(temporary, path)
+    note_output(path)
     try:
         _flush(path.parent)
     except OSError as error:
@@ -215,8 +217,7 @@ def refuse_spared(output: Path | int) -> None:
     if key is None or key not in _spared:
         return
     source = _spared[key]
-    name = "stdout" if isinstance(output, int) else str(output)
-    other = "stdin" if source == STDIN else str(source)
+    name, other = "stdout" if isinstance(output, int) else str(output), "stdin" if source == STDIN else str(source)
     raise RecipeError(f"{name} is an input{'' if name == other else f', {other}'}; name another output")
 
 

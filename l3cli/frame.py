@@ -39,6 +39,7 @@ class RawFrame:
     taken_by: tuple[str, ...] = ()  # make, model and other names of the camera, where the file has them
     shot: Shot = Shot()
     shading: Shading | None = None  # what the lens takes, which is still in the values
+    noise_share: float = 1.0  # of its camera's noise variance that it has: less where a filter in time has taken some out
     notes: tuple[str, ...] = ()  # what the file wants done to it, and nobody does
 
     def __post_init__(self) -> None:
@@ -63,14 +64,21 @@ class RawFrame:
         Values are shifted by whole DN, so that no level is lost; what is left of the dark current, below half a DN, is in
         the black level of the frame that is returned.
         """
+        levelled = self.rescaled(black_level, white_level, bits)
+        if levelled.values is self.values and self.values.max() >= 2**bits:
+            return replace(levelled, values=np.minimum(self.values, np.uint16(2**bits - 1)))
+        return levelled
+
+    def rescaled(self, black_level: float, white_level: float, bits: int) -> "RawFrame":
+        """The same for who reads no value but within `bits`: where both scales are the same, values are not looked at."""
+        if (self.black_level, self.white_level, self.dark) == (black_level, white_level, 0):
+            return self
         whole = round(self.dark)
         scale = (white_level - black_level) / (self.white_level - self.black_level - self.dark)
         values = self.values
         table = _level_table(self.black_level + whole, black_level, scale, 2**bits - 1)
         if table is not None:
             values = table.take(values)
-        elif values.max() >= 2**bits:
-            values = np.minimum(values, np.uint16(2**bits - 1))
         black_level += (self.dark - whole) * scale
         return replace(self, values=values, black_level=black_level, white_level=white_level, dark=0.0)
 

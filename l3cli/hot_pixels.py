@@ -30,7 +30,9 @@ class HotTest:
     def of(cls, camera: CameraModel) -> "HotTest":
         """By the noise model of a camera."""
         rows, cols = camera.cfa.shape
-        return cls(*camera.noise_terms(), camera.white_level - camera.black_level, (rows, cols))
+        constant, linear, quadratic = camera.noise_terms(channel=np.arange(len(camera.channels)))
+        noisiest = float(np.max(constant)), float(np.max(linear))  # of channels that are amplified apart
+        return cls(*noisiest, quadratic, camera.white_level - camera.black_level, (rows, cols))
 
     def without_hot(self, frame: RawFrame, cfa: NDArray[np.uint8]) -> RawFrame:
         """The frame with its hot pixels mended; `cfa` is the array from its first pixel on.

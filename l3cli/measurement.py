@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel, Noise, Optics
+from l3cli.artifacts.readout import Readout
 from l3cli.frame import RawFrame
 from l3cli.physics.lens import relative_illumination
 
@@ -35,6 +36,17 @@ class Body:
     channels: tuple[str, ...]
     cfa: NDArray[np.uint8]  # (cfa_row, cfa_col) channel of each site
     optics: Optics
+    readout: Readout | None = None  # settings of the captures, read noise not yet known; None: all channels alike
+
+    @property
+    def channel_gains(self) -> NDArray[np.float64]:
+        """(channel) conversion gain over that of the camera."""
+        return np.ones(len(self.channels)) if self.readout is None else self.readout.channel_gain
+
+    @property
+    def channel_exposures(self) -> NDArray[np.float64]:
+        """(channel) exposure time over that of the frame."""
+        return np.ones(len(self.channels)) if self.readout is None else self.readout.channel_exposure
 
     @property
     def photons_per_radiance(self) -> float:

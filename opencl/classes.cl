@@ -49,7 +49,9 @@ void classes(__global const ushort *restrict raw,                // (row, col) D
         const int y = y0 + k - 2 * RADIUS, site_row = (y + phase_row) % CFA_ROWS;
         add_runs(&runs, &near, span);
         __global uint *label_row = labels + (size_t)y * columns + x0;
+        __global const ushort *next = raw + (size_t)row_source[min(y0 + k + 1, y1 + 2 * RADIUS - 1)] * columns + x0;
         for (int x = 0, phase = first_phase; x < width; x += LANES, phase = PHASE_AFTER(phase, LANES)) {
+            FETCH(next + x);
             Evidence evidence;
             no_evidence(&evidence, RULE);
             #pragma unroll

@@ -9,6 +9,14 @@
 #define ENCODE encode_8
 #endif
 
+// The first `count` of LANES pixels.
+INLINE floats read_pixels(__global const float *from, int count) {
+    if (count >= LANES) return LOAD_GLOBAL(floats, from);
+    float pixel[LANES] = {0};
+    for (int i = 0; i < count; i++) pixel[i] = from[i];
+    return LOAD_PRIVATE(floats, pixel);
+}
+
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
 void ENCODE(__global const float *restrict outputs,  // (output, row, col)
             __global const float *restrict matrix,   // (3, 3) encoded values from X, Y, Z, before the curve
@@ -17,12 +25,12 @@ void ENCODE(__global const float *restrict outputs,  // (output, row, col)
     const int x0 = get_group_id(0) * TILE, y0 = get_group_id(1) * BAND;
     const int y1 = min(y0 + BAND, rows), width = min(TILE, columns - x0);
     const size_t pixels = (size_t)rows * columns;
-    float planes[3 * TILE];
-    for (int i = 0; i < 3 * TILE; i++) planes[i] = 0;
-    for (int y = y0; y < y1; y++) {
-        const size_t at = (size_t)y * columns + x0;
-        for (int o = 0; o < 3; o++)
-            for (int x = 0; x < width; x++) planes[o * TILE + x] = outputs[o * pixels + at + x];
-        write_row(picture, planes, matrix, at, width, pixels);
-    }
+    for (int y = y0; y < y1; y++)
+        for (int x = 0; x < width; x += LANES) {
+            const size_t at = (size_t)y * columns + x0 + x;
+            floats made[3];
+            #pragma unroll
+            for (int o = 0; o < 3; o++) made[o] = read_pixels(outputs + o * pixels + at, width - x);
+            write_pixels(picture, made, matrix, at, width - x, pixels);
+        }
 }

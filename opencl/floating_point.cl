@@ -55,8 +55,8 @@ INLINE void apply_pair(totals sum[GROUP], const tap *first, const tap *second, _
     for (int o = 0; o < GROUP; o++) sum[o] = fold_two(one[o], other[o]);
 }
 
-// LANES pixels from x on: plane o of group g → planes[(g * GROUP + o) * TILE + x].
-INLINE void apply(total *planes, const tap *patches, const uint *label, __global const tap *weights, int x) {
+// LANES pixels from x on: output o of group g → made[g * GROUP + o].
+INLINE void apply(totals *made, const tap *patches, const uint *label, __global const tap *weights, int x) {
     for (int g = 0; g < GROUPS; g++) {
         __global const tap *group = weights + g * GROUP_STRIDE;
         totals folded[GROUP][LANES / 4];
@@ -80,8 +80,7 @@ INLINE void apply(total *planes, const tap *patches, const uint *label, __global
         #pragma unroll
         for (int o = 0; o < GROUP; o++) {
             const totals in_pairs = fold_all(folded[o]);
-            STORE_PRIVATE(totals, planes + (g * GROUP + o) * TILE + x) =
-                __builtin_shufflevector(in_pairs, in_pairs, ALL_LANES(PAIR_PLACE));
+            made[g * GROUP + o] = __builtin_shufflevector(in_pairs, in_pairs, ALL_LANES(PAIR_PLACE));
         }
     }
 }

@@ -1,54 +1,55 @@
-// Processor variant: a row of outputs → what is written of it.
+// Processor variant: outputs of LANES pixels of a row → what is written of them, so that stores and curve go along with the sums of
+// the next ones.
 
 #ifdef SHADED
 
 #define LANE(i) (float)(i)
 
-// planes[o * TILE + x] times the gain of its pixel, linear between the nodes of a row, GAIN_STEP columns apart.
-INLINE void even_row(float *planes, __global const float *gain, int x0, int width) {
-    const floats lane = (floats)(ALL_LANES(LANE));
-    for (int x = 0; x < width; x += LANES) {
-        const int node = (x0 + x) / GAIN_STEP;
-        const floats part = ((float)((x0 + x) % GAIN_STEP) + lane) * (1.0f / GAIN_STEP);
-        const floats factor = gain[node] + (gain[node + 1] - gain[node]) * part;
-        for (int o = 0; o < OUTPUTS; o++)
-            STORE_PRIVATE(floats, planes + o * TILE + x) = LOAD_PRIVATE(floats, planes + o * TILE + x) * factor;
-    }
+// made[o] of pixels from column x on times the gain of each, linear between the nodes of a row, GAIN_STEP columns apart.
+INLINE void even_pixels(floats *made, __global const float *gain, int x) {
+    const int node = x / GAIN_STEP;
+    const floats part = ((float)(x % GAIN_STEP) + (floats)(ALL_LANES(LANE))) * (1.0f / GAIN_STEP);
+    const floats factor = gain[node] + (gain[node + 1] - gain[node]) * part;
+    for (int o = 0; o < OUTPUTS; o++) made[o] *= factor;
 }
 
 #endif
 
+// Of the pixels, the first `count` are in the frame.
 #if defined(FIXED_POINT)
 
-// planes[o * TILE + x] → what the next layer reads (output, pixel), past the caches where vectors lie on whole lines: it is read
-// when all is written, and no cache holds all.
-INLINE void write_row(__global int *picture, const total *planes, __global const float *matrix, size_t at, int width,
-                      size_t pixels) {
+// made[o] → what the next layer reads (output, pixel), past the caches where vectors lie on whole lines: it is read when all is
+// written, and no cache holds all.
+INLINE void write_pixels(__global int *picture, const ints *made, __global const float *matrix, size_t at, int count,
+                         size_t pixels) {
+    #pragma unroll
     for (int o = 0; o < OUTPUTS; o++) {
         __global int *to = picture + o * pixels + at;
-        const bool whole_lines = (size_t)to % sizeof(ints) == 0;
-        int x = 0;
-        for (; whole_lines && x + LANES <= width; x += LANES)
-            __builtin_nontemporal_store(LOAD_PRIVATE(ints, planes + o * TILE + x), (__global ints *)(to + x));
-        for (; x < width; x++) to[x] = planes[o * TILE + x];
+        if (count >= LANES && (size_t)to % sizeof(ints) == 0) __builtin_nontemporal_store(made[o], (__global ints *)to);
+        else if (count >= LANES) STORE_GLOBAL(ints, to) = made[o];
+        else for (int i = 0; i < count; i++) to[i] = made[o][i];
     }
 }
 
 #elif defined(PLANES)
 
-// planes[o * TILE + x] → picture (output, pixel)
-INLINE void write_row(__global float *picture, const float *planes, __global const float *matrix, size_t at, int width,
-                      size_t pixels) {
-    for (int o = 0; o < OUTPUTS; o++)
-        for (int x = 0; x < width; x++) picture[o * pixels + at + x] = planes[o * TILE + x];
+// made[o] → picture (output, pixel)
+INLINE void write_pixels(__global float *picture, const floats *made, __global const float *matrix, size_t at, int count,
+                         size_t pixels) {
+    for (int o = 0; o < OUTPUTS; o++) {
+        __global float *to = picture + o * pixels + at;
+        if (count >= LANES) STORE_GLOBAL(floats, to) = made[o];
+        else for (int i = 0; i < count; i++) to[i] = made[o][i];
+    }
 }
 
 #elif defined(NOT_ENCODED)
 
 // For timing: the sum of three planes.
-INLINE void write_row(__global float *picture, const float *planes, __global const float *matrix, size_t at, int width,
-                      size_t pixels) {
-    for (int x = 0; x < width; x++) picture[at + x] = planes[x] + planes[TILE + x] + planes[2 * TILE + x];
+INLINE void write_pixels(__global float *picture, const floats *made, __global const float *matrix, size_t at, int count,
+                         size_t pixels) {
+    const floats sum = made[0] + made[1] + made[2];
+    for (int i = 0; i < min(count, LANES); i++) picture[at + i] = sum[i];
 }
 
 #else
@@ -86,28 +87,25 @@ INLINE void interleave(two_codes *low, codes *high, uints a, uints b, uints c) {
 }
 #endif
 
-// planes[o * TILE + x] of X, Y, Z → picture (pixel, 3)
-INLINE void write_row(__global CODE *picture, const float *planes, __global const float *matrix, size_t at, int width,
-                      size_t pixels) {
+// made of X, Y, Z → picture (pixel, 3)
+INLINE void write_pixels(__global CODE *picture, const floats *made, __global const float *matrix, size_t at, int count,
+                         size_t pixels) {
     __global CODE *to = picture + 3 * at;
-    for (int x = 0; x < width; x += LANES) {
-        const floats X = LOAD_PRIVATE(floats, planes + x), Y = LOAD_PRIVATE(floats, planes + TILE + x);
-        const floats Z = LOAD_PRIVATE(floats, planes + 2 * TILE + x);
-        uints value[3];
-        #pragma unroll
-        for (int p = 0; p < 3; p++) value[p] = encode(matrix[3 * p] * X + matrix[3 * p + 1] * Y + matrix[3 * p + 2] * Z);
-        two_codes low;
-        codes high;
-        interleave(&low, &high, value[0], value[1], value[2]);
-        if (x + LANES <= width) {
-            STORE_GLOBAL(two_codes, to + 3 * x) = low;
-            STORE_GLOBAL(codes, to + 3 * x + 2 * LANES) = high;
-        } else {
-            CODE rest[3 * LANES];
-            STORE_PRIVATE(two_codes, rest) = low;
-            STORE_PRIVATE(codes, rest + 2 * LANES) = high;
-            for (int i = 0; x + i / 3 < width; i++) to[3 * x + i] = rest[i];
-        }
+    uints value[3];
+    #pragma unroll
+    for (int p = 0; p < 3; p++)
+        value[p] = encode(matrix[3 * p] * made[0] + matrix[3 * p + 1] * made[1] + matrix[3 * p + 2] * made[2]);
+    two_codes low;
+    codes high;
+    interleave(&low, &high, value[0], value[1], value[2]);
+    if (count >= LANES) {
+        STORE_GLOBAL(two_codes, to) = low;
+        STORE_GLOBAL(codes, to + 2 * LANES) = high;
+    } else {
+        CODE rest[3 * LANES];
+        STORE_PRIVATE(two_codes, rest) = low;
+        STORE_PRIVATE(codes, rest + 2 * LANES) = high;
+        for (int i = 0; i < 3 * count; i++) to[i] = rest[i];
     }
 }
 

@@ -63,7 +63,12 @@ void structures(STRUCTURES_PARAMETERS) {
         weigh_rows(&sum, ring, k - 6, span);
         const Words *here = words + (k - STRUCTURE_REACH) % 4;
         __global uint *label_row = labels + (size_t)(y0 + k - 2 * STRUCTURE_REACH) * columns + x0;
+        const int next = min(y0 + k + 1, y1 + 2 * STRUCTURE_REACH - 1);
+        __global const int *next_luminance = luminance_plane + (size_t)row_source[next] * columns + x0;
+        __global const uint *next_labels = first_labels + (size_t)label_source[next] * columns + x0;
         for (int x = 0; x < width; x += LANES) {
+            FETCH(next_luminance + x);
+            FETCH(next_labels + x);
             const uints xx = SAME_BITS(across(sum.xx + x + 1), uints), yy = SAME_BITS(across(sum.yy + x + 1), uints);
             const uints turns = gradient_words(here, x + STRUCTURE_REACH), first = start_words(here, x + STRUCTURE_REACH);
             const uints structure = structure_of(xx, yy, across(sum.xy + x + 1), turns, strength_edges);

@@ -78,7 +78,6 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
     ushort row[SPAN];
     uint label[TILE];
     tap ring[RING];
-    total planes[PLANES_MADE * TILE];
     for (int i = 0; i < SPAN; i++) row[i] = 0;
     for (int i = 0; i < TILE; i++) label[i] = 0;
     for (int i = 0; i < RING; i++) ring[i] = 0;
@@ -89,10 +88,16 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
         const int y = y0 + k - 2 * RADIUS;
         const size_t at = (size_t)y * columns + x0;
         for (int x = 0; x < width; x++) label[x] = labels[at + x];
-        for (int x = 0; x < width; x += LANES) apply(planes, ring + (k - 2 * RADIUS) * SOURCES, label, weights, x);
+        __global const SOURCE *next = source + (size_t)row_source[min(y0 + k + 1, y1 + 2 * RADIUS - 1)] * columns + x0;
+        for (int x = 0; x < width; x += LANES) {
+            for (int s = 0; s < SOURCES; s++) FETCH(next + s * stride + x);
+            FETCH(labels + at + columns + x);
+            totals made[PLANES_MADE];
+            apply(made, ring + (k - 2 * RADIUS) * SOURCES, label, weights, x);
 #ifdef SHADED
-        even_row(planes, gain + (size_t)y * GAIN_NODES(columns), x0, width);
+            even_pixels(made, gain + (size_t)y * GAIN_NODES(columns), x0 + x);
 #endif
-        write_row(picture, planes, matrix, at, width, (size_t)rows * columns);
+            write_pixels(picture, made, matrix, at + x, width - x, (size_t)rows * columns);
+        }
     }
 }

@@ -49,6 +49,10 @@ VECTOR(short, pairs, 2 * LANES);
 #define LOAD_GLOBAL(type, p) (*(__global const type##_unaligned *)(p))
 #define STORE_GLOBAL(type, p) (*(__global type##_unaligned *)(p))
 
+// Have the caches fetch the line at p, which is read a row later: no processor guesses where the next row of a tile lies. A line for
+// every LANES pixels, while others are computed: many at once would have to wait for one another.
+#define FETCH(p) __builtin_prefetch((const void *)(size_t)(p))
+
 // Products of neighbours, added in pairs and to `sum`: one instruction where the compiler has it.
 INLINE ints add_pairs(ints sum, pairs a, pairs b) {
 #if LANES == 16 && defined(__AVX512BW__)

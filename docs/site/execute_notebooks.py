@@ -51,7 +51,7 @@ def executed(path: Path) -> Any:
         kernels = AsyncKernelManager(transport="ipc")  # sockets in the file system, which nobody else reads
         kernels.connection_file = str(Path(folder, "kernel.json"))
         client = NotebookClient(notebook, km=kernels, timeout=LONGEST, resources={"metadata": {"path": folder}})
-        client.execute(env=os.environ | {"TMPDIR": folder})
+        client.execute(cleanup_kc=True, env=os.environ | {"TMPDIR": folder})
     return notebook
 
 
@@ -64,7 +64,7 @@ def page(notebook: Any, name: str, folder: Path) -> str:
         else:
             parts.append(f"```python\n{cell.source}\n```")
             parts += shown(cell.outputs, f"{name}-{number}", folder)
-    parts.append(f"The notebook is `docs/notebooks/{name}.ipynb`.")
+    parts.append(f"[The notebook]({name}.ipynb), without outputs.")
     return "\n\n".join(parts) + "\n"
 
 
@@ -92,6 +92,7 @@ def written(path: Path, folder: Path) -> str:
         notebook = executed(path)
     except CellExecutionError as error:
         return f"{path}: fails\n{COLOURS.sub('', str(error))}"
+    shutil.copy(path, folder)
     (folder / f"{path.stem}.md").write_text(page(notebook, path.stem, folder), encoding="utf-8")
     return f"{path}: {time.perf_counter() - start:.1f} s"
 

@@ -2,13 +2,14 @@
 
 import functools
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.corrections import DefectMap, FlatField
 from l3cli.artifacts.fit import Fit
+from l3cli.artifacts.readout import Readout
 from l3cli.artifacts.schema import MOST, Artifact, data, group
 from l3cli.errors import InputFileError
 from l3cli.limits import most_pixels
@@ -129,6 +130,7 @@ class CameraModel(Artifact):
     fit: Fit | None = group(default=None)
     defects: DefectMap | None = group(default=None)  # None: nobody has searched for any
     flat_field: FlatField | None = group(default=None)  # None: not measured
+    readout: Readout | None = group(default=None)  # None: all channels are exposed and amplified alike
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -153,20 +155,47 @@ class CameraModel(Artifact):
         """Electrons between black and white level."""
         return (self.white_level - self.black_level) / self.gain
 
+    def channel_map(self, shape: tuple[int, ...]) -> NDArray[np.uint8]:
+        """Channel (row, col) of the pixels of a frame of that shape, CFA phase (0, 0)."""
+        rows, cols = self.cfa.shape
+        return self.cfa[np.ix_(np.arange(shape[0]) % rows, np.arange(shape[1]) % cols)]
+
+    @property
+    def sensitivity(self) -> NDArray[np.float64]:
+        """(channel) DN of light over those of the channel whose exposure times gain is largest; 1 where all are alike."""
+        return np.ones(len(self.channels)) if self.readout is None else self.readout.sensitivity
+
+    @property
+    def channel_gains(self) -> NDArray[np.float64]:
+        """(channel) conversion gain over `gain`."""
+        return np.ones(len(self.channels)) if self.readout is None else self.readout.channel_gain
+
     @property
     def electron_weights(self) -> NDArray[np.float64]:
-        """W (channel, wavelength): mean photo-electrons/s = W @ radiance (photons/s/sr/m²/nm) (docs/method.md#sensor)."""
+        """W (channel, wavelength): mean photo-electrons a second of the frame's exposure = W @ radiance
+        (photons/s/sr/m²/nm) (docs/method.md#sensor)."""
         photons = self.optics.irradiance_per_radiance * self.pixel_pitch**2 * spectra.bin_widths(self.wavelength)
+        if self.readout is not None:
+            return self.responsivity * photons * self.readout.channel_exposure[:, None]
         return self.responsivity * photons
+
+    @property
+    def signal_weights(self) -> NDArray[np.float64]:
+        """W (channel, wavelength) as `electron_weights`, but signals: electrons that would give as many DN at `gain`."""
+        weights = self.electron_weights
+        return weights if self.readout is None else weights * self.readout.channel_gain[:, None]
 
     @functools.cached_property
     def saturation_exposure(self) -> float:
         """cd s/m²: scene luminance × exposure time at which a perfect white under D65 just fills the brightest channel.
 
-        InputFileError if the camera collects next to nothing of that light.
+        InputFileError if the camera collects next to nothing of that light, or its wavelengths are all invisible.
         """
-        white = spectra.at_luminance(spectra.illuminant("D65", self.wavelength), self.wavelength, 1.0)
-        electrons = float((self.electron_weights @ white).max())
+        try:
+            white = spectra.at_luminance(spectra.illuminant("D65", self.wavelength), self.wavelength, 1.0)
+        except InputFileError as error:
+            raise InputFileError(f"camera {self.name}: {error}") from None
+        electrons = float((self.signal_weights @ white).max())
         exposure = self.full_scale / electrons if electrons > 0 else np.inf
         if not exposure <= MOST:
             raise InputFileError(
@@ -178,23 +207,34 @@ class CameraModel(Artifact):
         """DN above black that dark current makes, on average, in `exposure` s; None: 0 (docs/method.md#dark-current)."""
         return 0.0 if exposure is None else self.gain * self.noise.dark_current * exposure
 
-    def noise_variance(self, signal: NDArray[np.floating], dark: float = 0.0) -> NDArray[np.floating]:
+    def noise_variance(
+        self, signal: NDArray[np.floating], dark: float = 0.0, channel: NDArray[np.integer] | None = None
+    ) -> NDArray[np.floating]:
         """Variance in DN² of a pixel of mean `signal` DN above black (docs/method.md#noise, with rounding), of a frame
-        that is `RawFrame.at_levels` after `dark` DN of dark current."""
-        constant, linear, quadratic = self.noise_terms(dark)
+        that is `RawFrame.at_levels` after `dark` DN of dark current. `channel` as of `noise_terms`."""
+        constant, linear, quadratic = self.noise_terms(dark, channel)
         signal = np.maximum(signal, 0.0)
         return constant + (linear + quadratic * signal) * signal
 
-    def noise_terms(self, dark: float = 0.0) -> tuple[float, float, float]:
+    def noise_terms(self, dark: float = 0.0, channel: NDArray[np.integer] | None = None) -> tuple[Any, Any, float]:
         """The noise variance's constant (DN²), linear (DN) and quadratic term over the signal above black.
 
         Of `dark` DN the mean has been taken off, and the light that is left stretched to full scale; the shot noise of the
-        dark electrons, and what pixels differ in them, stays. ValueError if dark current alone fills a pixel.
+        dark electrons, and what pixels differ in them, stays. ValueError if dark current alone fills a pixel. `dark` is that
+        of a channel of the whole exposure and of `gain`. The terms are those of such a channel, or, where `channel` says
+        which pixels are of which and these differ, arrays of its shape.
         """
         noise, span = self.noise, self.white_level - self.black_level
         if not dark < span:
             raise ValueError(f"dark current alone fills a pixel of camera {self.name}: {dark:.4g} DN of {span:.4g}")
         stretch, prnu = span / (span - dark), noise.prnu**2
-        constant = self.gain**2 * (noise.read_noise**2 + noise.dsnu**2 + noise.column_noise**2) + 1.0 / 12.0
-        constant += (self.gain + prnu * dark) * dark
-        return stretch**2 * constant, stretch * (self.gain + 2 * prnu * dark), prnu
+        gain: Any = self.gain
+        read_noise: Any = noise.read_noise
+        own_dark: Any = dark
+        if self.readout is not None and channel is not None:
+            gain = self.gain * self.readout.channel_gain[channel]
+            read_noise = self.readout.channel_read_noise[channel]
+            own_dark = dark * (self.readout.channel_exposure * self.readout.channel_gain)[channel]
+        constant = gain**2 * (read_noise**2 + noise.dsnu**2 + noise.column_noise**2) + 1.0 / 12.0
+        constant += (gain + prnu * own_dark) * own_dark
+        return stretch**2 * constant, stretch * (gain + 2 * prnu * own_dark), prnu

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import MAX_BITS, MAX_CFA, MAX_CHANNELS, CameraModel, Noise, Optics, check_sensor
 from l3cli.artifacts.camera_curves import ResponsivityRecipe, curve_faults, differences, responsivity
+from l3cli.artifacts.channel_recipe import ChannelRecipe, channel_faults, filters_of, readout_of
 from l3cli.artifacts.store import load
 from l3cli.config import CountOrNone, Recipe, Seed, load_recipe, parse_recipe, parse_toml, read_text
 from l3cli.errors import RecipeError
@@ -61,6 +62,7 @@ class CameraRecipe(Recipe):
     responsivity: ResponsivityRecipe
     noise: NoiseRecipe
     optics: OpticsRecipe
+    channel: dict[str, ChannelRecipe] = msgspec.field(default_factory=dict)  # those that are read in another way
 
 
 class PhaseRecipe(Recipe):
@@ -110,7 +112,9 @@ def camera_from_recipe(recipe: CameraRecipe, path: Path) -> CameraModel:
     """The model a recipe describes; `path` places relative file names and names the culprit in errors."""
     refuse_first(camera_faults(recipe), path)
     sensor, noise = recipe.sensor, recipe.noise
-    wavelength, curves = responsivity(recipe.responsivity, recipe.cfa.channels, path.parent)
+    filters = filters_of(recipe.channel, recipe.cfa.channels)
+    wavelength, curves = responsivity(recipe.responsivity, list(dict.fromkeys(filters)), path.parent)
+    curves = curves[[list(dict.fromkeys(filters)).index(each) for each in filters]]
     try:
         return CameraModel(
             name=recipe.name,
@@ -137,6 +141,7 @@ def camera_from_recipe(recipe: CameraRecipe, path: Path) -> CameraModel:
                 column_noise=noise.column_noise_e,
             ),
             optics=Optics(recipe.optics.focal_length_mm * 1e-3, recipe.optics.f_number, recipe.optics.object_distance_m),
+            readout=readout_of(recipe.channel, recipe.cfa.channels, noise.read_noise_e),
         )
     except ValueError as error:
         raise RecipeError(f"{path}: {error}") from error
@@ -174,7 +179,8 @@ def camera_faults(recipe: CameraRecipe) -> Iterator[Fault]:
     yield from share_faults(noise.prnu, "noise.prnu", MOST_PRNU)
     yield from length_faults(sensor.pixel_pitch_um, optics)
     yield from cfa_faults(recipe.cfa)
-    yield from curve_faults(recipe.responsivity, recipe.cfa.channels)
+    yield from channel_faults(recipe.channel, recipe.cfa.channels)
+    yield from curve_faults(recipe.responsivity, list(dict.fromkeys(filters_of(recipe.channel, recipe.cfa.channels))))
     yield from _model_faults(recipe)
 
 

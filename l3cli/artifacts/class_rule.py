@@ -5,20 +5,18 @@ What the numbers mean is written out in l3cli/classes, one module a feature.
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.further_features import Axis, FurtherFeatures
 from l3cli.artifacts.schema import check, data, group
 
 CLASS_BITS = 12  # class decisions are taken on the upper 12 bits of a value, so that 32-bit sums are exact
 CHROMA_SCALE = 1 << 10  # of the chroma weights: sums over 16 channels stay within 32 bits
 MAX_CHROMAS = 64
 MAX_PATCH = 15
-MAX_FURTHER = 4096  # values of all further features together
-MAX_WINDOW_TAPS = 4096  # of all their windows: sums of 12-bit values are then exact in float32
 
 
 class ClassPlace(NamedTuple):
@@ -29,94 +27,6 @@ class ClassPlace(NamedTuple):
     contrast: Any
     further: Any  # values of the further features together; 0 where a rule has none
     kind: Any  # chroma of an unsaturated pixel, or chromas − 1 + case of one near saturation
-
-
-class Window(NamedTuple):
-    """A rectangle of a patch whose values are added, or taken off, in one of the sums that a further feature reads."""
-
-    sum: int
-    top: int
-    left: int
-    rows: int
-    columns: int
-    sign: int  # 1 or −1
-
-
-class Axis(NamedTuple):
-    """A further feature as a rule holds it."""
-
-    name: str  # as the recipe's key and its module are called
-    size: int  # values that it takes
-    windows: tuple[Window, ...]  # of the sums that it reads, numbered from 0
-    constants: NDArray[np.int32]  # what its formula reads beside the sums and the level
-
-    @property
-    def sums(self) -> int:
-        return 1 + max((window.sum for window in self.windows), default=-1)
-
-
-@dataclass(frozen=True)
-class FurtherFeatures:
-    """Features that a recipe has switched on beside level, contrast, saturation and chroma, in order."""
-
-    names: tuple[str, ...] = data("str", "feature", doc="as in the recipe; what each decides stands in its module")
-    sizes: NDArray[np.int64] = data("int64", "feature", doc="values that each takes")
-    window_counts: NDArray[np.int64] = data("int64", "feature", doc="windows of each")
-    windows: NDArray[np.int64] = data(
-        "int64",
-        "window",
-        "window_field",
-        unit="pixel",
-        doc="sum that a rectangle of the patch counts in, its top, left, rows, columns and sign",
-    )
-    constant_counts: NDArray[np.int64] = data("int64", "feature", doc="constants of each")
-    constants: NDArray[np.int32] = data("int32", "constant", doc="what the formula of each reads")
-
-    @classmethod
-    def of(cls, axes: tuple[Axis, ...]) -> "FurtherFeatures":
-        """How `axes` are stored."""
-        windows = np.array([window for axis in axes for window in axis.windows], np.int64)
-        return cls(
-            tuple(axis.name for axis in axes),
-            np.array([axis.size for axis in axes]),
-            np.array([len(axis.windows) for axis in axes]),
-            windows.reshape(-1, len(Window._fields)),
-            np.array([len(axis.constants) for axis in axes]),
-            np.concatenate([axis.constants for axis in axes]).astype(np.int32),
-        )
-
-    @cached_property
-    def axes(self) -> tuple[Axis, ...]:
-        rows = [Window(*row) for row in self.windows.tolist()]
-        window_end, constant_end = np.cumsum(self.window_counts), np.cumsum(self.constant_counts)
-        return tuple(
-            Axis(
-                name,
-                int(self.sizes[index]),
-                tuple(rows[window_end[index] - self.window_counts[index] : window_end[index]]),
-                self.constants[constant_end[index] - self.constant_counts[index] : constant_end[index]],
-            )
-            for index, name in enumerate(self.names)
-        )
-
-    def check(self, patch: int) -> None:
-        """ValueError if these cannot be features of patches of side `patch`."""
-        if not self.names or len(set(self.names)) != len(self.names):
-            raise ValueError("names of further features must be there, each once")
-        if (self.sizes < 1).any() or math.prod(self.sizes.tolist()) > MAX_FURTHER:
-            raise ValueError(f"sizes of further features must be positive, and at most {MAX_FURTHER} together")
-        counts = ((self.window_counts, len(self.windows)), (self.constant_counts, len(self.constants)))
-        if any((count < 0).any() or count.sum() != length for count, length in counts):
-            raise ValueError("further features have other numbers of windows or constants than are counted")
-        if self.windows.shape[1] != len(Window._fields):
-            raise ValueError(f"windows has {self.windows.shape[1]} fields, not {len(Window._fields)}")
-        number, top, left, rows, columns, sign = self.windows.T
-        inside = (top >= 0) & (left >= 0) & (rows >= 1) & (columns >= 1) & (np.abs(sign) == 1)
-        inside &= (top <= patch - rows) & (left <= patch - columns) & (number >= 0) & (number < len(number))
-        if not inside.all():
-            raise ValueError("windows must lie within the patch, with the sign 1 or −1")
-        if (rows * columns).sum() > MAX_WINDOW_TAPS:
-            raise ValueError(f"windows hold more than {MAX_WINDOW_TAPS} taps")
 
 
 @dataclass(frozen=True)
@@ -149,7 +59,6 @@ class ClassRule:
     case_of_code: NDArray[np.uint16] = data(
         "uint16", "code", doc="saturation case of each pattern of saturated channels (bit c: channel c)"
     )
-
     chroma_black_level: int = data(
         "int64",
         unit="(DN >> shift) times 16",
@@ -160,6 +69,9 @@ class ClassRule:
         "int32", "chroma", "channel", doc="weights of the channel means; the chroma of the lowest score wins"
     )
     features: FurtherFeatures | None = group(default=None)  # None: level, contrast, saturation and chroma alone
+    spared_cases: int = data(
+        "int64", default=0, doc="saturation cases, the first after case 0, in which every filter has a channel that is not"
+    )
 
     def __post_init__(self) -> None:
         check(self)
@@ -173,8 +85,19 @@ class ClassRule:
             raise ValueError("saturation must not be negative, its radius not larger than the patch's")
         if self.contrast_edges.shape[1] != self.levels:
             raise ValueError(f"contrast_edges has {self.contrast_edges.shape[1]} levels, level_edges make {self.levels}")
+        if not 0 <= self.spared_cases < max(self.cases, 1):
+            raise ValueError(f"spared_cases is {self.spared_cases}, of {self.cases - 1} saturation cases")
         if self.features:
             self.features.check(self.patch)
+
+    def check_fits(self, channels: int, bits: int) -> None:
+        """ValueError if the rule is not for a camera of so many channels and bits."""
+        if not 0 <= self.shift <= bits <= self.shift + CLASS_BITS:
+            raise ValueError(f"{bits} bits shifted by {self.shift} leave more than {CLASS_BITS}")
+        if self.channels != channels:
+            raise ValueError(f"chroma_weights is for {self.channels} channels")
+        if len(self.case_of_code) != 2**channels:
+            raise ValueError(f"case_of_code has {len(self.case_of_code)} codes for {channels} channels")
 
     @property
     def radius(self) -> int:
@@ -195,6 +118,11 @@ class ClassRule:
     @property
     def cases(self) -> int:
         return int(self.case_of_code.max()) + 1
+
+    @property
+    def lost_cases(self) -> int:
+        """Cases in which a filter is lost, and the one of all others."""
+        return self.cases - self.spared_cases
 
     @property
     def chromas(self) -> int:
@@ -275,6 +203,10 @@ class ClassRule:
         """Saturation cases of kinds, an integer or an array: 0 where nothing is saturated and the kind is a chroma."""
         return np.maximum(kind, self.chromas - 1) - (self.chromas - 1)  # labels may be unsigned
 
+    def lost(self, kind: Any) -> Any:
+        """Saturation cases of kinds, less those that are spared: 0 where no filter is lost."""
+        return np.maximum(self.case(kind) - self.spared_cases, 0)
+
     def kinds_of(self, case: int) -> slice | int:
         """The kinds of a saturation case: all chromas if nothing is saturated, else one."""
         return self.chromas - 1 + case if case else slice(0, self.chromas)
@@ -282,13 +214,3 @@ class ClassRule:
     def join_cases(self, level: Any, contrast: Any, case: Any) -> Any:
         """Indices within a site of the coarser classes that distinguish saturation cases but not chromas."""
         return (level * self.contrasts + contrast) * self.cases + case
-
-
-def check_rule(rule: ClassRule, channels: int, bits: int) -> None:
-    """ValueError if a rule is not for a camera of so many channels and bits."""
-    if not 0 <= rule.shift <= bits <= rule.shift + CLASS_BITS:
-        raise ValueError(f"{bits} bits shifted by {rule.shift} leave more than {CLASS_BITS}")
-    if rule.channels != channels:
-        raise ValueError(f"chroma_weights is for {rule.channels} channels")
-    if len(rule.case_of_code) != 2**channels:
-        raise ValueError(f"case_of_code has {len(rule.case_of_code)} codes for {channels} channels")

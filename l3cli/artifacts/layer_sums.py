@@ -65,7 +65,7 @@ class PartialLayerSums(Artifact):
         if self.side < 1 or self.side % 2 == 0:
             raise ValueError(f"side is {self.side}, not odd")
         below = self.table.first.rule
-        if (len(self.rule.gradient_factor), self.rule.cases) != (below.levels, below.cases):
+        if (len(self.rule.gradient_factor), self.rule.cases) != (below.levels, below.lost_cases):
             raise ValueError("rule has other levels or saturation cases than the table's first layer")
         if len(self.rule.turns) != self.table.cfa.size:
             raise ValueError(f"rule is for {len(self.rule.turns)} sites, the CFA has {self.table.cfa.size}")

@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.class_rule import ClassRule, check_rule
+from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.layer_sums import LayerSums, PartialLayerSums
 from l3cli.artifacts.scales import name_axes
 from l3cli.artifacts.schema import Artifact, check, data, group
@@ -63,7 +63,7 @@ class PartialSums(Artifact):
         super().__post_init__()
         if not 1 <= self.shard <= self.shards or self.pass_number not in (1, 2):
             raise ValueError(f"shard {self.shard} of {self.shards}, pass {self.pass_number} cannot be")
-        check_rule(self.rule, len(self.training.camera.channels), self.training.camera.bits)
+        self.rule.check_fits(len(self.training.camera.channels), self.training.camera.bits)
         if len(self.white_point) != len(self.training.outputs):
             raise ValueError(f"white_point has {len(self.white_point)} values for {len(self.training.outputs)} outputs")
 

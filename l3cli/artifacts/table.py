@@ -1,13 +1,12 @@
 """The transform table: layers of class rules and weights, all that rendering needs (docs/method.md#classes)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel, check_cfa, check_sensor
-from l3cli.artifacts.class_rule import check_rule
 from l3cli.artifacts.layers import MosaicLayer, PlaneLayer
 from l3cli.artifacts.schema import Artifact, data, group
 from l3cli.artifacts.training_set import LightSpectrum
@@ -57,7 +56,7 @@ class TransformTable(Artifact):
             sites, classes = self.cfa.size, layer.rule.classes_per_site
             if len(layer.weights) != sites * classes:
                 raise ValueError(f"weights holds {len(layer.weights)} classes, the rule makes {sites} × {classes}")
-        check_rule(self.first.rule, len(self.channels), self.bits)
+        self.first.rule.check_fits(len(self.channels), self.bits)
         for later in self.later:
             self._check_later(later)
 
@@ -66,10 +65,10 @@ class TransformTable(Artifact):
         rule, below = layer.rule, self.first.rule
         if len(rule.turns) != self.cfa.size:
             raise ValueError(f"turns holds {len(rule.turns)} sites, the CFA {self.cfa.size}")
-        if (len(rule.gradient_factor), rule.cases) != (below.levels, below.cases):
+        if (len(rule.gradient_factor), rule.cases) != (below.levels, below.lost_cases):
             raise ValueError(
                 f"a later layer is for {len(rule.gradient_factor)} levels and {rule.cases} saturation cases, "
-                f"the first has {below.levels} and {below.cases}"
+                f"the first has {below.levels} and {below.lost_cases}"
             )
         taps = layer.side**2 * len(self.outputs)
         if layer.side % 2 == 0 or layer.weights.shape[2] != taps:
@@ -79,6 +78,13 @@ class TransformTable(Artifact):
     def layers(self) -> tuple[MosaicLayer | PlaneLayer, ...]:
         """All layers in the order in which they render."""
         return (self.first, *self.later)
+
+    def pictured(self) -> "TransformTable":
+        """The table of X, Y, Z alone if other outputs follow them, which no picture shows; else the table itself."""
+        if self.outputs[:3] != ("X", "Y", "Z") or len(self.outputs) == 3 or self.later:
+            return self
+        first = replace(self.first, weights=self.first.weights[:, :3], intercept=self.first.intercept[:, :3])
+        return replace(self, outputs=self.outputs[:3], white_point=self.white_point[:3], first=first)
 
     def dark_signal(self, exposure: float | None) -> float:
         """DN above black that dark current makes, on average, in `exposure` s; if that is unknown, in that of training. A

@@ -29,7 +29,7 @@ def efficiency(curves: Curves, fit: Fit, gain: float, body: Body) -> tuple[Array
     errors of alpha and K are contained (docs/method.md#quantum-efficiency)."""
     assert fit.chart is not None
     assert fit.noise is not None
-    scale = fit.chart.alpha[:, None] / gain
+    scale = (fit.chart.alpha / (gain * body.channel_gains * body.channel_exposures))[:, None]
     conversion = np.sqrt(np.sum((channel_shares(body) * fit.noise.conversion_gain_error) ** 2)) / gain
     relative = np.hypot(fit.chart.alpha_error / fit.chart.alpha, conversion)[:, None]
     band = np.hypot(curves.band, COVERAGE * relative * curves.relative)

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel, Noise
 from l3cli.artifacts.fit import ChartFit, Fit, NoiseFit, SweepFit
-from l3cli.calibration import agreement, gain, responsivity
+from l3cli.calibration import agreement, gain, responsivity, settings
 from l3cli.calibration import curves as finished
 from l3cli.calibration.captures import Charts, Sensor, measure_charts, measure_sensor, measure_sweep
 from l3cli.calibration.corrections import correct_by_frames, with_corrections
@@ -152,17 +152,19 @@ def fit_charts(
 
 
 def describe_noise(sensor: Sensor, body: Body) -> NoiseFit:
-    """Dark and white frames in electrons, by the conversion gain of the whole sensor."""
+    """Dark and white frames in electrons, by the conversion gain of the whole sensor. InputFileError if channels have other
+    gains than the measurement file says."""
     dark, transfer = sensor.dark, sensor.transfer
-    conversion = float(channel_shares(body) @ transfer.gain)
+    own = conversion_gain(sensor, body) * body.channel_gains  # (channel) DN/e-
+    settings.check_gains(transfer.gain, transfer.gain_error, body)
     return NoiseFit(
         conversion_gain=transfer.gain,
         conversion_gain_error=transfer.gain_error,
-        read_noise=np.sqrt(dark.variance) / conversion,
-        dark_current=dark.slope / conversion,
-        dsnu=dark.dsnu / conversion,
+        read_noise=np.sqrt(dark.variance) / own,
+        dark_current=dark.slope / (own * body.channel_exposures),
+        dsnu=dark.dsnu / own,
         prnu=sensor.prnu,
-        saturation_capacity=(transfer.white_level - dark.black_level) / conversion,
+        saturation_capacity=(transfer.white_level - dark.black_level) / own,
         linearity_error=transfer.linearity_error,
         white_level_reached=transfer.white_level_reached,
         defects=sensor.defects,
@@ -172,15 +174,26 @@ def describe_noise(sensor: Sensor, body: Body) -> NoiseFit:
     )
 
 
+def conversion_gain(sensor: Sensor, body: Body) -> float:
+    """K of the whole sensor, DN/e-, of those of each channel with its share of the pixels, or where channels are exposed
+    or amplified apart, as well as it is known."""
+    each = sensor.transfer.gain / body.channel_gains
+    if body.readout is None:
+        return float(channel_shares(body) @ each)
+    return float(np.average(each, weights=(body.channel_gains / sensor.transfer.gain_error) ** 2))
+
+
 def summarise(sensor: Sensor, figures: NoiseFit, body: Body) -> SensorFigures:
     """One figure for all pixels, of those of each channel with its share of the pixels."""
     pixels = channel_shares(body)
-    conversion, black_level = float(pixels @ sensor.transfer.gain), float(pixels @ sensor.dark.black_level)
+    conversion, black_level = conversion_gain(sensor, body), float(pixels @ sensor.dark.black_level)
 
     def quadratic(deviation: Array) -> float:
         return float(np.sqrt(pixels @ deviation**2))
 
-    read_noise, dsnu, prnu = quadratic(figures.read_noise), quadratic(figures.dsnu), quadratic(figures.prnu)
+    lowest = np.where(body.channel_gains == body.channel_gains.min(), figures.read_noise, 0.0)
+    share = float(pixels[body.channel_gains == body.channel_gains.min()].sum())
+    read_noise, dsnu, prnu = quadratic(lowest) / share**0.5, quadratic(figures.dsnu), quadratic(figures.prnu)
     dark_current = max(float(pixels @ figures.dark_current), 0.0)
     well = (sensor.transfer.white_level - black_level) / conversion
     return SensorFigures(
@@ -193,7 +206,10 @@ def assemble(body: Body, sensor: SensorFigures, curves: Curves, fit: Fit) -> Cam
     curve, band = curves.relative, curves.band
     if fit.chart is not None:
         curve, band = efficiency(curves, fit, sensor.gain, body)
+        settings.check_exposures(curve, body)
         check_efficiency(curve, fit.sweep.odd if fit.sweep else ())
+    elif body.readout is not None:
+        curve, band = settings.of_filters(curve, band, body)
     try:
         return CameraModel(
             name=body.name,
@@ -215,6 +231,7 @@ def assemble(body: Body, sensor: SensorFigures, curves: Curves, fit: Fit) -> Cam
             optics=body.optics,
             declared=_declared(fit),
             fit=fit,
+            readout=settings.measured_readout(body, fit.noise, sensor.noise.read_noise),
         )
     except ValueError as error:
         raise InputFileError(f"the measurements make no camera: {error}; check dark and white frames") from error

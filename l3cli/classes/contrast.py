@@ -39,13 +39,23 @@ def check_edges(recipe: Keys) -> None:
 def stored_edges(
     recipe: Keys, levels: NDArray[np.float64], camera: CameraModel, shift: int, dark: float
 ) -> NDArray[np.uint32]:
-    """The rule's contrast edges (edge, level) from the camera's noise at `levels`, shares of full scale, of frames of which
-    `dark` DN of dark current have been taken off."""
-    span, channels = camera.white_level - camera.black_level, len(camera.channels)
-    variance = camera.noise_variance(levels * span, dark) / 4**shift + (1 / 12 if shift else 0.0) + MEAN_TRUNCATED
+    """The rule's contrast edges (edge, level) from the camera's noise at `levels`, as `noise_of_grey` has them."""
+    channels = len(camera.channels)
+    variance = noise_of_grey(levels, camera, dark) / 4**shift + (1 / 12 if shift else 0.0) + MEAN_TRUNCATED
     limit = 2.0**32 - 1 - channels
     squared = np.array(recipe.contrasts, dtype=np.float64).reshape(-1, 1) ** 2
     return np.minimum(np.rint(squared * variance * channels * 2**VARIANCE_FRACTION), limit).astype(np.uint32)
+
+
+def noise_of_grey(levels: NDArray[np.float64], camera: CameraModel, dark: float) -> NDArray[np.floating]:
+    """Mean over the channels of the noise variance (level) in DN² of greys at `levels`, shares of full scale in the most
+    sensitive channel, of frames of which `dark` DN of dark current have been taken off; clipped channels have none."""
+    span = camera.white_level - camera.black_level
+    if camera.readout is None:
+        return camera.noise_variance(levels * span, dark)
+    signal = levels[:, None] * camera.sensitivity
+    variance = camera.noise_variance(signal * span, dark, np.arange(len(camera.channels)))
+    return np.asarray((variance * (signal < 1)).mean(axis=1))
 
 
 def contrasts(rule: ClassRule, statistics: Statistics, level: Integers) -> Integers:

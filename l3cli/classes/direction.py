@@ -26,9 +26,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.class_rule import Axis, ClassRule, Window
+from l3cli.artifacts.class_rule import ClassRule
+from l3cli.artifacts.further_features import Axis, Window
 from l3cli.artifacts.table import TransformTable
-from l3cli.classes import level
+from l3cli.classes import contrast, level
 from l3cli.classes.windows import Integers
 from l3cli.config import Recipe, Share
 from l3cli.errors import RecipeError
@@ -58,8 +59,8 @@ def axis(keys: Keys, camera: CameraModel, rule: ClassRule, dark: float, observed
         raise RecipeError("classes.direction.strengths must be there, be positive and increase")
     period = math.lcm(*camera.cfa.shape)
     span = rule.patch - period
-    inner = _inner_span(span)
-    windows = _windows(rule.patch, period, inner)
+    inner = inner_span(span)
+    windows = boxes(rule.patch, period, inner)
     responses = np.array([(1 + span % 2) * span, inner * math.sqrt(2)])
     multipliers = np.rint(SCALE * responses.min() / responses).astype(np.int64)
     edges = _strength_edges(keys, windows, multipliers, camera, rule, dark)
@@ -69,12 +70,12 @@ def axis(keys: Keys, camera: CameraModel, rule: ClassRule, dark: float, observed
     return Axis("direction", size, windows, np.array([*head, *edges.ravel().tolist()], np.int32))
 
 
-def _inner_span(span: int) -> int:
+def inner_span(span: int) -> int:
     """How far apart boxes lie, down and across, that are about `span` apart along a diagonal, and as symmetric."""
     return max(2 - span % 2, span - 2 * round((span - span / math.sqrt(2)) / 2))
 
 
-def _windows(patch: int, period: int, inner: int) -> tuple[Window, ...]:
+def boxes(patch: int, period: int, inner: int) -> tuple[Window, ...]:
     """The boxes of the four differences. Where none lies in the middle, the two beside it are both taken."""
     span = patch - period
     near, far = (span - inner) // 2, (span + inner) // 2
@@ -97,9 +98,9 @@ def _strength_edges(
         down, across = slice(window.top, window.top + window.rows), slice(window.left, window.left + window.columns)
         counts[window.sum, down, across] += window.sign
     power = ((counts**2).sum(axis=(1, 2)) * multipliers[[0, 1, 0, 1]] ** 2).mean()
-    span = camera.white_level - camera.black_level
-    levels = level.centres(level.inner_bounds(rule, camera.black_level, camera.white_level))
-    variance = camera.noise_variance(levels * span, dark) / 4**rule.shift + 1 / 12
+    means = level.centres(level.inner_bounds(rule, camera.black_level, camera.white_level))
+    shares = level.unclipped_level(means, camera.sensitivity) / camera.sensitivity.mean()
+    variance = contrast.noise_of_grey(shares, camera, dark) / 4**rule.shift + 1 / 12
     edges = np.array(keys.strengths)[:, None] * np.sqrt(variance * power)
     return np.minimum(np.rint(edges), 2**31 - 1).astype(np.int64)
 

@@ -17,7 +17,7 @@ def label_planes(planes: NDArray[np.int32], first: Integers, rule: PlaneRule, fi
     """Class (row, col) of every pixel, among those of all sites, from the first layer's planes (plane, row, col) and classes
     (row, col)."""
     place = first_rule.split(first)
-    kind = rule.kind(_structure(planes, place.level, place.site, rule), first_rule.case(place.kind))
+    kind = rule.kind(_structure(planes, place.level, place.site, rule), first_rule.lost(place.kind))
     return rule.join(rule.level_of(place.level), kind, place.site)
 
 
@@ -56,7 +56,7 @@ def first_label_words(rule: PlaneRule, first: ClassRule) -> NDArray[np.uint64]:
     else:
         axes = np.array([tree.turned_axes(turn) for turn in rule.turns.tolist()])
         turned = (axes * [1, -1, -1] > 0) @ np.array([1, 2, 4])
-    case = first.case(place.kind)
+    case = first.lost(place.kind)
     start = rule.join(rule.level_of(place.level), rule.kind(0, case), place.site)
     upper = start | (case > 0).astype(np.int64) << 31
     lower = factor | shift << np.uint64(8) | turned.astype(np.uint64)[place.site] << np.uint64(14)

@@ -30,8 +30,9 @@ class Keys(Recipe):
     level_edges: tuple[float, ...] | None = None  # shares of full scale, in place of the four keys above
 
 
-def edge_shares(recipe: Keys) -> NDArray[np.float64]:
-    """Level edges as shares of full scale, increasing; RecipeError if they cannot be."""
+def edge_shares(recipe: Keys, reach: float = 1.0) -> NDArray[np.float64]:
+    """Level edges, increasing, as shares of full scale of the most sensitive channel, all channels of which clip at `reach`
+    of it; RecipeError if they cannot be."""
     if recipe.level_edges is not None:
         edges = np.array(recipe.level_edges)
         if not (edges.size and edges[0] > 0 and edges[-1] < 1 and (np.diff(edges) > 0).all()):
@@ -40,18 +41,37 @@ def edge_shares(recipe: Keys) -> NDArray[np.float64]:
     if not (recipe.levels >= 2 and 0 < recipe.lowest_level < recipe.highest_level < 1):
         raise RecipeError("classes need levels ≥ 2 and 0 < lowest_level < highest_level < 1")
     spaced = np.geomspace if recipe.spacing == "logarithmic" else np.linspace
-    return spaced(recipe.lowest_level, recipe.highest_level, recipe.levels - 1)
+    return spaced(recipe.lowest_level, recipe.highest_level * reach, recipe.levels - 1)
 
 
-def centres(shares: NDArray[np.float64]) -> NDArray[np.float64]:
-    """A share of full scale in the middle of each of the levels that edges at `shares` make."""
-    return np.concatenate([[shares[0] / 2], np.sqrt(shares[1:] * shares[:-1]), [(1 + shares[-1]) / 2]])
+def centres(shares: NDArray[np.float64], reach: float = 1.0) -> NDArray[np.float64]:
+    """A share of full scale in the middle of each of the levels that edges at `shares` make, as `edge_shares`."""
+    return np.concatenate([[shares[0] / 2], np.sqrt(shares[1:] * shares[:-1]), [(reach + shares[-1]) / 2]])
+
+
+def clipped_mean(share: NDArray[np.floating], sensitivity: NDArray[np.float64]) -> NDArray[np.floating]:
+    """Mean over channels of such `sensitivity` (channel) of what a grey gives, each clipped at 1, that gives a `share` (…)
+    of full scale in the most sensitive one (docs/method.md#exposures)."""
+    if (sensitivity == 1).all():
+        return share
+    return np.asarray(np.minimum(share[..., None] * sensitivity, 1.0).mean(axis=-1))
+
+
+def unclipped_level(mean: NDArray[np.floating], sensitivity: NDArray[np.float64]) -> NDArray[np.floating]:
+    """What the mean over the channels would be of a grey whose channels, each clipped at 1, have this `mean` (…), if none
+    were clipped: where the sensitive channels clip, the others tell it. The mean itself where all are alike."""
+    if (sensitivity == 1).all():
+        return mean
+    knots = np.append(0.0, np.unique(1 / sensitivity))  # shares at which a channel clips, between which the mean is linear
+    shares = np.interp(mean, clipped_mean(knots, sensitivity), knots)
+    return np.where(mean < 0, mean, shares * sensitivity.mean())
 
 
 def stored_edges(shares: NDArray[np.float64], camera: CameraModel, shift: int) -> NDArray[np.uint32]:
-    """The rule's level edges at `shares` of full scale."""
+    """The rule's level edges at `shares` of full scale of a grey in the most sensitive channel."""
     span = camera.white_level - camera.black_level
-    in_values = (camera.black_level + shares * span - truncation(shift)) / 2**shift
+    means = clipped_mean(shares, camera.sensitivity)
+    in_values = (camera.black_level + means * span - truncation(shift)) / 2**shift
     return np.rint(in_values * 2**LEVEL_FRACTION * len(camera.channels)).astype(np.uint32)
 
 

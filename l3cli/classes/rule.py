@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.class_rule import CLASS_BITS, MAX_PATCH, ClassRule, FurtherFeatures
+from l3cli.artifacts.class_rule import CLASS_BITS, MAX_PATCH, ClassRule
+from l3cli.artifacts.further_features import FurtherFeatures
 from l3cli.classes import chroma, contrast, level, saturation
 from l3cli.classes.features import FURTHER
 from l3cli.classes.recipe import ClassRecipe, switched_on
@@ -22,12 +23,13 @@ def make_rule(
     chroma_centres: NDArray[np.float64] | None = None,
     dark: float = 0.0,
     observed: Mapping[str, NDArray[np.float64]] | None = None,
+    spared_cases: int = 0,
 ) -> ClassRule:
     """The integer rule for a camera: edges in DN, contrast edges from its noise model (docs/method.md#classes).
     It is for frames of which `dark` DN of dark current have been taken off.
 
     `chroma_centres` (chroma, channel) are shares of the channel means in their sum; without them there is one chroma.
-    `observed` is what the pilot has seen for each further feature, None before it.
+    `spared_cases` are as ClassRule has them. `observed` is what the pilot has seen for each further feature, None before it.
     RecipeError if the recipe asks for what the camera cannot give, such as more levels than values.
     """
     if recipe.patch % 2 == 0 or not 1 <= recipe.patch <= MAX_PATCH:
@@ -35,10 +37,11 @@ def make_rule(
     channels = len(camera.channels)
     neighbourhoods(camera.cfa, recipe.patch, channels)
     contrast.check_edges(recipe)
-    shares = level.edge_shares(recipe)
+    reach = float(1 / camera.sensitivity.min())
+    shares = level.edge_shares(recipe, reach)
     shift = max(0, camera.bits - CLASS_BITS)
     level_edges = level.stored_edges(shares, camera, shift)
-    contrast_edges = contrast.stored_edges(recipe, level.centres(shares), camera, shift, dark)
+    contrast_edges = contrast.stored_edges(recipe, level.centres(shares, reach), camera, shift, dark)
     try:
         rule = ClassRule(
             patch=recipe.patch,
@@ -52,6 +55,7 @@ def make_rule(
             chroma_weights=chroma.chroma_weights(
                 np.full((1, channels), 1 / channels) if chroma_centres is None else chroma_centres
             ),
+            spared_cases=spared_cases,
         )
         axes = tuple(
             FURTHER[name].axis(keys, camera, rule, dark, None if observed is None else observed[name])

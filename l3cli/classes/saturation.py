@@ -3,6 +3,7 @@
 case = case_of_code[bit c set if any pixel of channel c within the saturation radius is ≥ saturation (in DN)]
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -26,23 +27,39 @@ class Keys(Recipe):
     max_cases: Count = 12  # saturation patterns that get classes of their own, the unsaturated one included
 
 
-def choose_cases(occurrences: NDArray[np.int64], most: int) -> NDArray[np.uint16]:
-    """Case of every saturation code (code) from how often each occurred (code).
+def choose_cases(occurrences: NDArray[np.int64], most: int, filters: Sequence[int] | None = None) -> NDArray[np.uint16]:
+    """Case of every saturation code (code) from how often each occurred (code); `filters` (channel), None: each its own.
 
     Code 0 is case 0. The most frequent others are kept, `most` cases in all. Every other code goes to the kept one that
-    differs in the fewest channels, one that also clips its clipped channels before others; to case 0 only if none is kept.
+    differs in the fewest channels, one that also clips its clipped channels before others, and one that has lost a filter
+    or none as it has before all others; to case 0 only if none is kept.
     """
     codes = np.arange(len(occurrences))
+    lost = lost_filters(codes, filters or range(int(codes[-1]).bit_length())) > 0
     frequent = np.argsort(-occurrences[1:], kind="stable")[: most - 1] + 1
     kept = np.sort(frequent[occurrences[frequent] > SMALLEST_SHARE * occurrences.sum()])
+    kept = np.concatenate([kept[~lost[kept]], kept[lost[kept]]])
     case_of_code = np.zeros(len(occurrences), dtype=np.uint16)
     if not kept.size:
         return case_of_code
     differing = np.bitwise_count(codes[:, None] ^ kept[None]).astype(np.float64)
     misses = (codes[:, None] & ~kept[None]) != 0
-    case_of_code[:] = np.argmin(differing + 0.5 * misses, axis=1) + 1
+    other = (lost[:, None] != lost[kept]) * len(codes)
+    case_of_code[:] = np.argmin(differing + 0.5 * misses + other, axis=1) + 1
     case_of_code[0] = 0
     return case_of_code
+
+
+def spared_cases(case_of_code: NDArray[np.uint16], filters: Sequence[int]) -> int:
+    """How many cases, the first after case 0, hold no code (code) in which a filter has lost all of its channels."""
+    lost = lost_filters(np.arange(len(case_of_code)), filters) > 0
+    return int(case_of_code[lost].min(initial=case_of_code.max() + 1)) - 1 if case_of_code.any() else 0
+
+
+def lost_filters(codes: Integers, filters: Sequence[int]) -> Integers:
+    """In how many filters, those of the channels being `filters` (channel), codes (code) have every channel saturated."""
+    of_filter = [sum(1 << bit for bit, each in enumerate(filters) if each == one) for one in sorted(set(filters))]
+    return np.sum([codes & mask == mask for mask in of_filter], axis=0)
 
 
 def stored_threshold(recipe: Keys, camera: CameraModel) -> int:

@@ -1,16 +1,20 @@
 """The command line: a group that imports a command only when it is called, and reports every error in one place."""
 
 import errno
+import functools
 import importlib
 import sys
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from l3cli import __version__
+from l3cli.cli.results import Record, Result, begin
 from l3cli.cli.terminal import drop, prepare, show, to_stderr
 from l3cli.errors import L3Error, suggestion
 from l3cli.interrupts import Terminated, heed, leave_to_python
+from l3cli.ledger import close_ledger
 from l3cli.limits import require_address_space
 from l3cli.stages.log import Logged
 from l3cli.stages.plan import Planned
@@ -104,14 +108,41 @@ def main() -> None:
 
 def run(arguments: list[str]) -> int:
     """Exit code of `l3 ARGUMENTS`, after printing its results and messages."""
-    Logged.current = None
+    Logged.current, record = None, begin(arguments)
+    results: list[Result] = []
+    try:
+        code = _guarded(lambda: _called(arguments, record, results))
+        if record is None or not (results or record.error):  # such as help
+            return code
+        shown = _guarded(lambda: record.show(next(iter(results), None), code))
+        return code or shown
+    finally:
+        close_ledger()
+
+
+def _called(arguments: list[str], record: Record | None, results: list[Result]) -> int:
+    """Exit code of the command, whose result is put among the `results` and, unless it is recorded, printed."""
     try:
         result: Any = l3.main(arguments, prog_name="l3", standalone_mode=False)
-        sys.stdout.flush()
-        return result if isinstance(result, int) else 0
     except Planned as plan:
-        show(*plan.lines)
-        return 0
+        result = Result(plan.document(), functools.partial(show, *plan.lines))
+    if not isinstance(result, Result):
+        return result if isinstance(result, int) else 0
+    results.append(result)
+    if result.text and not record:
+        result.text()
+    sys.stdout.flush()
+    if result.fault:
+        raise result.fault
+    return result.code
+
+
+def _guarded(work: Callable[[], int | None]) -> int:
+    """Exit code of a part of the run; whatever goes wrong in it is said."""
+    try:
+        code = work()
+        sys.stdout.flush()
+        return code or 0
     except click.exceptions.Exit as stop:
         return stop.exit_code
     except click.ClickException as error:
@@ -158,6 +189,8 @@ def _usage(error: click.ClickException) -> str:
 def _fail(message: str, code: int) -> int:
     line = " ".join(message.split())
     to_stderr(f"l3: {line}")
+    if Record.current is not None:
+        Record.current.fail(line, code)
     if Logged.current is not None:
         Logged.current.record("error", line)
     return code

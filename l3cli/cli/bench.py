@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from l3cli.cli import options
-from l3cli.cli.terminal import show, show_json, show_table
+from l3cli.cli.results import Result
+from l3cli.cli.terminal import show, show_table
 
 if TYPE_CHECKING:
     from l3cli.stages.console import Console
@@ -15,9 +16,8 @@ if TYPE_CHECKING:
 @options.device
 @options.variant
 @click.option("--list", "list_only", is_flag=True, help="Only list the OpenCL devices, or say why there are none.")
-@options.as_json
 @options.quiet
-def bench(device: str | None, variant: str | None, list_only: bool, as_json: bool, console: "Console") -> None:
+def bench(device: str | None, variant: str | None, list_only: bool, console: "Console") -> Result:
     """Time the rendering of synthetic frames on an OpenCL device, uint16 in host memory to sRGB in host memory, and
     simulation and training on one core of the processor.
 
@@ -33,27 +33,27 @@ def bench(device: str | None, variant: str | None, list_only: bool, as_json: boo
     if list_only:
         from l3cli.rendering.opencl_devices import survey
 
-        document: dict[str, Any] = {"devices": survey()}
-    else:
-        from l3cli.stages.benchmark import measure
+        devices = survey()
+        return Result({"devices": devices}, lambda: show(*devices))
+    from l3cli.stages.benchmark import measure
 
-        document = measure(console, device=device, variant=variant)
-    if as_json:
-        show_json(document, console)
-        return
+    document = measure(console, device=device, variant=variant)
+    return Result(document, lambda: _text(document))
+
+
+def _text(document: dict[str, Any]) -> None:
     show(*document["devices"])
-    if not list_only:
-        _rendering(document["results"])
-        _comparison(document)
-        _simulation(document["simulate"])
-        _training(document["train"])
+    _rendering(document["results"])
+    _comparison(document)
+    _simulation(document["simulate"])
+    _training(document["train"])
 
 
 def _rendering(results: list[dict[str, Any]]) -> None:
-    stages = list(results[0]["stages_ms"])
-    rows = []
+    longest = max(results, key=lambda result: len(result["stages_ms"]))
+    stages, rows = list(longest["stages_ms"]), []
     for number, result in enumerate(results, 1):
-        times = [f"{result['stages_ms'][stage]:.2f}" for stage in stages]
+        times = [f"{result['stages_ms'][stage]:.2f}" if stage in result["stages_ms"] else "" for stage in stages]
         limit = f"{result['limit_ratio']:.2f}" if "limit_ratio" in result else ""
         what = [
             str(number),  # identifies rows where the table is divided

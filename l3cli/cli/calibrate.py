@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from l3cli.cli import options, terminal
-from l3cli.cli.terminal import show, show_json
+from l3cli.cli.results import Result
+from l3cli.cli.terminal import show
 
 if TYPE_CHECKING:
     from l3cli.stages.console import Console
@@ -15,15 +16,16 @@ if TYPE_CHECKING:
 def _draft(
     folder: Path, output: Path, camera: Path | None, console: "Console", force: bool, measurements: Path | None,
     others: dict[str, Any],
-) -> None:  # fmt: skip
+) -> Result:  # fmt: skip
     """Write the draft; UsageError if what only a calibration takes is given, too."""
     from l3cli.stages.drafting.draft import draft
 
-    given = [name for name in ("photos", "light", "truth", "export", "accept", "json") if others[name]]
+    given = [name for name in ("photos", "light", "truth", "export", "accept") if others[name]]
     if measurements is not None or given:
         name = "MEASUREMENTS.toml" if measurements is not None else f"--{given[0].removesuffix('s')}"
         raise click.UsageError(f"--draft writes a measurement file and calibrates nothing; leave {name} out")
     draft(folder, output, console, camera=camera, force=force)
+    return Result({"measurements": str(output)})
 
 
 @click.command()
@@ -47,11 +49,10 @@ def _draft(
 @options.force
 @options.dry_run
 @options.quiet
-@options.as_json
 def calibrate(
-    measurements: Path | None, output: Path, draft: Path | None, camera: Path | None, console: "Console", as_json: bool,
+    measurements: Path | None, output: Path, draft: Path | None, camera: Path | None, console: "Console",
     force: bool, **others: Any,
-) -> None:  # fmt: skip
+) -> Result:  # fmt: skip
     """Estimate responsivities, gain and noise of a camera from its lab measurements, or from photos of a chart.
 
     \b
@@ -60,15 +61,11 @@ def calibrate(
              l3 calibrate --photo chart.dng --light 3200K -o camera.h5
     """
     if draft is not None:
-        _draft(draft, output, camera, console, force, measurements, others | {"json": as_json})
-        return
+        return _draft(draft, output, camera, console, force, measurements, others)
     if camera is not None:
         raise click.UsageError("--camera goes with --draft; a measurement file states its camera itself")
     from l3cli.calibration import text
     from l3cli.stages.calibration import calibrate as stage
 
     _, result = stage(measurements, output, console, force=force, **others)
-    if as_json:
-        show_json(result, console)
-    else:
-        show(*text.as_text(result, terminal.width()))
+    return Result(result, lambda: show(*text.as_text(result, terminal.width())))

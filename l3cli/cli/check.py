@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from l3cli.cli import options, terminal
-from l3cli.cli.terminal import show, show_json
+from l3cli.cli.results import Result
+from l3cli.cli.terminal import show
 from l3cli.errors import InputFileError
 
 if TYPE_CHECKING:
@@ -31,10 +32,9 @@ class AnyRecipe(options.RecipeFile):
 @click.command()
 @click.argument("recipes", type=AnyRecipe(), nargs=-1, required=True, metavar="RECIPE…")
 @click.option("--plot", type=options.FILE, metavar="FILE", help="Also draw array, curves and noise of cameras (.html).")
-@options.as_json
 @options.force
 @options.quiet
-def check(recipes: tuple[str, ...], plot: Path | None, as_json: bool, force: bool, console: "Console") -> None:
+def check(recipes: tuple[str, ...], plot: Path | None, force: bool, console: "Console") -> Result:
     """Check recipes (camera, lab, scenes, classes) and measurement files with the files that they name, and list all that is
     wrong as FILE:LINE: MESSAGE (exit code 3); of a recipe without faults show what it means. RECIPE is a file, the name of
     a recipe that comes with l3, or a folder of recipes. What is given together with a camera recipe is checked for it.
@@ -46,18 +46,15 @@ def check(recipes: tuple[str, ...], plot: Path | None, as_json: bool, force: boo
     from l3cli.stages.checking.text import as_text
 
     judged = stage(recipes)
-    if as_json:
-        show_json({"files": [judgement.document() for judgement in judged]}, console)
-    else:
-        for judgement in judged:
-            show(*as_text(judgement, terminal.width()))
-    faulty = [judgement for judgement in judged if judgement.findings]
+    fault, faulty = None, [judgement for judgement in judged if judgement.findings]
     if faulty:
         count = sum(len(judgement.findings) for judgement in faulty)
-        raise InputFileError(
+        fault = InputFileError(
             f"{count} fault{'s' if count > 1 else ''} in {len(faulty)} of {len(judged)} files; correct them"
         )
-    if plot is not None:
+    elif plot is not None:
         from l3cli.stages.checking.plot import plot as draw
 
         draw(judged, plot, console, force=force)
+    lines = [line for judgement in judged for line in as_text(judgement, terminal.width())]
+    return Result({"files": [judgement.document() for judgement in judged]}, lambda: show(*lines), fault)

@@ -1,12 +1,18 @@
 """l3 compare: evaluations of several cameras over luminance."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from l3cli.cli import options
-from l3cli.cli.terminal import Terminal, show_json, show_table
+from l3cli.cli.results import Result
+from l3cli.cli.terminal import show_table
 from l3cli.columns import printable
+
+if TYPE_CHECKING:
+    from l3cli.stages.comparison import Comparison
+    from l3cli.stages.console import Console
 
 
 @click.command()
@@ -23,10 +29,10 @@ from l3cli.columns import printable
 @options.output("HTML page with the curves", required=False)
 @options.force
 @options.dry_run
-@options.as_json
+@options.quiet
 def compare(
-    evaluations: tuple[Path, ...], figures: tuple[str, ...], output: Path | None, force: bool, as_json: bool
-) -> None:
+    evaluations: tuple[Path, ...], figures: tuple[str, ...], output: Path | None, force: bool, console: "Console"
+) -> Result:
     """Compare cameras by figures of their evaluations at each luminance, and print where the ranking changes.
 
     \b
@@ -34,10 +40,11 @@ def compare(
     """
     from l3cli.stages.comparison import compare as stage
 
-    comparison = stage(evaluations, figures, Terminal(), page=output, force=force)
-    if as_json:
-        show_json(comparison.document(), Terminal())
-        return
+    comparison = stage(evaluations, figures, console, page=output, force=force)
+    return Result(comparison.document(), lambda: _text(comparison))
+
+
+def _text(comparison: "Comparison") -> None:
     for figure, curves in comparison.curves.items():
         rows = [
             [f"{luminance:g}", *(f"{curve.value[index]:.2f}" for curve in curves)]

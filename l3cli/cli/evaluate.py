@@ -6,15 +6,23 @@ from typing import TYPE_CHECKING
 import click
 
 from l3cli.cli import options
-from l3cli.cli.terminal import show_json
+from l3cli.cli.results import Result
 
 if TYPE_CHECKING:
     from l3cli.stages.console import Console
 
 
 @click.command()
-@click.argument("table", type=options.FILE, metavar="TABLE.h5")
-@click.argument("frames", type=options.FILE, metavar="TRAINING.h5")
+@click.argument("table", type=options.FILE, required=False, metavar="TABLE.h5")
+@click.argument("frames", type=options.FILE, required=False, metavar="TRAINING.h5")
+@click.option(
+    "--sequence", type=options.FILE, metavar="PICTURES",
+    help="Instead of a table: rendered pictures (folder, pattern, glob, video) to be judged over time.",
+)  # fmt: skip
+@click.option(
+    "--ideal", type=options.FILE, metavar="PICTURES",
+    help="What the sequence should be, such as the folder of l3 simulate --pictures.",
+)  # fmt: skip
 @options.backend
 @click.option(
     "--viewing",
@@ -37,20 +45,20 @@ if TYPE_CHECKING:
     help="Write the table's, ideal and basic picture and an error map (black: ΔE00 0, white: 10) of every frame as PNG.",
 )
 @click.option("--force", is_flag=True, help="Write pictures into a folder that is not empty.")
-@options.as_json
 @options.dry_run
 @options.quiet
 def evaluate(
-    table: Path,
-    frames: Path,
+    table: Path | None,
+    frames: Path | None,
+    sequence: Path | None,
+    ideal: Path | None,
     backend: str,
     viewing: float,
     border: int | None,
     pictures: Path | None,
     force: bool,
-    as_json: bool,
     console: "Console",
-) -> None:
+) -> Result:
     """Render the raw frames of a training set that TABLE was not trained on and compare them with their targets.
 
     Pictures are compared as displayed: adapted to D65, the 99th percentile of the target's luminance shown as white.
@@ -61,15 +69,29 @@ def evaluate(
     are bilinear interpolation, Malvar and Menon for Bayer, spectral differences (sd) and the pseudo-panchromatic image
     difference (ppid) for arrays in which every band occurs once a period.
 
+    With --sequence: noise and flicker of CIE L* over time on patches that stand still, the largest jump of a frame's
+    mean, and beside ideal pictures PSNR, ΔE00 and how the error changes along the known motion.
+
     \b
     Example: l3 evaluate table.h5 unseen.h5 --json
     """
+    if sequence is not None:
+        if table is not None or pictures is not None:
+            raise click.UsageError("--sequence judges pictures; leave TABLE.h5, TRAINING.h5 and --pictures out")
+        return _evaluate_sequence(sequence, ideal, border, console)
+    if table is None or frames is None or ideal is not None:
+        raise click.UsageError("give TABLE.h5 and TRAINING.h5, or --sequence PICTURES with or without --ideal")
     from l3cli.stages.evaluation import evaluate as stage
 
     document = stage(table, frames, console, backend=backend, viewing=viewing, border=border, pictures=pictures, force=force)
-    if as_json:
-        show_json(document, console)
-        return
     from l3cli.cli.quality_tables import print_tables
 
-    print_tables(document)
+    return Result(document, lambda: print_tables(document))
+
+
+def _evaluate_sequence(sequence: Path, ideal: Path | None, border: int | None, console: "Console") -> Result:
+    from l3cli.cli.quality_tables import print_sequence
+    from l3cli.stages.sequence_evaluation import document, evaluate_sequence
+
+    figures = evaluate_sequence(sequence, console, ideal=ideal, border=border)
+    return Result(document(figures), lambda: print_sequence(figures))

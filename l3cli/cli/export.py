@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Literal
 import click
 
 from l3cli.cli import options, terminal
-from l3cli.cli.terminal import show, show_json
+from l3cli.cli.results import Result
+from l3cli.cli.terminal import show
 
 if TYPE_CHECKING:
     from l3cli.stages.console import Console
@@ -16,21 +17,33 @@ if TYPE_CHECKING:
 @click.argument("artifact", type=options.CAMERA, metavar="CAMERA|TABLE.h5")
 @click.option("-o", "--output", type=options.FILE, required=True, metavar="DIR", help="Folder to write to.")
 @click.option(
-    "--to", "form", type=click.Choice(["c", "folder"]), help="Of a table: C99 source (as without it), or arrays with a JSON."
+    "--to",
+    "form",
+    type=click.Choice(["c", "folder", "onnx"]),
+    help="Of a table: C99 source (as without it), arrays with a JSON, or an ONNX graph (slow: for verification).",
+)
+@click.option(
+    "--words",
+    type=click.Choice(["float32", "int16"]),
+    help="Of C source: outputs as floats, or in steps of 2^-12. [float32]",
 )
 @options.force
 @options.dry_run
 @options.quiet
-@options.as_json
 def export(
-    artifact: Path, output: Path, form: Literal["c", "folder"] | None, force: bool, console: "Console", as_json: bool
-) -> None:
+    artifact: Path,
+    output: Path,
+    form: Literal["c", "folder", "onnx"] | None,
+    words: Literal["float32", "int16"] | None,
+    force: bool,
+    console: "Console",
+) -> Result:
     """Write CAMERA, a camera.h5 or a camera recipe, as other software reads it: curves (CSV, rawtoaces JSON), data sheet
     (CSV), DCP matrices (JSON), of a Bayer array tuning files of libcamera. Prints how far the matrices for each light leave
     the colours of measured surfaces.
 
     Or write TABLE.h5, a transform table, as C99 source that renders without l3 (make test compares it with l3's reference
-    on a test mosaic), or as little-endian arrays for other hardware.
+    on a test mosaic), as little-endian arrays for other hardware, or as an ONNX graph.
 
     \b
     Example: l3 export table.h5 -o source --to c
@@ -43,14 +56,9 @@ def export(
     if is_table(artifact):
         from l3cli.stages.table_exports import export_table
 
-        files = export_table(artifact, output, form or "c", console, force=force)
-        if as_json:
-            show_json({"files": files}, console)
-        return
-    if form is not None:
-        raise RecipeError(f"--to is for transform tables; {artifact} is a camera: leave it out")
+        files = export_table(artifact, output, form or "c", console, words=words, force=force)
+        return Result({"files": files})
+    if option := "--to" if form else "--words" if words else None:
+        raise RecipeError(f"{option} is for transform tables; {artifact} is a camera: leave it out")
     matrices = export_camera(artifact, output, console, force=force)
-    if as_json:
-        show_json({"matrices": matrices}, console)
-    elif matrices:
-        show(*matrix_lines(matrices, terminal.width()))
+    return Result({"matrices": matrices}, lambda: show(*matrix_lines(matrices, terminal.width())) if matrices else None)

@@ -6,11 +6,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from l3cli.cli import options
-from l3cli.cli.terminal import Terminal, folded, show, show_json
+from l3cli.cli.results import Result
+from l3cli.cli.terminal import folded, show
 from l3cli.columns import figure, printable
 from l3cli.errors import InputFileError
 
 if TYPE_CHECKING:
+    from l3cli.stages.console import Console
     from l3cli.stages.information import Verification
 
 
@@ -21,8 +23,8 @@ if TYPE_CHECKING:
 @click.option(
     "--version", "versions", is_flag=True, help="Versions of l3, Python and libraries, and OpenCL devices; no FILE."
 )
-@options.as_json
-def info(file: Path | None, inputs: tuple[Path, ...], verifies: bool, versions: bool, as_json: bool) -> None:
+@options.quiet
+def info(file: Path | None, inputs: tuple[Path, ...], verifies: bool, versions: bool, console: "Console") -> Result:
     """Show kind, version, history and every dataset (axes, type, unit, meaning) of FILE; of a transform table also
     classes, patches, noise gain, gain of flat areas, and its noisiest classes.
 
@@ -37,15 +39,16 @@ def info(file: Path | None, inputs: tuple[Path, ...], verifies: bool, versions: 
     if versions == (file is not None):
         raise click.UsageError("give either a FILE or --version")
     if verifies and file is not None:
-        _verify(file, inputs, as_json)
-        return
+        return _verify(file, inputs)
     if verifies or inputs:
         raise click.UsageError("one file at a time, unless --verify compares it with what it was made of")
     document = _versions() if file is None else _content(file)
-    if as_json:
-        show_json(document, Terminal())
-        return
-    for line in _version_lines(document) if versions else _lines(document):
+    lines = _version_lines(document) if versions else _lines(document)
+    return Result(document, lambda: _show(lines))
+
+
+def _show(lines: list[str]) -> None:
+    for line in lines:
         show(*folded(printable(line), len(line) - len(line.lstrip()) + 4))
 
 
@@ -61,18 +64,16 @@ def _versions() -> dict[str, Any]:
     return versions()
 
 
-def _verify(file: Path, inputs: tuple[Path, ...], as_json: bool) -> None:
-    """Print what is verified and what is not given; InputFileError if something differs."""
+def _verify(file: Path, inputs: tuple[Path, ...]) -> Result:
+    """What is verified and what is not given; InputFileError with it if something differs."""
     from l3cli.stages.information import verification
 
     result = verification(file, inputs)
-    if as_json:
-        show_json(result.document(), Terminal())
-    else:
-        show(*_verified(file, result))
+    fault = None
     if result.strangers:
         named = ", ".join(str(path) for path in result.strangers)
-        raise InputFileError(f"{named}: not what {file} was made of; another file, or changed since")
+        fault = InputFileError(f"{named}: not what {file} was made of; another file, or changed since")
+    return Result(result.document(), lambda: show(*_verified(file, result)), fault)
 
 
 def _lines(content: dict[str, Any]) -> list[str]:

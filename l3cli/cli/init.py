@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 from l3cli.cli import options, terminal
+from l3cli.cli.results import Result
 from l3cli.cli.terminal import show
 from l3cli.errors import suggestion
 
@@ -39,7 +40,7 @@ def _completed(context: click.Context, parameter: click.Parameter, incomplete: s
 def init(
     recipe: str | None, folder: Path | None, more: tuple[str, ...], photos: tuple[Path, ...], light: str | None,
     force: bool, console: "Console",
-) -> None:  # fmt: skip
+) -> Result:  # fmt: skip
     """Make DIR with the recipes of one kind of camera and a Makefile that makes a picture and a report from them, and
     the same pipeline for Snakemake and for job arrays of Slurm. With --from, the recipe is that of the camera which took
     the raw files; of several cameras, each gets a folder in DIR. A benchmark's Makefile learns from one folder of your
@@ -58,21 +59,26 @@ def init(
         named = [Path(each) for each in (recipe, folder, *more) if each is not None]
         if not named:
             raise click.UsageError('name the folder to make, such as "l3 init --from photo.dng mine"')
-        start_from([*photos, *named[:-1]], named[-1], console, light=light, force=force)
-        return
+        made = start_from([*photos, *named[:-1]], named[-1], console, light=light, force=force)
+        return Result({"folders": [str(each) for each in made]})
     if light is not None:
         raise click.UsageError("--light is that of photos; give them with --from")
     if more:
         raise click.UsageError(f'one recipe and one folder are wanted, not "{more[0]}"; give raw files with --from')
     known = starters()
     if recipe is None:
-        wide = max(map(len, known))
-        for name, path in known.items():
-            show(*terminal.folded(f"{name:{wide}}  {summary(path)}", wide + 2))
+        recipes = {name: summary(path) for name, path in known.items()}
         console.say('next: one of them and a new folder, such as "l3 init bayer demo"')
-        return
+        return Result({"recipes": recipes}, lambda: _list(recipes))
     if recipe not in known:
         raise click.UsageError(f'no recipe "{recipe}"; {suggestion(recipe, known)}')
     if folder is None:
         raise click.UsageError(f'name the folder to make, such as "l3 init {recipe} {recipe}"')
     start(known[recipe], folder, console, force=force)
+    return Result({"folders": [str(folder)]})
+
+
+def _list(recipes: dict[str, str]) -> None:
+    wide = max(map(len, recipes))
+    for name, what in recipes.items():
+        show(*terminal.folded(f"{name:{wide}}  {what}", wide + 2))

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 from l3cli.cli import options
+from l3cli.cli.results import Result
 
 if TYPE_CHECKING:
     from l3cli.stages.console import Console
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 @options.force
 @options.dry_run
 @options.quiet
-def lab(camera: Path, output: Path, recipe: Path | None, seed: int, jobs: int, force: bool, console: "Console") -> None:
+def lab(camera: Path, output: Path, recipe: Path | None, seed: int, jobs: int, force: bool, console: "Console") -> Result:
     """Simulate the lab measurements of CAMERA, as input for "l3 calibrate". CAMERA is a camera recipe, the name of one
     ("l3 init" lists them) or a camera.h5.
 
@@ -34,4 +35,5 @@ def lab(camera: Path, output: Path, recipe: Path | None, seed: int, jobs: int, f
     """
     from l3cli.stages.lab import measure
 
-    measure(camera, output, console, recipe=recipe, seed=seed, jobs=jobs, force=force)
+    made = measure(camera, output, console, recipe=recipe, seed=seed, jobs=jobs, force=force)
+    return Result({"measurements": str(made)})

@@ -1,6 +1,7 @@
 """Options that several commands share, each declared once."""
 
 import functools
+import importlib
 import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -8,13 +9,14 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from l3cli.cli.results import JSON, recorded
 from l3cli.cli.terminal import ErrorsOnly, Terminal, with_options
+from l3cli.files import sparing
 from l3cli.quantities import LARGEST_WHOLE, NoSuchNumber, Quantity
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
-    from l3cli.stages.claims import Claims
     from l3cli.stages.console import Console
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -90,11 +92,11 @@ def _log(context: click.Context, parameter: click.Parameter, path: Path | None) 
 
 def _console(context: click.Context, parameter: click.Parameter, quiet: bool) -> "Console":
     console: Console = ErrorsOnly() if quiet else Terminal()
-    if context.meta[LOG] is None:
-        return console
-    from l3cli.stages.log import Logged
+    if context.meta[LOG] is not None:
+        from l3cli.stages.log import Logged
 
-    return Logged(console, context.meta[LOG], context.info_name or "l3", with_options)
+        console = Logged(console, context.meta[LOG], context.info_name or "l3", with_options)
+    return recorded(console)
 
 
 _QUIET = click.option(
@@ -106,12 +108,17 @@ _LOG = click.option(
 )  # fmt: skip
 
 
+_JSON = click.option(  # results.begin has seen it already
+    JSON, "as_json", is_flag=True, expose_value=False,
+    help="Print results, warnings, times and digests as one JSON object on stdout.",
+)  # fmt: skip
+
+
 def quiet(command: F) -> F:
-    """--quiet and --log FILE, both as one parameter `console`."""
-    return _LOG(_QUIET(command))
+    """--quiet, --log FILE and --json: how a command speaks, all as one parameter `console`."""
+    return _LOG(_QUIET(_JSON(command)))
 
 
-as_json = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on stdout.")
 seed = click.option(
     "--seed",
     type=Number(0, LARGEST_WHOLE, whole=True),
@@ -157,7 +164,7 @@ def scheduler(command: Callable[..., Any]) -> Callable[..., Any]:
         scheduler: str | None, tls_ca: Path | None, tls_cert: Path | None, tls_key: Path | None, **others: Any
     ) -> Any:
         console: Console = others["console"]
-        claims(console).spare(*filter(None, [tls_ca, tls_cert, tls_key]))
+        click.get_current_context().with_resource(sparing(filter(None, [tls_ca, tls_cert, tls_key])))
         if scheduler is None:
             if tls_ca or tls_cert or tls_key:
                 raise click.UsageError("--tls-ca, --tls-cert and --tls-key go with --scheduler")
@@ -171,46 +178,21 @@ def scheduler(command: Callable[..., Any]) -> Callable[..., Any]:
     return _ADDRESS(_CA(_CERTIFICATE(_KEY(called))))
 
 
-def _trust(context: click.Context, parameter: click.Parameter, value: bool) -> None:
-    if value:
-        from l3cli.limits import trust
+def _mode(name: str, module: str, what: str) -> Callable[[F], F]:
+    """A flag under which the whole command runs within the block that `module` has of its name."""
 
-        context.with_resource(trust())
+    def enter(context: click.Context, parameter: click.Parameter, wanted: bool) -> None:
+        if wanted:
+            context.with_resource(getattr(importlib.import_module(module), name)())
 
-
-trust = click.option(
-    "--trust",
-    is_flag=True,
-    expose_value=False,
-    callback=_trust,
-    help="Decode raw, image, MATLAB and video files without the sandbox, which limits time and memory.",
-)
+    return click.option(f"--{name.replace('_', '-')}", is_flag=True, expose_value=False, callback=enter, help=what)
 
 
-def _dry_run(context: click.Context, parameter: click.Parameter, value: bool) -> None:
-    if value:
-        from l3cli.stages.plan import dry_run
-
-        context.with_resource(dry_run())
-
-
-dry_run = click.option(
-    "--dry-run",
-    is_flag=True,
-    expose_value=False,
-    callback=_dry_run,
-    help="Check everything that is checked before work, say what would be read and made, and write nothing.",
-)
-
-
-CLAIMS = "l3cli.claims"  # in the context: the command's claims on files
-
-
-def claims(console: "Console") -> "Claims":
-    """The claims of the command that runs, held until it ends."""
-    from l3cli.stages.claims import Claims
-
-    context = click.get_current_context()
-    if CLAIMS not in context.meta:
-        context.meta[CLAIMS] = context.with_resource(Claims(console))
-    return context.meta[CLAIMS]
+trust = _mode(
+    "trust", "l3cli.limits",
+    "Decode raw, image, MATLAB and video files without the sandbox, which limits time and memory.",
+)  # fmt: skip
+dry_run = _mode(
+    "dry_run", "l3cli.stages.plan",
+    "Check everything that is checked before work, say what would be read and made, and write nothing.",
+)  # fmt: skip

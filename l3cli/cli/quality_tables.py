@@ -1,11 +1,14 @@
 """The document of `l3 evaluate` as tables on stdout."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from l3cli.classes.names import heading
 from l3cli.cli import terminal
 from l3cli.cli.terminal import show, show_table
 from l3cli.columns import figure as number
+
+if TYPE_CHECKING:
+    from l3cli.evaluation.sequence import SequenceFigures
 
 WIDE = 110  # characters in a line from which every figure is shown; JSON holds all of them
 LESS_NEEDED = ("median_delta_e", "output_psnr", "ssim")
@@ -78,6 +81,34 @@ def _print_classes(document: dict[str, Any], figure: str) -> None:
         kind = f"case {entry['case']}" if entry["chroma"] is None else f"chroma {entry['chroma']}"
         worst.append(row(f"{heading('level', entry)} · contrast {entry['contrast']} · {kind}", entry))
     show_table(["", "worst classes"], named, worst)
+
+
+def print_sequence(figures: "SequenceFigures") -> None:
+    """Frames of a sequence one by one, and figures of the whole."""
+    named = ["frame", "mean L*", "jump", "step σ", "warped\nerror", "PSNR dB", "ΔE00 mean"]
+    rows = [
+        [
+            str(each.frame),
+            *(_known(value) for value in (each.mean_lightness, each.jump, each.step_sigma)),
+            *(_known(value) for value in (each.warped_error, each.psnr, each.mean_delta_e)),
+        ]
+        for each in figures.frames
+    ]
+    whole = [
+        ["temporal σ of L*, still patches", _known(figures.temporal_sigma)],
+        ["… of the patches' means", _known(figures.patch_sigma)],
+        ["share of still patches", f"{figures.still_share:.1%}"],
+        [f"largest jump of mean L* (frame {figures.largest_jump_frame})", _known(figures.largest_jump)],
+        [f"warped error of L* ({figures.motion or 'no'} motion)", _known(figures.warped_error)],
+        ["PSNR dB", _known(figures.psnr)],
+        ["ΔE00 mean", _known(figures.mean_delta_e)],
+    ]
+    show_table([], named, rows)
+    show_table([""], ["whole sequence", ""], whole)
+
+
+def _known(value: float | None) -> str:
+    return "–" if value is None else number(value, ".3f")
 
 
 def _number(figure: str, value: float) -> str:

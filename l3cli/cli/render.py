@@ -1,5 +1,6 @@
 """l3 render: raw frames through a table."""
 
+import functools
 import re
 from collections.abc import Callable
 from fractions import Fraction
@@ -9,7 +10,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from l3cli.cli import options
-from l3cli.errors import shortened
+from l3cli.cli.clip_tables import clips_result
+from l3cli.cli.results import Record, Result
+from l3cli.errors import L3Error, shortened
+from l3cli.interrupts import Terminated
+from l3cli.stages.plan import is_dry
 
 if TYPE_CHECKING:
     from l3cli.parallel.cluster import Scheduler
@@ -27,6 +32,8 @@ RATE = options.Number(0.001, 1000, "frames/s")
 RATE_PART = options.Number(1, 10**12, whole=True)  # of a rate written as a fraction
 LEVEL = options.Number(0, 65535, "DN")
 TIME = options.Number(0, 1e5, "s")
+EVERY = options.Number(0.1, 86400, "s")
+USUAL_EVERY = 2.0  # s
 
 
 def _pair(separator: str, number: options.Number) -> Callable[[Any, Any, str | None], tuple[int, int] | None]:
@@ -84,12 +91,17 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
 
 @click.command()
 @click.argument("table", type=options.FILE, metavar="TABLE.h5")
-@click.argument("inputs", type=options.FILE, nargs=-1, required=True, metavar="INPUT...")
+@click.argument("inputs", type=options.FILE, nargs=-1, metavar="INPUT...")
 @options.output(
     "Picture (.png .tif .jpg .jxl .exr .dng), numbered files (a_%04d.png, a_####.tif), folder, video, or - (y4m to stdout)"
 )
 @click.option(
-    "--format", "suffix", default="png", show_default=True, metavar="SUFFIX", help="Suffix of the files in a folder."
+    "--format",
+    "suffix",
+    default="png",
+    show_default=True,
+    metavar="SUFFIX",
+    help="Suffix of the files in a folder; of a video, each INPUT becomes one.",
 )
 @click.option("--frames", callback=_frames, metavar="FROM-TO[xSTEP]", help="Numbers of the frames to render.")
 @click.option("--dataset", metavar="NAME", help="Frames of an HDF5 input [default: its only stack].")
@@ -175,8 +187,19 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
     metavar="BYTES",
     help="Bytes from row to row [default: no padding].",
 )
+@click.option(
+    "--temporal", is_flag=True, help="Frames follow one another in time: blend each with what is not noise of those before."
+)
 @click.option("--skip-bad", is_flag=True, help="Leave out missing and broken frames; exit code 1 if there were any.")
-@click.option("--resume", is_flag=True, help="Continue a sequence of pictures where a run was stopped.")
+@click.option("--resume", is_flag=True, help="Continue a sequence of pictures, or many clips, where a run was stopped.")
+@click.option(
+    "--watch", "watched", type=options.FILE, metavar="FOLDER",
+    help="Instead of INPUT: render whatever arrives whole in FOLDER, until Ctrl-C.",
+)  # fmt: skip
+@click.option(
+    "--every", type=EVERY, metavar="SECONDS",
+    help="Time between two looks at --watch's folder; what did not change in it is whole [default: 2].",
+)  # fmt: skip
 @options.scheduler
 @options.trust
 @options.force
@@ -189,11 +212,15 @@ def render(
     bits: str, black_level: float | None, white_level: float | None, exposure_time: float | None, dark: tuple[Path, ...],
     camera: Path | None, hot: str,
     phase: tuple[int, int] | None, size: tuple[int, int] | None, packing: str | None,
-    stride: int | None, skip_bad: bool, resume: bool, scheduler: "Scheduler | None", force: bool, console: "Console",
-) -> int:  # fmt: skip
+    stride: int | None, temporal: bool, skip_bad: bool, resume: bool, watched: Path | None, every: float | None,
+    scheduler: "Scheduler | None", force: bool, console: "Console",
+) -> Result:  # fmt: skip
     """Render INPUT through TABLE.h5: files (DNG, camera raw, one-channel TIFF, PNG or PGM, FITS, .npy, headerless .raw,
     .bin, .raw10 or .raw12), or a sequence: a folder, a pattern (a_%04d.tif, a_####.tif), a quoted glob, a stack (.npy, HDF5,
     FITS), a headerless file of many frames, a grey video (FFV1 in MKV), or - (headerless frames on stdin).
+
+    Several INPUTs of which one is a sequence are clips: each becomes a folder or file of its name in the folder -o, and what
+    is wrong with one does not stop the others (exit code 1).
 
     With --exposure auto the 99th percentile of Y is shown white, smoothed over time in a sequence.
 
@@ -202,6 +229,7 @@ def render(
     """
     from l3cli.parallel import one_blas_thread
 
+    _refuse_contradictions(inputs, output, watched, every)
     one_blas_thread()  # the products of the light meter are small, and threads that wait for them take the encoder's time
     from l3cli.io.apart import start
     from l3cli.io.raw.registry import needs_sandbox
@@ -209,14 +237,39 @@ def render(
     if any(needs_sandbox(path) for path in inputs):
         start()  # it takes a third of a second, like what follows
     from l3cli.io.raw.files import KnownBetter
+    from l3cli.stages.rendering.clips import ClipJob, alone, are_clips
     from l3cli.stages.rendering.render import render as stage
+    from l3cli.stages.rendering.watch import watch
 
     known = KnownBetter(black_level, white_level, phase, size, packing, stride, exposure_time)
-    left_out = stage(
-        table, inputs, output, console, rate=fps, bits=int(bits), codec=codec, crf=crf, preset=preset, suffix=suffix,
+    render_one = functools.partial(
+        stage, table, rate=fps, bits=int(bits), codec=codec, crf=crf, preset=preset, suffix=suffix,
         frames=frames, dataset=dataset, known=known, dark=dark, camera=camera, hot=hot == "auto", exposure=exposure,
         white=white, space=space, remosaic=remosaic, backend=backend, device=device, variant=variant, skip_bad=skip_bad,
-        resume=resume,
-        scheduler=scheduler, force=force,
+        scheduler=scheduler, temporal=temporal,
     )  # fmt: skip
-    return 1 if left_out else 0
+    if watched is None and not are_clips(inputs, output, suffix):
+        return clips_result(alone(render_one, inputs, output, console, resume, force))
+    job = ClipJob(table, output, suffix, render_one, console, force=force)
+    try:
+        if watched is None:
+            job.run(inputs, resume)
+        else:
+            watch(job, watched, USUAL_EVERY if every is None else every)
+    except (L3Error, KeyboardInterrupt, Terminated) as ended:
+        if not job.summary.clips:
+            raise
+        return clips_result(job.summary, ended)
+    return clips_result(job.summary, show_text=True)
+
+
+def _refuse_contradictions(inputs: tuple[Path, ...], output: Path, watched: Path | None, every: float | None) -> None:
+    """UsageError if what is asked for cannot go together."""
+    if bool(inputs) == (watched is not None):
+        raise click.UsageError("give either INPUTs or --watch FOLDER")
+    if every is not None and watched is None:
+        raise click.UsageError("--every goes with --watch")
+    if watched is not None and is_dry():
+        raise click.UsageError("--watch never ends, so a dry run cannot say what it makes; leave one of them out")
+    if Record.current is not None and output == Path("-"):
+        raise click.UsageError("-o - writes pictures to stdout, where --json goes; name a file or leave --json out")

@@ -6,23 +6,25 @@ from typing import TYPE_CHECKING
 import click
 
 from l3cli.cli import options
+from l3cli.cli.results import Result
 
 if TYPE_CHECKING:
     from l3cli.stages.console import Console
 
 
 @click.command()
-@click.argument("artifacts", type=options.FILE, nargs=-1, required=True, metavar="ARTIFACT.h5...")
+@click.argument("artifacts", type=options.FILE, nargs=-1, required=True, metavar="ARTIFACT.h5|SEQUENCE.json…")
 @options.output("HTML page to write")
 @options.backend
 @options.force
 @options.dry_run
 @options.quiet
-def report(artifacts: tuple[Path, ...], output: Path, backend: str, force: bool, console: "Console") -> None:
+def report(artifacts: tuple[Path, ...], output: Path, backend: str, force: bool, console: "Console") -> Result:
     """Show camera models, training sets and transform tables on one page that needs no network.
 
     Every table is evaluated on every training set that it was not trained on. A camera is shown once; if no camera
-    model is given, those stored in the training sets are shown.
+    model is given, those stored in the training sets are shown. What l3 evaluate --sequence prints as JSON is plotted over
+    time, several of them in one plot.
 
     \b
     Example: l3 report camera.h5 training.h5 table.h5 unseen.h5 -o report.html
@@ -30,3 +32,4 @@ def report(artifacts: tuple[Path, ...], output: Path, backend: str, force: bool,
     from l3cli.stages.reporting.report import report as stage
 
     stage(artifacts, output, console, backend=backend, force=force)
+    return Result({"page": str(output)})

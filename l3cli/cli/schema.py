@@ -1,21 +1,32 @@
 """l3 schema: the JSON schema of recipes, for editors."""
 
+from typing import TYPE_CHECKING
+
 import click
 
-from l3cli.cli.terminal import Terminal, show_json
+from l3cli.cli import options
+from l3cli.cli.results import Result
+from l3cli.cli.terminal import show_json
 
-KINDS = ("camera", "lab", "scenes", "classes", "measurements")
+if TYPE_CHECKING:
+    from l3cli.stages.console import Console
+
+KINDS = ("camera", "lab", "scenes", "classes", "measurements", "output")
 
 
 @click.command()
 @click.argument("kind", type=click.Choice(KINDS), metavar="KIND")
-def schema(kind: str) -> None:
+@options.quiet
+def schema(kind: str, console: "Console") -> Result:
     """Print the JSON schema of a KIND of recipe: camera, lab, scenes, classes or measurements. With it editors (taplo, Even
     Better TOML) check a recipe whose first line is "#:schema camera.schema.json", the file that holds it.
+
+    With output as KIND, print the schema of what commands print with --json.
 
     \b
     Example: l3 schema camera
     """
     from l3cli.stages.checking.schema import schema as stage
 
-    show_json(stage(kind), Terminal())
+    document = stage(kind)
+    return Result({"schema": document}, lambda: show_json(document))

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 from l3cli.cli import options
+from l3cli.cli.results import Result
 
 if TYPE_CHECKING:
     from l3cli.parallel.cluster import Scheduler
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
 def simulate(
     scenes: Path, camera: Path, output: Path, pictures: Path | None, dng: Path | None, resume: bool, skip_bad: bool,
     seed: int, jobs: int, scheduler: "Scheduler | None", force: bool, console: "Console",
-) -> int:  # fmt: skip
+) -> Result:  # fmt: skip
     """Simulate raw frames of many scenes by a camera, and their ideal pictures.
 
     SCENES.toml is a recipe, or the name of one that comes with l3, such as default or small.
@@ -49,8 +50,8 @@ def simulate(
     """
     from l3cli.stages.simulation.simulate import simulate as stage
 
-    bad = stage(
+    frames, bad = stage(
         scenes, camera, output, console, pictures=pictures, dng=dng, resume=resume, skip_bad=skip_bad, seed=seed, jobs=jobs,
         scheduler=scheduler, force=force,
     )  # fmt: skip
-    return 1 if bad else 0
+    return Result({"training_set": str(output), "frames": frames, "scenes_left_out": bad}, code=1 if bad else 0)

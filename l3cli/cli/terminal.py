@@ -33,14 +33,19 @@ def show_table(title: Sequence[str], headings: Sequence[str], rows: Sequence[Seq
     show(*title, *columns(headings, rows, width()), *notes)
 
 
-def show_json(document: Any, console: "Console") -> None:
-    """A result as JSON on stdout: in ASCII, so that it works in every encoding and with every file name. JSON has no NaN:
-    a figure that cannot be computed is null, and named on the console."""
+def show_json(document: Any) -> None:
+    """A document as JSON on stdout: in ASCII, so that it works in every encoding and with every file name."""
+    click.echo(json.dumps(document, indent=2, allow_nan=False))
+
+
+def finite(document: Any, console: "Console") -> Any:
+    """A document for JSON, which has no NaN: a figure that cannot be computed is null, and named on the console."""
     missing: list[str] = []
-    click.echo(json.dumps(_finite(document, "", missing), indent=2, allow_nan=False))
+    known = _finite(document, "", missing)
     if missing:
         named = ", ".join(missing[:4]) + (f" and {len(missing) - 4} more" if len(missing) > 4 else "")
         console.warn(f"{named}: cannot be computed; null in the JSON")
+    return known
 
 
 def _finite(value: Any, name: str, missing: list[str]) -> Any:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from l3cli.cli import options
+from l3cli.cli.results import Result
 from l3cli.errors import shortened
 
 if TYPE_CHECKING:
@@ -72,7 +73,7 @@ def train(
     files: tuple[Path, ...], classes: Path | None, shares: tuple[Fraction, ...] | None, output: Path,
     shard: tuple[int, int] | None, first: Path | None, merge: bool, seed: int, jobs: int,
     scheduler: "Scheduler | None", force: bool, console: "Console",
-) -> None:  # fmt: skip
+) -> Result:  # fmt: skip
     """Learn a table of local linear transforms from one or more training sets.
 
     \b
@@ -98,6 +99,7 @@ def train(
 
     one_blas_thread()
     from l3cli.stages.training.shards import merge_shards, train_shard
+    from l3cli.stages.training.whole import filling
     from l3cli.stages.training.whole import train as train_whole
 
     if merge and (classes or shares or shard or first or seed or scheduler):
@@ -107,9 +109,12 @@ def train(
     if first and not shard:
         raise click.UsageError("--first goes with --shard")
     asked: dict[str, Any] = {"classes": classes, "shares": shares, "seed": seed, "jobs": jobs, "scheduler": scheduler}
-    if merge:
-        merge_shards(files, output, console, force=force)
-    elif shard:
+    if shard and not merge:
         train_shard(files, shard, output, console, first=first, force=force, **asked)
+        return Result({"partial_sums": str(output), "shard": list(shard)})
+    if merge:
+        table = merge_shards(files, output, console, force=force)
     else:
-        train_whole(files, output, console, force=force, **asked)
+        table = train_whole(files, output, console, force=force, **asked)
+    layers = [{"classes": classes, "without_patches": unfilled} for classes, unfilled in filling(table)]
+    return Result({"table": str(output), "layers": layers, "pass": table.history[-1].options.get("pass")})

@@ -13,6 +13,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import LightSpectrum, TrainingPair
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.evaluation.demosaic import Demosaic, tiled
+from l3cli.evaluation.exposures import Merge
 from l3cli.physics import spectra
 
 Array = NDArray[np.floating]
@@ -78,12 +79,18 @@ def white_preserving_ridge(channels: Array, outputs: Array) -> Array:
     return matrix - matrix.mean(axis=1, keepdims=True) + 1.0 / len(gram)
 
 
-def develop(frame: TrainingPair, camera: CameraModel, colour: Colour, demosaic: Demosaic) -> Array:
-    """XYZ (3, row, col) in the target's unit of a frame's raw: black and dark off, white balance, demosaic, matrix."""
+def develop(
+    frame: TrainingPair, camera: CameraModel, colour: Colour, demosaic: Demosaic, merge: Merge | None = None
+) -> Array:
+    """XYZ (3, row, col) in the target's unit of a frame's raw: black and dark off, white balance, demosaic, matrix. `merge`
+    is what is made of the exposures of a camera that has several."""
     electrons = _electrons(frame, camera)
     balance = colour.balance / (frame.luminance * frame.exposure)
     balanced = electrons * balance[tiled(camera.cfa, frame.raw.shape)]
-    planes = np.einsum("oc,crk->ork", colour.matrix, demosaic(balanced, camera.cfa))
+    channels = demosaic(balanced, camera.cfa)
+    if merge is not None:
+        channels = merge(channels, frame, camera, balance)
+    planes = np.einsum("oc,crk->ork", colour.matrix, channels)
     return planes * frame.white[:, None, None]
 
 
@@ -98,18 +105,23 @@ def develop_bands(frame: TrainingPair, camera: CameraModel, relit: bool, demosai
     if relit:
         light = light_of(frame, camera)
         falling = spectra.at_luminance(light.radiance.astype(np.float64), light.wavelength, frame.luminance)
-        white = electrons_of(camera, light, falling[None])[0] * share
+        white = electrons_of(camera, light, falling[None])[0] * camera.channel_gains * share
     if not white.max() > 0:
         raise InputFileError(f"camera {camera.name} sees nothing of a frame's light; simulate it under another")
     seen = white > BLIND * white.max()
-    balance = np.where(seen, share / np.where(seen, white, 1.0), 0.0) / frame.exposure
+    balance = np.where(seen, share * camera.channel_gains / np.where(seen, white, 1.0), 0.0) / frame.exposure
     balanced = _electrons(frame, camera) * balance[tiled(camera.cfa, frame.raw.shape)]
     return demosaic(balanced, camera.cfa) * frame.white[:, None, None]
 
 
 def _electrons(frame: TrainingPair, camera: CameraModel) -> Array:
     """Photo-electrons (row, col) of a frame's raw."""
-    return (frame.raw - camera.black_level) / camera.gain - camera.noise.dark_current * frame.dark_time
+    signal = (frame.raw - camera.black_level) / camera.gain
+    dark = camera.noise.dark_current * frame.dark_time
+    if camera.readout is None:
+        return signal - dark
+    channel = camera.channel_map(frame.raw.shape)
+    return signal / camera.readout.channel_gain[channel] - dark * camera.readout.channel_exposure[channel]
 
 
 def light_of(frame: TrainingPair, camera: CameraModel) -> LightSpectrum:

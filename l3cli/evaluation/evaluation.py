@@ -12,7 +12,8 @@ from l3cli.artifacts.training_set import TrainingPair, TrainingSet
 from l3cli.errors import InputFileError
 from l3cli.evaluation.basic import Colour, develop, develop_bands, fit_colour, light_of
 from l3cli.evaluation.classes import ClassErrors
-from l3cli.evaluation.demosaic import band_baselines, baselines
+from l3cli.evaluation.demosaic import band_baselines, baselines, interpolate
+from l3cli.evaluation.exposures import merges
 from l3cli.evaluation.quality import XYZ, band_figures, band_quality, cropped, quality
 from l3cli.evaluation.scielab import VIEWING
 from l3cli.evaluation.similarity import spectral_angle
@@ -42,8 +43,9 @@ class Evaluation:
         self._table, self._camera, self._wanted, self._viewing = table, camera, head.target_light, viewing
         self._pictures = table.outputs == XYZ
         self._border = table.first.rule.radius if border is None else border
+        self._merges = merges(camera)
         if self._pictures:
-            self._baselines = baselines(camera.cfa)
+            self._baselines = dict.fromkeys(self._merges, interpolate) | baselines(camera.cfa)
         else:
             self._baselines = band_baselines(camera.cfa) if table.outputs == camera.channels else {}
         self._figure = "mean_delta_e" if self._pictures else "mean_angle"
@@ -78,7 +80,7 @@ class Evaluation:
         planes: dict[str, Array] = {OURS: ours}
         for name, demosaic in self._baselines.items():
             if self._pictures:
-                planes[name] = develop(frame, self._camera, self._colour(frame), demosaic)
+                planes[name] = develop(frame, self._camera, self._colour(frame), demosaic, self._merges.get(name))
             else:
                 planes[name] = develop_bands(frame, self._camera, self._wanted is not None, demosaic)
         black_level = self._camera.black_level + self._camera.dark_signal(frame.dark_time)

@@ -24,6 +24,7 @@ import msgspec
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import CfaRecipe, NoiseRecipe, OpticsRecipe
+from l3cli.artifacts.channel_recipe import ChannelRecipe, settings_of
 from l3cli.config import Count, Recipe
 from l3cli.curve_file import SUFFIXES
 from l3cli.files import write_whole
@@ -144,6 +145,7 @@ class MeasurementRecipe(Recipe):
     white: list[CaptureRecipe] = msgspec.field(default_factory=list)
     dark: list[CaptureRecipe] = msgspec.field(default_factory=list)
     datasheet: DatasheetRecipe | None = None
+    channel: dict[str, ChannelRecipe] = msgspec.field(default_factory=dict)  # exposed or amplified apart in the captures
     uncertainty: UncertaintyRecipe = msgspec.field(default_factory=UncertaintyRecipe)
 
     @property
@@ -182,6 +184,7 @@ def describe(camera: CameraModel, uncertainty: UncertaintyRecipe, **captures: An
         cfa=CfaRecipe(list(camera.channels), [" ".join(camera.channels[site] for site in row) for row in camera.cfa]),
         optics=OpticsRecipe(round(optics.focal_length * 1e3, 9), optics.f_number, optics.object_distance),
         uncertainty=uncertainty,
+        channel=settings_of(camera.readout, camera.channels),
         **captures,
     )
 

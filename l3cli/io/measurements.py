@@ -11,6 +11,7 @@ import numpy as np
 
 from l3cli.artifacts.camera import Noise, Optics
 from l3cli.artifacts.camera_recipe import MOST_PRNU, check_lengths, check_share, parse_cfa
+from l3cli.artifacts.channel_recipe import settings_from
 from l3cli.artifacts.schema import Stage
 from l3cli.config import load_recipe, read_text
 from l3cli.curve_file import read_table
@@ -242,6 +243,7 @@ def _body(recipe: MeasurementRecipe, path: Path) -> Body:
         channels=tuple(recipe.cfa.channels),
         cfa=cfa,
         optics=Optics(optics.focal_length_mm * 1e-3, optics.f_number, optics.object_distance_m),
+        readout=settings_from(recipe.channel, recipe.cfa.channels, path),
     )
 
 

@@ -1,6 +1,7 @@
 """Photographs of charts: the raw files, lights and charts that a measurement file names, and the measurement file of a raw
 file that says all that is needed itself (docs/method.md#charts-in-photographs)."""
 
+import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -12,7 +13,7 @@ from l3cli.artifacts.camera import MAX_BITS, MAX_CFA, CameraModel
 from l3cli.artifacts.camera_recipe import CfaRecipe, OpticsRecipe
 from l3cli.curve_file import read_table
 from l3cli.errors import InputFileError, RecipeError
-from l3cli.files import atomic_output, require_regular
+from l3cli.files import require_regular, write_whole
 from l3cli.frame import RawFrame, shifted_cfa
 from l3cli.io.measurement_recipe import BodyRecipe, MeasurementRecipe, PhotoRecipe, is_table
 from l3cli.io.raw.cfa_codes import FREE_CODE, LETTERS, find_phase
@@ -206,9 +207,11 @@ def export_offsets(camera: CameraModel, photos: Sequence[PhotoCapture], folder: 
         repeats = [-(-length // period) for length, period in zip(frame.values.shape, cfa.shape, strict=True)]
         sites = np.tile(cfa, repeats)[: frame.values.shape[0], : frame.values.shape[1]]
         values = np.clip(np.rint(camera.black_level + glare), 0, MOST).astype(np.uint16)[sites]
-        with atomic_output(path) as partial, tifffile.TiffWriter(partial) as file:
+        content = io.BytesIO()
+        with tifffile.TiffWriter(content) as file:
             for _ in range(2):
                 file.write(values, compression="zlib", photometric="minisblack", metadata=None, software=None)
+        write_whole(path, content.getbuffer())
 
 
 def _shortest(pattern: NDArray[np.integer]) -> NDArray[np.integer]:

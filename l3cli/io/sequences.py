@@ -20,6 +20,8 @@ from l3cli.io.raw.content import Stack
 from l3cli.io.raw.files import KnownBetter, frame_of, read_raw, read_stack, read_stdin
 from l3cli.io.raw.registry import format_of, is_frame
 
+STDIN_NAME = "stdin"  # in messages
+
 
 @dataclass(frozen=True)
 class Pending:
@@ -87,9 +89,9 @@ def find_frames(
 
     InputFileError if there are none; RecipeError if several inputs are not all files.
     """
-    plain = [path for path in inputs if _is_one_file(path)]
+    plain = [path for path in inputs if is_one_file(path)]
     if len(plain) < len(inputs) and len(inputs) > 1:
-        other = next(path for path in inputs if not _is_one_file(path))
+        other = next(path for path in inputs if not is_one_file(path))
         raise RecipeError(f"{other} is a sequence; give it alone, or several files of one frame each")
     stills = len(inputs) > 1
     series = _of_files("the inputs", inputs, table, known) if stills else _series(inputs[0], table, known, dataset)
@@ -119,9 +121,31 @@ def _divided(wanted: range, numbers: Collection[int]) -> tuple[Sequence[int], li
 
 def read_dark(footage: Footage) -> DarkFrame:
     """The mean of frames that were exposed without light; InputFileError if one is missing, broken or of another kind."""
-    if footage.count is None:
+    if footage.what == STDIN_NAME:
         raise RecipeError("dark frames are files, not a stream; save them first")
-    return average_dark(frame for pending in footage.frames if (frame := pending.read()) is not None)
+    # A video says only by its end how many frames it has.
+    return average_dark(_until_none(pending.read() for pending in footage.frames))
+
+
+def _until_none(frames: Iterable[RawFrame | None]) -> Iterator[RawFrame]:
+    for frame in frames:
+        if frame is None:
+            return
+        yield frame
+
+
+def frame_files(path: Path) -> list[Path]:
+    """The files that an input, of whatever kind, lies in; InputFileError if there are none."""
+    if path.is_dir():
+        return _in_folder(path)
+    if not path.exists() and PATTERN.search(path.name):
+        return list(numbered_files(path).values())
+    return _globbed(path) if not path.exists() and _is_glob(path) else [path]
+
+
+def is_still(path: Path, table: TransformTable, known: KnownBetter) -> bool:
+    """Whether this is a file of one frame."""
+    return is_one_file(path) and not (path.exists() and read_stack(path, table, known))
 
 
 @dataclass(frozen=True)
@@ -141,7 +165,7 @@ class Frames:
         return Pending(number, series.stem(number), functools.partial(series.read, number), source)
 
 
-def _is_one_file(path: Path) -> bool:
+def is_one_file(path: Path) -> bool:
     """Whether this is the name of a file, existing or not, that can hold just one frame."""
     if path == STDIN or path.is_dir() or not format_of(path).holds_frame:
         return False
@@ -246,4 +270,4 @@ def _of_stack(what: str, stem: str, stack: Stack, table: TransformTable, known: 
 def _stdin(table: TransformTable, known: KnownBetter) -> _Series:
     if known.size is None:
         raise RecipeError("raw frames on stdin have no header with their size; give it with ‹size› ROWSxCOLS")
-    return _of_stack("stdin", "", read_stdin(table, known), table, known)
+    return _of_stack(STDIN_NAME, "", read_stdin(table, known), table, known)

@@ -82,6 +82,9 @@ Y4M = ".y4m"
 Y4M_FORMATS = {8: ("yuv420p", "C420jpeg"), 16: ("yuv420p10le", "C420p10 XYSCSS=420P10")}
 
 
+USUAL_RATE = Fraction(30)  # frames a second, where neither the caller nor the input gives it
+
+
 @dataclass(frozen=True)
 class VideoChoice:
     """What is asked of a video; None: the usual."""

@@ -117,6 +117,11 @@ def lab(xyz: Array, white: Array) -> Array:
     return colour_science().XYZ_to_Lab(np.asarray(xyz) / white[1], np.array([x, y]))
 
 
+def lightness(linear: Array) -> Array:
+    """CIE L* (row, col), 0 to 100, of a picture as a display shows it."""
+    return np.asarray(colour_science().lightness(100.0 * (linear @ LUMA), method="CIE 1976"))
+
+
 def srgb_from_lab(lab_values: Array) -> Array:
     """Linear sRGB (…, 3), unclipped, of CIE L*a*b* relative to D65."""
     colour = colour_science()

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.errors import RecipeError, nearest, shortened, suggestion
+from l3cli.errors import InputFileError, RecipeError, nearest, shortened, suggestion
 from l3cli.quantities import NoSuchNumber, Quantity
 
 PLANCK = 6.62607015e-34  # J s
@@ -19,6 +19,7 @@ LIGHT_SPEED = 299792458.0  # m/s
 LUMINOUS_EFFICACY = 683.0  # lm/W
 BLACK_BODY = Quantity(500, 100_000, "K")  # below, nothing is seen by it
 DAYLIGHT = Quantity(4000, 25_000, "K")  # as far as CIE daylight goes
+UNSEEN = 1e-9  # luminous efficiency below which light is taken for invisible: less than rounding leaves beyond 830 nm
 SPRAGUE_STEP = 20.0  # nm between bands up to which a reflectance is taken as smooth
 Array = NDArray[np.floating]
 
@@ -154,12 +155,23 @@ OBSERVERS = {
 }
 
 
+INFRARED = 740.0, 780.0, 1000.0  # nm, of near_infrared: where it begins, is whole, and ends
+LUMINOUS_WIDTH = 106.86  # nm, integral of ȳ of CIE 1931
+
+
 def colour_matching_functions(wavelength: Array, observer: str = "CIE 1931") -> Array:
     """x̄ ȳ z̄, (3, wavelength), of a key of OBSERVERS, linearly interpolated from the tabulated 1 nm observer."""
     if observer not in OBSERVERS:
         raise RecipeError(f'observer "{observer}" is unknown; {suggestion(observer, OBSERVERS)}')
     cmfs = colour_science().MSDS_CMFS[OBSERVERS[observer]]
     return cmfs.values.T @ interpolation_matrix(cmfs.wavelengths, wavelength).T
+
+
+def near_infrared(wavelength: Array) -> Array:
+    """(wavelength) of a band of near infrared, scaled as ȳ is, so that a light of equal power up to 830 nm gives as much of
+    it as of Y: from 740 nm, where eyes end, rising to 780 nm, where CIE's IR-A begins; zero beyond 1000 nm."""
+    band = np.clip((wavelength - INFRARED[0]) / (INFRARED[1] - INFRARED[0]), 0.0, 1.0) * (wavelength <= INFRARED[2])
+    return np.asarray(band * (LUMINOUS_WIDTH / (830.0 - (INFRARED[0] + INFRARED[1]) / 2)))
 
 
 def matching_weights(functions: Array, wavelength: Array) -> Array:
@@ -225,8 +237,12 @@ def _daylight(temperature: float, wavelength: Array) -> Array:
 
 
 def at_luminance(radiance: Array, wavelength: Array, luminance: float) -> Array:
-    """`radiance` (wavelength) scaled so that its luminance is `luminance` cd/m²."""
-    return radiance * (luminance / (xyz_weights(wavelength)[1] @ radiance))
+    """`radiance` (wavelength) scaled so that its luminance is `luminance` cd/m²; InputFileError if none of it is visible."""
+    seen = xyz_weights(wavelength)[1] @ radiance
+    if not seen > UNSEEN * (matching_weights(np.ones_like(wavelength), wavelength) @ radiance):
+        ends = f"{wavelength.min():g}…{wavelength.max():g} nm"
+        raise InputFileError(f"light of {ends} has no luminance, which exposures go by; include some of 380…780 nm")
+    return radiance * (luminance / seen)
 
 
 def white_point(name: str) -> NDArray[np.float64]:

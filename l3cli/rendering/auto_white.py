@@ -72,7 +72,7 @@ class AutoWhite:
         signal = (patches.values.astype(np.float32) - np.float32(patches.black_level)) / full_scale
         outputs = np.einsum("nct,nt->nc", table.first.weights[classes], signal) + table.first.intercept[classes]
         cones = outputs.astype(np.float64) @ BRADFORD.T
-        usable = (rule.case(rule.split(labels).kind) == 0) & (cones.min(axis=1) > 0)
+        usable = (rule.lost(rule.split(labels).kind) == 0) & (cones.min(axis=1) > 0)
         shape = spread_shape(frame, table)
         return cones.reshape(*shape, 3), usable.reshape(shape)
 
@@ -109,7 +109,7 @@ def _neutrals(table: TransformTable) -> Array:
     XYZ, which it is taken to show."""
     camera = table.camera
     grid = camera.wavelength if camera else near_lights.WAVELENGTH
-    weights = camera.electron_weights if camera else spectra.xyz_weights(grid)
+    weights = camera.signal_weights if camera else spectra.xyz_weights(grid)
     lights = [[near_lights.radiance(mired, green, grid) for green in GREENS] for mired in MIREDS]
     neutrals = np.array(lights) @ weights.T
     return np.asarray(neutrals / neutrals.max(axis=-1, keepdims=True))

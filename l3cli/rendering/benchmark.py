@@ -13,22 +13,15 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from l3cli.artifacts.class_rule import ClassRule
-from l3cli.artifacts.layers import MosaicLayer
-from l3cli.artifacts.table import TransformTable
-from l3cli.classes.chroma import CHROMA_FRACTION, chroma_weights
-from l3cli.classes.level import LEVEL_FRACTION
-from l3cli.classes.windows import VARIANCE_FRACTION
-from l3cli.frame import RawFrame
 from l3cli.physics import spectra
 from l3cli.rendering.display import make_display
 from l3cli.rendering.layout import VARIANTS
+from l3cli.rendering.made_up import CFAS, Case, made_up_frame, made_up_table
 from l3cli.rendering.naive import NaiveTransforms
 from l3cli.rendering.opencl import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
@@ -39,28 +32,13 @@ NAIVE_FRAMES = 7  # a naive kernel takes its time
 LIMIT_OUTPUTS = 3  # of limit.c
 
 
-@dataclass(frozen=True)
-class Case:
-    """One line of the benchmark."""
-
-    width: int
-    height: int
-    patch: int
-    cfa: str  # key of CFAS
-    classes: str  # key of CLASSES
-    outputs: int = 3  # 3: X, Y, Z, shown as sRGB of 8 bits; another number: outputs as they are
-
-
-CFAS = {
-    "five-band": np.array([[2, 1, 4, 1], [1, 3, 1, 0], [4, 1, 2, 1], [1, 0, 1, 3]], np.uint8),
-    "bayer": np.array([[0, 1], [1, 2]], np.uint8),
-}
-CLASSES = {"fast": (10, 1), "single": (20, 8)}  # levels and chromas of recipes of one layer in configs/classes
 FULL = (
     Case(1280, 720, 9, "five-band", "fast"),
     Case(1280, 720, 9, "five-band", "single"),
+    Case(1280, 720, 9, "five-band", "default"),
     Case(2048, 1164, 9, "five-band", "fast"),
     Case(2048, 1164, 9, "five-band", "single"),
+    Case(2048, 1164, 9, "five-band", "default"),
     Case(1280, 720, 5, "bayer", "fast"),
     Case(1280, 720, 5, "bayer", "single"),
     Case(1280, 720, 9, "bayer", "fast"),
@@ -71,7 +49,6 @@ SMALL = (Case(320, 240, 9, "five-band", "fast"), Case(320, 240, 5, "bayer", "fas
 PEER = Case(1280, 720, 9, "five-band", "fast")  # that is rendered by others, too
 TINY = (Case(64, 48, 9, "five-band", "fast"),)
 BAYER_CHANNELS = 3
-BITS, BLACK_LEVEL, WHITE_LEVEL, CASE_COUNT = 12, 109, 4095, 10
 
 
 def jobs(device: str | None, variant: str | None) -> list[Callable[[], dict[str, Any]]]:
@@ -225,64 +202,3 @@ def _limit(case: Case) -> Iterator[tuple[Callable[[], float] | None, str]]:
                 return float(answer.readline())
 
             yield once, ""
-
-
-# Long: a rule and a table have many fields, and each is named.
-def made_up_table(case: Case, rng: np.random.Generator) -> TransformTable:
-    """Random weights for as many classes as a trained table has: the recipe's levels and chromas, two contrasts, ten
-    saturation cases; chroma centres about the grey of `made_up_frame`, so that its pixels change between them."""
-    cfa = CFAS[case.cfa]
-    channels = int(cfa.max()) + 1
-    level_count, chromas = CLASSES[case.classes]
-    levels = BLACK_LEVEL + np.geomspace(0.001, 0.95, level_count - 1) * (WHITE_LEVEL - BLACK_LEVEL)
-    centres = 1 - 0.08 * np.arange(channels) + 0.1 * rng.standard_normal((chromas, channels))
-    centres /= centres.sum(axis=1, keepdims=True)
-    case_of_code = rng.permutation(np.arange(2**channels) % CASE_COUNT).astype(np.uint16)
-    case_of_code[0] = 0
-    rule = ClassRule(
-        patch=case.patch,
-        shift=0,
-        level_edges=np.rint(levels * 2**LEVEL_FRACTION * channels).astype(np.uint32),
-        contrast_edges=np.rint(2 * 2**VARIANCE_FRACTION * channels * (30 + 0.4 * np.append(levels, WHITE_LEVEL)))[
-            None
-        ].astype(np.uint32),
-        saturation=4036,
-        saturation_radius=2,
-        case_of_code=case_of_code,
-        chroma_black_level=BLACK_LEVEL * 2**CHROMA_FRACTION,
-        chroma_weights=chroma_weights(centres),
-    )
-    classes = cfa.size * rule.classes_per_site
-    return TransformTable(
-        camera_name="made up",
-        rows=case.height,
-        cols=case.width,
-        channels=tuple("abcdefgh"[:channels]),
-        cfa=cfa,
-        bits=BITS,
-        black_level=float(BLACK_LEVEL),
-        white_level=float(WHITE_LEVEL),
-        outputs=("X", "Y", "Z") if case.outputs == 3 else tuple(f"o{index}" for index in range(case.outputs)),
-        target_description="",
-        output_unit=1.0,
-        white_point=spectra.white_point("D65") if case.outputs == 3 else np.ones(case.outputs),
-        first=MosaicLayer(
-            rule=rule,
-            weights=(rng.standard_normal((classes, case.outputs, case.patch**2)) / case.patch).astype(np.float32),
-            intercept=np.zeros((classes, case.outputs), np.float32),
-            samples=np.ones(classes),
-            condition=np.ones(classes, np.float32),
-        ),
-    )
-
-
-def made_up_frame(case: Case, rng: np.random.Generator) -> RawFrame:
-    """A smooth scene over all levels with noise and some texture: neighbouring pixels change class as real ones do."""
-    cfa = CFAS[case.cfa]
-    row, col = np.mgrid[: case.height, : case.width]
-    channel = cfa[row % cfa.shape[0], col % cfa.shape[1]]
-    level = 0.5 + 0.3 * np.sin(col * 0.01) + 0.29 * np.cos(row * 0.013)
-    texture = 1 + 0.25 * np.sign(np.sin(col * 0.9) * np.sin(row * 0.7)) * ((col // 160 + row // 120) % 4 == 0)
-    mean = level * texture * (1 - 0.08 * channel) * (WHITE_LEVEL - BLACK_LEVEL)
-    values = BLACK_LEVEL + mean + rng.standard_normal(mean.shape) * np.sqrt(30 + 0.4 * np.maximum(mean, 0))
-    return RawFrame("made up", np.clip(np.rint(values), 0, WHITE_LEVEL).astype(np.uint16), BLACK_LEVEL, WHITE_LEVEL)

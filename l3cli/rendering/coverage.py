@@ -40,7 +40,7 @@ class CoverageMeter:
         lowest, highest = (learned[0], learned[-1]) if learned.size else (0, rule.levels - 1)
         darker, brighter = place.level < lowest, place.level > highest
         untrained = (self._table.first.samples[rule.on_site(labels, site)] == 0) & ~darker & ~brighter
-        saturated = rule.case(place.kind) > 0
+        saturated = rule.lost(place.kind) > 0
         return Coverage(*(float(np.mean(mask)) for mask in (darker, brighter, untrained, saturated)))
 
     def learned_range(self) -> tuple[float, float]:

@@ -69,7 +69,8 @@ def _windows(frame: RawFrame, table: TransformTable, axis: int) -> np.ndarray:
     """Padded indices (position, tap) along an axis of patches at evenly spread samples of the first sample's phase."""
     period = table.cfa.shape[axis]
     available = -(-frame.values.shape[axis] // period)
-    chosen = np.unique(np.linspace(0, available - 1, min(GRID[axis], available)).round().astype(int))
+    spread = np.linspace(0, available - 1, min(GRID[axis], available)).round().astype(int)
+    chosen = spread[np.diff(spread, prepend=-1) > 0]  # np.unique would load modules that rendering does not need
     return chosen[:, None] * period + np.arange(table.first.rule.patch)
 
 

@@ -51,6 +51,7 @@ class _Cache:
         self.unkept = "" if self.kept else "there is no home folder"
         self._new: dict[Path, tuple[set[Path], Made]] = {}  # file to be kept: PoCL's folders of what it is to hold
         os.environ["POCL_CACHE_DIR"] = str(self.folder)
+        os.environ["PYOPENCL_NO_CACHE"] = "1"
 
     def built(self, identity: str, compiled: Callable[[], Made], of_binary: Callable[[bytes], Made | None]) -> Made:
         """A program known by its `identity`: of the binary that is kept, or else compiled."""
@@ -90,7 +91,6 @@ def _cache() -> _Cache:
 
 def prepare() -> None:
     """See to it, before the first device is asked for, that kernels can be compiled. DeviceError if no disk has room."""
-    os.environ["PYOPENCL_NO_CACHE"] = "1"
     _cache()
 
 

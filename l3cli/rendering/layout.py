@@ -1,6 +1,5 @@
 """How the kernels see a table: macros for shapes, arrays for values, sources in their order (opencl/*.cl)."""
 
-import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ from l3cli.classes.later import first_label_words
 from l3cli.classes.plane_kernel import rule_constants, rule_macros, rule_snippets
 from l3cli.classes.planes import COARSE, COARSE_TOP, LUMINANCE, FixedPoint, raw_middle
 from l3cli.classes.windows import Integers, neighbourhoods
-from l3cli.physics.spaces import Curve
+from l3cli.rendering.curves import curve_macros, curve_pieces
 from l3cli.rendering.display import Display
 
 Macros = dict[str, int | str]
@@ -114,22 +113,9 @@ def display_macros(display: Display) -> Macros:
     """What the last stage writes."""
     macros: Macros = {"CODE": {8: "uchar", 16: "ushort"}[display.bits], "TOP": display.top}
     # Within 8e-5, which moves one value of 8 bits in 200 by one; within 1.2e-6, which is what float32 gives.
-    return macros | (curve_macros(display.curve, 2, 5) if display.bits == 8 else curve_macros(display.curve, 3, 8))
-
-
-@functools.cache
-def curve_macros(curve: Curve, steps: int, degree: int) -> Macros:
-    """A curve, its power part as a polynomial in the fourth root (encoding.cl), fitted at Chebyshev's nodes."""
-    lowest = curve.knee**0.25
-    root = lowest + (1 - lowest) * (np.cos(np.linspace(0, np.pi, 1001)) + 1) / 2
-    terms = np.polynomial.polynomial.polyfit(root, curve.encoded(root**4), degree)
-    return {
-        "CURVE_KNEE": f"{curve.knee:.9g}f",
-        "CURVE_SLOPE": f"{curve.slope:.9g}f",
-        "CURVE_STEPS": steps,
-        "CURVE_DEGREE": degree,
-        "CURVE_TERMS": ",".join(f"{term:.9g}f" for term in terms),
-    }
+    if display.bits == 8:
+        return macros | curve_macros(display.curve, 2, 5) | curve_pieces(display.curve, display.top)
+    return macros | curve_macros(display.curve, 3, 8)
 
 
 def class_arrays(table: TransformTable) -> tuple[NDArray, ...]:
@@ -173,24 +159,24 @@ class WholeWeights:
 
 def first_weights(table: TransformTable) -> Weights:
     """Of a table's only layer, per DN above black."""
-    taps = _by_column(table.first.weights, 1) / (table.white_level - table.black_level)
+    taps = by_column(table.first.weights, 1) / (table.white_level - table.black_level)
     return Weights(taps.astype(np.float32), table.first.intercept)
 
 
 def first_plane_weights(fixed: FixedPoint, bits: int) -> WholeWeights:
     """Of the first layer if another follows it; raw values lose `raw_middle`."""
     intercept = fixed.intercept + raw_middle(bits) * fixed.weights.sum(axis=-1, dtype=np.int64)
-    return WholeWeights(_by_column(fixed.weights, 1), intercept.astype(np.int32), fixed.fraction)
+    return WholeWeights(by_column(fixed.weights, 1), intercept.astype(np.int32), fixed.fraction)
 
 
 def later_plane_weights(fixed: FixedPoint) -> WholeWeights:
     """Of a layer that reads planes if another follows it."""
-    return WholeWeights(_by_column(fixed.weights, PLANES), fixed.intercept.astype(np.int32), fixed.fraction)
+    return WholeWeights(by_column(fixed.weights, PLANES), fixed.intercept.astype(np.int32), fixed.fraction)
 
 
 def later_weights(layer: PlaneLayer) -> Weights:
     """Of the last layer, if it reads planes, per step of a plane."""
-    return Weights((_by_column(layer.weights, PLANES) * PLANE_STEP).astype(np.float32), layer.intercept)
+    return Weights((by_column(layer.weights, PLANES) * PLANE_STEP).astype(np.float32), layer.intercept)
 
 
 def rule_arrays(table: TransformTable, rule: PlaneRule, variant: str) -> tuple[NDArray, ...]:
@@ -199,7 +185,7 @@ def rule_arrays(table: TransformTable, rule: PlaneRule, variant: str) -> tuple[N
     return (first_label_words(rule, table.first.rule), *rule_constants(rule, variant))
 
 
-def _by_column(weights: NDArray, planes: int) -> NDArray:
+def by_column(weights: NDArray, planes: int) -> NDArray:
     """(class, output, tap) from taps plane by plane, row by row, to taps column by column, row by row, plane by plane."""
     classes, outputs, taps = weights.shape
     side = math.isqrt(taps // planes)

@@ -116,10 +116,10 @@ class OpenCLRenderer:
         """
         self._held = None
         _, work = self._start_outputs(frame) if display is None else self._start_picture(frame, display)
-        times = self._wait(work)
+        times = self._wait(work).milliseconds()
         if display is not None:
             numbers = np.empty(frame.values.shape, np.float32)
-            bare = self._wait(self._start(frame, [numbers], layout.NOT_ENCODED))["transforms"]
+            bare = self._wait(self._start(frame, [numbers], layout.NOT_ENCODED)).milliseconds()["transforms"]
             times["encode"] = max(0.0, times["transforms"] - bare)
             times["transforms"] = bare
         return times
@@ -143,7 +143,7 @@ class OpenCLRenderer:
         """Start to fill `results`, one or several arrays (row, …) that follow one another on the device, with what the
         kernel `transform` with this ending writes, or without one with the labels of `layer`. `borrow`: the frame's values
         may be read until all is done; not where the caller may fill them anew meanwhile."""
-        levelled = frame.at_levels(self.table.black_level, self.table.white_level, self.table.bits)
+        levelled = frame.rescaled(self.table.black_level, self.table.white_level, self.table.bits)
         work, values = Work(self.stages), np.ascontiguousarray(levelled.values)
         if not borrow and np.may_share_memory(values, frame.values):
             values = values.copy()
@@ -151,11 +151,13 @@ class OpenCLRenderer:
         with refusals(self.device):
             shaded = self._shading.macros(frame.shading)
             kernel = None if ending is None else self._programs.transforms({**ending, **shaded})
-            encoding = self._constant(np.zeros(9) if matrix is None else matrix, np.float32)
+            encoding = None
             for band in self._bands(values.shape):
                 track = self._tracks[0]
                 self._tracks.rotate()
                 self._classify(values, levelled, track, band, work)
+                if encoding is None:  # not before the device is busy
+                    encoding = self._constant(np.zeros(9) if matrix is None else matrix, np.float32)
                 for number in range(layer if kernel is None else len(self._later)):
                     self._classify_later(number, track, band, work)
                 parts = [result[band.rows] for result in results]
@@ -182,12 +184,12 @@ class OpenCLRenderer:
             self._fetch(track, [picture], target, 0, work)
         return work
 
-    def _wait(self, work: Work) -> dict[str, float]:
-        """Milliseconds of each stage, once the work is done. Other threads run on meanwhile."""
+    def _wait(self, work: Work) -> Work:
+        """The work, once it is done. Other threads run on meanwhile."""
         with refusals(self.device):
-            times = work.end()
+            work.end()
             self._compiler.keep()
-            return times
+        return work
 
     def _classify(self, values: NDArray, frame: RawFrame, track: Track, band: Band, work: Work) -> None:
         """Upload and classes of a band, with the rows beside it that a later layer reads."""
@@ -258,7 +260,7 @@ class OpenCLRenderer:
         rows, columns = shape
         cut = cut or self._cut
         grid = (-(-columns // cut.tile) * cut.group[0], -(-rows // cut.band) * cut.group[1])
-        return kernel(track.queue, grid, cut.group, *arguments, np.int32(rows), np.int32(columns))
+        return track.run(kernel, grid, cut.group, *arguments, np.int32(rows), np.int32(columns))
 
     def _kernel(self, source: str, macros: layout.Macros, name: str) -> Any:
         """A kernel of a program of its own."""

@@ -52,7 +52,7 @@ class DeviceShading:
         tint = self._buffer(frame.shading, "tint", band.raw_rows)
         items, group = -(-pixels // self._run), GROUP if self._run == 1 else 1
         grid = (-(-items // group) * group,)
-        return self._kernel(track.queue, grid, (group,), track.raw, tint, *map(np.int32, levels))
+        return track.run(self._kernel, grid, (group,), track.raw, tint, *map(np.int32, levels))
 
     def _buffer(self, shading: Shading, name: str, rows: slice) -> Any:
         if shading is not self._shading:

@@ -25,6 +25,15 @@ class Track:
         self.planes: list[Any] = [None] * layers  # that each later layer reads
         self.later_labels: list[Any] = [None] * layers
         self.result: Any = None
+        self._typed: set[Any] = set()  # kernels
+
+    def run(self, kernel: Any, grid: tuple[int, ...], group: tuple[int, ...], *arguments: Any) -> Any:
+        """Enqueue a kernel. Its types are stated once: pyopencl would find them out anew each time, which takes longer than
+        all else before a frame's first kernel."""
+        if kernel not in self._typed:
+            kernel.set_scalar_arg_dtypes([type(each) if isinstance(each, np.generic) else None for each in arguments])
+            self._typed.add(kernel)
+        return kernel(self.queue, grid, group, *arguments)
 
     def download(self, buffer: Any, destination: NDArray, offset: int) -> Any:
         """Copy `buffer` from byte `offset` on to the contiguous array `destination`, without waiting."""
@@ -75,15 +84,14 @@ class Work:
         self._mapped.append((queue, mapped.base))
         self.add("download", event)
 
-    def end(self) -> dict[str, float]:
-        """`milliseconds`, after the last of the work."""
+    def end(self) -> None:
+        """Wait for the last of the work."""
         for event in self.events["download"]:
             event.wait()
         while self._mapped:
             queue, mapping = self._mapped.pop()
             mapping.release(queue)
         self._queues.clear()
-        return self.milliseconds()
 
     def add(self, stage: str, event: Any) -> None:
         self.events[stage].append(event)

@@ -67,7 +67,7 @@ class Whites:
         camera, light = self.table.camera, self.table.light
         if camera is None or light is None:
             return None
-        return camera.electron_weights @ spectra.resample(light.radiance, light.wavelength, camera.wavelength)
+        return camera.signal_weights @ spectra.resample(light.radiance, light.wavelength, camera.wavelength)
 
     def of_neutral(self, neutral: Array) -> SceneWhite:
         """The white of which the channels have the signals `neutral` (channel), of any scale; InputFileError if the table
@@ -77,7 +77,7 @@ class Whites:
         camera = self.table.camera
         if camera is None:
             return self.of_xyz(self._shown(neutral))
-        light = light_of_neutral(camera.electron_weights, camera.wavelength, neutral)
+        light = light_of_neutral(camera.signal_weights, camera.wavelength, neutral)
         return SceneWhite(self._balance(neutral, light), light, True)
 
     def of_light(self, name: str) -> SceneWhite:
@@ -87,7 +87,7 @@ class Whites:
             return self.of_xyz(white)
         radiance = spectra.illuminant(name, camera.wavelength)
         light = NearLight(white, *temperature(white), 0.0, radiance)
-        return SceneWhite(self._balance(camera.electron_weights @ radiance, light), light, True)
+        return SceneWhite(self._balance(camera.signal_weights @ radiance, light), light, True)
 
     def of_xyz(self, white: Array) -> SceneWhite:
         """The white of XYZ (3) as the table shows it."""
@@ -129,7 +129,7 @@ class Whites:
         assert camera is not None
         surfaces = _surfaces(tuple(camera.wavelength))
         with_white = np.vstack([surfaces, np.ones(camera.wavelength.size)]) * radiance
-        signals = with_white @ camera.electron_weights.T * gains
+        signals = with_white @ camera.signal_weights.T * gains
         shown = self.grey.outputs_of(signals * (GREY_LEVEL / signals[-1].max()))
         true = with_white @ spectra.xyz_weights(camera.wavelength).T
         ours, ideal = (of[:-1] / of[-1, 1] @ adaptation(_white(of[-1])).T for of in (shown, true))

@@ -46,11 +46,7 @@ def simulate(
     blur needs the channels a few times (LOW_RANK_ERROR), nothing needs the bands again. Of a picture of channel signals only
     the sensor is simulated. ValueError if an automatic exposure finds no light.
     """
-    if isinstance(scene, ChannelPicture):
-        ideal, rates, white = _signalled(camera, scene, light)
-    else:
-        ideal, rates = _collected(camera, scene, light, lens, target)
-        white = output_weights(target, camera, light, light.wavelength).sum(axis=1)
+    ideal, rates, white = _seen(camera, scene, light, lens, target)
     seconds = _seconds(camera, rates, exposure)
     electrons = rates * np.float32(seconds)
     rng = np.random.default_rng(seed)
@@ -66,6 +62,23 @@ def simulate(
         light=light.spectrum,
         seed=seed,
     )
+
+
+def exposure_time(
+    camera: CameraModel, scene: Scene | ChannelPicture, light: Light, exposure: Saturating | Averaging, lens: Lens
+) -> float:
+    """Seconds of an automatic exposure, as `simulate` takes them of this scene; ValueError as there."""
+    return _seconds(camera, _seen(camera, scene, light, lens, XYZ)[1], exposure)
+
+
+def _seen(
+    camera: CameraModel, scene: Scene | ChannelPicture, light: Light, lens: Lens, target: Target
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
+    """As `_collected`, and the target (output) of a perfect white."""
+    if isinstance(scene, ChannelPicture):
+        return _signalled(camera, scene, light)
+    ideal, rates = _collected(camera, scene, light, lens, target)
+    return ideal, rates, output_weights(target, camera, light, light.wavelength).sum(axis=1)
 
 
 def _collected(
@@ -99,10 +112,12 @@ def _signalled(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
     """Of a picture of channel signals the target (channel, row, col) in the unit of the camera's bands, what the channels
     collect (channel, row, col) e-/s, and the target's white (channel)."""
-    full = white_rates(camera, light).max()
+    full = (white_rates(camera, light) * camera.channel_gains).max()
     white = full * camera.saturation_exposure / camera.full_scale
     signal = np.moveaxis(picture.signal, -1, 0)
     rates, ideal = (np.ascontiguousarray(signal * np.float32(unit)) for unit in (full, white))
+    if camera.readout is not None:
+        rates *= (camera.sensitivity / camera.channel_gains).astype(np.float32)[:, None, None]
     return ideal, rates, np.full(len(signal), white)
 
 

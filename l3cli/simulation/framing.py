@@ -1,5 +1,6 @@
 """How a scene lies on the sensor: cropped, mirrored, turned, scaled."""
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -8,6 +9,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.scene import ChannelPicture, Scene
+from l3cli.simulation.motion import Motion, room
 from l3cli.simulation.sources import Framing
 
 
@@ -23,23 +25,32 @@ def framed_picture(picture: ChannelPicture, framing: Framing, camera: CameraMode
 
 def _framed(cube: NDArray[np.float32], framing: Framing, camera: CameraModel) -> NDArray[np.float32]:
     """Samples (row, col, band) as they lie on the sensor."""
-    top, left, rows, cols = _cropped(cube.shape, framing)
-    cube = cube[top : top + rows, left : left + cols]
-    if framing.flip is not None:
-        cube = np.flip(cube, axis=("rows", "cols").index(framing.flip))
-    cube = np.rot90(cube, framing.rotate // 90)
-    scale = _scale(framing, camera, cube.shape[1])
+    cube = turned(cube, framing)
+    scale = scale_of(framing, camera, cube.shape[1])
     if scale is not None:
         cube = _scaled(cube, scale, (camera.rows, camera.cols))
     return np.ascontiguousarray(cube)
 
 
+def turned(cube: NDArray[np.float32], framing: Framing) -> NDArray[np.float32]:
+    """Samples (row, col, band) of what is used of a scene, the right way up; ValueError if the crop reaches beyond it."""
+    top, left, rows, cols = _cropped(cube.shape, framing)
+    cube = cube[top : top + rows, left : left + cols]
+    if framing.flip is not None:
+        cube = np.flip(cube, axis=("rows", "cols").index(framing.flip))
+    return np.rot90(cube, framing.rotate // 90)
+
+
 def framed_size(size: tuple[int, int], framing: Framing, camera: CameraModel) -> tuple[int, int]:
-    """(rows, cols) that `framed` makes of a scene of `size`; ValueError if the crop reaches beyond the scene."""
+    """(rows, cols) that `framed` makes of a scene of `size`, or of each frame of its clip; ValueError if the crop reaches
+    beyond the scene, or the camera moves beyond it."""
     _, _, rows, cols = _cropped(size, framing)
     if framing.rotate % 180:
         rows, cols = cols, rows
-    scale = _scale(framing, camera, cols)
+    scale = scale_of(framing, camera, cols)
+    if framing.motion is not None:
+        _require_room(framing.motion, (rows, cols), scale or 1.0)
+        return framing.motion.size
     if scale is not None:
         rows, cols = min(_pixels(rows, scale), camera.rows), min(_pixels(cols, scale), camera.cols)
     return rows, cols
@@ -55,8 +66,18 @@ def _cropped(size: tuple[int, ...], framing: Framing) -> tuple[int, int, int, in
     return framing.crop
 
 
-def _scale(framing: Framing, camera: CameraModel, cols: int) -> float | None:
-    """Pixels a sample of a scene that is `cols` wide."""
+def _require_room(motion: Motion, size: tuple[int, int], scale: float) -> None:
+    """ValueError unless the camera sees nothing beyond a scene of `size` at `scale` pixels a sample."""
+    rows, cols = (math.ceil(min(length / scale - 1e-6, 1e9)) for length in room(motion))
+    if rows > size[0] or cols > size[1]:
+        raise ValueError(
+            f"the camera sees {rows}×{cols} samples in the {motion.frames} frames of its motion, more than the "
+            f"{size[0]}×{size[1]} that there are; make the scene larger, or motion.size or the motion smaller"
+        )
+
+
+def scale_of(framing: Framing, camera: CameraModel, cols: int) -> float | None:
+    """Pixels a sample of a scene that is `cols` wide; None: as many."""
     if framing.field_of_view_deg is None:
         return framing.scale
     width = 2.0 * camera.optics.image_distance * np.tan(np.radians(framing.field_of_view_deg) / 2.0)

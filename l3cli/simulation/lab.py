@@ -55,7 +55,8 @@ class _Response:
     def exposure_for(self, level: float, radiance: Array) -> float:
         """Seconds, to three digits, in which the brightest channel and spectrum reach `level` of full scale; may be inf."""
         with np.errstate(divide="ignore"):
-            return float(f"{level * self.camera.full_scale / self.electrons(radiance).max():.3g}")
+            signals = self.electrons(radiance) * self.camera.channel_gains
+            return float(f"{level * self.camera.full_scale / signals.max():.3g}")
 
 
 @dataclass
@@ -142,6 +143,8 @@ def _response_of(camera: CameraModel, mono: MonoRecipe, step: float) -> _Respons
     wavelength = np.arange(first, last + step / 2, step)
     area = camera.optics.irradiance_per_radiance * camera.pixel_pitch**2
     responsivity = spectra.average(camera.responsivity, camera.wavelength, wavelength)
+    if camera.readout is not None:
+        responsivity = responsivity * camera.readout.channel_exposure[:, None]
     return _Response(camera, wavelength, responsivity * area * spectra.bin_widths(wavelength))
 
 

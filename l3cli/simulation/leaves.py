@@ -80,12 +80,12 @@ def _lay(rng: np.random.Generator, label: NDArray[np.int32], leaf: int, row: flo
         return 0
     y = np.arange(top, top + window.shape[0], dtype=np.float32)[:, None] - np.float32(row)
     x = np.arange(left, left + window.shape[1], dtype=np.float32) - np.float32(col)
-    shown = _inside(shape, y, x, radius, angle, slimness) & (window < 0)
+    shown = inside(shape, y, x, radius, angle, slimness) & (window < 0)
     window[shown] = leaf
     return int(np.count_nonzero(shown))
 
 
-def _inside(shape: int, y: Field, x: Field, radius: float, angle: float, slimness: float) -> NDArray[np.bool_]:
+def inside(shape: int, y: Field, x: Field, radius: float, angle: float, slimness: float) -> NDArray[np.bool_]:
     """Mask of a disc, an ellipse, a rectangle, a triangle or a lobed leaf about (0, 0) within `radius`."""
     if shape == 0:
         return x**2 + y**2 < radius**2

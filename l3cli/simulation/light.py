@@ -135,7 +135,7 @@ def white_rates(camera: CameraModel, light: Light) -> Array:
 
 def automatic_exposure(camera: CameraModel, light: Light, share: float) -> float:
     """Seconds until a perfect white fills its brightest channel to `share` of full scale."""
-    return float(share * camera.full_scale / white_rates(camera, light).max())
+    return float(share * camera.full_scale / (white_rates(camera, light) * camera.channel_gains).max())
 
 
 def uncovered_share(camera: CameraModel, bands: Array) -> float:

@@ -51,7 +51,7 @@ class SensorSetting(Recipe):
 
 
 class TargetRecipe(Recipe):
-    outputs: str = "CIE 1931"  # or "CIE 1964", "luminance", "camera" (its bands everywhere), a CSV of matching functions
+    outputs: str = "CIE 1931"  # or "CIE 1964", "luminance", "CIE 1931 + IR", "camera" (its bands), a CSV of functions
     illuminant: str | None = None  # another light than falls on the frame: illuminant correction
 
 
@@ -206,6 +206,7 @@ class Shot:
     illuminant: str
     luminance: float  # cd/m²
     exposure: float  # seconds, share of full scale or share of saturated pixels, as SceneRecipe.exposures says
+    moment: int = 0  # frame of a clip
 
 
 def shots(recipe: SceneRecipe, files: list[list[Path]]) -> Iterator[tuple[WantedScene, list[Shot]]]:
@@ -213,7 +214,8 @@ def shots(recipe: SceneRecipe, files: list[list[Path]]) -> Iterator[tuple[Wanted
     index = itertools.count()
     for source, paths in zip(recipe.scene, files, strict=True):
         for scene in wanted_scenes(source, paths):
-            settings = itertools.product(recipe.illuminants, recipe.luminances_cd_m2, recipe.exposures()[1])
+            moments = range(source.motion.frames if source.motion else 1)
+            settings = itertools.product(recipe.illuminants, recipe.luminances_cd_m2, recipe.exposures()[1], moments)
             yield scene, [Shot(next(index), *setting) for setting in settings]
 
 

@@ -2,6 +2,7 @@
 
 import functools
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,9 +47,14 @@ def mosaic(electrons: NDArray[np.float32], cfa: NDArray[np.uint8]) -> NDArray[np
     return values
 
 
+def signals(camera: CameraModel, rates: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Rates (row, col) e-/s as electrons that would give as many DN at the gain of the camera."""
+    return rates if camera.readout is None else rates * camera.channel_gains[camera.channel_map(rates.shape)]
+
+
 def saturating_exposure(camera: CameraModel, rates: NDArray[np.floating], share: float) -> float:
     """Seconds after which `share` of the pixels with `rates` (row, col) e-/s reach full scale; ValueError if all is dark."""
-    rate = float(np.quantile(rates, 1.0 - share)) + camera.noise.dark_current
+    rate = float(np.quantile(signals(camera, rates), 1.0 - share)) + camera.noise.dark_current
     if rate <= 0:
         raise ValueError("the scene is too dark for an exposure by its saturated pixels")
     return camera.full_scale / rate
@@ -57,7 +63,7 @@ def saturating_exposure(camera: CameraModel, rates: NDArray[np.floating], share:
 def averaging_exposure(camera: CameraModel, rates: NDArray[np.floating], share: float) -> float:
     """Seconds after which pixels with `rates` (row, col) e-/s hold `share` of full scale on average, were nothing clipped;
     ValueError if all is dark."""
-    rate = float(np.mean(rates, dtype=np.float64))
+    rate = float(np.mean(signals(camera, rates), dtype=np.float64))
     if rate <= 0:
         raise ValueError("the scene is too dark for an exposure by its mean")
     return share * camera.full_scale / rate
@@ -98,15 +104,23 @@ def read_out(
     noises: str = "all",
 ) -> NDArray[np.uint16]:
     """A raw frame (row, col) in DN of mean photo-electrons on pixels of such a pattern (docs/method.md#sensor)."""
-    noise = camera.noise
-    signal = np.clip(electrons, 0.0, MOST_ELECTRONS) + min(noise.dark_current * exposure, MOST_ELECTRONS)
+    noise, readout = camera.noise, camera.readout
+    time: Any = exposure
+    read_noise: Any = np.float32(noise.read_noise)
+    gain: Any = np.float32(camera.gain)
+    if readout is not None:  # then these are those of each pixel
+        channel = camera.channel_map(electrons.shape)
+        time = exposure * readout.channel_exposure[channel]
+        read_noise = readout.channel_read_noise.astype(np.float32)[channel]
+        gain = (camera.gain * readout.channel_gain).astype(np.float32)[channel]
+    signal = np.clip(electrons, 0.0, MOST_ELECTRONS) + np.minimum(noise.dark_current * time, MOST_ELECTRONS)
     if noises != "none":
         signal = rng.poisson(signal)
     signal = signal.astype(np.float32)
     if noises == "all":
-        signal += rng.standard_normal(signal.shape, dtype=np.float32) * np.float32(noise.read_noise)
+        signal += rng.standard_normal(signal.shape, dtype=np.float32) * read_noise
         signal *= 1 + pattern.prnu
         signal += pattern.dsnu
     np.minimum(signal, np.float32(noise.well_capacity), out=signal)
-    values = np.rint(np.float32(camera.gain) * signal + np.float32(camera.black_level))
+    values = np.rint(gain * signal + np.float32(camera.black_level))
     return np.clip(values, 0, 2**camera.bits - 1).astype(np.uint16)

@@ -11,6 +11,7 @@ from l3cli.config import Count, Recipe, Seed, Share
 from l3cli.curve_file import other_unit
 from l3cli.errors import L3Error, RecipeError
 from l3cli.faults import Fault, fault, refuse_first
+from l3cli.simulation.motion import Motion, motion_faults
 
 CODED = ("r", "g", "b")  # channels of a camera that pictures of codes hold, in their order
 SMALLEST = 16  # pixels of a scene's shorter side
@@ -24,6 +25,7 @@ class Framing(Recipe, kw_only=True):
     rotate: Literal[0, 90, 180, 270] = 0  # degrees counter-clockwise
     scale: float | None = None  # pixels a sample; what then exceeds the sensor is cut off all round
     field_of_view_deg: float | None = None  # the scene's width as the lens sees it, instead of scale
+    motion: Motion | None = None  # a clip, whose frames are parts of the scene
 
 
 class Synthetic(Framing, kw_only=True):
@@ -182,9 +184,12 @@ def source_faults(source: Source, camera: CameraModel | None, name: str) -> Iter
         yield fault(f"{name}: crop is first row, first column, rows, columns, none of them negative", "crop")
     if isinstance(source, Synthetic):
         try:
-            check_size(source.size, camera if whole and not source.crop else None, RecipeError, name)
+            fits = camera if whole and not source.crop and source.motion is None else None
+            check_size(source.size, fits, RecipeError, name)
         except RecipeError as error:
             yield fault(str(error), "size")
+    if source.motion is not None:
+        yield from _motion_faults(source.motion, camera, name)
     if isinstance(source, Cube) and sorted(source.axes.split()) != ["band", "col", "row"]:
         yield fault(f'{name}: axes names row, col and band once each, such as "row col band"', "axes")
     if isinstance(source, Spectral):
@@ -192,6 +197,14 @@ def source_faults(source: Source, camera: CameraModel | None, name: str) -> Iter
     if camera is not None and holds_codes(source) and sorted(camera.channels) != sorted(CODED):
         what = f"codes are channels r, g and b, but the camera has {', '.join(camera.channels)}"
         yield fault(f'{name}: {what}; leave out holds = "codes"', "holds")
+
+
+def _motion_faults(motion: Motion, camera: CameraModel | None, name: str) -> Iterator[Fault]:
+    try:
+        check_size(motion.size, camera, RecipeError, f"{name}: motion.size")
+    except RecipeError as error:
+        yield fault(str(error), "motion.size")
+    yield from motion_faults(motion, name)
 
 
 def _spectral_faults(source: Spectral, name: str) -> Iterator[Fault]:

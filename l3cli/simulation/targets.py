@@ -15,6 +15,7 @@ OUTPUTS = {
     "CIE 1931": ("X", "Y", "Z"),
     "CIE 1964": ("X10", "Y10", "Z10"),
     "luminance": ("Y",),
+    "CIE 1931 + IR": ("X", "Y", "Z", "IR"),
 }
 CAMERA = "camera"  # the camera's own bands at full resolution
 
@@ -42,6 +43,7 @@ def make_target(
         "CIE 1931": "CIE 1931 XYZ",
         "CIE 1964": "CIE 1964 XYZ",
         "luminance": "luminance",
+        "CIE 1931 + IR": "CIE 1931 XYZ and near infrared",
         CAMERA: "all bands of the camera (cd/m² of D65 that would saturate its brightest channel as fast)",
     }.get(kind, f"the matching functions of {kind}")
     under = f"under {light.name}" if light else "under its own light"
@@ -56,12 +58,16 @@ def output_weights(target: Target, camera: CameraModel, light: Light, bands: Arr
     if target.light:
         light = target.light.at(light.luminance)
     if target.kind == CAMERA:
-        return electron_weights(camera, light, bands) * (camera.saturation_exposure / camera.full_scale)
+        weights = electron_weights(camera, light, bands) * (camera.saturation_exposure / camera.full_scale)
+        return weights if camera.readout is None else weights * camera.channel_gains[:, None]
     if target.functions:
         grid, values = target.functions
         functions: Array = spectra.average(values, grid, light.wavelength)
     elif target.kind == "luminance":
         functions = spectra.colour_matching_functions(light.wavelength)[1:2]
+    elif target.kind == "CIE 1931 + IR":
+        visible = spectra.colour_matching_functions(light.wavelength)
+        functions = np.vstack([visible, spectra.near_infrared(light.wavelength)])
     else:
         functions = spectra.colour_matching_functions(light.wavelength, target.kind)
     return matching_weights(functions, light, bands)

@@ -37,3 +37,25 @@ class Silent:
 
     def alert(self, message: str) -> None:
         pass
+
+
+class Gathering:
+    """A console that passes everything on to another one and keeps the first warnings, `most` at most."""
+
+    def __init__(self, console: Console, most: int) -> None:
+        self._console, self._most = console, most
+        self.warnings: list[str] = []
+
+    def progress(self, items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
+        return self._console.progress(items, total, what)
+
+    def say(self, message: str) -> None:
+        self._console.say(message)
+
+    def warn(self, message: str) -> None:
+        self._console.warn(message)
+        self.warnings = [*self.warnings, message][: self._most]
+
+    def alert(self, message: str) -> None:
+        self._console.alert(message)
+        self.warnings = [*self.warnings, message][: self._most]

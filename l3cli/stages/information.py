@@ -8,11 +8,13 @@ from l3cli.artifacts.store import describe, load
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.verify import Intact, Link, chain, verify
 from l3cli.files import sha256
+from l3cli.ledger import note_inputs
 
 
 def content(file: Path) -> dict[str, Any]:
     """The document of `l3 info --json`: kind, version, history and datasets of an artifact; under "insight" what a transform
     table has learned. InputFileError if the file is no artifact."""
+    note_inputs({"artifact": [file]})
     described = describe(file)
     if described["kind"] == TransformTable.kind:
         from l3cli.training.insight import insight
@@ -44,5 +46,6 @@ class Verification:
 def verification(file: Path, inputs: tuple[Path, ...]) -> Verification:
     """Compare every byte of an artifact with its digest, and `inputs` with the files that its history names; InputFileError
     if a byte is not as it was written."""
+    note_inputs({"artifact": [file], "inputs": inputs})
     intact = verify(file)
     return Verification(intact, *chain(intact.history, {path: sha256(path) for path in inputs}))

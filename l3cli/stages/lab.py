@@ -13,6 +13,7 @@ from l3cli.files import refuse_existing, refuse_spared
 from l3cli.io import measurement_recipe as files
 from l3cli.io.curves import write_curves
 from l3cli.io.images import write_mosaic
+from l3cli.ledger import note_output
 from l3cli.locks import sole_writer_of_folder
 from l3cli.parallel import workers
 from l3cli.simulation.lab import FOLDERS, LabCapture, chart_corners, plan, take
@@ -61,6 +62,8 @@ def measure(
         with workers(jobs) as crew:
             for _ in console.progress(crew(write_frame, work), len(work), "frames"):
                 pass
+        for name in _names(captures):  # some by other processes
+            note_output(output / name)
         files.write_measurements(_described(model, chosen, captures, output), file)
         console.say(f"{file}: {len(captures)} captures, {len(work)} frames; next: l3 calibrate {file} -o camera.h5")
         return file

@@ -7,8 +7,10 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from l3cli.errors import listed
+from l3cli.ledger import note_inputs, note_places
 from l3cli.locks import without_writing
 
 _DRY: ContextVar[bool] = ContextVar("dry run", default=False)
@@ -25,11 +27,23 @@ class Made:
 
 
 class Planned(Exception):
-    """A dry run has come to the work that it leaves out; `lines` say what would be read and made."""
+    """A dry run has come to the work that it leaves out."""
 
-    def __init__(self, lines: tuple[str, ...]) -> None:
+    def __init__(self, reads: Mapping[str, Iterable[Path]], makes: Iterable[Made]) -> None:
         super().__init__("dry run")
-        self.lines = lines
+        self.reads, self.makes = {role: list(dict.fromkeys(paths)) for role, paths in reads.items()}, list(makes)
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """What would be read and made, in words."""
+        read = filter(None, (_read(role, paths) for role, paths in self.reads.items()))
+        return (*read, *map(_made, self.makes), "dry run: nothing has been written")
+
+    def document(self) -> dict[str, Any]:
+        """The same, ready for JSON."""
+        reads = {role: [str(path) for path in paths] for role, paths in self.reads.items()}
+        makes = [{"path": str(made.path), "what": made.what, "bytes": made.size} for made in self.makes]
+        return {"dry_run": {"reads": reads, "makes": makes}}
 
 
 @contextlib.contextmanager
@@ -49,10 +63,11 @@ def is_dry() -> bool:
 
 
 def before_work(reads: Mapping[str, Iterable[Path]], *makes: Made) -> None:
-    """In a dry run Planned: the files that are read, by their role, and what is made of them. Else nothing."""
+    """The files that are read, by their role, and what is made of them, are known: in a dry run Planned, else noted."""
     if is_dry():
-        lines = [_read(role, list(dict.fromkeys(paths))) for role, paths in reads.items()]
-        raise Planned((*filter(None, lines), *map(_made, makes), "dry run: nothing has been written"))
+        raise Planned(reads, makes)
+    note_inputs(reads)
+    note_places(made.path for made in makes)
 
 
 def _read(role: str, paths: list[Path]) -> str:

@@ -1,29 +1,34 @@
-"""Transform table → files that run, or are read, elsewhere: C source, or plain arrays."""
+"""Transform table → files that run, or are read, elsewhere: C source, plain arrays, or an ONNX graph."""
 
-from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Literal
 
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
+from l3cli.errors import RecipeError
 from l3cli.files import write_whole
 from l3cli.rendering.portable.folder import folder_files
-from l3cli.rendering.portable.source import c_files
+from l3cli.rendering.portable.onnx_model import onnx_files
+from l3cli.rendering.portable.source import Words, c_files
 from l3cli.stages.claims import Claims
 from l3cli.stages.console import Console
 from l3cli.stages.plan import Made, before_work
 
-Form = Literal["c", "folder"]
-MAKERS: Mapping[Form, Callable[[TransformTable], dict[str, bytes]]] = {"c": c_files, "folder": folder_files}
+Form = Literal["c", "folder", "onnx"]
 
 
-def export_table(table: Path, output: Path, form: Form, console: Console, *, force: bool = False) -> list[str]:
-    """Write a transform table into a folder in one of the forms; the names of the files. InputFileError if it is no table or
-    beyond the form, L3Error if a file cannot be written."""
+def export_table(
+    table: Path, output: Path, form: Form, console: Console, *, words: Words | None = None, force: bool = False
+) -> list[str]:
+    """Write a transform table into a folder in one of the forms, C source with outputs in `words` (without: float32); the
+    names of the files. InputFileError if it is no table or beyond the form, RecipeError if words are given for another form
+    or onnx is not installed, L3Error if a file cannot be written."""
+    if words and form != "c":
+        raise RecipeError("‹words› is for C source; leave it out")
     with Claims(console) as claims:
         claims.spare(table)
         claims.hold_folder(output)
-        files = MAKERS[form](load(TransformTable, table))
+        files = _files(load(TransformTable, table), form, words or "float32")
         for name in files:
             claims.claim_file(output / name, force)
         before_work({"table": [table]}, *(Made(output / name, "export", len(content)) for name, content in files.items()))
@@ -31,3 +36,9 @@ def export_table(table: Path, output: Path, form: Form, console: Console, *, for
             write_whole(output / name, content)
         console.say(f"{output}: {', '.join(files)} written")
         return list(files)
+
+
+def _files(table: TransformTable, form: Form, words: Words) -> dict[str, bytes]:
+    if form == "c":
+        return c_files(table, words)
+    return folder_files(table) if form == "folder" else onnx_files(table)

@@ -16,9 +16,8 @@ def versions() -> dict[str, Any]:
         required = metadata.requires("l3cli") or []
     except metadata.PackageNotFoundError:  # sources on a path, not installed
         required = []
-    names = sorted(
-        {re.split(r"[^\w.-]", each)[0] for each in required if "'dev'" not in each.replace('"', "'")}, key=str.lower
-    )
+    used = [each for each in required if not re.search(r"""extra == ['"](dev|docs)['"]""", each)]
+    names = sorted({re.split(r"[^\w.-]", each)[0] for each in used}, key=str.lower)
     try:
         devices = survey()
     except DeviceError as error:

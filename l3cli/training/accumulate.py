@@ -15,6 +15,7 @@ from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.partial_sums import ClassSums
 from l3cli.artifacts.training_set import TrainingPair
 from l3cli.classes.decide import label_sums
+from l3cli.classes.level import unclipped_level
 from l3cli.classes.statistics import patch_statistics, truncation
 from l3cli.classes.windows import Neighbourhoods, TapOrder, neighbourhoods, tap_order
 from l3cli.training.division import BATCH
@@ -117,18 +118,21 @@ class _Batch:
         """Class and level (patch) of the patches `here` at each row of `scale` (draw, patch), with noise."""
         pass_, patches = self.pass_, self.patches
         signal: Floats = np.ascontiguousarray(patches.signal[here].T)[order.taps]
+        channel = self.near.channel[self.site][order.taps][:, None]
         carried: Floats | None = None if patches.carried is None else patches.carried[here].T[order.taps]
         for row in scale:
             left = None if carried is None else carried * row**2
-            values = self._exposed_values(signal * row, rng, left)
+            values = self._exposed_values(signal * row, rng, left, channel)
             seen = patch_statistics(values, pass_.rule, order)
             yield label_sums(seen, pass_.rule, self.near, self.site), self._level(seen.sums)
 
-    def _exposed_values(self, signal: Floats, rng: np.random.Generator, carried: Floats | None) -> NDArray[np.uint32]:
-        """DN (tap, patch) of signals, with noise unless the recipe wants none."""
+    def _exposed_values(
+        self, signal: Floats, rng: np.random.Generator, carried: Floats | None, channel: NDArray[np.int64]
+    ) -> NDArray[np.uint32]:
+        """DN (tap, patch) of signals of the `channel` (tap, 1), with noise unless the recipe wants none."""
         camera = self.pass_.head.camera
         if self.pass_.recipe.noise != "none":
-            return expose_patches(signal, camera, rng, carried, self.pass_.dark)
+            return expose_patches(signal, camera, rng, carried, self.pass_.dark, channel)
         values = signal * np.float32(camera.white_level - camera.black_level) + np.float32(camera.black_level)
         return np.clip(np.rint(values), 0.0, np.floor(camera.white_level)).astype(np.uint32)
 
@@ -136,7 +140,8 @@ class _Batch:
         """Level (patch) as a share of full scale: mean over the channels of the means of their `sums` (channel, patch)."""
         camera, shift = self.pass_.head.camera, self.pass_.rule.shift
         mean = (1 / (self.near.count[self.site] * len(sums))) @ sums
-        return (mean * 2**shift + (truncation(shift) - camera.black_level)) / (camera.white_level - camera.black_level)
+        seen = (mean * 2**shift + (truncation(shift) - camera.black_level)) / (camera.white_level - camera.black_level)
+        return np.asarray(unclipped_level(seen, camera.sensitivity), np.float64)
 
     def _add_piece(
         self,
@@ -153,7 +158,8 @@ class _Batch:
         clean *= scale[:, None]
         target = self.patches.target[patch] * scale[:, None]
         carried = None if self.patches.carried is None else self.patches.carried[patch] * scale[:, None] ** 2
-        variance = noise_share(clean, self.pass_.head.camera, carried, self.pass_.dark)
+        window = self.near.channel[self.site]
+        variance = noise_share(clean, self.pass_.head.camera, carried, self.pass_.dark, window)
         if self.pass_.recipe.noise == "none":
             variance[:] = 0
         if self.pass_.recipe.noise == "sampled":

@@ -23,6 +23,7 @@ DARKEST, BRIGHTEST, STEP = 0.3, 1.6, 1.02  # greys, of those that just clip the 
 NEARLY = (0.94, 0.97, 1.0)  # of the saturation threshold: noise lets greys this bright clip
 ODDS = 4.0  # greys a patch of the class, times clipped channels per one that is not; 1 leaves seams between classes …
 SUREST = 30.0  # … and this many where every channel clips
+NOTHING_LOST = 0.2  # share of clipped filters that stands for none: a grey a patch, so that they have no cast
 FARTHEST = 0.1  # white's signals from what patches make likely, or as far as measured surfaces mislead about them
 FAINTEST = 1e-6  # of the largest: directions in which the outputs vary less are not followed
 
@@ -35,21 +36,27 @@ def grey_patches(
     black_level: float,
     white_level: float,
     signal: Array | None,
+    filters: tuple[int, ...] = (),
+    sensitivity: Array | None = None,
 ) -> dict[int, Array]:
     """Moments (column, column) of flat greys for the classes near saturation in which greys come to lie: their mean
     times the number of greys a patch of the class (ODDS). Where every channel clips they are fully clipped.
 
     `window` (tap) names the channel of each tap, `white` (output) is that of the training light at Y = 1 and `signal`
-    (channel) what the camera sees of it, `black_level` and `white_level` are the camera's, in DN.
+    (channel) what the camera sees of it, `black_level` and `white_level` are the camera's, in DN. A filter of which one
+    channel clips and another does not has not: `filters` and `sensitivity` (channel) are those of Goal.
     """
     if signal is None:
         return {}
+    same = np.array(filters or range(signal.size))[:, None] == np.unique(filters or range(signal.size))  # (channel, filter)
+    relative = np.ones(signal.size) if sensitivity is None else sensitivity
     rows: dict[int, list[Array]] = {}
     threshold = (rule.saturation - black_level) / (white_level - black_level)
     for grey in np.exp(np.arange(np.log(DARKEST / signal.max()), np.log(BRIGHTEST / signal.min()), np.log(STEP))):
         clipped = np.minimum(grey * signal, 1.0)
         at = level.level_of_mean(rule, float((clipped * (white_level - black_level) + black_level).sum()))
-        row = np.concatenate([clipped[window], [1.0], grey * white]) / np.sqrt(clipped.mean() * grey)
+        seen = level.unclipped_level(clipped.mean(), relative)
+        row = np.concatenate([clipped[window], [1.0], grey * white]) / np.sqrt(seen * grey)
         for nearly in NEARLY:
             saturated = clipped >= nearly * threshold
             case = int(saturation.cases(rule, saturation.code_of(saturated)))
@@ -57,7 +64,7 @@ def grey_patches(
             # greys rise by into its last per cent, and textures, whose taps are far from it, came out black.
             if not case or (saturated.all() and clipped.min() < 1.0):
                 continue
-            share = saturated.mean()
+            share = (saturated[:, None] | ~same).all(axis=0).mean() or NOTHING_LOST  # of the filters
             weight = np.sqrt(min(ODDS * share / max(1.0 - share, 1e-9), SUREST))
             for near in {max(at - 1, 0), at, min(at + 1, rule.levels - 1)}:
                 plain = 0, rule.kinds_of(case)
@@ -88,7 +95,7 @@ def misleading(light: LightSpectrum, camera: CameraModel) -> Array:
     likely: a few per cent for visible light, much where a camera sees infrared, of which X, Y, Z tell nothing."""
     radiance = spectra.resample(light.radiance.astype(np.float64), light.wavelength, camera.wavelength)
     lit = np.vstack([radiance, spectra.reflectance_library(camera.wavelength) * radiance])
-    outputs, signals = lit @ spectra.xyz_weights(camera.wavelength).T, lit @ camera.electron_weights.T
+    outputs, signals = lit @ spectra.xyz_weights(camera.wavelength).T, lit @ camera.signal_weights.T
     if not (outputs[:, 1].min() > 0 and signals[0].min() > 0):
         return np.zeros(len(camera.channels))
     outputs, signals = outputs / outputs[:, 1:2], signals / outputs[:, 1:2]

@@ -99,7 +99,8 @@ def sample_pair(
     values = pair.raw.reshape(-1)[np.concatenate(takes)].astype(np.float32)
     span = np.float32(camera.white_level - camera.black_level)
     signal = (values - np.float32(camera.black_level)) / span
-    carried = (camera.noise_variance(signal * span) / span**2).astype(np.float32)
+    window = near.channel[site]
+    carried = (camera.noise_variance(signal * span, channel=window) / span**2).astype(np.float32)
     signal[values >= np.floor(camera.white_level)] = 1.0
     target = pair.target.reshape(len(pair.target), -1)[:, np.concatenate(places)].T
     scaled = target * np.float32(pair.exposure / camera.saturation_exposure)
@@ -134,7 +135,7 @@ def sample_patches(
         chosen = np.flatnonzero(turn == index)
         place = (row[chosen] * cols + col[chosen])[:, None] + (offset[permutation] + channel_start)[None]
         signal[chosen] = electrons[place]
-    signal *= np.float32(1.0 / head.camera.full_scale)
+    signal *= (head.camera.channel_gains / head.camera.full_scale).astype(np.float32)[window]
     target = frame.target[:, row, col].T * np.float32(frame.exposure / unit)
     return Patches(signal, np.ascontiguousarray(target))
 
@@ -165,11 +166,12 @@ def expose_patches(
     rng: np.random.Generator,
     carried: Floats | None = None,
     dark: float = 0.0,
+    channel: NDArray[np.integer] | None = None,
 ) -> NDArray[np.uint32]:
     """The noisy DN that decide the class of `signal` in shares of full scale, (patch, tap) or (tap, patch), in a frame of
     which `dark` DN of dark current have been taken off. A simulated signal lacks all noise, a real one what goes beyond the
-    variance `carried` already."""
-    noisy = _variance(signal, camera, carried, dark, QUANTISATION)
+    variance `carried` already. `channel`, which broadcasts against the signals, says of which they are."""
+    noisy = _variance(signal, camera, carried, dark, QUANTISATION, channel)
     np.sqrt(noisy, out=noisy)
     noisy *= _normal(signal.shape, rng)
     noisy += signal
@@ -178,23 +180,36 @@ def expose_patches(
     return np.clip(noisy, 0.0, np.floor(camera.white_level), out=noisy).astype(np.uint32)
 
 
-def noise_share(signal: Floats, camera: CameraModel, carried: Floats | None = None, dark: float = 0.0) -> Floats:
-    """Variance of the noise that signals (patch, tap) lack, in units of full scale squared; 0 where clipped. `dark` as for
-    `expose_patches`."""
-    variance = _variance(signal, camera, carried, dark)
+def noise_share(
+    signal: Floats,
+    camera: CameraModel,
+    carried: Floats | None = None,
+    dark: float = 0.0,
+    channel: NDArray[np.integer] | None = None,
+) -> Floats:
+    """Variance of the noise that signals (patch, tap) lack, in units of full scale squared; 0 where clipped. `dark` and
+    `channel` as for `expose_patches`."""
+    variance = _variance(signal, camera, carried, dark, channel=channel)
     variance *= signal < 1
     return variance
 
 
-def _variance(signal: Floats, camera: CameraModel, carried: Floats | None, dark: float, later: float = 0.0) -> Floats:
+def _variance(
+    signal: Floats,
+    camera: CameraModel,
+    carried: Floats | None,
+    dark: float,
+    later: float = 0.0,
+    channel: NDArray[np.integer] | None = None,
+) -> Floats:
     """camera.noise_variance in units of full scale, less what signals carry, as only real ones do, which alone are ever
     negative, and what rounding will add `later` (DN²)."""
     if carried is not None:
         signal = np.clip(signal, 0.0, np.inf)
     span = camera.white_level - camera.black_level
-    constant, linear, quadratic = camera.noise_terms(dark)
+    constant, linear, quadratic = camera.noise_terms(dark, channel)
     variance = signal * np.float32(quadratic)
-    variance += np.float32(linear / span)
+    variance += np.asarray(linear / span, np.float32)
     variance *= signal
-    variance += np.float32((constant - later) / span**2)
+    variance += np.asarray((constant - later) / span**2, np.float32)
     return variance if carried is None else np.clip(variance - carried, 0.0, np.inf)

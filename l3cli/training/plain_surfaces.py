@@ -84,7 +84,7 @@ def plain_surfaces(camera: CameraModel, light: LightSpectrum, target: LightSpect
     grid = light.wavelength  # as fine as the edge of titanium white needs
     lit = light.radiance.astype(np.float64)
     wanted = spectra.resample(target.radiance.astype(np.float64), target.wavelength, grid)
-    electrons = camera.electron_weights @ spectra.sampling_matrix(grid, camera.wavelength) * lit
+    electrons = camera.signal_weights @ spectra.sampling_matrix(grid, camera.wavelength) * lit
     matching = spectra.xyz_weights(grid) * wanted
     of_white = matching.sum(axis=1)
     if not of_white.min() > 0 or (np.abs(of_white / of_white[1] - white) > SAME_WHITE * white).any():

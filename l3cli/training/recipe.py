@@ -1,22 +1,24 @@
 """What a class recipe (configs/classes) may say."""
 
 import itertools
-import math
 from collections.abc import Iterator
 from typing import Annotated, ClassVar, Literal
 
 import msgspec
+import numpy as np
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.tree_rule import MOST_LEAVES
 from l3cli.classes.recipe import ClassRecipe
 from l3cli.config import Count, CountOrNone, Positive, Recipe, Share
+from l3cli.errors import RecipeError
 from l3cli.faults import Fault, fault, refuse_first
 
 MOST_PATCHES = 1_000_000_000
 MOST_LATER = 3  # layers after the first
 MOST_STRENGTH = 1e5  # an edge of the structure tensor's trace: what gradients reach lies far below
 MOST_OF_HIGHLIGHTS = 0.5  # where highlights begin: darker than that are the darkest levels of a camera that sees noise alone
+LEAST_SENSITIVE = 1 / 16  # of channels, relative: beyond, planes of layers clip before the channel does
 LEAST_STEP = 0.001  # between such edges, which are stored as integers
 NotNegative = Annotated[float, msgspec.Meta(ge=0)]
 MOST_DRAWS = 1000  # levels of one patch: more tell nothing new
@@ -90,15 +92,27 @@ class TrainingRecipe(Recipe):
 
 def for_camera(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
     """The recipe with what it leaves to the camera: the darkest level, where it names none, is that of a signal as large as
-    its noise, but not below the levels of the classes (docs/method.md#level-rescaling)."""
-    if recipe.learning.darkest:
-        return recipe
-    constant, linear, quadratic = camera.noise_terms()
+    its noise, but not below the levels of the classes (docs/method.md#level-rescaling); the brightest is so far above where
+    the least sensitive channel clips as it is elsewhere above where all do (docs/method.md#exposures). RecipeError if planes
+    between layers cannot hold what channels differ by."""
+    learning, sensitivity = recipe.learning, camera.sensitivity
+    mean = float(sensitivity.mean())
+    if recipe.layer and sensitivity.min() < LEAST_SENSITIVE:
+        raise RecipeError(
+            f"channels of {camera.name} differ {1 / sensitivity.min():.3g} times in exposure and gain, planes between "
+            f"layers hold {1 / LEAST_SENSITIVE:g} times full scale; take a class recipe of one layer, such as single"
+        )
+    if camera.readout is not None:
+        learning = msgspec.structs.replace(learning, brightest=learning.brightest * mean / float(sensitivity.min()))
+    if learning.darkest:
+        return msgspec.structs.replace(recipe, learning=learning)
+    constant, linear, quadratic = camera.noise_terms(channel=np.arange(len(camera.channels)))
     power = max(1 - quadratic, 1e-6)  # of s² = constant + linear s + quadratic s²
-    signal = (linear + math.sqrt(linear**2 + 4 * power * constant)) / (2 * power)
-    level = max(signal / (camera.white_level - camera.black_level), recipe.classes.lowest_level)
-    darkest = min(level, MOST_OF_HIGHLIGHTS * recipe.learning.highlight_from)
-    return msgspec.structs.replace(recipe, learning=msgspec.structs.replace(recipe.learning, darkest=darkest))
+    signals = (linear + np.sqrt(linear**2 + 4 * power * constant)) / (2 * power)
+    signal = float(np.min(signals / sensitivity)) * mean
+    level = max(signal / (camera.white_level - camera.black_level), recipe.classes.lowest_level * mean)
+    darkest = min(level, MOST_OF_HIGHLIGHTS * learning.highlight_from)
+    return msgspec.structs.replace(recipe, learning=msgspec.structs.replace(learning, darkest=darkest))
 
 
 def check_learning(recipe: LearningRecipe) -> None:

@@ -33,6 +33,8 @@ class Goal:
     white_level: float  # DN, at which a pixel of the camera saturates
     misled: Array | float = 0.0  # (channel) how far off, relatively, surfaces make the signals of white
     surfaces: PlainSurfaces | None = None  # under the training light; None: not known, or the outputs are others
+    filters: tuple[int, ...] = ()  # (channel) first channel with its filter; (): every channel has its own
+    sensitivity: Array | None = None  # (channel) as of the camera; None: all alike
 
 
 class Equations(NamedTuple):
@@ -96,7 +98,8 @@ def solve(
     equations = _equations(recipe, goal, rule)
     basis = _opponent_basis(goal)
     white = white_channels(sums, rule, window, goal.white, goal.white_signal, goal.misled)
-    greys = grey_patches(sums, rule, window, goal.white, goal.black_level, goal.white_level, white)
+    levels = goal.black_level, goal.white_level
+    greys = grey_patches(sums, rule, window, goal.white, *levels, white, goal.filters, goal.sensitivity)
     surfaces = _surfaces(rule, window, goal, white) if recipe.plain_surfaces else {}
     gains = None
     if goal.outputs == goal.channels:
@@ -180,7 +183,7 @@ def _bent(
     of_white = (_opponent_basis(goal).T @ goal.white).tolist()
     slack = np.pad(_slack(solutions, copies), (0, 1))
     # Among textures of many bands, each measured by few pixels, sites do better apart; colours show the least difference.
-    free = (rule.split(np.arange(solved.size)).contrast > 0) & (goal.outputs != XYZ)
+    free = (rule.split(np.arange(solved.size)).contrast > 0) & (goal.outputs[:3] != XYZ)
     for kind in (False, True):
         used = slice(None) if kind else slice(0, -1)  # without an intercept there is none to equalise
         here = np.flatnonzero(solved & (saturated == kind))
@@ -209,7 +212,11 @@ def _bent(
 def _exact_white(solutions: list[Solution], goal: Goal) -> Array | None:
     """Signals (channel) of white, if they are known and borne out at every site and the outputs are colours."""
     known, borne = goal.white_signal, [solution.white for solution in solutions]
-    if known is None or goal.outputs != XYZ or not all(each is not None and np.array_equal(each, known) for each in borne):
+    if (
+        known is None
+        or goal.outputs[:3] != XYZ
+        or not all(each is not None and np.array_equal(each, known) for each in borne)
+    ):
         return None
     return known
 
@@ -247,16 +254,17 @@ def _solve_positive(system: Array, right: Array) -> tuple[Array, float]:
 
 def _equations(recipe: LearningRecipe, goal: Goal, rule: ClassRule) -> list[Equations]:
     """Of each row of the opponent basis."""
-    if goal.outputs != XYZ:  # what is no picture has no eyes to please
-        return [Equations(min(recipe.luminance_noise, 1.0), True)] * len(goal.outputs)
+    unseen = Equations(min(recipe.luminance_noise, 1.0), True)  # what is no picture has no eyes to please
+    if goal.outputs[:3] != XYZ:
+        return [unseen] * len(goal.outputs)
     chroma = Equations(recipe.chroma_noise, True)
-    return [chroma, Equations(recipe.luminance_noise, rule.contrasts > 1), chroma]
+    return [chroma, Equations(recipe.luminance_noise, rule.contrasts > 1), chroma] + [unseen] * (len(goal.outputs) - 3)
 
 
 def _opponent_basis(goal: Goal) -> Array:
-    """Columns X − X_w Y, Y, Z − Z_w Y for XYZ, zero on greys under the training light; the identity for other outputs."""
+    """Columns X − X_w Y, Y, Z − Z_w Y for X, Y, Z, zero on greys under the training light; other outputs as they are."""
     basis = np.eye(len(goal.outputs))
-    if goal.outputs == XYZ:
+    if goal.outputs[:3] == XYZ:
         basis[1, 0], basis[1, 2] = -goal.white[0], -goal.white[2]
     return basis
 

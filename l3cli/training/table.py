@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from l3cli.artifacts.training_set import LightSpectrum, TrainingPair, TrainingSe
 from l3cli.classes.chroma import channel_shares, choose_chromas
 from l3cli.classes.decide import observe_patches
 from l3cli.classes.rule import make_rule
-from l3cli.classes.saturation import choose_cases, saturation_codes
+from l3cli.classes.saturation import choose_cases, saturation_codes, spared_cases
 from l3cli.classes.windows import neighbourhoods
 from l3cli.errors import InputFileError
 from l3cli.physics import spectra
@@ -70,7 +71,8 @@ def take_pilot(
             patch_level = np.maximum(pilot.signal.mean(axis=1), 1e-3)
             scale = pilot.possible(draw_levels(recipe.learning, len(patch_level), rng) / patch_level)[:, None]
             carried = None if pilot.carried is None else (pilot.carried * scale**2).astype(np.float32)
-            values = expose_patches((pilot.signal * scale).astype(np.float32), camera, rng, carried, dark)
+            signal = (pilot.signal * scale).astype(np.float32)
+            values = expose_patches(signal, camera, rng, carried, dark, near.channel[site])
             occurrences += np.bincount(saturation_codes(values, rule, near, site), minlength=codes)
             shares.append(channel_shares(pilot.signal, near, site))
             observed.append(observe_patches(values, rule, near, site))
@@ -91,7 +93,9 @@ def survey(
     mean white point (output) of their lights, the mean exposure time (s) of those that are simulated and the mean light, if
     all are known; frames count as they have `patches` (frame)."""
     every = list(pilots)
-    case_of_code = choose_cases(np.sum([pilot.occurrences for pilot in every], axis=0), recipe.classes.max_cases)
+    filters = range(len(head.camera.channels)) if head.camera.readout is None else head.camera.readout.same_filter.tolist()
+    occurrences = np.sum([pilot.occurrences for pilot in every], axis=0)
+    case_of_code = choose_cases(occurrences, recipe.classes.max_cases, filters)
     light = _mean_light(np.concatenate([pilot.lights for pilot in every]), patches, head.camera)
     single = one_light(light) if head.outputs == XYZ else None
     white = white_signal(single, head.camera) if single is not None else None
@@ -101,7 +105,8 @@ def survey(
     counts = np.where(exposures > 0, patches, 0)
     exposure = float(exposures @ counts / max(counts.sum(), 1))
     observed = _together([pilot.observed for pilot in every])
-    rule = make_rule(recipe.classes, head.camera, case_of_code, centres, head.camera.dark_signal(exposure), observed)
+    dark, spared = head.camera.dark_signal(exposure), spared_cases(case_of_code, filters)
+    rule = make_rule(recipe.classes, head.camera, case_of_code, centres, dark, observed, spared)
     return rule, np.average(whites, axis=0, weights=patches), exposure, light
 
 
@@ -196,13 +201,16 @@ def assemble(pass_: TrainingPass, solutions: dict[int, Solution], history: tuple
 def _goal(pass_: TrainingPass) -> Goal:
     camera = pass_.head.camera
     levels = camera.black_level, camera.white_level
+    apart: dict[str, Any] = {}
+    if camera.readout is not None:
+        apart = {"filters": tuple(camera.readout.same_filter.tolist()), "sensitivity": camera.sensitivity}
     if pass_.light is None:
-        return Goal(pass_.head.outputs, camera.channels, pass_.white_point, None, *levels)
+        return Goal(pass_.head.outputs, camera.channels, pass_.white_point, None, *levels, **apart)
     signal, misled = white_signal(pass_.light, camera), misleading(pass_.light, camera)
     surfaces = None
     if one_light(pass_.light) and pass_.head.outputs == XYZ:
         surfaces = plain_surfaces(camera, pass_.light, pass_.head.target_light or pass_.light, pass_.white_point)
-    return Goal(pass_.head.outputs, camera.channels, pass_.white_point, signal, *levels, misled, surfaces)
+    return Goal(pass_.head.outputs, camera.channels, pass_.white_point, signal, *levels, misled, surfaces, **apart)
 
 
 def _light_of(frame: TrainingPair, camera: CameraModel) -> NDArray[np.float64]:

@@ -100,6 +100,21 @@ def test_table_of_one_variant_without_a_compiler(l3: L3, monkeypatch: pytest.Mon
     assert any(line.split()[:3] == ["naive", "kernel", "40×30"] for line in lines)
 
 
+def test_stages_of_two_layers_stand_beside_those_of_one(l3: L3, monkeypatch: pytest.MonkeyPatch) -> None:
+    cases = benchmark.FULL[0], benchmark.Case(80, 50, 5, "bayer", "default")
+    monkeypatch.setattr(benchmark, "FULL", cases)
+    monkeypatch.setattr(benchmark, "FRAMES", 2)
+    monkeypatch.setenv("COLUMNS", "200")
+    code, out, _ = l3("bench", "--variant", "processor", "--device", "0", "--quiet")
+    assert code == 0
+    lines = [line.split() for line in out.splitlines()]
+    (heading,) = [line for line in lines if "structures" in line]
+    one, two = (next(line for line in lines if line[1:5] == ["80×50", "5", name, "3"]) for name in ("fast", "default"))
+    assert heading[5:12] == ["upload", "classes", "planes", "structures", "transforms", "encode", "download"]
+    assert len(two) == len(one) + 2
+    assert all(float(time) > 0 for time in two[7:10])
+
+
 def test_devices_are_listed_and_wrong_ones_refused(l3: L3, refused: Refused) -> None:
     code, out, _ = l3("bench", "--list")
     assert code == 0

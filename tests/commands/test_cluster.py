@@ -176,6 +176,9 @@ def test_render_gives_the_same_bytes(cluster: Cluster, made: Path, tmp_path: Pat
     pages = ("-o", tmp_path / "pages.tif", "--bits", 32, "--space", "acescg")
     assert l3("render", *frames(made), *pages, *where)[0] == 0
     assert (tmp_path / "pages.tif").read_bytes() == (made / "pages.tif").read_bytes()
+    for name, there in (("filtered", ()), ("filtered_there", where)):
+        assert l3("render", *frames(made), "--exposure", 1, "--temporal", "-o", tmp_path / name, *there)[0] == 0
+    assert _content(tmp_path / "filtered") == _content(tmp_path / "filtered_there")
 
 
 def test_a_broken_frame_is_named_or_left_out(cluster: Cluster, made: Path, tmp_path: Path, l3: Callable) -> None:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import sys
 from pathlib import Path
 
 import pytest
@@ -53,6 +54,40 @@ def test_a_folder_is_written_alike_twice(table: Path, tmp_path: Path, l3: L3) ->
     assert named | {"table.json"} == set(contents(tmp_path / "one"))
 
 
+def test_an_onnx_graph_is_written_alike_twice(table: Path, tmp_path: Path, l3: L3) -> None:
+    for name in ("one", "two"):
+        assert l3("export", table, "-o", tmp_path / name, "--to", "onnx", "--quiet")[0] == 0
+    assert contents(tmp_path / "one") == contents(tmp_path / "two")
+    assert sorted(contents(tmp_path / "one")) == [
+        "README.md", "table.onnx", "test_labels.bin", "test_outputs.bin", "test_raw.bin"
+    ]  # fmt: skip
+
+
+def test_without_onnx_its_extra_is_named(
+    table: Path, tmp_path: Path, refused: Refused, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "onnx", None)
+    line = refused(2, "export", table, "-o", tmp_path / "o", "--to", "onnx")
+    assert 'install it with: pip install "l3cli[onnx]"' in line
+    assert not (tmp_path / "o").exists()
+
+
+def test_words_are_of_c_source(table: Path, bayer: CameraModel, tmp_path: Path, l3: L3, refused: Refused) -> None:
+    assert l3("export", table, "-o", tmp_path / "c", "--words", "int16", "--quiet")[0] == 0
+    assert sorted(contents(tmp_path / "c")) == C_FILES
+    assert "typedef int16_t L3Output;" in (tmp_path / "c" / "l3_table.h").read_text()
+    assert "$" not in contents(tmp_path / "c")["README.md"].decode()
+    assert "--words is for C source" in refused(
+        2, "export", table, "-o", tmp_path / "f", "--to", "folder", "--words", "int16"
+    )
+    save(bayer, tmp_path / "camera.h5")
+    assert "--words is for transform" in refused(
+        2, "export", tmp_path / "camera.h5", "-o", tmp_path / "f", "--words", "int16"
+    )
+    assert "'half'; there are float32, int16" in refused(2, "export", table, "-o", tmp_path / "f", "--words", "half")
+    assert not (tmp_path / "f").exists()
+
+
 def test_wrong_artifacts_and_forms_are_refused(table: Path, bayer: CameraModel, tmp_path: Path, refused: Refused) -> None:
     save(bayer, tmp_path / "camera.h5")
     line = refused(2, "export", tmp_path / "camera.h5", "-o", tmp_path / "c", "--to", "c")
@@ -61,7 +96,7 @@ def test_wrong_artifacts_and_forms_are_refused(table: Path, bayer: CameraModel, 
     save(some_sums(bayer)[0], tmp_path / "sums.h5")
     line = refused(3, "export", tmp_path / "sums.h5", "-o", tmp_path / "c")
     assert "sums; give a camera model or recipe, or a transform table" in line
-    assert "'onnx'; there are c, folder" in refused(2, "export", table, "-o", tmp_path / "c", "--to", "onnx")
+    assert "'halide'; there are c, folder, onnx" in refused(2, "export", table, "-o", tmp_path / "c", "--to", "halide")
     assert "is a file; name a folder" in refused(1, "export", table, "-o", table)
     assert not (tmp_path / "c").exists()
 

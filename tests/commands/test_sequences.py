@@ -181,7 +181,6 @@ def test_wrong_calls_are_refused_in_one_line(refused: Refused, tmp_path: Path, t
         (2, "no number", (folder, *out, "--fps", "fast")),
         (2, "within 0.001…1000", (folder, *out, "--fps", 0)),
         (2, "--size", ("-", *out)),
-        (2, "give it alone", (folder, tmp_path / "mixed.npy", *out)),
         (2, "holds one picture", (folder / "*.tif", "-o", tmp_path / "a.png")),
         (2, "a.gif", (folder / "*.tif", "-o", tmp_path / "a.gif")),
         (2, "--codec", (folder / "*.tif", *out, "--codec", "h264")),

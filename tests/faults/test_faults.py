@@ -101,7 +101,7 @@ STAGES = [
     Stage("video", f"{RENDER} -o out/clip.mkv"),
     Stage(
         "evaluate",
-        "evaluate in/table.h5 in/unseen.h5 --json --pictures out/pictures --backend reference --quiet",
+        "evaluate in/table.h5 in/unseen.h5 --pictures out/pictures --backend reference --quiet",
         goes_on=True,
     ),
     Stage("report", "report in/camera.h5 in/table.h5 in/unseen.h5 -o out/report.html --backend reference --quiet"),
@@ -151,15 +151,12 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def compared(inputs: Path) -> None:
     """The two evaluations that l3 compare takes."""
-    from l3cli.cli import l3
+    from l3cli.cli import run
 
     for name in ("a", "b"):
-        from click.testing import CliRunner
-
         arguments = ["evaluate", str(inputs / "table.h5"), str(inputs / "unseen.h5"), "--json", "--backend", "reference"]
-        result = CliRunner().invoke(l3, arguments)
-        assert result.exit_code == 0
-        (inputs / f"{name}.json").write_text(result.stdout)
+        with open(inputs / f"{name}.json", "w") as printed, contextlib.redirect_stdout(printed):
+            assert run(arguments) == 0
 
 
 @pytest.fixture(scope="module")

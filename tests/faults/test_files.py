@@ -3,6 +3,7 @@
 import errno
 import fcntl
 import os
+import resource
 from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
@@ -11,9 +12,11 @@ import numpy as np
 import pytest
 
 from l3cli import files
+from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.container import new_file
 from l3cli.errors import L3Error
 from l3cli.files import atomic_output, write_whole
+from l3cli.io.raw.dng_writer import LIGHT_CODES, RawColour, write_dng
 from l3cli.io.video import VideoChoice, new_video, new_y4m
 from l3cli.locks import sole_writer_of_file, sole_writer_of_folder
 
@@ -184,6 +187,19 @@ def test_a_full_disk_names_the_output(tmp_path: Path) -> None:
     with pytest.raises(L3Error, match=r"b\.txt cannot be written: Is a directory; name another output"):
         block_disk()
     assert names(tmp_path) == ["b.txt"]
+
+
+def test_a_raw_file_that_does_not_fit_names_itself(bayer: CameraModel, tmp_path: Path) -> None:
+    """The library that makes it would say that only a part of an array was written."""
+    path, before = tmp_path / "a.dng", resource.getrlimit(resource.RLIMIT_FSIZE)
+    colour = RawColour({light: np.eye(3) for light in LIGHT_CODES})
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2000, before[1]))
+    try:
+        with pytest.raises(L3Error, match=r"a\.dng cannot be written: File too large; free some space"):
+            write_dng(path, np.full((64, 64), 500, np.uint16), bayer, colour, None, 0.01)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert names(tmp_path) == []
 
 
 # ------------------------------------------------------------------------------------------------ in folders of others

@@ -14,7 +14,7 @@ from tests.helpers.cameras import bayer_camera
 
 SCENES = 'exposure_share = [0.9]\n[[scene]]\nsource = "dead leaves"\nsize = [32, 40]\ncount = 3\n'
 SIMULATE = "simulate scenes.toml --camera camera.toml -o out/set.h5 --pictures out/pictures --dng out/dng --quiet"
-EVALUATE = "evaluate table.h5 set.h5 --pictures out/pictures --json --backend reference --quiet"
+EVALUATE = "evaluate table.h5 set.h5 --pictures out/pictures --backend reference --quiet"
 
 
 @pytest.fixture(scope="module")

@@ -27,12 +27,15 @@ def pictures(folder: Path, pattern: str = "*.png") -> dict[str, np.ndarray]:
     return {path.name: read_image(path)[0] for path in sorted(folder.glob(pattern))}
 
 
-def write_raw_video(path: Path, pixels: str = "gray12le", rate: int = 24, group: int = 1) -> Path:
+def write_raw_video(
+    path: Path, pixels: str = "gray12le", rate: int = 24, group: int = 1, mosaics: np.ndarray | None = None
+) -> Path:
+    mosaics = frames() if mosaics is None else mosaics
     with av.open(str(path), "w") as video:
         options = {"level": "3", "slicecrc": "1", "slices": "4", "g": str(group)}
         stream = video.add_stream("ffv1", rate=rate, options=options)
-        stream.width, stream.height, stream.pix_fmt = RGGB.cols, RGGB.rows, pixels
-        for mosaic in frames():
+        stream.height, stream.width, stream.pix_fmt = *mosaics.shape[1:], pixels
+        for mosaic in mosaics:
             values = (mosaic >> 4).astype(np.uint8) if pixels == "gray" else mosaic
             video.mux(stream.encode(av.VideoFrame.from_ndarray(values, format=pixels)))
         video.mux(stream.encode())

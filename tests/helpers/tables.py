@@ -50,7 +50,7 @@ def with_later(table: TransformTable, *sides: int, seed: int = 1) -> TransformTa
             strength_edges=np.arange(1, 3 + step, dtype=np.uint32) * 1000,
             coherence=24,
             turns=rng.choice([-1, 1], (sites, 2)).astype(np.int8),
-            cases=below.cases,
+            cases=below.lost_cases,
         )
         classes = sites * rule.classes_per_site
         weights = (rng.normal(size=(classes, outputs, outputs * side**2)) / side).astype(np.float32)

@@ -26,6 +26,7 @@ from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.simulation import sensor
 from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import BAYER, FIVE_BAND, X_TRANS, random_camera
+from tests.helpers.sequences import write_raw_video
 from tests.helpers.tables import random_table
 
 LEAKY = ("dark_current_e_per_s = 5.0", "dark_current_e_per_s = 60.0")
@@ -213,6 +214,8 @@ def test_exposure_time_or_dark_frame_or_training_says_what_is_subtracted(leaky: 
 def test_many_dark_frames_are_a_sequence_or_several_options(leaky: Path, l3: L3) -> None:
     one, _ = picture(leaky, l3, "--dark", leaky / "dark.npy")
     np.save(leaky / "stack.npy", np.full((5, 24, 32), 400, np.uint16))
+    write_raw_video(leaky / "dark.mkv", mosaics=np.full((3, 24, 32), 400, np.uint16))  # its end alone says how many
+    assert picture(leaky, l3, "--dark", leaky / "dark.mkv")[0] == one
     assert picture(leaky, l3, "--dark", leaky / "stack.npy")[0] == one
     assert picture(leaky, l3, "--dark", leaky / "dark.npy", "--dark", leaky / "dark.npy")[0] == one
 

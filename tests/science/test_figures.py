@@ -108,11 +108,11 @@ def test_a_grid_finer_than_the_camera_and_beyond_it_holds_no_nan() -> None:
 
 def test_what_is_no_number_is_null_and_said(capsys: pytest.CaptureFixture[str]) -> None:
     document = {"a": [1.0, float("nan")], "b": {"c": float("-inf")}, "d": "nan", "e": None, "f": (True, 2)}
-    terminal.show_json(document, terminal.Terminal())
+    terminal.show_json(terminal.finite(document, terminal.Terminal()))
     out, err = capsys.readouterr()
     assert strict(out) == {"a": [1.0, None], "b": {"c": None}, "d": "nan", "e": None, "f": [True, 2]}
     assert err == "warning: a.1, b.c: cannot be computed; null in the JSON\n"
-    terminal.show_json(document, terminal.ErrorsOnly())
+    terminal.show_json(terminal.finite(document, terminal.ErrorsOnly()))
     assert capsys.readouterr().err == ""
     assert [figure(value, ".2f") for value in (1.234, float("nan"), float("inf"))] == ["1.23", "–", "–"]
 

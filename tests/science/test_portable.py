@@ -21,10 +21,13 @@ from numpy.typing import ArrayLike, NDArray
 from l3cli.artifacts.structure_rule import StructureRule
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes import direction
+from l3cli.errors import InputFileError
 from l3cli.frame import RawFrame
 from l3cli.rendering.portable.folder import folder_files
-from l3cli.rendering.portable.source import c_files
-from l3cli.rendering.portable.wordlengths import in_words
+from l3cli.rendering.portable.short_words import OUTPUT_FRACTION, OUTPUT_TOP, short_words
+from l3cli.rendering.portable.source import Words, c_files
+from l3cli.rendering.portable.vector import drawn_mosaic
+from l3cli.rendering.portable.wordlengths import SEED, SHAPE, in_words, short_cost
 from l3cli.rendering.reference import ReferenceRenderer
 from tests.helpers.tables import random_table, with_first, with_later, with_tree
 
@@ -71,21 +74,21 @@ needs_compiler = pytest.mark.skipif(CC is None, reason="there is no C compiler (
 class Built:
     """A table, the folder with its C source, and l3_render of it."""
 
-    def __init__(self, table: TransformTable, folder: Path) -> None:
-        self.table, self.folder = table, folder
-        for name, content in c_files(table).items():
+    def __init__(self, table: TransformTable, folder: Path, words: Words) -> None:
+        self.table, self.folder, self.words = table, folder, words
+        for name, content in c_files(table, words).items():
             (folder / name).write_bytes(content)
         compile_c(folder, "-O1", "-fPIC", "-c", "l3_table.c")
         compile_c(folder, "-O1", "-fPIC", "-shared", "l3.c", "l3_table.o", "-o", "l3.so")
         self._library: Any = ctypes.CDLL(str(folder / "l3.so"))
         self._library.l3_workspace_bytes.restype = ctypes.c_size_t
 
-    def render(self, frame: RawFrame) -> tuple[NDArray[np.uint32], NDArray[np.float32]]:
+    def render(self, frame: RawFrame) -> tuple[NDArray[np.uint32], NDArray]:
         """Labels (layer, row, col) and outputs (output, row, col); the workspace is full of rubbish before."""
         rows, columns = frame.values.shape
         workspace = np.full(self._library.l3_workspace_bytes(rows, columns), 0xA5, np.uint8)
         labels = np.empty((len(self.table.layers), rows, columns), np.uint32)
-        outputs = np.empty((len(self.table.outputs), rows, columns), np.float32)
+        outputs = np.empty((len(self.table.outputs), rows, columns), self.words)
         raw, *buffers = (
             array.ctypes.data_as(ctypes.c_void_p)
             for array in (np.ascontiguousarray(frame.values), workspace, labels, outputs)
@@ -102,9 +105,14 @@ def compile_c(folder: Path, *arguments: str, compiler: str | None = CC) -> None:
     assert done.returncode == 0, done.stderr
 
 
-@pytest.fixture(scope="module", params=TABLES)
+CASES: list[tuple[str, Words]] = [(name, "float32") for name in TABLES]
+CASES += [("one layer, 2 × 3, 16 bits", "int16"), ("a tree, 6 × 6", "int16")]
+
+
+@pytest.fixture(scope="module", params=CASES, ids=", ".join)
 def built(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Built:
-    return Built(TABLES[request.param](), tmp_path_factory.mktemp("c"))
+    name, words = request.param
+    return Built(TABLES[name](), tmp_path_factory.mktemp("c"), words)
 
 
 def mosaic(table: TransformTable, shape: tuple[int, int], seed: int, level: float, phase: tuple[int, int]) -> RawFrame:
@@ -115,6 +123,13 @@ def mosaic(table: TransformTable, shape: tuple[int, int], seed: int, level: floa
     values = table.black_level + level * span * (1 + 0.4 * blocks + 0.1 * rng.normal(size=shape))
     values = np.where(rng.random(shape) < seed % 2 / 7, rng.integers(0, 2**16, shape), values)
     return RawFrame("drawn", np.clip(values, 0, 2**16 - 1).astype(np.uint16), table.black_level, table.white_level, phase)
+
+
+def steps_rounded_off(table: TransformTable) -> float:
+    """By how many steps words can differ because weights are rounded, on the worst of all frames."""
+    last, words = table.layers[-1], short_words(table)
+    off = np.abs(words.in_floats(table).astype(float) - last.weights).sum(axis=-1).max()
+    return float(off * (16 if table.later else 1) * 2**OUTPUT_FRACTION)
 
 
 @needs_compiler
@@ -129,6 +144,10 @@ def test_any_mosaic_gets_the_classes_and_outputs_of_the_reference(built: Built, 
     for layer in range(len(table.layers)):
         np.testing.assert_array_equal(labels[layer], reference.labels(frame, layer))
     exact = reference.exact_outputs(frame)
+    if built.words == "int16":
+        words = np.clip(np.rint(np.ldexp(exact, OUTPUT_FRACTION)), -OUTPUT_TOP, OUTPUT_TOP)
+        assert np.abs(outputs - words).max() <= 1 + steps_rounded_off(table)
+        return
     weights = np.abs(table.layers[-1].weights).sum(axis=-1).max()  # 16 in random layers: terms cancel, roundings do not
     assert np.abs(outputs - exact).max() <= 4 * 2.0**-24 * weights * max(1.0, np.abs(exact).max())
 
@@ -152,6 +171,19 @@ def test_the_test_program_agrees_under_sanitizers(built: Built) -> None:
 
 
 @needs_compiler
+@pytest.mark.parametrize("built", [case for case in CASES if case[1] == "int16"], indirect=True, ids=", ".join)
+def test_short_words_cost_what_is_stated(built: Built) -> None:
+    table = built.table
+    frame = RawFrame("drawn", drawn_mosaic(table, SHAPE, SEED), table.black_level, table.white_level)
+    top = OUTPUT_TOP / 2**OUTPUT_FRACTION
+    exact = np.clip(ReferenceRenderer(table).exact_outputs(frame), -top, top)
+    made = np.ldexp(built.render(frame)[1].astype(float), -OUTPUT_FRACTION)
+    stated, _ = short_cost(table, short_words(table))
+    assert abs(-10 * np.log10(np.square(made - exact).mean()) - stated) < 0.1
+    assert f"words are {stated:.1f} dB below" in (built.folder / "README.md").read_text(encoding="utf-8")
+
+
+@needs_compiler
 def test_sizes_and_phases_that_cannot_be_are_refused(built: Built) -> None:
     rows, _ = built.table.cfa.shape
     for shape, phase in (((0, 9), (0, 0)), ((9, -1), (0, 0)), ((70_000, 9), (0, 0)), ((9, 9), (rows, 0)), ((9, 9), (0, -1))):
@@ -159,7 +191,7 @@ def test_sizes_and_phases_that_cannot_be_are_refused(built: Built) -> None:
 
 
 @needs_compiler
-@pytest.mark.parametrize("built", ["a tree, 6 × 6"], indirect=True)
+@pytest.mark.parametrize("built", [case for case in CASES if case[0] == "a tree, 6 × 6"], indirect=True, ids=", ".join)
 @pytest.mark.skipif(ARM is None or QEMU is None, reason="needs arm-linux-gnueabihf-gcc and qemu-arm")
 def test_32_bit_arm_agrees(built: Built) -> None:
     compile_c(built.folder, "-O1", "-static", "l3.c", "l3_table.c", "test.c", "-o", "l3_arm", compiler=ARM)
@@ -174,7 +206,7 @@ def test_numbers_do_not_follow_the_print_options_of_numpy() -> None:
     with np.printoptions(legacy="1.13", precision=3):  # as a library may set them
         assert c_files(table) == plain
     text = plain["l3_table.c"].decode()
-    numbers = re.findall(r"[-+.e0-9]+(?=f)", text[text.index("float l3_intercept") :])
+    numbers = re.findall(r"[-+.e0-9]+(?=f)", text[text.index("float l3_last_intercept") :])
     np.testing.assert_array_equal(np.array(numbers, np.float32), table.first.intercept.ravel())
 
 
@@ -228,3 +260,30 @@ def test_words_are_the_nearest_that_fit() -> None:
     assert np.abs(words.whole).max() <= 127
     assert (np.abs(words.weights - weights) <= np.ldexp(0.5, -words.fraction.astype(int))[:, None, None]).all()
     assert set(in_words(weights, 8, "table").fraction.tolist()) == {7}
+
+
+def test_transforms_beyond_short_words_are_refused() -> None:
+    table = random_table([[0, 1], [1, 2]])
+    with pytest.raises(InputFileError, match="too large for words of 16 bits; export them as float32"):
+        short_words(with_first(table, weights=table.first.weights * 1e6))
+    zero = short_words(with_first(table, weights=table.first.weights * 0))
+    assert not zero.whole.any()
+
+
+@pytest.mark.parametrize("name", ["one layer, 2 × 3, 16 bits", "a tree, 6 × 6"])
+def test_no_sum_of_short_words_leaves_32_bits(name: str) -> None:
+    table = TABLES[name]()
+    table = dataclasses.replace(table, later=table.later[-1:])
+    words, weights = short_words(table), table.layers[-1].weights
+    whole, high = np.abs(words.whole).astype(np.int64), 2**11
+    sums = whole.sum(axis=-1) * high + np.abs(words.intercept.astype(np.int64)) + (1 << words.fraction.astype(np.int64) >> 1)
+    assert sums.max() < 2**31 - whole.sum(axis=-1).max()
+    assert (whole.sum(axis=-1) << words.split).max() < 2**31
+    assert (np.sort(whole, axis=-1)[..., -2] < 2**15).all(), "only the largest may be beyond 16 bits"
+    finer = sums > 2**30 - 2**26
+    finer |= np.sort(whole, axis=-1)[..., -2] > 2**14 - 16
+    assert finer.all(), "a bit more fits"
+    off = words.in_floats(table).astype(float) - weights
+    unit = np.abs(off).max(axis=-1) / (np.abs(weights).max(axis=-1) / whole.max(axis=-1))
+    assert 0.5 < np.median(unit) < 2, "weights are moved by more than what rounding them leaves"
+    assert np.abs(off.sum(axis=-1)).max() < np.abs(off).sum(axis=-1).min(), "errors of neighbours add up"

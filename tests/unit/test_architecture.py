@@ -23,6 +23,7 @@ FLOORS = [
         "recipe_schema",
         "recipes",
         "files",
+        "ledger",
         "locks",
         "columns",
         "quantities",
@@ -67,6 +68,7 @@ DOORS = {
     "jinja2": ("report/",),
     "markupsafe": ("report/",),
     "colour_demosaicing": ("evaluation/",),
+    "onnx": ("rendering/portable/onnx_graph.py",),
     "vapoursynth": ("video_hosts/vapoursynth.py",),
     "gi": ("video_hosts/gstreamer.py", "video_hosts/plugins/"),
 }

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.class_rule import Axis, ClassRule
+from l3cli.artifacts.class_rule import ClassRule
+from l3cli.artifacts.further_features import Axis
 from l3cli.artifacts.schema import equal
 from l3cli.artifacts.store import describe, load, save
 from l3cli.artifacts.table import TransformTable

@@ -49,6 +49,8 @@ def test_every_citation_leads_to_a_heading() -> None:
 
 def cited_page(citing: Path, name: str) -> Path:
     """The page that is meant: pages link relative to themselves, all else cites from the top."""
+    if (ROOT / "docs/site") in citing.parents:  # what makes pages of docs/reference
+        return ROOT / "docs" / Path(name).name
     return (citing.parent / name).resolve() if citing.suffix == ".md" and (citing.parent / name).exists() else ROOT / name
 
 

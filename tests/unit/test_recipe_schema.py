@@ -120,5 +120,5 @@ def test_keys_have_their_meaning() -> None:
 
 
 def test_the_command_offers_every_kind(refused: Refused) -> None:
-    assert [*OFFERED] == [*KINDS]
+    assert [*OFFERED] == [*KINDS, "output"]
     assert 'did you mean "camera"?' in refused(2, "schema", "camra")

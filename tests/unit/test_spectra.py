@@ -1,5 +1,6 @@
 """Spectra on other grids: what a table holds between the samples of another is neither lost nor counted twice."""
 
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 
@@ -240,3 +241,14 @@ def test_a_table_that_falls_is_read_and_one_out_of_order_refused(tmp_path: Path)
         path.write_text(wrong)
         with pytest.raises(InputFileError, match="must increase"):
             read_table(path)
+
+
+@pytest.mark.parametrize("wavelength", [np.arange(850.0, 1001.0, 5.0), np.arange(200.0, 351.0, 5.0)])
+def test_a_camera_that_sees_nothing_visible_has_no_saturation_exposure(bayer: CameraModel, wavelength: np.ndarray) -> None:
+    def seeing(wavelength: np.ndarray) -> CameraModel:
+        curves = np.full((3, wavelength.size), 0.3)
+        return dataclasses.replace(bayer, wavelength=wavelength, responsivity=curves, responsivity_band=0 * curves)
+
+    with pytest.raises(InputFileError, match=rf"camera small Bayer: light of {wavelength[0]:g}.*380…780 nm"):
+        _ = seeing(wavelength).saturation_exposure
+    assert seeing(np.arange(750.0, 1001.0, 5.0)).saturation_exposure > 0

@@ -3,6 +3,7 @@
 Nothing in a file depends on when and where it was written.
 """
 
+import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from l3cli import __version__
 from l3cli.artifacts.camera import CameraModel
-from l3cli.files import atomic_output
+from l3cli.files import write_whole
 from l3cli.io.raw.cfa_codes import channel_codes
 from l3cli.io.raw.tiff_tags import (
     BYTE,
@@ -58,17 +59,18 @@ def write_dng(
 
     mosaic, seen = _mosaic_tags(camera, values.shape), _colour_tags(camera, colour, neutral)
     tags = sorted([*mosaic, *seen, *_shot(camera, exposure)])
-    with atomic_output(path) as temporary:
-        tifffile.imwrite(
-            temporary,
-            values,
-            byteorder="<",
-            photometric=COLOUR_FILTER_ARRAY,
-            rowsperstrip=values.shape[0],
-            metadata=None,
-            software=f"l3cli {__version__}",
-            extratags=tags,
-        )
+    content = io.BytesIO()  # not the file: tifffile leaves the reason out where a disk is full
+    tifffile.imwrite(
+        content,
+        values,
+        byteorder="<",
+        photometric=COLOUR_FILTER_ARRAY,
+        rowsperstrip=values.shape[0],
+        metadata=None,
+        software=f"l3cli {__version__}",
+        extratags=tags,
+    )
+    write_whole(path, content.getbuffer())
 
 
 def _mosaic_tags(camera: CameraModel, shape: Sequence[int]) -> list[Entry]:

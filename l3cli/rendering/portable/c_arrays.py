@@ -12,17 +12,20 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.tree_rule import TreeRule
 from l3cli.classes import contrast, direction, level, saturation
 from l3cli.classes.features import further_features
+from l3cli.classes.later import first_label_words
+from l3cli.classes.plane_kernel import rule_constants, rule_macros
 from l3cli.classes.planes import fixed_point, later_fixed_point, opponent_basis
-from l3cli.classes.tree import EVERY, turned_tests
 from l3cli.classes.windows import neighbourhoods
 from l3cli.rendering.layout import (
-    Weights,
+    PLANES,
     WholeWeights,
+    by_column,
     first_plane_weights,
     first_weights,
     later_plane_weights,
     later_weights,
 )
+from l3cli.rendering.portable.short_words import ShortWords
 
 TAP_GROUP = 16  # taps are filled up to a multiple by weights of zero, so that loops over them have no rest
 TYPES = {
@@ -35,6 +38,7 @@ TYPES = {
     "float32": "float",
 }
 PER_LINE = 20  # numbers
+SHORT_TOP = 2**15 - 1
 
 
 @dataclass(frozen=True)
@@ -72,8 +76,8 @@ def filled(taps: int) -> int:
     return -(-taps // TAP_GROUP) * TAP_GROUP
 
 
-def table_arrays(table: TransformTable) -> tuple[list[Array], list[str]]:
-    """The arrays of l3_table.c, and the lines that follow them."""
+def table_arrays(table: TransformTable, short: ShortWords | None) -> tuple[list[Array], list[str]]:
+    """The arrays of l3_table.c, those of the last layer floats unless `short`, and the lines that follow them."""
     rule, near = table.first.rule, neighbourhoods(table.cfa, table.first.rule.patch, len(table.channels))
     arrays = [
         Array("l3_cfa", table.cfa, "channel of each site (CFA row, CFA column)"),
@@ -91,60 +95,74 @@ def table_arrays(table: TransformTable) -> tuple[list[Array], list[str]]:
     for _, axis in further_features(rule):
         edges = axis.constants[direction.HEAD :].reshape(-1, rule.levels)
         arrays.append(Array("l3_direction_edges", edges, "strength edges (edge, level)"))
-        lines += ["/* sum, top, left, rows, columns, sign */", "const L3Window l3_windows[L3_WINDOWS] = {",
-                  *(f"{{{', '.join(map(str, window))}}}," for window in axis.windows), "};"]  # fmt: skip
+        windows = sorted(axis.windows, key=lambda window: (window.top, window.rows, window.sum))
+        lines += ["/* sum, top, left, rows, columns, sign */", "const L3Window l3_windows[L3_WINDOWS] = {"]
+        lines += [*(f"{{{', '.join(map(str, window))}}}," for window in windows), "};"]
+    arrays += _last_words(table, short) if short else _last_floats(table)
     if table.later:
         more, layers = _layers(table)
         return [*arrays, *more], [*lines, *layers, ""]
-    return [*arrays, *_floats("l3_", _filled_weights(first_weights(table)), nested=True)], [*lines, ""]
+    return arrays, [*lines, ""]
+
+
+def _last_floats(table: TransformTable) -> list[Array]:
+    weights = later_weights(table.later[-1]) if table.later else first_weights(table)
+    return [
+        Array("l3_last_weights", _fill(weights.taps), "(class, output, tap)", nested=False),
+        Array("l3_last_intercept", weights.intercept, "(class, output)", nested=False),
+    ]
+
+
+def _last_words(table: TransformTable, words: ShortWords) -> list[Array]:
+    taps = _fill(by_column(words.whole, PLANES if table.later else 1))
+    short = np.clip(taps, -SHORT_TOP, SHORT_TOP).astype(np.int16)
+    rest = taps - short
+    return [
+        Array("l3_last_weights", short, "times 2^(shift + L3_SPLIT) (class, output, tap)", nested=False),
+        Array("l3_last_intercept", words.intercept, "times 2^shift (class, output)", nested=False),
+        Array("l3_last_shift", words.fraction, "from sums to outputs (class, output)", nested=False),
+        Array(
+            "l3_last_rest",
+            rest.sum(axis=-1, dtype=np.int32),
+            "what one weight has beyond 16 bits (class, output)",
+            nested=False,
+        ),
+        Array("l3_last_tap", np.abs(rest).argmax(axis=-1).astype(np.uint16), "which (class, output)", nested=False),
+    ]
 
 
 def _layers(table: TransformTable) -> tuple[list[Array], list[str]]:
     """Arrays and structs of a table of several layers."""
     basis = opponent_basis(table.white_point)
     arrays = _fixed("l3_", first_plane_weights(fixed_point(table), table.bits))
-    turned = [turned_tests(turn) for turn in range(8)]
-    arrays += [
-        Array("l3_turned_test", np.array([tests for tests, _ in turned], np.uint8), "(orientation, test)"),
-        Array("l3_turned_sign", np.array([signs for _, signs in turned]).astype(np.int8), "(orientation, test)"),
-        Array("l3_denominator", np.array([test.denominator for test in EVERY], np.uint8), "denominator of each test (test)"),
-    ]
     structs, entries = [], []
     for number, layer in enumerate(table.later, 2):
         prefix = f"layer{number}_"
         rule, last = layer.rule, number == len(table.layers)
-        if last:
-            arrays += _floats(prefix, _filled_weights(later_weights(layer)), nested=False)
-        else:
-            whole = later_plane_weights(later_fixed_point(layer, basis))
-            arrays += _fixed(prefix, whole)
+        if not last:
+            arrays += _fixed(prefix, later_plane_weights(later_fixed_point(layer, basis)))
         more, struct = _structure(prefix, rule) if isinstance(rule, StructureRule) else _tree(prefix, rule)
-        doc = "of gradients (level of the first layer)"
-        scale = (("factor", rule.gradient_factor), ("shift", rule.gradient_shift))
-        arrays += [*(Array(prefix + name, values, doc) for name, values in scale), *more]
+        label_words = first_label_words(rule, table.first.rule)
+        arrays += [
+            Array(f"{prefix}gradient", (label_words & 0xFFFFFFFF).astype(np.uint32), "(class of the first layer)"),
+            Array(f"{prefix}first_class", (label_words >> 32).astype(np.uint32), "(class of the first layer)"),
+            *more,
+        ]
         structs.append(struct)
-        entries.append(_entry(table, layer, prefix, last))
+        entries.append(_entry(layer, prefix, last))
     return arrays, [*structs, "", "const L3PlaneLayer l3_layers[L3_LAYERS - 1] = {", *entries, "};"]
 
 
-def _entry(table: TransformTable, layer: PlaneLayer, prefix: str, last: bool) -> str:
-    rule = layer.rule
-    structured = isinstance(rule, StructureRule)
-    step = rule.level_step if isinstance(rule, StructureRule) else table.first.rule.levels
+def _entry(layer: PlaneLayer, prefix: str, last: bool) -> str:
+    structured = isinstance(layer.rule, StructureRule)
     fields: dict[str, int | str] = {
         "side": layer.side,
         "taps": filled(3 * layer.side**2),
-        "levels": rule.levels,
-        "level_step": step,
-        "structures": rule.structures,
-        "kinds": rule.kinds,
-        "gradient_factor": f"{prefix}factor",
-        "gradient_shift": f"{prefix}shift",
+        "gradient": f"{prefix}gradient",
+        "first_class": f"{prefix}first_class",
         "structure" if structured else "tree": f"&{prefix}rule",
     }
-    if last:
-        fields |= {"weights": f"{prefix}weights", "intercept": f"{prefix}intercept"}
-    else:
+    if not last:
         fields |= {
             "fixed_weights": f"{prefix}weights",
             "fixed_intercept": f"{prefix}intercept",
@@ -156,29 +174,31 @@ def _entry(table: TransformTable, layer: PlaneLayer, prefix: str, last: bool) ->
 def _structure(prefix: str, rule: StructureRule) -> tuple[list[Array], str]:
     arrays = [
         Array(f"{prefix}edges", _some(rule.strength_edges), "strength edges (edge)"),
-        Array(f"{prefix}turns", rule.turns, "signs of the tensor's components (site, component)", nested=False),
     ]
-    values = f"{rule.strengths}, {rule.coherence}, {prefix}edges, {prefix}turns"
+    values = f"{rule.strengths}, {rule.coherence}, {prefix}edges"
     return arrays, f"static const L3Structure {prefix}rule = {{{values}}};"
 
 
 def _tree(prefix: str, rule: TreeRule) -> tuple[list[Array], str]:
+    """The words of opencl/trees.cl, each kind in an array of its own."""
+    parts = int(rule_macros(rule)["PARTS"])
+    (words,) = rule_constants(rule, "processor")
+    groups = -(-parts // 32) + parts
+    start, first, tests = (
+        words[: groups + 1],
+        words[groups + 1 : groups + 1 + parts],
+        words[groups + 1 + parts :].reshape(-1, 3),
+    )
     arrays = [
-        Array(f"{prefix}test", rule.test, "(node)"),
-        Array(f"{prefix}threshold", rule.threshold, "(node)"),
-        Array(f"{prefix}branch", rule.branch, "first of a node's two branches; 0: a leaf (node)"),
-        Array(f"{prefix}leaf", rule.leaf.astype(np.uint16), "number of the leaf (node)"),
-        Array(f"{prefix}turns", rule.turns, "orientation in which a site is learned (site)"),
+        Array(f"{prefix}start", (start - start[0]) // 3, "first test of each group, and behind the last (group + 1)"),
+        Array(f"{prefix}first_leaf", first, "(part)"),
+        Array(f"{prefix}threshold", tests[:, 0].copy().view(np.float32), "(test)"),
+        Array(f"{prefix}numerator", tests[:, 1].astype(np.uint8), "(test)"),
+        Array(f"{prefix}denominator", (tests[:, 1] >> 8).astype(np.uint8), "(test)"),
+        Array(f"{prefix}ruled_out", tests[:, 2], "(test)"),
     ]
-    values = ", ".join(f"{prefix}{name}" for name in ("test", "threshold", "branch", "leaf", "turns"))
+    values = ", ".join([str(parts), *(array.name for array in arrays)])
     return arrays, f"static const L3Tree {prefix}rule = {{{values}}};"
-
-
-def _floats(prefix: str, weights: Weights, nested: bool) -> list[Array]:
-    return [
-        Array(f"{prefix}weights", weights.taps, "(class, output, tap)", nested),
-        Array(f"{prefix}intercept", weights.intercept, "(class, output)", nested),
-    ]
 
 
 def _fixed(prefix: str, whole: WholeWeights) -> list[Array]:
@@ -188,10 +208,6 @@ def _fixed(prefix: str, whole: WholeWeights) -> list[Array]:
         Array(f"{prefix}intercept", whole.intercept, "(class, plane)", nested=False),
         Array(f"{prefix}fraction", whole.fraction.astype(np.uint8), "binary point (class)"),
     ]
-
-
-def _filled_weights(weights: Weights) -> Weights:
-    return Weights(_fill(weights.taps), weights.intercept)
 
 
 def _fill(taps: NDArray) -> NDArray:

@@ -45,7 +45,7 @@ LAYERS = {
     "-coarse_top, coarse_top)",
     "output": "sum of the last layer's weights * plane * plane_step + intercept; taps plane by plane, each row by row",
     "later class": "(site * levels + level // level_step) * kinds + kind; level and case of the first layer; kind: "
-    "structure or leaf where the case is 0, else structures - 1 + case; of a tree levels = 1",
+    "structure or leaf where case - spared_cases is at most 0, else structures - 1 + that; of a tree levels = 1",
 }
 
 

@@ -3,6 +3,7 @@
 import math
 import string
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -18,31 +19,35 @@ from l3cli.classes.tree import CHROMA_TOP, DARK, EVERY, TOP
 from l3cli.columns import printable
 from l3cli.errors import InputFileError
 from l3cli.rendering.display import require_known_layers
-from l3cli.rendering.portable.c_arrays import TAP_GROUP, Array, filled, table_arrays
+from l3cli.rendering.portable.c_arrays import TAP_GROUP, TYPES, Array, filled, table_arrays
+from l3cli.rendering.portable.short_words import OUTPUT_FRACTION, OUTPUT_TOP, ShortWords, offset_of, short_words, split_of
 from l3cli.rendering.portable.vector import Vector, make_vector
+from l3cli.rendering.portable.wordlengths import short_cost
 
 PIECES = Path(__file__).parent / "c"
+Words = Literal["float32", "int16"]  # of outputs, and of what the last layer multiplies
 LEAST_BLOCK = 128  # pixels that loops take at a time
 DATA = ("/* The numbers of a transform table; l3_table.h says how many. */", '#include "l3_table.h"', "")
 GUARD = ("#ifndef L3_TABLE_H", "#define L3_TABLE_H", "", "#include <stdint.h>", "")
 
 
-def c_files(table: TransformTable) -> dict[str, bytes]:
-    """Name → content of every file; InputFileError if the table is beyond what the C computes."""
+def c_files(table: TransformTable, words: Words = "float32") -> dict[str, bytes]:
+    """Name → content of every file, outputs in these words; InputFileError if the table is beyond what the C computes."""
     require_known_layers(table)
     for feature, axis in further_features(table.first.rule):
         if feature is not direction:
             raise InputFileError(f'C source has no class feature "{axis.name}"; export the table as a folder')
-    arrays, layers = table_arrays(table)
+    short = short_words(table) if words == "int16" else None
+    arrays, layers = table_arrays(table, short)
     vector = make_vector(table)
     texts = {
-        "l3.c": "".join(_piece(name) for name in _pieces(table)),
+        "l3.c": "".join(_piece(name) for name in _pieces(table, words)),
         "l3.h": _piece("l3.h"),
-        "l3_table.h": _header(table, vector, arrays),
+        "l3_table.h": _header(table, vector, arrays, words),
         "l3_table.c": "\n".join([*DATA, *(line for array in arrays for line in (*array.lines(), "")), *layers]),
         "test.c": _piece("test.c"),
         "Makefile": _piece("Makefile"),
-        "README.md": _readme(table, vector, arrays),
+        "README.md": _readme(table, vector, arrays, short),
     }  # fmt: skip
     return {name: text.encode() for name, text in texts.items()} | vector.files()
 
@@ -51,16 +56,16 @@ def _piece(name: str) -> str:
     return (PIECES / name).read_text(encoding="utf-8")
 
 
-def _pieces(table: TransformTable) -> tuple[str, ...]:
+def _pieces(table: TransformTable, words: Words) -> tuple[str, ...]:
     further = "direction.c" if table.first.rule.axes else "no_direction.c"
     behind = ("planes.c", "structure.c", "tree.c", "several_layers.c") if table.later else ("one_layer.c",)
-    return ("head.c", further, "classes.c", *behind)
+    return ("head.c", further, "classes.c", f"{words}.c", *behind, "render.c")
 
 
 # ---------------------------------------------------------------------------------------------------------------- macros
 
 
-def macros(table: TransformTable) -> dict[str, int | str]:
+def macros(table: TransformTable, words: Words) -> dict[str, int | str]:
     """What the sizes of loops and arrays, and the formulas, depend on."""
     rule, columns = table.first.rule, table.cfa.shape[1]
     group = math.lcm(columns, TAP_GROUP)
@@ -75,7 +80,6 @@ def macros(table: TransformTable) -> dict[str, int | str]:
         "MOST_DN": 2**table.bits - 1,
         "PATCH": rule.patch,
         "RADIUS": rule.radius,
-        "TAPS": filled(rule.patch**2),
         "BLOCK": -(-LEAST_BLOCK // group) * group,
         "SHIFT": rule.shift,
         "LEVELS": rule.levels,
@@ -90,12 +94,27 @@ def macros(table: TransformTable) -> dict[str, int | str]:
     }
     for feature, axis in further_features(rule):
         values |= feature.macros(axis, rule) | {"WINDOWS": len(axis.windows)}
-    return values | (_plane_macros(table) if table.later else {})
+    values |= _float_macros(table) if words == "float32" else _word_macros(table)
+    return values | (_plane_macros(table) if table.later else {"LAST_TAPS": filled(rule.patch**2)})
+
+
+def _float_macros(table: TransformTable) -> dict[str, int | str]:
+    return {"OUTPUT_FRACTION": 0, "VALUE_OFFSET": "0.0f" if table.later else _float(table.black_level)}
+
+
+def _word_macros(table: TransformTable) -> dict[str, int | str]:
+    return {
+        "OUTPUT_FRACTION": OUTPUT_FRACTION,
+        "OUTPUT_TOP": OUTPUT_TOP,
+        "VALUE_OFFSET": offset_of(table),
+        "SPLIT": split_of(table),
+    }
 
 
 def _plane_macros(table: TransformTable) -> dict[str, int | str]:
     most = max(layer.side for layer in table.later)
     return {
+        "TAPS": filled(table.first.rule.patch**2),
         "RAW_MIDDLE": raw_middle(table.bits),
         "PLANE_TOP": PLANE_TOP,
         "LUMINANCE": LUMINANCE,
@@ -118,7 +137,7 @@ def _float(value: float) -> str:
     return f"{float(np.float32(value))!r}f"
 
 
-def _header(table: TransformTable, vector: Vector, arrays: list[Array]) -> str:
+def _header(table: TransformTable, vector: Vector, arrays: list[Array], words: Words) -> str:
     rows, columns = vector.raw.shape
     test = {
         "TEST_ROWS": rows,
@@ -126,19 +145,20 @@ def _header(table: TransformTable, vector: Vector, arrays: list[Array]) -> str:
         "TEST_PHASE_ROW": vector.phase[0],
         "TEST_PHASE_COLUMN": vector.phase[1],
     }
-    lines = [f"#define L3_{name} {value}" for name, value in (macros(table) | test).items()]
+    lines = [f"#define L3_{name} {value}" for name, value in (macros(table, words) | test).items()]
     public = [f"extern {array.declaration};" for array in arrays if not array.local]
     types = (_piece("types.h") if table.later else "") + (_piece("window.h") if table.first.rule.axes else "")
     extra = ["extern const L3PlaneLayer l3_layers[L3_LAYERS - 1];"] if table.later else []
     extra += ["extern const L3Window l3_windows[L3_WINDOWS];"] if table.first.rule.axes else []
     start = "/* A transform table: its constants; its arrays stand in l3_table.c. README.md explains both. */"
+    lines += ["", f"typedef {TYPES[words]} L3Output;"]
     return "\n".join([start, *GUARD, *lines, "", types + "\n".join(public), *extra, "", "#endif", ""])
 
 
 # ---------------------------------------------------------------------------------------------------------------- README
 
 
-def _readme(table: TransformTable, vector: Vector, arrays: list[Array]) -> str:
+def _readme(table: TransformTable, vector: Vector, arrays: list[Array], short: ShortWords | None) -> str:
     rule = table.first.rule
     known = {
         "camera": printable(table.camera_name),
@@ -167,9 +187,20 @@ def _readme(table: TransformTable, vector: Vector, arrays: list[Array]) -> str:
         "columns": vector.raw.shape[1],
         "phase": "{}, {}".format(*vector.phase),
     }
-    parts = ["readme.md"]
+    known |= _words_known(table, short) if short else {"words": "float"}
+    parts = ["readme.md", "readme_int16.md" if short else "readme_float32.md"]
     parts += ["readme_direction.md"] if rule.axes else []
     parts += ["readme_planes.md"] if table.later else ["readme_one_layer.md"]
     parts += ["readme_structure.md"] if any(isinstance(layer.rule, StructureRule) for layer in table.later) else []
     parts += ["readme_tree.md"] if any(isinstance(layer.rule, TreeRule) for layer in table.later) else []
     return "\n".join(string.Template(_piece(part)).substitute(known) for part in parts)
+
+
+def _words_known(table: TransformTable, short: ShortWords) -> dict[str, str | int]:
+    psnr, worst = short_cost(table, short)
+    trees = any(isinstance(layer.rule, TreeRule) for layer in table.later)
+    floats = "Floats are computed where trees decide, and nowhere else." if trees else "No float is computed."
+    return {
+        "words": "int16_t", "top": OUTPUT_TOP, "split": short.split, "floats": floats, "psnr": f"{psnr:.1f}",
+        "worst": f"{worst:.2g}",
+    }  # fmt: skip

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.table import TransformTable
 from l3cli.frame import RawFrame
 from l3cli.rendering.later import later_outputs
+from l3cli.rendering.portable.short_words import OUTPUT_FRACTION, OUTPUT_TOP, ShortWords
 from l3cli.rendering.portable.vector import drawn_mosaic
 from l3cli.rendering.reference import ReferenceRenderer, output_planes
 
@@ -74,6 +75,15 @@ def word_costs(table: TransformTable) -> tuple[Cost, ...]:
             error = np.square(outputs(in_words(weights, bits, scale).weights) - expected).mean()
             costs.append(Cost(bits, scale, float(-10 * np.log10(max(error, 1e-20)))))
     return tuple(costs)
+
+
+def short_cost(table: TransformTable, words: ShortWords) -> tuple[float, float]:
+    """What words of 16 bits cost: dB below a full output, and steps of an output at most, before it is rounded."""
+    outputs, step = _outputs(table), 2.0**-OUTPUT_FRACTION
+    expected, short = outputs(table.layers[-1].weights), outputs(words.in_floats(table))
+    rounded = np.clip(np.rint(short / step), -OUTPUT_TOP, OUTPUT_TOP) * step
+    error = np.square(rounded - np.clip(expected, -OUTPUT_TOP * step, OUTPUT_TOP * step)).mean()
+    return float(-10 * np.log10(max(error, 1e-20))), float(np.abs(short - expected).max() / step)
 
 
 def chosen_words(table: TransformTable, costs: tuple[Cost, ...]) -> Words:

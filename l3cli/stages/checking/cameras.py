@@ -43,9 +43,11 @@ def meaning(recipe: CameraRecipe | PhaseRecipe, source: Source) -> tuple[dict[st
 def describe(camera: CameraModel) -> dict[str, Any]:
     """Curves of each channel, its share of what the brightest collects of a white, and the exposures that fill a pixel.
     InputFileError if it collects nothing."""
-    rates = {name: white_rates(camera, make_light(name, {}, camera.wavelength)) for name in LIGHTS}  # of 1 cd/m²
+    lights = {name: make_light(name, {}, camera.wavelength) for name in LIGHTS}
+    rates = {name: white_rates(camera, light) * camera.channel_gains for name, light in lights.items()}  # of 1 cd/m²
     if dark := [name for name, rate in rates.items() if not rate.max() > 0]:
         raise InputFileError(f"camera {camera.name} collects nothing of {' and '.join(dark)}; check responsivity")
+    _ = camera.saturation_exposure  # the same of the light of its own wavelengths alone
     sites = np.bincount(camera.cfa.ravel(), minlength=len(camera.channels))
     curves: dict[str, Any] = {}
     for number, name in enumerate(camera.channels):

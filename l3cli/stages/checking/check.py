@@ -13,6 +13,7 @@ from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.config import parse_toml, read_text
 from l3cli.errors import InputFileError, L3Error, RecipeError, suggestion
 from l3cli.faults import Fault, about_others, typed
+from l3cli.ledger import note_inputs
 from l3cli.recipes import known_benchmarks
 from l3cli.stages.checking import cameras as camera_recipes
 from l3cli.stages.checking import classes, labs, measurements, scenes
@@ -62,6 +63,7 @@ def check(given: Sequence[str]) -> list[Judgement]:
         judged[path] = judge(path, cameras[(beside or [*cameras])[0]] if cameras else None)
         if judged[path].kind == CAMERA and not judged[path].findings:
             cameras[path] = load_camera(path)
+    note_inputs({"recipes": [file for path in meant for file in (path, *judged[path].files)]})
     return [judged[path] for path in meant]
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from l3cli.artifacts.camera_recipe import camera_files, load_camera
 from l3cli.errors import RecipeError
 from l3cli.files import write_whole
+from l3cli.ledger import note_places
 from l3cli.report.camera import camera_section
 from l3cli.report.page import render_page
 from l3cli.stages.checking.check import Judgement
@@ -27,6 +28,7 @@ def plot(judged: Sequence[Judgement], output: Path, console: Console, *, force: 
         claims.spare(*(file for each in judged for file in (each.path, *each.files)))
         claims.spare(*(file for path in paths for file in camera_files(path)))
         claims.claim_file(output, force)
+        note_places([output])
         cameras = [(path, load_camera(path)) for path in paths]
         sections = [camera_section(camera, figures_of_camera(camera), path.name) for path, camera in cameras]
         title = ", ".join(camera.name for _, camera in cameras)

@@ -95,6 +95,7 @@ def meaning(recipe: SceneRecipe, source: Source) -> tuple[dict[str, Any], list[F
     wanted = list(shots(recipe, files)) if recipe.scene else []
     document: dict[str, Any] = {
         "scenes": len(wanted),
+        "clips": sum(scene.source.motion is not None for scene, _ in wanted),
         "illuminants": recipe.illuminants,
         "luminances_cd_m2": recipe.luminances_cd_m2,
         "exposures": dict([recipe.exposures()]) if recipe.scene else {},
@@ -116,6 +117,7 @@ def _sizes(recipe: SceneRecipe, run: SimulationRun, files: list[list[Path]]) -> 
     sizes = []
     for scene, paths in zip(recipe.scene, files, strict=True):
         each = len(recipe.illuminants) * len(recipe.luminances_cd_m2) * len(recipe.exposures()[1])
+        each *= scene.motion.frames if scene.motion else 1
         sizes += [(size_of(wanted, run), each) for wanted in wanted_scenes(scene, paths)]
     if not sizes:
         return {"camera": run.camera.name}

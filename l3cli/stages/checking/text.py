@@ -60,7 +60,7 @@ def _lab(lab: dict[str, Any], width: int | None) -> list[str]:
 def _scenes(scenes: dict[str, Any], width: int | None) -> list[str]:
     exposures = [f"{len(values)} exposures ({unit})" for unit, values in scenes["exposures"].items()]
     factors = [
-        f"{scenes['scenes']} scenes",
+        f"{scenes['scenes']} scenes" + (f" ({scenes['clips']} of them clips)" if scenes["clips"] else ""),
         f"{len(scenes['illuminants'])} illuminants ({', '.join(scenes['illuminants'])})",
     ]
     factors += [f"{len(scenes['luminances_cd_m2'])} luminances", *exposures]

@@ -9,6 +9,7 @@ from l3cli.files import refuse_existing, refuse_spared, write_whole
 from l3cli.io.captures import list_captures
 from l3cli.io.measurement_recipe import MeasurementRecipe
 from l3cli.io.measurements import measurements_of
+from l3cli.ledger import is_noting
 from l3cli.locks import sole_writer_of_file
 from l3cli.stages.claims import Claims, refuse_unwritable
 from l3cli.stages.console import Console
@@ -34,7 +35,7 @@ def draft(folder: Path, output: Path, console: Console, *, camera: Path | None =
         refuse_existing(output, force)
         claims.hold(sole_writer_of_file(output), output)
         known = load_camera(camera) if camera else None
-        if is_dry():
+        if is_dry() or is_noting():
             listing = list_captures(folder)
             inputs = {
                 "frames": [folder / name for name in listing.frames],

@@ -124,7 +124,8 @@ def label_of(frame: RawFrame, table: str, identity: str) -> Label:
 def _rendered(job: RenderJob) -> Any:
     """In a worker: the picture of a frame, or what is wrong with its file."""
     setup = job.setup
-    table, renderer = _renderer(setup.table, setup.digest, setup.backend, tuple(setup.engine.items()))
+    pictures = setup.rendition.balance is not None
+    table, renderer = _renderer(setup.table, setup.digest, setup.backend, tuple(setup.engine.items()), pictures)
     frame = job.frame
     correction = None if setup.camera is None else correction_again(setup.camera)
     if isinstance(frame, Unread):
@@ -142,26 +143,49 @@ def _rendered(job: RenderJob) -> Any:
 
 @functools.lru_cache(1)
 def _renderer(
-    path: Path, digest: str, backend: str, engine: tuple[tuple[str, str | None], ...]
+    path: Path, digest: str, backend: str, engine: tuple[tuple[str, str | None], ...], pictures: bool
 ) -> "tuple[TransformTable, Renderer]":
-    """The table and what renders through it, made once a worker."""
+    """The table, of `pictures` X, Y, Z alone, and what renders through it, made once a worker."""
     from l3cli.artifacts.store import load
     from l3cli.artifacts.table import TransformTable
-    from l3cli.rendering.renderer import make_renderer
+    from l3cli.rendering.quiet import quiet_renderer
 
     require_same(path, digest)
     table = load(TransformTable, path)
-    return table, make_renderer(backend, table, **dict(engine))
+    table = table.pictured() if pictures else table
+    return table, quiet_renderer(backend, table, **dict(engine))
+
+
+class Renderers:
+    """Makes renderers and keeps the last one, for runs one after the other: to make one takes a while, and what OpenCL has
+    built of it stays in memory."""
+
+    def __init__(self) -> None:
+        self._kept: dict[Any, Renderer] = {}
+
+    def of(self, setup: RenderSetup, table: "TransformTable") -> "Renderer":
+        """The renderer of a run."""
+        from l3cli.rendering.quiet import quiet_renderer
+
+        key = setup.digest, table.outputs, setup.backend, tuple(setup.engine.items())
+        if key not in self._kept:
+            self._kept = {key: quiet_renderer(setup.backend, table, **setup.engine)}
+        return self._kept[key]
+
+    def forget(self) -> None:
+        """After an error: it may be in the middle of a frame."""
+        self._kept = {}
 
 
 @contextlib.contextmanager
-def executor_of(setup: RenderSetup, table: "TransformTable", scheduler: "Scheduler | None") -> "Iterator[Local | Remote]":
+def executor_of(
+    setup: RenderSetup, table: "TransformTable", scheduler: "Scheduler | None", renderers: Renderers
+) -> "Iterator[Local | Remote]":
     """Who renders: this process, or the workers of a scheduler."""
     from l3cli.parallel import workers
-    from l3cli.rendering.renderer import make_renderer
 
     if scheduler is None:
-        yield Local(make_renderer(setup.backend, table, **setup.engine), setup)
+        yield Local(renderers.of(setup, table), setup)
     else:
         with workers(1, scheduler) as crew:
             known, correction = replace(setup.known, dark=None, correction=None), setup.known.correction

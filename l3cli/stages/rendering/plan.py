@@ -1,10 +1,11 @@
-"""What a dry run of rendering says."""
+"""What rendering reads and makes, which a dry run says."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
 from l3cli.files import require_regular
 from l3cli.io.sequences import Footage
+from l3cli.ledger import is_noting
 from l3cli.stages.plan import Made, before_work, is_dry
 from l3cli.stages.rendering.destination import Destination, refuse_outputs
 
@@ -15,14 +16,14 @@ def plan(
     table: Path, inputs: Sequence[Path], dark: Sequence[Path], footage: Footage, destination: Destination, replace: bool,
     skip_bad: bool,
 ) -> None:  # fmt: skip
-    """In a dry run, what would be read and made, after the refusals that come before work; `replace`: whether pictures that
+    """What is read and made; in a dry run, after the refusals that come before work. `replace`: whether pictures that
     are there may be replaced or kept."""
-    if not is_dry():
-        return
-    refuse_outputs(destination, footage, replace)
+    if not (is_dry() or is_noting()):
+        return  # there may be many frames
     files = [] if footage.is_stream else [pending.source for pending in footage.frames if pending.source is not None]
-    for file in files:
-        if not skip_bad:
+    if is_dry():
+        refuse_outputs(destination, footage, replace)
+        for file in files if not skip_bad else ():
             require_regular(file)
     count = "as many frames as come" if footage.count is None else f"{footage.count} frame{'s' * (footage.count > 1)}"
     made = Made(destination.path, f"{KINDS.get(destination.kind, 'picture of')} {count}")

@@ -2,6 +2,7 @@
 
 import functools
 import os
+from collections.abc import Mapping
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -10,28 +11,29 @@ from typing import TYPE_CHECKING, Any
 from l3cli import __version__
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
-from l3cli.errors import RecipeError
+from l3cli.errors import DeviceError, RecipeError
 from l3cli.files import sha256
 from l3cli.io.raw.files import KnownBetter
 from l3cli.io.sequences import Footage, find_frames, read_dark
-from l3cli.io.video import VideoChoice
+from l3cli.io.video import USUAL_RATE, VideoChoice
 from l3cli.rendering.display import require_xyz
+from l3cli.rendering.temporal.chunks import Chunks
+from l3cli.rendering.temporal.filters import filters
 from l3cli.rendering.white_source import given_white, usual_balance, white_source
 from l3cli.stages.claims import Claims
 from l3cli.stages.console import Console
 from l3cli.stages.input_warnings import warn_of_kernels, warn_of_white
 from l3cli.stages.rendering.corrections import CameraFile, correction_in, hot_test
 from l3cli.stages.rendering.destination import Destination, claim, destination_of, marked, paged, refuse_missing
-from l3cli.stages.rendering.executors import RenderSetup, executor_of
+from l3cli.stages.rendering.executors import Renderers, RenderSetup, executor_of
 from l3cli.stages.rendering.mark import Origins
 from l3cli.stages.rendering.plan import plan
 from l3cli.stages.rendering.rendition import Rendition, chosen_space, for_developers, outputs_as_they_are
-from l3cli.stages.rendering.sequence import follows, render_frames
+from l3cli.stages.rendering.sequence import Tally, follows, render_frames
 
 if TYPE_CHECKING:
     from l3cli.parallel.cluster import Scheduler
 
-USUAL_RATE = Fraction(30)  # frames a second, where neither the caller nor the input gives it
 NOTHING_KNOWN = KnownBetter()
 
 
@@ -42,10 +44,10 @@ def render(
     camera: Path | None = None, hot: bool = False,
     exposure: float | None = None, white: str | None = None, space: str | None = None, remosaic: str | None = None,
     backend: str = "opencl", device: str | None = None, variant: str | None = None, skip_bad: bool = False,
-    resume: bool = False, scheduler: "Scheduler | None" = None, force: bool = False,
-) -> int:  # fmt: skip
-    """Render raw frames through a table into a picture, numbered files, a folder (of files that end in `suffix`) or a video;
-    how many frames were left out.
+    resume: bool = False, scheduler: "Scheduler | None" = None, renderers: Renderers | None = None, force: bool = False,
+    temporal: bool = False,
+) -> Tally:  # fmt: skip
+    """Render raw frames through a table into a picture, numbered files, a folder (of files that end in `suffix`) or a video.
 
     `rate`: frames/s of a video, None: the input's or 30; `bits`, `codec`, `crf`, `preset`: of pictures and videos. `frames`:
     numbers of those to take. `dataset`: of an HDF5 input. `known`: what is known better of the inputs than they say; `dark`:
@@ -53,7 +55,8 @@ def render(
     each frame's hot pixels. `exposure`: factor of Y, None: automatic. `white`: name or chromaticity of the scene's white,
     "camera", "auto" or "ROW,COL[,SIZE]" of a grey, None: the table's. `space`: of the values, None: sRGB, in floating point
     the outputs as they are; `remosaic`: mosaic of a DNG file, "bayer". `skip_bad`: leave out broken frames. `resume`: go on
-    where a run was stopped.
+    where a run was stopped. `renderers`: shared with other runs. `temporal`: frames follow one another in time, and share
+    what is not noise.
     RecipeError, InputFileError, DeviceError or L3Error before anything is written where that is known.
     """
     # One long sequence: in this order a refusal comes before any work, and no output takes the place of what is read.
@@ -67,6 +70,8 @@ def render(
         if engine and backend != "opencl":
             raise RecipeError(f"‹{next(iter(engine))}› is for the opencl backend; leave it or ‹backend› {backend} out")
         transforms = load(TransformTable, table)
+        if not destination.linear or space is not None:
+            transforms = transforms.pictured()
         if dark:
             known = replace(known, dark=read_dark(_spared(find_frames(dark, transforms, known), claims)))
         model = None if camera is None else CameraFile(camera.absolute(), sha256(camera))
@@ -76,8 +81,7 @@ def render(
         rendition = _rendition(destination, None if source else white, exposure, space, remosaic, bits, transforms, console)
         footage = find_frames(inputs, transforms, known, frames, dataset)
         destination = paged(destination, footage)
-        if not footage.is_stream:
-            _spared(footage, claims)
+        _spared(footage, claims)
         if not skip_bad:
             refuse_missing(footage)
         choice = replace(choice, rate=rate or footage.rate or USUAL_RATE)
@@ -86,25 +90,43 @@ def render(
             table.absolute(), sha256(table), backend, engine, known, rendition, destination.file_suffix, model
         )
         steady = follows(footage, destination) and (rendition.measures_exposure or source is not None)
+        chunks = _chunks(backend, engine, transforms, scheduler, footage, console) if temporal else None
         chosen = {"device": os.environ.get("L3_DEVICE"), **engine}
         levels = (replace(known, dark=None, correction=None), known.dark and known.dark.digest)
         key: list[Any] = [setup.digest, __version__, frames, dataset, suffix, backend, chosen, exposure, white, choice]
-        key += [space, remosaic, *levels, known.correction and known.correction.digest, steady]
-        origins = functools.partial(Origins, inputs[0], steady)
+        key += [space, remosaic, *levels, known.correction and known.correction.digest, steady, temporal]
+        origins = functools.partial(Origins, inputs[0], steady or temporal)
         with (
             marked(destination, key, resume, force, footage, origins) as mark,
-            executor_of(setup, transforms, scheduler) as executor,
+            executor_of(setup, transforms, scheduler, renderers or Renderers()) as executor,
         ):
-            failures = render_frames(
-                footage, destination, executor, transforms, rendition, source, choice, mark, origins(), skip_bad, console
-            )
+            tally = render_frames(
+                footage, destination, executor, transforms, rendition, source, choice, mark, origins(), skip_bad, console,
+                chunks,
+            )  # fmt: skip
         warn_of_kernels(console)
-        return failures
+        return tally
+
+
+def _chunks(
+    backend: str, engine: Mapping[str, str | None], table: TransformTable, scheduler: "Scheduler | None", footage: Footage,
+    console: Console,
+) -> Chunks:  # fmt: skip
+    """The filters of a sequence. They run here, also where workers render: frames depend on one another."""
+    if footage.count == 1:
+        console.warn("one frame has none before it: ‹temporal› changes nothing of it; give a sequence")
+    try:
+        return Chunks(filters(backend, table, **engine))
+    except DeviceError:
+        if scheduler is None:
+            raise
+        return Chunks(filters("reference", table))  # the devices are the workers'; all backends give the same
 
 
 def _spared(footage: Footage, claims: Claims) -> Footage:
-    """Frames whose files no output may replace."""
-    claims.spare(*(pending.source for pending in footage.frames if pending.source))
+    """Frames whose files no output may replace; those of a stream, which may be endless, lie in one file."""
+    if not footage.is_stream:
+        claims.spare(*(pending.source for pending in footage.frames if pending.source))
     return footage
 
 

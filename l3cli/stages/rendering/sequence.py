@@ -5,6 +5,7 @@ length; the libraries let go of Python's lock in their long calls.
 """
 
 import hashlib
+import itertools
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -19,6 +20,7 @@ from l3cli.io.video import VideoChoice
 from l3cli.parallel.threads import Behind, ahead
 from l3cli.rendering.balance import SteadyWhite, WhiteBalance
 from l3cli.rendering.exposure import LightMeter, SteadyExposure
+from l3cli.rendering.temporal.chunks import Chunks, needed
 from l3cli.rendering.white import SceneWhite
 from l3cli.rendering.white_source import WhiteSource
 from l3cli.stages.console import Console
@@ -50,11 +52,12 @@ class _Read:
 
 
 @dataclass
-class _Tally:
-    """How many frames there are pictures of, and how many were left out."""
+class Tally:
+    """How many frames there are pictures of, how many were left out, and in what time."""
 
     done: int = 0
     failures: int = 0
+    seconds: float = 0.0  # from the first frame's reading to the last one's writing
 
     def leave_out(self, error: L3Error, skip_bad: bool, console: Console, count: int = 1) -> None:
         """Say that a frame, or several, are left out; raise why, unless `skip_bad`."""
@@ -67,21 +70,21 @@ class _Tally:
 def render_frames(
     footage: Footage, destination: Destination, executor: Local | Remote, table: "TransformTable",
     rendition: Rendition, source: WhiteSource | None, choice: VideoChoice, mark: Mark | None, origins: Origins,
-    skip_bad: bool, console: Console,
-) -> int:  # fmt: skip
-    """Render every frame into the destination; how many were left out. What is broken is raised, or, with `skip_bad`, said
-    and left out. `source`: of the white of each frame, None: that of the rendition."""
+    skip_bad: bool, console: Console, temporal: Chunks | None = None,
+) -> Tally:  # fmt: skip
+    """Render every frame into the destination. What is broken is raised, or, with `skip_bad`, said and left out.
+    `source`: of the white of each frame, None: that of the rendition; `temporal`: filters them in time."""
     start = time.monotonic()
     in_order = follows(footage, destination)
     steady = SteadyExposure(choice.rate) if in_order and rendition.measures_exposure else None
     whites = FrameWhites(source, SteadyWhite(choice.rate) if in_order else None) if source else None
-    tally, warnings, told = _Tally(), FrameWarnings(table), WhiteReport(source, footage.stills, console)
+    tally, warnings, told = Tally(), FrameWarnings(table), WhiteReport(source, footage.stills, console)
     for numbers in footage.missing:
         tally.leave_out(footage.absent(numbers), skip_bad, console, len(numbers))
     sink = open_sink(destination, choice, rendition, table.outputs, mark, footage)
     with sink as (write, threads), Behind(write, DEPTH, threads) as writing:
         meters = _Meters(LightMeter(table) if steady else None, whites, in_order)
-        reading = ahead(_read(footage, destination, meters, mark, origins, executor.by_path), DEPTH)
+        reading = ahead(_read(footage, destination, meters, mark, origins, executor.by_path, temporal), DEPTH)
         reading = console.progress(reading, footage.count and footage.count - footage.lost, "frames")
         exposed = warnings.watched(_exposed(reading, rendition, steady, skip_bad, tally, told, console), footage.stills)
         for pending, made in executor.render(exposed):
@@ -94,13 +97,13 @@ def render_frames(
             raise InputFileError("none of the frames could be read; nothing is written")
     warnings.report(console)
     told.report()
+    tally.seconds = max(time.monotonic() - start, 1e-9)
     done, failures = tally.done, tally.failures
     if not footage.stills:
-        rate = done / max(time.monotonic() - start, 1e-9)
-        console.say(f"{destination.path}: {done} frames, {rate:.3g} a second")
+        console.say(f"{destination.path}: {done} frames, {done / tally.seconds:.3g} a second")
     if failures:
         console.alert(f"l3: {failures} of {done + failures} frames left out")
-    return failures
+    return tally
 
 
 def follows(footage: Footage, destination: Destination) -> bool:
@@ -128,22 +131,42 @@ class _Meters:
         return _Read(pending, frame, brightness, white, balance, kept=kept)
 
 
-def _read(
-    footage: Footage, destination: Destination, meters: _Meters, mark: Mark | None, origins: Origins, by_path: bool
-) -> Iterator[_Read]:
-    """Read, and measure, frame after frame; of frames that are kept only what later ones need of it. `by_path`
-    a file that becomes a file, and is not measured, is left to who renders it."""
-    size: tuple[int, ...] | None = None
-    for pending in footage.frames:
-        file, kept = destination.file(pending.number, pending.stem), False
+def _asked(
+    footage: Footage, destination: Destination, mark: Mark | None, origins: Origins
+) -> Iterator[tuple[int, Pending, bool]]:
+    """Each frame with its place, and whether its picture is known to be there already, before it is read."""
+    for place, pending in enumerate(footage.frames):
+        kept = False
         if mark:
             pending = origins.of(pending)
-            kept = pending.origin is not None and mark.keeps(file, pending.origin)
-        if kept and not (meters.any and meters.in_order) and not footage.is_stream:
+            kept = pending.origin is not None and mark.keeps(destination.file(pending.number, pending.stem), pending.origin)
+        yield place, pending, kept
+
+
+def _with_need(asked: Iterator[tuple[int, Pending, bool]]) -> Iterator[tuple[int, Pending, bool, bool]]:
+    """Each of `_asked`, and whether a picture that is not there yet depends on it in the filter."""
+    frames, ahead_of_them = itertools.tee(asked)
+    needs = needed((place, not kept) for place, _, kept in ahead_of_them)
+    return ((*frame, need) for frame, need in zip(frames, needs, strict=True))
+
+
+def _read(
+    footage: Footage, destination: Destination, meters: _Meters, mark: Mark | None, origins: Origins, by_path: bool,
+    temporal: Chunks | None,
+) -> Iterator[_Read]:  # fmt: skip
+    """Read, measure and filter frame after frame; of frames that are kept only what later ones need of it. `by_path`
+    a file that becomes a file, and is neither measured nor filtered, is left to who renders it."""
+    size: tuple[int, ...] | None = None
+    asked = _asked(footage, destination, mark, origins)
+    # A stream is not asked for what has not come yet.
+    ahead_of = _with_need(asked) if temporal and not footage.is_stream else ((*each, not each[2]) for each in asked)
+    for place, pending, kept, need in ahead_of:
+        file = destination.file(pending.number, pending.stem)
+        if not need and not (meters.any and meters.in_order) and not footage.is_stream:
             yield _Read(pending, None, kept=True)
             continue
         try:
-            if by_path and pending.source and destination.one_by_one and not meters.any:
+            if by_path and pending.source and destination.one_by_one and not (meters.any or temporal):
                 digest = sha256(pending.source)
                 unread = Unread(pending.source.absolute(), digest)
                 yield _Read(replace(pending, identity=of_file(digest)), unread, kept=kept)
@@ -165,7 +188,8 @@ def _read(
             kept = mark.keeps(file, pending.origin)
         if destination.pictures and not kept:
             pending = replace(pending, identity=_identity(pending, frame))
-        yield replace(read, pending=pending, kept=kept)
+        filtered = temporal.filtered(place, frame) if temporal and (need or footage.is_stream) else frame
+        yield replace(read, pending=pending, frame=filtered, kept=kept)
     if mark:
         mark.refuse_others()
 
@@ -194,7 +218,7 @@ def _exposed(
     rendition: Rendition,
     steady: SteadyExposure | None,
     skip_bad: bool,
-    tally: _Tally,
+    tally: Tally,
     told: WhiteReport,
     console: Console,
 ) -> Iterator[Exposed]:

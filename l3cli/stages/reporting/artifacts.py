@@ -1,4 +1,4 @@
-"""The artifacts of a report by kind."""
+"""The artifacts of a report by kind, and evaluations of sequences."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,8 +13,11 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet, open_training_set
 from l3cli.errors import InputFileError
 from l3cli.files import sha256
+from l3cli.stages.sequence_evaluation import document, read_sequence_figures
 
 KINDS: dict[str, type[Artifact]] = {kind.kind: kind for kind in (CameraModel, TrainingSet, TransformTable)}
+
+SEQUENCE = ".json"  # suffix of an evaluation of a sequence
 
 
 @dataclass(frozen=True)
@@ -29,12 +32,14 @@ class Entry:
 
 @dataclass(frozen=True)
 class Given:
-    """The artifacts of a report by kind."""
+    """The artifacts of a report by kind, and evaluations of sequences."""
 
     cameras: list[tuple[Entry, CameraModel]]
     training: list[tuple[Entry, TrainingSet]]
     tables: list[tuple[Entry, TransformTable]]
     entries: list[Entry]
+    sequences: dict[str, dict[str, Any]]  # by name what `l3 evaluate --sequence` printed as JSON
+    sequence_sums: dict[str, str]  # their SHA-256
 
     @property
     def pairs(self) -> list[tuple[tuple[Entry, TransformTable], tuple[Entry, TrainingSet]]]:
@@ -50,10 +55,15 @@ def trained_on(table: TransformTable, frames: Entry) -> bool:
 def by_kind(paths: tuple[Path, ...]) -> Given:
     """Artifacts by kind, each once; InputFileError if one is none, is damaged, or does not fit the others."""
     entries_by_digest: dict[str, Entry] = {}
+    sequences: dict[str, dict[str, Any]] = {}
+    sums: dict[str, str] = {}
     names = [path.name for path in paths]
     for path in paths:
-        artifact, digest = _artifact(path), sha256(path)
         name = path.name if names.count(path.name) == 1 else f"{path.parent.name}/{path.name}"
+        if path.suffix.lower() == SEQUENCE:
+            sequences[name], sums[name] = document(read_sequence_figures(path)), sha256(path)
+            continue
+        artifact, digest = _artifact(path), sha256(path)
         entries_by_digest.setdefault(digest, Entry(name, path, digest, artifact))
     entries = list(entries_by_digest.values())
     _require_one_array(entries)
@@ -62,6 +72,8 @@ def by_kind(paths: tuple[Path, ...]) -> Given:
         [(entry, entry.artifact) for entry in entries if isinstance(entry.artifact, TrainingSet)],
         [(entry, entry.artifact) for entry in entries if isinstance(entry.artifact, TransformTable)],
         entries,
+        sequences,
+        sums,
     )
     for (table, transforms), (frames, head) in given.pairs:
         if transforms.outputs != head.outputs:

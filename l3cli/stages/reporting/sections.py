@@ -17,6 +17,8 @@ from l3cli.report.colours import channel_light
 from l3cli.report.evaluation import evaluation_section, shown_frames
 from l3cli.report.page import history_section
 from l3cli.report.parts import Section, counted
+from l3cli.report.sequence import sequence_section
+from l3cli.report.sequence import summary as sequence_summary
 from l3cli.report.training import training_section
 from l3cli.report.transforms import transform_section
 from l3cli.stages.console import Console
@@ -43,8 +45,12 @@ def compose(given: Given, backend: str, console: Console) -> tuple[str, str, lis
     sections += [_transforms(entry.name, table, light) for entry, table in given.tables]
     sections += [section for _, section in judged]
     files = [(entry.name, entry.artifact.kind, entry.sha256, entry.artifact.history) for entry in given.entries]
+    if given.sequences:
+        sections.append(sequence_section(given.sequences))
+        files += [(name, "evaluation of a sequence", digest, ()) for name, digest in given.sequence_sums.items()]
     sections.append(history_section(files))
     names = [camera.name for _, camera in cameras] or [table.camera_name for _, table in given.tables]
+    names = names or [*given.sequences]
     return f"{', '.join(dict.fromkeys(names))}: report", _lead(given, [lead for lead, _ in judged]), sections
 
 
@@ -61,6 +67,8 @@ def _warn_of_cameras(given: Given, console: Console) -> None:
 
 
 def _lead(given: Given, leads: list[str]) -> str:
+    if given.sequences and not leads:
+        return sequence_summary(given.sequences)
     if len(leads) == 1:
         return leads[0]
     if leads:

@@ -4,27 +4,40 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from l3cli.artifacts.training_set import TrainingPair
+from l3cli.simulation.recipe import shots as asked
+from l3cli.stages.console import Console
 from l3cli.stages.frame_names import frame_name
 from l3cli.stages.simulation.run import SimulationRun
 
-WRITTEN = ("*_raw.tif", "*_ideal.png", "*_ideal.exr", "*.dng")  # into the folders of pictures
+MOTION = ("down", "right", "seen")  # channels of a file of motion
+WRITTEN = ("*_raw.tif", "*_ideal.png", "*_ideal.exr", "*_motion.exr", "*.dng")  # into the folders of pictures
 
 
-def write_beside(run: SimulationRun, frames: Iterable[TrainingPair], pictures: Path | None, dng: Path | None) -> None:
-    """The pictures and DNGs of all `frames`, as far as they are asked for."""
+def write_beside(
+    run: SimulationRun, files: list[list[Path]], frames: Iterable[TrainingPair], pictures: Path | None, dng: Path | None,
+    console: Console,
+) -> None:  # fmt: skip
+    """The pictures and DNGs of all `frames`, as far as they are asked for; `files` are those of each source. Of clips it is
+    said how they are rendered as bright as the ideal pictures."""
     if pictures:
-        _write_pictures(run, frames, pictures)
+        lengths = _write_motion(run, files, pictures)
+        for index, scale in _write_pictures(run, frames, pictures).items():
+            if index in lengths:
+                last = index + lengths[index] - 1
+                console.say(f"frames {index}–{last}: ‹exposure› {scale:.6g} renders them as bright as their ideal pictures")
     if dng:
         _write_dng(run, frames, dng)
 
 
-def _write_pictures(run: SimulationRun, frames: Iterable[TrainingPair], folder: Path) -> None:
-    """Each frame as raw mosaic and as the picture it should become, white at display white."""
+def _write_pictures(run: SimulationRun, frames: Iterable[TrainingPair], folder: Path) -> dict[int, float]:
+    """Each frame as raw mosaic and as the picture it should become, white at display white; of those that are sRGB the
+    factor of Y at which a table shows the same."""
     import numpy as np
 
     from l3cli.io.images import write_linear, write_mosaic, write_picture
     from l3cli.rendering.display import encode, make_display
 
+    scales = {}
     for index, frame in enumerate(frames):
         name = frame_name(index, frame.scene)
         write_mosaic(folder / f"{name}_raw.tif", frame.raw, frame.dark_time)
@@ -34,6 +47,28 @@ def _write_pictures(run: SimulationRun, frames: Iterable[TrainingPair], folder: 
             continue
         display = make_display(frame.white, 1.0 / frame.white[1], bits=8)
         write_picture(folder / f"{name}_ideal.png", encode(frame.target, display))
+        scales[index] = run.camera.saturation_exposure / (frame.white[1] * frame.exposure)
+    return scales
+
+
+def _write_motion(run: SimulationRun, files: list[list[Path]], folder: Path) -> dict[int, int]:
+    """Of each frame of a clip what it has moved by since the one before; frames of each clip by the number of its first."""
+    import numpy as np
+
+    from l3cli.io.images import write_linear
+    from l3cli.stages.simulation.clips import known_motion
+
+    lengths = {}
+    for wanted, shots in asked(run.recipe, files) if run.recipe.scene else ():
+        if wanted.source.motion is None:
+            continue
+        moved = known_motion(wanted, run)
+        for shot in shots:
+            name = frame_name(shot.index, wanted.name)
+            write_linear(folder / f"{name}_motion.exr", np.moveaxis(moved(shot.moment), 0, -1), MOTION)
+            if shot.moment == 0:
+                lengths[shot.index] = wanted.source.motion.frames
+    return lengths
 
 
 def _write_dng(run: SimulationRun, frames: Iterable[TrainingPair], folder: Path) -> None:

@@ -1,11 +1,13 @@
 """Scenes of a simulation: their files, read or synthetic, as they lie on the sensor; which of them do not fit there."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.io.scenes.registry import format_of
 from l3cli.simulation import sources
+from l3cli.stages.simulation.clips import clip_of
 from l3cli.stages.simulation.run import SimulationRun
 
 if TYPE_CHECKING:
@@ -17,8 +19,9 @@ def files_of(source: sources.Source, path: Path) -> list[Path]:
     return format_of(sources.name_of(source), path).files(path)
 
 
-def read_scene(wanted: sources.WantedScene, run: SimulationRun) -> "Scene | ChannelPicture":
-    """The scene, read or synthetic, as it lies on the sensor; InputFileError if it does not fit there."""
+def scene_over_time(wanted: sources.WantedScene, run: SimulationRun) -> "Callable[[int], Scene | ChannelPicture]":
+    """The scene, read or synthetic, as it lies on the sensor in each frame of its clip; one that stands still is the same in
+    all. InputFileError if it does not fit there."""
     from l3cli.scene import ChannelPicture
     from l3cli.simulation import synthetic
     from l3cli.simulation.framing import framed, framed_picture
@@ -30,6 +33,8 @@ def read_scene(wanted: sources.WantedScene, run: SimulationRun) -> "Scene | Chan
         scene = _from_file(wanted, wanted.path, run)
     culprit = str(wanted.path or wanted.name)
     try:
+        if wanted.source.motion is not None:
+            return clip_of(scene, wanted, run)
         if isinstance(scene, ChannelPicture):
             scene = framed_picture(scene, wanted.source, run.camera)
         else:
@@ -38,7 +43,7 @@ def read_scene(wanted: sources.WantedScene, run: SimulationRun) -> "Scene | Chan
         raise (RecipeError if wanted.path is None else InputFileError)(f"{culprit}: {error}") from error
     samples = scene.signal if isinstance(scene, ChannelPicture) else scene.reflectance
     sources.check_size(samples.shape[:2], run.camera, InputFileError, culprit)
-    return scene
+    return lambda _: scene
 
 
 def _from_file(wanted: sources.WantedScene, path: Path, run: SimulationRun) -> "Scene | ChannelPicture":

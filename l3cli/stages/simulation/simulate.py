@@ -10,6 +10,7 @@ from l3cli.artifacts.camera_recipe import camera_files, load_camera
 from l3cli.artifacts.training_set import TrainingSet, open_training_set, write_training_set
 from l3cli.config import load_recipe
 from l3cli.files import refuse_existing
+from l3cli.ledger import note_inputs, note_places
 from l3cli.locks import finished_together, refuse_other_run
 from l3cli.parallel import workers
 from l3cli.simulation.recipe import SceneRecipe, shots
@@ -40,8 +41,9 @@ def simulate(
     scenes: Path, camera: Path, output: Path, console: Console, *, pictures: Path | None = None, dng: Path | None = None,
     resume: bool = False, skip_bad: bool = False, seed: int = 0, jobs: int = 1, scheduler: "Scheduler | None" = None,
     force: bool = False,
-) -> int:  # fmt: skip
-    """Write the training set of a scene recipe and a camera (model or recipe); how many scenes were left out.
+) -> tuple[int, int]:  # fmt: skip
+    """Write the training set of a scene recipe and a camera (model or recipe); how many frames it has, how many scenes were
+    left out.
 
     `pictures`, `dng`: folders for each raw frame beside its ideal picture, and as DNG. `resume`: go on with the frames that
     a stopped run has stored, or make the pictures of a whole set. `skip_bad`: leave out scenes that cannot be read or do not
@@ -61,6 +63,7 @@ def simulate(
         if scheduler:
             scenes = scenes.absolute()  # its files are searched for by workers elsewhere
         model, recipe = load_camera(camera), load_recipe(scenes, SceneRecipe)
+        _ = model.saturation_exposure  # InputFileError where training would have none
         run, files = prepare(recipe, scenes, model, seed)
         files, bad = fitting(run, files, scenes, skip_bad, console)
         inputs = {"camera": camera_files(camera), **input_files(run, files)}
@@ -72,22 +75,24 @@ def simulate(
             refuse_existing(output, force)
         if is_dry():
             _plan(run, files, (scenes, camera), (output, *folders), resume, stands, force)
+        note_inputs({"scene recipe": [scenes], **inputs})
+        note_places((output, *folders))
         with contextlib.ExitStack() as unfinished:
             for folder in folders:
                 unfinished.enter_context(finished_together(folder, run.key, force))
             if stands:
                 with open_training_set(output, unchanged=True) as frames:
                     total = len(frames)
-                    write_beside(run, frames, pictures, dng)
+                    write_beside(run, files, frames, pictures, dng, console)
             else:
                 run = dataclasses.replace(run, folder=open_folder(output, run.key, resume, force))
                 with close_folder(run.folder):
                     total = _simulate_frames(run, files, head, jobs, scheduler, console)
-                    write_beside(run, StoredFrames(run, total), pictures, dng)
+                    write_beside(run, files, StoredFrames(run, total), pictures, dng, console)
                     _assemble(run, head, output, total, console)  # last: whoever has the set has its pictures, too
         left_out = f"; {bad} scene{'s' if bad > 1 else ''} left out" if bad else ""
         console.say(f"{output}: {total} frame{'s' if total > 1 else ''}{left_out}")
-        return bad
+        return total, bad
 
 
 def _plan(

@@ -16,10 +16,12 @@ from l3cli.simulation import sources
 from l3cli.simulation.light import SCENE_LIGHT
 from l3cli.simulation.recipe import Pair, Shot
 from l3cli.stages.simulation.run import SimulationRun
-from l3cli.stages.simulation.scenes import files_of, read_scene
+from l3cli.stages.simulation.scenes import files_of, scene_over_time
 
 if TYPE_CHECKING:
     from l3cli.scene import ChannelPicture, Scene
+    from l3cli.simulation.frame import Averaging, Saturating
+    from l3cli.simulation.light import Light
 
 SENT = 64 << 20  # bytes of frames that a worker of another machine sends at a time, if it is more than one frame
 
@@ -64,10 +66,15 @@ def simulate_unit(unit: WorkUnit) -> int:
     from l3cli.scene import ChannelPicture
     from l3cli.simulation.light import uncovered_share
 
-    scene = read_scene(unit.what, run)
-    missing = 0.0 if isinstance(scene, ChannelPicture) else uncovered_share(run.camera, scene.wavelength)
+    at = scene_over_time(unit.what, run)
+    times: dict[Shot, float] = {}
     for shot in shots:
-        write_part(run.part(shot.index), _frame(scene, shot, run), missing, run.key)
+        scene = at(shot.moment)
+        begins = replace(shot, index=0, moment=0)
+        if shot.moment and begins not in times:  # a clip keeps the exposure of its first frame
+            times[begins] = _exposure_time(at(0), begins, run)
+        missing = 0.0 if isinstance(scene, ChannelPicture) else uncovered_share(run.camera, scene.wavelength)
+        write_part(run.part(shot.index), _frame(scene, shot, run, times.get(begins)), missing, run.key)
     return len(unit.shots)
 
 
@@ -102,29 +109,54 @@ def frame_bytes(run: SimulationRun) -> int:
     return run.camera.rows * run.camera.cols * (4 * len(run.camera.channels) + 2 + 4 * len(run.target.outputs))
 
 
-def _frame(scene: "Scene | ChannelPicture", shot: Shot, run: SimulationRun) -> Any:
-    from l3cli.scene import Scene
-    from l3cli.simulation import light
-    from l3cli.simulation.frame import Averaging, Saturating, simulate
+def _frame(scene: "Scene | ChannelPicture", shot: Shot, run: SimulationRun, seconds: float | None = None) -> Any:
+    """A frame, exposed for `seconds`; None: as the recipe says."""
+    from l3cli.simulation.frame import simulate
 
-    if shot.illuminant == SCENE_LIGHT:
-        assert isinstance(scene, Scene)
-        falling = light.scene_light(scene, shot.luminance)
-    else:
-        falling = run.lights[shot.illuminant].at(shot.luminance)
-    control, _ = run.recipe.exposures()
-    exposure: float | Saturating | Averaging = shot.exposure
-    if control == "share":
-        exposure = light.automatic_exposure(run.camera, falling, shot.exposure)
-    elif control == "saturated":
-        exposure = Saturating(shot.exposure)
-    elif control == "mean":
-        exposure = Averaging(shot.exposure)
+    falling = _light(scene, shot, run)
+    exposure = _exposure(falling, shot, run) if seconds is None else seconds
     noise, seed = run.recipe.sensor.noise, (run.seed, shot.index)
     try:
         return simulate(run.camera, scene, falling, exposure, run.recipe.lens, seed, run.target, noise)
     except ValueError as error:
         raise InputFileError(f"scene {scene.name}: {error}") from error
+
+
+def _exposure_time(scene: "Scene | ChannelPicture", shot: Shot, run: SimulationRun) -> float:
+    """Seconds that the recipe exposes a frame for."""
+    from l3cli.simulation.frame import exposure_time
+
+    falling = _light(scene, shot, run)
+    exposure = _exposure(falling, shot, run)
+    if isinstance(exposure, float):
+        return exposure
+    try:
+        return exposure_time(run.camera, scene, falling, exposure, run.recipe.lens)
+    except ValueError as error:
+        raise InputFileError(f"scene {scene.name}: {error}") from error
+
+
+def _light(scene: "Scene | ChannelPicture", shot: Shot, run: SimulationRun) -> "Light":
+    from l3cli.scene import Scene
+    from l3cli.simulation.light import scene_light
+
+    if shot.illuminant == SCENE_LIGHT:
+        assert isinstance(scene, Scene)
+        return scene_light(scene, shot.luminance)
+    return run.lights[shot.illuminant].at(shot.luminance)
+
+
+def _exposure(falling: "Light", shot: Shot, run: SimulationRun) -> "float | Saturating | Averaging":
+    """Seconds, or how they follow from the frame."""
+    from l3cli.simulation.frame import Averaging, Saturating
+    from l3cli.simulation.light import automatic_exposure
+
+    control, _ = run.recipe.exposures()
+    if control == "share":
+        return automatic_exposure(run.camera, falling, shot.exposure)
+    if control == "saturated":
+        return Saturating(shot.exposure)
+    return Averaging(shot.exposure) if control == "mean" else shot.exposure
 
 
 def _pair(pair: Pair, run: SimulationRun) -> Any:

@@ -81,6 +81,11 @@ def _learn(run: TrainingRun, execution: Execution) -> TransformTable:
 
 def say_table(table: TransformTable, output: Path, console: Console) -> None:
     """What has been learned, in a line."""
-    for number, layer in enumerate(table.layers, start=1):
-        filled, which = int((layer.samples == 0).sum()), f", layer {number}" if table.later else ""
-        console.say(f"{output}{which}: {len(layer.weights)} classes, {filled} of them without patches of their own")
+    for number, (classes, unfilled) in enumerate(filling(table), start=1):
+        which = f", layer {number}" if table.later else ""
+        console.say(f"{output}{which}: {classes} classes, {unfilled} of them without patches of their own")
+
+
+def filling(table: TransformTable) -> list[tuple[int, int]]:
+    """Of each layer how many classes it has, and how many of these without patches of their own."""
+    return [(len(layer.weights), int((layer.samples == 0).sum())) for layer in table.layers]

@@ -10,6 +10,7 @@ from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.layers import PLANE_TOP, PlaneLayer
 from l3cli.classes.decide import labels as classes_of
 from l3cli.classes.later import label_planes, mirrored
+from l3cli.classes.level import unclipped_level
 from l3cli.classes.planes import COARSE, FixedPoint, coarse, later_fixed_point
 from l3cli.classes.statistics import mosaic_statistics, truncation
 from l3cli.classes.windows import Integers, neighbourhoods
@@ -27,7 +28,7 @@ class Seen:
 
     target: Floats  # (row, col, output)
     label: Integers  # (row, col) class of the first layer
-    brightness: Floats  # (row, col) mean over the channels of their means, share of full scale
+    brightness: Floats  # (row, col) mean over the channels of their means, share of full scale, were none clipped
     noisy: NDArray[np.int32]  # (plane, row, col) what the next layer reads, in steps
     clean: Floats  # (plane, row, col) the same without noise, by the classes of the noisy one
 
@@ -46,7 +47,8 @@ class FirstLayer:
         statistics = mosaic_statistics(mosaic.values, rule, self._near, camera.cfa, (0, 0))
         within = classes_of(rule, statistics)
         mean = (statistics.sums / self._near.count[statistics.site]).mean(axis=-1) * 2**rule.shift
-        brightness = (mean + truncation(rule.shift) - camera.black_level) / (camera.white_level - camera.black_level)
+        share = (mean + truncation(rule.shift) - camera.black_level) / (camera.white_level - camera.black_level)
+        brightness = unclipped_level(share, camera.sensitivity)
         label = rule.on_site(within, statistics.site)
         padded = pad_mosaic(mosaic.values, rule.radius, camera.cfa.shape)
         noisy = self._apply.planes(_windows(padded[None], rule.patch), label)

@@ -44,7 +44,7 @@ def mosaics_of(frame: TrainingPair, count: int, exposed: Exposed, rng: np.random
         yield from (_piece_of_pair(frame, exposed.camera, rng) for _ in range(count))
         return
     camera = exposed.camera
-    signal = frame.electrons * np.float32(1 / camera.full_scale)
+    signal = frame.electrons * (camera.channel_gains / camera.full_scale).astype(np.float32)[:, None, None]
     target = frame.target * np.float32(frame.exposure / camera.saturation_exposure)
     white = None if frame.light is None else white_signal(frame.light, camera)
     coloured = count if white is None else count - round(exposed.achromatic * count)
@@ -62,14 +62,15 @@ def mosaics_of(frame: TrainingPair, count: int, exposed: Exposed, rng: np.random
         clean = np.minimum(mosaic, 1.0) * np.float32(camera.white_level - camera.black_level) + np.float32(
             camera.black_level
         )
-        values = expose_patches(mosaic, camera, rng, dark=exposed.dark) if exposed.noisy else np.rint(clean)
+        channel = camera.channel_map(mosaic.shape)
+        values = expose_patches(mosaic, camera, rng, None, exposed.dark, channel) if exposed.noisy else np.rint(clean)
         yield Mosaic(values.astype(np.uint16), clean, wanted * scale)
 
 
 def white_signal(light: LightSpectrum, camera: CameraModel) -> NDArray[np.float64]:
     """Signals (channel), as shares of full scale, of a white of Y = 1 under a light."""
     radiance = spectra.resample(light.radiance.astype(np.float64), light.wavelength, camera.wavelength)
-    return np.asarray(camera.electron_weights @ radiance * (camera.saturation_exposure / camera.full_scale))
+    return np.asarray(camera.signal_weights @ radiance * (camera.saturation_exposure / camera.full_scale))
 
 
 def _piece_of_pair(pair: TrainingPair, camera: CameraModel, rng: np.random.Generator) -> Mosaic:
@@ -104,7 +105,4 @@ def _drawn_level(recipe: LearningRecipe, rng: np.random.Generator) -> float:
 
 
 def _through_cfa(planes: Floats, camera: CameraModel) -> Floats:
-    rows, cols = planes.shape[1:]
-    period = camera.cfa.shape
-    channel = camera.cfa[np.ix_(np.arange(rows) % period[0], np.arange(cols) % period[1])]
-    return np.take_along_axis(planes, channel[None].astype(np.intp), 0)[0]
+    return np.take_along_axis(planes, camera.channel_map(planes.shape[1:])[None].astype(np.intp), 0)[0]

@@ -29,6 +29,7 @@ def luminance_noise(layer: LayerPass, frames: Iterable[TrainingPair], first: int
     """Of every frame whose index, `first` that of the first, is a multiple of `every`: sums of squared differences that
     noise makes between pixels two apart of the luminance, and their number (2, level)."""
     see, noisy, measured = layer.seer(), replace(layer.exposed, noisy=True), []
+    brightest = BRIGHTEST * layer.camera.sensitivity.mean() / layer.camera.sensitivity.min()
     for index, frame in enumerate(frames, first):
         if index % every:
             continue
@@ -39,7 +40,7 @@ def luminance_noise(layer: LayerPass, frames: Iterable[TrainingPair], first: int
             noise = seen.noisy[LUMINANCE] - seen.clean[LUMINANCE]
             across, down = noise[1:-1, 2:] - noise[1:-1, :-2], noise[2:, 1:-1] - noise[:-2, 1:-1]
             place = layer.rule.split(seen.label)
-            tells = ((layer.rule.case(place.kind) == 0) & (seen.brightness < BRIGHTEST))[1:-1, 1:-1]
+            tells = ((layer.rule.lost(place.kind) == 0) & (seen.brightness < brightest))[1:-1, 1:-1]
             level = place.level[1:-1, 1:-1][tells]
             total[0] += np.bincount(level, ((across**2 + down**2) / 2)[tells], layer.rule.levels)
             total[1] += np.bincount(level, minlength=layer.rule.levels)
@@ -76,7 +77,7 @@ def structure_rule(layer: LayerPass, scale: GradientScale) -> StructureRule:
         strength_edges=np.rint(np.array(layer.recipe.strengths) * structure.NOISE_TRACE).astype(np.uint32),
         coherence=round(64 * layer.recipe.coherence),
         turns=np.array([structure.turn_signs(orientations(3)[turn]) for turn in layer.turns], np.int8),
-        cases=layer.rule.cases,
+        cases=layer.rule.lost_cases,
     )
 
 
@@ -98,7 +99,7 @@ def sample_tree(
             target = seen.target.reshape(-1, seen.target.shape[-1]) @ judged
             evidence = plane_evidence(seen.noisy, place.level, *scale)
             inner = inner_pixels(seen.label.shape)
-            free = inner[(layer.rule.case(place.kind) == 0).ravel()[inner]]
+            free = inner[(layer.rule.lost(place.kind) == 0).ravel()[inner]]
             for canonical in np.unique(reading.canonical).tolist():
                 here = free[reading.canonical[site[free]] == canonical]
                 chosen = rng.choice(here, min(rows, here.size), replace=False)
@@ -117,7 +118,7 @@ def tree_rule(layer: LayerPass, scale: GradientScale, samples: Sequence[dict[int
     """Classes by the leaves of a tree grown on the samples of all frames in order."""
     sites = sorted({site for sample in samples for site in sample})
     tree = grow([TreeSample.together([one[site] for one in samples if site in one]) for site in sites], layer.recipe.leaves)
-    return TreeRule(**scale._asdict(), **tree._asdict(), turns=np.array(layer.turns, np.uint8), cases=layer.rule.cases)
+    return TreeRule(**scale._asdict(), **tree._asdict(), turns=np.array(layer.turns, np.uint8), cases=layer.rule.lost_cases)
 
 
 def _judged(layer: LayerPass) -> NDArray[np.float32]:

@@ -21,8 +21,8 @@ size_t l3_workspace_bytes(int rows, int columns);
  * phase_row, phase_column   CFA row and column of the first pixel
  * workspace  l3_workspace_bytes(rows, columns) bytes, aligned as malloc aligns; what it holds does not matter
  * labels     (layer, row, column): the class of each pixel in each of L3_LAYERS layers
- * outputs    (output, row, column): L3_OUTPUTS planes */
+ * outputs    (output, row, column): L3_OUTPUTS planes of L3Output, in steps of 2^-L3_OUTPUT_FRACTION */
 int l3_render(const uint16_t *raw, int rows, int columns, int phase_row, int phase_column, void *workspace, uint32_t *labels,
-              float *outputs);
+              L3Output *outputs);
 
 #endif

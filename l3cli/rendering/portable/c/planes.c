@@ -85,38 +85,24 @@ static void planes_to_planes(const L3PlaneLayer *layer, const int32_t *restrict 
 
 /* ------------------------------------------------------------------------------------------------- transforms to outputs */
 
-/* Sum of products, in sixteen parts that do not wait for one another. */
-static inline float dot(const float *restrict a, const float *restrict b) {
-    float part[16] = {0}, eight[8], four[4];
-    for (int t = 0; t < L3_LAST_TAPS; t += 16)
-        for (int i = 0; i < 16; i++) part[i] += a[t + i] * b[t + i];
-    for (int i = 0; i < 8; i++) eight[i] = part[i] + part[i + 8];
-    for (int i = 0; i < 4; i++) four[i] = eight[i] + eight[i + 4];
-    return (four[0] + four[2]) + (four[1] + four[3]);
-}
-
 /* Planes and classes of the last layer -> outputs (output, row, column). */
-static void planes_to_outputs(const L3PlaneLayer *layer, const int32_t *restrict from, float *restrict ring, size_t ring_values,
-                              int rows, int columns, const uint32_t *restrict labels, float *restrict outputs) {
+static void planes_to_outputs(const L3PlaneLayer *layer, const int32_t *restrict from, const Ring *ring, size_t ring_values, int rows,
+                              int columns, const uint32_t *restrict labels, L3Output *restrict outputs) {
     const int radius = layer->side / 2;
-    const float *weights = layer->weights, *intercept = layer->intercept;
     const ptrdiff_t step = 3 * layer->side, pixels = (ptrdiff_t)rows * columns;
-    for (size_t i = 0; i < ring_values; i++) ring[i] = 0;
+    for (size_t i = 0; i < ring_values; i++) keep_nothing(ring, i);
     for (int k = 0; k < rows + 2 * radius; k++) {
         const int32_t *restrict row = from + (ptrdiff_t)mirrored(k - radius, rows, 1) * columns;
         for (int p = 0; p < columns + 2 * radius; p++) {
             const int column = mirrored_column(p - radius, columns);
-            for (int s = 0; s < 3; s++) ring[p * step + 3 * k + s] = (float)row[s * pixels + column];
+            for (int s = 0; s < 3; s++) keep(ring, (size_t)(p * step + 3 * k + s), row[s * pixels + column]);
         }
         if (k < 2 * radius) continue;
         const ptrdiff_t at = (ptrdiff_t)(k - 2 * radius) * columns;
-        for (int x = 0; x < columns; x++) {
-            const float *patch = ring + x * step + 3 * (k - 2 * radius);
-            const size_t first = (size_t)labels[at + x] * L3_OUTPUTS;
+        for (int x = 0; x < columns; x++)
             for (size_t o = 0; o < L3_OUTPUTS; o++)
                 outputs[(ptrdiff_t)o * pixels + at + x] =
-                    dot(patch, weights + (first + o) * L3_LAST_TAPS) + intercept[first + o];
-        }
+                    output_of(ring, x * step + 3 * (k - 2 * radius), (size_t)labels[at + x] * L3_OUTPUTS + o);
     }
 }
 

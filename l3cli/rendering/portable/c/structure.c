@@ -2,6 +2,7 @@
 
 #define REACH 3  /* pixels beyond a plane that the class at its edge reads */
 #define WINDOW 5 /* rows of gradients that it weighs */
+#define TOGETHER 32 /* pixels that go down a tree side by side */
 enum { XX, YY, XY, CHROMA_XX, CHROMA_YY, ALONG_FIRST, ALONG_SECOND, BEND_XX, BEND_YY, SLOPE_X, SLOPE_Y, BEND_X, BEND_Y, QUANTITIES };
 
 /* Rows of what the classes of later layers decide by. Columns of planes have a margin of REACH pixels, those of gradients of
@@ -13,12 +14,10 @@ typedef struct {
     int32_t *quantity;   /* (QUANTITIES, WINDOW, span) gradients of the latest rows, and products of them */
     int32_t *down;       /* (span) one of these, weighed over the rows */
     int32_t *weighed;    /* (L3_TESTS, span) such sums over whole windows */
-    float *numerator;    /* (L3_TESTS, span) of a tree's tests */
-    float *denominator;  /* (4, span) */
 } Gradients;
 
 static Gradients gradients_in(Room *room, int columns) {
-    const uint64_t span = (uint64_t)columns + 2 * REACH;
+    const uint64_t span = ((uint64_t)columns + TOGETHER - 1) / TOGETHER * TOGETHER + 2 * REACH;
     Gradients g;
     g.span = (ptrdiff_t)span;
     g.plane = take(room, span * 3 * WINDOW, sizeof *g.plane);
@@ -27,20 +26,11 @@ static Gradients gradients_in(Room *room, int columns) {
     g.quantity = take(room, span * QUANTITIES * WINDOW, sizeof *g.quantity);
     g.down = take(room, span, sizeof *g.down);
     g.weighed = take(room, span * L3_TESTS, sizeof *g.weighed);
-    g.numerator = take(room, span * L3_TESTS, sizeof *g.numerator);
-    g.denominator = take(room, span * 4, sizeof *g.denominator);
     return g;
 }
 
 static int32_t *plane_row(const Gradients *g, int plane, int k) { return g->plane + (plane * WINDOW + k % WINDOW) * g->span; }
 static int32_t *quantity_row(const Gradients *g, int q, int k) { return g->quantity + (q * WINDOW + k % WINDOW) * g->span; }
-
-/* What a class of the first layer says: its level, and its saturation case, 0 where nothing is saturated. */
-static uint32_t level_of(uint32_t label) { return label / (L3_CONTRASTS * L3_FURTHER * L3_KINDS) % L3_LEVELS; }
-static uint32_t case_of(uint32_t label) {
-    const uint32_t kind = label % L3_KINDS;
-    return kind < L3_CHROMAS ? 0 : kind - L3_CHROMAS + 1;
-}
 
 /* Padded row k of a plane into its ring. */
 static void read_plane(const Gradients *g, const int32_t *planes, int plane, int k, int rows, int columns) {
@@ -53,13 +43,14 @@ static void read_plane(const Gradients *g, const int32_t *planes, int plane, int
     }
 }
 
-/* Factor and shift of the gradients of padded row k, by the levels of the first layer. */
+/* Factor and shift of the gradients of padded row k, by the classes of the first layer. */
 static void read_scale(const Gradients *g, const L3PlaneLayer *layer, const uint32_t *first_labels, int k, int rows, int columns) {
     const uint32_t *restrict from = first_labels + (ptrdiff_t)mirrored(k - REACH, rows, 1) * columns;
+    int32_t *restrict factor = g->factor, *restrict shift = g->shift;
     for (int p = 0; p < columns + 2 * REACH - 2; p++) {
-        const uint32_t level = level_of(from[mirrored_column(p - REACH + 1, columns)]);
-        g->factor[p] = layer->gradient_factor[level];
-        g->shift[p] = layer->gradient_shift[level];
+        const uint32_t word = layer->gradient[from[mirrored_column(p - REACH + 1, columns)]];
+        factor[p] = (int32_t)(word & 0xff);
+        shift[p] = (int32_t)(word >> 8 & 0x1f);
     }
 }
 
@@ -87,15 +78,14 @@ static void weigh_near(const Gradients *g, const int32_t *restrict a, const int3
     for (int x = 0; x < columns; x++) to[x] = down[x] + 2 * down[x + 1] + down[x + 2];
 }
 
-/* The class of a pixel of a later layer from what its rule tells apart where nothing is saturated. */
-static inline uint32_t plane_class(const L3PlaneLayer *layer, uint32_t first_label, uint32_t site, uint32_t structure) {
-    const uint32_t saturation = case_of(first_label), level = level_of(first_label) / layer->level_step;
-    const uint32_t kind = saturation > 0 ? layer->structures - 1 + saturation : structure;
-    return (site * layer->levels + level) * layer->kinds + kind;
-}
+/* All bits where a class of the first layer says so (types of l3_table.h), else none. */
+static inline int32_t where(uint32_t word, int bit) { return -(int32_t)(word >> bit & 1); }
+static inline int32_t negated(int32_t value, int32_t mask) { return (value ^ mask) - mask; }
 
-static uint32_t site_of(int y, int x, int phase_row, int phase_column) {
-    return (uint32_t)((y + phase_row) % L3_CFA_ROWS * L3_CFA_COLUMNS + (x + phase_column) % L3_CFA_COLUMNS);
+/* The class of a pixel of a later layer from what its rule tells apart where nothing is saturated. */
+static inline uint32_t plane_class(const L3PlaneLayer *layer, uint32_t first_label, uint32_t structure) {
+    const uint32_t first = layer->first_class[first_label];
+    return first & L3_DECIDED ? first - L3_DECIDED : first + structure;
 }
 
 /* -------------------------------------------------------------------------------------------------------------- structure */
@@ -113,8 +103,8 @@ static void luminance_products(const Gradients *g, int k, int columns) {
 }
 
 /* Strength and direction of the edge at a pixel (README.md, "Structure") from its structure tensor. */
-static inline uint32_t structure_of(const L3Structure *rule, int32_t xx, int32_t yy, int32_t xy, const int8_t *turn) {
-    const int32_t a = ((xx - yy) >> 6) * turn[0], b = (xy >> 5) * turn[1];
+static inline uint32_t structure_of(const L3Structure *rule, int32_t xx, int32_t yy, int32_t xy, uint32_t word) {
+    const int32_t a = negated((xx - yy) >> 6, where(word, L3_TURN)), b = negated(xy >> 5, where(word, L3_TURN + 1));
     const uint32_t trace = (uint32_t)xx + (uint32_t)yy; /* up to 2^32, as what follows */
     const uint32_t width = (uint32_t)(a < 0 ? -a : a), height = (uint32_t)(b < 0 ? -b : b);
     uint32_t strength = 0, direction = b > 0 ? (a > 0 ? 1u : 3u) : (a > 0 ? 7u : 5u);
@@ -128,7 +118,7 @@ static inline uint32_t structure_of(const L3Structure *rule, int32_t xx, int32_t
 }
 
 static void label_by_structure(const Gradients *g, const L3PlaneLayer *layer, const int32_t *planes, const uint32_t *first_labels,
-                               int rows, int columns, int phase_row, int phase_column, uint32_t *labels) {
+                               int rows, int columns, uint32_t *labels) {
     int32_t *xx = g->weighed, *yy = xx + g->span, *xy = yy + g->span;
     for (int k = 0; k < rows + 2 * REACH; k++) {
         read_plane(g, planes, L3_LUMINANCE, k, rows, columns);
@@ -140,9 +130,8 @@ static void label_by_structure(const Gradients *g, const L3PlaneLayer *layer, co
         const int y = k - 2 * REACH;
         for (int x = 0; x < columns; x++) {
             const ptrdiff_t at = (ptrdiff_t)y * columns + x;
-            const uint32_t site = site_of(y, x, phase_row, phase_column);
-            const uint32_t structure = structure_of(layer->structure, xx[x], yy[x], xy[x], layer->structure->turns + 2 * site);
-            labels[at] = plane_class(layer, first_labels[at], site, structure);
+            const uint32_t word = layer->gradient[first_labels[at]];
+            labels[at] = plane_class(layer, first_labels[at], structure_of(layer->structure, xx[x], yy[x], xy[x], word));
         }
     }
 }

@@ -1,6 +1,6 @@
 /* Without arguments: compares with test_labels.bin and test_outputs.bin what l3_render makes of test_raw.bin; ends with 1 if a class
- * differs, or an output by more than two millionths of the largest. With ROWS COLUMNS: times frames of that size, filled with the
- * test mosaic. */
+ * differs, a float by more than two millionths of the largest output, or a word by more than one from the output rounded. With ROWS
+ * COLUMNS: times frames of that size, filled with the test mosaic. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <time.h>
@@ -45,12 +45,23 @@ static uint16_t *test_mosaic(void) {
 
 static double size_of(double value) { return value < 0 ? -value : value; }
 
+#if L3_OUTPUT_FRACTION > 0 /* words: what the reference's output is as one */
+#define TOLERANCE(largest) (1.0 + 0 * (largest))
+static double in_steps(double output) {
+    const double steps = output * (1 << L3_OUTPUT_FRACTION) + (output < 0 ? -0.5 : 0.5);
+    return steps > L3_OUTPUT_TOP ? L3_OUTPUT_TOP : steps < -L3_OUTPUT_TOP ? -L3_OUTPUT_TOP : (double)(long)steps;
+}
+#else
+#define TOLERANCE(largest) (2e-6 * (largest))
+static double in_steps(double output) { return output; }
+#endif
+
 static int compare(void) {
     uint16_t *raw = test_mosaic();
     unsigned char *labels = read_file("test_labels.bin", L3_LAYERS * PIXELS * 4);
     unsigned char *outputs = read_file("test_outputs.bin", L3_OUTPUTS * PIXELS * 4);
     uint32_t *label = room(L3_LAYERS * PIXELS * sizeof *label);
-    float *output = room(L3_OUTPUTS * PIXELS * sizeof *output);
+    L3Output *output = room(L3_OUTPUTS * PIXELS * sizeof *output);
     void *workspace = room(l3_workspace_bytes(L3_TEST_ROWS, L3_TEST_COLUMNS));
     if (l3_render(raw, L3_TEST_ROWS, L3_TEST_COLUMNS, L3_TEST_PHASE_ROW, L3_TEST_PHASE_COLUMN, workspace, label, output) != 0)
         return 2;
@@ -58,14 +69,14 @@ static int compare(void) {
     double most = 0, largest = 0;
     for (size_t i = 0; i < L3_LAYERS * PIXELS; i++) differing += label[i] != word(labels + 4 * i);
     for (size_t i = 0; i < L3_OUTPUTS * PIXELS; i++) {
-        const double expected = number(outputs + 4 * i), difference = size_of((double)output[i] - expected);
+        const double expected = in_steps(number(outputs + 4 * i)), difference = size_of((double)output[i] - expected);
         most = difference > most ? difference : most;
         largest = size_of(expected) > largest ? size_of(expected) : largest;
     }
     printf("classes that differ: %lu of %lu; largest difference of an output: %.2g of %.2g\n", differing,
            (unsigned long)(L3_LAYERS * PIXELS), most, largest);
     free(raw), free(labels), free(outputs), free(label), free(output), free(workspace);
-    return differing > 0 || !(most <= 2e-6 * largest);
+    return differing > 0 || !(most <= TOLERANCE(largest));
 }
 
 static int measure(int rows, int columns) {
@@ -73,7 +84,7 @@ static int measure(int rows, int columns) {
     if (rows < 1 || columns < 1 || bytes == 0) return fprintf(stderr, "no such frame\n"), 2;
     uint16_t *test = test_mosaic(), *raw = room(pixels * sizeof *raw);
     uint32_t *label = room(L3_LAYERS * pixels * sizeof *label);
-    float *output = room(L3_OUTPUTS * pixels * sizeof *output);
+    L3Output *output = room(L3_OUTPUTS * pixels * sizeof *output);
     void *workspace = room(bytes);
     for (size_t i = 0; i < pixels; i++)
         raw[i] = test[i / (size_t)columns % L3_TEST_ROWS * L3_TEST_COLUMNS + i % (size_t)columns % L3_TEST_COLUMNS];

@@ -1,36 +1,53 @@
 /* ------------------------------------------------------------------------------------------------------------------- tree */
 
-/* Gradients and bends of the planes about padded row k - 1, and their products, as row k of the rings. */
-static void plane_products(const Gradients *g, int k, int columns) {
-    const int32_t *restrict factor = g->factor, *restrict shift = g->shift;
-    const int32_t *restrict above = plane_row(g, L3_LUMINANCE, k - 2), *restrict here = plane_row(g, L3_LUMINANCE, k - 1);
-    const int32_t *restrict below = plane_row(g, L3_LUMINANCE, k);
-    const int32_t *restrict u_above = plane_row(g, 0, k - 2), *restrict u_here = plane_row(g, 0, k - 1);
-    const int32_t *restrict u_below = plane_row(g, 0, k);
-    const int32_t *restrict v_above = plane_row(g, 2, k - 2), *restrict v_here = plane_row(g, 2, k - 1);
-    const int32_t *restrict v_below = plane_row(g, 2, k);
-    int32_t *row[QUANTITIES];
-    for (int q = 0; q < QUANTITIES; q++) row[q] = quantity_row(g, q, k);
+/* Gradients and bends of luminance about a padded row, and their products. */
+static void luminance_slopes(const int32_t *restrict above, const int32_t *restrict here, const int32_t *restrict below,
+                             const int32_t *restrict factor, const int32_t *restrict shift, int columns, int32_t *restrict slope_x,
+                             int32_t *restrict slope_y, int32_t *restrict bend_x, int32_t *restrict bend_y, int32_t *restrict xx,
+                             int32_t *restrict yy, int32_t *restrict xy, int32_t *restrict bend_xx, int32_t *restrict bend_yy) {
     for (int p = 0; p < columns + 4; p++) {
-        const int32_t f = factor[p], s = shift[p];
+        const int32_t f = factor[p], s = shift[p], twice = 2 * here[p + 1];
         const int32_t gx = scaled(here[p + 2] - here[p], f, s, L3_TREE_TOP);
         const int32_t gy = scaled(below[p + 1] - above[p + 1], f, s, L3_TREE_TOP);
-        const int32_t bx = scaled(here[p] - 2 * here[p + 1] + here[p + 2], f, s, L3_TREE_TOP);
-        const int32_t by = scaled(above[p + 1] - 2 * here[p + 1] + below[p + 1], f, s, L3_TREE_TOP);
+        const int32_t bx = scaled(here[p] - twice + here[p + 2], f, s, L3_TREE_TOP);
+        const int32_t by = scaled(above[p + 1] - twice + below[p + 1], f, s, L3_TREE_TOP);
+        slope_x[p] = gx, slope_y[p] = gy, bend_x[p] = bx, bend_y[p] = by;
+        xx[p] = gx * gx, yy[p] = gy * gy, xy[p] = gx * gy, bend_xx[p] = bx * bx, bend_yy[p] = by * by;
+    }
+}
+
+/* Products of the gradients of chroma, and with those of luminance. */
+static void chroma_slopes(const int32_t *restrict u_above, const int32_t *restrict u_here, const int32_t *restrict u_below,
+                          const int32_t *restrict v_above, const int32_t *restrict v_here, const int32_t *restrict v_below,
+                          const int32_t *restrict factor, const int32_t *restrict shift, const int32_t *restrict slope_x,
+                          const int32_t *restrict slope_y, int columns, int32_t *restrict xx, int32_t *restrict yy,
+                          int32_t *restrict first, int32_t *restrict second) {
+    for (int p = 0; p < columns + 4; p++) {
+        const int32_t f = factor[p], s = shift[p], gx = slope_x[p], gy = slope_y[p];
         const int32_t ux = scaled(u_here[p + 2] - u_here[p], f, s, L3_TREE_CHROMA_TOP);
         const int32_t uy = scaled(u_below[p + 1] - u_above[p + 1], f, s, L3_TREE_CHROMA_TOP);
         const int32_t vx = scaled(v_here[p + 2] - v_here[p], f, s, L3_TREE_CHROMA_TOP);
         const int32_t vy = scaled(v_below[p + 1] - v_above[p + 1], f, s, L3_TREE_CHROMA_TOP);
-        row[XX][p] = gx * gx, row[YY][p] = gy * gy, row[XY][p] = gx * gy;
-        row[CHROMA_XX][p] = ux * ux + vx * vx, row[CHROMA_YY][p] = uy * uy + vy * vy;
-        row[ALONG_FIRST][p] = gx * ux + gy * uy, row[ALONG_SECOND][p] = gx * vx + gy * vy;
-        row[BEND_XX][p] = bx * bx, row[BEND_YY][p] = by * by;
-        row[SLOPE_X][p] = gx, row[SLOPE_Y][p] = gy, row[BEND_X][p] = bx, row[BEND_Y][p] = by;
+        xx[p] = ux * ux + vx * vx, yy[p] = uy * uy + vy * vy;
+        first[p] = gx * ux + gy * uy, second[p] = gx * vx + gy * vy;
     }
 }
 
-static inline float squared_with_sign(int32_t value) { return (float)(value * (value < 0 ? -value : value)); }
-static inline int32_t size_of(int32_t value) { return value < 0 ? -value : value; }
+/* Those of the planes about padded row k - 1, as row k of the rings. */
+static void plane_products(const Gradients *g, int k, int columns) {
+    int32_t *row[QUANTITIES];
+    for (int q = 0; q < QUANTITIES; q++) row[q] = quantity_row(g, q, k);
+    luminance_slopes(plane_row(g, L3_LUMINANCE, k - 2), plane_row(g, L3_LUMINANCE, k - 1), plane_row(g, L3_LUMINANCE, k), g->factor,
+                     g->shift, columns, row[SLOPE_X], row[SLOPE_Y], row[BEND_X], row[BEND_Y], row[XX], row[YY], row[XY], row[BEND_XX],
+                     row[BEND_YY]);
+    chroma_slopes(plane_row(g, 0, k - 2), plane_row(g, 0, k - 1), plane_row(g, 0, k), plane_row(g, 2, k - 2), plane_row(g, 2, k - 1),
+                  plane_row(g, 2, k), g->factor, g->shift, row[SLOPE_X], row[SLOPE_Y], columns, row[CHROMA_XX], row[CHROMA_YY],
+                  row[ALONG_FIRST], row[ALONG_SECOND]);
+}
+
+static inline int32_t size_of(int32_t value) { return negated(value, value >> 31); }
+static inline int32_t larger_of(int32_t a, int32_t b) { return a > b ? a : b; }
+static inline float squared_with_sign(int32_t value) { return (float)(value * size_of(value)); }
 
 /* The sums that the tests of a row need: over 5 x 5 of the first seven quantities, then over 3 x 3. */
 static void weigh_row(const Gradients *g, int k, int columns) {
@@ -44,59 +61,121 @@ static void weigh_row(const Gradients *g, int k, int columns) {
                    g->weighed + (13 + plane) * g->span);
 }
 
-/* Numerators and denominators of every test (README.md, "Tree"), of a row. Rounding to float is the only one: IEEE-754's. */
-static void find_evidence(const Gradients *g, int k, int columns) {
-    const int32_t *restrict sum = g->weighed, *restrict bend_x = quantity_row(g, BEND_X, k - 2);
-    const int32_t *restrict bend_y = quantity_row(g, BEND_Y, k - 2);
+/* Of TOGETHER pixels of a row. */
+typedef struct {
+    float numerator[L3_TESTS][TOGETHER], denominator[4][TOGETHER];
+    int32_t transposed[TOGETHER], across[TOGETHER], down[TOGETHER]; /* how they are turned: all bits, or none */
+} TreeEvidence;
+
+/* Numerators and denominators of every test (README.md, "Tree") from column x on, each pixel's in the orientation that its site is
+ * learned in: columns and rows change places, and signs. Rounding to float is the only one: IEEE-754's. */
+static void find_evidence(const Gradients *g, int k, int x, TreeEvidence *restrict e) {
     const ptrdiff_t n = g->span;
-    float *restrict to = g->numerator, *restrict below = g->denominator;
-    for (int x = 0; x < columns; x++) {
-        const int32_t xx = sum[x], yy = sum[n + x], diagonal = 2 * sum[2 * n + x];
-        const int32_t chroma_xx = sum[3 * n + x], chroma_yy = sum[4 * n + x];
+    const int32_t *restrict sum = g->weighed + x, *restrict bend_x = quantity_row(g, BEND_X, k - 2) + x + 2;
+    const int32_t *restrict bend_y = quantity_row(g, BEND_Y, k - 2) + x + 2;
+    for (int i = 0; i < TOGETHER; i++) {
+        const int32_t mask = e->transposed[i], swap = (sum[i] ^ sum[n + i]) & mask;
+        const int32_t xx = sum[i] ^ swap, yy = sum[n + i] ^ swap;
+        const int32_t chroma_swap = (sum[3 * n + i] ^ sum[4 * n + i]) & mask;
+        const int32_t chroma_xx = sum[3 * n + i] ^ chroma_swap, chroma_yy = sum[4 * n + i] ^ chroma_swap;
+        const int32_t curve_swap = (sum[9 * n + i] ^ sum[10 * n + i]) & mask;
+        const int32_t slope_swap = (sum[11 * n + i] ^ sum[12 * n + i]) & mask;
+        const int32_t bend_swap = (bend_x[i] ^ bend_y[i]) & mask;
+        const int32_t diagonal = 2 * negated(sum[2 * n + i], e->across[i] ^ e->down[i]), luminance = sum[14 * n + i];
         const int32_t trace = xx + yy, chroma = chroma_xx + chroma_yy, straight = xx - yy;
         const int32_t both = ((size_of(straight) + size_of(diagonal)) >> 6) * 45;
-        const int32_t larger = size_of(straight) > size_of(diagonal) ? size_of(straight) : size_of(diagonal);
-        to[0 * n + x] = (float)trace;
-        to[1 * n + x] = (float)straight;
-        to[2 * n + x] = (float)diagonal;
-        to[3 * n + x] = (float)(straight + diagonal);
-        to[4 * n + x] = (float)(straight - diagonal);
-        to[5 * n + x] = (float)(larger > both ? larger : both);
-        to[6 * n + x] = (float)(sum[7 * n + x] + sum[8 * n + x]);
-        to[7 * n + x] = to[8 * n + x] = (float)chroma;
-        to[9 * n + x] = (float)(chroma_xx - chroma_yy);
-        to[10 * n + x] = (float)sum[5 * n + x];
-        to[11 * n + x] = (float)sum[6 * n + x];
-        to[12 * n + x] = (float)sum[9 * n + x];
-        to[13 * n + x] = (float)sum[10 * n + x];
-        to[14 * n + x] = squared_with_sign(bend_x[x + 2]);
-        to[15 * n + x] = squared_with_sign(bend_y[x + 2]);
-        to[16 * n + x] = squared_with_sign(sum[11 * n + x]);
-        to[17 * n + x] = squared_with_sign(sum[12 * n + x]);
-        to[18 * n + x] = (float)sum[13 * n + x];
-        to[19 * n + x] = (float)sum[15 * n + x];
-        to[20 * n + x] = (float)sum[14 * n + x];
-        below[0 * n + x] = 1.0f;
-        below[1 * n + x] = (float)(trace + L3_NOISE_TRACE);
-        below[2 * n + x] = (float)(chroma + L3_NOISE_TRACE);
-        below[3 * n + x] = (float)(sum[14 * n + x] > L3_DARK ? sum[14 * n + x] : L3_DARK);
+        const int32_t along = larger_of(larger_of(size_of(straight), size_of(diagonal)), both);
+        e->numerator[0][i] = (float)trace;
+        e->numerator[1][i] = (float)straight;
+        e->numerator[2][i] = (float)diagonal;
+        e->numerator[3][i] = (float)(straight + diagonal);
+        e->numerator[4][i] = (float)(straight - diagonal);
+        e->numerator[5][i] = (float)along;
+        e->numerator[6][i] = (float)(sum[7 * n + i] + sum[8 * n + i]);
+        e->numerator[7][i] = e->numerator[8][i] = (float)chroma;
+        e->numerator[9][i] = (float)(chroma_xx - chroma_yy);
+        e->numerator[10][i] = (float)sum[5 * n + i];
+        e->numerator[11][i] = (float)sum[6 * n + i];
+        e->numerator[12][i] = (float)(sum[9 * n + i] ^ curve_swap);
+        e->numerator[13][i] = (float)(sum[10 * n + i] ^ curve_swap);
+        e->numerator[14][i] = squared_with_sign(bend_x[i] ^ bend_swap);
+        e->numerator[15][i] = squared_with_sign(bend_y[i] ^ bend_swap);
+        e->numerator[16][i] = squared_with_sign(negated(sum[11 * n + i] ^ slope_swap, e->across[i]));
+        e->numerator[17][i] = squared_with_sign(negated(sum[12 * n + i] ^ slope_swap, e->down[i]));
+        e->numerator[18][i] = (float)sum[13 * n + i];
+        e->numerator[19][i] = (float)sum[15 * n + i];
+        e->numerator[20][i] = (float)luminance;
+        e->denominator[0][i] = 1.0f;
+        e->denominator[1][i] = (float)(trace + L3_NOISE_TRACE);
+        e->denominator[2][i] = (float)(chroma + L3_NOISE_TRACE);
+        e->denominator[3][i] = (float)larger_of(luminance, L3_DARK);
     }
 }
 
-/* Down the tree, for the pixel of column x. */
-static uint32_t leaf_of(const Gradients *g, const L3Tree *tree, int x, int turn) {
-    int node = 0;
-    while (tree->branch[node] > 0) {
-        const int test = tree->test[node];
-        const float value = g->numerator[l3_turned_test[turn][test] * g->span + x] * (float)l3_turned_sign[turn][test];
-        const float limit = tree->threshold[node] * g->denominator[l3_denominator[test] * g->span + x];
-        node = tree->branch[node] + (value > limit);
+/* Number of the lowest bit that is set; 32 of none. */
+static inline uint32_t lowest_bit(uint32_t bits) {
+    uint32_t v = ~bits & (bits - 1); /* ones below it */
+    v = v - (v >> 1 & 0x55555555u);
+    v = (v & 0x33333333u) + (v >> 2 & 0x33333333u);
+    return ((v + (v >> 4)) & 0x0f0f0f0fu) * 0x01010101u >> 24;
+}
+
+/* What is left after the tests of a group. No test waits for another, none is a branch. */
+static void rule_out(const TreeEvidence *e, const L3Tree *tree, int group, uint32_t left[restrict TOGETHER]) {
+    for (int i = 0; i < TOGETHER; i++) left[i] = UINT32_MAX;
+    for (uint32_t t = tree->start[group]; t < tree->start[group + 1]; t++) {
+        const float *restrict value = e->numerator[tree->numerator[t]], *restrict unit = e->denominator[tree->denominator[t]];
+        const float threshold = tree->threshold[t];
+        const uint32_t kept = ~tree->ruled_out[t];
+        for (int i = 0; i < TOGETHER; i++) left[i] &= value[i] > threshold * unit[i] ? kept : UINT32_MAX;
     }
-    return tree->leaf[node];
+}
+
+static void find_leaves(const TreeEvidence *e, const L3Tree *tree, uint32_t leaf[restrict TOGETHER]) {
+    const int words = (tree->parts + 31) / 32;
+    uint32_t left[TOGETHER], part[TOGETHER];
+    for (int i = 0; i < TOGETHER; i++) part[i] = UINT32_MAX, leaf[i] = 0;
+    for (int w = 0; w < words; w++) {
+        rule_out(e, tree, w, left);
+        for (int i = 0; i < TOGETHER; i++) {
+            const uint32_t found = (32 * (uint32_t)w + lowest_bit(left[i])) | -(uint32_t)(left[i] == 0);
+            part[i] = part[i] < found ? part[i] : found;
+        }
+    }
+    for (uint32_t k = 0; k < (uint32_t)tree->parts; k++) {
+        uint32_t some = 0;
+        for (int i = 0; i < TOGETHER; i++) some |= part[i] == k;
+        if (!some) continue;
+        const uint32_t first = tree->first_leaf[k];
+        rule_out(e, tree, words + (int)k, left);
+        for (int i = 0; i < TOGETHER; i++) {
+            const uint32_t its = -(uint32_t)(part[i] == k);
+            leaf[i] = (leaf[i] & ~its) | ((first + lowest_bit(left[i])) & its);
+        }
+    }
+}
+
+/* Labels of the row whose sums have been weighed last; `first_labels` are its own. Sums behind its last column are of anything. */
+static void label_row(const Gradients *g, const L3PlaneLayer *layer, int k, int columns, const uint32_t *first_labels,
+                      uint32_t *labels) {
+    for (int x = 0; x < columns; x += TOGETHER) {
+        const int width = smaller(TOGETHER, columns - x);
+        TreeEvidence e;
+        uint32_t leaf[TOGETHER];
+        for (int i = 0; i < TOGETHER; i++) {
+            const uint32_t word = layer->gradient[first_labels[smaller(x + i, columns - 1)]];
+            e.transposed[i] = where(word, L3_TURN), e.across[i] = where(word, L3_TURN + 1), e.down[i] = where(word, L3_TURN + 2);
+        }
+        find_evidence(g, k, x, &e);
+        find_leaves(&e, layer->tree, leaf);
+        for (int i = 0; i < width; i++) labels[x + i] = plane_class(layer, first_labels[x + i], leaf[i]);
+    }
 }
 
 static void label_by_tree(const Gradients *g, const L3PlaneLayer *layer, const int32_t *planes, const uint32_t *first_labels, int rows,
-                          int columns, int phase_row, int phase_column, uint32_t *labels) {
+                          int columns, uint32_t *labels) {
+    for (ptrdiff_t p = 0; p < L3_TESTS * g->span; p++) g->weighed[p] = 0;
+    for (ptrdiff_t p = 0; p < QUANTITIES * WINDOW * g->span; p++) g->quantity[p] = 0;
     for (int k = 0; k < rows + 2 * REACH; k++) {
         for (int plane = 0; plane < 3; plane++) read_plane(g, planes, plane, k, rows, columns);
         if (k < 2) continue;
@@ -104,13 +183,8 @@ static void label_by_tree(const Gradients *g, const L3PlaneLayer *layer, const i
         plane_products(g, k, columns);
         if (k < 2 * REACH) continue;
         weigh_row(g, k, columns);
-        find_evidence(g, k, columns);
-        const int y = k - 2 * REACH;
-        for (int x = 0; x < columns; x++) {
-            const ptrdiff_t at = (ptrdiff_t)y * columns + x;
-            const uint32_t site = site_of(y, x, phase_row, phase_column);
-            labels[at] = plane_class(layer, first_labels[at], site, leaf_of(g, layer->tree, x, layer->tree->turns[site]));
-        }
+        const ptrdiff_t at = (ptrdiff_t)(k - 2 * REACH) * columns;
+        label_row(g, layer, k, columns, first_labels + at, labels + at);
     }
 }
 

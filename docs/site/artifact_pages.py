@@ -1,0 +1,47 @@
+"""The datasets of every kind of artifact, from the declarations that saving and loading follow."""
+
+import inspect
+from collections.abc import Iterator
+
+from markup import code, page, plain, table
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.layer_sums import PartialLayerSums
+from l3cli.artifacts.partial_sums import PartialSums
+from l3cli.artifacts.schema import Artifact, Spec, declared
+from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.training_set import GROUPS, TrainingSet
+
+KINDS: tuple[type[Artifact], ...] = (CameraModel, TrainingSet, TransformTable, PartialSums, PartialLayerSums)
+INTRO = (
+    "Every dataset that l3 writes, made of the declarations that saving, loading and `l3 info` follow. "
+    "[Artifacts](../artifacts.md) says what the files promise. Datasets in brackets may be absent."
+)
+
+
+def artifact_pages() -> dict[str, str]:
+    return {"artifacts.md": page("# Datasets of artifacts", INTRO, *map(section, KINDS))}
+
+
+def section(kind: type[Artifact]) -> str:
+    made = f"Written by {code(kind.made_by.strip(chr(34)))}, format version {kind.version}. {plain(first(kind))}"
+    found = list(rows(kind))
+    if kind is TrainingSet:
+        found += [each for name, group in GROUPS.items() for each in rows(group, f"{name}/00000/")]
+    heading = f"## {kind.kind[:1].upper()}{kind.kind[1:]}"
+    return page(heading, made, table(["dataset", "type", "axes", "unit", "meaning"], found)).rstrip()
+
+
+def first(kind: type) -> str:
+    """The first paragraph of what a class says of itself."""
+    return (inspect.getdoc(kind) or "").partition("\n\n")[0]
+
+
+def rows(kind: type, prefix: str = "", absent: bool = False) -> Iterator[tuple[str, ...]]:
+    for name, spec, optional in declared(kind):
+        if isinstance(spec, Spec):
+            place = code(prefix + name)
+            axes = ", ".join(map(plain, spec.axes)) or "—"
+            yield f"({place})" if optional or absent else place, spec.dtype, axes, plain(spec.unit), plain(spec.doc)
+        else:
+            yield from rows(spec.kind, f"{prefix}{name}/{'0/' if spec.several else ''}", optional or absent)

@@ -1,0 +1,30 @@
+"""python docs/site/build.py FOLDER: build the site of docs/ there, warnings being errors, and check what was built."""
+
+import shutil
+import sys
+from pathlib import Path
+
+from built import faults
+from gather import gather
+from sphinx.cmd.build import main as sphinx
+
+
+def main(folder: Path) -> int:
+    """0, or 1 after saying what is wrong."""
+    pages, site = folder / "pages", folder / "html"
+    for each in (pages, site):
+        shutil.rmtree(each, ignore_errors=True)
+    gather(pages)
+    config = Path(__file__).parent
+    arguments = ["-q", "-W", "--keep-going", "-c", str(config), "-d", str(folder / "doctrees"), "-b", "html"]
+    if code := sphinx([*arguments, str(pages), str(site)]):
+        return int(code)
+    wrong = faults(site)
+    for line in wrong:
+        print(line, file=sys.stderr)
+    print(f"{site}: {len(list(site.rglob('*.html')))} pages")
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(Path(sys.argv[1])))

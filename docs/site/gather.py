@@ -1,0 +1,63 @@
+"""The pages of the site in one folder: those of docs/, README as the first, notebooks, those made of declarations."""
+
+import re
+import shutil
+from collections.abc import Iterable
+from pathlib import Path
+
+from artifact_pages import artifact_pages
+from command_pages import command_pages
+from licence_pages import licence_pages
+from recipe_pages import recipe_pages
+
+ROOT = Path(__file__).parents[2]
+EXECUTED = ROOT / "build/notebooks"  # by make notebooks
+FRONT = {"CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md", "SECURITY.md": "security.md"}
+AS_THEY_ARE = ("LICENSE", "CITATION.cff")
+CONTENTS = {
+    "Start": ["install", "tutorial", "chart-photo", "own-lab", "own-array", "arrays"],
+    "Use": ["raw-files", "video", "temporal", "jobs", "video-hosts", "clusters", "python", "notebooks", "export"],
+    "Reference": ["commands", "reference/commands", "recipes", "reference/recipes", "artifacts", "reference/artifacts"],
+    "What to expect": ["benchmarks", "flicker", "limits", "robustness", "method"],
+    "Project": ["architecture", "contributing", "changelog", "security", "reference/licences"],
+}
+
+
+def gather(folder: Path) -> None:
+    """Write the pages of the site into a new `folder`."""
+    shutil.copytree(ROOT / "docs", folder, ignore=shutil.ignore_patterns("site", "Dockerfile", "meta.yaml", "__pycache__"))
+    for path in folder.rglob("*.md"):
+        path.write_text(relinked(path.read_text(encoding="utf-8")), encoding="utf-8")
+    for name, page in FRONT.items():
+        (folder / page).write_text(relinked((ROOT / name).read_text(encoding="utf-8")), encoding="utf-8")
+    for name in AS_THEY_ARE:
+        shutil.copy(ROOT / name, folder)
+    (folder / "reference").mkdir()
+    for name, text in (command_pages() | recipe_pages() | artifact_pages() | licence_pages()).items():
+        (folder / "reference" / name).write_text(text, encoding="utf-8")
+    shutil.copytree(EXECUTED, folder / "notebooks", dirs_exist_ok=True)
+    with (folder / "notebooks.md").open("a", encoding="utf-8") as listed:
+        listed.write("\n" + tree(f"notebooks/{path.stem}" for path in sorted(EXECUTED.glob("*.md"))) + "\n")
+    pages = {path.relative_to(folder).with_suffix("").as_posix() for path in folder.rglob("*.md")}
+    readme = relinked((ROOT / "README.md").read_text(encoding="utf-8"))
+    (folder / "index.md").write_text(f"{readme}\n{contents(pages)}", encoding="utf-8")
+
+
+def relinked(text: str) -> str:
+    """A page with its links as they lead in the site, where README and its like lie beside the pages of docs/."""
+    for name, page in (FRONT | {"README.md": "index.md"}).items():
+        text = re.sub(rf"\]\((\.\./)?{re.escape(name)}", f"]({page}", text)
+    text = re.sub(r"\]\((notebooks/[\w-]+)\.ipynb\)", r"](\1.md)", text)
+    return text.replace("](docs/", "](")
+
+
+def contents(pages: set[str]) -> str:
+    """The tables of contents, with a last one of the pages that no other names."""
+    listed = {name for names in CONTENTS.values() for name in names}
+    listed |= {page for page in pages if page.startswith(("reference/", "notebooks/"))}  # below the page of its kind
+    more = {"More": others} if (others := sorted(pages - listed)) else {}
+    return "\n\n".join(tree(names, f":caption: {caption}") for caption, names in (CONTENTS | more).items()) + "\n"
+
+
+def tree(names: Iterable[str], *options: str) -> str:
+    return "\n".join(["```{toctree}", ":hidden:", *options, "", *names, "```"])

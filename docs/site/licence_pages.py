@@ -1,0 +1,54 @@
+"""Licences of what l3cli depends on, as the installed packages state them."""
+
+import re
+from importlib.metadata import PackageNotFoundError, distribution, requires
+
+from markup import code, page, plain, table
+from packaging.requirements import Requirement
+
+EXTRAS = ("video", "fits", "cluster", "menon")
+INTRO = (
+    "What is installed along with l3cli, and what each package states of its licence; in brackets the extra that asks for "
+    "it. Versions are those that this page was built with. Nothing of it is part of l3cli."
+)
+
+
+def licence_pages() -> dict[str, str]:
+    found: dict[str, str] = {}
+    for extra in ("", *EXTRAS):
+        for name in needed("l3cli", extra, set()):
+            found.setdefault(name, extra)
+    rows = [(code(name) + (f" ({extra})" if extra else ""), *stated(name)) for name, extra in sorted(found.items())]
+    return {"licences.md": page("# Licences of dependencies", INTRO, table(["package", "version", "licence"], rows))}
+
+
+def needed(name: str, extra: str, seen: set[tuple[str, str]]) -> list[str]:
+    """Names of all packages that one needs, itself or through others, as far as they are installed."""
+    found: list[str] = []
+    for line in requires(name) or []:
+        need = Requirement(line)
+        wanted = need.marker is None or need.marker.evaluate({"extra": extra})
+        if not wanted or (extra and need.marker is None):
+            continue
+        place = re.sub(r"[-_.]+", "-", need.name).lower()
+        for each in ("", *need.extras):
+            if (place, each) not in seen and installed(place):
+                seen.add((place, each))
+                found += [place, *needed(place, each, seen)]
+    return found
+
+
+def installed(name: str) -> bool:
+    try:
+        distribution(name)
+    except PackageNotFoundError:
+        return False
+    return True
+
+
+def stated(name: str) -> tuple[str, str]:
+    """Version and licence of a package: its SPDX expression, else its classifiers, else the first line of its text."""
+    known = distribution(name).metadata
+    classes = [each.rpartition(" :: ")[2] for each in known.get_all("Classifier", []) if each.startswith("License :: OSI")]
+    text = known["License-Expression"] or ", ".join(classes) or (known["License"] or "").strip().partition("\n")[0]
+    return known["Version"], plain(text) or "not stated by the package"

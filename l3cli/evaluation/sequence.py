@@ -1,0 +1,196 @@
+"""How quiet a rendered sequence is, and how near it comes to the ideal one (docs/method.md#quality-of-sequences).
+
+Pictures are linear sRGB (row, col, 3), 1 being display white; lightness is CIE L*, from 0 to 100.
+"""
+
+from typing import Literal
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.evaluation.block_motion import estimated_motion
+from l3cli.evaluation.quality import cropped
+from l3cli.evaluation.similarity import psnr
+from l3cli.physics.display import displayed_delta_e, lightness, srgb_curve
+
+Array = NDArray[np.floating]
+CELL = 8  # pixels, side of a patch
+STILL = 0.5  # L*, of an ideal pixel over the whole sequence: a code of 8 bits more or less
+DRIFT = 1.0  # L*, between the means of a patch over both halves of a sequence, where there is no ideal
+UNCERTAIN = 3.0  # standard deviations that noise may be taken for a drift by
+QUIETEST, RESTLESS = 0.1, 3.0  # share of the patches whose changes are noise; so many times as much is something else
+ROUNDING = 0.1  # L*, that the pixels of a patch may change by
+
+
+class FrameFigures(msgspec.Struct, forbid_unknown_fields=True):
+    """Figures of one frame; None: there is nothing that it could be computed from."""
+
+    frame: int
+    mean_lightness: float  # L*
+    jump: float | None  # L*, of the mean since the frame before, that of the ideal taken off
+    step_sigma: float | None  # L*, of the change since the frame before on still patches, divided by √2
+    warped_error: float | None  # L*, root mean square of what the error has changed by along the motion
+    psnr: float | None  # dB, of non-linear sRGB
+    mean_delta_e: float | None  # CIEDE2000
+
+
+class SequenceFigures(msgspec.Struct, forbid_unknown_fields=True, tag_field="kind", tag="sequence"):
+    """Figures of a rendered sequence, as `l3 evaluate` prints them in JSON."""
+
+    rendered: str
+    ideal: str | None
+    motion: Literal["known", "estimated"] | None  # that errors are followed along
+    frames: list[FrameFigures]
+    still_share: float  # of the patches that show the same all the time
+    temporal_sigma: float | None  # L*, of a pixel over time, root mean square over still patches
+    patch_sigma: float | None  # L*, of the mean of a still patch over time, root mean square
+    largest_jump: float | None  # L*
+    largest_jump_frame: int | None
+    warped_error: float | None  # L*, root mean square over the frames
+    psnr: float | None  # mean over the frames
+    mean_delta_e: float | None  # mean over the frames
+
+
+class SequenceEvaluation:
+    """Frames counted one by one, in their order; memory grows by a few values for each patch and frame."""
+
+    def __init__(self, rendered: str, ideal: str | None, border: int = 0) -> None:
+        self._names, self._border = (rendered, ideal), border
+        self._frames: list[FrameFigures] = []
+        self._cells: list[Array] = []  # of each frame the mean L* of every patch
+        self._steps: list[Array] = []  # … of each but the first the mean square of its change
+        self._motion: Literal["known", "estimated"] | None = None
+        self._last: Array | None = None  # L* of the last frame
+        self._ideal: tuple[Array, Array] | None = None  # … of its ideal, and what it is above that
+        self._offset = 0.0  # of the last frame's mean L* from the ideal's, or from 0
+        self._sum: Array | float = 0.0
+        self._squares: Array | float = 0.0
+        self._range: tuple[Array, Array] | None = None  # lowest and highest L* of the ideal
+
+    def add(self, rendered: Array, ideal: Array | None = None, motion: Array | None = None) -> None:
+        """Count the next frame; `motion` (3, row, col): what it has moved by since the last one, pixels down and right, and
+        where that is known. Without it the motion is estimated of the ideal pictures."""
+        light = lightness(np.clip(rendered, 0.0, 1.0))
+        wanted = None if ideal is None else lightness(np.clip(ideal, 0.0, 1.0))
+        warped = None
+        if wanted is not None:
+            error = light - wanted
+            if self._ideal is not None:
+                self._motion = "estimated" if motion is None else "known"
+                motion = estimated_motion(wanted, self._ideal[0]) if motion is None else motion
+                warped = _warped_error(error, self._ideal[1], motion, self._border)
+            self._ideal = wanted, error
+        light = cropped(light, self._border)
+        step = None if self._last is None else light - self._last
+        self._last = light
+        self._sum, self._squares = self._sum + light, self._squares + light**2
+        self._cells.append(_cell_means(light))
+        if step is not None:
+            self._steps.append(_cell_means(step**2))
+        if wanted is not None:
+            wanted = cropped(wanted, self._border)
+            low, high = self._range or (wanted, wanted)
+            self._range = np.minimum(low, wanted), np.maximum(high, wanted)
+        self._frames.append(self._figures(rendered, ideal, step, wanted, warped))
+
+    def _figures(
+        self, rendered: Array, ideal: Array | None, step: Array | None, wanted: Array | None, warped: float | None
+    ) -> FrameFigures:
+        """Of the newest frame what can be said before the end."""
+        assert self._last is not None
+        quality, difference = None, None
+        if ideal is not None:
+            pictures = [np.clip(_cropped(each, self._border), 0.0, 1.0) for each in (rendered, ideal)]
+            quality = psnr(*map(srgb_curve, pictures))
+            difference = float(displayed_delta_e(*pictures).mean())
+        mean = float(self._last.mean())
+        offset = mean - (0.0 if wanted is None else float(wanted.mean()))
+        jump = None if step is None else offset - self._offset
+        self._offset = offset
+        return FrameFigures(len(self._frames), mean, jump, None, warped, quality, difference)
+
+    def figures(self) -> SequenceFigures:
+        """Figures of all frames counted; ValueError unless there are two."""
+        count = len(self._frames)
+        if count < 2:
+            raise ValueError("a sequence has two frames or more")
+        still = self._still()
+        for frame, steps in zip(self._frames[1:], self._steps, strict=True):
+            frame.step_sigma = float(np.sqrt(steps[still].mean() / 2)) if still.any() else None
+        largest = max(self._frames[1:], key=lambda frame: abs(frame.jump or 0.0))
+        warped = [frame.warped_error for frame in self._frames if frame.warped_error is not None]
+        return SequenceFigures(
+            *self._names,
+            self._motion,
+            self._frames,
+            still_share=float(still.mean()),
+            temporal_sigma=self._temporal_sigma(still),
+            patch_sigma=_deviation(np.stack(self._cells)[:, still]) if still.any() else None,
+            largest_jump=largest.jump,
+            largest_jump_frame=largest.frame,
+            warped_error=float(np.sqrt(np.mean(np.square(warped)))) if warped else None,
+            psnr=_mean([frame.psnr for frame in self._frames]),
+            mean_delta_e=_mean([frame.mean_delta_e for frame in self._frames]),
+        )
+
+    def _temporal_sigma(self, still: NDArray[np.bool_]) -> float | None:
+        if not still.any():
+            return None
+        count = len(self._frames)
+        variance = np.maximum(self._squares - np.square(self._sum) / count, 0.0) / (count - 1)
+        return float(np.sqrt(_cell_means(variance)[still].mean()))
+
+    def _still(self) -> NDArray[np.bool_]:
+        """The patches (row, col) that show the same all the time: by the ideal, or else as far as noise explains it, such as
+        that of the patches that change least."""
+        if self._range is not None:
+            low, high = self._range
+            return np.asarray(_cells(high - low).max(axis=(1, 3)) <= STILL)
+        cells, half = np.stack(self._cells), len(self._cells) // 2
+        change = np.sqrt(np.mean(np.square(np.diff(cells, axis=0)), axis=0) / 2)
+        drift = abs(cells[:half].mean(axis=0) - cells[-half:].mean(axis=0))
+        by_chance = UNCERTAIN * change * np.sqrt(2 / half)
+        restless = np.sqrt(np.mean(self._steps, axis=0) / 2)
+        calm = restless <= max(RESTLESS * float(np.quantile(restless, QUIETEST)), ROUNDING)
+        return np.asarray((drift <= np.maximum(DRIFT, by_chance)) & calm)
+
+
+def _warped_error(error: Array, last: Array, motion: Array, border: int) -> float | None:
+    """Root mean square of how the error (row, col) differs from the last one where the same was seen; None if nothing was.
+
+    Errors are warped, not pictures: the differences of two warped pictures less those of the ideal ones, since warping is
+    linear, and what the interpolation spoils at edges is in both.
+    """
+    from scipy.ndimage import map_coordinates
+
+    row, col = np.indices(error.shape)
+    seen = cropped(motion[2], border) > 0
+    if not seen.any():
+        return None
+    before = map_coordinates(last, [row - motion[0], col - motion[1]], order=3, mode="nearest")
+    return float(np.sqrt(np.mean(np.square(cropped(error - before, border)[seen]))))
+
+
+def _cells(plane: Array) -> Array:
+    """A plane (row, col) as (row of patches, row, column of patches, col); what does not fill a patch is cut off."""
+    rows, cols = (length // CELL for length in plane.shape)
+    return plane[: rows * CELL, : cols * CELL].reshape(rows, CELL, cols, CELL)
+
+
+def _cell_means(plane: Array) -> Array:
+    return np.asarray(_cells(plane).mean(axis=(1, 3)), np.float32)
+
+
+def _deviation(series: Array) -> float:
+    """Root mean square over series (time, …) of their standard deviation."""
+    return float(np.sqrt(series.var(axis=0, ddof=1, dtype=np.float64).mean()))
+
+
+def _cropped(picture: Array, border: int) -> Array:
+    return np.moveaxis(cropped(np.moveaxis(picture, -1, 0), border), 0, -1)
+
+
+def _mean(values: list[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known else None

@@ -1,0 +1,139 @@
+"""Sequences of finished pictures, to be judged: folders, patterns, globs, videos."""
+
+import contextlib
+import functools
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.errors import InputFileError
+from l3cli.io.apart import apart
+from l3cli.io.decoded_video import FORMATS, DecodedVideo, InTurn
+from l3cli.io.images import PICTURES, picture_size, read_image
+from l3cli.io.numbered import PATTERN, natural_order, numbered_files
+from l3cli.io.scenes import rgb
+from l3cli.io.video import is_video, pyav
+from l3cli.physics.display import srgb_decoded
+
+Linear = NDArray[np.float32]  # (row, col, 3) linear sRGB
+GIVE = 'give a folder of pictures, a pattern such as "out/%04d.png", or a video'
+IDEAL, MOTION = "_ideal.png", "_motion.exr"  # ends of the names that a simulation gives
+KNOWN_MOTION = ("down", "right", "seen")
+
+
+@dataclass(frozen=True)
+class PictureSequence:
+    """Pictures in their order, read one by one."""
+
+    name: str
+    shape: tuple[int, int]  # rows, cols
+    count: int | None  # None: of a video, until it ends
+    pictures: Callable[[], Iterator[Linear]]
+    files: tuple[Path, ...]
+    motion: tuple[Path, ...] = ()  # files of how each has moved since the one before
+
+
+def find_pictures(path: Path) -> PictureSequence:
+    """The sequence of a name: a folder (of a simulation its ideal pictures), a numbered pattern, a glob, or a video.
+    InputFileError if there is none, its pictures differ in size, or a number is missing."""
+    if path.is_dir():
+        return _in_folder(path)
+    if not path.exists() and PATTERN.search(path.name):
+        files = numbered_files(path)
+        if lost := [number for number in range(min(files, default=0), max(files, default=0)) if number not in files]:
+            raise InputFileError(f"{path}: number {lost[0]} is missing; name what is there with a glob, or render it again")
+        return _of_files(path, list(files.values()))
+    if not path.exists() and any(letter in str(path) for letter in "*?["):
+        matches = Path(path.anchor or ".").glob(str(path.relative_to(path.anchor)))
+        return _of_files(path, sorted((each for each in matches if each.is_file()), key=natural_order))
+    if is_video(path):
+        return _of_video(path)
+    if path.exists():
+        raise InputFileError(f"{path} is a single file; {GIVE}")
+    raise InputFileError(f"{path} does not exist; {GIVE}")
+
+
+def read_motion(path: Path, shape: tuple[int, int]) -> Linear:
+    """What a frame has moved by since the one before (3, row, col): pixels down, right, and 1 where the same was seen."""
+    planes, names = read_image(path)
+    if names != KNOWN_MOTION or planes.shape[:2] != shape or not np.isfinite(planes).all():
+        raise InputFileError(f"{path} is no motion of frames of {shape[0]}×{shape[1]}; give what l3 simulate wrote")
+    return np.ascontiguousarray(np.moveaxis(planes, -1, 0), np.float32)
+
+
+def _in_folder(folder: Path) -> PictureSequence:
+    simulated = sorted(folder.glob(f"*{IDEAL}"), key=natural_order)
+    if simulated:
+        return _of_files(folder, simulated)
+    files = [path for path in folder.iterdir() if path.suffix.lower() in PICTURES and path.name[0] != "."]
+    kinds = sorted({path.suffix.lower() for path in files})
+    if len(kinds) > 1:
+        raise InputFileError(f'{folder} holds {" and ".join(kinds)} files; name one kind, such as "{folder}/*{kinds[0]}"')
+    return _of_files(folder, sorted(files, key=natural_order))
+
+
+def _of_files(path: Path, files: list[Path]) -> PictureSequence:
+    if not files:
+        raise InputFileError(f"{path} holds no pictures; {GIVE}")
+    if wrong := next((each for each in files if each.suffix.lower() not in PICTURES), None):
+        raise InputFileError(f"{wrong} is no picture; pictures are {', '.join(PICTURES)}")
+    shape = picture_size(files[0])
+    for each in files[1:]:
+        if (size := picture_size(each)) != shape:
+            raise InputFileError(
+                f"{each} is {size[0]}×{size[1]}, {files[0].name} {shape[0]}×{shape[1]}; give pictures of one size"
+            )
+    motion = tuple(each.with_name(each.name.removesuffix(IDEAL) + MOTION) for each in files if each.name.endswith(IDEAL))
+    known = motion if len(motion) == len(files) and all(each.is_file() for each in motion) else ()
+    return PictureSequence(str(path), shape, len(files), lambda: map(rgb.read, files), tuple(files), known)
+
+
+# ------------------------------------------------------------------------------------------------------------ videos
+
+
+def _of_video(path: Path) -> PictureSequence:
+    rows, cols = _video_shape(path)
+    return PictureSequence(str(path), (rows, cols), None, functools.partial(_video_pictures, path), (path,))
+
+
+def _video_pictures(path: Path) -> Iterator[Linear]:
+    number = 0
+    while (picture := _video_picture(path, number)) is not None:
+        levels = np.arange(np.iinfo(picture.dtype).max + 1) / np.iinfo(picture.dtype).max
+        yield srgb_decoded(levels).astype(np.float32)[picture]
+        number += 1
+
+
+def _video(path: Path) -> DecodedVideo:
+    return DecodedVideo(path, "what l3 render made", _require_colours, f"{FORMATS},yuv4mpegpipe")
+
+
+def _require_colours(path: Path, context: Any) -> None:
+    if not (context.pix_fmt or "").startswith(("yuv", "gbr", "bgr", "rgb")):
+        raise InputFileError(f"{path} holds {context.pix_fmt or 'unknown'} pixels; give a video of colours")
+
+
+_open: dict[Path, InTurn] = {}
+
+
+@apart
+def _video_shape(path: Path) -> tuple[int, int]:
+    with contextlib.closing(_video(path)) as video:
+        return video.shape
+
+
+@apart
+def _video_picture(path: Path, number: int) -> NDArray | None:
+    """Encoded sRGB (row, col, 3) of frame `number`, of 8 or 16 bits; None after the last. Luma and chroma are those of
+    BT.709, as `l3 render` writes them."""
+    frame = _open.setdefault(path, InTurn(_video)).frame(path, number)
+    if frame is None:
+        return None
+    deep = max(component.bits for component in frame.format.components) > 8
+    coded = {"src_colorspace": "ITU709"} if frame.format.name.startswith("yuv") else {}
+    reformatter = pyav().video.reformatter.VideoReformatter()
+    return np.asarray(reformatter.reformat(frame, format="rgb48le" if deep else "rgb24", **coded).to_ndarray())

@@ -1,0 +1,43 @@
+/* --------------------------------------------------------------------------------------------------------- words of outputs */
+
+/* What the last layer reads, as it lies in a ring: value - L3_VALUE_OFFSET = high * 2^L3_SPLIT + low, both of 16 bits, so that no
+ * sum of products leaves 32. Without a split there is no low. */
+typedef struct {
+    int16_t *high, *low;
+} Ring;
+
+static Ring ring_in(Room *room, uint64_t values) {
+    Ring ring;
+    ring.high = take(room, values, sizeof *ring.high);
+    ring.low = take(room, L3_SPLIT > 0 ? values : 0, sizeof *ring.low);
+    return ring;
+}
+
+static inline void keep(const Ring *ring, size_t at, int32_t value) {
+    const int32_t signed_value = value - L3_VALUE_OFFSET;
+    ring->high[at] = (int16_t)(signed_value >> L3_SPLIT);
+    if (L3_SPLIT > 0) ring->low[at] = (int16_t)(signed_value & ((1 << L3_SPLIT) - 1));
+}
+
+static inline void keep_nothing(const Ring *ring, size_t at) {
+    ring->high[at] = 0;
+    if (L3_SPLIT > 0) ring->low[at] = 0;
+}
+
+static inline int32_t dot(const int16_t *restrict a, const int16_t *restrict b) {
+    int32_t sum = 0;
+    for (int t = 0; t < L3_LAST_TAPS; t++) sum += a[t] * b[t];
+    return sum;
+}
+
+/* The output numbered class * L3_OUTPUTS + output, of the patch that begins at ring[at]. */
+static inline L3Output output_of(const Ring *ring, ptrdiff_t at, size_t output) {
+    const int16_t *weights = l3_last_weights + output * L3_LAST_TAPS;
+    const int32_t rest = l3_last_rest[output]; /* of the largest weight, beyond 16 bits */
+    const ptrdiff_t its = at + l3_last_tap[output];
+    int32_t sum = dot(ring->high + at, weights) + rest * ring->high[its] + l3_last_intercept[output];
+    if (L3_SPLIT > 0) sum += (dot(ring->low + at, weights) + rest * ring->low[its]) >> L3_SPLIT;
+    const int shift = l3_last_shift[output];
+    return (L3Output)clamped((sum + (1 << shift >> 1)) >> shift, -L3_OUTPUT_TOP, L3_OUTPUT_TOP);
+}
+

@@ -1,0 +1,107 @@
+"""The blend of a frame with what is kept of those before it, a weight a cell (docs/method.md#temporal), in whole numbers.
+
+A cell's weight is that of a Kalman filter: of noise that is left in what is kept, and of what the two differ by beyond
+noise, against the noise of a frame.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.rendering.temporal.grid import Grid
+from l3cli.rendering.temporal.motion import Vectors
+from l3cli.rendering.temporal.noise import LINEAR_FRACTION, UNEVEN_FRACTION, NoiseTerms
+
+Cells = NDArray[np.int64]
+
+ONE = 1 << 10  # of shares: of noise that is left, and weights
+LEAST_WEIGHT = ONE // 12  # of a new frame
+POWER_FREE, POWER_FACTOR = (
+    ONE * 5 // 4,
+    4,
+)  # the residuals' power, relative to noise: what is let pass, and the factor beyond
+MEAN_FREE, MEAN_FACTOR = ONE * 2, 1  # the same of the power of a cell's mean
+CLIPPED = (1 << 14) - 1  # u, of a residual that is weighed: sums of squares then fit a kernel's 32 bits
+WIDE_FREE, WIDE_FACTOR = ONE * 6, 1  # and of the sum of all cells about it
+MOST = 64 * ONE  # of residuals, relative to noise
+CUT = 8 * ONE  # residuals' power from which on a cell is of another scene
+FEW = 2  # a frame of which one cell in so many is of another scene restarts the filter
+
+
+@dataclass(frozen=True)
+class Blend:
+    """Of a frame: what is kept for the next."""
+
+    values: NDArray[np.uint16]  # (row, col) u, of whole blocks
+    left: Cells  # (cell row, cell col) share of a frame's noise variance that is left, of ONE
+    restarted: bool
+
+
+def first_blend(values: NDArray[np.uint16], grid: Grid) -> Blend:
+    """That of the first frame of a scene, values (row, col) u of whole blocks."""
+    return Blend(values, np.full(grid.cells, ONE, np.int64), restarted=True)
+
+
+def blended(values: NDArray[np.uint16], before: Blend, vectors: Vectors, grid: Grid, noise: NoiseTerms) -> Blend:
+    """A frame, values (row, col) u of whole blocks, with what was kept before it, moved by `vectors`."""
+    rows, cols = np.indices(grid.shape, sparse=True)
+    of_pixel = vectors.repeat(grid.block[0], 0).repeat(grid.block[1], 1)
+    kept = before.values[rows + of_pixel[..., 0], cols + of_pixel[..., 1]].astype(np.int64)
+    residual = values - kept
+    left = _moved_left(before.left, vectors, grid)
+    power, mean, wide, expected = _evidence(values, residual, left, vectors, grid, noise)
+    power, mean, wide = (np.minimum(each * ONE // expected, MOST) for each in (power, mean, wide))
+    if np.count_nonzero(power > CUT) * FEW > power.size:
+        return first_blend(values, grid)
+    beyond = np.maximum(power - POWER_FREE, 0) * POWER_FACTOR + np.maximum(mean - MEAN_FREE, 0) * MEAN_FACTOR
+    beyond += np.maximum(wide - WIDE_FREE, 0) * WIDE_FACTOR
+    prior = left + beyond
+    weight = np.maximum(ONE * prior // (ONE + prior), LEAST_WEIGHT)
+    left = np.minimum(((ONE - weight) ** 2 * left + weight**2 * ONE) // ONE**2 + 1, ONE)
+    of_pixel = weight.repeat(grid.cell[0], 0).repeat(grid.cell[1], 1)
+    new = kept + ((of_pixel * residual + ONE // 2) // ONE)
+    return Blend(new.astype(np.uint16), left, restarted=False)
+
+
+def _moved_left(left: Cells, vectors: Vectors, grid: Grid) -> Cells:
+    """What is left of the noise in each cell, of where its middle was before."""
+    rows, cols = (
+        (np.arange(count) * side + side // 2 + _by_cell(vectors[..., axis], grid).swapaxes(0, axis).swapaxes(0, 1)) // side
+        for axis, (count, side) in enumerate(zip(grid.cells, grid.cell, strict=True))
+    )
+    return left[rows.swapaxes(0, 1), cols]
+
+
+def _by_cell(of_block: NDArray, grid: Grid) -> NDArray:
+    """(cell row, cell col) of values (block row, block col)."""
+    down, across = (block // cell for block, cell in zip(grid.block, grid.cell, strict=True))
+    return of_block.repeat(down, 0).repeat(across, 1)
+
+
+def _evidence(
+    values: NDArray[np.uint16], residual: Cells, left: Cells, vectors: Vectors, grid: Grid, noise: NoiseTerms
+) -> tuple[Cells, Cells, Cells, Cells]:
+    """Of three by three cells about each: power of the residuals, of each cell's sum, of the sum of all, and what noise
+    makes of any of them."""
+    signal = np.maximum(_sums(values.astype(np.int64), grid) - grid.sites * noise.black, 0)
+    variance = (signal * noise.linear >> LINEAR_FRACTION) + grid.sites * noise.constant
+    level = signal // grid.sites
+    fixed = 2 * grid.sites * (noise.fixed + (level * level * noise.uneven >> UNEVEN_FRACTION))
+    variance = variance * (ONE + left) // ONE + np.where(_by_cell((vectors != 0).any(axis=2), grid), fixed, 0)
+    clipped = np.clip(residual, -CLIPPED, CLIPPED)
+    sums = _sums(clipped, grid)
+    return _nearby(_sums(clipped * clipped, grid)), _nearby(sums * sums), _nearby(sums) ** 2, _nearby(variance)
+
+
+def _sums(values: Cells, grid: Grid) -> Cells:
+    """Sums of values (row, col) over cells."""
+    (down, across), (tall, wide) = grid.cells, grid.cell
+    return values.reshape(down, tall, across, wide).sum(axis=(1, 3))
+
+
+def _nearby(cells: Cells) -> Cells:
+    """Sums over three by three cells, as far as there are any."""
+    padded = np.pad(cells, 1)
+    tall = padded[:-2] + padded[1:-1] + padded[2:]
+    return tall[:, :-2] + tall[:, 1:-1] + tall[:, 2:]

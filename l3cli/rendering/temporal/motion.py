@@ -1,0 +1,121 @@
+"""Vectors: where each block of a frame was in the one before (docs/method.md#temporal), in whole numbers.
+
+Both are averaged over a period of the array, so that they show no mosaic, and these planes halved until a unit is about
+a block. Blocks are searched from the coarsest plane to the finest, in whole periods, so that sites keep their channel.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.rendering.temporal.grid import Grid
+from l3cli.rendering.temporal.noise import DEEP, NoiseTerms
+
+Plane = NDArray[np.int32]
+Vectors = NDArray[np.int32]  # (block row, block col, 2), rows and columns
+
+FARTHEST = 2  # units of the coarsest plane that a block is searched for in each direction
+RELUCTANCE = 2  # deviations of the noise by which another vector must fit better than where the search began
+BESIDE = ((-1, 0), (1, 0), (0, -1), (0, 1))  # blocks whose vectors of the coarser plane are tried, too
+
+
+def planes_of(values: NDArray[np.uint16], grid: Grid) -> list[Plane]:
+    """Means of a mosaic of whole blocks over a period, then over two by two of these, and so on."""
+    down, across = grid.period
+    sums = values.reshape(grid.shape[0] // down, down, grid.shape[1] // across, across).sum(axis=(1, 3), dtype=np.int64)
+    planes = [((sums + down * across // 2) // (down * across)).astype(np.int32)]
+    for _ in range(1, grid.planes):
+        fine = planes[-1]
+        fine = fine[: fine.shape[0] // 2 * 2, : fine.shape[1] // 2 * 2]
+        planes.append((fine[::2, ::2] + fine[1::2, ::2] + fine[::2, 1::2] + fine[1::2, 1::2] + 2) >> 2)
+    return planes
+
+
+def vectors_of(now: list[Plane], before: list[Plane], grid: Grid, noise: NoiseTerms) -> Vectors:
+    """The vector of every block in pixels: what is at a pixel now was at pixel + vector in the frame before."""
+    found = np.zeros((*grid.blocks, 2), np.int32)
+    for level in reversed(range(grid.planes)):
+        search = _Search(now[level], before[level], grid, noise, level)
+        if level == grid.planes - 1:
+            found = search.best([*_around(FARTHEST)], found)
+            continue
+        parents = found * 2
+        start = search.best_of([np.zeros_like(parents), parents, *_neighbours(parents)], free=1)
+        found = search.best([*_around(1)], start)
+    return found * np.array(grid.period, np.int32)
+
+
+class _Search:
+    """Differences between the windows of all blocks at one level."""
+
+    def __init__(self, now: Plane, before: Plane, grid: Grid, noise: NoiseTerms, level: int) -> None:
+        self._before, self._grid, self._level = before, grid, level
+        tall, wide = grid.window(level)
+        self._rows = self._first(0)[:, None] + np.arange(tall)
+        self._cols = self._first(1)[:, None] + np.arange(wide)
+        self._now = self._windows(now, np.zeros((*grid.blocks, 2), np.int32))
+        mean = self._now.sum(axis=(2, 3)) // (tall * wide)
+        # The sum over n units of a difference's absolute value spreads by 0.6 √n deviations of one; ≈ 5/8.
+        root = root_of((tall, wide))
+        self._reluctance = (noise.spread[mean >> (DEEP - 8)] * (RELUCTANCE * 5 * root)) >> (7 + level)
+
+    def _first(self, axis: int) -> NDArray[np.intp]:
+        """Of every block the first row or column of its window."""
+        grid, unit = self._grid, self._grid.period[axis] << self._level
+        beside = (grid.window(self._level)[axis] - grid.block[axis] // unit) // 2
+        return np.arange(grid.blocks[axis]) * grid.block[axis] // unit - beside
+
+    def _windows(self, plane: Plane, vector: Vectors) -> Plane:
+        """(block row, block col, row, col) of a plane, moved; beyond it its edge."""
+        rows = np.clip(self._rows[:, None, :] + vector[..., 0, None], 0, plane.shape[0] - 1)
+        cols = np.clip(self._cols[None, :, :] + vector[..., 1, None], 0, plane.shape[1] - 1)
+        return plane[rows[..., :, None], cols[..., None, :]]
+
+    def _cost(self, vector: Vectors) -> NDArray[np.int64]:
+        return np.abs(self._now - self._windows(self._before, vector)).sum(axis=(2, 3), dtype=np.int64)
+
+    def best(self, steps: list[tuple[int, int]], start: Vectors) -> Vectors:
+        """The best of `start` and the steps from it."""
+        return self.best_of([start, *(start + np.array(step, np.int32) for step in steps)], free=1)
+
+    def best_of(self, candidates: list[Vectors], free: int) -> Vectors:
+        """The best of several, the first `free` of which are taken as they are; the others cost reluctance."""
+        best, least = candidates[0], self._cost(self._within(candidates[0]))
+        best = self._within(best)
+        for number, candidate in enumerate(candidates[1:], 1):
+            vector = self._within(candidate)
+            cost = self._cost(vector) + (0 if number < free else self._reluctance)
+            better = cost < least
+            best, least = np.where(better[..., None], vector, best), np.where(better, cost, least)
+        return best
+
+    def _within(self, vector: Vectors) -> Vectors:
+        """Vectors that keep their block, at the finest plane, within the frame."""
+        grid, limited = self._grid, vector.copy()
+        for axis in (0, 1):
+            unit = grid.period[axis] << self._level
+            first = np.arange(grid.blocks[axis]) * grid.block[axis]
+            shape = (-1, 1) if axis == 0 else (1, -1)
+            least, most = -(first // unit), (grid.shape[axis] - grid.block[axis] - first) // unit
+            limited[..., axis] = np.clip(vector[..., axis], least.reshape(shape), most.reshape(shape))
+        return limited
+
+
+def root_of(window: tuple[int, int]) -> int:
+    """16 times the root of the number of units in a window."""
+    return int(np.sqrt(window[0] * window[1]) * 16 + 0.5)
+
+
+def _around(reach: int) -> Iterator[tuple[int, int]]:
+    for down in range(-reach, reach + 1):
+        for across in range(-reach, reach + 1):
+            if (down, across) != (0, 0):
+                yield down, across
+
+
+def _neighbours(vectors: Vectors) -> Iterator[Vectors]:
+    """Those of the blocks beside each block; at the edge its own."""
+    padded = np.pad(vectors, ((1, 1), (1, 1), (0, 0)), mode="edge")
+    for down, across in BESIDE:
+        yield padded[1 + down : padded.shape[0] - 1 + down, 1 + across : padded.shape[1] - 1 + across]

@@ -1,0 +1,101 @@
+"""A camera's noise in the filter's whole numbers.
+
+Values are in units u = DN / 2^spare, `spare` being the bits that a frame's values leave of 16: the recursion keeps fractions
+of a DN, and the full range of any camera is 16 bits.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.errors import RecipeError
+from l3cli.frame import RawFrame
+
+DEEP = 16  # bits of a value
+LINEAR_FRACTION, UNEVEN_FRACTION = 8, 30  # bits behind the point of the linear and the quadratic term
+SHARES = (1.0, 0.5, 0.25)  # of a camera's noise, that classes are decided against
+LEVELS = 256  # of a period's mean, for which the noise of a difference is listed
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseTerms:
+    """Variance of a pixel over time, in u², of a signal of S u above black: (linear · S >> LINEAR_FRACTION) + constant. What
+    pixels differ by, the same in every frame, is fixed + (uneven · S² >> UNEVEN_FRACTION): it counts where a vector brings
+    one pixel to another."""
+
+    spare: int  # bits of a DN
+    black: int  # u
+    linear: int
+    constant: int
+    fixed: int
+    uneven: int
+    spread: NDArray[np.int32]  # (LEVELS) standard deviation, u, of the difference of two frames' means over a period
+
+
+def noise_of(camera: CameraModel, black_level: float, white_level: float, sites: int) -> NoiseTerms:
+    """That of frames with these levels, dark current included, taken by a camera whose array has a period of `sites`."""
+    spare = DEEP - int(white_level).bit_length()
+    unit = 2.0**spare * (white_level - black_level) / (camera.white_level - camera.black_level)
+    constant, linear, uneven = camera.noise_terms()
+    fixed = camera.gain**2 * (camera.noise.dsnu**2 + camera.noise.column_noise**2)
+    black = round(black_level * 2**spare)
+    signal = np.maximum((np.arange(LEVELS) + 0.5) * 2 ** (DEEP - 8) - black, 0.0)
+    variance = (constant - fixed) * unit**2 + linear * unit * signal
+    return NoiseTerms(
+        spare=spare,
+        black=black,
+        linear=max(1, round(linear * unit * 2**LINEAR_FRACTION)),
+        constant=max(1, round((constant - fixed) * unit**2)),
+        fixed=round(fixed * unit**2),
+        uneven=round(uneven * 2**UNEVEN_FRACTION),
+        spread=np.maximum(np.rint(np.sqrt(2 * variance / sites)), 1).astype(np.int32),
+    )
+
+
+def share_left(camera: CameraModel, frame: RawFrame, left: float) -> float:
+    """The share of a camera's noise variance at a frame's mean level, what pixels always differ by included, if a share
+    `left` remains of what varies in time: the least of SHARES that is not below it."""
+    stretch = (camera.white_level - camera.black_level) / (frame.white_level - frame.black_level)
+    signal = max(float(frame.values.mean()) - frame.black_level, 0.0) * stretch
+    constant, linear, quadratic = camera.noise_terms()
+    fixed = camera.gain**2 * (camera.noise.dsnu**2 + camera.noise.column_noise**2) + quadratic * signal**2
+    whole = constant + (linear + quadratic * signal) * signal
+    share = (fixed + left * (whole - fixed)) / whole
+    return min((each for each in SHARES if each >= share), default=1.0)
+
+
+def to_units(values: NDArray[np.uint16], noise: NoiseTerms) -> NDArray[np.uint16]:
+    """DN as u; beyond what 16 bits hold, all of it above the white level, the most of them."""
+    most = np.uint16((1 << DEEP - noise.spare) - 1)
+    return np.minimum(values, most) << np.uint16(noise.spare)
+
+
+def of_units(values: NDArray[np.uint16], noise: NoiseTerms) -> NDArray[np.uint16]:
+    """u as DN, rounded."""
+    most = (1 << DEEP - noise.spare) - 1
+    return np.minimum((values.astype(np.uint32) + (1 << noise.spare >> 1)) >> noise.spare, most).astype(np.uint16)
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What frames must have in common to be blended."""
+
+    shape: tuple[int, ...]
+    phase: tuple[int, int]
+    black_level: float
+    white_level: float
+
+    @staticmethod
+    def of(frame: RawFrame) -> "Kind":
+        return Kind(frame.values.shape, frame.phase, frame.black_level, frame.white_level)
+
+
+def require_noise(camera: CameraModel | None) -> CameraModel:
+    """The camera whose noise the filter goes by; RecipeError if an older table does not have it."""
+    if camera is None:
+        raise RecipeError(
+            "‹temporal› needs the camera's noise, which tables of older versions do not hold; train the table again"
+        )
+    return camera

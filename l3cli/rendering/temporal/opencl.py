@@ -1,0 +1,207 @@
+"""The filter on an OpenCL device: opencl/temporal.cl, kernel by kernel as reference.py does it."""
+
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.frame import RawFrame
+from l3cli.rendering import layout
+from l3cli.rendering.opencl_devices import choose_device, pyopencl, refusals
+from l3cli.rendering.opencl_programs import Compiler
+from l3cli.rendering.temporal import blend, motion
+from l3cli.rendering.temporal.grid import Grid
+from l3cli.rendering.temporal.noise import LINEAR_FRACTION, UNEVEN_FRACTION, Kind, NoiseTerms, noise_of, share_left
+
+STRIPS = {"processor": 32, "graphics": 1}  # blocks, cells or periods of a work-item
+MARGIN, SLACK = 4, 8  # rows and columns about a plane, and columns behind it
+KERNELS = ("means", "halve", "search", "evidence", "weigh", "blend")
+
+
+class Device:
+    """A device, a queue, and the kernels for an array with a `period` of rows and columns. DeviceError if there is none, or
+    it refuses."""
+
+    def __init__(self, period: tuple[int, ...], device: str | None = None, variant: str | None = None) -> None:
+        self.device = choose_device(os.environ.get("L3_DEVICE", "") if device is None else device)
+        cl = pyopencl()
+        variant = variant or ("graphics" if self.device.type & cl.device_type.GPU else "processor")
+        self.strip = STRIPS[variant]
+        with refusals(self.device):
+            self.context = cl.Context([self.device])
+            self.queue = cl.CommandQueue(self.context)
+            self.compiler = Compiler(self.context, self.device)
+            source, macros = layout.joined_files("vectors.cl", "temporal.cl"), _macros(period)
+            lanes = 1 if self.strip == 1 else 16 if int(macros["BLOCK_COLUMNS"]) % 16 == 0 else 8
+            made = self.compiler.build(source, {**macros, "STRIP": self.strip, "LANES": lanes})
+            self.kernels = {name: self.compiler.kernel(made, name) for name in KERNELS}
+
+    def run(self, name: str, rows: int, columns: int, *arguments: Any) -> None:
+        """Enqueue a kernel over rows and columns, STRIP columns an item; whole numbers become 32 bits."""
+        grid = (-(-columns // self.strip), rows)
+        given = [np.int32(each) if isinstance(each, int) else each for each in arguments]
+        self.kernels[name](self.queue, grid, (1, 1) if self.strip > 1 else None, *given)
+
+    def buffer(self, size: int) -> Any:
+        """Room for so many bytes."""
+        return pyopencl().Buffer(self.context, pyopencl().mem_flags.READ_WRITE, size)
+
+
+def _macros(period: tuple[int, ...]) -> layout.Macros:
+    """What the kernels' loops depend on."""
+    grid = Grid.of((1, 1), period)
+    names = (
+        "ONE",
+        "LEAST_WEIGHT",
+        "POWER_FREE",
+        "POWER_FACTOR",
+        "MEAN_FREE",
+        "MEAN_FACTOR",
+        "WIDE_FREE",
+        "WIDE_FACTOR",
+        "CLIPPED",
+        "MOST",
+        "CUT",
+        "FEW",
+    )
+    return {
+        "PERIOD_ROWS": grid.period[0],
+        "PERIOD_COLUMNS": grid.period[1],
+        "CELL_DOWN": grid.block[0] // grid.cell[0],
+        "CELL_ACROSS": grid.block[1] // grid.cell[1],
+        "BLOCK_ROWS": grid.block[0],
+        "BLOCK_COLUMNS": grid.block[1],
+        "SHARE_BITS": blend.ONE.bit_length() - 1,
+        "LINEAR_FRACTION": LINEAR_FRACTION,
+        "UNEVEN_FRACTION": UNEVEN_FRACTION,
+        "MARGIN": MARGIN,
+        "SLACK": SLACK,
+        "RELUCTANCE": motion.RELUCTANCE,
+        "FARTHEST": motion.FARTHEST,
+        **{name: getattr(blend, name) for name in names},
+    }
+
+
+class _Buffers:
+    """What a filter has on the device for frames of one kind."""
+
+    def __init__(self, device: Device, grid: Grid, noise: NoiseTerms) -> None:
+        pixels, cells, blocks = (int(np.prod(sides)) for sides in (grid.shape, grid.cells, grid.blocks))
+        flags = pyopencl().mem_flags
+        self.raw, self.made = device.buffer(2 * pixels), device.buffer(2 * pixels)
+        self.kept = [device.buffer(2 * pixels) for _ in range(2)]  # of the frame before, of this one
+        self.left = [device.buffer(2 * cells) for _ in range(2)]
+        self.sizes = [(grid.shape[0] // grid.period[0], grid.shape[1] // grid.period[1])]
+        while len(self.sizes) < grid.planes:
+            self.sizes.append((self.sizes[-1][0] // 2, self.sizes[-1][1] // 2))
+        self.now, self.before = (
+            [device.buffer(2 * (rows + 2 * MARGIN) * (cols + 2 * MARGIN + SLACK)) for rows, cols in self.sizes]
+            for _ in range(2)
+        )
+        self.vectors = [device.buffer(8 * blocks) for _ in range(2)]
+        self.found, self.weights = device.buffer(24 * cells), device.buffer(2 * cells)
+        self.strips = grid.cells[0] * -(-grid.cells[1] // device.strip)
+        self.cuts = device.buffer(4 * self.strips)
+        read_only = flags.READ_ONLY | flags.COPY_HOST_PTR
+        self.spread = pyopencl().Buffer(device.context, read_only, hostbuf=noise.spread)
+        self.host_left = np.empty(grid.cells, np.uint16)
+        self.host = np.empty(grid.shape, np.uint16)
+
+
+class OpenCLFilter:
+    """Filters frames on a device."""
+
+    def __init__(self, device: Device, period: tuple[int, ...], camera: CameraModel) -> None:
+        self._device, self._period, self._camera = device, period, camera
+        self._kind: Kind | None = None
+
+    def filtered(self, frame: RawFrame) -> RawFrame:
+        """The next frame, blended with those before it, if they are of its size and levels."""
+        with refusals(self._device.device):
+            first = Kind.of(frame) != self._kind
+            if first:
+                self._begin(frame)
+            device, buffers, grid, noise = self._device, self._buffers, self._grid, self._noise
+            cl = pyopencl()
+            cl.enqueue_copy(device.queue, buffers.raw, grid.padded(np.ascontiguousarray(frame.values)), is_blocking=False)
+            if not first:
+                vectors = self._search()
+                self._weigh(vectors)
+            levels = (noise.spare, int(first), buffers.strips, int(np.prod(grid.cells)), grid.blocks[1])
+            device.run(
+                "blend", *grid.blocks, buffers.raw, buffers.kept[0], buffers.vectors[0], buffers.left[0], buffers.weights,
+                buffers.cuts, buffers.kept[1], buffers.left[1], buffers.made, *levels,
+            )  # fmt: skip
+            cl.enqueue_copy(device.queue, buffers.host_left, buffers.left[1], is_blocking=False)
+            cl.enqueue_copy(device.queue, buffers.host, buffers.made)
+            for pair in (buffers.kept, buffers.left):
+                pair.reverse()
+            rows, cols = frame.values.shape
+            left = int(buffers.host_left.sum(dtype=np.int64)) / (buffers.host_left.size * blend.ONE)
+            made = buffers.host[:rows, :cols].copy()
+            return replace(frame, values=made, noise_share=share_left(self._camera, frame, left))
+
+    def kept(self) -> NDArray[np.uint16]:
+        """What is kept of the frames so far, u (row, col)."""
+        values = np.empty(self._grid.shape, np.uint16)
+        pyopencl().enqueue_copy(self._device.queue, values, self._buffers.kept[0])
+        return values
+
+    def _begin(self, frame: RawFrame) -> None:
+        self._kind, self._grid = Kind.of(frame), Grid.of(frame.values.shape, self._period)
+        sites = self._grid.period[0] * self._grid.period[1]
+        self._noise = noise_of(self._camera, frame.black_level, frame.white_level, sites)
+        self._buffers = _Buffers(self._device, self._grid, self._noise)
+
+    def _search(self) -> Any:
+        """The buffer of the vectors, in periods."""
+        device, buffers, grid = self._device, self._buffers, self._grid
+        for source, planes, spare in (
+            (buffers.raw, buffers.now, self._noise.spare),
+            (buffers.kept[0], buffers.before, 0),
+        ):
+            rows = buffers.sizes[0][0]
+            device.run("means", rows + 2 * MARGIN, grid.blocks[1], source, planes[0], spare, rows, grid.blocks[1])
+            for level in range(1, grid.planes):
+                (rows, columns), wide = buffers.sizes[level], buffers.sizes[level - 1][1]
+                device.run("halve", rows + 2 * MARGIN, columns, planes[level - 1], planes[level], wide, rows, columns)
+        for level in reversed(range(grid.planes)):
+            buffers.vectors.reverse()
+            window = grid.window(level)
+            device.run(
+                "search", *grid.blocks, buffers.now[level], buffers.before[level], buffers.vectors[1], buffers.vectors[0],
+                buffers.spread, level, int(level == grid.planes - 1), _pair(buffers.sizes[level]), _pair(window),
+                motion.root_of(window), *grid.blocks,
+            )  # fmt: skip
+        return buffers.vectors[0]
+
+    def _weigh(self, vectors: Any) -> None:
+        """Each cell's weight."""
+        device, buffers, grid, noise = self._device, self._buffers, self._grid, self._noise
+        terms = (noise.spare, noise.black, noise.linear, noise.constant, np.uint64(noise.fixed), np.uint64(noise.uneven))
+        device.run(
+            "evidence", *grid.blocks, buffers.raw, buffers.kept[0], vectors, buffers.left[0], buffers.found, *terms,
+            grid.blocks[1],
+        )  # fmt: skip
+        device.run("weigh", *grid.cells, buffers.found, vectors, buffers.left[0], buffers.weights, buffers.cuts, *grid.cells)
+
+
+def _pair(sides: tuple[int, int]) -> Any:
+    return pyopencl().cltypes.make_int2(*sides)
+
+
+def opencl_filters(
+    period: tuple[int, ...], camera: CameraModel, device: str | None = None, variant: str | None = None
+) -> Callable[[], OpenCLFilter]:
+    """What makes filters on a device, as OpenCLRenderer chooses it; they share its kernels, and a thread."""
+    chosen = Device(period, device, variant)
+    # PoCL compiles kernels when they run: now, since a renderer in another thread may compile when the first frame comes.
+    first, tiny = OpenCLFilter(chosen, period, camera), Grid.of((1, 1), period).shape
+    for _ in range(2):
+        first.filtered(RawFrame("none", np.zeros(tiny, np.uint16), camera.black_level, camera.white_level))
+    chosen.compiler.keep()
+    return lambda: OpenCLFilter(chosen, period, camera)

@@ -1,0 +1,98 @@
+"""Rendered sequences as a section: noise, flicker and errors over their frames."""
+
+import itertools
+from typing import Any
+
+import numpy as np
+
+from l3cli.columns import figure as number
+from l3cli.report.colours import SERIES
+from l3cli.report.drawing import Plot, spanning
+from l3cli.report.parts import Figure, Figures, Key, Section, Subsection, Table, Text, tidy
+
+Documents = dict[str, dict[str, Any]]  # by the name of its file what `l3 evaluate --sequence` printed as JSON
+WHOLE = {  # of a sequence: heading with unit
+    "temporal_sigma": "temporal σ of L*",
+    "patch_sigma": "σ of patch means (L*)",
+    "still_share": "still patches (share)",
+    "largest_jump": "largest jump of mean L*",
+    "largest_jump_frame": "in frame",
+    "warped_error": "warped error (L*)",
+    "psnr": "PSNR (dB)",
+    "mean_delta_e": "mean ΔE00",
+}
+OF_FRAMES = {  # figure of a frame: title, axis, whether that begins at 0
+    "step_sigma": ("Noise over time", "σ of the change of L* on still patches", True),
+    "jump": ("Flicker over time", "jump of mean L* since the frame before", False),
+    "warped_error": ("Error along the motion", "warped error (L*)", True),
+    "mean_delta_e": ("Colour error over time", "mean ΔE00", True),
+    "psnr": ("PSNR over time", "PSNR (dB)", False),
+    "mean_lightness": ("Brightness over time", "mean L*", False),
+}
+MEANINGS = (
+    "L* is the CIE lightness of what is displayed, 0 to 100. Temporal σ is the standard deviation over time of a pixel on "
+    "patches of 8 × 8 pixels that show the same all the time; that of the patches' means is what is seen as flickering "
+    "blotches. A jump is the change of a frame's mean beyond that of the ideal's. The warped error is how much the error "
+    "of a frame differs from that of the frame before, followed along the known motion."
+)
+
+
+def sequence_section(documents: Documents) -> Section:
+    """All sequences side by side: one line for each in every plot, the table of their figures before."""
+    rows = tuple(
+        (name, str(len(document["frames"])), *(_cell(figure, document[figure]) for figure in WHOLE))
+        for name, document in documents.items()
+    )
+    table = Table("Whole sequences", ("evaluation", "frames", *WHOLE.values()), rows)
+    drawn = tuple(_curves(documents, figure) for figure in OF_FRAMES if _known(documents, figure))
+    parts = (Subsection("Whole sequences", (table, Text(MEANINGS))), Subsection("Over the frames", (Figures(drawn),)))
+    lead = (
+        "How much the lightness of what stands still changes from frame to frame, and how far pictures are from ideal ones."
+    )
+    return Section("Sequences over time", lead, parts)
+
+
+def summary(documents: Documents) -> str:
+    """Noise and largest jump of every sequence in a sentence."""
+    return " ".join(_sentence(name, document) for name, document in documents.items())
+
+
+def _sentence(name: str, document: dict[str, Any]) -> str:
+    noise, jump = document["temporal_sigma"], document["largest_jump"]
+    still = "no still patches" if noise is None else f"a temporal σ of {_cell('', noise)} L* on still patches"
+    jumps = "" if jump is None else f", and its mean L* jumps by {_cell('', jump)} at most"
+    return f"{name} has {still}{jumps}."
+
+
+def _cell(figure: str, value: float | None) -> str:
+    if value is None:
+        return "–"
+    form = {"largest_jump_frame": ".0f", "psnr": ".2f", "still_share": ".3f"}.get(figure, ".3f")
+    return number(value, form).replace("-", "−")
+
+
+def _known(documents: Documents, figure: str) -> bool:
+    return any(frame[figure] is not None for document in documents.values() for frame in document["frames"])
+
+
+def _curves(documents: Documents, figure: str) -> Figure:
+    """A figure of a frame over the frames of every sequence that has it."""
+    title, label, zero = OF_FRAMES[figure]
+    series = {name: _series(document, figure) for name, document in documents.items()}
+    longest = max(float(at.max(initial=1.0)) for at, _ in series.values())
+    y = spanning(label, np.concatenate([values for _, values in series.values()]), zero=zero)
+    plot, keys, said = Plot(spanning("frame", [0.0, longest]), y), [], []
+    styles = zip(itertools.cycle(SERIES), itertools.cycle(("line", "dashed", "dotted")), series.items(), strict=False)
+    for colour, mark, (name, (at, values)) in styles:
+        if values.size:
+            plot.line(at, values, colour, mark, 1.6)
+            keys.append(Key(name, colour, mark))
+            said.append(f"{name} {tidy(values.min())} to {tidy(values.max())}, mean {tidy(values.mean())}")
+    finding = f"{label}: {'; '.join(said)}."
+    return Figure(title, plot.svg(finding), finding, tuple(keys))
+
+
+def _series(document: dict[str, Any], figure: str) -> tuple[np.ndarray, np.ndarray]:
+    known = [(frame["frame"], frame[figure]) for frame in document["frames"] if frame[figure] is not None]
+    at, values = np.array(known, np.float64).reshape(-1, 2).T
+    return at, values

@@ -1,0 +1,167 @@
+"""Frames of a clip: a scene sampled where the camera looks, leaves laid on it, and where each pixel's content was a frame
+before (docs/method.md#motion)."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.simulation import leaves
+from l3cli.simulation.motion import Course, View, before
+
+Array = NDArray[np.float64]
+Cube = NDArray[np.float32]  # (row, col, band)
+FINE, MOST = 0.25, 256  # pixels between the samples that a leaf is drawn by, and most such samples in its radius
+TEXTURE = 0.3  # standard deviation of the logarithm of a leaf's brightness
+COVERED = 0.5  # share of a pixel from which on it shows a leaf
+TINY = 1e-6  # pixels
+UNSURE = 2  # pixels about an edge of a leaf whose content is of both sides: lens and demosaicking mix them
+
+
+@dataclass(frozen=True)
+class Sprite:
+    """A leaf drawn about its place: how much of each sample it covers, and how bright it is there."""
+
+    step: float  # pixels a sample
+    cover: Cube  # (row, col, 2): share covered; share times brightness
+    colour: NDArray[np.float32]  # (band) its reflectance, or signal
+
+
+def sprites(course: Course, colours: NDArray[np.floating], seed: tuple[int, ...]) -> list[Sprite]:
+    """The leaves of a course, of these colours (leaf, band)."""
+    drawn = []
+    for number, (radius, colour) in enumerate(zip(course.radius, colours, strict=True)):
+        rng = np.random.default_rng([*seed, number])
+        step = max(FINE, radius / MOST)
+        half = int(np.ceil(radius / step)) + 2  # the rim is empty
+        at = ((np.arange(2 * half) + 0.5 - half) * step).astype(np.float32)
+        shape, angle, slimness = int(rng.integers(5)), rng.uniform(0, np.pi), rng.uniform(0.4, 1.0)
+        mask = leaves.inside(shape, at[:, None], at[None], radius, angle, slimness).astype(np.float32)
+        bright = np.exp(TEXTURE * leaves.pink(rng, mask.shape, 1.2)).astype(np.float32)
+        drawn.append(Sprite(step, np.stack([mask, mask * bright], axis=2), colour.astype(np.float32)))
+    return drawn
+
+
+def frame(canvas: Cube, scale: float, course: Course, things: list[Sprite], number: int) -> Cube:
+    """Frame `number` (row, col, band) of a clip on a canvas (row, col, band) with `scale` pixels a sample."""
+    moments = course.moments()
+    total = np.zeros((*course.motion.size, canvas.shape[2]), np.float32)
+    for moment in moments:
+        view = course.view(number, moment)
+        seen = sampled(canvas, view, course.motion.size, (0.0, 0.0), scale)
+        places = course.leaves(number, moment)
+        for thing, place in reversed(list(zip(things, places, strict=True))):
+            _lay(seen, thing, view, place)
+        total += seen
+    return total if len(moments) == 1 else total / np.float32(len(moments))
+
+
+def sampled(
+    cube: Cube, view: View, size: tuple[int, int], place: tuple[float, float], scale: float, top: tuple[int, int] = (0, 0),
+    window: tuple[int, int] | None = None,
+) -> Cube:  # fmt: skip
+    """A `window` (rows, cols) from the pixel `top` on of a frame of `size` that shows a cube (row, col, band) whose middle
+    is at `place`, with `scale` pixels a sample: each pixel is the mean over its area of the cube between its samples."""
+    down, across = (
+        _resampling(
+            length=cube.shape[axis],
+            pixels=(window or size)[axis],
+            first=(view.centre[axis] + (top[axis] - size[axis] / 2) / view.zoom - place[axis]) / scale
+            + cube.shape[axis] / 2,
+            step=1.0 / (view.zoom * scale),
+        )
+        for axis in (0, 1)
+    )
+    rows, cols, bands = cube.shape
+    tall = (down @ cube.reshape(rows, cols * bands)).reshape(-1, cols, bands)
+    made = np.empty((tall.shape[0], across.shape[0], bands), np.float32)
+    for row, line in enumerate(tall):
+        made[row] = across @ line
+    return made
+
+
+def _resampling(length: int, pixels: int, first: float, step: float) -> Any:
+    """Sparse M (pixel, sample): means over first + pixel · step … + step of straight lines between samples, which lie at
+    0.5, 1.5, …; beyond the ends their values go on. Exact, so that what moves by a fraction of a pixel keeps its light."""
+    from scipy.sparse import csr_array
+
+    start = first + step * np.arange(pixels)[:, None]
+    near = np.floor(start - 1.5).astype(int) + np.arange(int(np.ceil(step)) + 4)
+    centre = near + 0.5
+    weight = (_filled(start + step - centre) - _filled(start - centre)) / step
+    row = np.broadcast_to(np.arange(pixels)[:, None], near.shape)
+    column = np.clip(near, 0, length - 1)
+    return csr_array((weight.astype(np.float32).ravel(), (row.ravel(), column.ravel())), shape=(pixels, length))
+
+
+def _filled(until: Array) -> Array:
+    """Integral up to there of the triangle that falls from 1 at 0 to 0 at ±1."""
+    inner = np.clip(until, -1.0, 1.0)
+    return np.where(inner < 0, 0.5 * (1 + inner) ** 2, 1 - 0.5 * (1 - inner) ** 2)
+
+
+def _lay(seen: Cube, thing: Sprite, view: View, place: Array) -> None:
+    """Lay a leaf over a frame (row, col, band)."""
+    top, window = _window(thing, view, place, (seen.shape[0], seen.shape[1]))
+    if min(window) <= 0:
+        return
+    at = (float(place[0]), float(place[1]))
+    cover = sampled(thing.cover, view, (seen.shape[0], seen.shape[1]), at, thing.step, top, window)
+    part = seen[top[0] : top[0] + window[0], top[1] : top[1] + window[1]]
+    part *= 1 - cover[..., :1]
+    part += np.minimum(cover[..., 1:] * thing.colour, cover[..., :1])  # no brighter than a perfect white
+
+
+def _window(thing: Sprite, view: View, place: Array, size: tuple[int, int]) -> tuple[tuple[int, int], tuple[int, int]]:
+    """First pixel and size of the part of a frame that a leaf may show in."""
+    half = np.array(thing.cover.shape[:2]) * thing.step / 2
+    middle = np.array(size) / 2
+    low = np.clip(np.floor((place - half - view.centre) * view.zoom + middle) - 1, 0, size).astype(int)
+    high = np.clip(np.ceil((place + half - view.centre) * view.zoom + middle) + 1, 0, size).astype(int)
+    return (int(low[0]), int(low[1])), (int(high[0] - low[0]), int(high[1] - low[1]))
+
+
+# ------------------------------------------------------------------------------------------------------ known motion
+
+
+def motion_between(course: Course, things: list[Sprite], number: int) -> NDArray[np.float32]:
+    """What frame `number` has moved by since the frame before (3, row, col): pixels down, pixels right, and 1 where the same
+    thing was seen then and its edge is not near. Of the first frame all is 0."""
+    size = course.motion.size
+    if number == 0:
+        return np.zeros((3, *size), np.float32)
+    view, earlier = course.view(number), course.view(number - 1)
+    top, was = (_shown(course, things, each) for each in (number, number - 1))
+    velocity = np.vstack([course.velocity, np.zeros(2)])  # -1: the scene itself
+    source = before(view, earlier, size, velocity[top].transpose(2, 0, 1))
+    pixel = np.indices(size)
+    nearest = np.rint(source).astype(int)
+    inside = np.logical_and.reduce(
+        [(at > -TINY) & (at < length - 1 + TINY) for at, length in zip(source, size, strict=True)]
+    )
+    nearest = np.stack([np.clip(at, 0, length - 1) for at, length in zip(nearest, size, strict=True)])
+    seen = inside & (was[nearest[0], nearest[1]] == top) & _sure(top) & _sure(was)[nearest[0], nearest[1]]
+    return np.concatenate([pixel - source, seen[None]]).astype(np.float32)
+
+
+def _shown(course: Course, things: list[Sprite], number: int) -> NDArray[np.intp]:
+    """The leaf that each pixel (row, col) of a frame shows, -1 for the scene itself."""
+    size = course.motion.size
+    view, shown = course.view(number), np.full(course.motion.size, -1)
+    for leaf, place in reversed(list(enumerate(course.leaves(number)))):
+        thing = things[leaf]
+        top, window = _window(thing, view, place, size)
+        if min(window) > 0:
+            at = (float(place[0]), float(place[1]))
+            cover = sampled(thing.cover[..., :1], view, size, at, thing.step, top, window)[..., 0]
+            shown[top[0] : top[0] + window[0], top[1] : top[1] + window[1]][cover > COVERED] = leaf
+    return shown
+
+
+def _sure(shown: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """Where (row, col) nothing else is shown near by."""
+    from scipy.ndimage import maximum_filter, minimum_filter
+
+    side = 2 * UNSURE + 1
+    return np.asarray(maximum_filter(shown, side) == minimum_filter(shown, side))

@@ -1,0 +1,221 @@
+"""What README and the pages of docs/ show is run: each command in a folder where the files that it names lie, Python, TOML.
+
+Every block of a page starts in a folder of its own. A command that cannot be run here says why (NOT_HERE).
+"""
+
+import os
+import re
+import shutil
+import subprocess
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import tifffile
+
+from l3cli import recipes
+from l3cli.cli import run
+from l3cli.config import Recipe, load_recipe
+from l3cli.io.correction_recipe import CorrectionRecipe
+from l3cli.io.measurement_recipe import MeasurementRecipe
+from l3cli.simulation.recipe import SceneRecipe
+from tests.helpers.cameras import bayer_camera
+from tests.helpers.dng_files import write_dng
+from tests.helpers.paths import CONFIGS, ROOT
+from tests.helpers.readme import PAGES, README, commands, shown
+from tests.helpers.recipes import SMALL
+from tests.helpers.sequences import write_raw_video
+
+CLASSES = "[classes]\npatch = 5\nlevels = 4\nchromas = 1\n[learning]\npatches = 300\n"  # in two passes, as default
+
+NOT_HERE = {
+    "--photo chart.dng": "a photo of a chart: tests/commands/test_calibrate_photo.py",
+    "--draft captures": "tests/commands/test_draft.py",
+    "l3 report": "tests/commands/test_report.py",
+    "clip/*.dng": "five hundred frames: tests/commands/test_sequences.py",
+    "--scheduler": "a cluster: tests/commands/test_cluster.py",
+    "grab |": "a camera at work: tests/commands/test_render_io.py",
+    "lab fiveband": "the worked example: tests/commands/test_readme.py",
+}
+GEOMETRY = """name = "a camera"
+sensor = { rows = 192, cols = 256, pixel_pitch_um = 4.0, bits = 12 }
+cfa = { channels = ["r", "g", "b"], pattern = ["r g", "g b"] }
+optics = { focal_length_mm = 25, f_number = 2.8 }
+"""  # what a measurement file begins with
+PROSE = {name: text for name, text in {"README.md": README, **PAGES}.items() if name not in ("method.md", "architecture.md")}
+
+
+def blocks(text: str) -> list[str]:
+    """A page's blocks of code: indented or fenced lines that follow one another, blank lines within."""
+    found = re.findall(
+        r"(?:^(?: {4}.*)?\n)+", re.sub(r"^```.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL), re.MULTILINE
+    )
+    fenced = re.findall(r"^```.*?^```$", text, re.MULTILINE | re.DOTALL)
+    return [block for each in (*found, *fenced) if (block := "\n".join(shown(each))).strip()]
+
+
+BLOCKS = [(name, block) for name, text in PROSE.items() for block in blocks(text)]
+SHELL = {block: name for name, block in BLOCKS if re.search(r"^l3 ", block, re.MULTILINE)}  # what two pages show is run once
+PYTHON = [(name, block) for name, block in BLOCKS if block.startswith("import l3cli")]
+TABLES = [(name, block) for name, block in BLOCKS if re.match(r"(\w+ = .*\n)*\[\[?\w+\]", block)]
+
+
+@pytest.fixture(scope="module")
+def desk(pipeline: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with every file that the pages name, of a small Bayer camera; configs/ are recipes as small."""
+    folder = tmp_path_factory.mktemp("desk")
+    shutil.copytree(pipeline / "lab", folder, dirs_exist_ok=True)  # MEASUREMENTS.toml and its frames
+    shutil.copytree(pipeline / "lab", folder / "lab")
+    shutil.copytree(pipeline / "lab", folder / "captures", ignore=shutil.ignore_patterns("MEASUREMENTS.toml"))
+    for name in ("camera", "training", "table", "unseen"):
+        shutil.copy(pipeline / f"{name}.h5", folder)
+    for name in ("faces", "pictures", "leaves"):
+        shutil.copy(pipeline / "training.h5", folder / f"{name}.h5")
+    shutil.copytree(CONFIGS, folder / "configs")
+    small = {"cameras/bayer": bayer_camera(), "scenes/default": SMALL["scenes"], "classes/default": CLASSES}
+    for name, text in small.items():
+        (folder / "configs" / f"{name}.toml").write_text(text)
+    (folder / "SCENES.toml").write_text(SMALL["scenes"])
+    (folder / "CLASSES.toml").write_text(CLASSES)
+    raw_files(folder, tifffile.imread(next((pipeline / "unseen").glob("*_raw.tif"))))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(recipes, "recipe_folder", lambda: folder / "configs")
+        assert run(["init", "--from", str(folder / "photo.dng"), str(folder / "mine"), "--quiet"]) == 0
+    return folder
+
+
+def raw_files(folder: Path, mosaic: np.ndarray) -> None:
+    """Raw frames in all formats that the pages name."""
+    from astropy.io import fits
+
+    rggb = np.array([[0, 1], [1, 2]])
+    large = np.tile(mosaic, (7, 8))[:1080, :1920]
+    large[900:960, 800:850] = 2000  # a grey
+    matrix = [
+        9000,
+        10000,
+        -2000,
+        10000,
+        -800,
+        10000,
+        -4000,
+        10000,
+        12000,
+        10000,
+        2000,
+        10000,
+        -500,
+        10000,
+        1500,
+        10000,
+        6000,
+        10000,
+    ]
+    colour = {50721: (10, matrix), 50778: (3, [21]), 50728: (5, [60, 100, 100, 100, 70, 100]), 33434: (5, [1, 100])}
+    write_dng(folder / "large.dng", large, rggb, tags=colour)
+    write_dng(folder / "frame.dng", np.tile(mosaic, (2, 2))[:192, :256], rggb, tags=colour)
+    write_dng(folder / "photo.dng", mosaic, rggb, tags=colour)
+    (folder / "dump.raw10").write_bytes(bytes(1080 * 2432))
+    (folder / "darks").mkdir()
+    for name, values in {"night.fits": mosaic, "darks/1.fits": np.full_like(mosaic, 64)}.items():
+        fits.writeto(folder / name, values, fits.Header({"EXPTIME": 1.0, "BAYERPAT": "RGGB"}))
+    (folder / "clip").mkdir()
+    for number in (0, 1):
+        tifffile.imwrite(folder / f"clip/frame_{number:04}.tif", mosaic)
+    write_raw_video(folder / "mosaic.mkv")
+    with h5py.File(folder / "stack.h5", "w") as stack:
+        stack["take1/raw"] = np.stack([mosaic, mosaic])
+
+
+@pytest.mark.parametrize(("block", "name"), SHELL.items(), ids=lambda value: value.split("\n")[0][:40])
+def test_the_commands_of_a_block_run(
+    name: str, block: str, desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, l3: Callable
+) -> None:
+    monkeypatch.setattr(recipes, "recipe_folder", lambda: desk / "configs")
+    shutil.copytree(desk, tmp_path, copy_function=os.link, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    if "--white" in block:
+        (tmp_path / "large.dng").replace("frame.dng")  # of as many pixels as a grey's place needs
+    for line in block.splitlines():
+        if not re.match("l3 |make ", line) or any(word in line for word in NOT_HERE):
+            continue
+        for words in commands(line):
+            prepare(words, tmp_path)
+            code, _, err = l3(*words, *(["--quiet"] if words[0] not in ("info", "init", "schema", "check") else []))
+            assert code == 0, f"{name}: l3 {' '.join(words)}: {err}"
+        for folder in re.findall(r"make -C (\w+)", line):
+            subprocess.run(["make", "-n", "-C", folder], check=True, capture_output=True)
+
+
+def prepare(words: list[str], folder: Path) -> None:
+    """Clear the way for a command: its outputs are not there yet, the inputs that earlier pages leave are."""
+    outputs = [words[at + 1] for at, word in enumerate(words) if word == "-o"]
+    if words[0] == "init" and len(words) > 1:
+        outputs.append(words[-1])
+    for output in outputs:
+        path = folder / output
+        shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
+    if "mine/table.h5" in words:
+        os.link(folder / "table.h5", folder / "mine/table.h5")
+
+
+@pytest.mark.parametrize(("name", "block"), PYTHON, ids=[name for name, _ in PYTHON])
+def test_the_python_of_a_page_runs(
+    name: str, block: str, desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recipes, "recipe_folder", lambda: desk / "configs")
+    for each in ("lab", "frame.dng"):
+        (tmp_path / each).symlink_to(desk / each)
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, np.ndarray] = {}
+    exec(block.replace("jobs=2", "jobs=1"), names)
+    assert (names["picture"].shape, names["picture"].dtype) == ((192, 256, 3), np.uint8)
+
+
+@pytest.mark.parametrize(("name", "block"), TABLES, ids=[f"{name}-{at}" for at, (name, _) in enumerate(TABLES)])
+def test_the_keys_of_a_page_are_keys(name: str, block: str, tmp_path: Path) -> None:
+    block = re.sub(r"^l3 .*", "", block, flags=re.MULTILINE)
+    content = tomllib.loads(block)
+    kind: type[Recipe] = SceneRecipe if "pair" in content else CorrectionRecipe if "base" in content else MeasurementRecipe
+    head = GEOMETRY if kind is MeasurementRecipe else ""
+    (tmp_path / "a.toml").write_text(head + block)
+    load_recipe(tmp_path / "a.toml", kind)
+
+
+def test_no_block_is_left_out() -> None:
+    """Every line of a block with `l3` is run above, is a session, or says why it is not."""
+    run = {line for block in SHELL for line in block.splitlines()}
+    for name, text in PROSE.items():
+        for line in shown(text):
+            if re.match(r"(.*\| )?l3 ", line):
+                assert line in run or any(word in line for word in NOT_HERE), f"{name}: {line}"
+    assert (len(PYTHON), len(TABLES)) >= (2, 3)
+    assert all(any(word in line for _, block in BLOCKS for line in block.splitlines()) for word in NOT_HERE)
+
+
+def test_the_session_of_check_prints_what_is_shown(l3: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    (session,) = [block for name, block in BLOCKS if name == "recipes.md" and "$ l3 check" in block]
+    printed = [" ".join(line.split()) for line in l3("check", "from_curves")[1].replace(f"{ROOT}/", "").splitlines()]
+    for line in session.partition("$ l3 ")[2].splitlines()[1:]:
+        assert line.strip() == "…" or " ".join(line.split()) in printed, line
+
+
+def test_the_session_of_verify_prints_what_is_shown(desk: Path, l3: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(desk)
+    (session,) = [block for name, block in BLOCKS if name == "artifacts.md" and "$ l3 info" in block]
+    given = [
+        "table.h5",
+        "training.h5",
+        "camera.h5",
+        "lab/MEASUREMENTS.toml",
+        *map(str, sorted(Path("lab/mono").glob("*.tif"))),
+    ]
+    code, out, _ = l3("info", "--verify", *given)
+    printed = [re.sub(r"\d+", "#", line) for line in out.splitlines()]
+    assert code == 0
+    for line in session.partition("$ l3 ")[2].splitlines()[1:]:
+        assert line.strip() == "…" or re.sub(r"\d+", "#", line) in printed, line

@@ -1,0 +1,139 @@
+"""What the temporal filter gains where nothing moves, and what it costs where something does.
+
+python -m pytest -m slow -s tests/studies/test_temporal_study.py      every figure printed (about ten minutes)
+
+Scenes are drawn larger than a frame and moved under the simulated sensor at a mean signal of 0.02 of full scale: nothing
+moves, pans of 0.5, 1, 4 and 7 pixels a frame, a zoom, an object before what stands still, fast and slow, a cut. PSNR is that
+of the picture as it is shown against the ideal one; noise is the spread over time of a picture of what stands still.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera_recipe import load_camera
+from l3cli.artifacts.store import load
+from l3cli.artifacts.table import TransformTable
+from l3cli.cli import run
+from l3cli.frame import RawFrame
+from l3cli.physics.display import displayed, srgb_curve, white_luminance
+from l3cli.rendering.quiet import quiet_renderer
+from l3cli.rendering.temporal.filters import filters
+from l3cli.scene import NO_ILLUMINANT, Scene
+from l3cli.simulation import procedural, sensor
+from l3cli.simulation.frame import Averaging, simulate
+from l3cli.simulation.light import make_light
+from l3cli.simulation.recipe import Lens
+from tests.helpers.paths import CONFIGS
+
+SIDE, DRAWN, BORDER = 256, 640, 16  # pixels: of a frame, of what is drawn, left out at its edge
+COUNT, SETTLED = 18, 9  # frames, and those before the noise has fallen
+LEVEL = 0.02  # mean signal, share of full scale
+Planes = NDArray[np.float32]
+KINDS = ("static", "pan 0.5", "pan 1", "pan 4", "pan 7", "zoom", "object", "slow object", "cut")
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A scene: what its channels collect, e-, and its XYZ in the unit of outputs, both (plane, row, col)."""
+
+    planes: Planes
+    channels: int
+    seconds: float
+
+
+@pytest.fixture(scope="module", params=["bayer", "fiveband"])
+def made(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[CameraModel, TransformTable]:
+    """A camera and its default table."""
+    folder, name = tmp_path_factory.mktemp("temporal"), request.param
+    for command in (
+        ("simulate", "default", "--camera", name, "-o", folder / "training.h5", "--jobs", 2),
+        ("train", folder / "training.h5", "--classes", "default", "-o", folder / "table.h5", "--jobs", 2),
+    ):
+        assert run([*map(str, command), "--quiet"]) == 0
+    return load_camera(CONFIGS / f"cameras/{name}.toml"), load(TransformTable, folder / "table.h5")
+
+
+def drawn(camera: CameraModel, seed: int) -> Drawn:
+    wavelength = procedural.grid(camera.wavelength)
+    cube = procedural.dead_leaves(np.random.default_rng(seed), (DRAWN, DRAWN), wavelength)
+    light = make_light("D65", {}, camera.wavelength).at(100.0)
+    scene = Scene("leaves", wavelength, cube, NO_ILLUMINANT)
+    frame = simulate(camera, scene, light, Averaging(LEVEL), Lens(), (seed,))
+    planes = np.concatenate([frame.electrons, frame.target * np.float32(frame.exposure)])
+    return Drawn(planes, len(frame.electrons), frame.exposure)
+
+
+def window(planes: Planes, row: float, col: float, zoom: float = 1.0) -> Planes:
+    """A frame's part of planes, from (row, col) on, about whose middle it is shrunk."""
+    down, across = np.indices((SIDE, SIDE)) - SIDE / 2
+    place = [down * zoom + SIDE / 2 + row, across * zoom + SIDE / 2 + col]
+    return np.stack([map_coordinates(plane, place, order=1, mode="mirror") for plane in planes]).astype(np.float32)
+
+
+def moving(kind: str, scene: Planes, other: Planes) -> Iterator[Planes]:
+    """The planes of every frame."""
+    down, across = np.indices((SIDE, SIDE))
+    pans = {"static": (0, 0), "pan 0.5": (0.3, 0.4), "pan 1": (0, 1), "pan 4": (0, 4), "pan 7": (2, 7)}
+    discs = {"object": (60, 40, 2.7, 5.3), "slow object": (100, 60, 0.3, 0.7)}
+    for i in range(COUNT):
+        if kind in pans:
+            yield window(scene, 100 + pans[kind][0] * i, 100 + pans[kind][1] * i)
+        elif kind == "zoom":
+            yield window(scene, 190, 190, 1.01**i)
+        elif kind == "cut":
+            yield window(scene if i < SETTLED + 4 else other, 100, 100)
+        else:
+            row, col, fall, drift = discs[kind]
+            cover = np.clip(45.5 - np.hypot(down - row - fall * i, across - col - drift * i), 0, 1).astype(np.float32)
+            yield window(scene, 100, 100) * (1 - cover) + window(other, 200 - fall * i, 200 - drift * i) * cover
+
+
+def shown(xyz: NDArray[Any], table: TransformTable, scale: float) -> NDArray[Any]:
+    return srgb_curve(displayed(xyz, table.white_point, scale))[BORDER:-BORDER, BORDER:-BORDER]
+
+
+def psnr(one: NDArray[Any], other: NDArray[Any]) -> float:
+    return float(-10 * np.log10(np.mean((one - other) ** 2)))
+
+
+@pytest.mark.slow
+def test_gains_and_losses(made: tuple[CameraModel, TransformTable]) -> None:
+    camera, table = made
+    renderer, make = quiet_renderer("opencl", table), filters("opencl", table)
+    whole = sensor.fixed_pattern(camera)
+    pattern = sensor.FixedPattern(whole.prnu[:SIDE, :SIDE], whole.dsnu[:SIDE, :SIDE])
+    scenes = [drawn(camera, seed) for seed in (1, 2, 3, 4, 5, 6)]
+    print(f"\n{camera.name:20} {'alone':>7} {'temporal':>9} {'worst frame':>12} {'noise over time':>16}")
+    for kind in KINDS:
+        gains, alone, spreads = [], [], []
+        for one, other in zip(scenes[::2], scenes[1::2], strict=True):
+            filtering, pictures = make(), []
+            for number, planes in enumerate(moving(kind, one.planes, other.planes)):
+                mosaic = sensor.mosaic(planes[: one.channels], camera.cfa)
+                rng = np.random.default_rng([7, number])
+                values = sensor.read_out(camera, pattern, mosaic, one.seconds, rng)
+                dark = camera.dark_signal(one.seconds)
+                frame = RawFrame(str(number), values, camera.black_level, camera.white_level, dark=dark)
+                target = planes[one.channels :]
+                scale = white_luminance(target[1])
+                outputs = (renderer.outputs(each) * table.output_unit for each in (frame, filtering.filtered(frame)))
+                pair = [shown(each, table, scale) for each in outputs]
+                ideal = shown(target, table, scale)
+                alone.append(psnr(pair[0], ideal))
+                gains.append(psnr(pair[1], ideal) - alone[-1])
+                pictures.append(pair)
+            settled = np.array(pictures[SETTLED:])
+            spreads.append(settled.std(axis=0).mean(axis=(1, 2, 3)))
+        noise = 20 * np.log10(spreads[0][0] / spreads[0][1])
+        later = np.array(gains).reshape(-1, COUNT)[:, SETTLED:].mean()
+        still = f"{-noise:13.1f} dB" if kind == "static" else ""
+        print(f"{kind:20} {np.mean(alone):7.2f} {later:+9.2f} {min(gains):+12.2f} {still}", flush=True)
+        assert min(gains) > -0.1
+        assert kind != "static" or noise > 6

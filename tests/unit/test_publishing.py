@@ -1,0 +1,54 @@
+"""What publishes the project says the same everywhere: conda recipe, container, workflow, citation, source distribution."""
+
+import re
+import tomllib
+
+import pytest
+
+from l3cli import __version__
+from tests.helpers.paths import ROOT
+
+yaml = pytest.importorskip("yaml")
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+RENAMED = {"openimageio": "py-openimageio", "pyopencl[pocl]": "pyopencl"}  # on conda-forge
+
+
+def test_the_conda_recipe_needs_what_the_project_needs() -> None:
+    recipe = yaml.safe_load((ROOT / "docs/install/conda/meta.yaml").read_text(encoding="utf-8"))
+    needed = {re.sub(r"\s", "", each).lower() for each in PROJECT["project"]["dependencies"]}
+    for name, other in RENAMED.items():
+        needed = {re.sub(rf"^{re.escape(name)}(?=[<>=]|$)", other, each) for each in needed}
+    needed |= {f"python{PROJECT['project']['requires-python']}", "pocl", "__linux"}
+    assert {each.replace(" ", "") for each in recipe["requirements"]["run"]} == needed
+    assert recipe["package"]["version"] == PROJECT["project"]["version"] == __version__
+    (entry,) = recipe["build"]["entry_points"]
+    assert entry.split(" = ")[1] == PROJECT["project"]["scripts"]["l3"]
+
+
+def test_the_container_copies_what_a_wheel_is_built_from_and_drops_rights() -> None:
+    lines = (ROOT / "docs/install/Dockerfile").read_text(encoding="utf-8").splitlines()
+    copied = {word for line in lines if line.startswith("COPY") for word in line.split()[1:-1]}
+    wheel = PROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]
+    assert copied == {"pyproject.toml", "README.md", "LICENSE", *wheel["packages"], *wheel["force-include"]}
+    assert [line.split()[0] for line in lines if line[:4] in ("FROM", "USER")] == ["FROM", "USER"]
+    assert lines.index("USER l3") < lines.index('ENTRYPOINT ["l3"]')
+
+
+def test_the_workflow_runs_every_part() -> None:
+    workflow = yaml.safe_load((ROOT / ".github/workflows/ci.yml").read_text(encoding="utf-8"))
+    (defaults,) = re.findall(r"parts=\((\w[\w ]*)\)", (ROOT / ".ci/run").read_text(encoding="utf-8"))
+    matrix = workflow["jobs"]["part"]["strategy"]["matrix"]
+    assert set(matrix["part"]) == set(defaults.split())
+    pythons = {*matrix["python"], *(each["python"] for each in matrix["include"])}
+    classified = re.findall(r"Python :: (3\.\d+)", "\n".join(PROJECT["project"]["classifiers"]))
+    assert pythons == set(classified)
+
+
+def test_a_wheel_holds_the_package_alone() -> None:
+    assert PROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"] == ["l3cli"]
+    assert (ROOT / "l3cli/py.typed").is_file()
+
+
+def test_the_citation_is_of_this_version() -> None:
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert (citation["version"], citation["license"]) == (__version__, PROJECT["project"]["license"])
