@@ -56,6 +56,7 @@ docs-build: notebooks ## the same without serving; fails on any warning and any 
 	$(BIN)/python docs/site/build.py $(DOCS)
 
 notebooks: $(VENV)/installed ## the notebooks of docs/ are run, and written as pages of code and outputs (half a minute)
+	rm -rf $(NOTEBOOKS)
 	$(BIN)/python docs/site/execute_notebooks.py $(NOTEBOOKS)
 
 wheels: ## dist/: source distribution, the wheel built from it, both checked, and the wheel tried alone

@@ -1,4 +1,4 @@
-"""python docs/site/execute_notebooks.py FOLDER: run the notebooks of docs/ and write each as a page, NAME.md with pictures.
+"""python docs/site/execute_notebooks.py FOLDER: run the notebooks of docs/, write each as a page NAME.md into a new folder.
 
 With --strip instead of FOLDER, take out of docs/notebooks what running them in Jupyter has left there.
 """
@@ -41,7 +41,7 @@ def stripped(notebook: Any) -> Any:
 def executed(path: Path) -> Any:
     """A notebook with its outputs, after it has run in a new folder, which is then removed with all that it left behind.
 
-    nbclient.exceptions.CellExecutionError if a cell fails: it shows the cell and the traceback.
+    Of nbclient.exceptions: CellExecutionError if a cell fails, CellTimeoutError if it takes too long, DeadKernelError.
     """
     from jupyter_client.manager import AsyncKernelManager
     from nbclient import NotebookClient
@@ -85,12 +85,12 @@ def shown(outputs: Any, name: str, folder: Path) -> Iterator[str]:
 
 def written(path: Path, folder: Path) -> str:
     """Run a notebook and write its page; what to say of it: the seconds, or the cell that fails and why."""
-    from nbclient.exceptions import CellExecutionError
+    from nbclient.exceptions import CellExecutionError, CellTimeoutError, DeadKernelError
 
     start = time.perf_counter()
     try:
         notebook = executed(path)
-    except CellExecutionError as error:
+    except (CellExecutionError, CellTimeoutError, DeadKernelError) as error:
         return f"{path}: fails\n{COLOURS.sub('', str(error))}"
     shutil.copy(path, folder)
     (folder / f"{path.stem}.md").write_text(page(notebook, path.stem, folder), encoding="utf-8")
@@ -98,14 +98,16 @@ def written(path: Path, folder: Path) -> str:
 
 
 def main(argument: str) -> int:
-    """0, or 1 if a notebook fails."""
+    """0, 1 if a notebook fails, or 2 if the folder exists."""
     paths = sorted(NOTEBOOKS.glob("*.ipynb"))
     if argument == "--strip":
         for path in paths:
             nbformat.write(stripped(nbformat.read(path, as_version=4)), path)
         return 0
     folder = Path(argument)
-    shutil.rmtree(folder, ignore_errors=True)
+    if folder.exists():
+        print(f"{folder} exists; give a new folder", file=sys.stderr)
+        return 2
     folder.mkdir(parents=True)
     with ThreadPoolExecutor(JOBS) as pool:
         for line in pool.map(lambda path: written(path, folder), paths):

@@ -35,9 +35,12 @@ def gather(folder: Path) -> None:
     (folder / "reference").mkdir()
     for name, text in (command_pages() | recipe_pages() | artifact_pages() | licence_pages()).items():
         (folder / "reference" / name).write_text(text, encoding="utf-8")
+    if not EXECUTED.is_dir():
+        raise SystemExit(f"{EXECUTED} is missing; make notebooks makes it")
     shutil.copytree(EXECUTED, folder / "notebooks", dirs_exist_ok=True)
-    with (folder / "notebooks.md").open("a", encoding="utf-8") as listed:
-        listed.write("\n" + tree(f"notebooks/{path.stem}" for path in sorted(EXECUTED.glob("*.md"))) + "\n")
+    listed = (folder / "notebooks.md").read_text(encoding="utf-8")
+    names = re.findall(r"\]\((notebooks/[\w-]+)\.md\)", listed)
+    (folder / "notebooks.md").write_text(f"{listed}\n{tree(names)}\n", encoding="utf-8")
     pages = {path.relative_to(folder).with_suffix("").as_posix() for path in folder.rglob("*.md")}
     readme = relinked((ROOT / "README.md").read_text(encoding="utf-8"))
     (folder / "index.md").write_text(f"{readme}\n{contents(pages)}", encoding="utf-8")

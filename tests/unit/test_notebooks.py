@@ -112,6 +112,12 @@ def test_a_page_shows_code_beside_what_it_printed_and_drew(execution: ModuleType
     assert (tmp_path / "x-1-2.png").read_bytes() == b"PNG"
 
 
+def test_a_folder_that_exists_is_left_alone(execution: ModuleType, tmp_path: Path) -> None:
+    (tmp_path / "mine.md").write_text("mine")
+    assert execution.main(str(tmp_path)) == 2
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.md"]
+
+
 def test_a_notebook_that_fails_is_named(
     execution: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
