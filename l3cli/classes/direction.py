@@ -140,6 +140,13 @@ def values(axis: Axis, rule: ClassRule, sums: Integers, level: Integers) -> Inte
     return np.where(strength > 0, 1 + group * orientations + orientation, 0)
 
 
+def quieter(axis: Axis, share: float) -> Axis:
+    """Strength edges that are as many times the noise that is left."""
+    constants = axis.constants.copy()
+    constants[HEAD:] = np.rint(constants[HEAD:] * math.sqrt(share))
+    return axis._replace(constants=constants)
+
+
 def turned(axis: Axis, transposed: bool, turns: int) -> Integers:
     """What becomes of each direction where a patch is replaced by rot90(patch.T if transposed else patch, turns)."""
     orientations = int(axis.constants[2])

@@ -80,6 +80,9 @@ class FurtherFeature(Feature, Protocol):
     def values(self, axis: Axis, rule: ClassRule, sums: Integers, level: Integers) -> Integers:
         """Its value (…) from window sums (…, sum) at `level` (…)."""
 
+    def quieter(self, axis: Axis, share: float) -> Axis:
+        """The same for frames with this share of the camera's noise variance."""
+
     def turned(self, axis: Axis, transposed: bool, turns: int) -> Integers:
         """What becomes of its values (value) where a patch is replaced by rot90(patch.T if transposed else patch, turns)."""
 

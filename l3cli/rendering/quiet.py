@@ -1,7 +1,8 @@
 """Frames that a filter in time has left less noise than their camera's: classes decide against what is left.
 
-What a class rule compares with noise is scaled by the share of its variance that is left: contrasts of a mosaic, strengths
-of edges. So detail that noise would hide is told from flat areas again. Transforms stay as they were learned.
+What a class rule compares with noise is scaled by the share of its variance that is left: contrasts and directions of a
+mosaic, strengths of edges. So detail that noise would hide is told from flat areas again. Transforms stay as they were
+learned.
 """
 
 import itertools
@@ -12,7 +13,9 @@ from operator import itemgetter
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.further_features import FurtherFeatures
 from l3cli.artifacts.table import TransformTable
+from l3cli.classes.features import further_features
 from l3cli.frame import RawFrame
 from l3cli.rendering.display import Display
 from l3cli.rendering.renderer import Renderer, make_renderer
@@ -20,7 +23,10 @@ from l3cli.rendering.renderer import Renderer, make_renderer
 
 def quiet_table(table: TransformTable, share: float) -> TransformTable:
     """The table for frames with this share of the camera's noise variance. Trees stay as they are."""
-    first = replace(table.first.rule, contrast_edges=_scaled(table.first.rule.contrast_edges, share))
+    rule = table.first.rule
+    axes = tuple(feature.quieter(axis, share) for feature, axis in further_features(rule))
+    features = FurtherFeatures.of(axes) if axes else None
+    first = replace(rule, contrast_edges=_scaled(rule.contrast_edges, share), features=features)
     later = tuple(
         layer
         if layer.structure is None

@@ -12,11 +12,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import h5py
+import msgspec
 import numpy as np
 import pytest
 import tifffile
 
 from l3cli import recipes
+from l3cli.artifacts.channel_recipe import ChannelRecipe
 from l3cli.cli import run
 from l3cli.config import Recipe, load_recipe
 from l3cli.io.correction_recipe import CorrectionRecipe
@@ -38,6 +40,9 @@ NOT_HERE = {
     "clip/*.dng": "five hundred frames: tests/commands/test_sequences.py",
     "--scheduler": "a cluster: tests/commands/test_cluster.py",
     "grab |": "a camera at work: tests/commands/test_render_io.py",
+    "monday/*.mkv": "clips of a day: tests/commands/test_many_clips.py",
+    "--watch": "without an end: tests/commands/test_many_clips.py",
+    "composition-": "clips with their truth: tests/commands/test_clips.py, test_sequence_evaluation.py",
     "lab fiveband": "the worked example: tests/commands/test_readme.py",
 }
 GEOMETRY = """name = "a camera"
@@ -179,7 +184,15 @@ def test_the_python_of_a_page_runs(
 def test_the_keys_of_a_page_are_keys(name: str, block: str, tmp_path: Path) -> None:
     block = re.sub(r"^l3 .*", "", block, flags=re.MULTILINE)
     content = tomllib.loads(block)
-    kind: type[Recipe] = SceneRecipe if "pair" in content else CorrectionRecipe if "base" in content else MeasurementRecipe
+    if channels := content.get("channel"):
+        msgspec.convert(channels, dict[str, ChannelRecipe])
+        return
+    if "target" in content:
+        block += '\n[[scene]]\nsource = "dead leaves"\nsize = [32, 32]\n'
+        block = f"exposure_share = [0.5]\n{block}"
+    kind: type[Recipe] = CorrectionRecipe if "base" in content else MeasurementRecipe
+    if {"pair", "target"} & content.keys():
+        kind = SceneRecipe
     head = GEOMETRY if kind is MeasurementRecipe else ""
     (tmp_path / "a.toml").write_text(head + block)
     load_recipe(tmp_path / "a.toml", kind)

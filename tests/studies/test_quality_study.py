@@ -29,7 +29,8 @@ NOISE_DIFFERENCE = 0.05  # ΔE00: smaller differences are chance (docs/method.md
 WITHOUT = {
     "saturation cases": {"max_cases = 12": "max_cases = 1"},
     "contrast": {"contrasts = [1.4]": "contrasts = []"},
-    "chroma": {"chromas = 8": "chromas = 1"},
+    "direction": {"strengths = [3.0]": "strengths = [1e9]"},
+    "chroma": {"chromas = 9": "chromas = 1"},
     "rescaling": {"draws = 8": "draws = 8\nrescale = false"},
     "analytic noise (sampled instead)": {"ridge =": 'noise = "sampled"\nridge ='},
     "noise covariance": {"luminance_noise = 1.5": "luminance_noise = 0.0", "chroma_noise = 2.0": "chroma_noise = 0.0"},

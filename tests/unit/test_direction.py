@@ -9,7 +9,7 @@ import pytest
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
-from l3cli.artifacts.further_features import Axis
+from l3cli.artifacts.further_features import Axis, FurtherFeatures
 from l3cli.artifacts.schema import equal
 from l3cli.artifacts.store import describe, load, save
 from l3cli.artifacts.table import TransformTable
@@ -117,6 +117,24 @@ def test_only_turns_that_keep_every_direction_average_sums(bayer: CameraModel) -
     turns = class_stabilisers(rule, window)
     assert (len(turns), len(stabilisers(window, rule.patch))) == (2, 8)
     np.testing.assert_array_equal(turns[1], np.arange(rule.patch**2)[::-1])  # half a turn
+
+
+def test_half_the_noise_is_as_flat(bayer: CameraModel) -> None:
+    """To the edges for a quarter of its variance, as the whole is to the camera's own."""
+    rule = a_rule(bayer, direction.Keys(strengths=(1.0,)))
+    quiet = dataclasses.replace(
+        rule, features=FurtherFeatures.of(tuple(direction.quieter(each, 0.25) for each in rule.axes))
+    )
+    span, noise = bayer.white_level - bayer.black_level, np.random.default_rng(1).normal(size=(300, 300))
+    level = 0.3 * span
+    noise *= np.sqrt(bayer.noise_variance(np.full((1, 1), level), 0.0))
+    flat = [
+        (directions(bayer.black_level + level + factor * noise, of, bayer) == 0).mean()
+        for factor, of in ((1.0, rule), (0.5, quiet), (0.5, rule))
+    ]
+    assert 0.05 < flat[0] < 0.6
+    assert abs(flat[1] - flat[0]) < 0.02
+    assert flat[2] > flat[0] + 0.2
 
 
 @pytest.mark.parametrize(
