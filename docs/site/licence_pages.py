@@ -50,5 +50,5 @@ def stated(name: str) -> tuple[str, str]:
     """Version and licence of a package: its SPDX expression, else its classifiers, else the first line of its text."""
     known = distribution(name).metadata
     classes = [each.rpartition(" :: ")[2] for each in known.get_all("Classifier", []) if each.startswith("License :: OSI")]
-    text = known["License-Expression"] or ", ".join(classes) or (known["License"] or "").strip().partition("\n")[0]
+    text = known.get("License-Expression") or ", ".join(classes) or (known.get("License") or "").strip().partition("\n")[0]
     return known["Version"], plain(text) or "not stated by the package"

@@ -115,7 +115,7 @@ def test_completion_offers_commands_options_words_and_files_at_once() -> None:
     assert set(completed("l3 train --s")) == {"plain,--shares", "plain,--shard", "plain,--seed", "plain,--scheduler"}
     assert completed("l3 render table.h5 frame.dng --codec h26") == ["plain,h264", "plain,h265"]
     assert completed("l3 simulate scenes.toml --camera cam") == ["file,cam"]
-    assert completed("l3 init rgb") == ["plain,rgbir", "plain,rgbw", "plain,rgbw4x4"]
+    assert completed("l3 init rgb") == ["plain,rgbir", "plain,rgbir4x4", "plain,rgbw", "plain,rgbw4x4"]
     assert completed("l3 report camera") == ["file,camera"]
 
 

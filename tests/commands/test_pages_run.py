@@ -42,6 +42,7 @@ NOT_HERE = {
     "grab |": "a camera at work: tests/commands/test_render_io.py",
     "monday/*.mkv": "clips of a day: tests/commands/test_many_clips.py",
     "--watch": "without an end: tests/commands/test_many_clips.py",
+    "simulate motion": "two hundred frames: tests/commands/test_clips.py",
     "composition-": "clips with their truth: tests/commands/test_clips.py, test_sequence_evaluation.py",
     "lab fiveband": "the worked example: tests/commands/test_readme.py",
 }

@@ -33,7 +33,7 @@ OPTIONS = (  # {n} is the number; "=" holds on to what begins with a minus
     BARE + " --size={n}x24", BARE + " --size=20x{n}", BARE + " --size=20x24 --stride={n}",
     "render table.h5 - -o {out}/%d.png --backend reference --size={n}x{n}", RENDER + " --device={n}",
     SEQUENCE + " --frames={n}", SEQUENCE + " --frames=0-{n}", SEQUENCE + " --frames=0-{n} --skip-bad",
-    SEQUENCE + " --frames=0-2x{n}", "render table.h5 clip.mkv -o {out}/p --backend reference --frames=0-{n} --skip-bad",
+    SEQUENCE + " --every={n}", SEQUENCE + " --frames=0-2x{n}", "render table.h5 clip.mkv -o {out}/p --backend reference --frames=0-{n} --skip-bad",
     "render table.h5 stack.npy -o {out}/%0{n}d.png --backend reference", SEQUENCE + " --bits={n}",
     "evaluate table.h5 training.h5 --backend reference --viewing={n}", TRAIN + " --shard={n}/2", TRAIN + " --shard=1/{n}",
     TRAIN + " --shares={n}", TRAIN + " --seed={n}", SIMULATE + " --seed={n}", TRAIN + " --shard=1/1 --jobs={n}",
