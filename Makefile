@@ -7,6 +7,7 @@ NEWER := build/vapoursynth
 DEMO := build/demo
 CURVE := build/curve
 DOCS := build/docs
+NOTEBOOKS := build/notebooks
 RELEASE := build/release
 JOBS ?= 2
 INPUTS ?= 20000
@@ -15,7 +16,7 @@ PLACES ?= 500
 L3 := $(BIN)/l3
 TIMED := bash -c 'time "$$0" "$$@"'
 
-.PHONY: help install demo demo-steps docs docs-build gallery wheels test vapoursynth study soak video fuzz curve lint format bench clean
+.PHONY: help install demo demo-steps docs docs-build gallery notebooks wheels test vapoursynth study soak video fuzz curve lint format bench clean
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 
@@ -51,11 +52,15 @@ test: $(VENV)/installed ## the test suite
 docs: docs-build ## the pages of docs/ as a site, on http://127.0.0.1:8000 until Ctrl-C (PORT=…)
 	$(BIN)/python -m http.server --directory $(DOCS)/html --bind 127.0.0.1 $(PORT)
 
-docs-build: $(VENV)/installed ## the same without serving; fails on any warning and any link that leads nowhere
+docs-build: notebooks ## the same without serving; fails on any warning and any link that leads nowhere
 	$(BIN)/python docs/site/build.py $(DOCS)
 
 gallery: $(VENV)/installed ## docs/gallery.md and its pictures, one array after the other (a quarter of an hour on two cores); ARRAYS="bayer xtrans" for some
 	PYTHONPATH=$(CURDIR) $(BIN)/python docs/gallery/gallery.py $(ARRAYS) --jobs $(JOBS)
+
+notebooks: $(VENV)/installed ## the notebooks of docs/ are run, and written as pages of code and outputs (half a minute)
+	rm -rf $(NOTEBOOKS)
+	$(BIN)/python docs/site/execute_notebooks.py $(NOTEBOOKS)
 
 wheels: ## dist/: source distribution, the wheel built from it, both checked, and the wheel tried alone
 	$(PYTHON) -m venv --clear $(RELEASE)

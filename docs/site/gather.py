@@ -1,7 +1,8 @@
-"""The pages of the site in one folder: those of docs/, README as the first, and those made of the code's declarations."""
+"""The pages of the site in one folder: those of docs/, README as the first, notebooks, those made of declarations."""
 
 import re
 import shutil
+from collections.abc import Iterable
 from pathlib import Path
 
 from artifact_pages import artifact_pages
@@ -10,11 +11,12 @@ from licence_pages import licence_pages
 from recipe_pages import recipe_pages
 
 ROOT = Path(__file__).parents[2]
+EXECUTED = ROOT / "build/notebooks"  # by make notebooks
 FRONT = {"CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md", "SECURITY.md": "security.md"}
 AS_THEY_ARE = ("LICENSE", "CITATION.cff")
 CONTENTS = {
     "Start": ["install", "tutorial", "chart-photo", "own-lab", "own-array", "arrays"],
-    "Use": ["raw-files", "video", "temporal", "jobs", "video-hosts", "clusters", "python", "export"],
+    "Use": ["raw-files", "video", "temporal", "jobs", "video-hosts", "clusters", "python", "notebooks", "export"],
     "Reference": ["commands", "reference/commands", "recipes", "reference/recipes", "artifacts", "reference/artifacts"],
     "What to expect": ["gallery", "benchmarks", "flicker", "limits", "robustness", "method"],
     "Project": ["architecture", "contributing", "changelog", "security", "reference/licences"],
@@ -33,6 +35,12 @@ def gather(folder: Path) -> None:
     (folder / "reference").mkdir()
     for name, text in (command_pages() | recipe_pages() | artifact_pages() | licence_pages()).items():
         (folder / "reference" / name).write_text(text, encoding="utf-8")
+    if not EXECUTED.is_dir():
+        raise SystemExit(f"{EXECUTED} is missing; make notebooks makes it")
+    shutil.copytree(EXECUTED, folder / "notebooks", dirs_exist_ok=True)
+    listed = (folder / "notebooks.md").read_text(encoding="utf-8")
+    names = re.findall(r"\]\((notebooks/[\w-]+)\.md\)", listed)
+    (folder / "notebooks.md").write_text(f"{listed}\n{tree(names)}\n", encoding="utf-8")
     pages = {path.relative_to(folder).with_suffix("").as_posix() for path in folder.rglob("*.md")}
     readme = relinked((ROOT / "README.md").read_text(encoding="utf-8"))
     (folder / "index.md").write_text(f"{readme}\n{contents(pages)}", encoding="utf-8")
@@ -42,15 +50,17 @@ def relinked(text: str) -> str:
     """A page with its links as they lead in the site, where README and its like lie beside the pages of docs/."""
     for name, page in (FRONT | {"README.md": "index.md"}).items():
         text = re.sub(rf"\]\((\.\./)?{re.escape(name)}", f"]({page}", text)
+    text = re.sub(r"\]\((notebooks/[\w-]+)\.ipynb\)", r"](\1.md)", text)
     return text.replace("](docs/", "](")
 
 
 def contents(pages: set[str]) -> str:
     """The tables of contents, with a last one of the pages that no other names."""
     listed = {name for names in CONTENTS.values() for name in names}
-    listed |= {page for page in pages if page.startswith("reference/")}  # below the page of its kind
+    listed |= {page for page in pages if page.startswith(("reference/", "notebooks/"))}  # below the page of its kind
     more = {"More": others} if (others := sorted(pages - listed)) else {}
-    trees = []
-    for caption, names in (CONTENTS | more).items():
-        trees.append("\n".join(["```{toctree}", ":hidden:", f":caption: {caption}", "", *names, "```"]))
-    return "\n\n".join(trees) + "\n"
+    return "\n\n".join(tree(names, f":caption: {caption}") for caption, names in (CONTENTS | more).items()) + "\n"
+
+
+def tree(names: Iterable[str], *options: str) -> str:
+    return "\n".join(["```{toctree}", ":hidden:", *options, "", *names, "```"])

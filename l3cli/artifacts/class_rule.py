@@ -201,7 +201,7 @@ class ClassRule:
 
     def case(self, kind: Any) -> Any:
         """Saturation cases of kinds, an integer or an array: 0 where nothing is saturated and the kind is a chroma."""
-        return np.maximum(kind - self.chromas + 1, 0)
+        return np.maximum(kind, self.chromas - 1) - (self.chromas - 1)  # labels may be unsigned
 
     def lost(self, kind: Any) -> Any:
         """Saturation cases of kinds, less those that are spared: 0 where no filter is lost."""

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.simulation import leaves
+from l3cli.simulation.framing import resampled
 from l3cli.simulation.motion import Course, View, before
 
 Array = NDArray[np.float64]
@@ -73,12 +74,7 @@ def sampled(
         )
         for axis in (0, 1)
     )
-    rows, cols, bands = cube.shape
-    tall = (down @ cube.reshape(rows, cols * bands)).reshape(-1, cols, bands)
-    made = np.empty((tall.shape[0], across.shape[0], bands), np.float32)
-    for row, line in enumerate(tall):
-        made[row] = across @ line
-    return made
+    return resampled(cube, down, across)
 
 
 def _resampling(length: int, pixels: int, first: float, step: float) -> Any:

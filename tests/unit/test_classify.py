@@ -199,6 +199,7 @@ def test_a_kind_is_a_chroma_or_a_saturation_case(fiveband: CameraModel) -> None:
     assert rule.kind(5, np.arange(1, 4)).tolist() == [6, 7, 8]
     kinds = np.arange(rule.kinds)
     assert rule.case(kinds).tolist() == [0, 0, 0, 0, 0, 0, 1, 2, 3]
+    assert rule.case(kinds.astype(np.uint32)).tolist() == rule.case(kinds).tolist()  # as labels are
     for case in range(rule.cases):
         assert np.atleast_1d(kinds[rule.kinds_of(case)]).tolist() == kinds[rule.case(kinds) == case].tolist()
 

@@ -93,6 +93,7 @@ def test_links_of_the_pages_lead_within_the_site(monkeypatch: pytest.MonkeyPatch
     assert relinked("[a](docs/method.md) [b](CONTRIBUTING.md)") == "[a](method.md) [b](contributing.md)"
     assert relinked("[a](../CHANGELOG.md) [b](../README.md)") == "[a](changelog.md) [b](index.md)"
     assert relinked("[a](limits.md)") == "[a](limits.md)"
+    assert relinked("[a](notebooks/light.ipynb)") == "[a](notebooks/light.md)"
 
 
 def test_a_page_that_no_table_of_contents_names_is_in_the_last(monkeypatch: pytest.MonkeyPatch) -> None:

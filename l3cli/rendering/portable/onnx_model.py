@@ -18,6 +18,7 @@ from l3cli.classes.planes import COARSE, COARSE_TOP, FixedPoint, fixed_point, la
 from l3cli.columns import printable
 from l3cli.errors import InputFileError
 from l3cli.rendering.display import require_known_layers
+from l3cli.rendering.portable.facts import table_facts
 from l3cli.rendering.portable.onnx_classes import Frame, mirrored, mosaic_labels, padded, plane_labels
 from l3cli.rendering.portable.onnx_graph import END, OPSET, Graph, Tensor, model_bytes
 from l3cli.rendering.portable.vector import make_vector
@@ -33,15 +34,8 @@ def onnx_files(table: TransformTable) -> dict[str, bytes]:
         if feature is not direction:
             raise InputFileError(f'the ONNX graph has no class feature "{axis.name}"; export the table as a folder')
     vector = make_vector(table)
-    known = {
-        "camera": printable(table.camera_name),
+    known = table_facts(table) | {
         "opset": OPSET,
-        "bits": table.bits,
-        "black": f"{table.black_level:g}",
-        "white": f"{table.white_level:g}",
-        "outputs": ", ".join(map(printable, table.outputs)),
-        "unit": f"{table.output_unit:g}",
-        "layers": len(table.layers),
         "count": len(table.outputs),
         "rows": vector.raw.shape[0],
         "columns": vector.raw.shape[1],

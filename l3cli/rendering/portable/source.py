@@ -20,6 +20,7 @@ from l3cli.columns import printable
 from l3cli.errors import InputFileError
 from l3cli.rendering.display import require_known_layers
 from l3cli.rendering.portable.c_arrays import TAP_GROUP, TYPES, Array, filled, table_arrays
+from l3cli.rendering.portable.facts import table_facts
 from l3cli.rendering.portable.short_words import OUTPUT_FRACTION, OUTPUT_TOP, ShortWords, offset_of, short_words, split_of
 from l3cli.rendering.portable.vector import Vector, make_vector
 from l3cli.rendering.portable.wordlengths import short_cost
@@ -160,16 +161,9 @@ def _header(table: TransformTable, vector: Vector, arrays: list[Array], words: W
 
 def _readme(table: TransformTable, vector: Vector, arrays: list[Array], short: ShortWords | None) -> str:
     rule = table.first.rule
-    known = {
-        "camera": printable(table.camera_name),
+    known = table_facts(table) | {
         "array": f"{table.cfa.shape[0]} × {table.cfa.shape[1]}",
         "channels": ", ".join(map(printable, table.channels)),
-        "bits": table.bits,
-        "black": f"{table.black_level:g}",
-        "white": f"{table.white_level:g}",
-        "outputs": ", ".join(map(printable, table.outputs)),
-        "unit": f"{table.output_unit:g}",
-        "layers": len(table.layers),
         "patch": rule.patch,
         "shift": rule.shift,
         "levels": rule.levels,

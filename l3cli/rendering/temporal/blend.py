@@ -17,10 +17,8 @@ Cells = NDArray[np.int64]
 
 ONE = 1 << 10  # of shares: of noise that is left, and weights
 LEAST_WEIGHT = ONE // 12  # of a new frame
-POWER_FREE, POWER_FACTOR = (
-    ONE * 5 // 4,
-    4,
-)  # the residuals' power, relative to noise: what is let pass, and the factor beyond
+# The residuals' power, relative to noise: what is let pass, and the factor beyond.
+POWER_FREE, POWER_FACTOR = ONE * 5 // 4, 4
 MEAN_FREE, MEAN_FACTOR = ONE * 2, 1  # the same of the power of a cell's mean
 CLIPPED = (1 << 14) - 1  # u, of a residual that is weighed: sums of squares then fit a kernel's 32 bits
 WIDE_FREE, WIDE_FACTOR = ONE * 6, 1  # and of the sum of all cells about it
