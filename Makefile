@@ -16,7 +16,7 @@ PLACES ?= 500
 L3 := $(BIN)/l3
 TIMED := bash -c 'time "$$0" "$$@"'
 
-.PHONY: help install demo demo-steps docs docs-build notebooks wheels test vapoursynth study soak video fuzz curve lint format bench clean
+.PHONY: help install demo demo-steps docs docs-build gallery notebooks wheels test vapoursynth study soak video fuzz curve lint format bench clean
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 
@@ -54,6 +54,9 @@ docs: docs-build ## the pages of docs/ as a site, on http://127.0.0.1:8000 until
 
 docs-build: notebooks ## the same without serving; fails on any warning and any link that leads nowhere
 	$(BIN)/python docs/site/build.py $(DOCS)
+
+gallery: $(VENV)/installed ## docs/gallery.md and its pictures, one array after the other (a quarter of an hour on two cores); ARRAYS="bayer xtrans" for some
+	PYTHONPATH=$(CURDIR) $(BIN)/python docs/gallery/gallery.py $(ARRAYS) --jobs $(JOBS)
 
 notebooks: $(VENV)/installed ## the notebooks of docs/ are run, and written as pages of code and outputs (half a minute)
 	rm -rf $(NOTEBOOKS)
@@ -110,6 +113,7 @@ lint: $(VENV)/installed ## ruff format and check, mypy
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/mypy docs/site
+	$(BIN)/mypy docs/gallery
 
 format: $(VENV)/installed ## format the sources, fix what ruff can
 	$(BIN)/ruff format .

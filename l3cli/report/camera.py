@@ -24,8 +24,8 @@ def camera_section(camera: CameraModel, figures: dict[str, Any], name: str) -> S
     `name` is the file it comes from."""
     light = colours.channel_light(camera.responsivity, camera.wavelength)
     parts = [
-        Subsection("Sensor and colour filter array", (Figures((_array_figure(camera, light),)), _facts(camera))),
-        Subsection("Responsivities", (Figures(_responsivity_figures(camera, light)),)),
+        Subsection("Sensor and colour filter array", (Figures((array_figure(camera, light),)), _facts(camera))),
+        Subsection("Responsivities", (Figures(responsivity_figures(camera, light)),)),
         Subsection("Noise", _noise_blocks(camera, figures, light)),
     ]
     if camera.fit is not None and camera.fit.photo is not None:
@@ -61,7 +61,8 @@ def _lead(camera: CameraModel, figures: dict[str, Any]) -> str:
 # ---------------------------------------------------------------------------------------------------------- array
 
 
-def _array_figure(camera: CameraModel, light: Array) -> Figure:
+def array_figure(camera: CameraModel, light: Array) -> Figure:
+    """One period of the array; `light` is that of its channels (colours.channel_light)."""
     rows, cols = camera.cfa.shape
     wide = float(np.clip(GLYPH * max(map(len, camera.channels)) + 8, CELL, WIDEST))
     fits = round((wide - 8) / GLYPH)
@@ -102,7 +103,8 @@ def _facts(camera: CameraModel) -> Table:
 # -------------------------------------------------------------------------------------------------- responsivities
 
 
-def _responsivity_figures(camera: CameraModel, light: Array) -> tuple[Figure, ...]:
+def responsivity_figures(camera: CameraModel, light: Array) -> tuple[Figure, ...]:
+    """The curves, and where they were measured their confidence bands; `light` as for `array_figure`."""
     label = "quantum efficiency (e⁻/photon)" if camera.absolute else "relative responsivity (1)"
     strokes = colours.strokes(light)
     upper = camera.responsivity + camera.responsivity_band

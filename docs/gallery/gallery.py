@@ -1,0 +1,123 @@
+"""python docs/gallery/gallery.py [NAME …]: the pictures of docs/gallery/ and the page docs/gallery.md, from recipes alone.
+
+Every array that `l3 init` knows, or those of the names: its camera learns from the scenes of RECIPES and takes the picture
+of scene.toml, which it has not seen. What is named already in figures.json stays as it is unless it is named here.
+"""
+
+import argparse
+import json
+import sys
+import tempfile
+import time
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import OpenImageIO as oiio
+from page import page
+from pictures import Picture, drawing, enlarged, grid, raw_picture
+
+import l3cli
+from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.training_set import TrainingSet, open_training_set
+from l3cli.evaluation.evaluation import Evaluation
+from l3cli.evaluation.pictures import frame_pictures
+from l3cli.files import write_whole
+from l3cli.io.embedded import jpeg
+from l3cli.io.images import encoded
+from l3cli.recipes import known_recipes
+from l3cli.rendering.renderer import make_renderer
+from l3cli.stages.evaluation import evaluate_frame
+from l3cli.stages.starting import summary
+
+FOLDER = Path(__file__).parent
+FIGURES = FOLDER / "figures.json"
+PAGE = FOLDER.parent / "gallery.md"
+RECIPES = {"scenes": "default", "classes": "single"}
+FRONT, FRONT_FILE = "fiveband", "front.jpg"  # the array of README's picture
+SHOWN = ("raw", "ideal", "ours", "basic")
+FACTOR = 4
+CROP, CROP_SIZE = (10, 215), (45, 80)  # pixels: corner and size (row, col) of what is enlarged; as large as the picture
+FRONT_SIZE = (180, 208)  # pixels (row, col) of a picture of README's, at 1× and FACTOR×
+QUALITY = 80  # of JPEG
+PNG_UP = 0x20  # a row as its difference from the row above: nothing, where it is enlarged
+
+
+def png(picture: Picture) -> bytes:
+    """A picture as a PNG file: as small as it gets, where those of l3 are quick."""
+    spec = oiio.ImageSpec(picture.shape[1], picture.shape[0], 3, "uint8")
+    spec.attribute("oiio:ColorSpace", "sRGB")
+    spec.attribute("png:compressionLevel", 9)
+    spec.attribute("png:filter", PNG_UP)
+    return encoded("picture.png", spec, picture)
+
+
+def arrays() -> dict[str, tuple[Path, list[str]]]:
+    """Recipe and twins of every array by name: twins start at another pixel of the same array."""
+    known = known_recipes("cameras")
+    recipes = {name: tomllib.loads(path.read_text(encoding="utf-8")) for name, path in known.items()}
+    twins = {name: Path(recipe["base"]).stem for name, recipe in recipes.items() if set(recipe) <= {"name", "base", "phase"}}
+    return {
+        name: (path, [twin for twin, base in twins.items() if base == name])
+        for name, path in known.items()
+        if name not in twins
+    }
+
+
+def make(name: str, path: Path, twins: list[str], jobs: int) -> dict[str, Any]:
+    """Write the pictures of an array; its entry in figures.json."""
+    with tempfile.TemporaryDirectory(prefix="l3-gallery-") as folder:
+        training, table, unseen = (Path(folder, f"{each}.h5") for each in ("training", "table", "unseen"))
+        l3cli.simulate(RECIPES["scenes"], path, training, jobs=jobs)
+        l3cli.train(training, table, classes=RECIPES["classes"], jobs=jobs)
+        l3cli.simulate(FOLDER / "scene.toml", path, unseen)
+        head, pictures, figures = judged(table, unseen)
+    write_whole(FOLDER / f"{name}.svg", drawing(head.camera).encode())
+    shown = [pictures[each] for each in SHOWN]
+    crops = [enlarged(picture, CROP, CROP_SIZE, FACTOR) for picture in shown]
+    write_whole(FOLDER / f"{name}.jpg", jpeg(grid([shown[:2], shown[2:]]), QUALITY))
+    write_whole(FOLDER / f"{name}_crop.png", png(grid([crops[:2], crops[2:]])))
+    if name == FRONT:
+        rows, cols = FRONT_SIZE
+        whole = [picture[-rows:, :cols] for picture in shown]
+        crops = [enlarged(picture, CROP, (rows // FACTOR, cols // FACTOR), FACTOR) for picture in shown]
+        write_whole(FOLDER / FRONT_FILE, jpeg(grid([whole, crops]), QUALITY))
+    return {"title": head.camera.name, "summary": summary(path), "twins": twins, "figures": figures}
+
+
+def judged(table: Path, unseen: Path) -> tuple[TrainingSet, dict[str, Picture], dict[str, dict[str, float]]]:
+    """The only frame of a set rendered by a table: its pictures, and mean ΔE00 and PSNR of every pipeline."""
+    transforms = l3cli.load(table)
+    assert isinstance(transforms, TransformTable)
+    with open_training_set(unseen) as reader:
+        evaluation = Evaluation(transforms, reader.head)
+        frame, planes = evaluate_frame(evaluation, make_renderer("opencl", transforms), reader, 0)
+        pictures = frame_pictures(frame, planes) | {"raw": raw_picture(frame, reader.head.camera)}
+        mean = evaluation.document()["mean"]
+        figures = {name: {key: round(of[key], 2) for key in ("mean_delta_e", "psnr")} for name, of in mean.items()}
+        return reader.head, pictures, figures
+
+
+def main(names: list[str], jobs: int) -> int:
+    """0, or 2 if a name is none of an array."""
+    known = arrays()
+    if unknown := [name for name in names if name not in known]:
+        print(f'no array "{unknown[0]}"; there are {", ".join(known)}', file=sys.stderr)
+        return 2
+    entries = json.loads(FIGURES.read_text(encoding="utf-8")) if names and FIGURES.exists() else {}
+    for name in names or known:
+        start = time.perf_counter()
+        entries[name] = make(name, *known[name], jobs)
+        entries = {each: entries[each] for each in known if each in entries}
+        write_whole(FIGURES, (json.dumps(entries, indent=1, ensure_ascii=False) + "\n").encode())
+        write_whole(PAGE, page(entries, RECIPES).encode())
+        print(f"{name}: {time.perf_counter() - start:.0f} s, {time.process_time():.0f} s of processor so far", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*", metavar="NAME")
+    parser.add_argument("--jobs", type=int, default=1)
+    given = parser.parse_args()
+    sys.exit(main(given.names, given.jobs))

@@ -1,0 +1,86 @@
+"""What the gallery shows of an array: its pictures in a grid, and its filters and responsivities drawn as one file."""
+
+import re
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.training_set import TrainingPair
+from l3cli.physics.display import srgb_codes
+from l3cli.report import colours
+from l3cli.report.camera import array_figure, responsivity_figures
+from l3cli.report.drawing import DASHES, HEIGHT, WIDTH
+from l3cli.report.parts import Key
+
+Picture = NDArray[np.uint8]  # (row, col, 3) encoded sRGB
+GAP = 4  # white pixels between pictures
+
+SIDE, KEY, MARGIN = 300, 150, 10  # px of a drawing: the array's box, the legend, around both
+CELL_SIDE = 90  # px of a filter, at most
+LINE = 17  # px of a legend's line
+# Written into each drawing, which pages show as a picture: none of their styles reach it, so it brings paper of its own.
+STYLE = (
+    "text{font:12px system-ui,'Segoe UI',Roboto,'DejaVu Sans',sans-serif;fill:#1b1f24}.grid{stroke:#d0d7de;fill:none}"
+    ".axis{stroke:#57606a;fill:none}.mark{paint-order:stroke;stroke:#fff;stroke-width:3px;stroke-linejoin:round}"
+)
+
+
+def raw_picture(frame: TrainingPair, camera: CameraModel) -> Picture:
+    """The mosaic, each pixel in the colour of its filter, from the black level to the white level."""
+    share = np.clip((frame.raw - camera.black_level) / (camera.white_level - camera.black_level), 0.0, 1.0)
+    light = colours.channel_light(camera.responsivity, camera.wavelength)
+    rows, cols = (np.arange(length) % period for length, period in zip(frame.raw.shape, camera.cfa.shape, strict=True))
+    picture: Picture = srgb_codes(share[..., None] * light[camera.cfa[np.ix_(rows, cols)]])
+    return picture
+
+
+def enlarged(picture: Picture, corner: tuple[int, int], size: tuple[int, int], factor: int) -> Picture:
+    """The crop of `size` (rows, cols) at `corner`, each pixel a square of `factor`."""
+    crop = picture[corner[0] : corner[0] + size[0], corner[1] : corner[1] + size[1]]
+    return crop.repeat(factor, axis=0).repeat(factor, axis=1)
+
+
+def grid(pictures: list[list[Picture]]) -> Picture:
+    """Rows of pictures, a gap between them; those of a row are of one height, the rows of one width."""
+    rows = [_joined(row, axis=1) for row in pictures]
+    return _joined(rows, axis=0)
+
+
+def _joined(pictures: list[Picture], axis: int) -> Picture:
+    shape = list(pictures[0].shape)
+    shape[axis] = GAP
+    between = np.full(shape, 255, np.uint8)
+    parts = [part for picture in pictures for part in (between, picture)][1:]
+    return np.concatenate(parts, axis=axis)
+
+
+def drawing(camera: CameraModel) -> str:
+    """An SVG file: one period of the array, the responsivities, their legend."""
+    light = colours.channel_light(camera.responsivity, camera.wavelength)
+    array, curves = array_figure(camera, light), responsivity_figures(camera, light)[0]
+    side = min(SIDE, CELL_SIDE * max(camera.cfa.shape))
+    left, legend = MARGIN + SIDE + MARGIN, MARGIN + SIDE + MARGIN + WIDTH + MARGIN
+    size = f"{legend + KEY} {max(SIDE, HEIGHT, LINE * len(curves.legend)) + 2 * MARGIN}"
+    width, height = size.split()
+    keys = "".join(_key(key, MARGIN + LINE * index) for index, key in enumerate(curves.legend))
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {size}" width="{width}" height="{height}" color="#1b1f24">'
+        f"<style>{STYLE}</style>"
+        f'<rect width="{width}" height="{height}" rx="6" fill="#fff"/>'
+        f"{_placed(array.svg, MARGIN, MARGIN, side, side)}{_placed(curves.svg, left, MARGIN, WIDTH, HEIGHT)}"
+        f'<g transform="translate({legend} 0)">{keys}</g></svg>\n'
+    )
+
+
+def _placed(svg: str, x: int, y: int, width: int, height: int) -> str:
+    """A drawing inside another, in a box of which it fills the upper left."""
+    view = re.match(r'<svg (viewBox="[^"]+")[^>]*>', svg)
+    assert view is not None
+    box = f'x="{x}" y="{y}" width="{width}" height="{height}" preserveAspectRatio="xMinYMin meet"'
+    return f"<svg {box} {view[1]}>{svg[view.end() :]}"
+
+
+def _key(key: Key, y: int) -> str:
+    line = f'<path d="M0,{y + 8}h24" stroke="{key.colour}" stroke-width="2"{DASHES[key.mark]}/>'
+    return f'{line}<text x="30" y="{y + 12}">{key.label}</text>'

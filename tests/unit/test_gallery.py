@@ -1,0 +1,58 @@
+"""The gallery is what its figures say, of bounded size, and only of arrays that `l3 init` knows."""
+
+import importlib
+import json
+import re
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from tests.helpers.paths import ROOT
+
+FOLDER = ROOT / "docs/gallery"
+MOST, FRONT_MOST = 4_000_000, 300_000  # bytes
+
+
+@pytest.fixture
+def gallery(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    monkeypatch.syspath_prepend(str(FOLDER))
+    return importlib.import_module("gallery")
+
+
+@pytest.fixture
+def entries() -> dict[str, dict[str, Any]]:
+    held: dict[str, dict[str, Any]] = json.loads((FOLDER / "figures.json").read_text(encoding="utf-8"))
+    return held
+
+
+def test_the_page_is_that_of_its_figures(gallery: ModuleType, entries: dict[str, dict[str, Any]]) -> None:
+    assert set(entries) <= set(gallery.arrays())
+    assert (ROOT / "docs/gallery.md").read_text(encoding="utf-8") == gallery.page(entries, gallery.RECIPES)
+
+
+def test_pictures_are_all_shown_and_small(gallery: ModuleType) -> None:
+    pages = (ROOT / "docs/gallery.md").read_text(encoding="utf-8") + (ROOT / "README.md").read_text(encoding="utf-8")
+    shown = set(re.findall(r"gallery/([\w.]+\.(?:jpg|png|svg))\)", pages))
+    held = {path.name: path.stat().st_size for path in FOLDER.iterdir() if path.suffix in (".jpg", ".png", ".svg")}
+    assert shown == set(held)
+    assert sum(held.values()) <= MOST
+    assert held[gallery.FRONT_FILE] <= FRONT_MOST
+
+
+def test_an_array_begun_at_another_pixel_is_shown_once(gallery: ModuleType) -> None:
+    assert sorted(gallery.arrays()["bayer"][1]) == ["bayer_bggr", "bayer_gbrg", "bayer_rggb"]
+    assert "bayer_rggb" not in gallery.arrays()
+
+
+def test_the_page_says_where_it_loses(gallery: ModuleType, entries: dict[str, dict[str, Any]]) -> None:
+    entry = next(iter(entries.values()))
+    basic = entry["figures"]["basic"]
+    ours = {"mean_delta_e": basic["mean_delta_e"] - 1, "psnr": basic["psnr"] - 1}
+    worse = {"x": {**entry, "figures": {"ours": ours, "basic": basic}}}
+    assert "Better than ours: basic on x (PSNR)." in gallery.page(worse, gallery.RECIPES)
+
+
+def test_a_wrong_name_makes_nothing(gallery: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+    assert gallery.main(["bayre"], 1) == 2
+    assert 'no array "bayre"' in capsys.readouterr().err
