@@ -33,7 +33,7 @@ from l3cli.stages.starting import summary
 FOLDER = Path(__file__).parent
 FIGURES = FOLDER / "figures.json"
 PAGE = FOLDER.parent / "gallery.md"
-RECIPES = {"scenes": "default", "classes": "single"}
+RECIPES = {"scenes": "default", "classes": "default"}
 FRONT, FRONT_FILE = "fiveband", "front.jpg"  # the array of README's picture
 SHOWN = ("raw", "ideal", "ours", "basic")
 FACTOR = 4

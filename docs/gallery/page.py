@@ -7,10 +7,9 @@ NAMES = {"malvar": "Malvar", "menon": "Menon"}
 HEAD = """# Gallery
 
 What `l3` makes of arrays that `l3 init` knows, from their recipes alone. The camera learns from the scenes of `{scenes}` by
-the classes of `{classes}`, one layer, and takes one picture that training has not seen, under D65, a perfect white at 0.9 of
+the classes of `{classes}`, and takes one picture that training has not seen, under D65, a perfect white at 0.9 of
 full scale. *basic* is a pipeline that learns nothing: interpolation of each channel by itself, white balance, colour matrix.
-All are compared with the *ideal* picture, as displayed. `make gallery` makes this page and its pictures; the classes are not
-those of `default`, whose training takes several times as long.
+All are compared with the *ideal* picture, as displayed. `make gallery` makes this page and its pictures.
 
 """
 PICTURES = """![Filters and responsivities of {title}](gallery/{name}.svg)
