@@ -1,7 +1,7 @@
 """Licences of what l3cli depends on, as the installed packages state them."""
 
 import re
-from importlib.metadata import PackageNotFoundError, distribution, requires
+from importlib.metadata import PackageMetadata, PackageNotFoundError, distribution, requires
 
 from markup import code, page, plain, table
 from packaging.requirements import Requirement
@@ -50,5 +50,10 @@ def stated(name: str) -> tuple[str, str]:
     """Version and licence of a package: its SPDX expression, else its classifiers, else the first line of its text."""
     known = distribution(name).metadata
     classes = [each.rpartition(" :: ")[2] for each in known.get_all("Classifier", []) if each.startswith("License :: OSI")]
-    text = known.get("License-Expression") or ", ".join(classes) or (known.get("License") or "").strip().partition("\n")[0]
+    text = _one(known, "License-Expression") or ", ".join(classes) or _one(known, "License").strip().partition("\n")[0]
     return known["Version"], plain(text) or "not stated by the package"
+
+
+def _one(known: PackageMetadata, name: str) -> str:
+    """An entry of a package's metadata, empty where there is none: some libraries raise an error there, some give None."""
+    return (known.get_all(name) or [""])[0]
