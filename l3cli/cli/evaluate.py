@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+from click.core import ParameterSource
 
 from l3cli.cli import options
 from l3cli.cli.results import Result
@@ -78,6 +79,9 @@ def evaluate(
     if sequence is not None:
         if table is not None or pictures is not None:
             raise click.UsageError("--sequence judges pictures; leave TABLE.h5, TRAINING.h5 and --pictures out")
+        for name in ("backend", "viewing", "force"):
+            if click.get_current_context().get_parameter_source(name) is not ParameterSource.DEFAULT:
+                raise click.UsageError(f"--{name} is for a table; leave it out with --sequence")
         return _evaluate_sequence(sequence, ideal, border, console)
     if table is None or frames is None or ideal is not None:
         raise click.UsageError("give TABLE.h5 and TRAINING.h5, or --sequence PICTURES with or without --ideal")
