@@ -14,11 +14,11 @@ def curve_macros(curve: Curve, steps: int, degree: int) -> dict[str, int | str]:
     root = lowest + (1 - lowest) * (np.cos(np.linspace(0, np.pi, 1001)) + 1) / 2
     terms = np.polynomial.polynomial.polyfit(root, curve.encoded(root**4), degree)
     return {
-        "CURVE_KNEE": f"{curve.knee:.9g}f",
-        "CURVE_SLOPE": f"{curve.slope:.9g}f",
+        "CURVE_KNEE": _literal(curve.knee),
+        "CURVE_SLOPE": _literal(curve.slope),
         "CURVE_STEPS": steps,
         "CURVE_DEGREE": degree,
-        "CURVE_TERMS": ",".join(f"{term:.9g}f" for term in terms),
+        "CURVE_TERMS": ",".join(_literal(term) for term in terms),
     }
 
 
@@ -36,4 +36,9 @@ def curve_pieces(curve: Curve, top: int) -> dict[str, int | str]:
     terms = np.array([c - b * middle + a * middle**2, b - 2 * a * middle, a])
     first = int(np.float32(start).view(np.int32)) >> 21 & 31
     numbered = np.roll(terms, first, axis=1).ravel()
-    return {"CURVE_SHARE": f"{share:.9g}f", "CURVE_PIECES": ",".join(f"{term:.9g}f" for term in numbered)}
+    return {"CURVE_SHARE": _literal(share), "CURVE_PIECES": ",".join(_literal(term) for term in numbered)}
+
+
+def _literal(value: float) -> str:
+    """A number as OpenCL C writes one in single precision; whole numbers have an exponent, without which they are none."""
+    return f"{value:.8e}f"

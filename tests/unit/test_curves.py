@@ -1,10 +1,12 @@
 """The curves of colour spaces as kernels compute them."""
 
+import re
+
 import numpy as np
 import pytest
 
 from l3cli.physics.spaces import BT2020_CURVE, SRGB_CURVE, Curve
-from l3cli.rendering.curves import curve_pieces
+from l3cli.rendering.curves import _literal, curve_pieces
 
 
 @pytest.mark.parametrize("curve", [SRGB_CURVE, BT2020_CURVE])
@@ -22,3 +24,10 @@ def test_parabolas_follow_the_curve(curve: Curve) -> None:
     assert (codes.min(), codes.max()) == (pytest.approx(0.5, abs=1e-6), pytest.approx(255.5, abs=0.01))
     assert codes.max() < 256
     assert np.mean(codes.astype(int) != expected.astype(int)) < 0.002
+
+
+@pytest.mark.parametrize("value", [0.0, 1.0, -1.0, 4.5, 1e-12, -266132.977])
+def test_numbers_are_literals_of_single_precision(value: float) -> None:
+    """OpenCL C has no 0f: fits give whole numbers on some machines."""
+    assert re.fullmatch(r"-?\d\.\d+e[+-]\d+f", _literal(value))
+    assert np.float32(_literal(value)[:-1]) == np.float32(value)
