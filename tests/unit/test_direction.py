@@ -21,6 +21,7 @@ from l3cli.classes.rule import make_rule
 from l3cli.classes.windows import neighbourhoods, sites
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.frame import RawFrame, pad_mosaic
+from l3cli.rendering.quiet import quiet_table
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.training.symmetry import class_stabilisers, orientations, stabilisers, turned_classes
 from tests.helpers.calls import L3
@@ -135,6 +136,14 @@ def test_half_the_noise_is_as_flat(bayer: CameraModel) -> None:
     assert 0.05 < flat[0] < 0.6
     assert abs(flat[1] - flat[0]) < 0.02
     assert flat[2] > flat[0] + 0.2
+
+
+def test_a_table_for_less_noise_has_lower_edges() -> None:
+    """A quarter of the variance: half of every strength edge, rounded."""
+    table = random_table(BAYER, patch=9, direction=FOUR)
+    whole, quiet = (each.first.rule.axes[0].constants for each in (table, quiet_table(table, 0.25)))
+    np.testing.assert_array_equal(quiet[: direction.HEAD], whole[: direction.HEAD])
+    assert np.abs(quiet[direction.HEAD :] - whole[direction.HEAD :] / 2).max() <= 0.5
 
 
 @pytest.mark.parametrize(
