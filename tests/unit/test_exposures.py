@@ -24,6 +24,7 @@ from l3cli.errors import InputFileError, RecipeError
 from l3cli.evaluation.exposures import least_sensitive, merged, merges, most_sensitive
 from l3cli.frame import RawFrame
 from l3cli.measurement import Body
+from l3cli.physics import spectra
 from l3cli.rendering.opencl import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.simulation.sensor import expose
@@ -31,6 +32,7 @@ from l3cli.training.highlights import grey_patches
 from l3cli.training.recipe import LayerRecipe, TrainingRecipe, for_camera
 from l3cli.training.sums import empty_sums
 from tests.helpers.cameras import random_camera
+from tests.helpers.paths import CONFIGS
 from tests.helpers.tables import random_table, with_first, with_later
 
 CFA = [[0, 0, 2, 2], [1, 1, 3, 3], [2, 2, 0, 0], [3, 3, 1, 1]]  # channels 0 and 2 behind one filter, 1 and 3 behind another
@@ -238,3 +240,14 @@ def test_a_measurement_file_tells_the_settings_back() -> None:
     assert model.readout is not None
     for name in ("channel_exposure", "channel_gain", "same_filter"):
         np.testing.assert_array_equal(getattr(again, name), getattr(model.readout, name))
+
+
+def test_an_amplified_channel_gives_as_many_times_the_signal() -> None:
+    """And fills its range at as much less light: white fills the brightest channel at the saturation exposure."""
+    camera = load_camera(CONFIGS / "cameras/dual_iso.toml")
+    usual, amplified = (camera.channels.index(name) for name in ("g", "gh"))
+    np.testing.assert_allclose(camera.signal_weights[amplified], 16 * camera.signal_weights[usual])
+    white = spectra.at_luminance(spectra.illuminant("D65", camera.wavelength), camera.wavelength, camera.saturation_exposure)
+    signals = camera.signal_weights @ white
+    assert signals.argmax() == amplified
+    assert signals.max() == pytest.approx(camera.full_scale)
