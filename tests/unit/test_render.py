@@ -26,6 +26,7 @@ from l3cli.physics.display import (
     srgb_codes,
     srgb_decoded,
     srgb_from_xyz_matrix,
+    white_percentile,
     xyz_from_srgb_matrix,
 )
 from l3cli.rendering import opencl_bands, opencl_devices
@@ -459,3 +460,12 @@ def test_pocl_works_with_an_unwritable_home() -> None:
     assert done.returncode == 0, done.stderr
     assert "l3-kernels-" in done.stdout
     assert not Path(done.stdout.strip()).exists()
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+def test_the_percentile_shown_white_is_numpys(kind: type) -> None:
+    rng = np.random.default_rng(0)
+    for size in (1, 2, 50, 51, 99, 100, 101, 102, 199, *rng.integers(1, 20000, 100).tolist()):
+        values: np.ndarray = rng.gamma(1.0, size=(size, 1)).astype(kind)
+        assert white_percentile(values) == float(np.percentile(values, 99))
+    assert np.isnan(white_percentile(np.array([np.nan, *range(500)], kind)))
