@@ -59,7 +59,7 @@ trials = 2
 [chart]
 illuminants = ["D65", "A"]
 """
-CLASSES = "[classes]\npatch = 3\nlevels = 4\n[learning]\npatches = 3000\n"
+CLASSES = "[classes]\npatch = 3\nlevels = 4\n[learning]\npatches = 3000\nfirst_draws = 1\ndraws = 3\n"
 LAYERS = f"{CLASSES}[[layer]]\nside = 3\nmosaics = 8\nrows = 300\n"
 FRAMES = 8
 ENDED = {signal.SIGINT: (130, "l3: interrupted\n"), signal.SIGTERM: (143, "l3: terminated\n"), signal.SIGKILL: (-9, "")}
