@@ -92,9 +92,10 @@ class ForkServer:
 
 
 def serve() -> None:
-    from l3cli.parallel import one_blas_thread
+    from l3cli.parallel import one_blas_thread, without_plots
 
     one_blas_thread()
+    without_plots()
     for name in IMPORTS.split():
         __import__(name)
     for line in sys.stdin:
