@@ -54,10 +54,7 @@ def fixed_point(table: TransformTable) -> FixedPoint:
     basis = opponent_basis(table.white_point)
     weights = np.moveaxis(_to_planes(np.moveaxis(table.first.weights, 1, -1), basis), -1, 1) / step
     intercept = _to_planes(table.first.intercept, basis) / PLANE_STEP
-    middle = raw_middle(table.bits)
-    largest = max(2**table.bits - 1 - middle, middle)
-    back = np.abs(intercept) + abs(table.black_level - middle) * np.abs(weights.sum(axis=-1))
-    fraction = _fraction(weights, largest, back)
+    fraction = _fraction(_raw_room(weights, intercept, table.bits, table.black_level))
     site = rule.split(np.arange(len(weights))).site
     scale = 2.0 ** fraction[:, None]
     whole = _rounded(weights * scale[..., None], window_channels(table.cfa, rule.patch), site)
@@ -69,7 +66,7 @@ def later_fixed_point(layer: PlaneLayer, basis: NDArray[np.float64]) -> FixedPoi
     """A layer that reads planes and after which another does; InputFileError if its transforms are beyond all planes."""
     weights = np.moveaxis(_to_planes(np.moveaxis(layer.weights, 1, -1), basis), -1, 1) * 2**COARSE
     intercept = _to_planes(layer.intercept, basis) / PLANE_STEP
-    fraction = _fraction(weights, COARSE_TOP, np.abs(intercept))
+    fraction = _fraction(_room(weights, COARSE_TOP, np.abs(intercept)))
     scale = 2.0 ** fraction[:, None]
     source = np.repeat(np.arange(weights.shape[1]), layer.side**2)
     whole = _rounded(weights * scale[..., None], source[None], np.zeros(len(weights), np.int64))
@@ -86,12 +83,35 @@ def raw_middle(bits: int) -> int:
     return 2**15 if bits == 16 else 0
 
 
-def _fraction(weights: NDArray[np.float64], largest: float, offset: NDArray[np.float64]) -> NDArray[np.int32]:
-    """F (class) of weights (class, plane, tap) of values of at most a `largest` size and with an offset (class, plane)."""
+def room_for(
+    weights: NDArray[np.float64], intercept: NDArray[np.float64], bits: int, black_level: float, white_level: float
+) -> NDArray[np.float64]:
+    """How many times larger transforms (class, plane, tap) of taps in units of full scale, with an intercept (class, plane),
+    could be (class) for their planes to be computed as integers; below 1 they are too large."""
+    step = (white_level - black_level) * PLANE_STEP
+    return _raw_room(weights / step, intercept / PLANE_STEP, bits, black_level)
+
+
+def _raw_room(
+    weights: NDArray[np.float64], intercept: NDArray[np.float64], bits: int, black_level: float
+) -> NDArray[np.float64]:
+    """Room (class) of weights per DN (class, plane, tap) and an intercept (class, plane), in steps."""
+    middle = raw_middle(bits)
+    back = np.abs(intercept) + abs(black_level - middle) * np.abs(weights.sum(axis=-1))
+    return _room(weights, max(2**bits - 1 - middle, middle), back)
+
+
+def _room(weights: NDArray[np.float64], largest: float, offset: NDArray[np.float64]) -> NDArray[np.float64]:
+    """How many times larger (class) weights (class, plane, tap) of values of at most a `largest` size and with an offset
+    (class, plane) could be."""
     size = np.abs(weights)
     sums = (size.sum(axis=-1) * largest + offset).max(axis=-1)
     rounding = 2 * weights.shape[-1] * largest  # what it may add to sum and offset
-    room = np.minimum(MOST_WEIGHT / (size.max(axis=(1, 2)) + 1e-30), (MOST_SUM - rounding) / (sums + 1e-30))
+    return np.minimum(MOST_WEIGHT / (size.max(axis=(1, 2)) + 1e-30), (MOST_SUM - rounding) / (sums + 1e-30))
+
+
+def _fraction(room: NDArray[np.float64]) -> NDArray[np.int32]:
+    """F (class) of transforms that could be `room` (class) times larger."""
     fraction = np.minimum(MOST_FRACTION, np.floor(np.log2(room)))
     if fraction.min() < 0:
         raise InputFileError("transforms of a layer are too large for the next; train the table again")
