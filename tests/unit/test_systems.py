@@ -1,6 +1,5 @@
 """Transforms that the integers of the next layer cannot hold are made smaller while they are solved, or left out."""
 
-
 import numpy as np
 import pytest
 
