@@ -92,6 +92,11 @@ def room_for(
     return _raw_room(weights / step, intercept / PLANE_STEP, bits, black_level)
 
 
+def room_between(weights: NDArray[np.float64], intercept: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The same (class) of transforms (class, plane, tap) of planes to planes that a further layer reads."""
+    return _room(weights * 2**COARSE, COARSE_TOP, np.abs(intercept) / PLANE_STEP)
+
+
 def _raw_room(
     weights: NDArray[np.float64], intercept: NDArray[np.float64], bits: int, black_level: float
 ) -> NDArray[np.float64]:

@@ -5,11 +5,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.classes.planes import opponent_basis, room_for
+from l3cli.classes.planes import opponent_basis, room_between, room_for
 
 Array = NDArray[np.float64]
 STEPS = 5  # times that a ridge is raised tenfold, at most
 SPARE = 4.0  # so much smaller than the largest that fit are transforms before sites are made to answer alike
+ROUNDED = 1.001  # transforms are stored in float32
 
 
 class Integers(NamedTuple):
@@ -44,7 +45,13 @@ def solve_within(equation: Equation, ridge: float, member: Array, integers: Inte
 def fits(rows: Array, white: Array, integers: Integers) -> NDArray[np.bool_]:
     """Whether the planes of transforms (class, tap and intercept, output) to X, Y, Z can be integers (class)."""
     planes = np.swapaxes(rows @ opponent_basis(white), 1, 2)
-    return room_for(planes[..., :-1], planes[..., -1], *integers) > 1.001  # as much as float32 may round
+    return room_for(planes[..., :-1], planes[..., -1], *integers) > ROUNDED
+
+
+def fits_between(rows: Array) -> NDArray[np.bool_]:
+    """Whether transforms (class, tap and intercept, plane) of planes to planes can be integers (class)."""
+    planes = np.swapaxes(rows, 1, 2)
+    return room_between(planes[..., :-1], planes[..., -1]) > ROUNDED
 
 
 def _moderate(solution: Array, member: Array, taps: int, integers: Integers) -> bool:

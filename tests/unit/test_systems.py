@@ -4,16 +4,19 @@ import numpy as np
 import pytest
 
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.layer_sums import LayerSums
 from l3cli.artifacts.partial_sums import ClassSums
-from l3cli.classes.planes import opponent_basis, room_for
+from l3cli.classes.planes import opponent_basis, room_between, room_for
 from l3cli.classes.recipe import ClassRecipe
 from l3cli.classes.rule import make_rule
 from l3cli.training import systems
+from l3cli.training.layers.solve import LayerGoal, solve_layer
 from l3cli.training.recipe import LearningRecipe
 from l3cli.training.solve import Goal, Solution, equal_responses, solve
 from l3cli.training.sums import pairs
 from l3cli.training.systems import Equation, Integers, fits, solve_within
 from tests.helpers.cameras import random_camera
+from tests.helpers.tables import random_table, with_later
 
 BITS = Integers(12, 64.0, 4095.0)
 WHITE = np.array([0.95, 1.0, 1.09])
@@ -93,3 +96,23 @@ def test_no_transform_of_a_table_is_too_large(steps: int, monkeypatch: pytest.Mo
     monkeypatch.setattr(systems, "STEPS", steps)
     assert room(None) < 1
     assert room(BITS) > 1
+
+
+def test_nor_one_between_layers() -> None:
+    """Of a class whose rows all but agree, so that their differences are taken for what the target differs by."""
+    table = with_later(random_table([[0, 1], [1, 0]]), 3)
+    rule = table.later[0].rule
+    taps, rng = 27, np.random.default_rng(2)
+    row, col = pairs(taps + 1 + 3)
+    count = np.zeros(rule.classes_per_site)
+    moments = np.zeros((rule.classes_per_site, row.size))
+    for index, spread in ((rule.join(0, 0), 0.5), (rule.join(1, 0), 1e-9)):
+        windows = 1 - spread * rng.random((200, taps))
+        rows = np.column_stack([windows, np.ones(200), rng.random((200, 3))])
+        count[index], moments[index] = 200, (rows.T @ rows)[row, col]
+    sums = LayerSums(moments, np.zeros((count.size, taps * (taps + 1) // 2)), count)
+    goal = LayerGoal((), 0.0, 1e-18, (1.0, 1.0, 1.0), np.array([0.0, 1.0, 0.0]))
+    (solved,) = solve_layer([sums], [1], rule, goal)
+    planes = np.swapaxes(solved, 1, 2)
+    assert room_between(planes[..., :-1], planes[..., -1]).min() > 1
+    np.testing.assert_array_equal(solved[rule.join(1, 0)], solved[rule.join(0, 0)])
