@@ -6,8 +6,6 @@ from typing import Any
 
 from markup import code, page, plain, table
 
-from l3cli.io.correction_recipe import CorrectionRecipe
-from l3cli.recipe_schema import schema_of
 from l3cli.stages.checking.kinds import KINDS
 from l3cli.stages.checking.schema import schema
 
@@ -19,10 +17,6 @@ INTRO = (
 
 def recipe_pages() -> dict[str, str]:
     schemas = {kind: (f"{KINDS[kind].title.removeprefix('a ')}s", schema(kind)) for kind in KINDS}
-    schemas["corrections"] = (
-        "measurement files of a known camera",
-        schema_of((CorrectionRecipe,), CorrectionRecipe.title, {}),
-    )
     pages = {f"{kind}.md": recipe_page(*each) for kind, each in schemas.items()}
     tree = "\n".join(["```{toctree}", *schemas, "```"])
     return pages | {"recipes.md": page("# Recipes by key", INTRO, tree)}

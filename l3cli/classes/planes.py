@@ -53,13 +53,7 @@ def opponent_basis(white_point: NDArray[np.floating]) -> NDArray[np.float64]:
 
 def fixed_point(table: TransformTable) -> FixedPoint:
     """The first layer of a table whose outputs are X, Y, Z; InputFileError if its transforms are beyond all planes."""
-    first, middle = table.first, raw_middle(table.bits)
-    read = _Read(
-        step=(table.white_level - table.black_level) * PLANE_STEP,
-        zero=table.black_level,
-        largest=max(2**table.bits - 1 - middle, middle),
-        farthest=abs(table.black_level - middle),
-    )
+    first, read = table.first, _raw(table.bits, table.black_level, table.white_level)
     channels, basis = window_channels(table.cfa, first.rule.patch), opponent_basis(table.white_point)
     sites = [(first.rule.of_site(site), channel) for site, channel in enumerate(channels)]
     return _fixed_point(first.weights, first.intercept, basis, read, sites)
@@ -68,8 +62,7 @@ def fixed_point(table: TransformTable) -> FixedPoint:
 def later_fixed_point(layer: PlaneLayer, basis: NDArray[np.float64]) -> FixedPoint:
     """A layer that reads planes and after which another does; InputFileError if its transforms are beyond all planes."""
     plane = np.repeat(np.arange(len(basis)), layer.side**2)
-    read = _Read(step=2.0**-COARSE, zero=0.0, largest=COARSE_TOP, farthest=0.0)
-    return _fixed_point(layer.weights, layer.intercept, basis, read, [(slice(0, len(layer.weights)), plane)])
+    return _fixed_point(layer.weights, layer.intercept, basis, BETWEEN, [(slice(0, len(layer.weights)), plane)])
 
 
 def coarse(planes: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -92,6 +85,33 @@ class _Read:
     farthest: float  # size of `zero`, as kernels read it
 
 
+BETWEEN = _Read(step=2.0**-COARSE, zero=0.0, largest=COARSE_TOP, farthest=0.0)  # planes
+
+
+def _raw(bits: int, black_level: float, white_level: float) -> _Read:
+    middle = raw_middle(bits)
+    return _Read(
+        step=(white_level - black_level) * PLANE_STEP,
+        zero=black_level,
+        largest=max(2**bits - 1 - middle, middle),
+        farthest=abs(black_level - middle),
+    )
+
+
+def room_for(
+    weights: NDArray[np.float64], intercept: NDArray[np.float64], bits: int, black_level: float, white_level: float
+) -> NDArray[np.float64]:
+    """How many times larger transforms (class, plane, tap) of taps in units of full scale, with an intercept (class, plane),
+    could be (class) for their planes to be computed as integers; below 1 they are too large."""
+    read = _raw(bits, black_level, white_level)
+    return _room(weights.transpose(2, 1, 0) / read.step, intercept.T / PLANE_STEP, read)
+
+
+def room_between(weights: NDArray[np.float64], intercept: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The same (class) of transforms (class, plane, tap) of planes to planes that a further layer reads."""
+    return _room(weights.transpose(2, 1, 0) / BETWEEN.step, intercept.T / PLANE_STEP, BETWEEN)
+
+
 def _fixed_point(
     weights: NDArray[np.float32], intercept: NDArray[np.float32], basis: NDArray[np.float64], read: _Read,
     layouts: Iterable[tuple[slice, Integers]],
@@ -108,7 +128,7 @@ def _fixed_point(
             block = slice(start, min(start + BLOCK, classes.stop))
             # Sums over the first axis are sums of long rows, which numpy does several times as fast.
             exact = np.moveaxis(_to_planes(weights[block].transpose(1, 2, 0)[:, order], basis), 0, 1) / read.step
-            fraction = _fraction(exact, read.largest, np.abs(offset[:, block]) + read.farthest * np.abs(exact.sum(axis=0)))
+            fraction = _fraction(_room(exact, offset[:, block], read))
             scale = 2.0**fraction
             exact *= scale
             whole = _rounded(exact, ends)
@@ -118,12 +138,17 @@ def _fixed_point(
     return made
 
 
-def _fraction(weights: NDArray[np.float64], largest: float, offset: NDArray[np.float64]) -> NDArray[np.int32]:
-    """F (class) of weights (tap, plane, class) of values of at most a `largest` size and with an offset (plane, class)."""
+def _room(weights: NDArray[np.float64], offset: NDArray[np.float64], read: _Read) -> NDArray[np.float64]:
+    """How many times larger (class) weights (tap, plane, class) of what is read, with an offset (plane, class), could be."""
     size = np.abs(weights)
-    sums = (size.sum(axis=0) * largest + offset).max(axis=0)
-    rounding = 2 * len(weights) * largest  # what it may add to sum and offset
-    room = np.minimum(MOST_WEIGHT / (size.max(axis=(0, 1)) + 1e-30), (MOST_SUM - rounding) / (sums + 1e-30))
+    offset = np.abs(offset) + read.farthest * np.abs(weights.sum(axis=0))
+    sums = (size.sum(axis=0) * read.largest + offset).max(axis=0)
+    rounding = 2 * len(weights) * read.largest  # what it may add to sum and offset
+    return np.minimum(MOST_WEIGHT / (size.max(axis=(0, 1)) + 1e-30), (MOST_SUM - rounding) / (sums + 1e-30))
+
+
+def _fraction(room: NDArray[np.float64]) -> NDArray[np.int32]:
+    """F (class) of transforms that could be `room` (class) times larger."""
     fraction = np.minimum(MOST_FRACTION, np.floor(np.log2(room)))
     if fraction.min() < 0:
         raise InputFileError("transforms of a layer are too large for the next; train the table again")

@@ -37,18 +37,23 @@ class Patterns:
 
 
 def draw_patterns(
-    rng: np.random.Generator, share: float, materials: Array, reflectance: Array, oversampling: int
+    rng: np.random.Generator,
+    share: float,
+    materials: Array,
+    reflectance: Array,
+    oversampling: int,
+    visible: int | None = None,
 ) -> Patterns:
     """Patterns on `share` of the leaves of `reflectance` (leaf, band), their second colours from `materials` (material,
-    band); scenes are drawn with `oversampling` samples a pixel."""
+    band), the first `visible` bands of which are no infrared; scenes are drawn with `oversampling` samples a pixel."""
     count = len(reflectance)
     first, second = reflectance.copy(), materials[rng.integers(len(materials), size=count)]
     present = rng.random(count) < share
     pale = present & (rng.random(count) < NEUTRAL)
     saturation = rng.uniform(0.0, PALE, count)
     for leaf in np.flatnonzero(pale):
-        first[leaf] = with_saturation(first[leaf], saturation[leaf])
-        second[leaf] = with_saturation(second[leaf], saturation[leaf])
+        first[leaf] = with_saturation(first[leaf], saturation[leaf], visible)
+        second[leaf] = with_saturation(second[leaf], saturation[leaf], visible)
     second = np.minimum(second * np.exp(CONTRAST * rng.standard_normal(count))[:, None], 1.0)
     across = oversampling * np.exp(rng.uniform(math.log(PERIODS[0]), math.log(PERIODS[1]), count))
     kind = rng.choice(len(KINDS), size=count, p=list(KINDS.values()))

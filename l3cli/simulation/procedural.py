@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from l3cli.simulation import charts, leaves
 from l3cli.simulation.patterns import Patterns, coverage, draw_patterns
-from l3cli.simulation.reflectances import palette, surfaces
+from l3cli.simulation.reflectances import palette, surfaces, visible_bands
 
 Array = NDArray[np.floating]
 Cube = NDArray[np.float32]  # (row, col, band)
@@ -56,7 +56,8 @@ def dead_leaves(rng: np.random.Generator, size: tuple[int, int], wavelength: Arr
     light = _light(rng, fine)
     patterns = None
     if patterned > 0:
-        patterns = draw_patterns(rng.spawn(1)[0], patterned, materials, coat.reflectance, OVERSAMPLING)
+        drawn = rng.spawn(1)[0], patterned, materials, coat.reflectance, OVERSAMPLING
+        patterns = draw_patterns(*drawn, visible_bands(wavelength))
     cube = np.empty((*size, wavelength.size), np.float32)
     for top in range(0, size[0], STRIP):
         rows = slice(top * OVERSAMPLING, min(top + STRIP, size[0]) * OVERSAMPLING)

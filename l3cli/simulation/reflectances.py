@@ -16,6 +16,7 @@ from l3cli.physics.paint import LARGEST, SMALLEST, kubelka_munk, with_saturation
 Array = NDArray[np.floating]
 
 COMPONENTS = 8  # of the Gaussian in logit space
+LAST_VISIBLE = 710.0  # nm: colours are drawn from what is seen up to here, so that cameras of more infrared have them, too
 
 # Share of each kind of material (docs/method.md#procedural-scenes).
 KINDS = {"library": 0.25, "mixture": 0.2, "gaussian": 0.35, "skin": 0.12, "leaf": 0.04, "hair": 0.04}
@@ -45,18 +46,27 @@ class Surfaces:
     measured: Array  # (sample, band) reflectance
     mean: Array  # (band) logit
     components: Array  # (component, band) logit, each scaled to one standard deviation
+    visible: int  # bands up to LAST_VISIBLE
 
 
 @functools.lru_cache(maxsize=2)
 def surfaces(wavelength: tuple[float, ...]) -> Surfaces:
-    """The measured surfaces of colour-science on a grid in nm, no ColorChecker among them."""
+    """The measured surfaces of colour-science on a grid in nm, no ColorChecker among them. The Gaussian is that of their
+    visible part, which infrared follows as it does among them, so that a draw has the same colour on any longer grid."""
     grid = np.array(wavelength)
+    visible = visible_bands(grid)
     measured = spectra.reflectance_library(grid)
     logit = np.log(measured / (1.0 - measured))
     mean = logit.mean(axis=0)
-    _, spread, directions = np.linalg.svd(logit - mean, full_matrices=False)
+    scores, spread, directions = np.linalg.svd((logit - mean)[:, :visible], full_matrices=False)
     components = (spread[:, None] * directions)[:COMPONENTS] / np.sqrt(len(logit))
-    return Surfaces(grid, measured, mean, components)
+    beyond = scores.T[:COMPONENTS] @ (logit - mean)[:, visible:] / np.sqrt(len(logit))
+    return Surfaces(grid, measured, mean, np.concatenate([components, beyond], axis=1), visible)
+
+
+def visible_bands(wavelength: Array) -> int:
+    """How many bands at rising `wavelength` (band) in nm lie up to LAST_VISIBLE."""
+    return int(np.searchsorted(wavelength, LAST_VISIBLE, side="right"))
 
 
 def palette(rng: np.random.Generator, of: Surfaces) -> Array:
@@ -89,7 +99,7 @@ def _material(rng: np.random.Generator, of: Surfaces, kind: str, saturation: flo
 
 
 def _dye(rng: np.random.Generator, of: Surfaces, kind: str, saturation: float) -> Array:
-    reflectance = np.clip(with_saturation(_DRAW[kind](rng, of), saturation), SMALLEST, LARGEST)
+    reflectance = np.clip(with_saturation(_DRAW[kind](rng, of), saturation, of.visible), SMALLEST, LARGEST)
     return _painted(rng, reflectance, of.wavelength) if rng.random() < PAINTED else reflectance
 
 

@@ -138,8 +138,8 @@ def warn_of_odd_white(what: str, white: "SceneWhite", console: Console) -> None:
     """Say so if no light that is likely gives a white."""
     if not white.plausible:
         console.warn(
-            f"{what} is what no daylight, lamp or black body gives the table's camera ({white}); is it the table of this "
-            "camera? give ‹white› otherwise"
+            f"{what} is what no daylight, lamp or black body gives the table's camera ({white}); greys are made neutral by "
+            "it, and no colour is corrected further; is it the table of this camera? give ‹white› otherwise"
         )
 
 

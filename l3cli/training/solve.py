@@ -9,11 +9,13 @@ from numpy.typing import NDArray
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.partial_sums import ClassSums
 from l3cli.errors import L3Error
+from l3cli.training import systems
 from l3cli.training.highlights import flat_moments, grey_patches, plain_colours, white_channels
 from l3cli.training.plain_surfaces import PlainSurfaces
 from l3cli.training.recipe import LearningRecipe
 from l3cli.training.single_bands import output_gains, single_bands, teaches
 from l3cli.training.sums import moment_matrix, symmetric_places
+from l3cli.training.systems import Integers
 from l3cli.training.thin_classes import parent_of, parents_of, shrunk
 
 Array = NDArray[np.float64]
@@ -35,6 +37,7 @@ class Goal:
     surfaces: PlainSurfaces | None = None  # under the training light; None: not known, or the outputs are others
     filters: tuple[int, ...] = ()  # (channel) first channel with its filter; (): every channel has its own
     sensitivity: Array | None = None  # (channel) as of the camera; None: all alike
+    integers: Integers | None = None  # of the planes that a next layer reads; None: no layer can follow
 
 
 class Equations(NamedTuple):
@@ -124,9 +127,9 @@ def solve(
         used = groups.size if rule.case(rule.split(index).kind) else groups.size - 1  # an intercept if saturated
         for number, ((factor, is_taught), wanted) in enumerate(columns.items()):
             of = taught if is_taught else moments
-            system = _system(of[:used, :used], noise, factor, recipe.ridge)
-            cross = of[:used, groups.size :] @ basis[:, wanted]
-            solution, worst = _solve_positive(system, np.concatenate([cross, member.T[:used]], axis=1))
+            right = np.concatenate([of[:used, groups.size :] @ basis[:, wanted], member.T[:used]], axis=1)
+            equation = systems.Equation(of[:used, :used], noise, factor, right)
+            solution, worst = systems.solve_within(equation, recipe.ridge, member[:, :used], goal.integers)
             rows[index, :used, wanted] = solution[:, : len(wanted)].T
             compliance[index, number, :used] = solution[:, len(wanted) :]
             condition[index] = max(condition[index], worst)
@@ -161,6 +164,9 @@ def equal_responses(
     if recipe.equal_response:
         bent = _bent(solutions, copies, rule, solved, goal, _equations(recipe, goal, rule))
     back = np.linalg.inv(_opponent_basis(goal))
+    if goal.integers is not None:
+        fitting = solved & np.all([systems.fits(rows @ back, goal.white, goal.integers) for rows in bent], axis=0)
+        solved = fitting if fitting.any() else solved
     transforms = []
     for solution, rows in zip(solutions, bent, strict=True):
         filled = np.swapaxes(rows @ back, 1, 2)[_nearest(solved, rule)]
@@ -228,28 +234,6 @@ def _slack(solutions: list[Solution], copies: list[int]) -> Array:
     if white is not None:
         slack -= np.outer(slack @ white, slack @ white) / (white @ slack @ white)  # greys are answered alike to the last bit
     return np.asarray(slack)
-
-
-def _system(power: Array, noise: Array, factor: float, ridge: float) -> Array:
-    """X Xᵀ + factor · Λ + ridge over taps and, if `power` has it, the intercept."""
-    taps = noise.size
-    system = power.copy()
-    diagonal = system.reshape(-1)[:: len(system) + 1]
-    diagonal[taps:] += 1e-9
-    diagonal[:taps] += factor * noise + ridge * diagonal[:taps].mean() + 1e-12
-    return system
-
-
-def _solve_positive(system: Array, right: Array) -> tuple[Array, float]:
-    """The solution of a symmetric positive system by Cholesky, and an estimate of its condition number (1-norm)."""
-    from scipy.linalg import lapack
-
-    factor, failed = lapack.dpotrf(system.T, lower=False)
-    if failed:  # rounding has made a nearly singular system indefinite
-        return np.asarray(np.linalg.solve(system, right), np.float64), float(np.linalg.cond(system, 1))
-    solution, _ = lapack.dpotrs(factor, right, lower=False)
-    reciprocal, _ = lapack.dpocon(factor, np.abs(system).sum(axis=0).max(), uplo="U")
-    return solution, 1.0 / max(reciprocal, 1e-30)
 
 
 def _equations(recipe: LearningRecipe, goal: Goal, rule: ClassRule) -> list[Equations]:

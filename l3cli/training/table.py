@@ -28,6 +28,7 @@ from l3cli.training.recipe import LearningRecipe, TrainingRecipe
 from l3cli.training.solve import XYZ, Goal, Solution, equal_responses, solve
 from l3cli.training.sums import add, empty_sums, grid_steps, require_exact
 from l3cli.training.symmetry import class_stabilisers, orientations, site_maps, turned_classes
+from l3cli.training.systems import Integers
 from l3cli.training.training_pass import TrainingPass, brightness_of
 
 ONE_LIGHT = 0.001  # spread of lights that are one
@@ -201,8 +202,10 @@ def _goal(pass_: TrainingPass) -> Goal:
     camera = pass_.head.camera
     levels = camera.black_level, camera.white_level
     apart: dict[str, Any] = {}
+    if len(pass_.head.outputs) == 3:
+        apart["integers"] = Integers(camera.bits, *levels)
     if camera.readout is not None:
-        apart = {"filters": tuple(camera.readout.same_filter.tolist()), "sensitivity": camera.sensitivity}
+        apart |= {"filters": tuple(camera.readout.same_filter.tolist()), "sensitivity": camera.sensitivity}
     if pass_.light is None:
         return Goal(pass_.head.outputs, camera.channels, pass_.white_point, None, *levels, **apart)
     signal, misled = white_signal(pass_.light, camera), misleading(pass_.light, camera)

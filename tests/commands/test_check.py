@@ -24,7 +24,7 @@ from l3cli.simulation.light import automatic_exposure, make_light
 from l3cli.simulation.recipe import SceneRecipe
 from l3cli.stages.checking.check import judge
 from l3cli.stages.checking.classes import meaning
-from l3cli.stages.checking.kinds import KINDS, names
+from l3cli.stages.checking.kinds import KINDS, kind_of, names
 from l3cli.stages.checking.source import Source
 from l3cli.stages.console import Silent
 from l3cli.stages.simulation.preparation import fitting, prepare
@@ -320,6 +320,70 @@ def test_files_of_other_kinds(content: bytes, line: int, says: str, tmp_path: Pa
     code, out, _ = l3("check", tmp_path / "a.toml")
     assert code == 3
     assert [found[1] for found in told(out) if says in found[2]] == [line]
+
+
+CORRECTIONS = """base = "camera.toml"
+[[dark]]
+frames = ["dark1.npy", "dark2.npy"]
+exposure_s = 0.02
+[[white]]
+frames = ["white1.npy", "white2.npy"]
+exposure_ms = 5
+"""
+
+
+def measured_folder(folder: Path) -> Path:
+    """Dark and white frames of a camera that is known."""
+    (folder / "camera.toml").write_text(bayer_camera())
+    for name in ("dark1", "dark2", "white1", "white2"):
+        np.save(folder / f"{name}.npy", np.full((192, 256), 100, np.uint16))
+    path = folder / "MEASUREMENTS.toml"
+    path.write_text(CORRECTIONS)
+    return path
+
+
+def test_measurements_of_a_known_camera(tmp_path: Path, l3: L3) -> None:
+    path = measured_folder(tmp_path)
+    code, out, err = l3("check", path)
+    assert (code, err) == (0, "")
+    assert out.splitlines()[0] == f"{path}: a measurement file"
+    assert "  small Bayer: channels r, g, b" in out.splitlines()
+    assert out.splitlines()[-2:] == ["  [white] 1 capture, 2 frames, 5 ms", "  [dark] 1 capture, 2 frames, 20 ms"]
+    (document,) = json.loads(l3("check", path, "--json")[1])["files"]
+    assert document["meaning"]["array"] == [["r", "g"], ["g", "b"]]
+    assert l3("check", tmp_path)[0] == 0  # the whole folder, the camera beside it
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "says"),
+    [
+        ("camera.toml", "none.toml", 1, "none.toml does not exist"),
+        ("camera.toml", "dark1.npy", 1, "dark1.npy"),
+        ("dark2.npy", "dark3.npy", 3, "dark3.npy does not exist; it is named as a frame"),
+        ("exposure_s = 0.02", "", 2, "needs one of exposure_s, exposure_ms and exposure_us"),
+        ("exposure_ms = 5", "exposure_ms = -5", 7, "needs one of exposure_s, exposure_ms and exposure_us, above 0"),
+        ("exposure_ms = 5", "exposure_min = 5", 7, "unknown key `exposure_min`"),
+        ("[[white]]", "[[whites]]", 5, "unknown key `whites`"),
+        ('base = "camera.toml"', "base = 5", 1, "Expected `str`, got `int` in [base]"),
+        ('"camera.toml"', '"camera.toml"\nsweep = 3', 2, "unknown key `sweep`"),
+    ],
+)
+def test_wrong_measurements_of_a_known_camera(old: str, new: str, line: int, says: str, tmp_path: Path, l3: L3) -> None:
+    path = measured_folder(tmp_path)
+    path.write_text(CORRECTIONS.replace(old, new, 1))
+    code, out, _ = l3("check", path)
+    assert code == 3
+    assert [found[1] for found in told(out) if says in found[2]] == [line]
+
+
+def test_a_file_with_a_base_is_of_the_kind_of_its_other_keys() -> None:
+    kinds = {
+        "camera": ({"base": "a.toml"}, {"base": "a.toml", "phase": [0, 1]}, {"base": "a.toml", "name": "x"}),
+        "measurements": ({"base": "a.h5", "dark": []}, {"base": "a.h5", "dark": [{}], "white": [{}]}),
+    }
+    assert {kind: {kind_of(content) for content in contents} for kind, contents in kinds.items()} == {
+        kind: {KINDS[kind]} for kind in kinds
+    }
 
 
 def test_wrong_calls(tmp_path: Path, refused: Refused) -> None:

@@ -9,11 +9,14 @@ import pytest
 
 import l3cli
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.store import save
+from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.io.images import read_image
 from l3cli.io.raw.dng_writer import LIGHT_CODES, RawColour, write_dng
 from l3cli.physics import spectra
+from l3cli.physics.display import display_white
+from l3cli.rendering.balance import adaptation
+from l3cli.rendering.white import Whites
 from l3cli.rendering.white_source import CAMERA
 from tests.helpers.tables import colorimetric_table
 
@@ -149,8 +152,24 @@ def test_a_neutral_that_no_light_gives_and_another_camera_are_warned_of(
     write_dng(tmp_path / "odd.dng", mosaic(bayer, "A"), other, colour, np.array([1.0, 0.2, 1.0]), 0.01)
     code, _, err = l3("render", table, tmp_path / "odd.dng", "--white", "camera", "-o", tmp_path / "a.png", *FAST)
     assert code == 0
-    assert "is what no daylight, lamp or black body gives the table's camera" in err
+    (line,) = [
+        each for each in err.splitlines() if "is what no daylight, lamp or black body gives the table's camera" in each
+    ]
+    assert "greys are made neutral by it, and no colour is corrected further" in line
     assert "it was taken by Canon EOS 550D, the table is for small Bayer" in err
+
+
+def test_an_implausible_neutral_makes_greys_neutral_and_corrects_nothing_else(table: Path) -> None:
+    """As the warning says."""
+    transforms = load(TransformTable, table)
+    whites = Whites(transforms)
+    for neutral in ([1.0, 0.2, 1.0], [0.2, 1.0, 0.2], [1.0, 0.25, 0.1]):
+        white = whites.of_neutral(np.array(neutral))
+        assert not white.plausible
+        shown = whites.grey.outputs_of(0.4 * (white.balance.gains * neutral)[None] / max(white.balance.gains * neutral))[0]
+        made = white.balance.adaptation @ shown
+        np.testing.assert_allclose(made / made[1], display_white(), rtol=1e-4)
+        np.testing.assert_array_equal(white.balance.adaptation, adaptation(shown))
 
 
 def test_an_array_that_a_file_misstates_is_warned_of_with_the_phase(

@@ -75,6 +75,7 @@ WRONG = [
     ("measurements", MEASURED, "exposure_ms = 3", 'exposure_ms = "3"'),
     ("measurements", MEASURED, "[5, 6], [7, 8]", "[5, 6, 7], [7, 8]"),
     ("measurements", MEASURED, "[4, 6]", "[0, 6]"),
+    ("measurements", 'base = "a.h5"\ndark = []\nwhite = []', "dark = []\n", ""),
     ("lab", "[mono]\nradiance = 1e18", "1e18", "0"),
     ("lab", "[chart]\ntrials = 1", "trials = 1", "trials = 0"),
     ("scenes", '[[scene]]\nsource = "skin"\nsize = [16, 16]', "skin", "skinn"),

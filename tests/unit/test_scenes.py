@@ -207,6 +207,21 @@ def test_materials_have_the_colours_of_their_names() -> None:
     assert mean["leaf"][at[700]] > 1.3 * mean["leaf"][at[680]]  # the red edge
 
 
+def test_a_camera_that_sees_infrared_has_the_same_scenes() -> None:
+    """What is drawn is seen alike by cameras of any array: infrared is added, and changes no colour."""
+    visible, wide = np.arange(390.0, 711.0, 10.0), np.arange(390.0, 831.0, 10.0)
+    sources = {
+        "leaves": lambda rng, nm: procedural.dead_leaves(rng, (48, 48), nm, 0.3),
+        "surfaces": lambda rng, nm: charts.surface_patches(rng, (4, 4), (48, 48), nm),
+        "skin": lambda rng, nm: charts.material_patches("skin", rng, (4, 4), (48, 48), nm),
+    }
+    for name, draw in sources.items():
+        narrow, broad = (draw(np.random.default_rng(4), nm) for nm in (visible, wide))
+        np.testing.assert_allclose(broad[..., : visible.size], narrow, rtol=1e-5, err_msg=name)
+        assert np.isfinite(broad).all()
+        assert 0 < broad.min() <= broad.max() <= procedural.BRIGHTEST, name
+
+
 def test_saturation_zero_is_grey_and_one_changes_nothing() -> None:
     sample = np.linspace(0.1, 0.9, 31)
     assert np.allclose(paint.with_saturation(sample, 1.0), sample)

@@ -8,6 +8,7 @@ import msgspec
 
 from l3cli.artifacts.camera_recipe import CameraRecipe, PhaseRecipe
 from l3cli.config import TELLING, Recipe
+from l3cli.io.correction_recipe import CorrectionRecipe
 from l3cli.io.measurement_recipe import MeasurementRecipe
 from l3cli.recipes import known_recipes
 from l3cli.simulation.lab_recipe import LabRecipe
@@ -28,10 +29,11 @@ class Kind(NamedTuple):
 
     def structure(self, content: Mapping[str, Any]) -> type[Recipe]:
         """The structure of a file of this kind."""
-        return self.recipes[-1] if self.name == CAMERA and "base" in content else self.recipes[0]
+        return self.recipes[-1] if "base" in content else self.recipes[0]
 
 
 CAMERA = "camera"
+BASED = {"a camera recipe": ("base", "phase"), "a measurement file": ("dark", "white")}  # that tell a file with a base
 KINDS = {
     kind.name: kind
     for kind in (
@@ -39,7 +41,7 @@ KINDS = {
         Kind("lab", (LabRecipe,), "lab"),
         Kind("scenes", (SceneRecipe,), "scenes"),
         Kind("classes", (TrainingRecipe,), "classes"),
-        Kind("measurements", (MeasurementRecipe,), None),
+        Kind("measurements", (MeasurementRecipe, CorrectionRecipe), None),
     )
 }
 
@@ -53,7 +55,8 @@ def kind_of(content: Mapping[str, Any]) -> Kind | None:
 
 
 def _likeness(content: Mapping[str, Any], kind: Kind) -> tuple[int, int]:
-    telling = sum(key in content for key in (*TELLING[kind.title], *(["base", "phase"] if kind.name == CAMERA else [])))
+    based = BASED.get(kind.title, ()) if "base" in content or kind.name == CAMERA else ()
+    telling = sum(key in content for key in (*TELLING[kind.title], *based))
     fields = {field.encode_name: field for field in msgspec.structs.fields(kind.structure(content))}
     return telling, sum(_fits(fields[key], value) for key, value in content.items() if key in fields)
 

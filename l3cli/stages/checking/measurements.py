@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from l3cli.artifacts.camera_recipe import MOST_PRNU, cfa_faults, length_faults, share_faults
+from l3cli.artifacts.camera_recipe import MOST_PRNU, cfa_faults, length_faults, load_camera, share_faults
 from l3cli.curve_file import read_table
 from l3cli.curve_table import RELATIVE
 from l3cli.errors import InputFileError
 from l3cli.faults import Fault, fault
+from l3cli.io.correction_recipe import CorrectionRecipe
 from l3cli.io.curves import read_finished, read_sweep
 from l3cli.io.measurement_recipe import CaptureRecipe, ChartRecipe, MeasurementRecipe, MonoRecipe, PhotoRecipe, is_table
 from l3cli.io.measurements import MOST_MONITOR, load_measurements, patch_name
@@ -25,9 +26,12 @@ from l3cli.toml_lines import KeyPath
 CAPTURES = ("mono", "band", "chart", "white", "dark")  # lists of tables that name frames
 
 
-def faults(recipe: MeasurementRecipe, source: Source) -> Iterator[Fault]:
+def faults(recipe: MeasurementRecipe | CorrectionRecipe, source: Source) -> Iterator[Fault]:
     """What is wrong with numbers of the sensor and of captures, and with every file that is named; what remains, such as
     sections that do not go together, `meaning` finds, one by one."""
+    if isinstance(recipe, CorrectionRecipe):
+        yield from _correction_faults(recipe, source)
+        return
     sensor = recipe.sensor
     for key in ("rows", "cols", "pixel_pitch_um", "bits"):
         if not getattr(sensor, key) > 0 or (key == "bits" and sensor.bits > 16):
@@ -49,6 +53,17 @@ def faults(recipe: MeasurementRecipe, source: Source) -> Iterator[Fault]:
     yield from _curve_faults(recipe, source)
     for number, photo in enumerate(recipe.photos):
         yield from _photo_faults(photo, ("photo", number) if isinstance(recipe.photo, list) else ("photo",), source)
+
+
+def _correction_faults(recipe: CorrectionRecipe, source: Source) -> Iterator[Fault]:
+    """Of the camera that is taken from another file, and of the captures."""
+    yield from source.attempt(("base",), load_camera, source.beside(recipe.base))
+    for section in ("dark", "white"):
+        captures = getattr(recipe, section)
+        if not captures:
+            yield fault(f"there is no [[{section}]] capture; add some", section)
+        for number, capture in enumerate(captures):
+            yield from _capture_faults(capture, (section, number), source)
 
 
 def _photo_faults(photo: PhotoRecipe, key: KeyPath, source: Source) -> Iterator[Fault]:
@@ -118,19 +133,13 @@ def _curve_faults(recipe: MeasurementRecipe, source: Source) -> Iterator[Fault]:
         yield from source.attempt(("prior",), prior_files, source.beside(recipe.prior))
 
 
-def meaning(recipe: MeasurementRecipe, source: Source) -> tuple[dict[str, Any], list[Fault]]:
+def meaning(recipe: MeasurementRecipe | CorrectionRecipe, source: Source) -> tuple[dict[str, Any], list[Fault]]:
     """Sections with their captures, frames and exposures."""
-    load_measurements(source.path)
-    sections: dict[str, Any] = {}
-    for section in CAPTURES:
-        captures: list[CaptureRecipe] = getattr(recipe, section)
-        if captures:
-            exposures = [capture.seconds or 0.0 for capture in captures]
-            sections[section] = {
-                "captures": len(captures),
-                "frames": sum(len(capture.frames) for capture in captures),
-                "exposure_s": [min(exposures), max(exposures)],
-            }
+    body = load_measurements(source.path).body
+    sections = _captures(recipe)
+    if isinstance(recipe, CorrectionRecipe):
+        names = [[body.channels[site] for site in row] for row in body.cfa]
+        return {"name": body.name, "array": names, "channels": list(body.channels), "sections": sections}, []
     if recipe.mono:
         steps = [read_table(source.beside(step.spectrum)).column(step.column) for step in recipe.mono]
         peaks = [float(step.wavelength[step.values[0].argmax()]) for step in steps]
@@ -148,3 +157,18 @@ def meaning(recipe: MeasurementRecipe, source: Source) -> tuple[dict[str, Any], 
         sections["datasheet"] = {"well_capacity_e": recipe.datasheet.well_capacity_e}
     rows = [row.split() for row in recipe.cfa.pattern]
     return {"name": recipe.name, "array": rows, "channels": recipe.cfa.channels, "sections": sections}, []
+
+
+def _captures(recipe: MeasurementRecipe | CorrectionRecipe) -> dict[str, Any]:
+    """How many captures and frames each section of such has, and their exposures."""
+    sections: dict[str, Any] = {}
+    for section in CAPTURES:
+        captures: list[CaptureRecipe] = getattr(recipe, section, [])
+        if captures:
+            exposures = [capture.seconds or 0.0 for capture in captures]
+            sections[section] = {
+                "captures": len(captures),
+                "frames": sum(len(capture.frames) for capture in captures),
+                "exposure_s": [min(exposures), max(exposures)],
+            }
+    return sections

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from l3cli.artifacts.layer_sums import LayerSums
 from l3cli.artifacts.layers import PlaneRule
 from l3cli.errors import L3Error
-from l3cli.training.solve import _solve_positive
 from l3cli.training.sums import moment_matrix
+from l3cli.training.systems import fits_between, solve_positive
 
 Array = NDArray[np.float64]
 NEAR_SHARE = 0.9  # of the pseudo-patches come from the class's level, the others from all levels
@@ -52,7 +52,8 @@ def solve_layer(
                 rows[site][index, :taps, output] = row
     if not solved.any():
         raise L3Error("no class of the second layer has training rows of every site; train on more, or larger, frames")
-    source = _nearest(solved, rule)
+    fitting = solved & np.all([fits_between(one) for one in rows], axis=0)
+    source = _nearest(fitting if fitting.any() else solved, rule)
     return [one[source] for one in rows]
 
 
@@ -62,7 +63,7 @@ def _solution(moments: Array, noise: Array, factor: float, ridge: float, output:
     taps = len(noise)
     system = moments[:taps, :taps] + factor * noise
     system.reshape(-1)[:: taps + 1] += ridge * np.trace(system) / taps + 1e-12
-    return _solve_positive(system, np.column_stack([moments[:taps, taps + 1 + output], member]))[0]
+    return solve_positive(system, np.column_stack([moments[:taps, taps + 1 + output], member]))[0]
 
 
 def _bent(estimates: list[Array], member: Array, copies: list[int], white: Array, output: int) -> list[Array]:

@@ -1,0 +1,118 @@
+"""Transforms that the integers of the next layer cannot hold are made smaller while they are solved, or left out."""
+
+import numpy as np
+import pytest
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.layer_sums import LayerSums
+from l3cli.artifacts.partial_sums import ClassSums
+from l3cli.classes.planes import opponent_basis, room_between, room_for
+from l3cli.classes.recipe import ClassRecipe
+from l3cli.classes.rule import make_rule
+from l3cli.training import systems
+from l3cli.training.layers.solve import LayerGoal, solve_layer
+from l3cli.training.recipe import LearningRecipe
+from l3cli.training.solve import Goal, Solution, equal_responses, solve
+from l3cli.training.sums import pairs
+from l3cli.training.systems import Equation, Integers, fits, solve_within
+from tests.helpers.cameras import random_camera
+from tests.helpers.tables import random_table, with_later
+
+BITS = Integers(12, 64.0, 4095.0)
+WHITE = np.array([0.95, 1.0, 1.09])
+CHANNELS = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 1.0]])  # of three taps and no intercept
+
+
+def equation_of(rows: np.ndarray, targets: np.ndarray) -> Equation:
+    power, cross = rows.T @ rows, rows.T @ targets
+    return Equation(power, np.zeros(rows.shape[1]), 0.0, np.column_stack([cross, CHANNELS.T]))
+
+
+def test_a_solution_that_fits_is_left_as_it_is() -> None:
+    rng = np.random.default_rng(0)
+    rows = rng.random((50, 3))
+    equation = equation_of(rows, rows @ rng.random((3, 2)))
+    with_limit, without = (solve_within(equation, 1e-5, CHANNELS, limit) for limit in (BITS, None))
+    np.testing.assert_array_equal(with_limit[0], without[0])
+    assert with_limit[1] == without[1]
+
+
+def test_taps_that_all_but_clip_do_not_get_weights_that_no_layer_could_read() -> None:
+    """Two clipped taps differ by a ten-thousandth in one row, in which the target differs by a half."""
+    rows = np.ones((20, 3))
+    rows[3, 2] -= 1e-4
+    targets = np.ones((20, 1))
+    targets[3] = 1.5
+    equation = equation_of(rows, targets)
+    without, _ = solve_within(equation, 1e-12, CHANNELS, None)
+    solution, _ = solve_within(equation, 1e-12, CHANNELS, BITS)
+    assert room_for(without[None, :, 0, None].swapaxes(1, 2), np.zeros((1, 1)), *BITS)[0] < 1
+    assert room_for(solution[None, :, 0, None].swapaxes(1, 2), np.zeros((1, 1)), *BITS)[0] > systems.SPARE
+    np.testing.assert_allclose(np.delete(rows, 3, 0) @ solution[:, 0], 1.0, atol=0.05)  # what the rows have in common stays
+
+
+@pytest.mark.parametrize("bits", [8, 12, 16])
+def test_what_fits_follows_from_the_camera_s_bits(bits: int) -> None:
+    top = 2.0**bits - 1
+    integers = Integers(bits, top / 16, top)
+    rows = np.zeros((2, 82, 3))
+    rows[0, 5] = top * 15 / 16 * 2**15 / 2**18 * 0.9  # a weight per DN in steps of a plane below 2¹⁵
+    rows[1, 5] = rows[0, 5] * 1.3
+    assert fits(rows, np.array([0.0, 1.0, 0.0]), integers).tolist() == [True, False]
+
+
+def solutions_of(camera: CameraModel, recipe: LearningRecipe, bits: Integers | None) -> tuple[list[Solution], Goal]:
+    """A saturated class of one site, learned from four patches of taps that all but clip, and another of many."""
+    rule = make_rule(ClassRecipe(patch=3, levels=4, chromas=1), camera, np.array([0, 1, 1, 1], np.uint16))
+    rng = np.random.default_rng(1)
+    width = 9 + 1 + 3
+    row, col = pairs(width)
+    count, moments = np.zeros(rule.classes_per_site), np.zeros((rule.classes_per_site, row.size))
+    thin, thick = (int(rule.join(level, 0, kind)) for level, kind in ((3, rule.chromas), (2, 0)))
+    for index, patches, spread in ((thin, 4, 1e-7), (thick, 5000, 0.5)):
+        taps = 1 - spread * rng.random((patches, 9))
+        rows = np.column_stack([taps, np.ones(patches), rng.random((patches, 3))])
+        count[index], moments[index] = patches, (rows.T @ rows)[row, col]
+    goal = Goal(("X", "Y", "Z"), camera.channels, WHITE, None, camera.black_level, camera.white_level, integers=bits)
+    window = camera.cfa[np.arange(9) // 3 % 2, np.arange(9) % 3 % 2].astype(np.int64)
+    sums = ClassSums(moments, np.zeros((count.size, 9)), count)
+    return [solve(sums, rule, window, [np.arange(9)], recipe, goal)], goal
+
+
+@pytest.mark.parametrize("steps", [systems.STEPS, 0])
+def test_no_transform_of_a_table_is_too_large(steps: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where no ridge makes a class fit, which then takes the transform of the nearest."""
+    camera = random_camera([[0, 1], [1, 0]], 2, 12, 64.0)
+    recipe = LearningRecipe(ridge=1e-14, parent_patches=0, plain_surfaces=0.0)
+    rule = make_rule(ClassRecipe(patch=3, levels=4, chromas=1), camera, np.array([0, 1, 1, 1], np.uint16))
+
+    def room(bits: Integers | None) -> float:
+        solutions, goal = solutions_of(camera, recipe, bits)
+        table = equal_responses(solutions, [1], rule, recipe, goal)[0]
+        basis = opponent_basis(WHITE)
+        planes = np.einsum("cot,op->cpt", table.weights, basis)
+        return float(room_for(planes, table.intercept @ basis, *BITS).min())
+
+    monkeypatch.setattr(systems, "STEPS", steps)
+    assert room(None) < 1
+    assert room(BITS) > 1
+
+
+def test_nor_one_between_layers() -> None:
+    """Of a class whose rows all but agree, so that their differences are taken for what the target differs by."""
+    table = with_later(random_table([[0, 1], [1, 0]]), 3)
+    rule = table.later[0].rule
+    taps, rng = 27, np.random.default_rng(2)
+    row, col = pairs(taps + 1 + 3)
+    count = np.zeros(rule.classes_per_site)
+    moments = np.zeros((rule.classes_per_site, row.size))
+    for index, spread in ((rule.join(0, 0), 0.5), (rule.join(1, 0), 1e-9)):
+        windows = 1 - spread * rng.random((200, taps))
+        rows = np.column_stack([windows, np.ones(200), rng.random((200, 3))])
+        count[index], moments[index] = 200, (rows.T @ rows)[row, col]
+    sums = LayerSums(moments, np.zeros((count.size, taps * (taps + 1) // 2)), count)
+    goal = LayerGoal((), 0.0, 1e-18, (1.0, 1.0, 1.0), np.array([0.0, 1.0, 0.0]))
+    (solved,) = solve_layer([sums], [1], rule, goal)
+    planes = np.swapaxes(solved, 1, 2)
+    assert room_between(planes[..., :-1], planes[..., -1]).min() > 1
+    np.testing.assert_array_equal(solved[rule.join(1, 0)], solved[rule.join(0, 0)])
