@@ -1,4 +1,4 @@
-"""The filter on an OpenCL device: opencl/temporal.cl, kernel by kernel as reference.py does it."""
+"""The filter on an OpenCL device: opencl/temporal*.cl, kernel by kernel as reference.py does it."""
 
 import functools
 import os
@@ -38,7 +38,8 @@ class Device:
             self.context = cl.Context([self.device])
             self.queue = cl.CommandQueue(self.context)
             self.compiler = Compiler(self.context, self.device)
-            source, macros = layout.joined_files("vectors.cl", "temporal.cl"), _macros(period)
+            files = ("vectors.cl", "temporal.cl", "temporal_motion.cl", "temporal_blend.cl")
+            source, macros = layout.joined_files(*files), _macros(period)
             lanes = 1 if self.strip == 1 else 16 if int(macros["BLOCK_COLUMNS"]) % 16 == 0 else 8
             made = self.compiler.build(source, {**macros, "STRIP": self.strip, "LANES": lanes})
             self.kernels = {name: self.compiler.kernel(made, name) for name in KERNELS}
