@@ -36,7 +36,9 @@ from l3cli.io.raw import files as raw_files
 from l3cli.io.raw.files import KnownBetter
 from l3cli.recipes import find_recipe
 from l3cli.rendering.balance import WhiteBalance
-from l3cli.rendering.renderer import make_renderer
+from l3cli.rendering.quiet import quiet_renderer
+from l3cli.rendering.temporal.chunks import Chunks
+from l3cli.rendering.temporal.filters import filters
 from l3cli.stages.console import Console, Silent
 from l3cli.stages.rendering.following import Following, shown_as
 from l3cli.stages.rendering.rendition import OUTPUTS, Rendition, rendered
@@ -229,7 +231,7 @@ class Renderer:
     ) -> None:
         self.table = table if isinstance(table, TransformTable) else store.load(TransformTable, Path(table))
         chosen = {name: value for name, value in {"device": device, "variant": variant}.items() if value is not None}
-        self._renderer = make_renderer(backend, self.table, **chosen)
+        self._renderer, self._backend, self._chosen = quiet_renderer(backend, self.table, **chosen), backend, chosen
         self._alone = threading.Lock()
 
     def picture(
@@ -259,17 +261,19 @@ class Renderer:
 
     def sequence(
         self, rate: Fraction | None, *, exposure: float | None = None, white: str | None = None, space: str = "srgb",
-        bits: int = 8,
+        bits: int = 8, temporal: bool = False,
     ) -> Callable[[RawFrame | NDArray[np.uint16]], NDArray[Any]]:  # fmt: skip
         """What makes the `picture` of each frame of a sequence, called with one after the other. Exposure and white that are
         measured follow at `rate` (frames/s), as in `l3 render` of a sequence; None: they stay those of the first frame that
-        it is called with, and the others may come in any order, from any thread."""
+        it is called with, and the others may come in any order, from any thread. `temporal`: frames come in their order, and
+        share what is not noise, as in `l3 render --temporal`; RecipeError if the table does not know its camera's noise."""
         rendition, source = shown_as(self.table, exposure, white, space, bits)
-        following = Following(self.table, rendition, source, rate)
+        quiet = Chunks(filters(self._backend, self.table, **self._chosen)) if temporal else None
+        following = Following(self.table, rendition, source, rate, quiet)
 
         def picture(given: RawFrame | NDArray[np.uint16]) -> NDArray[Any]:
-            frame = self._frame(given)
-            return self._pixels(frame, rendition, *following.shown(frame))
+            frame, scale, balance = following.shown(self._frame(given))
+            return self._pixels(frame, rendition, scale, balance)
 
         return picture
 

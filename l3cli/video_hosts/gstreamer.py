@@ -70,6 +70,7 @@ class L3Render(GstBase.BaseTransform):
     camera = GObject.Property(type=str, default="", blurb="File of a model whose defects and flat field are corrected")
     backend = GObject.Property(type=str, default="opencl", blurb="opencl or reference")
     device = GObject.Property(type=str, default="", blurb="OpenCL device, by a part of its name or its number")
+    temporal = GObject.Property(type=bool, default=False, blurb="Blend frames with what is not noise of those before them")
 
     def __init__(self) -> None:
         super().__init__()
@@ -134,8 +135,8 @@ class L3Render(GstBase.BaseTransform):
             self._source, self._target = _Layout(incaps), _Layout(outcaps)
             self._mosaics.require_size(*self._source.shape)
             bits = BITS[outcaps.get_structure(0).get_string("format")]
-            show = self._mosaics.renderer.sequence
-            self._picture = show(self._source.rate, exposure=self.exposure or None, white=self.white or None, bits=bits)
+            shown = {"exposure": self.exposure or None, "white": self.white or None, "temporal": self.temporal}
+            self._picture = self._mosaics.renderer.sequence(self._source.rate, bits=bits, **shown)
         except Exception as error:
             return self._failed(error)
         return True

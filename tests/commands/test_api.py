@@ -4,6 +4,7 @@ import inspect
 import subprocess
 import sys
 import threading
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -16,7 +17,8 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet
 from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.io.images import read_image
-from tests.helpers.cameras import BAYER
+from l3cli.rendering.temporal import chunks
+from tests.helpers.cameras import BAYER, random_camera
 from tests.helpers.sequences import RGGB, frames
 from tests.helpers.tables import random_table
 
@@ -91,6 +93,27 @@ def test_a_sequence_is_shown_as_the_command_shows_it(tmp_path: Path) -> None:
     np.testing.assert_array_equal(held(clip[0]), first)
     fixed = renderer.sequence(Fraction(30), exposure=0.7)(clip[1])
     np.testing.assert_array_equal(fixed, renderer.picture(clip[1], exposure=0.7))
+
+
+def test_a_sequence_is_filtered_in_time_as_the_command_filters_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Across a chunk, by both backends; a table that does not know its noise is refused before any frame."""
+    monkeypatch.setattr(chunks, "CHUNK", 4)
+    monkeypatch.setattr(chunks, "LEAD", 1)
+    still = (1000 + (frames() - 64.0) / 8).astype(np.uint16)[0]
+    clip = np.stack([still + np.random.default_rng(number).integers(0, 9, still.shape, np.uint16) for number in range(7)])
+    quiet = replace(RGGB, camera=random_camera(BAYER, 3, 12, RGGB.black_level))
+    l3.save(quiet, tmp_path / "table.h5")
+    np.save(tmp_path / "clip.npy", clip)
+    l3.render(tmp_path / "table.h5", tmp_path / "clip.npy", tmp_path / "out", temporal=True)
+    expected = [read_image(path)[0] for path in sorted((tmp_path / "out").glob("*.png"))]
+    renderer = l3.Renderer(quiet)
+    show, plain = renderer.sequence(Fraction(30), temporal=True), renderer.sequence(Fraction(30))
+    made = [(show(frame), plain(frame)) for frame in clip]
+    assert all(np.array_equal(ours, picture) for (ours, _), picture in zip(made, expected, strict=True))
+    assert [np.array_equal(*both) for both in made] == [True] + [False] * 6
+    assert len({picture.tobytes() for _, picture in made}) == 7  # nor does it fill one array again and again
+    with pytest.raises(RecipeError, match="train the table again"):
+        l3.Renderer(replace(RGGB, camera=None)).sequence(Fraction(30), temporal=True)
 
 
 def test_what_is_loaded_and_saved_is_the_same_file(pipeline: Path, tmp_path: Path) -> None:

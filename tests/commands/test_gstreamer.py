@@ -3,6 +3,7 @@
 import json
 import subprocess
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from l3cli.artifacts.store import save
 from l3cli.io.images import read_image
 from tests.helpers.calls import L3
+from tests.helpers.cameras import BAYER, random_camera
 from tests.helpers.gstreamer import PYTHON, environment, require_gstreamer
 from tests.helpers.readme import PAGES, fenced
 from tests.helpers.sequences import COUNT, RGGB, frames
@@ -117,6 +119,20 @@ def test_other_mosaics(l3: L3, folder: Path, tmp_path: Path) -> None:
     expected = rendered(l3, folder / "cut.npy", tmp_path / "cut", *shown, "--white", "A")
     np.testing.assert_array_equal(read(folder / "cut.rgb", cols=27), expected)
     assert len(expected) == COUNT
+
+
+def test_frames_are_filtered_in_time(l3: L3, folder: Path, tmp_path: Path) -> None:
+    save(replace(RGGB, camera=random_camera(BAYER, 3, 12, RGGB.black_level)), folder / "table.h5")
+    still = np.repeat(frames()[:1] // 2 + 500, COUNT, 0) + np.random.default_rng(0).integers(0, 9, frames().shape, np.uint16)
+    still.astype("<u2").tofile(folder / "still.raw")
+    np.save(folder / "still.npy", still)
+    source = SOURCE.replace("clip.raw", "still.raw")
+    line = "{} ! l3render table=table.h5 {} ! video/x-raw,format=RGB ! filesink location={}"
+    calls = [line.format(source, "temporal=true", "quiet.rgb"), line.format(source, "", "alone.rgb")]
+    assert run(folder, calls) == [None] * 2
+    expected = rendered(l3, folder / "still.npy", tmp_path / "quiet", "--temporal")
+    np.testing.assert_array_equal(read(folder / "quiet.rgb"), expected)
+    assert (read(folder / "alone.rgb") != expected).any()
 
 
 def test_mistakes_are_one_line_on_the_bus(folder: Path) -> None:

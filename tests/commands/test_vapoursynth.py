@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import l3cli
-from l3cli import api
 from l3cli.artifacts.store import save
 from l3cli.io.images import read_image
+from l3cli.rendering import quiet
 from tests.helpers.calls import L3
 from tests.helpers.readme import PAGES, fenced
 from tests.helpers.sequences import COUNT, RGGB, frames, write_raw_video
@@ -94,13 +94,13 @@ def test_frames_in_any_order_from_many_threads(folder: Path) -> None:
     vs.core.num_threads, before = 4, vs.core.num_threads
     made: list[object] = []
     with pytest.MonkeyPatch.context() as patch:
-        original = api.make_renderer
+        original = quiet.make_renderer
 
         def counted(*given: Any, **options: Any) -> Any:
             made.append(given)
             return original(*given, **options)
 
-        patch.setattr(api, "make_renderer", counted)
+        patch.setattr(quiet, "make_renderer", counted)
         clips = [render(mosaics(), folder / "table.h5", exposure=0.7, bits=bits) for bits in (8, 16)]
         asked = [(clip, number) for clip in range(2) for number in [*range(COUNT)] * 4]
         random.Random(1).shuffle(asked)

@@ -105,6 +105,7 @@ def test_video_rate(folder: Path) -> None:
         "encoder alone, H.264 veryfast": (*ENCODER, folder / "pictures.npy", folder / "alone.mp4"),
         "raw → H.264 veryfast": (*command, "-o", folder / "whole.mp4"),
         "raw → y4m": (*command, "-o", "-"),
+        "raw → y4m, filtered in time": (*command, "-o", "-", "--temporal"),
         "raw → 16-bit TIFF": (*command, "-o", folder / "sixteen_%05d.tif", "--bits", 16, "--frames", f"0-{FRAMES // 4 - 1}"),
     }.items():
         seconds, processor, peak = measured(*arguments)

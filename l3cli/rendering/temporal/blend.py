@@ -17,13 +17,13 @@ Cells = NDArray[np.int64]
 
 ONE = 1 << 10  # of shares: of noise that is left, and weights
 LEAST_WEIGHT = ONE // 12  # of a new frame
-# The residuals' power, relative to noise: what is let pass, and the factor beyond.
-POWER_FREE, POWER_FACTOR = ONE * 5 // 4, 4
-MEAN_FREE, MEAN_FACTOR = ONE * 2, 1  # the same of the power of a cell's mean
+# Beyond noise, relative to it: 4 times what the residuals' power over 3 × 3 cells is above 5/4, …
+POWER_FACTOR, POWER_FREE = 4, 5
+MEAN_FREE, WIDE_FREE = 2, 6  # … and what the power of the cells' sums, and of the sum of all of them, are above these
+CUT = 8  # residuals' power, relative to noise, from which on a cell is of another scene
 CLIPPED = (1 << 14) - 1  # u, of a residual that is weighed: sums of squares then fit a kernel's 32 bits
-WIDE_FREE, WIDE_FACTOR = ONE * 6, 1  # and of the sum of all cells about it
-MOST = 64 * ONE  # of residuals, relative to noise
-CUT = 8 * ONE  # residuals' power from which on a cell is of another scene
+MOST_POWER, MOST_VARIANCE = (1 << 32) - 1, (1 << 29) - 1  # u², of a cell: a kernel holds no more …
+MOST_BEYOND = 1 << 42  # u²: … nor takes a double, in which all these are whole, beyond 2^53
 FEW = 2  # a frame of which one cell in so many is of another scene restarts the filter
 
 
@@ -49,13 +49,12 @@ def blended(values: NDArray[np.uint16], before: Blend, vectors: Vectors, grid: G
     residual = values - kept
     left = _moved_left(before.left, vectors, grid)
     power, mean, wide, expected = _evidence(values, residual, left, vectors, grid, noise)
-    power, mean, wide = (np.minimum(each * ONE // expected, MOST) for each in (power, mean, wide))
-    if np.count_nonzero(power > CUT) * FEW > power.size:
+    if np.count_nonzero(power > CUT * expected) * FEW > power.size:
         return first_blend(values, grid)
-    beyond = np.maximum(power - POWER_FREE, 0) * POWER_FACTOR + np.maximum(mean - MEAN_FREE, 0) * MEAN_FACTOR
-    beyond += np.maximum(wide - WIDE_FREE, 0) * WIDE_FACTOR
-    prior = left + beyond
-    weight = np.maximum(ONE * prior // (ONE + prior), LEAST_WEIGHT)
+    beyond = np.maximum(power * POWER_FACTOR - expected * POWER_FREE, 0)
+    beyond += np.maximum(mean - expected * MEAN_FREE, 0) + np.maximum(wide - expected * WIDE_FREE, 0)
+    whole = expected * (ONE + left) + np.minimum(beyond, MOST_BEYOND) * ONE
+    weight = np.maximum(ONE - expected * ONE**2 // whole, LEAST_WEIGHT)
     left = np.minimum(((ONE - weight) ** 2 * left + weight**2 * ONE) // ONE**2 + 1, ONE)
     of_pixel = weight.repeat(grid.cell[0], 0).repeat(grid.cell[1], 1)
     new = kept + ((of_pixel * residual + ONE // 2) // ONE)
@@ -83,13 +82,15 @@ def _evidence(
     """Of three by three cells about each: power of the residuals, of each cell's sum, of the sum of all, and what noise
     makes of any of them."""
     signal = np.maximum(_sums(values.astype(np.int64), grid) - grid.sites * noise.black, 0)
-    variance = (signal * noise.linear >> LINEAR_FRACTION) + grid.sites * noise.constant
+    variance = np.minimum((signal * noise.linear >> LINEAR_FRACTION) + grid.sites * noise.constant, MOST_VARIANCE)
     level = signal // grid.sites
     fixed = 2 * grid.sites * (noise.fixed + (level * level * noise.uneven >> UNEVEN_FRACTION))
     variance = variance * (ONE + left) // ONE + np.where(_by_cell((vectors != 0).any(axis=2), grid), fixed, 0)
+    variance = np.minimum(variance, MOST_VARIANCE)
     clipped = np.clip(residual, -CLIPPED, CLIPPED)
     sums = _sums(clipped, grid)
-    return _nearby(_sums(clipped * clipped, grid)), _nearby(sums * sums), _nearby(sums) ** 2, _nearby(variance)
+    power = np.minimum(_sums(clipped * clipped, grid), MOST_POWER)
+    return _nearby(power), _nearby(sums * sums), _nearby(sums) ** 2, _nearby(variance)
 
 
 def _sums(values: Cells, grid: Grid) -> Cells:

@@ -53,8 +53,13 @@ class Grid:
 
     def padded(self, values: NDArray[np.uint16]) -> NDArray[np.uint16]:
         """values (row, col), repeated by whole periods up to whole blocks."""
-        index = [_repeated(*sides) for sides in zip(values.shape, self.shape, self.period, strict=True)]
-        return values if values.shape == self.shape else np.ascontiguousarray(values[np.ix_(*index)])
+        if values.shape == self.shape:
+            return np.ascontiguousarray(values)
+        (rows, cols), made = values.shape, np.empty(self.shape, np.uint16)
+        made[:rows, :cols] = values
+        made[:rows, cols:] = values[:, _repeated(cols, self.shape[1], self.period[1])[cols:]]
+        made[rows:] = made[_repeated(rows, self.shape[0], self.period[0])[rows:]]
+        return made
 
 
 def _sides(period: int, lanes: int) -> tuple[int, int, int]:

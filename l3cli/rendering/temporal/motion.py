@@ -1,7 +1,9 @@
 """Vectors: where each block of a frame was in the one before (docs/method.md#temporal), in whole numbers.
 
 Both are averaged over a period of the array, so that they show no mosaic, and these planes halved until a unit is about
-a block. Blocks are searched from the coarsest plane to the finest, in whole periods, so that sites keep their channel.
+a block. Blocks are searched from the coarsest plane to the finest, in whole periods, so that sites keep their channel. Where
+nothing moves, or the coarser plane's vector fits, most blocks differ by less than noise would make of it: these are not
+searched further.
 """
 
 from collections.abc import Iterator
@@ -16,6 +18,8 @@ Plane = NDArray[np.int32]
 Vectors = NDArray[np.int32]  # (block row, block col, 2), rows and columns
 
 FARTHEST = 2  # units of the coarsest plane that a block is searched for in each direction
+CLIPPED = (1 << 12) - 1  # u, of a difference of means: the sums of a window's columns then fit a kernel's 16 bits
+SETTLED = 5  # eighths of the noise of a difference: a block that differs by no more on average is not searched
 RELUCTANCE = 2  # deviations of the noise by which another vector must fit better than where the search began
 BESIDE = ((-1, 0), (1, 0), (0, -1), (0, 1))  # blocks whose vectors of the coarser plane are tried, too
 
@@ -36,13 +40,13 @@ def vectors_of(now: list[Plane], before: list[Plane], grid: Grid, noise: NoiseTe
     """The vector of every block in pixels: what is at a pixel now was at pixel + vector in the frame before."""
     found = np.zeros((*grid.blocks, 2), np.int32)
     for level in reversed(range(grid.planes)):
-        search = _Search(now[level], before[level], grid, noise, level)
-        if level == grid.planes - 1:
-            found = search.best([*_around(FARTHEST)], found)
-            continue
-        parents = found * 2
-        start = search.best_of([np.zeros_like(parents), parents, *_neighbours(parents)], free=1)
-        found = search.best([*_around(1)], start)
+        coarsest = level == grid.planes - 1
+        search, parents = _Search(now[level], before[level], grid, noise, level), found * 2
+        still = np.zeros_like(parents)
+        start = still if coarsest else search.best_of([still, parents, *_neighbours(parents)])
+        start = np.where(search.settled(still)[..., None], still, start)
+        best = search.best_of([start, *(start + np.array(step, np.int32) for step in _around(FARTHEST if coarsest else 1))])
+        found = np.where(search.settled(start)[..., None], start, best)
     return found * np.array(grid.period, np.int32)
 
 
@@ -56,9 +60,11 @@ class _Search:
         self._cols = self._first(1)[:, None] + np.arange(wide)
         self._now = self._windows(now, np.zeros((*grid.blocks, 2), np.int32))
         mean = self._now.sum(axis=(2, 3)) // (tall * wide)
+        spread = noise.spread[mean >> (DEEP - 8)]
         # The sum over n units of a difference's absolute value spreads by 0.6 √n deviations of one; ≈ 5/8.
-        root = root_of((tall, wide))
-        self._reluctance = (noise.spread[mean >> (DEEP - 8)] * (RELUCTANCE * 5 * root)) >> (7 + level)
+        self._reluctance = (spread * (RELUCTANCE * 5 * root_of((tall, wide)))) >> (7 + level)
+        # Its mean is 0.8 n deviations of two whole frames' noise, 0.58 n of one frame's and of what the filter leaves.
+        self._settled = (spread * (SETTLED * tall * wide)) >> (3 + level)
 
     def _first(self, axis: int) -> NDArray[np.intp]:
         """Of every block the first row or column of its window."""
@@ -73,19 +79,20 @@ class _Search:
         return plane[rows[..., :, None], cols[..., None, :]]
 
     def _cost(self, vector: Vectors) -> NDArray[np.int64]:
-        return np.abs(self._now - self._windows(self._before, vector)).sum(axis=(2, 3), dtype=np.int64)
+        differences = np.abs(self._now - self._windows(self._before, vector))
+        return np.minimum(differences, CLIPPED).sum(axis=(2, 3), dtype=np.int64)
 
-    def best(self, steps: list[tuple[int, int]], start: Vectors) -> Vectors:
-        """The best of `start` and the steps from it."""
-        return self.best_of([start, *(start + np.array(step, np.int32) for step in steps)], free=1)
+    def settled(self, vector: Vectors) -> NDArray[np.bool_]:
+        """Whether blocks that lie within the frame differ by no more than noise."""
+        return self._cost(vector) <= self._settled
 
-    def best_of(self, candidates: list[Vectors], free: int) -> Vectors:
-        """The best of several, the first `free` of which are taken as they are; the others cost reluctance."""
-        best, least = candidates[0], self._cost(self._within(candidates[0]))
-        best = self._within(best)
-        for number, candidate in enumerate(candidates[1:], 1):
+    def best_of(self, candidates: list[Vectors]) -> Vectors:
+        """The best of several; all but the first cost reluctance."""
+        best = self._within(candidates[0])
+        least = self._cost(best)
+        for candidate in candidates[1:]:
             vector = self._within(candidate)
-            cost = self._cost(vector) + (0 if number < free else self._reluctance)
+            cost = self._cost(vector) + self._reluctance
             better = cost < least
             best, least = np.where(better[..., None], vector, best), np.where(better, cost, least)
         return best

@@ -14,8 +14,10 @@ from l3cli.errors import RecipeError
 from l3cli.frame import RawFrame
 
 DEEP = 16  # bits of a value
-LINEAR_FRACTION, UNEVEN_FRACTION = 8, 30  # bits behind the point of the linear and the quadratic term
+LINEAR_FRACTION, UNEVEN_FRACTION = 8, 24  # bits behind the point of the linear and the quadratic term
 SHARES = (1.0, 0.5, 0.25)  # of a camera's noise, that classes are decided against
+MOST_UNEVEN, MOST_FIXED = 1 << 20, 1 << 28  # of the terms of what pixels differ by: a quarter of a signal, of a range
+EVERY = 8  # periods of rows, one of which a frame's mean level is taken of
 LEVELS = 256  # of a period's mean, for which the noise of a difference is listed
 
 
@@ -48,8 +50,8 @@ def noise_of(camera: CameraModel, black_level: float, white_level: float, sites:
         black=black,
         linear=max(1, round(linear * unit * 2**LINEAR_FRACTION)),
         constant=max(1, round((constant - fixed) * unit**2)),
-        fixed=round(fixed * unit**2),
-        uneven=round(uneven * 2**UNEVEN_FRACTION),
+        fixed=min(round(fixed * unit**2), MOST_FIXED),
+        uneven=min(round(uneven * 2**UNEVEN_FRACTION), MOST_UNEVEN),
         spread=np.maximum(np.rint(np.sqrt(2 * variance / sites)), 1).astype(np.int32),
     )
 
@@ -58,12 +60,19 @@ def share_left(camera: CameraModel, frame: RawFrame, left: float) -> float:
     """The share of a camera's noise variance at a frame's mean level, what pixels always differ by included, if a share
     `left` remains of what varies in time: the least of SHARES that is not below it."""
     stretch = (camera.white_level - camera.black_level) / (frame.white_level - frame.black_level)
-    signal = max(float(frame.values.mean()) - frame.black_level, 0.0) * stretch
+    signal = max(_mean(frame.values, camera.cfa.shape[0]) - frame.black_level, 0.0) * stretch
     constant, linear, quadratic = camera.noise_terms()
     fixed = camera.gain**2 * (camera.noise.dsnu**2 + camera.noise.column_noise**2) + quadratic * signal**2
     whole = constant + (linear + quadratic * signal) * signal
     share = (fixed + left * (whole - fixed)) / whole
     return min((each for each in SHARES if each >= share), default=1.0)
+
+
+def _mean(values: NDArray[np.uint16], period: int) -> float:
+    """About the mean of values (row, col): every so many periods of rows are taken."""
+    whole = values[: len(values) // (period * EVERY) * period * EVERY]
+    sampled = whole.reshape(-1, period * EVERY, values.shape[1])[:, :period] if whole.size else values
+    return float(sampled.mean())
 
 
 def to_units(values: NDArray[np.uint16], noise: NoiseTerms) -> NDArray[np.uint16]:

@@ -1,5 +1,6 @@
-"""The filter on an OpenCL device: opencl/temporal.cl, kernel by kernel as reference.py does it."""
+"""The filter on an OpenCL device: opencl/temporal*.cl, kernel by kernel as reference.py does it."""
 
+import functools
 import os
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,12 +14,14 @@ from l3cli.frame import RawFrame
 from l3cli.rendering import layout
 from l3cli.rendering.opencl_devices import choose_device, pyopencl, refusals
 from l3cli.rendering.opencl_programs import Compiler
+from l3cli.rendering.opencl_work import Work, shares_memory
 from l3cli.rendering.temporal import blend, motion
 from l3cli.rendering.temporal.grid import Grid
 from l3cli.rendering.temporal.noise import LINEAR_FRACTION, UNEVEN_FRACTION, Kind, NoiseTerms, noise_of, share_left
 
 STRIPS = {"processor": 32, "graphics": 1}  # blocks, cells or periods of a work-item
 MARGIN, SLACK = 4, 8  # rows and columns about a plane, and columns behind it
+STAGES = ("download",)  # that are waited for
 KERNELS = ("means", "halve", "search", "evidence", "weigh", "blend")
 
 
@@ -30,12 +33,13 @@ class Device:
         self.device = choose_device(os.environ.get("L3_DEVICE", "") if device is None else device)
         cl = pyopencl()
         variant = variant or ("graphics" if self.device.type & cl.device_type.GPU else "processor")
-        self.strip = STRIPS[variant]
+        self.strip, self.in_place = STRIPS[variant], shares_memory(self.device)
         with refusals(self.device):
             self.context = cl.Context([self.device])
             self.queue = cl.CommandQueue(self.context)
             self.compiler = Compiler(self.context, self.device)
-            source, macros = layout.joined_files("vectors.cl", "temporal.cl"), _macros(period)
+            files = ("vectors.cl", "temporal.cl", "temporal_motion.cl", "temporal_blend.cl")
+            source, macros = layout.joined_files(*files), _macros(period)
             lanes = 1 if self.strip == 1 else 16 if int(macros["BLOCK_COLUMNS"]) % 16 == 0 else 8
             made = self.compiler.build(source, {**macros, "STRIP": self.strip, "LANES": lanes})
             self.kernels = {name: self.compiler.kernel(made, name) for name in KERNELS}
@@ -50,6 +54,11 @@ class Device:
         """Room for so many bytes."""
         return pyopencl().Buffer(self.context, pyopencl().mem_flags.READ_WRITE, size)
 
+    def cleared(self, size: int) -> Any:
+        """The same, of nought."""
+        flags = pyopencl().mem_flags
+        return pyopencl().Buffer(self.context, flags.READ_WRITE | flags.COPY_HOST_PTR, hostbuf=np.zeros(size, np.uint8))
+
 
 def _macros(period: tuple[int, ...]) -> layout.Macros:
     """What the kernels' loops depend on."""
@@ -60,11 +69,9 @@ def _macros(period: tuple[int, ...]) -> layout.Macros:
         "POWER_FREE",
         "POWER_FACTOR",
         "MEAN_FREE",
-        "MEAN_FACTOR",
         "WIDE_FREE",
-        "WIDE_FACTOR",
         "CLIPPED",
-        "MOST",
+        "MOST_VARIANCE",
         "CUT",
         "FEW",
     )
@@ -80,6 +87,9 @@ def _macros(period: tuple[int, ...]) -> layout.Macros:
         "UNEVEN_FRACTION": UNEVEN_FRACTION,
         "MARGIN": MARGIN,
         "SLACK": SLACK,
+        "MOST_BEYOND": f"{blend.MOST_BEYOND}L",
+        "MOST_DIFFERENCE": motion.CLIPPED,
+        "SETTLED": motion.SETTLED,
         "RELUCTANCE": motion.RELUCTANCE,
         "FARTHEST": motion.FARTHEST,
         **{name: getattr(blend, name) for name in names},
@@ -90,11 +100,9 @@ class _Buffers:
     """What a filter has on the device for frames of one kind."""
 
     def __init__(self, device: Device, grid: Grid, noise: NoiseTerms) -> None:
-        pixels, cells, blocks = (int(np.prod(sides)) for sides in (grid.shape, grid.cells, grid.blocks))
+        pixels, blocks = (int(np.prod(sides)) for sides in (grid.shape, grid.blocks))
         flags = pyopencl().mem_flags
-        self.raw, self.made = device.buffer(2 * pixels), device.buffer(2 * pixels)
         self.kept = [device.buffer(2 * pixels) for _ in range(2)]  # of the frame before, of this one
-        self.left = [device.buffer(2 * cells) for _ in range(2)]
         self.sizes = [(grid.shape[0] // grid.period[0], grid.shape[1] // grid.period[1])]
         while len(self.sizes) < grid.planes:
             self.sizes.append((self.sizes[-1][0] // 2, self.sizes[-1][1] // 2))
@@ -103,13 +111,17 @@ class _Buffers:
             for _ in range(2)
         )
         self.vectors = [device.buffer(8 * blocks) for _ in range(2)]
-        self.found, self.weights = device.buffer(24 * cells), device.buffer(2 * cells)
-        self.strips = grid.cells[0] * -(-grid.cells[1] // device.strip)
+        # Of cells, with what lies beside them.
+        self.host_left = np.empty((grid.cells[0] + 2, grid.cells[1] + 2 * SLACK), np.uint16)
+        self.left = [device.cleared(self.host_left.nbytes) for _ in range(2)]
+        self.weights = device.cleared(self.host_left.nbytes)
+        self.found = [device.cleared(4 * self.host_left.size) for _ in ("power", "sum", "variance")]
+        self.strips = grid.blocks[0] * -(-grid.blocks[1] // device.strip)
         self.cuts = device.buffer(4 * self.strips)
         read_only = flags.READ_ONLY | flags.COPY_HOST_PTR
         self.spread = pyopencl().Buffer(device.context, read_only, hostbuf=noise.spread)
-        self.host_left = np.empty(grid.cells, np.uint16)
-        self.host = np.empty(grid.shape, np.uint16)
+        # Where nothing need be copied a frame's own arrays are its buffers.
+        self.borders = None if device.in_place else (device.buffer(2 * pixels), device.buffer(2 * pixels))
 
 
 class OpenCLFilter:
@@ -125,25 +137,28 @@ class OpenCLFilter:
             first = Kind.of(frame) != self._kind
             if first:
                 self._begin(frame)
-            device, buffers, grid, noise = self._device, self._buffers, self._grid, self._noise
-            cl = pyopencl()
-            cl.enqueue_copy(device.queue, buffers.raw, grid.padded(np.ascontiguousarray(frame.values)), is_blocking=False)
+            device, buffers, grid, work = self._device, self._buffers, self._grid, Work(STAGES)
+            values, made = grid.padded(frame.values), np.empty(grid.shape, np.uint16)
+            raw, target = self._borders(work, values, made)
             if not first:
-                vectors = self._search()
-                self._weigh(vectors)
-            levels = (noise.spare, int(first), buffers.strips, int(np.prod(grid.cells)), grid.blocks[1])
+                self._weigh(raw, self._search(raw))
+            levels = (self._noise.spare, int(first), buffers.strips, int(np.prod(grid.cells)), *grid.blocks)
             device.run(
-                "blend", *grid.blocks, buffers.raw, buffers.kept[0], buffers.vectors[0], buffers.left[0], buffers.weights,
-                buffers.cuts, buffers.kept[1], buffers.left[1], buffers.made, *levels,
+                "blend", *grid.blocks, raw, buffers.kept[0], buffers.vectors[0], buffers.weights, buffers.cuts,
+                buffers.kept[1], buffers.left[1], target, buffers.before[0], *levels,
             )  # fmt: skip
+            cl = pyopencl()
             cl.enqueue_copy(device.queue, buffers.host_left, buffers.left[1], is_blocking=False)
-            cl.enqueue_copy(device.queue, buffers.host, buffers.made)
+            if device.in_place:
+                work.hand_back(device.queue, target, made)
+            else:
+                work.add("download", cl.enqueue_copy(device.queue, made, target, is_blocking=False))
+            work.end()
             for pair in (buffers.kept, buffers.left):
                 pair.reverse()
             rows, cols = frame.values.shape
-            left = int(buffers.host_left.sum(dtype=np.int64)) / (buffers.host_left.size * blend.ONE)
-            made = buffers.host[:rows, :cols].copy()
-            return replace(frame, values=made, noise_share=share_left(self._camera, frame, left))
+            left = int(buffers.host_left.sum(dtype=np.int64)) / (int(np.prod(grid.cells)) * blend.ONE)
+            return replace(frame, values=made[:rows, :cols], noise_share=share_left(self._camera, frame, left))
 
     def kept(self) -> NDArray[np.uint16]:
         """What is kept of the frames so far, u (row, col)."""
@@ -157,15 +172,20 @@ class OpenCLFilter:
         self._noise = noise_of(self._camera, frame.black_level, frame.white_level, sites)
         self._buffers = _Buffers(self._device, self._grid, self._noise)
 
-    def _search(self) -> Any:
+    def _borders(self, work: Work, values: NDArray[np.uint16], made: NDArray[np.uint16]) -> tuple[Any, Any]:
+        """The buffers that hold a frame and become the one that is made of it."""
+        device, buffers = self._device, self._buffers
+        if buffers.borders is None:
+            return work.in_place(device.queue, values), work.in_place(device.queue, made, written=True)
+        work.arrays.append(values)
+        pyopencl().enqueue_copy(device.queue, buffers.borders[0], values, is_blocking=False)
+        return buffers.borders
+
+    def _search(self, raw: Any) -> Any:
         """The buffer of the vectors, in periods."""
         device, buffers, grid = self._device, self._buffers, self._grid
-        for source, planes, spare in (
-            (buffers.raw, buffers.now, self._noise.spare),
-            (buffers.kept[0], buffers.before, 0),
-        ):
-            rows = buffers.sizes[0][0]
-            device.run("means", rows + 2 * MARGIN, grid.blocks[1], source, planes[0], spare, rows, grid.blocks[1])
+        device.run("means", *grid.blocks, raw, buffers.now[0], self._noise.spare, *grid.blocks)
+        for planes in (buffers.now, buffers.before):
             for level in range(1, grid.planes):
                 (rows, columns), wide = buffers.sizes[level], buffers.sizes[level - 1][1]
                 device.run("halve", rows + 2 * MARGIN, columns, planes[level - 1], planes[level], wide, rows, columns)
@@ -179,17 +199,19 @@ class OpenCLFilter:
             )  # fmt: skip
         return buffers.vectors[0]
 
-    def _weigh(self, vectors: Any) -> None:
+    def _weigh(self, raw: Any, vectors: Any) -> None:
         """Each cell's weight."""
         device, buffers, grid, noise = self._device, self._buffers, self._grid, self._noise
-        terms = (noise.spare, noise.black, noise.linear, noise.constant, np.uint64(noise.fixed), np.uint64(noise.uneven))
+        constant = min(grid.sites * noise.constant, blend.MOST_VARIANCE)
+        terms = (noise.spare, noise.black, noise.linear, constant, noise.fixed, noise.uneven)
         device.run(
-            "evidence", *grid.blocks, buffers.raw, buffers.kept[0], vectors, buffers.left[0], buffers.found, *terms,
-            grid.blocks[1],
+            "evidence", *grid.blocks, raw, buffers.kept[0], vectors, buffers.left[0], *buffers.found, buffers.weights,
+            *terms, grid.blocks[1],
         )  # fmt: skip
-        device.run("weigh", *grid.cells, buffers.found, vectors, buffers.left[0], buffers.weights, buffers.cuts, *grid.cells)
+        device.run("weigh", *grid.blocks, *buffers.found, buffers.weights, buffers.left[1], buffers.cuts, grid.blocks[1])
 
 
+@functools.cache
 def _pair(sides: tuple[int, int]) -> Any:
     return pyopencl().cltypes.make_int2(*sides)
 

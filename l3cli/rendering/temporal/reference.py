@@ -1,4 +1,4 @@
-"""The filter by numpy: the truth that the kernels of opencl/temporal.cl agree with, value by value."""
+"""The filter by numpy: the truth that the kernels of opencl/temporal*.cl agree with, value by value."""
 
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,5 +1,6 @@
 """How frames are shown that are in memory: exposure and white as given, or as those of a rendered sequence."""
 
+import itertools
 import threading
 from fractions import Fraction
 from typing import TYPE_CHECKING
@@ -15,6 +16,7 @@ from l3cli.stages.rendering.rendition import Rendition, chosen_space
 
 if TYPE_CHECKING:
     from l3cli.artifacts.table import TransformTable
+    from l3cli.rendering.temporal.chunks import Chunks
 
 ANY_RATE = Fraction(30)  # frames/s, where only one frame is measured
 
@@ -32,29 +34,35 @@ def shown_as(
 
 
 class Following:
-    """Exposure scale and white balance of each frame, in order. `source`: of the white, None: the rendition's; `rate`:
-    frames/s at which both follow what is measured, None: both stay those of the first frame."""
+    """Frames in order, each with exposure scale and white balance. `source`: of the white, None: the rendition's; `rate`:
+    frames/s at which both follow what is measured, None: both stay those of the first frame; `temporal`: what filters the
+    frames in time."""
 
     def __init__(
-        self, table: "TransformTable", rendition: Rendition, source: WhiteSource | None, rate: Fraction | None
-    ) -> None:
-        self._held = rate is None
+        self, table: "TransformTable", rendition: Rendition, source: WhiteSource | None, rate: Fraction | None,
+        temporal: "Chunks | None" = None,
+    ) -> None:  # fmt: skip
+        self._held, self._temporal = rate is None, temporal
         self._rate = rate or ANY_RATE
         self._fixed = rendition.exposure
         self._meter = LightMeter(table) if rendition.measures_exposure else None
         self._steady = SteadyExposure(self._rate)
         self._whites = FrameWhites(source, SteadyWhite(self._rate)) if source else None
         self._alone = threading.Lock()
+        self._places = itertools.count()
         self._first: tuple[float, WhiteBalance | None] | None = None
 
-    def shown(self, frame: RawFrame) -> tuple[float, WhiteBalance | None]:
-        """Scale of the next frame, and its balance, None: the rendition's. InputFileError if its white cannot be taken."""
+    def shown(self, frame: RawFrame) -> tuple[RawFrame, float, WhiteBalance | None]:
+        """The next frame, filtered, its scale, and its balance, None: the rendition's. InputFileError if its white cannot be
+        taken."""
         with self._alone:
-            if self._held and self._first is not None:
-                return self._first
-            if self._whites:
-                self._whites.measured(frame)
-            balance = self._whites.balance if self._whites else None
-            scale = self._steady.scale(self._meter.brightness(frame, balance)) if self._meter else self._fixed or 0.0
-            self._first = scale, balance
-            return self._first
+            measured = self._first if self._held and self._first is not None else self._measured(frame)
+            return (self._temporal.filtered(next(self._places), frame) if self._temporal else frame), *measured
+
+    def _measured(self, frame: RawFrame) -> tuple[float, WhiteBalance | None]:
+        if self._whites:
+            self._whites.measured(frame)
+        balance = self._whites.balance if self._whites else None
+        scale = self._steady.scale(self._meter.brightness(frame, balance)) if self._meter else self._fixed or 0.0
+        self._first = scale, balance
+        return self._first
