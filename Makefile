@@ -55,7 +55,7 @@ docs: docs-build ## the pages of docs/ as a site, on http://127.0.0.1:8000 until
 docs-build: notebooks ## the same without serving; fails on any warning and any link that leads nowhere
 	$(BIN)/python docs/site/build.py $(DOCS)
 
-gallery: $(VENV)/installed ## docs/gallery.md and its pictures, one array after the other (a quarter of an hour on two cores); ARRAYS="bayer xtrans" for some
+gallery: $(VENV)/installed ## docs/gallery.md and its pictures, one array after the other (about 16 minutes of two quiet cores); ARRAYS="bayer xtrans" for some
 	PYTHONPATH=$(CURDIR) $(BIN)/python docs/gallery/gallery.py $(ARRAYS) --jobs $(JOBS)
 
 notebooks: $(VENV)/installed ## the notebooks of docs/ are run, and written as pages of code and outputs (half a minute)

@@ -95,6 +95,7 @@ def end(number: int, frame: FrameType | None) -> None:
     raise ending
 
 
+@uninterrupted  # or the signal that comes again while its timer still starts would be lost here
 def repeat_lost(what: Any) -> None:
     """Hears of what is raised where Python cannot pass it on, as in a finaliser: a signal that fell there comes again."""
     if what.exc_type not in (KeyboardInterrupt, Terminated):

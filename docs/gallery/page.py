@@ -9,7 +9,9 @@ HEAD = """# Gallery
 What `l3` makes of arrays that `l3 init` knows, from their recipes alone. The camera learns from the scenes of `{scenes}` by
 the classes of `{classes}`, and takes one picture that training has not seen, under D65, a perfect white at 0.9 of
 full scale. *basic* is a pipeline that learns nothing: interpolation of each channel by itself, white balance, colour matrix.
-All are compared with the *ideal* picture, as displayed. `make gallery` makes this page and its pictures.
+*Malvar* and *Menon* are given of arrays laid out as Bayer's; *long*, *short*, *high gain* and *low gain* are *basic*
+from the pixels of one exposure or gain alone. All are compared with the *ideal* picture, as displayed. `make gallery` makes
+this page and its pictures.
 
 """
 PICTURES = """![Filters and responsivities of {title}](gallery/{name}.svg)

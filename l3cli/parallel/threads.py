@@ -46,7 +46,8 @@ def ahead(items: Iterable[T], depth: int) -> Iterator[T]:
     finally:
         stopped.set()
         room.release()
-        thread.join(READING)  # as in Behind
+        with contextlib.suppress(RuntimeError):  # when Python itself ends, 3.14 waits for no thread any more
+            thread.join(READING)  # as in Behind
 
 
 def _while_room(items: Iterable[T], room: threading.Semaphore, stopped: threading.Event) -> Iterator[T]:

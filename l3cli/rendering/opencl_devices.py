@@ -1,6 +1,9 @@
 """Finding OpenCL devices, and saying why there are none."""
 
 import contextlib
+import os
+import re
+import shutil
 from collections.abc import Iterator
 from typing import Any
 
@@ -8,6 +11,8 @@ from l3cli.errors import DeviceError, shortened
 from l3cli.rendering import kernels
 
 INSTALL = 'install one, on any processor with: pip install "pyopencl[pocl]"'
+LINKER = "ld"  # by which PoCL finishes each kernel, with a C compiler's libraries; without them it ends the whole process
+LINKS_BY_PROGRAM = re.compile(r"OpenCL \d+\.\d+ PoCL [1-3]\.")  # that of the wheels, which is 3.0, among them
 
 
 def pyopencl() -> Any:
@@ -55,6 +60,8 @@ def _platforms() -> list[tuple[str, list[Any], str]]:
             shown, why = platform.get_devices(), "it has none"
         except cl.Error as error:
             shown, why = [], " ".join(str(error).split())[:200]
+        if LINKS_BY_PROGRAM.match(platform.version) and not shutil.which(LINKER, path=os.environ.get("PATH", "")):
+            shown, why = [], f'it needs the linker "{LINKER}", which is not in PATH; install the system\'s package gcc'
         described.append((platform.name.strip(), shown, why))
     return described
 

@@ -48,6 +48,18 @@ def test_survey_says_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     assert opencl_devices.survey() == [f"no OpenCL driver (ICD) is installed; {opencl_devices.INSTALL}"]
 
 
+def test_a_processor_without_a_linker_shows_no_device(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """The PoCL of the wheels would end the process at its first kernel."""
+    platforms = {device.platform.version for device in devices()}
+    if not all(opencl_devices.LINKS_BY_PROGRAM.match(version) for version in platforms):
+        pytest.skip("there is a device that needs no linker")
+    for nowhere in (str(tmp_path), ""):
+        monkeypatch.setenv("PATH", nowhere)
+        assert devices() == []
+        with pytest.raises(DeviceError, match=r'no OpenCL device: .* the linker "ld", .* install .* gcc'):
+            choose_device("")
+
+
 def test_unknown_backend_is_refused() -> None:
     with pytest.raises(RecipeError, match="opencl, reference"):
         make_renderer("cuda", random_table(BAYER))

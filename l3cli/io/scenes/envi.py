@@ -57,7 +57,7 @@ def _header(path: Path) -> dict[str, str]:
     header, lines = {}, iter(text.splitlines())
     for line in lines:
         key, equals, value = line.partition("=")
-        if not equals:
+        if not equals or line.lstrip().startswith(";"):  # a comment
             continue
         values = [value]
         while values[0].lstrip().startswith("{") and "}" not in values[-1]:
