@@ -58,7 +58,7 @@ docs-build: notebooks ## the same without serving; fails on any warning and any 
 gallery: $(VENV)/installed ## docs/gallery.md and its pictures, one array after the other (a quarter of an hour on two cores); ARRAYS="bayer xtrans" for some
 	PYTHONPATH=$(CURDIR) $(BIN)/python docs/gallery/gallery.py $(ARRAYS) --jobs $(JOBS)
 
-peers: $(VENV)/installed ## docs/peers.md: ours beside other methods, from the pictures of L3_DATA (an hour and a half on two cores); PARTS="bayer noise" for some
+peers: $(VENV)/installed ## docs/peers.md: ours beside other methods, from the pictures of L3_DATA (an hour on two cores); PARTS="bayer noise" for some
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[peers]"
 	PYTHONPATH=$(CURDIR) $(BIN)/python docs/peers/peers.py $(PARTS) --jobs $(JOBS)
 

@@ -8,11 +8,10 @@ import numpy as np
 from rivals import CFA, PLAIN, Array, NotInstalled, Rival, installed
 
 from l3cli.evaluation.demosaic import tiled
-from l3cli.evaluation.quality import cropped
 from l3cli.frame import pad_mosaic
 from l3cli.physics.display import srgb_curve, srgb_decoded
 
-MARGIN = 36  # pixels, of whole periods, beyond what the network takes off on each side
+MARGIN = 48  # pixels, of whole periods, a period beyond what the networks take off on each side
 NETWORKS = {(2, 2): "BayerDemosaick", (6, 6): "XTransDemosaick"}
 
 
@@ -42,11 +41,13 @@ def _shown(model: Any, mosaic: Array, cfa: CFA) -> Array:
     import torch
 
     padded = pad_mosaic(mosaic, MARGIN, cfa.shape).astype(np.float32)
+    padded = padded[tuple(slice(length - length % by) for length, by in zip(padded.shape, cfa.shape, strict=True))]
     channel = tiled(cfa, padded.shape)
     planes = np.where(channel == np.arange(3)[:, None, None], padded, np.float32(0.0))
     with torch.no_grad():
         made = model(torch.from_numpy(planes[None]))[0].numpy().astype(np.float64)
-    return cropped(made, (made.shape[1] - mosaic.shape[0]) // 2)
+    first = MARGIN - (padded.shape[0] - made.shape[1]) // 2
+    return made[:, first : first + mosaic.shape[0], first : first + mosaic.shape[1]]
 
 
 def _encoded(model: Any, mosaic: Array, cfa: CFA) -> Array:

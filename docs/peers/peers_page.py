@@ -27,7 +27,8 @@ TEXTS = {
 The codes of RGB pictures are sampled as they are and compared with themselves (CPSNR, all three channels). Ours is the table
 of `l3 init benchmark-bayer`, learned from thirty other pictures. **The last two columns were not measured here**: they are
 published figures, on more pictures than the twelve of odd number that ours are of. LibRaw and RawTherapee take the codes for
-light, as every method here does.
+light, as every method here does. The network is that of Gharbi and others (2016): no other was found on PyPI that demosaicks
+and brings its weights.
 """,
     "xtrans": """## X-Trans
 
@@ -45,7 +46,9 @@ angle. How the others work: [Method]({METHOD}#baselines-for-bands).
 A small sensor (`bayer`, 2.2 µm, 6 000 e⁻) takes a composition of leaves, charts and fine patterns and five faces, none of
 which training has seen, at a mean signal of 0.2 and of 0.02 of full scale. Every rival has the true white balance, the
 black and dark level, and the matrix that is fitted for camera and light; those that have denoising are tried without it and
-at several strengths. PSNR is that of sRGB as displayed, ΔE00 the mean CIEDE2000, both against the ideal picture.
+at several strengths (but for LibRaw's wavelets, which end the process in rawpy 0.28). The network was trained without noise;
+it is shown light as well as sRGB codes. PSNR is that of sRGB as displayed, ΔE00 the mean CIEDE2000, both against the ideal
+picture.
 """,
 }
 COLUMNS = {

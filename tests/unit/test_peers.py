@@ -105,7 +105,7 @@ def test_libraw_gives_channels_back(peers: Callable[[str], ModuleType]) -> None:
 
 
 def test_rawtherapee_is_asked_for_each_method(peers: Callable[[str], ModuleType], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its profiles say the method, and of its denoising nothing or a strength."""
+    """Its profiles say the method, and of its denoising nothing or the strengths."""
     rawtherapee = peers("rawtherapee")
     monkeypatch.setattr(rawtherapee, "_program", lambda: "RawTherapee 5.9")
     rivals = rawtherapee.bayer(noisy=True) + rawtherapee.xtrans()
@@ -116,8 +116,11 @@ def test_rawtherapee_is_asked_for_each_method(peers: Callable[[str], ModuleType]
             profile.read_string(demosaic.args[0])
             assert {profile[array]["method"] for array in ("RAW Bayer", "RAW X-Trans")} == {method}
             denoising = "Directional Pyramid Denoising"
-            strength = f"denoised, {profile[denoising]['luma']}" if profile.has_section(denoising) else ""
-            assert setting == strength
+            assert (setting != "") == profile.has_section(denoising)
+            if setting:
+                luma, chroma, median = rawtherapee.DENOISED[setting]
+                said = profile[denoising]
+                assert (said["luma"], said["chroma"], said["median"]) == (str(luma), str(chroma), str(median != "").lower())
 
 
 @pytest.mark.slow
@@ -126,7 +129,7 @@ def test_rawtherapee_gives_channels_back(peers: Callable[[str], ModuleType]) -> 
     if shutil.which(rawtherapee.COMMAND) is None:
         pytest.skip("RawTherapee is not installed")
     for rival in rawtherapee.bayer(noisy=True):
-        for setting in ("", "denoised, 40"):
+        for setting in ("", "colour 5"):
             channels = rival.settings[setting](plain_mosaic(), GRBG)
             np.testing.assert_allclose(channels, np.broadcast_to(COLOUR[:, None, None], (3, *SHAPE)), atol=2e-3)
 
