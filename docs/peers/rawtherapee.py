@@ -21,7 +21,7 @@ BAYER = {
 }  # fmt: skip
 XTRANS = {"4-pass": "4 passes", "3-pass (best)": "3 passes", "1-pass (medium)": "1 pass"}
 # Strengths of luminance and of colour, and medians. What the program chooses by itself (CMethod=AUT), or more than this, is
-# worse on these pictures than no denoising at all.
+# worse on two of the noisy pictures than no denoising at all.
 DENOISED = {
     "colour 5": (0, 5, ""),
     "5, colour 5, soft medians": (5, 5, "soft"),

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 SIDES = (504, 1512)  # pixels, whole periods of every array; what the larger takes more is the time of the pixels it has more
 ROUNDS = 3  # all methods in turn, the least of each counts
-ENOUGH = 8.0  # s of processor time, after which a slow method is not run again
+ENOUGH = 3.0  # s of processor time, after which a slow method is not run again
 
 
 def core_seconds() -> float:
