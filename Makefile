@@ -16,7 +16,7 @@ PLACES ?= 500
 L3 := $(BIN)/l3
 TIMED := bash -c 'time "$$0" "$$@"'
 
-.PHONY: help install demo demo-steps docs docs-build gallery notebooks wheels test vapoursynth study soak video fuzz curve lint format bench clean
+.PHONY: help install demo demo-steps docs docs-build gallery peers notebooks wheels test vapoursynth study soak video fuzz curve lint format bench clean
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 
@@ -57,6 +57,10 @@ docs-build: notebooks ## the same without serving; fails on any warning and any 
 
 gallery: $(VENV)/installed ## docs/gallery.md and its pictures, one array after the other (about 16 minutes of two quiet cores); ARRAYS="bayer xtrans" for some
 	PYTHONPATH=$(CURDIR) $(BIN)/python docs/gallery/gallery.py $(ARRAYS) --jobs $(JOBS)
+
+peers: $(VENV)/installed ## docs/peers.md: ours beside other methods, from the pictures of L3_DATA (an hour on two cores); PARTS="bayer noise" for some
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[peers]"
+	PYTHONPATH=$(CURDIR) $(BIN)/python docs/peers/peers.py $(PARTS) --jobs $(JOBS)
 
 notebooks: $(VENV)/installed ## the notebooks of docs/ are run, and written as pages of code and outputs (half a minute)
 	rm -rf $(NOTEBOOKS)
@@ -114,6 +118,7 @@ lint: $(VENV)/installed ## ruff format and check, mypy
 	$(BIN)/mypy
 	$(BIN)/mypy docs/site
 	$(BIN)/mypy docs/gallery
+	$(BIN)/mypy docs/peers
 
 format: $(VENV)/installed ## format the sources, fix what ruff can
 	$(BIN)/ruff format .

@@ -18,7 +18,7 @@ CONTENTS = {
     "Start": ["install", "tutorial", "chart-photo", "own-lab", "own-array", "arrays"],
     "Use": ["raw-files", "video", "temporal", "jobs", "video-hosts", "clusters", "python", "notebooks", "export"],
     "Reference": ["commands", "reference/commands", "recipes", "reference/recipes", "artifacts", "reference/artifacts"],
-    "What to expect": ["gallery", "benchmarks", "flicker", "limits", "robustness", "method"],
+    "What to expect": ["gallery", "benchmarks", "peers", "flicker", "limits", "robustness", "method"],
     "Project": ["architecture", "contributing", "changelog", "security", "reference/licences"],
 }
 

@@ -1,0 +1,181 @@
+"""Tables and rivals on the frames of a training set: figures of each by its best setting, and its seconds a megapixel."""
+
+import functools
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rivals import Demosaic, Rival
+from seconds import per_megapixel, tiled_to
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.training_set import TrainingPair, TrainingSet, open_training_set
+from l3cli.evaluation.basic import develop, develop_bands, fit_colour, light_of
+from l3cli.evaluation.quality import band_figures, band_quality, cropped
+from l3cli.evaluation.similarity import psnr
+from l3cli.frame import RawFrame
+from l3cli.physics.display import displayed, displayed_delta_e, srgb_curve, white_luminance
+from l3cli.rendering.renderer import make_renderer
+
+Array = NDArray[np.floating]
+Figures = dict[str, float]
+Row = dict[str, Any]  # of figures.json: name, program, ours, figures, settings (of several), seconds
+BORDER = 10  # pixels left out at each edge
+LOWER = ("delta_e", "angle")  # figures that are better when small
+OURS = "l3"
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """What is made of a frame by a demosaicking, and what is measured of it."""
+
+    planes: Callable[[TrainingPair, TrainingSet, Demosaic], Array]  # in the unit of the frame's target
+    figures: Callable[[Array, TrainingPair], Figures]
+
+
+def judged(
+    sets: Mapping[str, Path], tables: Mapping[str, TransformTable], rivals: Sequence[Rival], protocol: Protocol
+) -> list[Row]:
+    """The rows of tables and rivals, best first by the first figure of the first set. `sets`: training sets by name; figures
+    are means over the frames of each, named "SET figure"."""
+    methods: dict[str, tuple[Row, dict[str, Callable[[TrainingPair, TrainingSet], Array]]]] = {}
+    for name, table in tables.items():
+        methods[name] = ({"name": name, "program": OURS, "ours": True}, {"": functools.partial(rendered, _renderer(table))})
+    for rival in rivals:
+        runs = {each: _by_rival(protocol, demosaic) for each, demosaic in rival.settings.items()}
+        methods[f"{rival.program} {rival.name}"] = ({"name": rival.name, "program": rival.program, "ours": False}, runs)
+    rows = []
+    for key, (row, runs) in methods.items():
+        means = {setting: _means(sets, run, protocol) for setting, run in runs.items()}
+        row |= best_settings(means)
+        rows.append(row)
+        print(f"{key}: {row['figures']} {row['settings']}", file=sys.stderr, flush=True)
+    _timed(rows, sets, tables, rivals)
+    first = next(iter(rows[0]["figures"]))
+    return sorted(rows, key=lambda row: row["figures"][first], reverse=not lower_is_better(first))
+
+
+def lower_is_better(figure: str) -> bool:
+    return figure.endswith(LOWER)
+
+
+def best_settings(means: Mapping[str, Figures]) -> dict[str, Any]:
+    """By figure the best of several settings, and which it is where it is not the plain one."""
+    figures, settings = {}, {}
+    for figure in next(iter(means.values())):
+        choose = min if lower_is_better(figure) else max
+        setting = choose(means, key=lambda each: means[each][figure])
+        figures[figure] = round(means[setting][figure], 4)
+        if setting:
+            settings[figure] = setting
+    return {"figures": figures, "settings": settings}
+
+
+# ----------------------------------------------------------------------------------------------------- what is measured
+
+
+def of_codes() -> Protocol:
+    """CPSNR (dB) of the codes of all channels, as published."""
+
+    def figures(planes: Array, frame: TrainingPair) -> Figures:
+        return {"psnr": band_quality(planes, frame.target, frame.white, BORDER).psnr}
+
+    return Protocol(_bands, figures)
+
+
+def of_bands() -> Protocol:
+    """PSNR (dB) of codes and SSIM, means over the bands, and the mean spectral angle (degrees)."""
+
+    def figures(planes: Array, frame: TrainingPair) -> Figures:
+        given = planes, frame.target, frame.white, BORDER
+        by_band = band_figures(*given)
+        means = {key: float(np.mean([band[key] for band in by_band])) for key in ("psnr", "ssim")}
+        return means | {"angle": band_quality(*given).mean_angle}
+
+    return Protocol(_bands, figures)
+
+
+def of_pictures() -> Protocol:
+    """PSNR (dB) of sRGB and mean CIEDE2000, as displayed; all rivals have the matrix that is fitted for camera and light."""
+
+    def figures(planes: Array, frame: TrainingPair) -> Figures:
+        scale = white_luminance(frame.target[1])
+        made, ideal = (displayed(cropped(of, BORDER), frame.white, scale) for of in (planes, frame.target))
+        return {"psnr": psnr(srgb_curve(made), srgb_curve(ideal)), "delta_e": float(displayed_delta_e(made, ideal).mean())}
+
+    def planes(frame: TrainingPair, head: TrainingSet, demosaic: Demosaic) -> Array:
+        colour = fit_colour(head.camera, light_of(frame, head.camera), head.target_light)
+        return develop(frame, head.camera, colour, demosaic)
+
+    return Protocol(planes, figures)
+
+
+def _bands(frame: TrainingPair, head: TrainingSet, demosaic: Demosaic) -> Array:
+    return develop_bands(frame, head.camera, head.target_light is not None, demosaic)
+
+
+# -------------------------------------------------------------------------------------------------------------- runs
+
+
+def _renderer(table: TransformTable) -> tuple[TransformTable, Any]:
+    return table, make_renderer("opencl", table)
+
+
+def rendered(ours: tuple[TransformTable, Any], frame: TrainingPair, head: TrainingSet) -> Array:
+    """A frame's outputs by a table, in the unit of its target."""
+    table, renderer = ours
+    outputs: Array = renderer.outputs(raw_frame(frame.raw, frame, head.camera)) * (table.output_unit / frame.exposure)
+    return outputs
+
+
+def raw_frame(values: NDArray[np.uint16], frame: TrainingPair, camera: CameraModel) -> RawFrame:
+    dark = camera.dark_signal(frame.dark_time)
+    return RawFrame(frame.scene, values, camera.black_level, camera.white_level, dark=dark)
+
+
+def _by_rival(protocol: Protocol, demosaic: Demosaic) -> Callable[[TrainingPair, TrainingSet], Array]:
+    return lambda frame, head: protocol.planes(frame, head, demosaic)
+
+
+def _means(sets: Mapping[str, Path], run: Callable[[TrainingPair, TrainingSet], Array], protocol: Protocol) -> Figures:
+    means: Figures = {}
+    for name, path in sets.items():
+        with open_training_set(path) as reader:
+            frames = [protocol.figures(run(frame, reader.head), frame) for frame in reader]
+        means |= {f"{name} {figure}": float(np.mean([each[figure] for each in frames])) for figure in frames[0]}
+    return means
+
+
+def _timed(
+    rows: Iterable[Row], sets: Mapping[str, Path], tables: Mapping[str, TransformTable], rivals: Iterable[Rival]
+) -> None:
+    """Put into every row the seconds a megapixel of the slowest setting that its figures are of."""
+    with open_training_set(next(iter(sets.values()))) as reader:
+        frame, head = reader.frame(0), reader.head
+    cfa = head.camera.cfa
+    share = (frame.raw - head.camera.black_level) / (head.camera.white_level - head.camera.black_level)
+
+    def of_table(table: TransformTable) -> Callable[[int], Callable[[], object]]:
+        _, renderer = _renderer(table)
+        return lambda side: lambda: renderer.outputs(raw_frame(tiled_to(frame.raw, side, cfa.shape), frame, head.camera))
+
+    def of_rival(demosaic: Demosaic) -> Callable[[int], Callable[[], object]]:
+        return lambda side: lambda: demosaic(tiled_to(share, side, cfa.shape), cfa)
+
+    by_name = {(rival.name, rival.program): rival for rival in rivals}
+    methods, of_row = {}, []
+    for row in rows:
+        rival = by_name.get((row["name"], row["program"]))
+        chosen = {row["settings"].get(figure, "") for figure in row["figures"]}
+        for setting in chosen:
+            key = f"{row['program']} {row['name']} {setting}"
+            methods[key] = of_table(tables[row["name"]]) if rival is None else of_rival(rival.settings[setting])
+            of_row.append((row, key))
+    taken = per_megapixel(methods)
+    for row, key in of_row:
+        row["seconds"] = max(row.get("seconds", 0.0), float(f"{taken[key]:.3g}"))

@@ -1,0 +1,99 @@
+"""What the peers are compared on: training sets and tables in a folder, where what is there already is not made again."""
+
+import os
+import re
+import shutil
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+
+import l3cli
+from l3cli.recipes import find_recipe, known_benchmarks
+from l3cli.stages.console import Silent
+from l3cli.stages.starting import start
+
+PICTURES = {"Kodak": "kodak", "McMaster": "mcmaster"}  # folders in demosaicking/ of the data
+RECIPES = ("default",)  # of classes, where there is noise
+LEVELS = (0.2, 0.02)  # mean signal as a share of full scale
+DAYS, FACES = ("01", "06", "13"), (1, 2, 4, 5, 6)
+NANOMETRES = [405, 435, 450, 470, 505, 525, 570, 590, 630, 645, 660, 700, 780, 850, 870, 890, 910, 940, 970]
+COMPOSITION = '[[scene]]\nsource = "composition"\nsize = [360, 480]\nseed = 7\n'
+PATTERN = re.compile(r"^pattern = \[.*?^\]", re.DOTALL | re.MULTILINE)
+
+
+def data_folder() -> Path:
+    """The folder of L3_DATA; SystemExit where it lacks the pictures."""
+    folder = Path(os.environ.get("L3_DATA", "../shared/data")).resolve()
+    for needed in ("demosaicking/kodak", "demosaicking/training", "scenes"):
+        if not (folder / needed).is_dir():
+            raise SystemExit(f"{folder / needed} is missing; give the folder of the real data in L3_DATA")
+    return folder
+
+
+def codes(folder: Path, data: Path, array: str, jobs: int) -> tuple[dict[str, Path], Path]:
+    """Test sets by name and table of the benchmark that `l3 init benchmark-bayer` makes, with the CFA of a camera recipe."""
+    if not (folder / "camera.toml").exists():
+        start(known_benchmarks()["benchmark-bayer"], folder, Silent(), force=True)
+        given = PATTERN.search(find_recipe(array, "cameras").read_text(encoding="utf-8"))
+        camera = (folder / "camera.toml").read_text(encoding="utf-8")
+        assert given is not None
+        (folder / "camera.toml").write_text(PATTERN.sub(given[0], camera), encoding="utf-8")
+    test = (folder / "test.toml").read_text(encoding="utf-8")
+    sets = {}
+    for name, pictures in PICTURES.items():
+        if (source := data / "demosaicking" / pictures).is_dir():
+            recipe = _written(folder / f"{pictures}.toml", test.replace("test/*", f"{source}/*"))
+            sets[name] = _simulated(recipe, folder / "camera.toml", folder / f"{pictures}.h5", jobs)
+    learned = (folder / "training.toml").read_text(encoding="utf-8")
+    recipe = _written(folder / "learned.toml", learned.replace("training/*", f"{data}/demosaicking/training/*"))
+    training = _simulated(recipe, folder / "camera.toml", folder / "training.h5", jobs)
+    return sets, _trained(training, str(folder / "classes.toml"), folder / "table.h5", jobs)
+
+
+def bands(folder: Path, data: Path, jobs: int) -> tuple[dict[str, Path], Path]:
+    """Sixteen bands: unseen scenes and faces, and a table of dead leaves alone."""
+    head = 'illuminants = ["D65"]\nexposure_share = [0.9]\n[target]\noutputs = "camera"\n'
+    cubes = [
+        f'[[scene]]\nsource = "cube"\nfile = "{data}/scenes/multispectral_day{day}.mat"\nwavelengths_nm = {NANOMETRES}\n'
+        for day in DAYS
+    ]
+    folder.mkdir(parents=True, exist_ok=True)
+    recipe = _written(folder / "test.toml", head + "".join(cubes) + _faces(data))
+    unseen = _simulated(recipe, "snapshot16", folder / "test.h5", jobs)
+    training = _simulated("bands", "snapshot16", folder / "training.h5", jobs)
+    return {"bands": unseen}, _trained(training, "bands", folder / "table.h5", jobs)
+
+
+def noise(folder: Path, data: Path, jobs: int, recipes: Sequence[str] = RECIPES) -> tuple[dict[str, Path], dict[str, Path]]:
+    """A Bayer camera with noise: unseen scenes at each of LEVELS, and the tables by class recipe."""
+    folder.mkdir(parents=True, exist_ok=True)
+    sets = {}
+    for level in LEVELS:
+        head = f'illuminants = ["D65"]\nexposure_mean = [{level}]\n'
+        recipe = _written(folder / f"test{level}.toml", head + COMPOSITION + _faces(data))
+        sets[f"{level}"] = _simulated(recipe, "bayer", folder / f"test{level}.h5", jobs)
+    training = _simulated("default", "bayer", folder / "training.h5", jobs)
+    return sets, {name: _trained(training, name, folder / f"{name}.h5", jobs) for name in recipes}
+
+
+def _faces(data: Path) -> str:
+    return "".join(f'[[scene]]\nsource = "iset"\nfile = "{data}/scenes/people_small_{face}_scene.mat"\n' for face in FACES)
+
+
+def _written(path: Path, text: str) -> Path:
+    tomllib.loads(text)
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def _simulated(scenes: Path | str, camera: Path | str, output: Path, jobs: int) -> Path:
+    if not output.exists():
+        shutil.rmtree(output.with_suffix(".h5.parts"), ignore_errors=True)
+        l3cli.simulate(scenes, camera, output, jobs=jobs)
+    return output
+
+
+def _trained(training: Path, classes: str, output: Path, jobs: int) -> Path:
+    if not output.exists():
+        l3cli.train(training, output, classes=classes, jobs=jobs)
+    return output

@@ -1,0 +1,46 @@
+"""Demosaicking methods as peers of a table: what each is called, whose it is, with which settings it may be run."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.floating]
+CFA = NDArray[np.uint8]
+Demosaic = Callable[[Array, CFA], Array]  # mosaic (row, col) where a white is 1, CFA → channels (channel, row, col)
+PLAIN = ""  # the setting that changes nothing
+
+
+class NotInstalled(Exception):
+    """A program of rivals that this machine lacks; its text names it."""
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A method and the settings under which it runs, each a demosaicking; where several, the best counts."""
+
+    name: str
+    program: str  # with its version
+    settings: Mapping[str, Demosaic]
+
+
+def installed(package: str) -> str:
+    """Name and version of a package; NotInstalled without it."""
+    try:
+        return f"{package} {version(package)}"
+    except PackageNotFoundError as error:
+        raise NotInstalled(package) from error
+
+
+def gathered(programs: list[Callable[[], list[Rival]]]) -> tuple[list[Rival], list[str]]:
+    """The rivals of every program that is installed, and the names of those that are not."""
+    rivals: list[Rival] = []
+    missing = []
+    for program in programs:
+        try:
+            rivals += program()
+        except NotInstalled as error:
+            missing.append(str(error))
+    return rivals, missing

@@ -1,0 +1,216 @@
+"""The comparison with other methods: rivals give a mosaic's channels back, the best setting counts, the page is that of its
+figures and says where ours is beaten."""
+
+import configparser
+import importlib
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import l3cli
+from l3cli.evaluation.bands import bilinear
+from l3cli.evaluation.demosaic import tiled
+from tests.helpers.cameras import BAYER, bayer_camera
+from tests.helpers.paths import ROOT
+from tests.helpers.tables import random_table
+
+FOLDER = ROOT / "docs/peers"
+GRBG = np.array([[1, 0], [2, 1]], np.uint8)
+SCENES = 'illuminants = ["D65"]\nexposure_share = [0.9, 0.5]\n[[scene]]\nsource = "colorchecker"\nsize = [48, 72]\n'
+SHAPE = (120, 160)
+COLOUR = np.array([0.9, 0.5, 0.25])
+
+
+@pytest.fixture
+def peers(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], ModuleType]:
+    """The modules of the comparison, by name."""
+    monkeypatch.syspath_prepend(str(FOLDER))
+    return importlib.import_module
+
+
+@pytest.fixture
+def parts() -> dict[str, dict[str, Any]]:
+    held: dict[str, dict[str, Any]] = json.loads((FOLDER / "figures.json").read_text(encoding="utf-8"))
+    return held
+
+
+def row(name: str, value: float, ours: bool = False, **more: Any) -> dict[str, Any]:
+    figures = {"bands psnr": value, "bands ssim": 0.9, "bands angle": 50 - value}
+    return {"name": name, "program": "p", "ours": ours, "figures": figures, "settings": {}, "seconds": 0.1} | more
+
+
+def plain_mosaic() -> NDArray[np.floating]:
+    """One colour all over, seen through a Bayer array."""
+    return COLOUR[tiled(GRBG, SHAPE)]
+
+
+def test_the_page_is_that_of_its_figures(peers: Callable[[str], ModuleType], parts: dict[str, dict[str, Any]]) -> None:
+    assert (ROOT / "docs/peers.md").read_text(encoding="utf-8") == peers("peers_page").page(parts)
+
+
+def test_the_page_says_where_ours_is_beaten(peers: Callable[[str], ModuleType]) -> None:
+    page = peers("peers_page")
+    lost = page.section("bands", {"rows": [row("x", 41.5), row("o", 40, ours=True)], "missing": ["y"], "absent": ["z"]})
+    assert "Better than ours: x of p in PSNR (dB), by 1.50; x of p in SAM (°), by 1.50." in lost
+    assert "Not installed: y." in lost
+    assert "are not there: z." in lost
+    won = page.section("bands", {"rows": [row("o", 40, ours=True), row("x", 39)], "missing": [], "absent": []})
+    assert "Nothing measured here is better" in won
+    assert "| **o** | p | **40.00** | **0.9000** | **10.00** | 0.1 |" in won
+
+
+def test_a_part_that_was_not_measured_is_named(peers: Callable[[str], ModuleType]) -> None:
+    page = peers("peers_page").page({"bands": {"rows": [row("o", 40, ours=True)], "missing": [], "absent": []}})
+    assert "**Not measured for this page**: Bayer, as published (`make peers PARTS=bayer`), X-Trans (" in page
+    assert "## Sixteen bands" in page
+    assert "## X-Trans" not in page
+
+
+def test_published_figures_stand_in_columns_of_their_own(peers: Callable[[str], ModuleType]) -> None:
+    part = {"rows": [row("o", 0, ours=True, figures={"Kodak psnr": 41.0})], "missing": [], "absent": []}
+    lines = peers("peers_page").section("bayer", part).splitlines()
+    assert "| **o** | p | **41.00** | 0.1 | — | — |" in lines
+    assert "| CDM-CNN (Tan and others 2017) | published | — | — | *42.04* | *38.98* |" in lines
+
+
+def test_the_best_setting_counts_by_figure(peers: Callable[[str], ModuleType]) -> None:
+    means = {"": {"a psnr": 30.0, "a delta_e": 2.0}, "denoised": {"a psnr": 29.0, "a delta_e": 1.5}}
+    best = peers("judging").best_settings(means)
+    assert best == {"figures": {"a psnr": 30.0, "a delta_e": 1.5}, "settings": {"a delta_e": "denoised"}}
+
+
+def test_what_is_not_installed_is_named(peers: Callable[[str], ModuleType], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+    rivals, rawtherapee = peers("rivals"), peers("rawtherapee")
+    with pytest.raises(rivals.NotInstalled):
+        rivals.installed("no-such-package")
+    kept = rivals.Rival("r", "p", {})
+    assert rivals.gathered([rawtherapee.xtrans, lambda: [kept]]) == ([kept], ["RawTherapee"])
+
+
+def test_libraw_gives_channels_back(peers: Callable[[str], ModuleType]) -> None:
+    rivals = peers("libraw_rivals").bayer(noisy=True)
+    assert "AHD" in {rival.name for rival in rivals}
+    runs = [rival.settings[""] for rival in rivals] + list(rivals[0].settings.values())
+    for demosaic in runs:
+        channels = demosaic(plain_mosaic(), GRBG)
+        np.testing.assert_allclose(channels, np.broadcast_to(COLOUR[:, None, None], (3, *SHAPE)), atol=1e-3)
+
+
+def test_rawtherapee_is_asked_for_each_method(peers: Callable[[str], ModuleType], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its profiles say the method, and of its denoising nothing or the strengths."""
+    rawtherapee = peers("rawtherapee")
+    monkeypatch.setattr(rawtherapee, "_program", lambda: "RawTherapee 5.9")
+    rivals = rawtherapee.bayer(noisy=True) + rawtherapee.xtrans()
+    assert len(rivals) == len(rawtherapee.NOISY) + len(rawtherapee.XTRANS)
+    for rival, method in zip(rivals, [*rawtherapee.NOISY, *rawtherapee.XTRANS], strict=True):
+        for setting, demosaic in rival.settings.items():
+            profile = configparser.ConfigParser()
+            profile.read_string(demosaic.args[0])
+            assert {profile[array]["method"] for array in ("RAW Bayer", "RAW X-Trans")} == {method}
+            denoising = "Directional Pyramid Denoising"
+            assert (setting != "") == profile.has_section(denoising)
+            if setting:
+                luma, chroma, median = rawtherapee.DENOISED[setting]
+                said = profile[denoising]
+                assert (said["luma"], said["chroma"], said["median"]) == (str(luma), str(chroma), str(median != "").lower())
+
+
+@pytest.mark.slow
+def test_rawtherapee_gives_channels_back(peers: Callable[[str], ModuleType]) -> None:
+    rawtherapee = peers("rawtherapee")
+    if shutil.which(rawtherapee.COMMAND) is None:
+        pytest.skip("RawTherapee is not installed")
+    for rival in rawtherapee.bayer(noisy=True):
+        for setting in ("", "colour 5"):
+            channels = rival.settings[setting](plain_mosaic(), GRBG)
+            np.testing.assert_allclose(channels, np.broadcast_to(COLOUR[:, None, None], (3, *SHAPE)), atol=2e-3)
+
+
+def test_a_developer_of_another_size_is_refused(peers: Callable[[str], ModuleType]) -> None:
+    raw_file = peers("raw_file")
+    with pytest.raises(ValueError, match="developed to 30×160"):
+        raw_file.through_file(lambda path: np.zeros((3, 30, 160)), plain_mosaic(), GRBG)
+    assert raw_file.through_file(lambda path: np.zeros((3, 126, 166)), plain_mosaic(), GRBG).shape == (3, *SHAPE)
+
+
+def test_seconds_are_those_of_more_pixels(peers: Callable[[str], ModuleType], monkeypatch: pytest.MonkeyPatch) -> None:
+    seconds, clock = peers("seconds"), [0.0]
+    monkeypatch.setattr(seconds, "core_seconds", lambda: clock[0])
+
+    def prepared(side: int) -> Callable[[], None]:
+        def call() -> None:
+            clock[0] += 5.0 + 0.3e-6 * side * side  # to start, and 0.3 s/MP
+
+        return call
+
+    assert seconds.per_megapixel({"m": prepared}) == pytest.approx({"m": 0.3})
+
+
+def test_repetitions_keep_the_array(peers: Callable[[str], ModuleType]) -> None:
+    plane = tiled(GRBG, (7, 9))
+    np.testing.assert_array_equal(peers("seconds").tiled_to(plane, 20, GRBG.shape), tiled(GRBG, (20, 20)))
+
+
+def test_the_same_recipe_for_another_array(
+    peers: Callable[[str], ModuleType], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The folder of the benchmark, with the CFA of X-Trans; nothing that is there is made again."""
+    making, made = peers("making"), []
+    monkeypatch.setattr(making.l3cli, "simulate", lambda *given, **more: made.append(given[2].name))
+    monkeypatch.setattr(making.l3cli, "train", lambda *given, **more: made.append(given[1].name))
+    (tmp_path / "data/demosaicking/kodak").mkdir(parents=True)
+    (tmp_path / "work").mkdir()
+    (tmp_path / "work/training.h5").touch()
+    sets, _ = making.codes(tmp_path / "work", tmp_path / "data", "xtrans", 1)
+    assert made == ["kodak.h5", "table.h5"]
+    assert set(sets) == {"Kodak"}
+    camera = (tmp_path / "work/camera.toml").read_text(encoding="utf-8")
+    assert camera.count("pattern = [") == 1
+    assert '"g b g g r g"' in camera
+    assert f"{tmp_path}/data/demosaicking/kodak/*" in (tmp_path / "work/kodak.toml").read_text(encoding="utf-8")
+
+
+def test_tables_and_rivals_are_judged_alike(
+    peers: Callable[[str], ModuleType], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rows best first, of means over the frames, and by its setting that is better; a rival that sees no green is last."""
+    judging, rivals = peers("judging"), peers("rivals")
+    (tmp_path / "camera.toml").write_text(bayer_camera())
+    (tmp_path / "scenes.toml").write_text(SCENES)
+    l3cli.simulate(tmp_path / "scenes.toml", tmp_path / "camera.toml", tmp_path / "set.h5")
+    monkeypatch.setattr(
+        judging, "per_megapixel", lambda methods: {name: bool(of(24)()[0].any()) for name, of in methods.items()}
+    )
+    good = rivals.Rival("good", "p", {"": lambda mosaic, cfa: 0.5 * bilinear(mosaic, cfa), "brighter": bilinear})
+    bad = rivals.Rival(
+        "bad", "p", {"": lambda mosaic, cfa: bilinear(mosaic, cfa) * np.array([1.0, 0.0, 1.0])[:, None, None]}
+    )
+    table = random_table(BAYER, bits=12, black_level=64.0, patch=5)
+    rows = judging.judged({"s": tmp_path / "set.h5"}, {"ours": table}, [bad, good], judging.of_pictures())
+    assert [each["name"] for each in rows if not each["ours"]] == ["good", "bad"]
+    assert [each["ours"] for each in rows].count(True) == 1
+    best = next(each for each in rows if each["name"] == "good")
+    assert best["settings"] == {"s psnr": "brighter", "s delta_e": "brighter"}
+    assert best["figures"]["s delta_e"] < 15  # hard edges of a small chart
+    assert all(each["seconds"] == 1 for each in rows)
+
+
+def test_a_wrong_part_measures_nothing(peers: Callable[[str], ModuleType], capsys: pytest.CaptureFixture[str]) -> None:
+    assert peers("peers").main(["bayre"], Path("nowhere"), 1) == 2
+    assert 'no part "bayre"' in capsys.readouterr().err
+
+
+def test_missing_pictures_are_named(
+    peers: Callable[[str], ModuleType], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("L3_DATA", str(tmp_path))
+    with pytest.raises(SystemExit, match="demosaicking/kodak is missing; give the folder of the real data in L3_DATA"):
+        peers("making").data_folder()
