@@ -100,7 +100,9 @@ def luminance_section(
         plot = Plot(x, spanning(heading, [value for _, _, values in cameras for value in values]))
         keys = []
         for colour, (name, luminance, value) in zip(itertools.cycle(SERIES), cameras, strict=False):
-            plot.line(np.array(luminance), np.array(value), colour).dots(np.array(luminance), np.array(value), colour)
+            plot.line(np.array(luminance), np.array(value), colour).dots(
+                np.array(luminance), np.array(value), colour, series=name
+            )
             keys.append(Key(name, colour))
         finding = " ".join(sentences[figure]) or f"{heading} of {cameras[0][0]}."
         rows = tuple(
@@ -108,7 +110,11 @@ def luminance_section(
             for index, luminance in enumerate(cameras[0][1])
         )
         table = Table(heading, ("cd/m²", *(name for name, _, _ in cameras)), rows)
-        parts.append(Subsection(heading, (Figures((Figure(heading, plot.svg(finding), finding, tuple(keys)),)), table)))
+        parts.append(
+            Subsection(
+                heading, (Figures((Figure(heading, plot.svg(finding), finding, tuple(keys), data=plot.data()),)), table)
+            )
+        )
     return Section("Over the light on the scene", "Means over all frames of one luminance.", tuple(parts))
 
 
@@ -205,7 +211,7 @@ def _curves(document: dict[str, Any], figure: str, entries: list, at: np.ndarray
     keys = []
     for index, (name, curve) in enumerate(values.items()):
         colour, mark = SERIES[index % len(SERIES)], ("line", "dashed", "dotted", "dashed")[index % 4]
-        plot.line(at, curve, colour, mark).dots(at, curve, colour, size=6)
+        plot.line(at, curve, colour, mark).dots(at, curve, colour, size=6, series=name)
         keys.append(Key(name, colour, mark))
     values_text = "; ".join(
         f"{name} {_number(figure, curve[0])} at level {tidy(at[0], 2)}, {_number(figure, curve[-1])} at {tidy(at[-1], 2)}, "
@@ -213,7 +219,7 @@ def _curves(document: dict[str, Any], figure: str, entries: list, at: np.ndarray
         for name, curve in values.items()
     )
     finding = f"{NAMES[figure]}: {values_text}."
-    return Figure(title, plot.svg(finding), finding, tuple(keys))
+    return Figure(title, plot.svg(finding), finding, tuple(keys), data=plot.data())
 
 
 def _class_blocks(document: dict[str, Any], figure: str) -> tuple[Block, ...]:

@@ -38,6 +38,14 @@ class Key:
 
 
 @dataclass(frozen=True)
+class Data:
+    """The numbers of a drawing: rows below headings."""
+
+    headings: tuple[str, ...]
+    rows: tuple[tuple[str | float, ...], ...]
+
+
+@dataclass(frozen=True)
 class Figure:
     """A drawing with its title and what it shows; `finding`, with figures, is also read out in its place."""
 
@@ -46,6 +54,7 @@ class Figure:
     finding: str
     legend: tuple[Key, ...] = ()
     narrow: bool = False  # a small drawing that should not be blown up
+    data: Data | None = None  # to be taken from the page as a file
 
 
 @dataclass(frozen=True)

@@ -1,11 +1,14 @@
 """`l3 report`: what it takes and refuses, what the page holds, and how a browser paints it."""
 
+import base64
+import csv
 import html.parser
 import itertools
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -18,8 +21,10 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import open_training_set, write_training_set
 from l3cli.cli import run
 from l3cli.io.images import read_image
+from l3cli.report.downloads import csv_uri, file_stem
 from l3cli.report.drawing import Axis, spanning, tick_text
-from l3cli.report.parts import tidy
+from l3cli.report.labels import Places
+from l3cli.report.parts import Data, tidy
 from l3cli.report.pictures import fitted, reduced
 from tests.helpers.browser import CHROMIUM, Browser
 from tests.helpers.cameras import bayer_camera
@@ -131,6 +136,67 @@ def test_drawings_and_pictures_say_what_they_find(page: Path) -> None:
     assert all(cell.get("scope") in ("row", "col") for cell in tags.all("th"))
     named = {label["for"] for label in tags.all("label")}
     assert {control["id"] for control in tags.all("input", "select")} == named
+
+
+def test_labels_lie_on_nothing_that_is_drawn(page: Path) -> None:
+    """Boxes of the labels inside plots against every stroke of the same plot and against each other."""
+    count = 0
+    for inner in re.findall(r'<svg x="\d[^>]*>(.*?)</svg>', page.read_text(), re.DOTALL):
+        strokes = [line for path in re.findall(r'<path d="([^"]+)"', inner) for line in polylines(path)]
+        labels = re.findall(r'<text class="mark" x="([\d.]+)" y="([\d.]+)" text-anchor="(\w+)">([^<]*)', inner)
+        boxes = [box_of(float(x), float(y), anchor, text) for x, y, anchor, text in labels]
+        assert not any(crossed(line, box) for line in strokes for box in boxes), labels
+        for one, other in itertools.combinations(boxes, 2):
+            assert one[2] <= other[0] or other[2] <= one[0] or one[3] <= other[1] or other[3] <= one[1], labels
+        count += len(boxes)
+    assert count > 10
+
+
+def polylines(path: str) -> list[np.ndarray]:
+    """The lines (point, 2) of a path; of its dots and boxes where they begin."""
+    return [np.array([point.split(",") for point in line.split("L")], float) for line in re.findall(r"M([-\d.,L]+)", path)]
+
+
+def box_of(x: float, y: float, anchor: str, text: str) -> tuple[float, float, float, float]:
+    """About what 12 px letters cover."""
+    width = 6.8 * len(text)
+    left = x - {"start": 0.0, "middle": 0.5, "end": 1.0}[anchor] * width
+    return left, y - 9, left + width, y + 2
+
+
+def crossed(line: np.ndarray, box: tuple[float, float, float, float]) -> bool:
+    """Whether a line (point, 2) enters a box."""
+    shares = np.linspace(0, 1, 400)[:, None]
+    x, y = np.concatenate([line, *(one + shares * (other - one) for one, other in itertools.pairwise(line))]).T
+    return bool(((x > box[0]) & (x < box[2]) & (y > box[1]) & (y < box[3])).any())
+
+
+def test_every_plot_can_be_taken_from_the_page(page: Path, stages: Path) -> None:
+    tags = Tags(page)
+    links = [link for link in tags.all("a") if "download" in link]
+    buttons = [button for button in tags.all("button") if "data-file" in button]
+    drawings = [svg for svg in tags.all("svg") if svg.get("role") == "img"]
+    assert len(links) == len(buttons) == len(drawings) > 15
+    assert all(re.fullmatch(r"[a-z0-9-]+\.csv", link["download"] or "") for link in links)
+    files = {link["download"]: csv_rows(link["href"] or "") for link in links}
+    assert all(len(rows) > 1 and {len(row) for row in rows} == {len(rows[0])} for rows in files.values())
+    rows = files["responsivities.csv"]
+    camera = load(CameraModel, stages / "camera.h5")
+    assert rows[0] == ["series", "wavelength (nm)", "quantum efficiency (e⁻/photon)"]
+    assert [row[0] for row in rows[1:]] == [name for name in camera.channels for _ in camera.wavelength]
+    assert np.allclose([float(row[2]) for row in rows[1:]], camera.responsivity.ravel(), rtol=1e-8)
+
+
+def csv_rows(uri: str) -> list[list[str]]:
+    head, _, body = uri.partition(",")
+    assert head == "data:text/csv;charset=utf-8;base64"
+    return list(csv.reader(base64.b64decode(body).decode().splitlines()))
+
+
+def test_a_spreadsheet_computes_nothing_that_is_a_name() -> None:
+    rows = csv_rows(csv_uri(Data(("name", "value"), (("=HYPERLINK(1)", -1.5), ("-2+3", 2.0), ('a,"b', 0.1 + 0.2)))))
+    assert rows == [["name", "value"], [" =HYPERLINK(1)", "-1.5"], [" -2+3", "2"], ['a,"b', "0.3"]]
+    assert (file_stem("Größe: ../a b"), file_stem("…")) == ("gr-e-a-b", "figure")
 
 
 def test_figures_are_those_of_the_artifacts(page: Path, stages: Path, l3: Callable) -> None:
@@ -316,6 +382,19 @@ def test_numbers_read_without_exponents_where_they_can() -> None:
     assert shown == ["0", "0.25", "−0.0979", "24000", "12.3", "1.18×10⁷", "3.20×10⁻⁶"]
 
 
+def test_a_label_goes_where_there_is_room_or_nowhere() -> None:
+    free = Places(200, 100)
+    assert free.place(100, 50, "here") == (100, 45 - 13.5 + 10, "middle")
+    crossed_by = Places(200, 100)
+    crossed_by.take([(100, 0), (100, 100)], joined=True)
+    place = crossed_by.place(100, 50, "aside")
+    assert place is not None
+    assert place[2] == "start"
+    full = Places(200, 100)
+    full.take([(x, y) for y in range(0, 100, 4) for x in range(0, 200, 4)], joined=False)
+    assert full.place(100, 50, "nowhere") is None
+
+
 def test_pictures_are_made_smaller_until_they_fit() -> None:
     def jpeg(pixels: np.ndarray, quality: int) -> bytes:
         return b"x" * (pixels.size * quality // 100)
@@ -424,6 +503,25 @@ def test_the_slider_divides_and_obeys_the_keyboard(tab: Browser, page: Path) -> 
     choose = "(() => { const s = document.querySelector('.comparison select'); s.value = '2';"
     tab.run(choose + "s.dispatchEvent(new Event('change', {bubbles: true})); })()")
     assert "basic" in tab.run("document.querySelector('.under img').alt")
+
+
+def test_a_plot_is_saved_as_a_drawing_of_its_own(tab: Browser, page: Path, tmp_path: Path) -> None:
+    tab.open(page, dark=True)
+    tab.call("Page.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path))
+    for kind in ("button[data-file='responsivities.svg']", "a[download='responsivities.csv']"):
+        tab.run(f'document.querySelector("{kind}").click()')
+    wanted = [tmp_path / "responsivities.svg", tmp_path / "responsivities.csv"]
+    for _ in range(100):
+        if all(file.exists() for file in wanted):
+            break
+        tab.run("new Promise((done) => setTimeout(done, 50))")
+    drawing = ElementTree.parse(wanted[0]).getroot()
+    said = "".join(drawing.itertext())
+    assert drawing.get("width") == "440"
+    assert all(text in said for text in ("wavelength (nm)", "#1b1f24"))
+    assert [child.text for child in drawing][-6:][1::2] == ["r", "g", "b"]  # the legend, mark by mark
+    assert "var(" not in wanted[0].read_text()
+    assert wanted[1].read_text().startswith("series,wavelength (nm)")
 
 
 def test_the_page_works_without_scripts_and_on_paper(tab: Browser, page: Path, tmp_path: Path) -> None:
