@@ -93,11 +93,35 @@ class Comparison:
     title: str
     pictures: tuple[Picture, ...]
     key: tuple[Key, ...] = ()  # of the error map
+    size: tuple[int, int] = (0, 0)  # rows and columns of the frame
 
     @property
     def width(self) -> int:
         """Pixels on the screen beyond which a small frame would only be blurred."""
         return max(3 * self.pictures[0].cols, 480)
+
+
+@dataclass(frozen=True)
+class Front:
+    """A comparison with the verdict and the figures beside it."""
+
+    kind: ClassVar[str] = "front"
+    comparison: Comparison
+    score: str  # the main figure of ours, as a number
+    meaning: str  # what that number is
+    verdict: str
+    table: Table
+
+
+@dataclass(frozen=True)
+class PixelPicker:
+    """Part of a frame in which a script shows any pixel's classes and transforms."""
+
+    kind: ClassVar[str] = "pixels"
+    anchor: str  # that of the comparison which shows the whole frame
+    text: str
+    pictures: tuple[Picture, ...]
+    packed: str  # as pixels.packed has it
 
 
 @dataclass(frozen=True)
@@ -117,7 +141,7 @@ class Details:
     text: str
 
 
-Block = Table | Figures | Gallery | Comparison | Text | Details
+Block = Table | Figures | Gallery | Comparison | Front | PixelPicker | Text | Details
 
 
 @dataclass(frozen=True)

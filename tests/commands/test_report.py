@@ -23,6 +23,7 @@ from l3cli.cli import run
 from l3cli.io.images import read_image
 from l3cli.report.downloads import csv_uri, file_stem
 from l3cli.report.drawing import Axis, spanning, tick_text
+from l3cli.report.front import verdict
 from l3cli.report.labels import Places
 from l3cli.report.parts import Data, tidy
 from l3cli.report.pictures import fitted, reduced
@@ -104,7 +105,7 @@ def test_the_page_holds_every_section_and_stands_alone(page: Path) -> None:
     assert page.stat().st_size < 10_000_000
     headings = [tag for tag, _ in tags.starts if re.fullmatch("h[1-6]", tag)]
     assert headings.count("h1") == 1
-    assert headings.count("h2") == 6  # camera, two training sets, table, evaluation, history
+    assert headings.count("h2") == 7  # pictures, camera, two training sets, table, evaluation, history
     assert all(int(below[1]) <= int(above[1]) + 1 for above, below in itertools.pairwise(headings))
     assert tags.all("html") == [{"lang": "en"}]
     assert not tags.all("link", "iframe", "object")
@@ -123,6 +124,32 @@ def test_the_page_holds_every_section_and_stands_alone(page: Path) -> None:
         "Error over the class's level",
     ):
         assert title in tags.text, title
+
+
+def test_the_picture_comes_first_with_figures_and_verdict_beside_it(page: Path) -> None:
+    text = page.read_text()
+    first = text[text.index("<section") : text.index("</section>")]
+    names = re.findall(r"<figcaption>(\w+):", first)
+    assert names[:3] == ["ours", "ideal", "basic"]
+    aside = first[first.index("<aside") : first.index("</aside>")]
+    assert re.search(r'class="score"><strong>\d+\.\d\d</strong> mean ΔE00 of ours, mean over 4 frames', aside)
+    assert re.search("<p>Ours is (not )?nearer to the ideal than basic by", aside)
+    assert aside.count('<th scope="row">') == 7
+    assert "The first is, of 4 frames, the one of median mean ΔE00" in first
+    assert "The worst and the best frame" in first
+
+
+def test_a_verdict_says_by_which_figures_and_how_often() -> None:
+    def said(frames: int, **wins: int) -> str:
+        figures = {"ours": dict.fromkeys(wins, 1.0)}
+        return verdict({"frames": [figures] * frames, "better": {"basic": wins}})
+
+    assert said(1, mean_delta_e=1, ssim=1) == "Ours is nearer to the ideal than basic by every figure."
+    assert said(3, mean_delta_e=3, ssim=3) == "Ours is nearer to the ideal than basic by every figure, in every frame."
+    some = "Ours is nearer to the ideal than basic by mean ΔE00 in 3 of 4 frames"
+    assert said(4, mean_delta_e=3, ssim=3) == f"{some}."
+    assert said(4, mean_delta_e=3, ssim=2) == f"{some}, not by SSIM (1)."
+    assert said(1, mean_delta_e=0, ssim=1) == "Ours is not nearer to the ideal than basic by mean ΔE00."
 
 
 def test_drawings_and_pictures_say_what_they_find(page: Path) -> None:
@@ -231,7 +258,11 @@ def test_the_same_artifacts_give_the_same_bytes(page: Path, stages: Path, tmp_pa
         (["table"], ["Table", "History"], "Add a training set that the table was not trained on"),
         (["training"], ["Camera", "Training set", "History"], "without a transform table"),
         (["training", "table"], ["Camera", "Training set", "Table", "History"], "add frames that it has not seen"),
-        (["table", "unseen"], ["Camera", "Training set", "Table", "Evaluation", "History"], "Mean ΔE00 over 4 frames"),
+        (
+            ["table", "unseen"],
+            ["Pictures", "Camera", "Training set", "Table", "Evaluation", "History"],
+            "Mean ΔE00 over 4 frames",
+        ),
         (["camera", "camera"], ["Camera", "History"], "1 artifact,"),
     ],
 )

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.schema import equal
 from l3cli.artifacts.table import TransformTable
-from l3cli.artifacts.training_set import TrainingSet, open_training_set
+from l3cli.artifacts.training_set import open_training_set
 from l3cli.io.embedded import jpeg
 from l3cli.report.camera import camera_section
 from l3cli.report.colours import channel_light
-from l3cli.report.evaluation import evaluation_section, shown_frames
+from l3cli.report.evaluation import evaluation_section
 from l3cli.report.page import history_section
 from l3cli.report.parts import Section, counted
 from l3cli.report.sequence import sequence_section
@@ -22,20 +22,22 @@ from l3cli.report.sequence import summary as sequence_summary
 from l3cli.report.training import training_section
 from l3cli.report.transforms import transform_section
 from l3cli.stages.console import Console
-from l3cli.stages.evaluation import evaluate_frame
-from l3cli.stages.input_warnings import warn_if_unlike
 from l3cli.stages.reporting.artifacts import Entry, Given, trained_on
+from l3cli.stages.reporting.judged import Judged, judge
 
-PICTURE_BYTES, THUMBNAIL_BYTES = 6_500_000, 2_000_000  # of all evaluated frames, of all training sets: see page.LIMIT
+# of all evaluated frames, of all pixels that can be looked into, of all training sets: see page.LIMIT
+PICTURE_BYTES, PIXEL_BYTES, THUMBNAIL_BYTES = 5_500_000, 1_000_000, 2_000_000
 
 
 def compose(given: Given, backend: str, console: Console) -> tuple[str, str, list[Section]]:
     """Title, lead and sections of the page."""
     _warn_of_cameras(given, console)
-    share = PICTURE_BYTES // max(len(given.pairs), 1)
-    judged = [_evaluation(*pair, str(number), share, backend, console) for number, pair in enumerate(given.pairs)]
+    pairs = max(len(given.pairs), 1)
+    shares = PICTURE_BYTES // pairs, PIXEL_BYTES // pairs
+    judged = [judge(*pair, str(number), shares, backend, console) for number, pair in enumerate(given.pairs)]
+    sections = [each.front for each in judged if each.front is not None]
     cameras = [(entry.name, camera) for entry, camera in given.cameras] or _cameras_within(given)
-    sections = [camera_section(camera, figures_of_camera(camera), name) for name, camera in cameras]
+    sections += [camera_section(camera, figures_of_camera(camera), name) for name, camera in cameras]
     for entry, _ in given.training:
         with open_training_set(entry.path, unchanged=True) as reader:
             sections.append(
@@ -43,7 +45,8 @@ def compose(given: Given, backend: str, console: Console) -> tuple[str, str, lis
             )
     light = channel_light(cameras[0][1].responsivity, cameras[0][1].wavelength) if cameras else None
     sections += [_transforms(entry.name, table, light) for entry, table in given.tables]
-    sections += [section for _, section in judged]
+    evaluations = [_evaluation(each) for each in judged]
+    sections += evaluations
     files = [(entry.name, entry.artifact.kind, entry.sha256, entry.artifact.history) for entry in given.entries]
     if given.sequences:
         sections.append(sequence_section(given.sequences))
@@ -51,7 +54,7 @@ def compose(given: Given, backend: str, console: Console) -> tuple[str, str, lis
     sections.append(history_section(files))
     names = [camera.name for _, camera in cameras] or [table.camera_name for _, table in given.tables]
     names = names or [*given.sequences]
-    return f"{', '.join(dict.fromkeys(names))}: report", _lead(given, [lead for lead, _ in judged]), sections
+    return f"{', '.join(dict.fromkeys(names))}: report", _lead(given, [section.lead for section in evaluations]), sections
 
 
 def _warn_of_cameras(given: Given, console: Console) -> None:
@@ -117,33 +120,6 @@ def _role(given: Given, frames: Entry) -> str:
     return " ".join(roles)
 
 
-def _evaluation(
-    table: tuple[Entry, TransformTable],
-    frames: tuple[Entry, TrainingSet],
-    anchor: str,
-    limit: int,
-    backend: str,
-    console: Console,
-) -> tuple[str, Section]:
-    """A table on frames it has not seen: in a sentence, and as a section with pictures of a few frames."""
-    from l3cli.evaluation.evaluation import Evaluation
-    from l3cli.evaluation.pictures import frame_pictures
-    from l3cli.evaluation.quality import XYZ
-    from l3cli.rendering.renderer import make_renderer
-
-    (given, transforms), (seen, head) = table, frames
-    warning = warn_if_unlike((given.name, transforms), (seen.name, head.camera), console)
-    renderer = make_renderer(backend, transforms)
-    with open_training_set(seen.path, unchanged=True) as reader:
-        evaluation = Evaluation(transforms, reader.head)
-        for index in console.progress(range(len(reader)), len(reader), "frames"):
-            evaluate_frame(evaluation, renderer, reader, index)
-        document = evaluation.document()
-        pictures = {}
-        if transforms.outputs == XYZ:
-            again = Evaluation(transforms, reader.head)
-            for index in shown_frames(document):
-                pictures[index] = frame_pictures(*evaluate_frame(again, renderer, reader, index))
-    section = evaluation_section(document, pictures, (given.name, seen.name), anchor, limit, jpeg)
-    lead = f"{section.lead} But {warning}." if warning else section.lead
-    return lead, replace(section, lead=lead)
+def _evaluation(judged: Judged) -> Section:
+    section = evaluation_section(judged.document, (judged.table[0].name, judged.frames[0].name))
+    return replace(section, lead=f"{section.lead} But {judged.warning}.") if judged.warning else section
