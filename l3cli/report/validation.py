@@ -11,6 +11,7 @@ from l3cli.report import colours
 from l3cli.report.channels import MARKS, mark_of, table_of
 from l3cli.report.drawing import Axis, Plot, spanning
 from l3cli.report.parts import Block, Figure, Figures, Key, tidy
+from l3cli.report.patches import calibration_figures
 
 Array = NDArray[np.floating]
 
@@ -23,6 +24,8 @@ def validation_blocks(camera: CameraModel, fit: Fit, figures: dict[str, Any], li
     if fit.sweep is not None:
         graphs += _smoothing_figure(fit.sweep)
     blocks: list[Block] = [Figures(tuple(graphs))] if graphs else []
+    if fit.chart is not None and (drawn := calibration_figures(camera, fit.chart)):
+        blocks.append(Figures(drawn))
     if figures["lights"]:
         blocks.append(table_of("Prediction of each chart", "chart", figures["lights"]))
     if figures["bands"]:

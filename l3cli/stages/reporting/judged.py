@@ -14,6 +14,7 @@ from l3cli.stages.console import Console
 from l3cli.stages.evaluation import evaluate_frame, raw_of
 from l3cli.stages.input_warnings import warn_if_unlike
 from l3cli.stages.reporting.artifacts import Entry
+from l3cli.stages.reporting.charts import chart_subsection
 from l3cli.stages.reporting.pixels import crop_of
 
 CROPPED = ("ours", "ideal", "basic")  # pictures whose pixels can be looked at
@@ -47,10 +48,13 @@ def judge(
     renderer = make_renderer(backend, transforms)
     with open_training_set(seen.path, unchanged=True) as reader:
         evaluation = Evaluation(transforms, reader.head)
+        pictures, chart = transforms.outputs == XYZ, None
         for index in console.progress(range(len(reader)), len(reader), "frames"):
-            evaluate_frame(evaluation, renderer, reader, index)
+            frame, planes = evaluate_frame(evaluation, renderer, reader, index)
+            if pictures and chart is None:
+                chart = chart_subsection(frame, index, planes, head)
         document = evaluation.document()
-        front = _front(table, seen, document, reader, renderer, anchor, limits) if transforms.outputs == XYZ else None
+        front = _front(table, seen, document, reader, renderer, anchor, limits, chart) if pictures else None
     return Judged(table, frames, document, front, warning)
 
 
@@ -62,6 +66,7 @@ def _front(
     renderer: Renderer,
     anchor: str,
     limits: tuple[int, int],
+    chart: Subsection | None,
 ) -> Section:
     from l3cli.evaluation.evaluation import Evaluation
     from l3cli.evaluation.pictures import frame_pictures
@@ -76,4 +81,5 @@ def _front(
     cropped = {name: pictures[first][name] for name in CROPPED if name in pictures[first]}
     looked_into = picker(f"{anchor}-{first}", crop, text, cropped, frame.scene, jpeg)
     title = f"Pictures: {table[0].name} on {seen.name}"
-    return front_section(document, pictures, title, anchor, limits[0], jpeg, (Subsection("Pixels", (looked_into,)),))
+    below = (*([chart] if chart else []), Subsection("Pixels", (looked_into,)))
+    return front_section(document, pictures, title, anchor, limits[0], jpeg, below)
