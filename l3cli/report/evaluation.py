@@ -157,7 +157,7 @@ def _level_blocks(document: dict[str, Any], figure: str) -> tuple[Block, ...]:
     blocks: list[Block] = []
     classes = document["by_class"].get("level", [])
     if len(classes) > 1:
-        at = np.array([_middle(entry) for entry in classes])
+        at = level_middles(classes)
         figures.append(
             _curves(document, figure, classes, at, "Error over the class's level", "level of the pixel's neighbourhood")
         )
@@ -172,8 +172,9 @@ def _level_blocks(document: dict[str, Any], figure: str) -> tuple[Block, ...]:
     return tuple(blocks)
 
 
-def _middle(entry: dict[str, Any]) -> float:
-    return float(np.sqrt(max(entry["from"], entry["to"] / 2) * entry["to"]))
+def level_middles(entries: list[dict[str, Any]]) -> np.ndarray:
+    """A level within the bounds of each entry, fit for a logarithmic axis."""
+    return np.array([np.sqrt(max(entry["from"], entry["to"] / 2) * entry["to"]) for entry in entries])
 
 
 def _curves(document: dict[str, Any], figure: str, entries: list, at: np.ndarray, title: str, label: str) -> Figure:

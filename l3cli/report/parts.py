@@ -82,11 +82,12 @@ class Gallery:
 
     kind: ClassVar[str] = "gallery"
     pictures: tuple[Picture, ...]
+    wide: bool = False  # pictures as large as the page lets them be
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """One frame: ours first, then what it is compared with, behind a slider where scripts run."""
+    """One frame: ours first, or another that is named, then what it is compared with, behind a slider where scripts run."""
 
     kind: ClassVar[str] = "comparison"
     anchor: str

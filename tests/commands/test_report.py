@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.schema import Stage
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
@@ -28,7 +27,6 @@ from l3cli.report.labels import Places
 from l3cli.report.parts import Data, tidy
 from l3cli.report.pictures import fitted, reduced
 from tests.helpers.browser import CHROMIUM, Browser
-from tests.helpers.cameras import bayer_camera
 
 SCENES = """
 exposure_share = [0.9]
@@ -376,11 +374,7 @@ def test_what_is_no_report_is_refused(stages: Path, tmp_path: Path, refused: Cal
     assert l3("report", camera, "-o", out, "--force")[0] == 0
 
 
-def test_artifacts_of_different_cameras_are_refused(stages: Path, tmp_path: Path, refused: Callable) -> None:
-    (tmp_path / "other.toml").write_text(bayer_camera(pattern=("g r", "b g")))
-    save(load_camera(tmp_path / "other.toml"), tmp_path / "other.h5")
-    line = refused(3, "report", stages / "table.h5", tmp_path / "other.h5", "-o", tmp_path / "report.html")
-    assert "other.h5 is of a camera with another CFA than" in line
+def test_a_table_and_frames_of_different_outputs_are_refused(stages: Path, tmp_path: Path, refused: Callable) -> None:
     with open_training_set(stages / "unseen.h5") as reader:
         head, frame = replace(reader.head, outputs=("a", "b", "c")), reader.frame(0)
     with write_training_set(tmp_path / "bands.h5", head) as writer:

@@ -24,29 +24,32 @@ from l3cli.report.transforms import transform_section
 from l3cli.stages.console import Console
 from l3cli.stages.reporting.artifacts import Entry, Given, trained_on
 from l3cli.stages.reporting.judged import Judged, judge
+from l3cli.stages.reporting.side_by_side import side_by_side
 
 # of all evaluated frames, of all pixels that can be looked into, of all training sets: see page.LIMIT
 PICTURE_BYTES, PIXEL_BYTES, THUMBNAIL_BYTES = 5_500_000, 1_000_000, 2_000_000
 
 
 def compose(given: Given, backend: str, console: Console) -> tuple[str, str, list[Section]]:
-    """Title, lead and sections of the page."""
-    _warn_of_cameras(given, console)
-    pairs = max(len(given.pairs), 1)
-    shares = PICTURE_BYTES // pairs, PIXEL_BYTES // pairs
-    judged = [judge(*pair, str(number), shares, backend, console) for number, pair in enumerate(given.pairs)]
-    sections = [each.front for each in judged if each.front is not None]
-    cameras = [(entry.name, camera) for entry, camera in given.cameras] or _cameras_within(given)
-    sections += [camera_section(camera, figures_of_camera(camera), name) for name, camera in cameras]
-    for entry, _ in given.training:
-        with open_training_set(entry.path, unchanged=True) as reader:
-            sections.append(
-                training_section(reader, entry.name, _role(given, entry), THUMBNAIL_BYTES // len(given.training), jpeg)
-            )
-    light = channel_light(cameras[0][1].responsivity, cameras[0][1].wavelength) if cameras else None
-    sections += [_transforms(entry.name, table, light) for entry, table in given.tables]
-    evaluations = [_evaluation(each) for each in judged]
-    sections += evaluations
+    """Title, lead and sections of the page: pictures first, then what was given, array by array."""
+    arrays = given.arrays
+    _warn_of_arrays(given, console)
+    pairs = len(given.pairs)
+    shares = PICTURE_BYTES // (pairs + (pairs > 1) or 1), PIXEL_BYTES // (pairs or 1)
+    judged: list[Judged] = []
+    cameras: list[tuple[str, CameraModel]] = []
+    sections: list[Section] = []
+    for array in arrays:
+        _warn_of_cameras(array, console)
+        here = [judge(*pair, str(len(judged) + number), shares, backend, console) for number, pair in enumerate(array.pairs)]
+        held = [(entry.name, camera) for entry, camera in array.cameras] or _cameras_within(array)
+        sections += _array_sections(array, held, THUMBNAIL_BYTES // max(len(given.training), 1))
+        sections += [_evaluation(each) for each in here]
+        judged += here
+        cameras += held
+    first = [each.front for each in judged if each.front is not None]
+    if len(judged) > 1:
+        first.insert(0, side_by_side(judged, shares[0], backend))
     files = [(entry.name, entry.artifact.kind, entry.sha256, entry.artifact.history) for entry in given.entries]
     if given.sequences:
         sections.append(sequence_section(given.sequences))
@@ -54,7 +57,32 @@ def compose(given: Given, backend: str, console: Console) -> tuple[str, str, lis
     sections.append(history_section(files))
     names = [camera.name for _, camera in cameras] or [table.camera_name for _, table in given.tables]
     names = names or [*given.sequences]
-    return f"{', '.join(dict.fromkeys(names))}: report", _lead(given, [section.lead for section in evaluations]), sections
+    doubts = (f"But {each.warning}." for each in judged if each.warning)
+    lead = (
+        " ".join((first[0].lead, *doubts)) if len(judged) > 1 else _lead(given, [_evaluation(each).lead for each in judged])
+    )
+    return f"{', '.join(dict.fromkeys(names))}: report", lead, [*first, *sections]
+
+
+def _array_sections(given: Given, cameras: list[tuple[str, CameraModel]], limit: int) -> list[Section]:
+    """Cameras, training sets and tables of one array; `limit` bytes is what the pictures of a set may take."""
+    sections = [camera_section(camera, figures_of_camera(camera), name) for name, camera in cameras]
+    for entry, _ in given.training:
+        with open_training_set(entry.path, unchanged=True) as reader:
+            sections.append(training_section(reader, entry.name, _role(given, entry), limit, jpeg))
+    light = channel_light(cameras[0][1].responsivity, cameras[0][1].wavelength) if cameras else None
+    return sections + [_transforms(entry.name, table, light) for entry, table in given.tables]
+
+
+def _warn_of_arrays(given: Given, console: Console) -> None:
+    """Say so of every training set of another array than all tables."""
+    if not given.tables:
+        return
+    for array in given.arrays:
+        if not array.tables:
+            for entry, _ in array.training:
+                tables = ", ".join(table.name for table, _ in given.tables)
+                console.warn(f"{entry.name} is of another colour filter array than {tables}: nothing is evaluated on it")
 
 
 def _warn_of_cameras(given: Given, console: Console) -> None:
@@ -72,11 +100,10 @@ def _warn_of_cameras(given: Given, console: Console) -> None:
 def _lead(given: Given, leads: list[str]) -> str:
     if given.sequences and not leads:
         return sequence_summary(given.sequences)
-    if len(leads) == 1:
-        return leads[0]
     if leads:
-        named = (f"{table.name} on {frames.name}" for (table, _), (frames, _) in given.pairs)
-        return " ".join(f"{pair}: {figures}" for pair, figures in zip(named, leads, strict=True))
+        return leads[0]
+    if given.tables and len(given.arrays) > 1:
+        return "Add, for each table, frames of its colour filter array that it has not seen to have it evaluated."
     if given.tables and given.training:
         return "The table was trained on every training set given: add frames that it has not seen to have it evaluated."
     if given.tables:
