@@ -57,7 +57,7 @@ def patches_table(errors: dict[str, Array]) -> Table:
 
 def calibration_figures(camera: CameraModel, fit: ChartFit) -> tuple[Figure, ...]:
     """The patches of the first of a calibration's charts as measured beside as the model predicts them, in the colours into
-    which one matrix of the channels turns the predictions best; none of charts under lights without a standard's name."""
+    which one matrix turns the channels; none of charts under lights without a standard's name."""
     figures = []
     for light, measured, predicted in zip(fit.illuminants[:CHARTS], fit.measured, fit.predicted, strict=False):
         try:
@@ -68,9 +68,17 @@ def calibration_figures(camera: CameraModel, fit: ChartFit) -> tuple[Figure, ...
         ideal = spectra.colorchecker(camera.wavelength)[1] @ weights.T / weights[1].sum()
         if len(ideal) != len(measured):
             continue
-        matrix = np.linalg.lstsq(predicted - fit.beta, ideal, rcond=None)[0]
+        matrix = _matrix(predicted - fit.beta, measured - predicted, ideal)
         white = weights.sum(axis=1) / weights[1].sum()
         one, other = (displayed(((values - fit.beta) @ matrix).T[:, None], white, 1.0) for values in (predicted, measured))
         names, errors = ("predicted", "measured"), {"measured": displayed_delta_e(other, one)[0]}
         figures.append(patches_figure(f"Chart under {light}", names, (one[0], other[0]), errors))
     return tuple(figures)
+
+
+def _matrix(predicted: Array, residual: Array, ideal: Array) -> Array:
+    """(channel, 3) that turns `predicted` (patch, channel) into `ideal` (patch, 3) with the least error of what is measured,
+    `residual` (patch, channel) apart: channels that are alike are not played off against one another."""
+    noise = np.diag((residual**2).sum(axis=0))
+    matrix: Array = np.linalg.pinv(predicted.T @ predicted + noise) @ predicted.T @ ideal
+    return matrix

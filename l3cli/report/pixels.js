@@ -122,7 +122,7 @@ async function pick(block) {
   const [[top, left], [rows, cols]] = [view.corner, view.size];
   const reading = block.querySelector(".reading");
   const views = [...block.querySelectorAll(".view")];
-  const marks = views.map((each) => each.appendChild(Object.assign(document.createElement("span"), { className: "mark" })));
+  const marks = views.map((each) => each.appendChild(Object.assign(document.createElement("span"), { className: "cursor" })));
   let [row, col] = [top + (rows >> 1), left + (cols >> 1)];
   const show = () => {
     for (const mark of marks) {

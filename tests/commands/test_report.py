@@ -502,6 +502,7 @@ def test_every_figure_is_painted_and_readable(tab: Browser, page: Path, tmp_path
         assert np.ptp(pixels.astype(int)) > 40, name
         assert len(np.unique(pixels[..., :3].astype(int) @ [1 << 16, 1 << 8, 1])) > 3, name
     assert tab.run(CONTRASTS) == []
+    assert tab.run("getComputedStyle(document.querySelector('svg text.mark')).outlineStyle") == "none"
     luminance = tab.run("getComputedStyle(document.documentElement).backgroundColor")
     assert (luminance != "rgb(255, 255, 255)") == dark
 
