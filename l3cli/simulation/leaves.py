@@ -4,6 +4,8 @@ Natural pictures are scale invariant because objects of every size occlude each 
 their edges, their power spectrum and their contrast statistics (Lee, Mumford and Huang, 2001).
 """
 
+import functools
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,7 +60,9 @@ def _may_show(
 ) -> NDArray[np.bool_]:
     """Whether the square about each leaf still holds an uncovered pixel: most leaves drawn late are hidden."""
     count = np.zeros((label.shape[0] + 1, label.shape[1] + 1), np.int32)
-    np.cumsum(np.cumsum(label < 0, axis=0, dtype=np.int32), axis=1, out=count[1:, 1:])
+    np.cumsum(label < 0, axis=1, out=count[1:, 1:])
+    for above, below in itertools.pairwise(count[1:]):  # a tenth of the time of cumsum down the columns
+        below += above
     top, bottom = _span(row, radius, label.shape[0])
     left, right = _span(col, radius, label.shape[1])
     return count[bottom, right] - count[top, right] - count[bottom, left] + count[top, left] > 0
@@ -108,11 +112,24 @@ def pink(rng: np.random.Generator, shape: tuple[int, int], exponent: float, stre
     in a random direction."""
     from scipy import fft
 
-    down, across = fft.fftfreq(shape[0])[:, None], fft.rfftfreq(shape[1])[None]
     angle = rng.uniform(0, np.pi) if stretch != 1.0 else 0.0
-    along = (down * np.cos(angle) + across * np.sin(angle)) * stretch
-    frequency = np.maximum(np.hypot(along, across * np.cos(angle) - down * np.sin(angle)), 1.0 / max(shape))
-    spectrum = fft.rfft2(rng.standard_normal(shape, dtype=np.float32)) / frequency.astype(np.float32) ** np.float32(exponent)
+    spectrum = fft.rfft2(rng.standard_normal(shape, dtype=np.float32))
+    spectrum *= np.exp(_log_frequencies(shape, stretch, angle) * np.float32(-exponent))
     spectrum[0, 0] = 0.0
-    field = fft.irfft2(spectrum, s=shape)
-    return field / field.std()
+    field: Field = fft.irfft2(spectrum, s=shape)
+    field /= field.std()
+    return field
+
+
+@functools.lru_cache(maxsize=1)  # most fields of a frame have no direction
+def _log_frequencies(shape: tuple[int, int], stretch: float, angle: float) -> Field:
+    """Logarithm of the frequency (cycles a pixel) of each coefficient of a real transform, `stretch` times as high at
+    `angle`; at least one period a picture."""
+    from scipy import fft
+
+    down = fft.fftfreq(shape[0])[:, None].astype(np.float32)
+    across = fft.rfftfreq(shape[1])[None].astype(np.float32)
+    cosine, sine = np.float32(np.cos(angle)), np.float32(np.sin(angle))
+    along = (down * cosine + across * sine) * np.float32(stretch)
+    power = along**2 + (across * cosine - down * sine) ** 2
+    return np.float32(0.5) * np.log(np.maximum(power, np.float32(1.0 / max(shape) ** 2)))

@@ -1,6 +1,7 @@
 """Scenes from mathematics: dead leaves to train on, and a composition to look at (docs/method.md#procedural-scenes)."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,27 +136,57 @@ def _draw(
     label = cover.label[rows]
     down = np.arange(rows.start, rows.stop, dtype=np.float32)[:, None]
     across = np.arange(label.shape[1], dtype=np.float32)
-    radius = cover.radius[label]
-    v, u = (down - cover.row[label]) / radius, (across - cover.col[label]) / radius
-    texture = np.take_along_axis(fields, coat.field[label][None], axis=0)[0]
-    logarithm = coat.brightness[label] + coat.slope[0][label] * v + coat.slope[1][label] * u
-    logarithm += coat.texture[label] * texture - coat.hollow[label] * np.minimum(u * u + v * v, 4.0)
-    distance = (v - coat.position[0][label]) ** 2 + (u - coat.position[1][label]) ** 2
-    gloss = coat.highlight[label] * np.exp(0.3 * texture - coat.sharpness[label] * distance)
-    gloss *= gloss > 0.004  # a highlight ends somewhere
-    reflectance = coat.reflectance[label]
-    if patterns is not None:
-        share = coverage(patterns, label, down, across)[..., None]
-        reflectance = patterns.first[label] * (1 - share) + patterns.second[label] * share
-    cube = reflectance * (np.exp(logarithm) * light)[..., None] + gloss[..., None]
-    return np.minimum(_averaged(cube), np.float32(BRIGHTEST)).astype(np.float32)
-
-
-def _averaged(fine: Cube) -> Cube:
-    """Mean of each OVERSAMPLING × OVERSAMPLING block: (row, col, band)."""
-    rows, cols, bands = fine.shape
+    amount, gloss = _shading(cover, coat, label, (down, across), fields)
+    amount *= light
+    if patterns is None:
+        cube = _averaged(coat.reflectance, label, amount)
+    else:
+        share = coverage(patterns, label, down, across)
+        cube = _averaged(patterns.first, label, amount * (1 - share))
+        cube += _averaged(patterns.second, label, amount * share)
     step = OVERSAMPLING
-    return fine.reshape(rows // step, step, cols // step, step, bands).mean(axis=(1, 3))
+    cube += gloss.reshape(len(cube), step, -1, step).mean(axis=(1, 3))[..., None]
+    return np.minimum(cube, np.float32(BRIGHTEST), out=cube)
+
+
+def _shading(
+    cover: leaves.Leaves, coat: Coat, label: NDArray[np.int32], place: tuple[Array, Array], fields: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Of leaves (row, col) at a place (rows, columns): by how much each is brighter than what it is made of, and the light
+    that it reflects as a mirror does."""
+
+    def of(values: NDArray[Any]) -> NDArray[Any]:
+        return np.take(values, label, mode="clip")
+
+    radius = of(cover.radius)
+    v, u = (place[0] - of(cover.row)) / radius, (place[1] - of(cover.col)) / radius
+    texture = np.take_along_axis(fields, of(coat.field)[None], axis=0)[0]
+    logarithm = of(coat.brightness) + of(coat.slope[0]) * v + of(coat.slope[1]) * u
+    logarithm += of(coat.texture) * texture - of(coat.hollow) * np.minimum(u * u + v * v, np.float32(4.0))
+    gloss = np.zeros_like(logarithm)
+    glossy = np.nonzero(of(coat.highlight))
+    leaf = label[glossy]
+    distance = (v[glossy] - coat.position[0][leaf]) ** 2 + (u[glossy] - coat.position[1][leaf]) ** 2
+    shine = coat.highlight[leaf] * np.exp(np.float32(0.3) * texture[glossy] - coat.sharpness[leaf] * distance)
+    gloss[glossy] = shine * (shine > 0.004)  # a highlight ends somewhere
+    return np.exp(logarithm), gloss
+
+
+def _averaged(materials: NDArray[np.float32], label: NDArray[np.int32], amount: NDArray[np.float32]) -> Cube:
+    """Mean over each OVERSAMPLING × OVERSAMPLING block of the materials (leaf, band) of a label, times an amount, (row, col)
+    both. Most blocks show one leaf: spectra are added up where they do not."""
+    step = OVERSAMPLING
+    samples = [np.s_[row::step, col::step] for row in range(step) for col in range(step)]
+    first = label[samples[0]]
+    alike = [label[sample] == first for sample in samples]
+    common = sum(amount[sample] * same for sample, same in zip(samples, alike, strict=True))
+    cube = np.take(materials, first, axis=0, mode="clip")
+    cube *= common[..., None]
+    for sample, same in zip(samples[1:], alike[1:], strict=True):
+        other = np.nonzero(~same)
+        cube[other] += materials[label[sample][other]] * amount[sample][other][:, None]
+    cube /= np.float32(len(samples))
+    return cube
 
 
 def _blurred(cube: Cube, sigma: float) -> Cube:

@@ -225,6 +225,18 @@ def test_patterns_lie_on_their_share_of_the_leaves_and_change_nothing_else() -> 
         assert cube.max() <= procedural.BRIGHTEST
 
 
+def test_leaves_that_share_a_pixel_are_averaged() -> None:
+    rng = np.random.default_rng(5)
+    step = procedural.OVERSAMPLING
+    materials = rng.random((5, 4), dtype=np.float32)
+    label = rng.integers(5, size=(8, 12), dtype=np.int32)
+    label[:4] = np.repeat(np.repeat(label[:4:step, ::step], step, 0), step, 1)  # there a pixel shows one leaf
+    amount = rng.random(label.shape, dtype=np.float32)
+    fine = materials[label] * amount[..., None]
+    plainly = fine.reshape(8 // step, step, 12 // step, step, 4).mean(axis=(1, 3))
+    np.testing.assert_allclose(procedural._averaged(materials, label, amount), plainly, rtol=1e-6)
+
+
 def test_a_grating_covers_its_duty_at_two_pixels_a_period() -> None:
     one = {name: np.array([value], np.float32) for name, value in (("angle", 0.7), ("kind", 0), ("present", 1))}
     both = {name: np.full((2, 1), value, np.float32) for name, value in (("period", 4.0), ("width", 1.6), ("phase", 0.3))}
