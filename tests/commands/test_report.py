@@ -470,6 +470,13 @@ CONTRASTS = """(() => {
 })()"""
 
 
+UNPACKED = """new Promise((done) => {
+  const waiting = () => [...document.querySelectorAll('.pixels .reading')].some((each) => each.hidden);
+  const wait = () => waiting() ? setTimeout(wait, 20) : done();
+  wait();
+})"""
+
+
 @pytest.fixture(scope="module")
 def tab() -> Iterator[Browser]:
     if CHROMIUM is None:
@@ -480,6 +487,7 @@ def tab() -> Iterator[Browser]:
 
 def painted(tab: Browser, path: Path) -> dict[str, np.ndarray]:
     """Pixels of every figure and picture on the page by what it says."""
+    tab.run(UNPACKED)
     areas = tab.run(AREAS)
     assert areas
     whole, _ = read_image(tab.screenshot(path))
