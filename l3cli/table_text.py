@@ -165,10 +165,12 @@ def _all_numbers(row: Cells, decimal_comma: bool) -> bool:
 def _upright(cells: list[Cells], decimal_comma: bool) -> list[Cells]:
     """The table with a row for each wavelength, also where it lies on its side below a row of many wavelengths."""
     for number, row in enumerate(cells):
-        across = [re.sub(r"\s*\[?\(?nm\)?\]?$", "", cell) for cell in row]
+        if len(row) <= SIDEWAYS or _is_number(_without_nm(row[0]), decimal_comma):
+            continue  # as most rows are
+        across = [_without_nm(cell) for cell in row]
         labels = next((at for at, cell in enumerate(across) if _is_number(cell, decimal_comma)), len(row))
         grid = across[labels:]
-        if labels == 0 or len(grid) < SIDEWAYS or not _all_numbers(grid, decimal_comma):
+        if len(grid) < SIDEWAYS or not _all_numbers(grid, decimal_comma):
             continue
         values = [_number(cell, decimal_comma) for cell in grid]
         spectra = [other for other in cells[number + 1 :] if len(other) == len(row)]
@@ -184,6 +186,10 @@ def _upright(cells: list[Cells], decimal_comma: bool) -> list[Cells]:
         names = [" ".join(filter(None, other[:labels])) for other in spectra]
         return [*cells[:number], ["nm", *names], *map(list, zip(grid, *(other[labels:] for other in spectra), strict=True))]
     return cells
+
+
+def _without_nm(cell: str) -> str:
+    return re.sub(r"\s*\[?\(?nm\)?\]?$", "", cell)
 
 
 def _is_grid(values: Sequence[float]) -> bool:

@@ -16,9 +16,7 @@
 
 // The newest row into the ring: to is where column 0's pixel falls. The black level is taken off here: zero signal then
 // stays zero in every transform. Integers keep it: their intercepts know it.
-INLINE void into_ring(tap *to, __global const ushort *raw, __global const int *column_source, float black_level, int x0, int columns,
-                      size_t stride, ushort *row, int span) {
-    ingest(row, raw, column_source, x0, columns);
+INLINE void row_into_ring(tap *to, const ushort *row, float black_level, int span) {
     tap signal[SPAN];
     for (int p = 0; p < span; p += LANES)
 #ifdef FIXED_POINT
@@ -28,6 +26,12 @@ INLINE void into_ring(tap *to, __global const ushort *raw, __global const int *c
 #endif
     #pragma clang loop vectorize(disable) unroll_count(8)
     for (int p = 0; p < span; p++) to[p * COLUMN] = signal[p];
+}
+
+INLINE void into_ring(tap *to, __global const ushort *raw, __global const int *column_source, float black_level, int x0, int columns,
+                      size_t stride, ushort *row, int span) {
+    ingest(row, raw, column_source, x0, columns);
+    row_into_ring(to, row, black_level, span);
 }
 #else
 #define SOURCE int
@@ -59,6 +63,7 @@ INLINE void into_ring(tap *to, __global const int *planes, __global const int *c
 }
 #endif
 
+#if !defined(TOGETHER) && !defined(CLASSES_ONLY)
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
 void transform(__global const SOURCE *restrict source,      // (source, row, col) DN of the mosaic, or planes
                __global const int *restrict row_source,     // (padded row)
@@ -101,3 +106,4 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
         }
     }
 }
+#endif

@@ -10,7 +10,9 @@ as fast as floats. A layer between reads planes in steps 2^COARSE times as large
 channels.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +25,7 @@ from l3cli.errors import InputFileError
 MOST_FRACTION = 16
 MOST_WEIGHT, MOST_SUM = 2.0**15 - 2, 2.0**31 - 2**MOST_FRACTION  # before rounding, which adds less than 1 to a weight
 COARSE, COARSE_TOP = 5, 2**15 - 1  # bits by which a layer between reads planes coarser, and within which size
+BLOCK = 256  # classes that are turned into integers at a time, in a processor's cache
 LUMINANCE = 1  # the plane that is Y
 
 
@@ -50,30 +53,23 @@ def opponent_basis(white_point: NDArray[np.floating]) -> NDArray[np.float64]:
 
 def fixed_point(table: TransformTable) -> FixedPoint:
     """The first layer of a table whose outputs are X, Y, Z; InputFileError if its transforms are beyond all planes."""
-    rule, step = table.first.rule, (table.white_level - table.black_level) * PLANE_STEP
-    basis = opponent_basis(table.white_point)
-    weights = np.moveaxis(_to_planes(np.moveaxis(table.first.weights, 1, -1), basis), -1, 1) / step
-    intercept = _to_planes(table.first.intercept, basis) / PLANE_STEP
-    middle = raw_middle(table.bits)
-    largest = max(2**table.bits - 1 - middle, middle)
-    back = np.abs(intercept) + abs(table.black_level - middle) * np.abs(weights.sum(axis=-1))
-    fraction = _fraction(weights, largest, back)
-    site = rule.split(np.arange(len(weights))).site
-    scale = 2.0 ** fraction[:, None]
-    whole = _rounded(weights * scale[..., None], window_channels(table.cfa, rule.patch), site)
-    back = np.rint(intercept * scale - table.black_level * whole.sum(axis=-1))
-    return FixedPoint(whole.astype(np.int16), back.astype(np.int64), fraction)
+    first, middle = table.first, raw_middle(table.bits)
+    read = _Read(
+        step=(table.white_level - table.black_level) * PLANE_STEP,
+        zero=table.black_level,
+        largest=max(2**table.bits - 1 - middle, middle),
+        farthest=abs(table.black_level - middle),
+    )
+    channels, basis = window_channels(table.cfa, first.rule.patch), opponent_basis(table.white_point)
+    sites = [(first.rule.of_site(site), channel) for site, channel in enumerate(channels)]
+    return _fixed_point(first.weights, first.intercept, basis, read, sites)
 
 
 def later_fixed_point(layer: PlaneLayer, basis: NDArray[np.float64]) -> FixedPoint:
     """A layer that reads planes and after which another does; InputFileError if its transforms are beyond all planes."""
-    weights = np.moveaxis(_to_planes(np.moveaxis(layer.weights, 1, -1), basis), -1, 1) * 2**COARSE
-    intercept = _to_planes(layer.intercept, basis) / PLANE_STEP
-    fraction = _fraction(weights, COARSE_TOP, np.abs(intercept))
-    scale = 2.0 ** fraction[:, None]
-    source = np.repeat(np.arange(weights.shape[1]), layer.side**2)
-    whole = _rounded(weights * scale[..., None], source[None], np.zeros(len(weights), np.int64))
-    return FixedPoint(whole.astype(np.int16), np.rint(intercept * scale).astype(np.int64), fraction)
+    plane = np.repeat(np.arange(len(basis)), layer.side**2)
+    read = _Read(step=2.0**-COARSE, zero=0.0, largest=COARSE_TOP, farthest=0.0)
+    return _fixed_point(layer.weights, layer.intercept, basis, read, [(slice(0, len(layer.weights)), plane)])
 
 
 def coarse(planes: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -86,36 +82,75 @@ def raw_middle(bits: int) -> int:
     return 2**15 if bits == 16 else 0
 
 
+@dataclass(frozen=True)
+class _Read:
+    """What a layer's transforms read."""
+
+    step: float  # weights are per so many of the values
+    zero: float  # the value that stands for nothing
+    largest: float  # size of the values as kernels read them
+    farthest: float  # size of `zero`, as kernels read it
+
+
+def _fixed_point(
+    weights: NDArray[np.float32], intercept: NDArray[np.float32], basis: NDArray[np.float64], read: _Read,
+    layouts: Iterable[tuple[slice, Integers]],
+) -> FixedPoint:  # fmt: skip
+    """Transforms (class, output, tap), (class, output) as integers; `layouts`: classes and the channels of their taps."""
+    offset = _to_planes(intercept.T, basis) / PLANE_STEP
+    made = FixedPoint(
+        np.empty(weights.shape, np.int16), np.empty(offset.T.shape, np.int64), np.empty(len(weights), np.int32)
+    )
+    for classes, channel in layouts:
+        order = np.argsort(channel, kind="stable")
+        ends = [0, *np.cumsum(np.bincount(channel)).tolist()]
+        for start in range(classes.start, classes.stop, BLOCK):
+            block = slice(start, min(start + BLOCK, classes.stop))
+            # Sums over the first axis are sums of long rows, which numpy does several times as fast.
+            exact = np.moveaxis(_to_planes(weights[block].transpose(1, 2, 0)[:, order], basis), 0, 1) / read.step
+            fraction = _fraction(exact, read.largest, np.abs(offset[:, block]) + read.farthest * np.abs(exact.sum(axis=0)))
+            scale = 2.0**fraction
+            exact *= scale
+            whole = _rounded(exact, ends)
+            made.weights[block, :, order] = whole.transpose(2, 1, 0)
+            made.intercept[block] = np.rint(offset[:, block] * scale - read.zero * whole.sum(axis=0)).T
+            made.fraction[block] = fraction
+    return made
+
+
 def _fraction(weights: NDArray[np.float64], largest: float, offset: NDArray[np.float64]) -> NDArray[np.int32]:
-    """F (class) of weights (class, plane, tap) of values of at most a `largest` size and with an offset (class, plane)."""
+    """F (class) of weights (tap, plane, class) of values of at most a `largest` size and with an offset (plane, class)."""
     size = np.abs(weights)
-    sums = (size.sum(axis=-1) * largest + offset).max(axis=-1)
-    rounding = 2 * weights.shape[-1] * largest  # what it may add to sum and offset
-    room = np.minimum(MOST_WEIGHT / (size.max(axis=(1, 2)) + 1e-30), (MOST_SUM - rounding) / (sums + 1e-30))
+    sums = (size.sum(axis=0) * largest + offset).max(axis=0)
+    rounding = 2 * len(weights) * largest  # what it may add to sum and offset
+    room = np.minimum(MOST_WEIGHT / (size.max(axis=(0, 1)) + 1e-30), (MOST_SUM - rounding) / (sums + 1e-30))
     fraction = np.minimum(MOST_FRACTION, np.floor(np.log2(room)))
     if fraction.min() < 0:
         raise InputFileError("transforms of a layer are too large for the next; train the table again")
     return fraction.astype(np.int32)
 
 
-def _rounded(weights: NDArray[np.float64], channels: Integers, layout: Integers) -> NDArray[np.float64]:
-    """Weights (class, plane, tap) as whole numbers less than one away, of sums over each channel that are the nearest; the
-    taps' channels (layout, tap) are those of the class's `layout` (class)."""
+def _rounded(weights: NDArray[np.float64], ends: list[int]) -> NDArray[np.float64]:
+    """Weights (tap, …), a channel's taps between two of the `ends`, as whole numbers less than one away, of sums over each
+    channel that are the nearest: those that lose most are rounded up, of equal ones the first."""
     whole = np.floor(weights)
-    for number, channel in enumerate(channels):
-        members = np.flatnonzero(layout == number)
-        for index in range(int(channel.max()) + 1):
-            part = np.ix_(members, np.arange(weights.shape[1]), np.flatnonzero(channel == index))
-            wanted, least = weights[part], whole[part]
-            order = np.argsort(least - wanted, axis=-1, kind="stable")  # those that lose most first
-            up = np.rint(wanted.sum(axis=-1)) - least.sum(axis=-1)
-            first = np.empty(order.shape, bool)
-            np.put_along_axis(first, order, np.arange(order.shape[-1]) < up[..., None], axis=-1)
-            whole[part] = least + first
+    loss = whole - weights
+    for start, end in pairwise(ends):
+        if start == end:
+            continue
+        least, lost = whole[start:end], loss[start:end]
+        count = np.rint(weights[start:end].sum(axis=0)) - least.sum(axis=0)
+        in_order = np.sort(np.moveaxis(lost, 0, -1), axis=-1)
+        last = np.maximum(count - 1, 0).astype(np.int64)[..., None]
+        limit = np.where(count > 0, np.take_along_axis(in_order, last, axis=-1)[..., 0], -np.inf)
+        up = lost < limit
+        equal, left = lost == limit, (count - np.count_nonzero(up, axis=0)).astype(np.int16)
+        up |= equal & (np.cumsum(equal, axis=0, dtype=np.int16) <= left)
+        least += up
     return whole
 
 
 def _to_planes(values: NDArray[np.float32], basis: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(…, X Y Z) → (…, plane), one product after the other, so that every machine rounds alike."""
-    x, y, z = np.moveaxis(values.astype(np.float64), -1, 0)
-    return np.stack([x + basis[1, 0] * y, y, z + basis[1, 2] * y], axis=-1)
+    """(X Y Z, …) → (plane, …), one product after the other, so that every machine rounds alike."""
+    x, y, z = values.astype(np.float64)
+    return np.stack([x + basis[1, 0] * y, y, z + basis[1, 2] * y])

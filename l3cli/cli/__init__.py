@@ -16,6 +16,7 @@ from l3cli.errors import L3Error, suggestion
 from l3cli.interrupts import Terminated, heed, leave_to_python
 from l3cli.ledger import close_ledger
 from l3cli.limits import require_address_space
+from l3cli.parallel import without_plots
 from l3cli.stages.log import Logged
 from l3cli.stages.plan import Planned
 
@@ -101,6 +102,7 @@ def main() -> None:
     """Run the command line; every failure ends as one line on stderr and its exit code (docs/robustness.md#exit-codes)."""
     prepare()
     heed()
+    without_plots()
     code = run(sys.argv[1:])
     leave_to_python()
     sys.exit(code)

@@ -70,6 +70,12 @@ def check_format(path: Path, bits: int) -> None:
         raise RecipeError(f"{path}: {path.suffix} holds {held} bits a value, not {bits}; use {cure}")
 
 
+def make_ready(suffix: str) -> None:
+    """Import what writes files of a suffix."""
+    if suffix.lower() != RAW:
+        import OpenImageIO  # noqa: F401
+
+
 def write_picture(path: Path, picture: NDArray) -> None:
     """Encoded sRGB (row, col, 3), uint8 or uint16, to a file of the format of its suffix, tagged as sRGB."""
     write_whole(path, picture_file(path, picture))

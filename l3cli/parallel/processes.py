@@ -16,6 +16,7 @@ from typing import Any, TypeVar
 from l3cli.errors import L3Error
 from l3cli.interrupts import uninterrupted
 from l3cli.limits import ONE_BLAS_THREAD
+from l3cli.parallel import without_plots
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -33,7 +34,7 @@ def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
     """Processes that end with the block: at once where it fails or is interrupted."""
     saved = {name: os.environ.get(name) for name in ONE_BLAS_THREAD}
     os.environ.update(ONE_BLAS_THREAD)
-    pool = ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), _end_with_parent)
+    pool = ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), _begin)
     before = multiprocessing.active_children()
     try:
         yield pool
@@ -70,6 +71,12 @@ def _result(future: "Future[R]") -> R:
         return future.result()
     except BrokenProcessPool as error:
         raise L3Error("a worker process was ended from outside, perhaps for lack of memory; use fewer ‹jobs›") from error
+
+
+def _begin() -> None:
+    """In a worker, before its first item."""
+    without_plots()
+    _end_with_parent()
 
 
 def _end_with_parent() -> None:

@@ -1,4 +1,4 @@
-"""Queues between threads: items made ahead of who takes them, and calls that are done behind who asks for them."""
+"""Between threads: items made ahead of who takes them, calls that are done behind who asks for them, or meanwhile."""
 
 import contextlib
 import queue
@@ -60,6 +60,26 @@ def _while_room(items: Iterable[T], room: threading.Semaphore, stopped: threadin
         except StopIteration:
             return
         yield item
+
+
+class Meanwhile:
+    """Does `work` in another thread while the block runs, and waits for its end. What goes wrong in it is left to whoever
+    does the same later: the work only makes something ready."""
+
+    def __init__(self, work: Callable[[], object]) -> None:
+        self._work = work
+        self._thread = threading.Thread(target=self._run, daemon=True)
+
+    def __enter__(self) -> None:
+        self._thread.start()
+
+    @uninterrupted  # as in Behind
+    def __exit__(self, *exception: object) -> None:
+        self._thread.join()
+
+    def _run(self) -> None:
+        with contextlib.suppress(Exception):
+            self._work()
 
 
 class Behind:

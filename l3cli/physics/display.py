@@ -38,8 +38,21 @@ def display_white() -> Array:
 
 def white_luminance(luminance: Array) -> float:
     """Luminance that is shown white: the 99th percentile of `luminance` (row, col), in its unit; 1 where all is dark."""
-    bright = float(np.percentile(luminance, WHITE_PERCENTILE))
+    bright = white_percentile(luminance)
     return bright if bright > 0 else 1.0
+
+
+def white_percentile(values: Array) -> float:
+    """np.percentile(values, 99), which loads masked arrays for it: a twentieth of the time that a picture takes."""
+    flat = values.ravel()
+    place = (flat.size - 1) * (WHITE_PERCENTILE / 100)
+    below = min(int(place), flat.size - 1)
+    above, share = min(below + 1, flat.size - 1), place - below
+    sorted_there = np.partition(flat, (below, above, flat.size - 1))
+    if np.isnan(sorted_there[-1]):
+        return float("nan")
+    low, high = sorted_there[below], sorted_there[above]
+    return float(high - (high - low) * (1 - share) if share >= 0.5 else low + (high - low) * share)
 
 
 def exposure_scale(luminance: Array) -> float:

@@ -10,7 +10,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.classes.decide import label_patches
 from l3cli.classes.windows import neighbourhoods, window_channels
 from l3cli.frame import RawFrame, mirrored_indices
-from l3cli.physics.display import WHITE_PERCENTILE
+from l3cli.physics.display import white_percentile
 from l3cli.rendering.balance import WhiteBalance, balanced_patches, followed_share
 
 GRID = (32, 48)  # rows and columns of pixels that are measured, at most
@@ -40,7 +40,7 @@ class LightMeter:
         if patches.shading is not None:
             luminance *= patches.shading.gain[:, 0]
         raised = 1.0 if balance is None else balance.luminance
-        return raised * frame.light_share * float(np.percentile(luminance, WHITE_PERCENTILE))
+        return raised * frame.light_share * white_percentile(luminance)
 
 
 def spread_patches(frame: RawFrame, table: TransformTable, gains: np.ndarray | None = None) -> tuple[RawFrame, int]:

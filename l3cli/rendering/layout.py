@@ -267,7 +267,7 @@ TRANSFORM = ("folding.cl", "floating_point.cl", "fixed_point.cl", "transform.cl"
 VARIANTS = {
     # Few and long work-items, each vectorised within: over pixels for the classes, over taps for the transforms.
     "processor": Variant(
-        (*SHARED, "ingest.cl", "statistics.cl", "classes.cl", "rows.cl", *TRANSFORM),
+        (*SHARED, "ingest.cl", "statistics.cl", "classes.cl", "rows.cl", *TRANSFORM, "together.cl"),
         ("ingest.cl", "rows.cl", *TRANSFORM, "plane_rows.cl"),
         lambda table, lanes: Cut(256, 48, (1, 1), lanes),
         pack_in_vectors,

@@ -1,4 +1,4 @@
-"""Rendering on an OpenCL device: upload, two kernels a layer (opencl/*.cl), download (docs/method.md#rendering).
+"""Rendering on an OpenCL device: upload, one or two kernels a layer (opencl/*.cl), download (docs/method.md#rendering).
 
 A frame is taken in horizontal bands, so that the device's memory is bounded whatever the frame's size; a usual frame is one
 band. Two tracks, each a queue with its buffers, take the bands in turn, of this frame and the next: while one
@@ -8,22 +8,23 @@ computes, the other may upload and download.
 import os
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
-from l3cli.classes.planes import fixed_point, later_fixed_point, opponent_basis
 from l3cli.errors import RecipeError
 from l3cli.frame import RawFrame
 from l3cli.rendering import layout
 from l3cli.rendering.display import Display, require_known_layers, require_xyz
 from l3cli.rendering.opencl_bands import bands
 from l3cli.rendering.opencl_devices import choose_device, pyopencl, refusals
+from l3cli.rendering.opencl_planes import plane_steps
 from l3cli.rendering.opencl_programs import Compiler, Programs
 from l3cli.rendering.opencl_shading import DeviceShading
-from l3cli.rendering.opencl_work import Band, Held, PlaneStep, Track, Work, shares_memory
+from l3cli.rendering.opencl_work import Band, Held, Track, Work, constant, scratch, shares_memory
 
 TRACKS = 2
 STAGES = ("upload", "classes", "transforms", "encode", "download")
@@ -52,6 +53,7 @@ class OpenCLRenderer:
             raise RecipeError(f'variant "{self.variant}" is unknown; use one of {", ".join(layout.VARIANTS)}')
         with refusals(self.device):
             self._context = cl.Context([self.device])
+            self._constant, self._scratch = partial(constant, self._context), partial(scratch, self._context)
             variant_layout = layout.VARIANTS[self.variant]
             self._compiler = Compiler(self._context, self.device)
             self._programs = Programs(self._compiler, table, self.variant, lanes)
@@ -59,11 +61,12 @@ class OpenCLRenderer:
             self._class_buffers = [self._constant(array) for array in layout.class_arrays(table)]
             last = layout.later_weights(table.later[-1]) if table.later else layout.first_weights(table)
             self._weights = self._constant(variant_layout.pack(last, self._cut.lanes))
-            self._later = [self._plane_step(number) for number in range(len(table.later))]
+            self._later = plane_steps(table, self.variant, self._cut.lanes, self._constant)
             self._tracks = deque(Track(self._context, len(table.later)) for _ in range(TRACKS))
             self._frame_bands: tuple[tuple[int, ...], tuple[Band, ...]] | None = None
             self._held: Held | None = None
             self._in_place = shares_memory(self.device)
+            self._together = self._programs.joins  # whether classes and transforms of the first layer are one kernel
             self._shading = DeviceShading(self._kernel, self._constant, self._cut.lanes)
 
     @property
@@ -110,18 +113,22 @@ class OpenCLRenderer:
     def stage_times(self, frame: RawFrame, display: Display | None) -> dict[str, float]:
         """Milliseconds that the device spent in each of `stages` for one picture, or without a display for the outputs.
 
-        Transforms and encoding are one kernel: "transforms" is the time of that kernel built without the encoding, which
-        writes one number a pixel instead; "encode" what the whole kernel takes beyond that. Call it twice: the first run
-        warms up.
+        Classes and transforms of the first layer, which may be one kernel, are timed as two. "transforms" is the time of
+        their kernel built without the encoding, which writes one number a pixel instead; "encode" what the whole kernel
+        takes beyond that. Call it twice: the first run warms up.
         """
         self._held = None
-        _, work = self._start_outputs(frame) if display is None else self._start_picture(frame, display)
-        times = self._wait(work).milliseconds()
-        if display is not None:
-            numbers = np.empty(frame.values.shape, np.float32)
-            bare = self._wait(self._start(frame, [numbers], layout.NOT_ENCODED)).milliseconds()["transforms"]
-            times["encode"] = max(0.0, times["transforms"] - bare)
-            times["transforms"] = bare
+        together, self._together = self._together, False
+        try:
+            _, work = self._start_outputs(frame) if display is None else self._start_picture(frame, display)
+            times = self._wait(work).milliseconds()
+            if display is not None:
+                numbers = np.empty(frame.values.shape, np.float32)
+                bare = self._wait(self._start(frame, [numbers], layout.NOT_ENCODED)).milliseconds()["transforms"]
+                times["encode"] = max(0.0, times["transforms"] - bare)
+                times["transforms"] = bare
+        finally:
+            self._together = together
         return times
 
     def _start_outputs(self, frame: RawFrame) -> tuple[NDArray[np.float32], Work]:
@@ -150,16 +157,19 @@ class OpenCLRenderer:
         self._held = None
         with refusals(self.device):
             shaded = self._shading.macros(frame.shading)
-            kernel = None if ending is None else self._programs.transforms({**ending, **shaded})
+            together = self._together and not self._later
+            kernel = None if ending is None else self._programs.transforms({**ending, **shaded}, together)
             encoding = None
             for band in self._bands(values.shape):
                 track = self._tracks[0]
                 self._tracks.rotate()
-                self._classify(values, levelled, track, band, work)
+                self._bring(values, levelled, track, band, work)
+                if not self._together or (kernel is None and not layer):
+                    self._classify(track, band, levelled, work)
                 if encoding is None:  # not before the device is busy
                     encoding = self._constant(np.zeros(9) if matrix is None else matrix, np.float32)
                 for number in range(layer if kernel is None else len(self._later)):
-                    self._classify_later(number, track, band, work)
+                    self._classify_later(number, track, band, levelled, work)
                 parts = [result[band.rows] for result in results]
                 if kernel is not None:
                     target, offset = self._target(track, parts, work), 0
@@ -191,8 +201,8 @@ class OpenCLRenderer:
             self._compiler.keep()
         return work
 
-    def _classify(self, values: NDArray, frame: RawFrame, track: Track, band: Band, work: Work) -> None:
-        """Upload and classes of a band, with the rows beside it that a later layer reads."""
+    def _bring(self, values: NDArray, frame: RawFrame, track: Track, band: Band, work: Work) -> None:
+        """Upload of a band, with the rows beside it that a later layer reads."""
         source, (rows, columns) = values[band.raw_rows], band.shape(0)
         track.labels = self._scratch(track.labels, 4 * rows * columns)
         if self._in_place and not self._shading.evens(frame):
@@ -203,40 +213,51 @@ class OpenCLRenderer:
             work.add("upload", pyopencl().enqueue_copy(track.queue, track.raw, source, is_blocking=False))
         if self._shading.evens(frame):
             work.add("classes", self._shading.even(frame, track, band))
-        site = ((frame.phase[0] + band.reads[0].start) % self.table.cfa.shape[0], frame.phase[1])
-        buffers = (track.raw, *band.mosaic_source, *self._class_buffers, track.labels)
-        work.add("classes", self._run(self._programs.classes(0), track, (rows, columns), *buffers, *map(np.int32, site)))
 
-    def _classify_later(self, number: int, track: Track, band: Band, work: Work) -> None:
+    def _classify(self, track: Track, band: Band, frame: RawFrame, work: Work) -> None:
+        """Classes of a band in the first layer."""
+        arguments = (*self._decides(track, band), *self._site(band, frame))
+        work.add("classes", self._run(self._programs.classes(0), track, band.shape(0), *arguments))
+
+    def _decides(self, track: Track, band: Band) -> tuple[Any, ...]:
+        """What the first layer's classes are decided on, and where they are written."""
+        return track.raw, *band.mosaic_source, *self._class_buffers, track.labels
+
+    def _site(self, band: Band, frame: RawFrame) -> tuple[np.int32, np.int32]:
+        """Row and column of the CFA where a band begins."""
+        return np.int32((frame.phase[0] + band.reads[0].start) % self.table.cfa.shape[0]), np.int32(frame.phase[1])
+
+    def _classify_later(self, number: int, track: Track, band: Band, frame: RawFrame, work: Work) -> None:
         """What later layer `number` reads of a band: the planes of the layer before it, and the classes they give."""
         step, (rows, columns), made = self._later[number], band.shape(number), band.shape(number + 1)
         track.planes[number] = self._scratch(track.planes[number], 4 * layout.PLANES * rows * columns)
-        buffers = (*self._reads(number, track, band), step.weights, step.nothing, track.planes[number], np.float32(0))
-        work.add(
-            "planes",
-            self._run(self._programs.planes(number), track, (rows, columns), *buffers, self._source_rows(number, band)),
-        )
+        kernel = self._programs.planes(number, self._together and not number)
+        reads, ends = self._reads(number, track, band, frame)
+        buffers = (*reads, step.weights, step.nothing, track.planes[number], np.float32(0), *ends)
+        work.add("planes", self._run(kernel, track, (rows, columns), *buffers))
         track.later_labels[number] = self._scratch(track.later_labels[number], 4 * made[0] * columns)
         buffers = (track.planes[number], track.labels, *band.later[number].classes, *step.rule, track.later_labels[number])
         work.add("structures", self._run(self._programs.classes(number + 1), track, made, *buffers, np.int32(rows)))
 
-    def _reads(self, number: int, track: Track, band: Band) -> tuple[Any, ...]:
-        """What the transforms of a layer read, 0 being the first: source, where its padded rows and columns lie, classes."""
+    def _reads(self, number: int, track: Track, band: Band, frame: RawFrame) -> tuple[tuple[Any, ...], tuple[np.int32, ...]]:
+        """What the transforms of a layer read, 0 being the first: source, where its padded rows and columns lie, classes or
+        what they are decided on; and their numbers."""
+        if self._together and not number:
+            return self._decides(track, band), self._site(band, frame)
         if not number:
-            return track.raw, *band.mosaic_source, track.labels
-        return track.planes[number - 1], *band.later[number - 1].transforms, track.later_labels[number - 1]
-
-    def _source_rows(self, number: int, band: Band) -> np.int32:
-        return np.int32(band.shape(number - 1)[0] if number else 0)
+            return (track.raw, *band.mosaic_source, track.labels), (np.int32(0),)
+        read = (track.planes[number - 1], *band.later[number - 1].transforms, track.later_labels[number - 1])
+        return read, (np.int32(band.shape(number - 1)[0]),)
 
     def _transform(
         self, kernel: Any, encoding: Any, track: Track, band: Band, result: Any, frame: RawFrame, work: Work
     ) -> None:
-        """Transforms of the last layer and encoding of a classified band into the buffer `result`."""
+        """Transforms of the last layer, and its classes if it is alone, and encoding of a band into the buffer `result`."""
         number = len(self._later)
         made = (result, *self._shading.gain(frame.shading, band.rows))
-        last = (self._weights, encoding, *made, np.float32(frame.black_level), self._source_rows(number, band))
-        work.add("transforms", self._run(kernel, track, band.shape(number), *self._reads(number, track, band), *last))
+        reads, ends = self._reads(number, track, band, frame)
+        arguments = (*reads, self._weights, encoding, *made, np.float32(frame.black_level), *ends)
+        work.add("transforms", self._run(kernel, track, band.shape(number), *arguments))
 
     def _target(self, track: Track, parts: list[NDArray], work: Work) -> Any:
         """The buffer whose content becomes arrays one after the other: the array itself, if there is one and the device
@@ -266,32 +287,8 @@ class OpenCLRenderer:
         """A kernel of a program of its own."""
         return self._compiler.kernel(self._compiler.build(source, {**macros, **self._cut.macros}), name)
 
-    def _plane_step(self, number: int) -> PlaneStep:
-        """What a later layer needs to come to its planes and classes."""
-        table = self.table
-        if number:
-            weights = layout.later_plane_weights(
-                later_fixed_point(table.later[number - 1], opponent_basis(table.white_point))
-            )
-        else:
-            weights = layout.first_plane_weights(fixed_point(table), table.bits)
-        rule = tuple(self._constant(array) for array in layout.rule_arrays(table, table.later[number].rule, self.variant))
-        packed = layout.VARIANTS[self.variant].pack_whole(weights, self._cut.lanes)
-        return PlaneStep(self._constant(packed), rule, self._constant(np.zeros(9, np.float32)))
-
     def _bands(self, shape: tuple[int, ...]) -> tuple[Band, ...]:
         """The bands of frames of a shape (row, col), kept until a frame of another shape comes."""
         if self._frame_bands is None or self._frame_bands[0] != shape:
             self._frame_bands = shape, tuple(bands(self.table, shape, self._constant))
         return self._frame_bands[1]
-
-    def _constant(self, array: NDArray, dtype: Any = None) -> Any:
-        cl = pyopencl()
-        array = np.ascontiguousarray(array if array.size else np.zeros(1, array.dtype), dtype)  # no buffer may be empty
-        return cl.Buffer(self._context, cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR, hostbuf=array)
-
-    def _scratch(self, buffer: Any, size: int) -> Any:
-        """The buffer if it has room for `size` bytes, else one that has."""
-        if buffer is None or buffer.size < size:
-            buffer = pyopencl().Buffer(self._context, pyopencl().mem_flags.READ_WRITE, size)
-        return buffer

@@ -13,6 +13,10 @@ from l3cli.rendering.opencl_devices import pyopencl
 
 BUILD_OPTIONS = ("-w", "-cl-mad-enable", "-cl-std=CL1.2")
 TRANSFORM_ONLY: layout.Macros = {"TRANSFORM_ONLY": 1}  # without the kernel of the classes, which another program has
+# Of the variant that joins them, programs of one kernel each: no program is kept before all its kernels have run.
+CLASSES_ONLY: layout.Macros = {"CLASSES_ONLY": 1}
+TOGETHER: layout.Macros = {"TOGETHER": 1}  # classes and transforms of the first layer
+JOINS = ("processor",)  # variants that join them
 SPARING = "PoCL 3.0"  # the version of which it was tried; others compile general forms once more before they are kept
 Key = tuple[Any, ...]
 # What makes pictures of outputs: its files and its cut, of as many lanes as the device's compiler has registers for if 0.
@@ -77,24 +81,36 @@ class Programs:
 
     def __init__(self, compiler: Compiler, table: TransformTable, variant: str, lanes: int | None) -> None:
         self._compiler, self._table, self._variant = compiler, table, variant
-        self._programs: dict[Key, kernels.Made] = {}  # by layer, -1: an encoder; and ending
+        self._programs: dict[Key, kernels.Made] = {}  # by layer, -1: an encoder, or "together"; and ending
         self._kernels: dict[Key, Any] = {}  # by program and name
         self._last = len(table.later)
         self._encoder_files, known = ENCODERS[variant]
         self.encoder_cut = replace(known, lanes=lanes or known.lanes)
         self.cut = layout.VARIANTS[variant].cut(table, self._lanes())
 
-    def transforms(self, ending: layout.Macros) -> Any:
-        """The kernel of the last layer's transforms."""
-        return self._kernel(self._built(self._last, ending), "transform")
+    @property
+    def joins(self) -> bool:
+        """Whether classes and transforms of the first layer may be one kernel."""
+        return self._variant in JOINS
 
-    def planes(self, layer: int) -> Any:
-        """The kernel that makes what layer `layer` + 1 reads."""
-        return self._kernel(self._built(layer, layout.TO_PLANES), "transform")
+    def transforms(self, ending: layout.Macros, together: bool = False) -> Any:
+        """The kernel of the last layer's transforms, which if it is the only one may find its classes, too."""
+        return self._transforms(self._last, ending, together)
+
+    def planes(self, layer: int, together: bool = False) -> Any:
+        """The kernel that makes what layer `layer` + 1 reads, which for the first may find its classes, too."""
+        return self._transforms(layer, layout.TO_PLANES, together)
+
+    def _transforms(self, layer: int, ending: layout.Macros, together: bool) -> Any:
+        if together:
+            return self._kernel(self._built(layer, {**ending, **TOGETHER}), "classes_and_transform")
+        return self._kernel(self._built(layer, ending | (TRANSFORM_ONLY if self.joins and not layer else {})), "transform")
 
     def classes(self, layer: int) -> Any:
         """The kernel that finds a layer's classes, out of whichever program of it there is."""
         usual = layout.TO_PLANES if layer < self._last else layout.OUTPUTS_AS_THEY_ARE
+        if self.joins and not layer:
+            return self._kernel(self._built(layer, {**usual, **CLASSES_ONLY}), "classes")
         key = next((key for key in self._programs if key[0] == layer), None) or self._built(layer, usual)
         return self._kernel(key, "structures" if layer else "classes")
 
@@ -113,7 +129,7 @@ class Programs:
         key = (layer, *ending.items())
         if key not in self._programs:
             source, macros, cut = self._parts(layer)
-            if any(other[0] == layer for other in self._programs):
+            if any(other[0] == layer for other in self._programs) and not (self.joins and layer == 0):
                 macros = {**macros, **TRANSFORM_ONLY}
             self._programs[key] = self._compiler.build(source, {**macros, **ending, **cut.macros})
         return key

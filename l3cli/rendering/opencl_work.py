@@ -12,6 +12,20 @@ from l3cli.rendering.opencl_devices import pyopencl
 Source = Any  # a buffer of indices
 
 
+def constant(context: Any, array: NDArray, dtype: Any = None) -> Any:
+    """A buffer that holds an array."""
+    flags = pyopencl().mem_flags
+    array = np.ascontiguousarray(array if array.size else np.zeros(1, array.dtype), dtype)  # no buffer may be empty
+    return pyopencl().Buffer(context, flags.READ_ONLY | flags.COPY_HOST_PTR, hostbuf=array)
+
+
+def scratch(context: Any, buffer: Any, size: int) -> Any:
+    """The buffer if it has room for `size` bytes, else one that has."""
+    if buffer is None or buffer.size < size:
+        buffer = pyopencl().Buffer(context, pyopencl().mem_flags.READ_WRITE, size)
+    return buffer
+
+
 class Track:
     """A queue and the buffers of one band; buffers grow to what is asked of them."""
 
@@ -116,15 +130,6 @@ class Held:
     def are_of(self, frame: RawFrame) -> bool:
         """Whether they are those of a frame."""
         return self.frame is frame and np.array_equal(self.values, frame.values)
-
-
-@dataclass(frozen=True)
-class PlaneStep:
-    """How a layer that reads planes comes to them and to its classes."""
-
-    weights: Any  # of the layer before
-    rule: tuple[Any, ...]
-    nothing: Any  # where other transforms have a display's matrix
 
 
 @dataclass(frozen=True)

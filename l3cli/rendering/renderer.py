@@ -41,6 +41,16 @@ class Renderer(Protocol):
         """The picture of each frame, in order; while the caller uses one the next may be computed."""
 
 
+def make_ready(backend: str) -> None:
+    """Import what the renderer called `backend` needs, and find the devices there are: it takes as long as reading a table,
+    beside which it can be done. Whatever is wrong is said by `make_renderer`."""
+    importlib.import_module(BACKENDS[backend].partition(":")[0])
+    if backend == "opencl":
+        from l3cli.rendering.opencl_devices import devices
+
+        devices()
+
+
 def make_renderer(backend: str, table: TransformTable, **options: str | None) -> Renderer:
     """The renderer called `backend` for a table. RecipeError if there is none, DeviceError if it finds no device.
 

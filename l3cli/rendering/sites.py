@@ -25,7 +25,7 @@ def site_means(frame: RawFrame, cfa_shape: tuple[int, ...]) -> NDArray[np.float6
 def disagreement(means: NDArray[np.float64], cfa: NDArray[np.uint8], phase: tuple[int, int]) -> float:
     """The largest difference between the means (row, col) of sites of one channel, over the channel's mean."""
     channel = shifted_cfa(cfa, phase)
-    seen = [means[channel == each] for each in np.unique(channel)]
+    seen = [means[channel == each] for each in set(channel.flat)]
     return max(float(np.ptp(of_channel) / max(of_channel.mean(), 1e-9)) for of_channel in seen)
 
 

@@ -62,7 +62,8 @@ def _batches(
             while rest:
                 count = min(rest, BATCH)
                 rest -= count
-                waiting[site].append(patches_of(frame, pass_.head, near, site, count, rng, pass_.recipe.symmetry))
+                how = pass_.recipe.symmetry, pass_.recipe.achromatic
+                waiting[site].append(patches_of(frame, pass_.head, near, site, count, rng, *how))
                 if rest:
                     yield site, waiting[site].pop()
     for site, patches in waiting.items():

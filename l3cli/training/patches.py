@@ -2,20 +2,23 @@
 
 import functools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.training_set import TrainingFrame, TrainingPair, TrainingSet
+from l3cli.artifacts.training_set import LightSpectrum, TrainingFrame, TrainingPair, TrainingSet
 from l3cli.classes.windows import Neighbourhoods
 from l3cli.errors import InputFileError
+from l3cli.physics import spectra
 from l3cli.training.recipe import LearningRecipe
+from l3cli.training.solve import XYZ
 from l3cli.training.symmetry import orientations, site_maps
 
 Floats = NDArray[np.float32]
 QUANTISATION = 1 / 12  # DN², of rounding to whole DN
+Y = 1  # its place among the outputs X, Y, Z
 
 
 @dataclass(frozen=True)
@@ -53,17 +56,41 @@ def patches_of(
     count: int,
     rng: np.random.Generator,
     shared: bool = True,
+    achromatic: float = 0.0,
 ) -> Patches:
     """`count` patches of a simulated frame or a real pair, laid out like those of canonical `site`; whether sites share
-    their training, as in site_maps, matters to real pairs."""
+    their training, as in site_maps, matters to real pairs. A share `achromatic` of simulated ones shows the scene without
+    colour, where the outputs are X, Y, Z and the light is known."""
     side = int(np.sqrt(near.channel.shape[1]))
     if frame.raw.shape[0] < side or frame.raw.shape[1] < side:
         rows, cols = frame.raw.shape
         raise InputFileError(f"frame of scene {frame.scene} is {rows}×{cols}, smaller than the {side}×{side} patch")
     if isinstance(frame, TrainingFrame):
-        unit = head.camera.saturation_exposure
-        return sample_patches(frame, head, unit, near.channel[site], count, orientations(side), rng)
+        grey = round(achromatic * count) if head.outputs[:3] == XYZ and frame.light is not None else 0
+        how = head.camera.saturation_exposure, near.channel[site]
+        patches = sample_patches(frame, head, *how, count - grey, orientations(side), rng)
+        if not grey:
+            return patches
+        colourless = without_colour(frame, head.camera)
+        return Patches.together([patches, sample_patches(colourless, head, *how, grey, orientations(side), rng)])
     return sample_pair(frame, head.camera, near, site, count, rng, shared)
+
+
+def without_colour(frame: TrainingFrame, camera: CameraModel) -> TrainingFrame:
+    """A frame of X, Y, Z under a known light that shows the luminance of its scene alone, every channel as it sees white."""
+    if frame.light is None:
+        raise ValueError("the light must be known")
+    luminance = frame.target[Y]
+    electrons = white_signal(frame.light, camera) * camera.full_scale / camera.channel_gains
+    of_white = electrons * (frame.exposure / camera.saturation_exposure)
+    grey, white = (each.astype(np.float32)[:, None, None] * luminance for each in (of_white, frame.white / frame.white[Y]))
+    return replace(frame, electrons=grey, target=white)
+
+
+def white_signal(light: LightSpectrum, camera: CameraModel) -> NDArray[np.float64]:
+    """Signals (channel), as shares of full scale, of a white of Y = 1 under a light."""
+    radiance = spectra.resample(light.radiance.astype(np.float64), light.wavelength, camera.wavelength)
+    return np.asarray(camera.signal_weights @ radiance * (camera.saturation_exposure / camera.full_scale))
 
 
 def sample_pair(

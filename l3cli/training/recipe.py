@@ -35,6 +35,7 @@ class LearningRecipe(Recipe):
     brightest: float = 2.5  # … to here, clipped at the white level
     highlight_share: float = 0.25  # this share of the draws …
     highlight_from: float = 0.15  # … lies between here and the brightest
+    achromatic: Share = 0.0  # share of the patches that show their scene without colour (docs/method.md#patches)
     rescale: bool = True  # False: patches stay at the level of their frame, however often they are drawn
     # noise-free patches and a covariance, patches with noise drawn, or no noise at all, neither in classes nor in patches;
     # without a covariance the weights below weigh nothing, and without noise those of a layer only rounding to DN

@@ -22,8 +22,7 @@ from l3cli.classes.windows import neighbourhoods
 from l3cli.errors import InputFileError
 from l3cli.physics import spectra
 from l3cli.training.highlights import misleading
-from l3cli.training.layers.mosaics import white_signal
-from l3cli.training.patches import draw_levels, expose_patches, patches_of
+from l3cli.training.patches import draw_levels, expose_patches, patches_of, white_signal
 from l3cli.training.plain_surfaces import plain_surfaces
 from l3cli.training.recipe import LearningRecipe, TrainingRecipe
 from l3cli.training.solve import XYZ, Goal, Solution, equal_responses, solve

@@ -1,4 +1,4 @@
-"""Many machines: a real dask scheduler and three workers on loopback give the bytes of a single process, also when one is
+"""Many machines: a real dask scheduler and two workers on loopback give the bytes of a single process, also when one is
 killed; what goes wrong with them is one line within bounded time."""
 
 import contextlib
@@ -25,7 +25,7 @@ from l3cli.parallel.cluster import Scheduler
 from tests.helpers.paths import ROOT
 from tests.helpers.tasks import PATIENCE, refusing, squared
 
-WORKERS = 3
+WORKERS = 2
 SCENES = """
 illuminants = ["D65", "A"]
 luminances_cd_m2 = [100.0]
@@ -123,11 +123,11 @@ def _process(item: int) -> int:
     return os.getpid()
 
 
-def _wait_until(done: Callable[[], bool]) -> None:
+def _wait_until(done: Callable[[], bool], pause: float = 0.05) -> None:
     end = time.monotonic() + PATIENCE
     while not done():
         assert time.monotonic() < end
-        time.sleep(0.05)
+        time.sleep(pause)
 
 
 def _content(folder: Path) -> dict[str, bytes]:
@@ -200,14 +200,14 @@ def test_a_killed_worker_changes_nothing(
     """One is killed while it works and holds results; dask has others do its work again."""
     output = tmp_path / "training.h5"
     (tmp_path / "picture.png").write_bytes((made / "picture.png").read_bytes())
-    (tmp_path / "scenes.toml").write_text(SCENES.replace("[32, 40]", "[96, 96]").replace("count = 6", "count = 12"))
+    (tmp_path / "scenes.toml").write_text(SCENES.replace("[32, 40]", "[64, 64]").replace("count = 6", "count = 12"))
     command = ("simulate", tmp_path / "scenes.toml", "--camera", bayer_recipe, "--quiet", "-o")
     assert l3(*command, tmp_path / "here.h5")[0] == 0
     left: list[int] = []
 
     def kill() -> None:
         parts = tmp_path / "training.h5.parts"
-        _wait_until(lambda: len(list(parts.glob("*.h5"))) >= 4)
+        _wait_until(lambda: len(list(parts.glob("*.h5"))) >= 4, 0.005)
         cluster.workers[0].kill()
         left.append(26 - len(list(parts.glob("*.h5"))))
 

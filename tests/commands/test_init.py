@@ -1,22 +1,18 @@
 """l3 init: what it makes, and every camera recipe from its folder to a picture, small."""
 
 import json
-import os
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter
 
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.training_set import open_training_set
 from l3cli.config import Recipe, load_recipe
 from l3cli.evaluation.demosaic import interpolate
 from l3cli.evaluation.quality import psnr
-from l3cli.io.images import read_image, write_picture
+from l3cli.io.images import read_image
 from l3cli.recipes import known_benchmarks, known_recipes
 from l3cli.simulation.lab_recipe import LabRecipe
 from l3cli.simulation.recipe import SceneRecipe
@@ -27,7 +23,6 @@ from tests.helpers.recipes import SMALL
 
 CAMERAS = known_recipes("cameras")
 NAMES = sorted(CAMERAS)
-BENCHMARK = ("camera.toml", "training.toml", "test.toml", "classes.toml", "Makefile")
 BANDS = '\n[target]\noutputs = "camera"\n'
 
 
@@ -94,41 +89,6 @@ def test_a_phase_comes_with_its_base(tmp_path: Path, l3: Callable) -> None:
     assert "2×2,  3 channels  A Bayer array, BGGR" in err
     assert {path.name for path in (tmp_path / "demo").iterdir()} == {*COMMON, "camera.toml", "bayer.toml"}
     assert load_camera(tmp_path / "demo/camera.toml").name == "Bayer BGGR"
-
-
-def test_a_benchmark_learns_from_pictures_and_judges_on_others(tmp_path: Path, l3: Callable) -> None:
-    folder = tmp_path / "benchmark"
-    code, _, err = l3("init", "benchmark-bayer", folder)
-    assert code == 0
-    assert "2×2,  3 channels  A Bayer array, GRBG" in err
-    assert {path.name for path in folder.iterdir()} == set(BENCHMARK)
-    for name in BENCHMARK:
-        assert (folder / name).read_bytes() == (CONFIGS / "benchmarks/bayer" / name).read_bytes()
-
-    def make(*options: str) -> subprocess.CompletedProcess[str]:
-        command = ["make", *options, "-C", str(folder), f"L3={sys.executable} -m l3cli", "JOBS=1", "BORDER=4"]
-        environment = os.environ | {"PYTHONPATH": str(CONFIGS.parent)}
-        for inherited in ("MAKEFLAGS", "MAKELEVEL"):  # of a make that runs the tests
-            environment.pop(inherited, None)
-        return subprocess.run(command, text=True, capture_output=True, check=False, env=environment)
-
-    assert "training/ is missing: put RGB pictures into it" in make().stderr
-    for seed, name in enumerate(("training", "test")):
-        (folder / name).mkdir()
-        noise = np.random.default_rng(seed).random((3, 64, 80))
-        smooth = gaussian_filter(noise.mean(axis=0), 1.2) + 0.2 * gaussian_filter(noise, (0, 4, 4))
-        codes = np.rint(255 * (smooth - smooth.min()) / np.ptp(smooth)).astype(np.uint8)
-        write_picture(folder / name / "noise.png", np.ascontiguousarray(np.moveaxis(codes, 0, -1)))
-    (folder / "classes.toml").write_text(SMALL["classes"])
-    made = make()
-    assert made.returncode == 0, made.stderr
-    assert made.stdout.endswith((folder / "quality.txt").read_text() + f"make: Leaving directory '{folder}'\n")
-    assert "bilinear" in made.stdout
-    assert "by band" in made.stdout
-    again = make("--dry-run")
-    assert again.returncode == 0
-    assert "simulate" not in again.stdout
-    assert "train " not in again.stdout
 
 
 def test_every_recipe_that_is_shipped_can_be_read() -> None:

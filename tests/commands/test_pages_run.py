@@ -28,7 +28,7 @@ from tests.helpers.cameras import bayer_camera
 from tests.helpers.dng_files import write_dng
 from tests.helpers.paths import CONFIGS, ROOT
 from tests.helpers.readme import PAGES, README, commands, shown
-from tests.helpers.recipes import SMALL
+from tests.helpers.recipes import FEW_CLASSES, SMALL
 from tests.helpers.sequences import write_raw_video
 
 CLASSES = "[classes]\npatch = 5\nlevels = 4\nchromas = 1\n[learning]\npatches = 300\n"  # in two passes, as default
@@ -82,6 +82,7 @@ def desk(pipeline: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         shutil.copy(pipeline / "training.h5", folder / f"{name}.h5")
     shutil.copytree(CONFIGS, folder / "configs")
     small = {"cameras/bayer": bayer_camera(), "scenes/default": SMALL["scenes"], "classes/default": CLASSES}
+    small["classes/fast"] = FEW_CLASSES
     for name, text in small.items():
         (folder / "configs" / f"{name}.toml").write_text(text)
     (folder / "SCENES.toml").write_text(SMALL["scenes"])
@@ -98,8 +99,8 @@ def raw_files(folder: Path, mosaic: np.ndarray) -> None:
     from astropy.io import fits
 
     rggb = np.array([[0, 1], [1, 2]])
-    large = np.tile(mosaic, (7, 8))[:1080, :1920]
-    large[900:960, 800:850] = 2000  # a grey
+    large = np.tile(mosaic, (7, 4))[:960, :864]  # of no more pixels than a grey's place on a page needs
+    large[900:960, 800:850] = 2000  # the grey
     matrix = [
         9000,
         10000,

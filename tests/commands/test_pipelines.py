@@ -1,144 +1,41 @@
-"""The pipelines that l3 init lays down, run as users run them: make, Slurm's job arrays, Snakemake, a batch of videos.
-
-Their `l3` is a client of this process, which works its calls off one after the other: real work, only Python is not started
-anew for each. Slurm is a program that runs the tasks of a job when it is submitted.
-"""
+"""The pipelines that l3 init lays down, run as users run them: make, Slurm's job arrays, Snakemake, a batch of videos."""
 
 import contextlib
-import io
 import os
 import re
-import shlex
 import shutil
 import signal
-import subprocess
 import sys
-import tempfile
-import threading
 import time
-import traceback
-from collections.abc import Iterator
-from multiprocessing.connection import Client, Listener
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.cli import run
-from l3cli.io.images import read_image
+from l3cli.io.images import read_image, write_picture
 from l3cli.locks import sole_writer_of_file, sole_writer_of_folder
 from tests.helpers.cameras import bayer_camera
-from tests.helpers.paths import ROOT
+from tests.helpers.paths import CONFIGS, ROOT
 from tests.helpers.recipes import SMALL
+from tests.helpers.workplace import PATH, Workplace, a_workplace
 
-PATH = f"{Path(sys.executable).parent}:{os.environ['PATH']}"  # programs of the environment that runs the tests
-CLIENT = """#!{python} -IS
-import os, sys
-from multiprocessing.connection import Client
-with Client({address!r}) as server:
-    server.send((os.getcwd(), sys.argv[1:]))
-    code, out, err = server.recv()
-sys.stdout.write(out)
-sys.stderr.write(err)
-sys.exit(code)
-"""
-SBATCH = """#!{python} -IS
-import argparse, os, pathlib, subprocess
-parser = argparse.ArgumentParser()
-for name in ("job-name", "output", "array", "dependency", "kill-on-invalid-dep"):
-    parser.add_argument("--" + name)
-parser.add_argument("--parsable", action="store_true", required=True)
-parser.add_argument("script", type=pathlib.Path)
-parser.add_argument("arguments", nargs=argparse.REMAINDER)
-asked = parser.parse_args()
-jobs = pathlib.Path({jobs!r})
-job = str(101 + len(list(jobs.iterdir())))
-kind, _, before = (asked.dependency or "").partition(":")
-assert kind in ("", "afterok"), kind
-state = (jobs / before / "state").read_text() if before else "done"
-(jobs / job).mkdir()
-script = jobs / job / "slurm_script"
-script.write_bytes(asked.script.read_bytes())  # Slurm runs a copy from its spool
-script.chmod(0o755)
-first, _, last = (asked.array or "0").partition("-")
-for task in range(int(first), int(last or first) + 1) if state == "done" else ():
-    variables = dict(SLURM_JOB_ID=job, SLURM_CPUS_PER_TASK="1")
-    variables |= dict(SLURM_ARRAY_TASK_ID=str(task)) if asked.array else dict()
-    log = asked.output.replace("%x", asked.job_name).replace("%A", job).replace("%a", str(task))
-    with open(log, "w") as written:
-        done = subprocess.run([script, *asked.arguments], env=os.environ | variables, stdout=written, stderr=written)
-    state = state if done.returncode == 0 else "failed"
-(jobs / job / "state").write_text(state)
-print(job)
-"""
 needs_snakemake = pytest.mark.skipif(not shutil.which("snakemake", path=PATH), reason="snakemake is not installed")
 STRUCTURE = "\n[[layer]]\nside = 3\nmosaics = 8\nrows = 300\n"
 TREE = "\n[[layer]]\nside = 1\nleaves = 3\ntree_rows = 1000\nmosaics = 8\nrows = 300\n"
 CALL = re.compile(r"^ *l3 [a-z]+ ", re.MULTILINE)
+BENCHMARK = ("camera.toml", "training.toml", "test.toml", "classes.toml", "Makefile")
 MADE = ("camera.h5", "training.h5", "table.h5", "unseen.h5", "picture.png", "quality.txt", "report.html")
-
-
-class Workplace:
-    """A PATH whose `l3` and `sbatch` work here, and what `l3` has been asked."""
-
-    def __init__(self, folder: Path, address: str) -> None:
-        self.calls: list[str] = []  # in order: command and output
-        self.bin = folder
-        (folder / "jobs").mkdir()
-        for name, text in {"l3": CLIENT, "sbatch": SBATCH}.items():
-            (folder / name).write_text(text.format(python=sys.executable, address=address, jobs=str(folder / "jobs")))
-            (folder / name).chmod(0o755)
-
-    def serve(self, listener: Listener) -> None:
-        """Work off calls until one comes without arguments."""
-        while True:
-            with listener.accept() as caller:
-                folder, arguments = caller.recv()
-                if not arguments:
-                    return
-                out, err = io.StringIO(), io.StringIO()
-                with contextlib.chdir(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-                    try:
-                        code = run(arguments)
-                    except Exception:
-                        traceback.print_exc()
-                        code = 1
-                self.calls.append(
-                    f"{arguments[0]} {arguments[arguments.index('-o') + 1] if '-o' in arguments else ''}".strip()
-                )
-                caller.send((code, out.getvalue(), err.getvalue()))
-
-    def start(self, folder: Path, command: str) -> subprocess.Popen:
-        environment = os.environ | {"PATH": f"{self.bin}:{PATH}"}
-        environment.pop("MAKEFLAGS", None)
-        return subprocess.Popen(
-            shlex.split(command), cwd=folder, env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-            start_new_session=True,
-        )  # fmt: skip
-
-    def do(self, folder: Path, command: str, code: int = 0) -> tuple[str, list[str]]:
-        """Output of a command that ends with `code`, and the calls of l3 that it made."""
-        self.calls.clear()
-        process = self.start(folder, command)
-        out, err = process.communicate(timeout=120)
-        assert process.returncode == code, out + err
-        return out, list(self.calls)
 
 
 @pytest.fixture(scope="module")
 def workplace(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workplace]:
-    with tempfile.TemporaryDirectory() as short:  # the name of a socket must not be long
-        address = f"{short}/socket"
-        place = Workplace(tmp_path_factory.mktemp("bin"), address)
-        with Listener(address) as listener:
-            server = threading.Thread(target=place.serve, args=(listener,))
-            server.start()
-            yield place
-            with Client(address) as caller:
-                caller.send((None, None))
-            server.join()
+    with a_workplace(tmp_path_factory.mktemp("bin")) as place:
+        yield place
 
 
 @pytest.fixture(scope="module")
@@ -323,6 +220,33 @@ def test_make_clean_leaves_the_recipes_and_what_is_the_users(workplace: Workplac
     left = {path.name for path in folder.iterdir()}
     assert {"lab", "mine.h5", "camera.toml", "Makefile"} <= left
     assert not left & {*MADE, "virtual_lab", "unseen", ".asked"}
+
+
+def test_a_benchmark_learns_from_pictures_and_judges_on_others(workplace: Workplace, tmp_path: Path, l3: Callable) -> None:
+    folder = tmp_path / "benchmark"
+    code, _, err = l3("init", "benchmark-bayer", folder)
+    assert code == 0
+    assert "2×2,  3 channels  A Bayer array, GRBG" in err
+    assert {path.name for path in folder.iterdir()} == set(BENCHMARK)
+    for name in BENCHMARK:
+        assert (folder / name).read_bytes() == (CONFIGS / "benchmarks/bayer" / name).read_bytes()
+
+    make = "make JOBS=1 BORDER=4"
+    refused = workplace.start(folder, make)
+    assert "training/ is missing: put RGB pictures into it" in refused.communicate(timeout=60)[1]
+    for seed, name in enumerate(("training", "test")):
+        (folder / name).mkdir()
+        noise = np.random.default_rng(seed).random((3, 64, 80))
+        smooth = gaussian_filter(noise.mean(axis=0), 1.2) + 0.2 * gaussian_filter(noise, (0, 4, 4))
+        codes = np.rint(255 * (smooth - smooth.min()) / np.ptp(smooth)).astype(np.uint8)
+        write_picture(folder / name / "noise.png", np.ascontiguousarray(np.moveaxis(codes, 0, -1)))
+    (folder / "classes.toml").write_text(SMALL["classes"])
+    out, calls = workplace.do(folder, make)
+    assert sorted(calls) == ["evaluate", "simulate test.h5", "simulate training.h5", "train table.h5"]
+    assert out.endswith((folder / "quality.txt").read_text())
+    assert "bilinear" in out
+    assert "by band" in out
+    assert workplace.do(folder, make)[1] == []
 
 
 def test_a_batch_of_clips_becomes_videos(workplace: Workplace, folder: Path) -> None:

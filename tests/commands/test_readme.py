@@ -101,12 +101,12 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copytree(CONFIGS, folder / "configs")
     smaller = {
         "cameras/fiveband.toml": {r"rows = \d+": "rows = 192", r"cols = \d+": "cols = 256"},
-        "scenes/default.toml": {r"(?s)size = \[160, 160\]\ncount = 60.*": "size = [64, 64]\ncount = 8\n"},
+        "scenes/default.toml": {r"(?s)size = \[160, 160\]\ncount = 60.*": "size = [64, 64]\ncount = 4\n"},
         "scenes/demo_unseen.toml": {r"size = \[720, 1280\]": "size = [160, 240]"},
         "classes/default.toml": {
-            r"patches = 120000": "patches = 3000",
-            r"mosaics = 900": "mosaics = 20",
-            r"rows = 6000": "rows = 1000",
+            r"patches = 120000": "patches = 1000",
+            r"mosaics = 900": "mosaics = 8",
+            r"rows = 6000": "rows = 500",
         },
     }
     for name, changes in smaller.items():

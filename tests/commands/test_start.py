@@ -13,7 +13,7 @@ from tests.helpers.hostile_environments import make_desk
 from tests.helpers.paths import CONFIGS
 
 UNNEEDED = {"asyncio", "av", "colour", "concurrent.futures", "dask", "distributed", "jinja2", "multiprocessing", "rawpy"}
-UNNEEDED |= {"rich", "scipy", "ssl", "tifffile", "l3cli.parallel.cluster", "l3cli.simulation", "l3cli.training"}
+UNNEEDED |= {"numpy.ma", "rich", "scipy", "ssl", "tifffile", "l3cli.parallel.cluster", "l3cli.simulation", "l3cli.training"}
 PROGRAM = """
 import json, sys
 from l3cli.cli import run

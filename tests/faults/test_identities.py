@@ -15,7 +15,7 @@ from l3cli.artifacts.store import save
 from l3cli.files import atomic_output, refuse_spared, sparing
 from l3cli.io.images import write_picture
 from l3cli.stages import starting
-from tests.helpers.hostile import CURVE_CAMERA, DRAWN, LAB, TABLE
+from tests.helpers.hostile_inputs import CURVE_CAMERA, DRAWN, LAB, TABLE
 from tests.helpers.sequences import FAST, RGGB, RUN, frames
 
 CURVES = "\n".join(f"{nm},{nm / 700},{1 - nm / 900},{nm / 900}" for nm in range(390, 721, 10))

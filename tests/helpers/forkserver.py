@@ -4,12 +4,16 @@ Run as a program it is that process: it takes one JSON object a line, prints the
 ended.
 """
 
+import atexit
 import json
 import os
 import signal
 import subprocess
 import sys
+import threading
 import time
+import traceback
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -88,9 +92,10 @@ class ForkServer:
 
 
 def serve() -> None:
-    from l3cli.parallel import one_blas_thread
+    from l3cli.parallel import one_blas_thread, without_plots
 
     one_blas_thread()
+    without_plots()
     for name in IMPORTS.split():
         __import__(name)
     for line in sys.stdin:
@@ -141,7 +146,29 @@ def _become(arguments: list[str]) -> None:
         return group(*arguments, **options)
 
     cli.l3.main = begin  # type: ignore[method-assign]
-    cli.main()
+    _end(_code_of(cli.main))
+
+
+def _code_of(main: Callable[[], None]) -> int:
+    """Exit code of a program, which says what it is not made for."""
+    try:
+        main()
+    except SystemExit as end:
+        return int(end.code or 0)
+    except BaseException:
+        traceback.print_exc()
+        return 1
+    return 0
+
+
+def _end(code: int) -> None:
+    """End the process as Python does, but leave its memory to the kernel: to take apart every module that `serve` has
+    imported takes longer than most runs."""
+    threading._shutdown()  # type: ignore[attr-defined]
+    atexit._run_exitfuncs()
+    for stream in (sys.stdout, sys.stderr):
+        stream.flush()
+    os._exit(code)
 
 
 if __name__ == "__main__":

@@ -136,7 +136,7 @@ def guided(chosen: argparse.Namespace) -> None:
         import l3cli.cli.render
         import l3cli.cli.simulate
         import l3cli.cli.train  # noqa: F401
-        from tests.helpers.hostile import one_of
+        from tests.helpers.hostile_spoiling import one_of
     corpus = chosen.kept / "corpus"
     corpus.mkdir(exist_ok=True)
     flags = [f"-runs={chosen.inputs}", f"-artifact_prefix={chosen.kept}/", "-timeout=0", "-rss_limit_mb=0", "-len_control=0"]

@@ -1,6 +1,6 @@
 """Outputs that are inputs: whatever a command reads, and by whatever name an output is the same file, it stays.
 
-Choices come from whoever drives, as in hostile.py.
+Choices come from whoever drives, as in hostile_spoiling.py.
 """
 
 import contextlib
@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from l3cli.cli import run
-from tests.helpers.hostile import Choices, Workshop, one_of
+from tests.helpers.hostile import Workshop
+from tests.helpers.hostile_spoiling import Choices, one_of
 
 RENDER = "--backend reference --exposure 0.8"
 COLD = "--scheduler tcp://127.0.0.1:1 --tls-ca other.json --tls-cert lab.toml --tls-key evaluation.json"  # nobody listens

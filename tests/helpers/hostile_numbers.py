@@ -11,7 +11,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from tests.helpers import hostile
-from tests.helpers.hostile import Choices, Workshop, one_of
+from tests.helpers import hostile_inputs as whole
+from tests.helpers.hostile import Workshop
+from tests.helpers.hostile_spoiling import Choices, one_of
 
 NUMBERS = (
     "0", "-0", "-1", "1", "2", "0.5", "1e-9", "nan", "inf", "-inf", "1e308", "-1e308", "5e-324", "1e999", "1e999999999",
@@ -99,8 +101,16 @@ class Numbers:
 
     def recipe(self) -> str:
         """The whole recipe with every key that takes a number."""
-        recipes = {"camera.toml": hostile.CAMERA, "scenes.toml": hostile.SCENES, "classes.toml": hostile.CLASSES}
-        recipes |= {"lab.toml": hostile.LAB, "table.toml": hostile.TABLE, "lab/MEASUREMENTS.toml": _MEASURED[0]}
+        recipes = {
+            "camera.toml": whole.CAMERA,
+            "scenes.toml": whole.SCENES,
+            "classes.toml": whole.CLASSES,
+        }
+        recipes |= {
+            "lab.toml": whole.LAB,
+            "table.toml": whole.TABLE,
+            "lab/MEASUREMENTS.toml": _MEASURED[0],
+        }
         return with_keys(recipes[self.name], KEYS.get(self.name, ""))
 
     def judge(self, shop: Workshop, call: Call) -> str | None:

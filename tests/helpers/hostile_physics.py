@@ -21,7 +21,8 @@ from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.store import load
 from l3cli.cli import run
 from tests.helpers.fuzz import Seeded
-from tests.helpers.hostile import CAMERA, Choices, one_of
+from tests.helpers.hostile_inputs import CAMERA
+from tests.helpers.hostile_spoiling import Choices, one_of
 
 LAB = """
 [mono]

@@ -12,7 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tests.helpers import hostile
-from tests.helpers.hostile import SUBJECTS, Choices, Workshop, one_of
+from tests.helpers.hostile import SUBJECTS, Workshop
+from tests.helpers.hostile_inputs import DRAWN
+from tests.helpers.hostile_spoiling import Choices, one_of
 
 SECONDS = 6  # by the clock
 OUTPUTS = (
@@ -110,7 +112,7 @@ class SpecialFiles:
     def judge(self, shop: Workshop, trial: Trial) -> str | None:
         """What did not hold, or None."""
         path, out = shop.inputs / trial.name, shop.folder / "out"
-        (shop.inputs / "recipe.toml").write_text(trial.text or hostile.DRAWN)
+        (shop.inputs / "recipe.toml").write_text(trial.text or DRAWN)
         if trial.name in shop.whole:
             path.unlink()
         PLACES[trial.place](path)

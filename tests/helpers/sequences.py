@@ -4,9 +4,10 @@ import dataclasses
 from pathlib import Path
 
 import av
+import h5py
 import numpy as np
 
-from l3cli.io.images import read_image
+from l3cli.io.images import read_image, write_mosaic
 from tests.helpers.cameras import BAYER
 from tests.helpers.tables import random_table
 
@@ -21,6 +22,26 @@ def frames(count: int = COUNT) -> np.ndarray:
     rng = np.random.default_rng(0)
     light = np.linspace(0.4, 0.9, count)[:, None, None]
     return np.clip(64 + 4031 * light * rng.uniform(0.3, 1, (count, RGGB.rows, RGGB.cols)), 0, 4095).astype(np.uint16)
+
+
+def write_frames(folder: Path) -> Path:
+    """frame_07.tif … frame_11.tif"""
+    folder.mkdir()
+    for number, mosaic in enumerate(frames(), 7):
+        write_mosaic(folder / f"frame_{number:02d}.tif", mosaic)
+    return folder
+
+
+def write_stack(path: Path) -> Path:
+    if path.suffix == ".npy":
+        np.save(path, frames())
+    elif path.suffix == ".raw":
+        frames().astype("<u2").tofile(path)
+    else:
+        with h5py.File(path, "w") as root:
+            root.create_dataset("take/raw", data=frames(), chunks=(1, 20, 28), compression="gzip")
+            root["take/other"] = frames()[0]
+    return path
 
 
 def pictures(folder: Path, pattern: str = "*.png") -> dict[str, np.ndarray]:

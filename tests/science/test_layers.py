@@ -23,9 +23,9 @@ from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.stages.training.later_layers import layer_pass
 from l3cli.training.layers.first import Seen
 from l3cli.training.layers.learn import LayerPass, add_sums, learn_layer, no_sums, sum_layer
-from l3cli.training.layers.mosaics import white_signal
 from l3cli.training.layers.rows import add_rows, inner_pixels, require_exact
 from l3cli.training.layers.rules import gradient_scale, structure_rule
+from l3cli.training.patches import white_signal
 from l3cli.training.recipe import LayerRecipe, LearningRecipe, TrainingRecipe
 from l3cli.training.sums import STEP
 from tests.helpers.artifacts import a_table

@@ -67,8 +67,8 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "classes.toml").write_text(CLASSES)
     training, table = str(folder / "training.h5"), str(folder / "table.h5")
     camera = str(folder / "camera.toml")
-    assert run(["simulate", str(folder / "scenes.toml"), "--camera", camera, "-o", training, "--jobs", "2", "--quiet"]) == 0
-    assert run(["train", training, "--classes", str(folder / "classes.toml"), "-o", table, "--jobs", "2", "--quiet"]) == 0
+    assert run(["simulate", str(folder / "scenes.toml"), "--camera", camera, "-o", training, "--quiet"]) == 0
+    assert run(["train", training, "--classes", str(folder / "classes.toml"), "-o", table, "--quiet"]) == 0
     return folder / "table.h5"
 
 

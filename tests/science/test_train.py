@@ -15,7 +15,7 @@ from l3cli.artifacts.camera import CameraModel, Noise
 from l3cli.artifacts.partial_sums import ClassSums
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
-from l3cli.artifacts.training_set import TrainingSet, write_training_set
+from l3cli.artifacts.training_set import LightSpectrum, TrainingFrame, TrainingSet, write_training_set
 from l3cli.classes.chroma import choose_chromas
 from l3cli.classes.decide import label_patches
 from l3cli.classes.names import kind_name
@@ -27,9 +27,10 @@ from l3cli.config import load_recipe
 from l3cli.errors import L3Error
 from l3cli.frame import RawFrame
 from l3cli.io.images import read_image
+from l3cli.physics import spectra
 from l3cli.rendering.renderer import make_renderer
 from l3cli.training.accumulate import sum_sites
-from l3cli.training.patches import draw_levels, expose_patches, sample_patches
+from l3cli.training.patches import Patches, draw_levels, expose_patches, patches_of, sample_patches, white_signal
 from l3cli.training.recipe import LayerRecipe, LearningRecipe, TrainingRecipe, for_camera
 from l3cli.training.sums import EXACT, STEP, add_rounded, grid_steps, moment_matrix
 from l3cli.training.symmetry import orientations, site_maps, stabilisers
@@ -85,6 +86,32 @@ def test_patches_are_windows_of_the_turned_mosaic(bayer: CameraModel) -> None:
             axis=0,
         )[0]
         assert np.isclose(stack, signal, rtol=1e-6).all(axis=1).any()
+
+
+def test_patches_without_colour_show_luminance_as_white_is_seen(bayer: CameraModel) -> None:
+    wavelength = spectra.light_grid(bayer.wavelength)
+    light = LightSpectrum(wavelength.astype(np.float64), np.ones(wavelength.size, np.float32))
+    frame = dataclasses.replace(a_frame(bayer, 1, smooth=False), light=light)
+    head = TrainingSet(camera=bayer, outputs=("X", "Y", "Z"), target_description="")
+    near = neighbourhoods(bayer.cfa, 5, 3)
+
+    def patches(share: float, frame: TrainingFrame = frame, head: TrainingSet = head) -> Patches:
+        return patches_of(frame, head, near, 1, 10, np.random.default_rng(3), achromatic=share)
+
+    sample, window, white = patches(0.3), near.channel[1], white_signal(light, bayer)
+    coloured = patches(0.0)
+    np.testing.assert_array_equal(patches(0.04).signal, coloured.signal)  # less than one of ten
+    assert len(sample.signal) == 10
+    assert not np.allclose(sample.signal[:7, 12] / white[window[12]], sample.target[:7, 1], rtol=1e-3)
+    grey = sample.signal[7:] / white[window]  # at every tap the luminance there; that of the centre is the target's
+    np.testing.assert_allclose(grey[:, 12], sample.target[7:, 1], rtol=1e-5)
+    np.testing.assert_allclose(sample.target[7:], sample.target[7:, 1:2] * frame.white / frame.white[1], rtol=1e-5)
+    assert np.ptp(grey, axis=1).min() > 0
+    for other in (
+        patches(0.3, frame=dataclasses.replace(frame, light=None)),
+        patches(0.3, head=dataclasses.replace(head, outputs=("r", "g", "b"))),
+    ):
+        np.testing.assert_array_equal(other.signal, coloured.signal)
 
 
 def test_exposed_patches_have_the_noise_of_the_camera(bayer: CameraModel) -> None:

@@ -21,8 +21,8 @@ from tests.helpers.cameras import bayer_camera
 from tests.helpers.training_sets import MIX, a_set
 
 SCENES = 'exposure_share = [0.9]\n[[scene]]\nsource = "dead leaves"\nsize = [64, 64]\ncount = 6\n'
-CLASSES = "[classes]\npatch = 3\nlevels = 4\n[learning]\npatches = 3000\nfirst_draws = 0\ndraws = 2\n"
-LAYER = "[[layer]]\nside = 3\nleaves = 8\ntree_rows = 4000\nmosaics = 24\nrows = 2000\n"
+CLASSES = "[classes]\npatch = 3\nlevels = 4\n[learning]\npatches = 1000\nfirst_draws = 0\ndraws = 2\n"
+LAYER = "[[layer]]\nside = 3\nleaves = 8\ntree_rows = 2000\nmosaics = 12\nrows = 1000\n"
 Trained = Callable[..., tuple[TransformTable, str]]
 
 
@@ -119,8 +119,8 @@ def test_a_tree_of_one_leaf_is_a_layer_like_others(
     training = a_set(tmp_path / "small.h5", bayer, 1, smooth=False, size=(32, 32))
     layer = (
         LAYER.replace("leaves = 8", rows)
-        .replace("mosaics = 24", "mosaics = 1")
-        .replace("tree_rows = 4000", "tree_rows = 1000")
+        .replace("mosaics = 12", "mosaics = 1")
+        .replace("tree_rows = 2000", "tree_rows = 1000")
     )
     table, _ = trained(training, CLASSES + layer)
     rule = tree_of(table).rule
@@ -194,8 +194,8 @@ def test_without_noise_the_noise_weights_weigh_nothing(leaves: Path, trained: Tr
         ("leaves = 8", "leaves = 2049", "layer[1].leaves is 2049; the most is 2048"),
         ("leaves = 8", "leaves = 2.5", "Expected `int`, got `float` in [layer[1].leaves]"),
         ("leaves = 8", "leafs = 8", 'unknown key `leafs` in [layer[1]]; did you mean "leaves"?'),
-        ("tree_rows = 4000", "tree_rows = 999", "layer[1].tree_rows is 999; the least is 1000"),
-        ("tree_rows = 4000", "tree_rows = 1_000_001", "layer[1].tree_rows is 1000001; the most is 1000000"),
+        ("tree_rows = 2000", "tree_rows = 999", "layer[1].tree_rows is 999; the least is 1000"),
+        ("tree_rows = 2000", "tree_rows = 1_000_001", "layer[1].tree_rows is 1000001; the most is 1000000"),
         ("draws = 2\n", 'draws = 2\nnoise = "no"\n', "Invalid enum value 'no' in [learning.noise]"),
         ("draws = 2\n", "draws = 2\nlevel_power = 1.1\n", "learning.level_power is 1.1; the most is 1"),
         ("draws = 2\n", "draws = 2\nlevel_power = -1\n", "learning.level_power is -1; the least is 0"),

@@ -12,6 +12,7 @@ import pytest
 
 from l3cli.errors import L3Error
 from l3cli.parallel import alone, ordered_map, workers
+from l3cli.physics import spectra
 from tests.helpers.paths import CONFIGS
 from tests.helpers.tasks import PATIENCE, refusing, squared
 
@@ -28,6 +29,16 @@ def test_results_come_in_order_from_the_same_processes() -> None:
         for _ in range(2):
             assert list(crew(squared, range(7))) == [number**2 for number in range(7)]
     assert alone(squared, 3) == 9
+
+
+def drawing(number: int) -> set[str]:
+    """What a worker that has asked for a spectrum could draw plots and make tables with."""
+    spectra.white_point("D65")
+    return {"colour", "matplotlib.backends", "pandas.core"} & set(sys.modules)
+
+
+def test_a_worker_imports_nothing_to_draw_with() -> None:
+    assert alone(drawing, 0) == {"colour"}
 
 
 def test_what_a_worker_raises_is_raised_here() -> None:

@@ -52,6 +52,25 @@ def test_weights_of_each_channel_add_up_as_they_did() -> None:
         assert np.abs(((fixed.weights - exact) * member).sum(axis=-1)).max() <= 0.5 + 1e-6
 
 
+def test_weights_that_lose_most_are_rounded_up_and_of_equal_ones_the_first() -> None:
+    table = random_table(BAYER, bits=12, patch=5)
+    first = table.first.weights.reshape(len(table.first.weights), -1, 5, 5)
+    symmetric = first + first[..., ::-1]  # as sites that are mirror images of themselves: each weight but the middle's twice
+    table = with_first(table, weights=symmetric.reshape(table.first.weights.shape))
+    fixed, step = fixed_point(table), (table.white_level - table.black_level) * PLANE_STEP
+    luminance = table.first.weights[:, 1].astype(np.float64) / step * 2.0 ** fixed.fraction[:, None]
+    channels = window_channels(table.cfa, 5)[table.first.rule.split(np.arange(len(luminance))).site]
+    choices = 0
+    for wanted, made, channel in zip(luminance, fixed.weights[:, 1], channels, strict=True):
+        for index in range(3):
+            part = wanted[channel == index]
+            up, loss = made[channel == index] - np.floor(part), np.floor(part) - part
+            by_loss, count = np.lexsort([np.arange(len(part)), loss]), int(up.sum())
+            assert sorted(by_loss[:count]) == np.flatnonzero(up).tolist()
+            choices += 0 < count < len(up) and loss[by_loss[count - 1]] == loss[by_loss[count]]
+    assert choices > len(luminance) / 2  # where one of two equal weights was
+
+
 def test_layers_between_read_16_bits_and_stay_within_32() -> None:
     table = with_later(random_table(BAYER, bits=12), 5, 3)
     layer = table.later[0]

@@ -12,7 +12,7 @@ import pytest
 from l3cli import interrupts
 from l3cli.errors import InputFileError
 from l3cli.parallel import threads
-from l3cli.parallel.threads import Behind, ahead
+from l3cli.parallel.threads import Behind, Meanwhile, ahead
 
 
 def test_reading_runs_ahead_no_further_than_asked() -> None:
@@ -82,6 +82,25 @@ def test_errors_cross_threads() -> None:
 
     with pytest.raises(InputFileError, match="item 0"):
         put_many(Behind(fails, 2))
+
+
+def test_work_done_meanwhile_ends_with_the_block_and_leaves_its_errors_to_others() -> None:
+    begun, done = threading.Event(), threading.Event()
+
+    def work() -> None:
+        begun.set()
+        time.sleep(0.05)
+        done.set()
+        raise InputFileError("said where it is needed")
+
+    with Meanwhile(work):
+        assert begun.wait(10)
+        assert not done.is_set()
+    assert done.is_set()
+    done.clear()
+    with pytest.raises(KeyboardInterrupt), Meanwhile(work):
+        raise KeyboardInterrupt
+    assert done.is_set()  # a thread that imports a library when the program ends could abort it
 
 
 def test_a_failing_block_still_writes_what_was_put_an_interrupted_one_does_not() -> None:

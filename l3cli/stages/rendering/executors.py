@@ -12,10 +12,12 @@ from typing import TYPE_CHECKING, Any
 from l3cli.errors import InputFileError, L3Error
 from l3cli.files import require_same
 from l3cli.frame import RawFrame, upright
+from l3cli.io import images
 from l3cli.io.label import Label
 from l3cli.io.raw.files import KnownBetter, read_raw
 from l3cli.io.sequences import Pending
 from l3cli.parallel import Crew
+from l3cli.parallel.threads import Meanwhile
 from l3cli.rendering.balance import WhiteBalance
 from l3cli.rendering.display import Display
 from l3cli.stages.rendering.corrections import CameraFile, correction_again
@@ -154,6 +156,19 @@ def _renderer(
     table = load(TransformTable, path)
     table = table.pictured() if pictures else table
     return table, quiet_renderer(backend, table, **dict(engine))
+
+
+def while_reading(backend: str, suffix: str | None, scheduler: "Scheduler | None") -> Meanwhile:
+    """Makes ready, while a table is read, what this process renders and writes files of a suffix with."""
+    from l3cli.rendering.renderer import make_ready
+
+    def work() -> None:
+        if scheduler is None:
+            make_ready(backend)
+        if suffix is not None:
+            images.make_ready(suffix)
+
+    return Meanwhile(work)
 
 
 class Renderers:

@@ -25,7 +25,7 @@ from l3cli.stages.console import Console
 from l3cli.stages.input_warnings import warn_of_kernels, warn_of_white
 from l3cli.stages.rendering.corrections import CameraFile, correction_in, hot_test
 from l3cli.stages.rendering.destination import Destination, claim, destination_of, marked, paged, refuse_missing
-from l3cli.stages.rendering.executors import Renderers, RenderSetup, executor_of
+from l3cli.stages.rendering.executors import Renderers, RenderSetup, executor_of, while_reading
 from l3cli.stages.rendering.mark import Origins
 from l3cli.stages.rendering.plan import plan
 from l3cli.stages.rendering.rendition import Rendition, chosen_space, for_developers, outputs_as_they_are
@@ -69,7 +69,8 @@ def render(
         _refuse_misplaced(destination, white, exposure, space, remosaic)
         if engine and backend != "opencl":
             raise RecipeError(f"‹{next(iter(engine))}› is for the opencl backend; leave it or ‹backend› {backend} out")
-        transforms = load(TransformTable, table)
+        with while_reading(backend, destination.file_suffix, scheduler):
+            transforms = load(TransformTable, table)
         if not destination.linear or space is not None:
             transforms = transforms.pictured()
         if dark:

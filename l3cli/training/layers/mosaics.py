@@ -7,14 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.training_set import LightSpectrum, TrainingFrame, TrainingPair
-from l3cli.physics import spectra
-from l3cli.training.patches import expose_patches
+from l3cli.artifacts.training_set import TrainingFrame, TrainingPair
+from l3cli.training.patches import expose_patches, without_colour
 from l3cli.training.recipe import LearningRecipe
 
 Floats = NDArray[np.float32]
 LARGEST_SIDE = 156  # pixels
-Y = 1  # its place among the outputs X, Y, Z
 
 
 @dataclass(frozen=True)
@@ -44,17 +42,13 @@ def mosaics_of(frame: TrainingPair, count: int, exposed: Exposed, rng: np.random
         yield from (_piece_of_pair(frame, exposed.camera, rng) for _ in range(count))
         return
     camera = exposed.camera
-    signal = frame.electrons * (camera.channel_gains / camera.full_scale).astype(np.float32)[:, None, None]
-    target = frame.target * np.float32(frame.exposure / camera.saturation_exposure)
-    white = None if frame.light is None else white_signal(frame.light, camera)
-    coloured = count if white is None else count - round(exposed.achromatic * count)
+    coloured = count if frame.light is None else count - round(exposed.achromatic * count)
     for number in range(count):
-        turn = _drawn_turn(signal.shape[1:], rng)
-        seen, wanted = _turned(signal, turn), _turned(target, turn)
-        if white is not None and number >= coloured:
-            luminance = wanted[Y]
-            seen = white.astype(np.float32)[:, None, None] * luminance
-            wanted = (frame.white / frame.white[Y]).astype(np.float32)[:, None, None] * luminance
+        if number == coloured:
+            frame = without_colour(frame, camera)
+        turn = _drawn_turn(frame.raw.shape, rng)
+        seen = _turned(frame.electrons, turn) * (camera.channel_gains / camera.full_scale).astype(np.float32)[:, None, None]
+        wanted = _turned(frame.target, turn) * np.float32(frame.exposure / camera.saturation_exposure)
         scale = np.float32(
             _drawn_level(exposed.recipe, rng) / max(float(seen.mean()), 1e-3) if exposed.recipe.rescale else 1
         )
@@ -65,12 +59,6 @@ def mosaics_of(frame: TrainingPair, count: int, exposed: Exposed, rng: np.random
         channel = camera.channel_map(mosaic.shape)
         values = expose_patches(mosaic, camera, rng, None, exposed.dark, channel) if exposed.noisy else np.rint(clean)
         yield Mosaic(values.astype(np.uint16), clean, wanted * scale)
-
-
-def white_signal(light: LightSpectrum, camera: CameraModel) -> NDArray[np.float64]:
-    """Signals (channel), as shares of full scale, of a white of Y = 1 under a light."""
-    radiance = spectra.resample(light.radiance.astype(np.float64), light.wavelength, camera.wavelength)
-    return np.asarray(camera.signal_weights @ radiance * (camera.saturation_exposure / camera.full_scale))
 
 
 def _piece_of_pair(pair: TrainingPair, camera: CameraModel, rng: np.random.Generator) -> Mosaic:

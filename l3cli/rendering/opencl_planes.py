@@ -1,0 +1,34 @@
+"""What an OpenCL device keeps of a table's later layers."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from l3cli.artifacts.table import TransformTable
+from l3cli.classes.planes import fixed_point, later_fixed_point, opponent_basis
+from l3cli.rendering import layout
+
+
+@dataclass(frozen=True)
+class PlaneStep:
+    """How a layer that reads planes comes to them and to its classes."""
+
+    weights: Any  # of the layer before
+    rule: tuple[Any, ...]
+    nothing: Any  # where other transforms have a display's matrix
+
+
+def plane_steps(table: TransformTable, variant: str, lanes: int, constant: Callable[..., Any]) -> list[PlaneStep]:
+    """The step to each later layer; `constant` makes buffers of arrays."""
+    return [_plane_step(table, number, variant, lanes, constant) for number in range(len(table.later))]
+
+
+def _plane_step(table: TransformTable, number: int, variant: str, lanes: int, constant: Callable[..., Any]) -> PlaneStep:
+    if number:
+        weights = layout.later_plane_weights(later_fixed_point(table.later[number - 1], opponent_basis(table.white_point)))
+    else:
+        weights = layout.first_plane_weights(fixed_point(table), table.bits)
+    rule = tuple(constant(array) for array in layout.rule_arrays(table, table.later[number].rule, variant))
+    return PlaneStep(constant(layout.VARIANTS[variant].pack_whole(weights, lanes)), rule, constant(np.zeros(9, np.float32)))

@@ -1,0 +1,200 @@
+"""`l3 simulate`: from recipe to file, the same bytes whatever happens; one line for every wrong recipe."""
+
+import dataclasses
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.training_set import TrainingFrame, open_training_set
+from l3cli.simulation import charts
+from tests.helpers.cameras import bayer_camera
+from tests.helpers.paths import CONFIGS
+
+
+def test_frames_are_scenes_times_lights_times_exposures(
+    l3: Callable[..., tuple[int, str, str]], bayer_recipe: Path, tmp_path: Path
+) -> None:
+    recipe = tmp_path / "scenes.toml"
+    recipe.write_text(
+        'illuminants = ["D65", "A"]\nluminances_cd_m2 = [10.0, 100.0]\nexposure_share = [0.9]\n'
+        '[[scene]]\nsource = "dead leaves"\nsize = [32, 48]\ncount = 2\n'
+        '[[scene]]\nsource = "colorchecker"\nsize = [64, 96]\n'
+    )
+    output, pictures = tmp_path / "new/training.h5", tmp_path / "new/pictures"
+    code, out, err = l3("simulate", recipe, "--camera", bayer_recipe, "-o", output, "--seed", 5, "--pictures", pictures)
+    assert (code, out) == (0, ""), err
+    with open_training_set(output) as reader:
+        frames = [frame for frame in reader if isinstance(frame, TrainingFrame)]
+        stage = reader.head.history[-1]
+    assert len(frames) == 3 * 2 * 2
+    assert [frame.illuminant for frame in frames[:4]] == ["D65", "D65", "A", "A"]
+    assert {frame.scene for frame in frames} == {"dead leaves 0.0", "dead leaves 0.1", "colorchecker 0.0"}
+    assert list(frames[7].seed) == [5, 7]
+    assert frames[1].luminance == pytest.approx(100.0)
+    assert np.allclose(frames[0].electrons, frames[1].electrons, rtol=1e-5)  # exposure makes up for luminance
+    assert np.allclose(10 * frames[0].target, frames[1].target, rtol=1e-5)
+    assert (stage.command, stage.options) == ("simulate", {"seed": 5})
+    assert "dead leaves" in stage.recipe
+    assert "small Bayer" in stage.recipe
+    assert str(tmp_path) not in json.dumps(dataclasses.asdict(stage))
+    assert len(list(pictures.glob("*_raw.tif"))) == len(list(pictures.glob("*_ideal.png"))) == len(frames)
+
+
+def test_pictures_hold_the_raw_frame_and_a_white_that_is_white(
+    l3: Callable[..., tuple[int, str, str]], bayer_recipe: Path, tmp_path: Path
+) -> None:
+    from l3cli.io.images import read_image
+
+    recipe = tmp_path / "chart.toml"
+    recipe.write_text('illuminants = ["A"]\nexposure_share = [0.9]\n[[scene]]\nsource = "colorchecker"\nsize = [128, 192]\n')
+    code, _, err = l3("simulate", recipe, "--camera", bayer_recipe, "-o", tmp_path / "t.h5", "--pictures", tmp_path / "p")
+    assert code == 0, err
+    with open_training_set(tmp_path / "t.h5") as reader:
+        raw = reader.frame(0).raw
+    stored, names = read_image(next((tmp_path / "p").glob("*_raw.tif")))
+    assert stored.dtype == np.uint16
+    assert len(names) == 1
+    assert np.array_equal(stored[..., 0], raw)
+    ideal, _ = read_image(next((tmp_path / "p").glob("*_ideal.png")))
+    rows, cols = charts.colorchecker_patches((128, 192))[21]  # neutral 5
+    patch = ideal[rows, cols].reshape(-1, 3).astype(int)
+    assert np.ptp(patch.mean(axis=0)) < 4
+    assert 110 < patch.mean() < 130
+
+
+def test_the_same_bytes_whatever_the_number_of_jobs(
+    l3: Callable[..., tuple[int, str, str]], bayer_recipe: Path, tmp_path: Path
+) -> None:
+    for jobs in (1, 2):
+        arguments = ("--camera", bayer_recipe, "-o", tmp_path / f"{jobs}.h5", "--jobs", jobs, "--quiet")
+        assert l3("simulate", CONFIGS / "scenes/small.toml", *arguments) == (0, "", "")
+    first = (tmp_path / "1.h5").read_bytes()
+    assert first == (tmp_path / "2.h5").read_bytes()
+    other = ("--camera", bayer_recipe, "-o", tmp_path / "other.h5", "--seed", 1)
+    assert l3("simulate", CONFIGS / "scenes/small.toml", *other)[0] == 0
+    assert first != (tmp_path / "other.h5").read_bytes()
+
+
+def test_a_killed_run_goes_on_to_the_same_bytes(
+    l3: Callable[..., tuple[int, str, str]], refused: Callable[..., str], bayer_recipe: Path, tmp_path: Path
+) -> None:
+    small = CONFIGS / "scenes/small.toml"
+    arguments = ("simulate", small, "--camera", bayer_recipe, "--quiet", "-o")
+    assert l3(*arguments, tmp_path / "whole.h5")[0] == 0
+    assert not (tmp_path / "whole.h5.parts").exists()
+    command = [sys.executable, "-c", "from l3cli.cli import main; main()", *map(str, arguments), str(tmp_path / "cut.h5")]
+    parts = tmp_path / "cut.h5.parts"
+    with subprocess.Popen(command) as process:
+        while process.poll() is None and len(list(parts.glob("0*.h5"))) < 3:
+            time.sleep(0.01)
+        process.kill()
+    stored = sorted(parts.glob("0*.h5"))
+    assert 3 <= len(stored) < 9
+    assert not (tmp_path / "cut.h5").exists()
+    stored[1].write_bytes(stored[1].read_bytes()[:1000])  # as after a power cut
+    kept = stored[0].stat().st_mtime_ns
+    assert (tmp_path / ".cut.h5.l3lock").exists()
+    assert "another recipe" in l3(*arguments, tmp_path / "cut.h5", "--resume", "--seed", 4)[2]
+    assert not (tmp_path / ".cut.h5.l3lock").exists()
+    assert stored[0].stat().st_mtime_ns == kept
+    assert l3(*arguments, tmp_path / "cut.h5", "--resume") == (0, "", "")
+    assert (tmp_path / "cut.h5").read_bytes() == (tmp_path / "whole.h5").read_bytes()
+    assert not parts.exists()
+
+
+HEAD = 'illuminants = ["D65"]\nexposure_share = [0.9]\n'
+LEAVES = '[[scene]]\nsource = "dead leaves"\nsize = [32, 32]\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "code", "said"),
+    [
+        (HEAD + '[[scene]]\nsource = "live leaves"\nsize = [32, 32]\n', 2, "live leaves"),
+        (HEAD + LEAVES + "colour = 3\n", 2, "colour"),
+        (HEAD + '[[scene]]\nsource = "dead leaves"\n', 2, "size"),
+        (HEAD + '[[scene]]\nsource = "dead leaves"\nsize = [15, 32]\n', 2, "16×16"),
+        (HEAD + '[[scene]]\nsource = "dead leaves"\nsize = [32, 3200]\n', 2, "larger than the sensor"),
+        (HEAD + '[[scene]]\nsource = "iset"\nfile = "no/such/*.mat"\n', 3, "does not exist"),
+        (HEAD.replace("D65", "daylight") + LEAVES, 2, "daylight"),
+        (HEAD.replace("D65", "scene") + LEAVES, 2, "light of its own"),
+        (HEAD.replace("D65", "3K") + LEAVES, 2, "3 is not within 500…100000 K; the nearest is 500"),
+        (HEAD + "exposure_s = [0.1]\n" + LEAVES, 2, "give exactly one of exposure_share"),
+        (HEAD.replace("0.9", "-1") + LEAVES, 2, "above zero"),
+        ("exposure_s = [0.0]\n" + LEAVES, 2, "above zero"),
+        (HEAD.replace("D65", "D3000K") + LEAVES, 2, "the nearest is 4000"),
+        (HEAD.replace("D65", "0 D65 + 1 A") + LEAVES, 2, "shares"),
+        (HEAD.replace("D65", "no.csv") + LEAVES, 3, "no.csv"),
+        (HEAD + '[target]\noutputs = "RGB"\n' + LEAVES, 2, "RGB"),
+        (HEAD + '[target]\nilluminant = "D66"\n' + LEAVES, 2, "D66"),
+        (HEAD + "[lens]\ntransmittance = 1.5\n" + LEAVES, 2, "transmittance"),
+        (HEAD + "[lens]\nf_number = 0.0\n" + LEAVES, 2, "f-number"),
+        (HEAD + "[sensor]\nanalog_gain = 0.0\n" + LEAVES, 2, "analog_gain"),
+        (HEAD + '[sensor]\nnoise = "some"\n' + LEAVES, 2, "some"),
+        ("exposure_saturated = [1.0]\n" + LEAVES, 2, "below 1"),
+        (HEAD + '[[pair]]\nraw = "a.dng"\npicture = "a.png"\n', 3, "a.dng"),
+        (HEAD + LEAVES + "count = 0\n", 2, "the least is 1"),
+        (HEAD + "scene = []\n", 2, "an entry"),
+        (HEAD.replace('["D65"]', "[]") + LEAVES, 2, "an entry"),
+        (HEAD, 2, "scene or pair"),
+    ],
+)
+def test_a_wrong_recipe_is_one_line(
+    refused: Callable[..., str], bayer_recipe: Path, tmp_path: Path, text: str, code: int, said: str
+) -> None:
+    recipe = tmp_path / "scenes.toml"
+    recipe.write_text(text)
+    assert said in refused(code, "simulate", recipe, "--camera", bayer_recipe, "-o", tmp_path / "out.h5")
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        (["400,1", "450,1", "700,1"], "gap"),
+        (["400,1", "410,nan", "420,1"], "every value"),
+        (["400,1", "410,,", "420,1"], "row of numbers"),
+        (["420,1", "410,1", "430,1"], "increase"),
+        ([f"{nm},1" for nm in range(450, 620, 10)], "still shines"),
+        ([f"{nm},{500 - nm}" for nm in range(400, 710, 10)], "negative"),
+    ],
+)
+def test_a_wrong_lamp_is_one_line(
+    refused: Callable[..., str], bayer_recipe: Path, tmp_path: Path, lines: list[str], said: str
+) -> None:
+    (tmp_path / "lamp.csv").write_text("\n".join(["nm,W", *lines]))
+    (tmp_path / "scenes.toml").write_text(HEAD.replace("D65", "0.5 lamp.csv + 0.5 D65") + LEAVES)
+    line = refused(3, "simulate", tmp_path / "scenes.toml", "--camera", bayer_recipe, "-o", tmp_path / "out.h5")
+    assert said in line
+    assert "lamp.csv" in line
+
+
+def test_an_unknown_channel_in_the_colour_filter_array_is_one_line(refused: Callable[..., str], tmp_path: Path) -> None:
+    (tmp_path / "camera.toml").write_text(bayer_camera(pattern=("r g", "g w")))
+    arguments = ("--camera", tmp_path / "camera.toml", "-o", tmp_path / "out.h5")
+    assert '"w" is no channel; there are r, g, b' in refused(2, "simulate", CONFIGS / "scenes/small.toml", *arguments)
+
+
+def test_fixed_exposure_needs_an_absolute_camera(refused: Callable[..., str], bayer: CameraModel, tmp_path: Path) -> None:
+    from l3cli.artifacts.store import save
+
+    save(dataclasses.replace(bayer, absolute=False), tmp_path / "relative.h5")
+    (tmp_path / "scenes.toml").write_text("exposure_s = [0.01]\n" + LEAVES)
+    arguments = (tmp_path / "scenes.toml", "--camera", tmp_path / "relative.h5", "-o", tmp_path / "out.h5")
+    assert "exposure_share" in refused(2, "simulate", *arguments)
+
+
+def test_existing_output_and_filled_folder_are_refused(
+    refused: Callable[..., str], bayer_recipe: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "out.h5").write_text("mine")
+    recipe = CONFIGS / "scenes/small.toml"
+    assert "--force" in refused(1, "simulate", recipe, "--camera", bayer_recipe, "-o", tmp_path / "out.h5")
+    arguments = ("--camera", bayer_recipe, "-o", tmp_path / "new.h5", "--pictures", tmp_path)
+    assert "not empty" in refused(1, "simulate", recipe, *arguments)
+    assert (tmp_path / "out.h5").read_text() == "mine"

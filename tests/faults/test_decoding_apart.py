@@ -1,0 +1,123 @@
+"""Foreign files are decoded by a process apart, within limits of time and memory."""
+
+import dataclasses
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from l3cli.artifacts.store import save
+from l3cli.errors import InputFileError
+from l3cli.io import apart
+from l3cli.io.images import write_mosaic
+from l3cli.limits import MEGAPIXELS, TRUST
+from tests.helpers.cameras import BAYER
+from tests.helpers.decoders import abort, crash, echo, hoard, sleep, stumble, work, write_much
+from tests.helpers.tables import random_table
+from tests.helpers.tasks import PATIENCE
+
+
+@pytest.fixture
+def limited(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    for name in ("f", "bad.dng"):
+        (tmp_path / name).touch()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(sys.path))
+    monkeypatch.setenv("L3_DECODE_SECONDS", "1")
+    monkeypatch.setenv(MEGAPIXELS, "4")
+    monkeypatch.delenv(TRUST, raising=False)
+
+
+def test_values_come_back_as_they_went_and_one_child_decodes_all(limited: None) -> None:
+    first, second = echo(Path("f"), "é\udcff", None), echo(Path("f"), "", 2**70)
+    assert first["process"] == second["process"] != os.getpid()
+    assert (first["told"], second["told"]) == (("é\udcff", None, [1.5, True]), ("", 2**70, [1.5, True]))
+    arrays = first["arrays"]
+    assert (arrays["empty"].shape, arrays["empty"].dtype, arrays["one"]) == ((0, 3), np.float32, 2.5)
+    assert arrays["F"].tolist() == [[0, 1, 2], [3, 4, 5]]
+    assert (arrays["F"].dtype, arrays["F"].flags.f_contiguous) == (np.dtype(">u2"), True)
+    assert arrays["C"].tolist() == [False, False, True, True]
+
+
+@pytest.mark.parametrize(
+    ("decoder", "message"),
+    [
+        (crash, "makes its decoder crash (SIGSEGV)"),
+        (abort, "makes its decoder crash (SIGABRT)"),
+        (work, "takes longer than 1 s to decode"),
+        (hoard, "needs more memory to decode"),
+        (stumble, "cannot be decoded (IndexError: list index"),
+        (write_much, "File too large"),
+    ],
+)
+def test_a_file_at_worst_ends_its_decoder(limited: None, decoder: Callable[[Path], None], message: str) -> None:
+    with pytest.raises(InputFileError, match=r"^bad.dng") as caught:
+        decoder(Path("bad.dng"))
+    assert message in str(caught.value)
+    assert echo(Path("f"), "still here", 0)["told"][0] == "still here"
+
+
+def test_a_decoder_that_sleeps_is_ended_by_the_clock(limited: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(apart, "PATIENCE", 1)
+    with pytest.raises(InputFileError, match="takes longer"):
+        sleep(Path("bad.dng"))
+
+
+def test_who_trusts_decodes_here(limited: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(TRUST, "1")
+    assert echo(Path("f"), "", 0)["process"] == os.getpid()
+    with pytest.raises(InputFileError, match=r"^f cannot be decoded \(IndexError"):
+        stumble(Path("f"))
+
+
+def test_trust_is_an_option(l3: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = []
+    monkeypatch.setattr(apart._Child, "ask", lambda *_: seen.append("asked"))
+    table = dataclasses.replace(random_table(BAYER, bits=12, black_level=64.0), rows=20, cols=24)
+    save(table, tmp_path / "table.h5")
+    write_mosaic(tmp_path / "a.tif", np.full((20, 24), 900, np.uint16))
+    call = ("render", tmp_path / "table.h5", tmp_path / "a.tif", "--backend", "reference", "-o", tmp_path / "a.png")
+    assert l3(*call, "--trust")[0] == 0
+    assert (seen, os.environ.get(TRUST)) == ([], None)
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        b"no json",
+        b"[]",
+        b'{"dict": {}}',
+        b'{"dict": {"error": "SystemExit", "message": "0"}}',
+        b'{"dict": {"value": {"array": ["<f8", [1000000000000], "C", 0]}}}',
+        b'{"dict": {"value": {"array": ["<f8", [4], "C", -8]}}}',
+        b'{"dict": {"value": {"array": ["O", [1], "C", 0]}}}',
+        b'{"dict": {"value": {"array": ["<u2", [-1, -4], "C", 0]}}}',
+        b"[" * 100_000,
+    ],
+)
+def test_a_child_that_lies_is_not_believed(limited: None, monkeypatch: pytest.MonkeyPatch, answer: bytes) -> None:
+    monkeypatch.setattr(apart, "receive", lambda *_: answer)
+    with pytest.raises(InputFileError, match=r"^f makes its decoder talk nonsense"):
+        echo(Path("f"), "", 0)
+
+
+def test_the_child_ends_with_its_parent(limited: None) -> None:
+    program = "import os, signal\nfrom pathlib import Path\nfrom tests.helpers.decoders import echo\n"
+    program += "print(echo(Path('f'), '', 0)['process'], flush=True)\nos.kill(os.getpid(), signal.SIGKILL)"
+    child = int(subprocess.run([sys.executable, "-c", program], capture_output=True, check=False).stdout)
+    deadline = time.monotonic() + PATIENCE
+    while lives(child):
+        assert time.monotonic() < deadline, f"process {child} lives on"
+        time.sleep(0.05)
+
+
+def lives(process: int) -> bool:
+    try:
+        return "(zombie)" not in Path(f"/proc/{process}/status").read_text()
+    except OSError:  # it is gone, perhaps since a moment ago
+        return False
