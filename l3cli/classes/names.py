@@ -2,8 +2,10 @@
 
 from typing import Any
 
+from l3cli.artifacts.layers import PlaneLayer
+from l3cli.artifacts.structure_rule import StructureRule
 from l3cli.artifacts.table import TransformTable
-from l3cli.classes import chroma, contrast, level, saturation
+from l3cli.classes import chroma, contrast, level, saturation, structure
 from l3cli.classes.features import FURTHER, Feature, further_features
 
 # as documents call the features
@@ -22,6 +24,53 @@ def class_name(table: TransformTable, index: int) -> str:
     channel = table.channels[table.cfa[row, col]]
     stem = f"site ({row}, {col}) {channel}", level.name(table, place.level), contrast.name(table, place.contrast)
     return ", ".join((*stem, *further_names(table, place.further), kind_name(table, place.kind)))
+
+
+def class_words(table: TransformTable, index: int) -> dict[str, str]:
+    """Where a class of the first layer applies, each feature by its name."""
+    rule = table.first.rule
+    place = rule.split(index)
+    case = int(rule.case(place.kind))
+    kind = (
+        {"saturation": saturation.name(table, case)}
+        if case
+        else {"chroma": chroma.heading(chroma.entry(table, place.kind)), "saturation": "none"}
+    )
+    further = zip((axis.name for axis in rule.axes), further_names(table, place.further), strict=True)
+    return {
+        "level": level.name(table, place.level).removeprefix("level "),
+        "contrast": _of(place.contrast, rule.contrasts, ("flattest", "most textured")),
+        **dict(further),
+        **kind,
+    }
+
+
+def plane_class_words(table: TransformTable, layer: PlaneLayer, index: int) -> dict[str, str]:
+    """Where a class of a later layer applies, each feature by its name."""
+    rule, place = layer.rule, layer.rule.split(index)
+    case = int(rule.case(place.kind))
+    words = {}
+    if isinstance(rule, StructureRule):
+        bounds = level.bounds(table)
+        last = min((place.level + 1) * rule.level_step, len(bounds) - 1)
+        upper, lower = bounds[last], bounds[place.level * rule.level_step]
+        words["level"] = f"{place.level} ({lower:.3g}–{upper:.3g} of full scale)"
+        if not case:
+            words["structure"] = structure.name(rule, place.kind, place.site)
+    elif not case:
+        words["leaf of the tree"] = f"{place.kind} of {rule.structures}"
+    spared = table.first.rule.spared_cases
+    if case:
+        return words | {"saturation": saturation.name(table, case + spared)}
+    return words | {"saturation": "none by which a filter is lost" if spared else "none"}
+
+
+def _of(index: int, count: int, ends: tuple[str, str]) -> str:
+    """A place among so many, with words for the first and the last one."""
+    if count == 1:
+        return "not told apart"
+    words = {0: f", the {ends[0]}", count - 1: f", the {ends[1]}"}.get(index, "")
+    return f"{index} of 0…{count - 1}{words}"
 
 
 def further_names(table: TransformTable, together: int) -> list[str]:

@@ -72,3 +72,18 @@ def turn_signs(turn: NDArray[np.int64]) -> tuple[int, int]:
     swapped = down[0] == 0  # the tap below the centre lies beside it
     product = (down[1] if swapped else down[0]) * (right[0] if swapped else right[1])
     return (-1 if swapped else 1), int(product)
+
+
+def name(rule: StructureRule, number: int, site: int) -> str:
+    """A structure at a site in text, such as "flat", "strength 2 of 2, no direction" or "strength 1 of 2, edge at 45°": the
+    angle is that of the edge, from the horizontal, anticlockwise."""
+    if number == 0:
+        return "flat"
+    strength, within = divmod(number - 1, 1 + DIRECTIONS)
+    stem = f"strength {strength + 1} of {rule.strengths}"
+    if within == 0:
+        return f"{stem}, no direction"
+    across, down = rule.turns[site].tolist()
+    angle = 2 * np.pi * (within - 1) / DIRECTIONS  # of (a, b), twice that of the gradient, in the site's orientation
+    gradient = np.degrees(np.arctan2(np.sin(angle) * down, np.cos(angle) * across)) / 2  # from the horizontal, downwards
+    return f"{stem}, edge at {np.round(90 - gradient, 1) % 180:g}°"

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 def report(artifacts: tuple[Path, ...], output: Path, backend: str, force: bool, console: "Console") -> Result:
     """Show camera models, training sets and transform tables on one page that needs no network.
 
-    Every table is evaluated on every training set that it was not trained on. A camera is shown once; if no camera
+    Every table is evaluated on every training set of its colour filter array that it was not trained on; several of these
+    stand side by side. A camera is shown once; if no camera
     model is given, those stored in the training sets are shown. What l3 evaluate --sequence prints as JSON is plotted over
     time, several of them in one plot.
 

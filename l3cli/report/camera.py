@@ -6,16 +6,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.fit import ChartFit, Fit, NoiseFit, SweepFit
+from l3cli.artifacts.fit import NoiseFit
 from l3cli.report import colours
-from l3cli.report.drawing import GLYPH, Axis, Plot, box, escape, sheet, spanning
-from l3cli.report.parts import Block, Details, Figure, Figures, Key, Section, Subsection, Table, Text, counted, tidy, unit
+from l3cli.report.channels import MARKS, channel_keys, mark_of, table_of
+from l3cli.report.drawing import GLYPH, Plot, box, escape, sheet, spanning
+from l3cli.report.parts import (
+    Block,
+    Data,
+    Details,
+    Figure,
+    Figures,
+    Section,
+    Subsection,
+    Table,
+    Text,
+    counted,
+    tidy,
+    unit,
+)
 from l3cli.report.photo import declared_from, photo_lead, photo_subsections, without_bands
+from l3cli.report.validation import validation_blocks
 
 Array = NDArray[np.floating]
-MARKS = {"line": "dot", "dashed": "plus", "dotted": "cross"}  # of a line → of a point
-ALIKE = 170  # sum of sRGB differences below which two colours are easily taken for one another
 CELL, WIDEST = 44, 104  # px, of a filter in the drawing of the array
+HEADROOM = 1.06  # above the curves, for their names
 LABELLED = 24  # letters of all channels' names that find room above the curves
 
 
@@ -32,7 +46,7 @@ def camera_section(camera: CameraModel, figures: dict[str, Any], name: str) -> S
         strokes = colours.strokes(light)
         parts[2:2] = photo_subsections(camera, camera.fit.photo, figures, strokes, channel_keys(camera, strokes))
     if camera.fit is not None:
-        blocks = _validation_blocks(camera, camera.fit, figures, light)
+        blocks = validation_blocks(camera, camera.fit, figures, light)
         parts += [Subsection("Validation", blocks)] if blocks else []
     doubt = f" It falls short: {figures['shortfall']}." if figures["shortfall"] else ""
     return Section(f"Camera: {camera.name}", f"{_lead(camera, figures)}{doubt} From {name}.", tuple(parts))
@@ -81,7 +95,8 @@ def array_figure(camera: CameraModel, light: Array) -> Figure:
     shares = ", ".join(f"{name} on {count}" for name, count in zip(camera.channels, counts, strict=True))
     finding = f"Super-pixel of {rows} × {cols} sites: {shares}. Colours are those of daylight through each channel."
     svg = sheet(cols * wide + 2, rows * CELL + 2, "".join(items), finding, fixed_size=True)
-    return Figure("Colour filter array", svg, finding, narrow=True)
+    sites = tuple((str(row), str(col), camera.channels[channel]) for (row, col), channel in np.ndenumerate(camera.cfa))
+    return Figure("Colour filter array", svg, finding, narrow=True, data=Data(("row", "column", "channel"), sites))
 
 
 def _facts(camera: CameraModel) -> Table:
@@ -108,18 +123,20 @@ def responsivity_figures(camera: CameraModel, light: Array) -> tuple[Figure, ...
     label = "quantum efficiency (e⁻/photon)" if camera.absolute else "relative responsivity (1)"
     strokes = colours.strokes(light)
     upper = camera.responsivity + camera.responsivity_band
-    plot = Plot(spanning("wavelength (nm)", camera.wavelength), spanning(label, upper, zero=True))
+    plot = Plot(
+        spanning("wavelength (nm)", camera.wavelength), spanning(label, [0.0, HEADROOM * float(upper.max())], zero=True)
+    )
     peaks = []
     for channel, name in enumerate(camera.channels):
         curve, half = camera.responsivity[channel], camera.responsivity_band[channel]
         peak = int(curve.argmax())
         plot.band(camera.wavelength, np.maximum(curve - half, 0), curve + half, strokes[channel])
-        plot.line(camera.wavelength, curve, strokes[channel], mark_of(strokes, channel))
+        plot.line(camera.wavelength, curve, strokes[channel], mark_of(strokes, channel), series=name)
         if sum(map(len, camera.channels)) <= LABELLED:
             plot.label(float(camera.wavelength[peak]), float(curve[peak]), name)
         peaks.append(f"{name} {tidy(float(curve[peak]))} at {tidy(float(camera.wavelength[peak]), 4)} nm")
     finding = f"Peaks: {', '.join(peaks)}."
-    figures = [Figure("Responsivities", plot.svg(finding), finding, channel_keys(camera, strokes))]
+    figures = [Figure("Responsivities", plot.svg(finding), finding, channel_keys(camera, strokes), data=plot.data())]
     if camera.responsivity_band.any():
         figures.append(_band_figure(camera, strokes))
     return tuple(figures)
@@ -129,35 +146,14 @@ def _band_figure(camera: CameraModel, strokes: tuple[str, ...]) -> Figure:
     """Half widths alone, since a good calibration's bands are thinner than its lines."""
     shares = 100 * camera.responsivity_band / camera.responsivity.max(axis=1, keepdims=True)
     plot = Plot(spanning("wavelength (nm)", camera.wavelength), spanning("half width (% of peak)", shares, zero=True))
-    for channel in range(len(camera.channels)):
-        plot.line(camera.wavelength, shares[channel], strokes[channel], mark_of(strokes, channel))
+    for channel, name in enumerate(camera.channels):
+        plot.line(camera.wavelength, shares[channel], strokes[channel], mark_of(strokes, channel), series=name)
     medians = ", ".join(f"{name} {tidy(float(np.median(s)), 2)} %" for name, s in zip(camera.channels, shares, strict=True))
     finding = (
         f"Half width of the 95 % band as a share of the channel's peak, median over wavelengths: {medians}; "
         f"at most {tidy(shares.max(), 2)} %."
     )
-    return Figure("Confidence bands", plot.svg(finding), finding, channel_keys(camera, strokes))
-
-
-def mark_of(strokes: tuple[str, ...], channel: int) -> str:
-    """Marks distinguish channels whose colours are alike: the one least used by earlier channels of like colour."""
-    used: list[str] = []
-    for index in range(channel + 1):
-        alike = [mark for mark, stroke in zip(used, strokes, strict=False) if _distance(stroke, strokes[index]) < ALIKE]
-        used.append(min(MARKS, key=alike.count))
-    return used[channel]
-
-
-def _distance(one: str, other: str) -> float:
-    return float(np.abs(_rgb(one) - _rgb(other)).sum())
-
-
-def _rgb(colour: str) -> Array:
-    return np.array([int(colour[start : start + 2], 16) for start in (1, 3, 5)], dtype=np.float64)
-
-
-def channel_keys(camera: CameraModel, strokes: tuple[str, ...]) -> tuple[Key, ...]:
-    return tuple(Key(name, strokes[index], mark_of(strokes, index)) for index, name in enumerate(camera.channels))
+    return Figure("Confidence bands", plot.svg(finding), finding, channel_keys(camera, strokes), data=plot.data())
 
 
 # ----------------------------------------------------------------------------------------------------------- noise
@@ -190,24 +186,13 @@ def _noise_blocks(camera: CameraModel, figures: dict[str, Any], light: Array) ->
     return tuple(blocks)
 
 
-def table_of(caption: str, heading: str, rows: dict[str, dict[str, float]]) -> Table:
-    """Rows of numbers by name, as calibration's figures hold them."""
-    titles = tuple(next(iter(rows.values())))
-    body = tuple((name, *(_cell(title, row[title]) for title in titles)) for name, row in rows.items())
-    return Table(caption, (heading, *map(unit, titles)), body)
-
-
-def _cell(title: str, value: float) -> str:
-    return f"{value:.5f}" if title.startswith("R²") else tidy(value, 4)
-
-
 def _transfer_figure(camera: CameraModel, noise: NoiseFit, light: Array) -> Figure:
     mean, variance = noise.photon_transfer_mean, noise.photon_transfer_variance
     strokes = colours.strokes(light)
     plot = Plot(
         spanning("mean signal above black (DN)", mean, zero=True), spanning("temporal variance (DN²)", variance, zero=True)
     )
-    for channel in range(len(camera.channels)):
+    for channel, name in enumerate(camera.channels):
         gain = float(noise.conversion_gain[channel])
         dark = (gain * float(noise.read_noise[channel])) ** 2 + 1 / 12
         last = int(variance[:, channel].argmax())  # beyond it the channel saturates
@@ -215,7 +200,8 @@ def _transfer_figure(camera: CameraModel, noise: NoiseFit, light: Array) -> Figu
         plot.line(
             np.array([0.0, end]), np.array([dark, dark + gain * end]), strokes[channel], mark_of(strokes, channel), 1.2
         )
-        plot.dots(mean[:, channel], variance[:, channel], strokes[channel], MARKS[mark_of(strokes, channel)])
+        mark = MARKS[mark_of(strokes, channel)]
+        plot.dots(mean[:, channel], variance[:, channel], strokes[channel], mark, series=name)
     gains = ", ".join(
         f"{name} {tidy(float(k), 4)} ± {tidy(float(e), 2)}"
         for name, k, e in zip(camera.channels, noise.conversion_gain, noise.conversion_gain_error, strict=True)
@@ -223,77 +209,4 @@ def _transfer_figure(camera: CameraModel, noise: NoiseFit, light: Array) -> Figu
     full = int((mean > np.take_along_axis(mean, variance.argmax(axis=0)[None], 0)).sum())
     finding = f"The slope is the system gain K in DN/e⁻: {gains}. Lines are K times signal plus dark variance."
     finding += f" {full} saturated points, of less variance, lie below them." if full else ""
-    return Figure("Photon transfer", plot.svg(finding), finding, channel_keys(camera, strokes))
-
-
-# ------------------------------------------------------------------------------------------------------ validation
-
-
-def _validation_blocks(camera: CameraModel, fit: Fit, figures: dict[str, Any], light: Array) -> tuple[Block, ...]:
-    graphs: list[Figure] = []
-    if fit.validation is not None:
-        graphs += _prediction_figures(camera, fit, light)
-    if fit.sweep is not None:
-        graphs += _smoothing_figure(fit.sweep)
-    blocks: list[Block] = [Figures(tuple(graphs))] if graphs else []
-    if figures["lights"]:
-        blocks.append(table_of("Prediction of each chart", "chart", figures["lights"]))
-    if figures["bands"]:
-        blocks.append(table_of("Response to each band", "band", figures["bands"]))
-    return tuple(blocks)
-
-
-def _prediction_figures(camera: CameraModel, fit: Fit, light: Array) -> list[Figure]:
-    assert fit.validation is not None
-    measured, predicted, used = fit.validation.measured, fit.validation.predicted, _used(fit)
-    if not used.any():
-        return []
-    strokes, keys = colours.strokes(light), []
-    what = "chart patch" if isinstance(fit.validation, ChartFit) else "patch and exposure"
-    top = max(float(measured[used].max()), float(predicted[used].max()))
-    low = min(0.0, float(measured[used].min()), float(predicted[used].min()))
-    one = Plot(Axis("predicted (DN)", low, 1.04 * top), Axis("measured (DN)", low, 1.04 * top), square=True)
-    one.line(np.array([low, top]), np.array([low, top]), "var(--muted)", "dashed", 1)
-    error = measured - predicted
-    rest = Plot(Axis("predicted (DN)", low, 1.04 * top), spanning("measured − predicted (DN)", error[used]))
-    rest.line(np.array([low, 1.04 * top]), np.zeros(2), "var(--muted)", "dashed", 1)
-    for channel, name in enumerate(camera.channels):
-        here = used[..., channel]
-        mark = MARKS[mark_of(strokes, channel)]
-        one.dots(predicted[..., channel][here], measured[..., channel][here], strokes[channel], mark)
-        rest.dots(predicted[..., channel][here], error[..., channel][here], strokes[channel], mark)
-        keys.append(Key(name, strokes[channel], mark))
-    fits = ", ".join(f"{n} {float(r):.5f}" for n, r in zip(camera.channels, fit.validation.r_squared, strict=True))
-    scatter = f"{int(used.sum())} values, one for each {what} and channel. R²: {fits}."
-    rmse = ", ".join(
-        f"{n} {tidy(100 * float(r), 2)} %" for n, r in zip(camera.channels, fit.validation.relative_rmse, strict=True)
-    )
-    spread = f"RMSE relative to the mean signal: {rmse}; largest residual {tidy(float(np.abs(error[used]).max()))} DN."
-    return [
-        Figure("Measured against predicted", one.svg(scatter), scatter, tuple(keys)),
-        Figure("Residuals", rest.svg(spread), spread, tuple(keys)),
-    ]
-
-
-def _used(fit: Fit) -> NDArray[np.bool_]:
-    assert fit.validation is not None
-    return fit.series.used if fit.chart is None and fit.series is not None else np.ones(fit.validation.measured.shape, bool)
-
-
-def _smoothing_figure(sweep: SweepFit) -> list[Figure]:
-    tried = sweep.smoothing > 0
-    if tried.sum() < 2:
-        return []
-    delta, error = sweep.smoothing[tried], 100 * sweep.smoothing_error[tried]
-    order = np.argsort(delta)
-    plot = Plot(spanning("smoothing δ (1)", delta, log=True), spanning("cross-validated RMSE (%)", error, log=True))
-    plot.line(delta[order], error[order], "var(--one)").dots(delta, error, "var(--one)")
-    chosen = float(sweep.chosen_smoothing)
-    nearest = int(np.argmin(np.abs(np.log(delta / chosen)))) if chosen > 0 else int(np.argmin(error))
-    plot.dots(delta[nearest : nearest + 1], error[nearest : nearest + 1], "var(--two)", size=10, opacity=1)
-    plot.label(float(delta[nearest]), float(error[nearest]), "chosen", lift=-10)
-    finding = (
-        f"δ = {tidy(chosen)} was chosen, the middle of the plateau; its cross-validated RMSE is "
-        f"{tidy(float(error[nearest]))} %, the least of all tried {tidy(float(error.min()))} %."
-    )
-    return [Figure("Choice of the smoothing", plot.svg(finding), finding)]
+    return Figure("Photon transfer", plot.svg(finding), finding, channel_keys(camera, strokes), data=plot.data())

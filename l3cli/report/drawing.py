@@ -1,6 +1,7 @@
 """Plots as inline SVG, drawn here rather than by a plotting library: they take the page's colours and font, so that one
 drawing suits light, dark and paper, and the same numbers give the same bytes. Coordinates are pixels, sheets 440 px wide."""
 
+import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -8,12 +9,12 @@ import numpy as np
 from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
-from l3cli.report.parts import superscript
+from l3cli.report.labels import GLYPH, Places
+from l3cli.report.parts import Data, superscript
 
 Array = NDArray[np.floating]
 WIDTH, HEIGHT = 440, 300
 LEFT, RIGHT, TOP, BOTTOM = 58, 10, 10, 44
-GLYPH = 6.8  # mean width of a 12 px letter
 MARKS = {"dot": "h0", "plus": "m-3,0h6m-3,-3v6", "cross": "m-2.3,-2.3l4.6,4.6m0,-4.6l-4.6,4.6"}
 DASHES = {"line": "", "dashed": ' stroke-dasharray="6 4"', "dotted": ' stroke-dasharray="2 3"'}
 
@@ -78,33 +79,50 @@ def tick_text(value: float) -> str:
 
 
 class Plot:
-    """Axes and what is drawn between them. Values outside the axes are cut off."""
+    """Axes and what is drawn between them. Values outside the axes are cut off. What is drawn for a `series` of that name
+    is among the plot's data."""
 
     def __init__(self, x: Axis, y: Axis, height: int = HEIGHT, square: bool = False) -> None:
         self._x, self._y = x, y
         self._inner = WIDTH - LEFT - RIGHT, (WIDTH - LEFT - RIGHT if square else height - TOP - BOTTOM)
         self._items: list[str] = []
+        self._labels: list[tuple[float, float, str]] = []
+        self._places = Places(*self._inner)
+        self._rows: list[tuple[str, float, float]] = []
 
-    def line(self, x: Array, y: Array, colour: str, mark: str = "line", width: float = 2) -> "Plot":
-        path = "M" + "L".join(f"{a:.1f},{b:.1f}" for a, b in self._points(x, y))
+    def line(
+        self, x: Array, y: Array, colour: str, mark: str = "line", width: float = 2, series: str | None = None
+    ) -> "Plot":
+        self._keep(series, x, y)
+        points = self._points(x, y)
+        self._places.take(points, joined=True)
+        path = "M" + "L".join(f"{a:.1f},{b:.1f}" for a, b in points)
         self._items.append(
             f'<path d="{path}" fill="none" stroke="{escape(colour)}" stroke-width="{width:g}" '
             f'stroke-linejoin="round"{DASHES[mark]}/>'
         )
         return self
 
-    def steps(self, edges: Array, heights: Array, colour: str, mark: str = "line") -> "Plot":
-        """A histogram's outline: heights (bin) between edges (bin + 1)."""
+    def steps(self, edges: Array, heights: Array, colour: str, mark: str = "line", series: str | None = None) -> "Plot":
+        """A histogram's outline: heights (bin) between edges (bin + 1). Its data are heights at the lower edges."""
+        self._keep(series, edges[:-1], heights)
         return self.line(np.repeat(edges, 2)[1:-1], np.repeat(heights, 2), colour, mark, 1.8)
 
     def band(self, x: Array, low: Array, high: Array, colour: str) -> "Plot":
         points = [*self._points(x, high), *self._points(x[::-1], low[::-1])]
+        self._places.take(points, joined=True)
         path = "M" + "L".join(f"{a:.1f},{b:.1f}" for a, b in points) + "z"
         self._items.append(f'<path d="{path}" fill="{escape(colour)}" fill-opacity="0.25"/>')
         return self
 
-    def dots(self, x: Array, y: Array, colour: str, mark: str = "dot", size: float = 5, opacity: float = 0.75) -> "Plot":
-        path = "".join(f"M{a:.1f},{b:.1f}{MARKS[mark]}" for a, b in self._points(x, y))
+    def dots(
+        self, x: Array, y: Array, colour: str, mark: str = "dot", size: float = 5, opacity: float = 0.75,
+        series: str | None = None,
+    ) -> "Plot":  # fmt: skip
+        self._keep(series, x, y)
+        points = self._points(x, y)
+        self._places.take([(a + c * size / 2, b) for a, b in points for c in (-1, 1)], joined=False)
+        path = "".join(f"M{a:.1f},{b:.1f}{MARKS[mark]}" for a, b in points)
         width = size if mark == "dot" else 1.4
         self._items.append(
             f'<path d="{path}" fill="none" stroke="{escape(colour)}" stroke-width="{width:g}" stroke-linecap="round" '
@@ -115,26 +133,40 @@ class Plot:
     def cells(self, x: Array, y: Array, width: float, height: float, colour: str, opacity: float) -> "Plot":
         """Boxes of one size, in units of the axes, whose lower left corners are x, y."""
         corners = list(zip(self._points(x, y), self._points(x + width, y + height), strict=True))
+        self._places.take([corner for pair in corners for corner in pair], joined=False)
         path = "".join(f"M{a:.1f},{b:.1f}H{c:.1f}V{d:.1f}H{a:.1f}z" for (a, b), (c, d) in corners)
         self._items.append(f'<path d="{path}" fill="{escape(colour)}" fill-opacity="{opacity:g}"/>')
         return self
 
-    def label(self, x: float, y: float, text: str, anchor: str = "middle", lift: float = -6, aside: float = 0) -> "Plot":
-        """Text by a point, so many pixels below and right of it, kept within the plot, in the page's ink."""
+    def label(self, x: float, y: float, text: str) -> "Plot":
+        """Text by a point, in the page's ink, where it lies on nothing that is drawn; none where there is no such place."""
         ((a, b),) = self._points(np.array([x]), np.array([y]))
-        a += aside
-        half = GLYPH * len(text) / 2
-        if anchor == "middle":
-            a = min(max(a, half), self._inner[0] - half)
-        b = min(max(b + lift, 11), self._inner[1] - 3)
-        self._items.append(f'<text class="mark" x="{a:.1f}" y="{b:.1f}" text-anchor="{anchor}">{escape(text)}</text>')
+        self._labels.append((a, b, text))
         return self
+
+    def data(self) -> Data:
+        """The numbers of all series."""
+        return Data(("series", self._x.label, self._y.label), tuple(self._rows))
 
     def svg(self, finding: str) -> Markup:
         """The drawing, which says `finding` to those who cannot see it."""
         width, height = self._inner
-        inner = f'<svg x="{LEFT}" y="{TOP}" width="{width}" height="{height}">{"".join(self._items)}</svg>'
+        drawn = "".join([*self._items, *self._placed_labels()])
+        inner = f'<svg x="{LEFT}" y="{TOP}" width="{width}" height="{height}">{drawn}</svg>'
         return sheet(WIDTH, height + TOP + BOTTOM, self._frame() + inner, finding)
+
+    def _placed_labels(self) -> list[str]:
+        """Labels, once all is drawn that they must keep clear of."""
+        placed = ((self._places.place(x, y, text), text) for x, y, text in self._labels)
+        return [
+            f'<text class="mark" x="{place[0]:.1f}" y="{place[1]:.1f}" text-anchor="{place[2]}">{escape(text)}</text>'
+            for place, text in placed
+            if place is not None
+        ]
+
+    def _keep(self, series: str | None, x: Array, y: Array) -> None:
+        if series is not None:
+            self._rows += zip(itertools.repeat(series), x.ravel().tolist(), y.ravel().tolist(), strict=False)
 
     def _points(self, x: Array, y: Array) -> list[tuple[float, float]]:
         width, height = self._inner

@@ -11,11 +11,9 @@ from l3cli.report.colours import SERIES
 from l3cli.report.drawing import Plot, spanning
 from l3cli.report.parts import (
     Block,
-    Comparison,
     Figure,
     Figures,
     Key,
-    Picture,
     Section,
     Subsection,
     Table,
@@ -23,7 +21,6 @@ from l3cli.report.parts import (
     counted,
     tidy,
 )
-from l3cli.report.pictures import Jpeg, Pixels, fitted
 
 OURS = "ours"
 NAMES = {  # figure → heading; unit and meaning
@@ -48,42 +45,16 @@ BAND_MEANINGS = (
     "its target's; PSNR is of 8-bit codes of which the frame's white is 255, linear PSNR of the outputs as they are, 1 "
     "being the 99th percentile of the target's mean output; SSIM is the mean over the outputs."
 )
-ERROR_KEY = (  # of the error map's colours, as evaluation draws them
-    Key("error map: ΔE00 0", "#000000", "box"),
-    Key("2.5", "#460a6e", "box"),
-    Key("5", "#be285a", "box"),
-    Key("7.5", "#f58c1e", "box"),
-    Key("10 and more", "#ffffff", "box"),
-)
-SEEN = 3  # frames shown of an evaluation: the worst, the middle, the best
 
 
-def shown_frames(document: dict[str, Any]) -> list[int]:
-    """Indices of the frames worth showing: all of a few, else those of worst, median and best figure of ours."""
-    frames = document["frames"]
-    figure = next(iter(frames[0][OURS]))
-    order = np.argsort([-frame[OURS][figure] for frame in frames], kind="stable").tolist()
-    return order if len(order) <= SEEN else [order[0], order[len(order) // 2], order[-1]]
-
-
-def evaluation_section(
-    document: dict[str, Any],
-    pictures: dict[int, dict[str, Pixels]],
-    names: tuple[str, str],
-    anchor: str,
-    limit: int,
-    jpeg: Jpeg,
-) -> Section:
-    """`document` is that of `l3 evaluate --json`, `pictures` those of some frames by index, `names` the files of table and
-    frames; `limit` bytes is what the pictures of this section may take."""
+def evaluation_section(document: dict[str, Any], names: tuple[str, str]) -> Section:
+    """`document` is that of `l3 evaluate --json`, `names` the files of table and frames."""
     figure = next(iter(document["frames"][0][OURS]))
     parts = [
         Subsection("Quality", _quality_blocks(document, figure)),
         Subsection("Over light level", _level_blocks(document, figure)),
     ]
     parts.append(Subsection("By class", _class_blocks(document, figure)))
-    if pictures:
-        parts.append(Subsection("Pictures", _picture_blocks(document, pictures, figure, anchor, limit, jpeg)))
     title = f"Evaluation: {names[0]} on {names[1]}" if all(names) else f"Evaluation: {names[0] or names[1]}"
     return Section(title, summary(document), tuple(parts))
 
@@ -100,7 +71,9 @@ def luminance_section(
         plot = Plot(x, spanning(heading, [value for _, _, values in cameras for value in values]))
         keys = []
         for colour, (name, luminance, value) in zip(itertools.cycle(SERIES), cameras, strict=False):
-            plot.line(np.array(luminance), np.array(value), colour).dots(np.array(luminance), np.array(value), colour)
+            plot.line(np.array(luminance), np.array(value), colour).dots(
+                np.array(luminance), np.array(value), colour, series=name
+            )
             keys.append(Key(name, colour))
         finding = " ".join(sentences[figure]) or f"{heading} of {cameras[0][0]}."
         rows = tuple(
@@ -108,7 +81,11 @@ def luminance_section(
             for index, luminance in enumerate(cameras[0][1])
         )
         table = Table(heading, ("cd/m²", *(name for name, _, _ in cameras)), rows)
-        parts.append(Subsection(heading, (Figures((Figure(heading, plot.svg(finding), finding, tuple(keys)),)), table)))
+        parts.append(
+            Subsection(
+                heading, (Figures((Figure(heading, plot.svg(finding), finding, tuple(keys), data=plot.data()),)), table)
+            )
+        )
     return Section("Over the light on the scene", "Means over all frames of one luminance.", tuple(parts))
 
 
@@ -116,27 +93,27 @@ def summary(document: dict[str, Any]) -> str:
     """The evaluation in a sentence."""
     figure = next(iter(document["frames"][0][OURS]))
     count = len(document["frames"])
-    means = ", ".join(f"{name} {_main_figure(document['mean'][name], figure)}" for name in document["pipelines"])
+    means = ", ".join(f"{name} {main_figure(document['mean'][name], figure)}" for name in document["pipelines"])
     name = NAMES[figure]
     return f"{name[0].upper()}{name[1:]} over {counted(count, 'frame')}: {means}."
 
 
-def _main_figure(figures: dict[str, float], figure: str) -> str:
+def main_figure(figures: dict[str, float], figure: str) -> str:
     """The main figure and, of pictures, the PSNR."""
-    return _number(figure, figures[figure]) + (f" ({number(figures['psnr'], '.1f')} dB)" if "psnr" in figures else "")
+    return figure_text(figure, figures[figure]) + (f" ({number(figures['psnr'], '.1f')} dB)" if "psnr" in figures else "")
 
 
 def _quality_blocks(document: dict[str, Any], figure: str) -> tuple[Block, ...]:
     figures = tuple(document["frames"][0][OURS])
     headings = ("pipeline", *(NAMES[name] for name in figures))
-    means = tuple((name, *(_number(f, document["mean"][name][f]) for f in figures)) for name in document["pipelines"])
+    means = tuple((name, *(figure_text(f, document["mean"][name][f]) for f in figures)) for name in document["pipelines"])
     blocks: list[Block] = [Table("Means over the frames", headings, means)]
     blocks.append(Text(MEANINGS if figure == "mean_delta_e" else BAND_MEANINGS))
     baselines = document["pipelines"][1:]
     about = ("frame", "scene", "light", "level (share of full scale)")
     rows = tuple(
-        (str(index + 1), f["scene"], f["illuminant"], f"{f['level']:.3f}", *(_number(n, f[OURS][n]) for n in figures))
-        + tuple(_number(figure, f[baseline][figure]) for baseline in baselines)
+        (str(index + 1), f["scene"], f["illuminant"], f"{f['level']:.3f}", *(figure_text(n, f[OURS][n]) for n in figures))
+        + tuple(figure_text(figure, f[baseline][figure]) for baseline in baselines)
         for index, f in enumerate(document["frames"])
     )
     heads = (*about, *(NAMES[name] for name in figures), *(f"{baseline}: {NAMES[figure]}" for baseline in baselines))
@@ -159,7 +136,8 @@ def _quality_blocks(document: dict[str, Any], figure: str) -> tuple[Block, ...]:
 def _band_table(document: dict[str, Any]) -> Table:
     shown = [(owner, figure) for figure in ("psnr", "output_psnr", "ssim") for owner in document["pipelines"]]
     rows = tuple(
-        (entry["band"], *(_number(figure, entry[owner][figure]) for owner, figure in shown)) for entry in document["by_band"]
+        (entry["band"], *(figure_text(figure, entry[owner][figure]) for owner, figure in shown))
+        for entry in document["by_band"]
     )
     return Table("By band", ("band", *(f"{owner}: {NAMES[figure]}" for owner, figure in shown)), rows)
 
@@ -168,7 +146,7 @@ def _grouped(document: dict[str, Any], caption: str, heading: str, names: list[s
     figure = next(iter(document["frames"][0][OURS]))
     heads = (heading, "frames", *(f"{owner}: {NAMES[figure]}" for owner in document["pipelines"]))
     rows = tuple(
-        (name, str(g["frames"]), *(_number(figure, g[owner][figure]) for owner in document["pipelines"]))
+        (name, str(g["frames"]), *(figure_text(figure, g[owner][figure]) for owner in document["pipelines"]))
         for name, g in zip(names, document[group], strict=True)
     )
     return Table(caption, heads, rows)
@@ -179,7 +157,7 @@ def _level_blocks(document: dict[str, Any], figure: str) -> tuple[Block, ...]:
     blocks: list[Block] = []
     classes = document["by_class"].get("level", [])
     if len(classes) > 1:
-        at = np.array([_middle(entry) for entry in classes])
+        at = level_middles(classes)
         figures.append(
             _curves(document, figure, classes, at, "Error over the class's level", "level of the pixel's neighbourhood")
         )
@@ -194,8 +172,9 @@ def _level_blocks(document: dict[str, Any], figure: str) -> tuple[Block, ...]:
     return tuple(blocks)
 
 
-def _middle(entry: dict[str, Any]) -> float:
-    return float(np.sqrt(max(entry["from"], entry["to"] / 2) * entry["to"]))
+def level_middles(entries: list[dict[str, Any]]) -> np.ndarray:
+    """A level within the bounds of each entry, fit for a logarithmic axis."""
+    return np.array([np.sqrt(max(entry["from"], entry["to"] / 2) * entry["to"]) for entry in entries])
 
 
 def _curves(document: dict[str, Any], figure: str, entries: list, at: np.ndarray, title: str, label: str) -> Figure:
@@ -205,22 +184,22 @@ def _curves(document: dict[str, Any], figure: str, entries: list, at: np.ndarray
     keys = []
     for index, (name, curve) in enumerate(values.items()):
         colour, mark = SERIES[index % len(SERIES)], ("line", "dashed", "dotted", "dashed")[index % 4]
-        plot.line(at, curve, colour, mark).dots(at, curve, colour, size=6)
+        plot.line(at, curve, colour, mark).dots(at, curve, colour, size=6, series=name)
         keys.append(Key(name, colour, mark))
     values_text = "; ".join(
-        f"{name} {_number(figure, curve[0])} at level {tidy(at[0], 2)}, {_number(figure, curve[-1])} at {tidy(at[-1], 2)}, "
-        f"at most {_number(figure, curve.max())}"
+        f"{name} {figure_text(figure, curve[0])} at level {tidy(at[0], 2)}, "
+        f"{figure_text(figure, curve[-1])} at {tidy(at[-1], 2)}, at most {figure_text(figure, curve.max())}"
         for name, curve in values.items()
     )
     finding = f"{NAMES[figure]}: {values_text}."
-    return Figure(title, plot.svg(finding), finding, tuple(keys))
+    return Figure(title, plot.svg(finding), finding, tuple(keys), data=plot.data())
 
 
 def _class_blocks(document: dict[str, Any], figure: str) -> tuple[Block, ...]:
     heads = ("pixels", *(f"{owner}: {NAMES[figure]}" for owner in document["pipelines"]))
 
     def cells(entry: dict[str, Any]) -> tuple[str, ...]:
-        return (str(entry["pixels"]), *(_number(figure, entry[owner][figure]) for owner in document["pipelines"]))
+        return (str(entry["pixels"]), *(figure_text(figure, entry[owner][figure]) for owner in document["pipelines"]))
 
     tables = []
     for axis, entries in document["by_class"].items():
@@ -237,40 +216,6 @@ def _kind(entry: dict[str, Any]) -> str:
     return f"saturation case {entry['case']}" if entry["chroma"] is None else f"chroma {entry['chroma']}"
 
 
-def _number(figure: str, value: float) -> str:
+def figure_text(figure: str, value: float) -> str:
+    """A figure of quality as text, without its unit."""
     return number(value, ".4f" if figure == "ssim" else ".2f")
-
-
-# -------------------------------------------------------------------------------------------------------- pictures
-
-
-def _picture_blocks(
-    document: dict[str, Any], pictures: dict[int, dict[str, Pixels]], figure: str, anchor: str, limit: int, jpeg: Jpeg
-) -> tuple[Block, ...]:
-    blocks: list[Block] = []
-    if len(pictures) < len(document["frames"]):
-        blocks.append(
-            Text(f"Of {len(document['frames'])} frames those of the worst, the median and the best {NAMES[figure]}.")
-        )
-    each = limit // sum(len(frame) for frame in pictures.values())
-    for index, shown in pictures.items():
-        frame = document["frames"][index]
-        title = f"Frame {index + 1}: {frame['scene']}, {frame['illuminant']}, level {frame['level']:.3f}"
-        ordered = sorted(shown, key=lambda name: (name != OURS, name not in ("ideal",), name == "error"))
-        made = tuple(_picture(frame, name, shown[name], figure, each, jpeg) for name in ordered)
-        blocks.append(Comparison(f"{anchor}-{index}", title, made, ERROR_KEY))
-    return tuple(blocks)
-
-
-def _picture(frame: dict[str, Any], name: str, pixels: Pixels, figure: str, limit: int, jpeg: Jpeg) -> Picture:
-    uri, (rows, cols) = fitted(pixels, limit, jpeg)
-    scale = pixels.shape[0] // rows
-    reduced = f", shown at 1/{scale} of its size" if scale > 1 else ""
-    if name == "ideal":
-        shows = "the target"
-    elif name == "error":
-        shows = f"ΔE00 of ours at every pixel, mean {_number(figure, frame[OURS][figure])}"
-    else:
-        shows = f"{NAMES[figure]} {_main_figure(frame[name], figure)}"
-    caption = f"{name}: {shows}{reduced}"
-    return Picture(uri, rows, cols, caption, f"{frame['scene']}, {caption}")

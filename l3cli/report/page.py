@@ -3,6 +3,7 @@
 from typing import Any
 
 from l3cli.artifacts.schema import Stage
+from l3cli.report.downloads import csv_uri, file_stem
 from l3cli.report.parts import Details, Section, Subsection, Table
 
 LIMIT = 10_000_000  # bytes of a page
@@ -19,6 +20,7 @@ def render_page(title: str, lead: str, sections: list[Section]) -> str:
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
+    environment.filters |= {"file_stem": file_stem, "csv_uri": csv_uri}
     return environment.get_template("page.html").render(title=title, lead=lead, sections=sections)
 
 

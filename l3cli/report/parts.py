@@ -38,6 +38,14 @@ class Key:
 
 
 @dataclass(frozen=True)
+class Data:
+    """The numbers of a drawing: rows below headings."""
+
+    headings: tuple[str, ...]
+    rows: tuple[tuple[str | float, ...], ...]
+
+
+@dataclass(frozen=True)
 class Figure:
     """A drawing with its title and what it shows; `finding`, with figures, is also read out in its place."""
 
@@ -46,6 +54,7 @@ class Figure:
     finding: str
     legend: tuple[Key, ...] = ()
     narrow: bool = False  # a small drawing that should not be blown up
+    data: Data | None = None  # to be taken from the page as a file
 
 
 @dataclass(frozen=True)
@@ -73,22 +82,47 @@ class Gallery:
 
     kind: ClassVar[str] = "gallery"
     pictures: tuple[Picture, ...]
+    wide: bool = False  # pictures as large as the page lets them be
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """One frame: ours first, then what it is compared with, behind a slider where scripts run."""
+    """One frame: ours first, or another that is named, then what it is compared with, behind a slider where scripts run."""
 
     kind: ClassVar[str] = "comparison"
     anchor: str
     title: str
     pictures: tuple[Picture, ...]
     key: tuple[Key, ...] = ()  # of the error map
+    size: tuple[int, int] = (0, 0)  # rows and columns of the frame
 
     @property
     def width(self) -> int:
         """Pixels on the screen beyond which a small frame would only be blurred."""
         return max(3 * self.pictures[0].cols, 480)
+
+
+@dataclass(frozen=True)
+class Front:
+    """A comparison with the verdict and the figures beside it."""
+
+    kind: ClassVar[str] = "front"
+    comparison: Comparison
+    score: str  # the main figure of ours, as a number
+    meaning: str  # what that number is
+    verdict: str
+    table: Table
+
+
+@dataclass(frozen=True)
+class PixelPicker:
+    """Part of a frame in which a script shows any pixel's classes and transforms."""
+
+    kind: ClassVar[str] = "pixels"
+    anchor: str  # that of the comparison which shows the whole frame
+    text: str
+    pictures: tuple[Picture, ...]
+    packed: str  # as pixels.packed has it
 
 
 @dataclass(frozen=True)
@@ -108,7 +142,7 @@ class Details:
     text: str
 
 
-Block = Table | Figures | Gallery | Comparison | Text | Details
+Block = Table | Figures | Gallery | Comparison | Front | PixelPicker | Text | Details
 
 
 @dataclass(frozen=True)

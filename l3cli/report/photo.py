@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.fit import PhotoFit
+from l3cli.report.channels import MARKS
 from l3cli.report.drawing import Axis, Plot, spanning
 from l3cli.report.parts import Block, Details, Figure, Figures, Key, Subsection, Table, Text, counted, tidy
 
@@ -16,7 +17,6 @@ BANDS = {  # column of calibration's figures: heading here
     "curve ± 95 % (% of peak)": "curve ± 95 % (% of peak)",
     "colours ± 95 % (% of most)": "colours ± 95 % (% of the brightest)",
 }
-MARKS = {"line": "dot", "dashed": "plus", "dotted": "cross"}  # of a line → of a point
 Array = NDArray[np.floating]
 
 
@@ -132,13 +132,13 @@ def _patches(fit: PhotoFit, index: int, strokes: Sequence[str], keys: tuple[Key,
     points = tuple(replace(key, mark=MARKS[key.mark]) for key in keys)
     for channel, (stroke, key) in enumerate(zip(strokes, points, strict=True)):
         here = np.flatnonzero(used[:, channel])
-        one.dots(predicted[here, channel], measured[here, channel], stroke, key.mark)
-        left.dots(here + 1.0, rest[here, channel], stroke, key.mark)
+        one.dots(predicted[here, channel], measured[here, channel], stroke, key.mark, series=key.label)
+        left.dots(here + 1.0, rest[here, channel], stroke, key.mark, series=key.label)
     patch, worst = map(int, np.unravel_index(int(np.abs(rest).argmax()), rest.shape))
     rms = ", ".join(f"{key.label} {tidy(100 * float(m), 2)} %" for key, m in zip(keys, fit.misfit[index], strict=True))
     fits = f"{int(used.sum())} values of {len(used)} patches, uneven light and glare in the prediction. Residual RMS: {rms}."
     largest = f"Largest: patch {patch + 1} in {keys[worst].label}, {tidy(float(rest[patch, worst]), 2)} %."
     return (
-        Figure(f"Patches of {fit.names[index]}", one.svg(fits), fits, points),
-        Figure("Residuals", left.svg(largest), largest, points),
+        Figure(f"Patches of {fit.names[index]}", one.svg(fits), fits, points, data=one.data()),
+        Figure("Residuals", left.svg(largest), largest, points, data=left.data()),
     )

@@ -85,11 +85,11 @@ def _curves(documents: Documents, figure: str) -> Figure:
     styles = zip(itertools.cycle(SERIES), itertools.cycle(("line", "dashed", "dotted")), series.items(), strict=False)
     for colour, mark, (name, (at, values)) in styles:
         if values.size:
-            plot.line(at, values, colour, mark, 1.6)
+            plot.line(at, values, colour, mark, 1.6, series=name)
             keys.append(Key(name, colour, mark))
             said.append(f"{name} {tidy(values.min())} to {tidy(values.max())}, mean {tidy(values.mean())}")
     finding = f"{label}: {'; '.join(said)}."
-    return Figure(title, plot.svg(finding), finding, tuple(keys))
+    return Figure(title, plot.svg(finding), finding, tuple(keys), data=plot.data())
 
 
 def _series(document: dict[str, Any], figure: str) -> tuple[np.ndarray, np.ndarray]:

@@ -4,7 +4,7 @@ for (const block of document.querySelectorAll(".comparison")) {
   const panes = [...block.querySelectorAll(".panes figure")];
   const divide = () => {
     block.style.setProperty("--cut", cut.value + "%");
-    cut.setAttribute("aria-valuetext", cut.value + " % ours");
+    cut.setAttribute("aria-valuetext", `${cut.value} % ${cut.dataset.first}`);
   };
   const choose = () => panes.forEach((pane, index) => {
     pane.classList.toggle("over", index === 0);

@@ -9,9 +9,23 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import TrainingFrame, TrainingPair, TrainingSet, TrainingSetReader
 from l3cli.report import colours
-from l3cli.report.camera import channel_keys, mark_of
+from l3cli.report.channels import channel_keys, mark_of
 from l3cli.report.drawing import Axis, Plot, spanning
-from l3cli.report.parts import Block, Figure, Figures, Gallery, Key, Picture, Section, Subsection, Table, Text, counted, tidy
+from l3cli.report.parts import (
+    Block,
+    Data,
+    Figure,
+    Figures,
+    Gallery,
+    Key,
+    Picture,
+    Section,
+    Subsection,
+    Table,
+    Text,
+    counted,
+    tidy,
+)
 from l3cli.report.pictures import Jpeg, fitted, thumbnail
 
 Array = NDArray[np.floating]
@@ -134,7 +148,7 @@ def _level_figure(camera: CameraModel, survey: Survey) -> Figure:
     middles = np.sqrt(LEVEL_EDGES[1:] * LEVEL_EDGES[:-1])
     medians = []
     for channel, name in enumerate(camera.channels):
-        plot.steps(LEVEL_EDGES, shares[channel], strokes[channel], mark_of(strokes, channel))
+        plot.steps(LEVEL_EDGES, shares[channel], strokes[channel], mark_of(strokes, channel), series=name)
         if survey.levels[channel].any():
             middle = middles[int(np.searchsorted(np.cumsum(shares[channel]), 50))]
             medians.append(f"{name} {tidy(float(middle), 2)}")
@@ -142,12 +156,12 @@ def _level_figure(camera: CameraModel, survey: Survey) -> Figure:
         f"Median signal as a share of full scale: {', '.join(medians)}. {100 * survey.saturated / survey.pixels:.2g} % of "
         f"all pixels are saturated, {100 * survey.below / survey.pixels:.2g} % lie below a thousandth of full scale."
     )
-    return Figure("Levels", plot.svg(finding), finding, channel_keys(camera, strokes))
+    return Figure("Levels", plot.svg(finding), finding, channel_keys(camera, strokes), data=plot.data())
 
 
 def _chromaticity_figure(survey: Survey) -> Figure:
     """Where the targets lie between the spectral locus; the denser, the darker, a step for each factor of ten."""
-    plot = Plot(Axis("CIE 1931 x (1)", 0, 0.8), Axis("CIE 1931 y (1)", 0, 0.9), height=472)
+    plot = Plot(Axis("CIE 1931 x (1)", -0.04, 0.84), Axis("CIE 1931 y (1)", 0, 0.9), height=434)
     wavelength, locus = colours.spectral_locus()
     closed = np.concatenate([locus, locus[:1]])
     shares = survey.chromaticity / max(survey.chromaticity.sum(), 1)
@@ -163,7 +177,7 @@ def _chromaticity_figure(survey: Survey) -> Figure:
     for nm in (460, 480, 500, 520, 540, 560, 580, 600, 620):
         x, y = locus[int(np.argmin(np.abs(wavelength - nm)))]
         plot.dots(np.array([x]), np.array([y]), "currentColor", size=4, opacity=1)
-        plot.label(float(x), float(y), f"{nm} nm", "start", 4 if nm < 515 else -4, aside=6)
+        plot.label(float(x), float(y), f"{nm} nm")
     primaries = colours.srgb_primaries()
     triangle = np.concatenate([primaries, primaries[:1]])
     plot.line(triangle[:, 0], triangle[:, 1], "var(--muted)", "dashed", 1.2)
@@ -181,7 +195,10 @@ def _chromaticity_figure(survey: Survey) -> Figure:
         Key("spectral locus", "currentColor"),
         Key("white of an illuminant", "var(--two)", "cross"),
     ]
-    return Figure("Chromaticities of the targets", plot.svg(finding), finding, tuple(keys))
+    col, row = np.nonzero(shares)
+    cells = zip((col * GRID).tolist(), (row * GRID).tolist(), shares[col, row].tolist(), strict=True)
+    data = Data(("CIE 1931 x (1)", "CIE 1931 y (1)", "pixels (share)"), tuple(cells))
+    return Figure("Chromaticities of the targets", plot.svg(finding), finding, tuple(keys), data=data)
 
 
 def _cover(shares: Array, triangle: Array) -> tuple[float, float]:

@@ -11,7 +11,7 @@ from l3cli.classes import level
 from l3cli.classes.windows import Integers, window_channels
 from l3cli.report import colours
 from l3cli.report.drawing import WIDTH, Plot, box, escape, heat, sheet, spanning
-from l3cli.report.parts import Block, Figure, Figures, Key, Section, Subsection, Table, Text, tidy
+from l3cli.report.parts import Block, Data, Figure, Figures, Key, Section, Subsection, Table, Text, tidy
 
 Array = NDArray[np.floating]
 DECADES = (0.15, 0.3, 0.45, 0.6, 0.8, 1.0)  # opacity of 1–9, 10–99… patches
@@ -120,7 +120,8 @@ def _population(counts: Array, rows: list[str], levels: list[str], title: str, y
     used = np.unique(decade[counts > 0])
     names = [f"{10**d}–{10 ** (d + 1) - 1}" for d in range(len(DECADES) - 1)] + [f"{10 ** (len(DECADES) - 1)} or more"]
     keys = tuple(Key(f"{names[d]} patches", "var(--one)", "box", DECADES[d]) for d in used)
-    return Figure(title, svg, finding, keys)
+    data = Data((y_label, *levels), tuple((name, *map(float, row)) for name, row in zip(rows, counts, strict=True)))
+    return Figure(title, svg, finding, keys, data=data)
 
 
 def _kinds_table(insight: dict[str, Any]) -> Table:
@@ -201,7 +202,18 @@ def _maps(table: TransformTable, light: Array | None, index: int, name: str) -> 
         for o in range(outputs)
     )
     finding = f"{table.first.samples[index]:.0f} patches. Noise gain √Σw²: {figures}."
-    return Figure(name, sheet(WIDTH, round(top + side + 2), "".join(items), f"{name}. {finding}"), finding)
+    drawing = sheet(WIDTH, round(top + side + 2), "".join(items), f"{name}. {finding}")
+    return Figure(name, drawing, finding, data=_weights_data(table, index))
+
+
+def _weights_data(table: TransformTable, index: int) -> Data:
+    """Every weight of a class with its place in the patch."""
+    patch, channel = table.first.rule.patch, taps(table, index)
+    rows = tuple(
+        (table.outputs[output], str(tap // patch), str(tap % patch), table.channels[channel[tap]], float(weight))
+        for (output, tap), weight in np.ndenumerate(table.first.weights[index])
+    )
+    return Data(("output", "row of the patch", "column of the patch", "channel", "weight (1)"), rows)
 
 
 def _weight_map(weights: Array, left: float, top: float, cell: float) -> list[str]:
@@ -244,15 +256,18 @@ def _noise_figures(table: TransformTable) -> Figures:
         if not at.any():
             continue
         textured = contrast > 0
-        plot.line(middles[at], values[at], colours.SERIES[output], "dashed" if textured else "line")
-        where = "" if table.first.rule.contrasts == 1 else (", textured" if textured else ", flat")
-        keys.append(Key(f"{table.outputs[output]}{where}", colours.SERIES[output], "dashed" if textured else "line"))
-        ranges.append(f"{table.outputs[output]}{where} {tidy(values[at][0], 2)} to {tidy(values[at][-1], 2)}")
+        name = table.outputs[output]
+        if table.first.rule.contrasts > 1:
+            name += ", textured" if textured else ", flat"
+        mark = "dashed" if textured else "line"
+        plot.line(middles[at], values[at], colours.SERIES[output], mark, series=name)
+        keys.append(Key(name, colours.SERIES[output], mark))
+        ranges.append(f"{name} {tidy(values[at][0], 2)} to {tidy(values[at][-1], 2)}")
     finding = (
         f"Median over trained unsaturated classes, from the darkest to the brightest level: {'; '.join(ranges)}. "
         "1 hands a single tap's noise on."
     )
-    return Figures((Figure("Noise gain", plot.svg(finding), finding, tuple(keys)),))
+    return Figures((Figure("Noise gain", plot.svg(finding), finding, tuple(keys), data=plot.data()),))
 
 
 def _medians(values: Array, chosen: NDArray[np.bool_]) -> Array:

@@ -206,15 +206,35 @@ def composition(rng: np.random.Generator, size: tuple[int, int], wavelength: Arr
     """Reflectance (row, col, band) of a demonstration picture: before dead leaves stand a ColorChecker, a grey ramp, a zone
     plate and slanted bars."""
     cube = dead_leaves(rng, size, wavelength)
-    rows, cols = size
-    unit = min(rows // 18, cols // 32)
-    for height, width, centre, panel in (
-        (8, 12, (0.66, 0.25), charts.colorchecker),
-        (2, 12, (0.30, 0.25), charts.ramp_panel),
-        (7, 7, (0.68, 0.62), charts.zone_plate_panel),
-        (7, 7, (0.30, 0.84), charts.slanted_bars_panel),
+    for units, centre, panel in (
+        (*CHART_PANEL, charts.colorchecker),
+        ((2, 12), (0.30, 0.25), charts.ramp_panel),
+        ((7, 7), (0.68, 0.62), charts.zone_plate_panel),
+        ((7, 7), (0.30, 0.84), charts.slanted_bars_panel),
     ):
-        shape = (height * unit, width * unit)
-        top, left = round(rows * centre[0] - shape[0] / 2), round(cols * centre[1] - shape[1] / 2)
+        (top, left), shape = _placed(size, units, centre)
         cube[top : top + shape[0], left : left + shape[1]] = panel(shape, wavelength)
     return cube
+
+
+CHART_PANEL = (8, 12), (0.66, 0.25)  # of a composition: rows and columns of its 18 × 32 units, centre as a share of the size
+
+
+def _placed(
+    size: tuple[int, int], units: tuple[int, int], centre: tuple[float, float]
+) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Upper left corner and shape in pixels of a panel of a composition of `size`."""
+    unit = min(size[0] // 18, size[1] // 32)
+    height, width = units[0] * unit, units[1] * unit
+    return (round(size[0] * centre[0] - height / 2), round(size[1] * centre[1] - width / 2)), (height, width)
+
+
+def chart_places(size: tuple[int, int]) -> list[list[tuple[slice, slice]]]:
+    """Where a picture of `size` (rows, cols) may show the 24 patches of a ColorChecker: where one fills it, and that
+    of a composition."""
+    (top, left), shape = _placed(size, *CHART_PANEL)
+    within = [
+        (slice(rows.start + top, rows.stop + top), slice(cols.start + left, cols.stop + left))
+        for rows, cols in charts.colorchecker_patches(shape)
+    ]
+    return [charts.colorchecker_patches(size), within]

@@ -8,6 +8,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from l3cli import __version__
+from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingPair, TrainingSetReader, open_training_set
@@ -70,11 +71,16 @@ def evaluate_frame(
     evaluation: Evaluation, renderer: Renderer, reader: TrainingSetReader, index: int
 ) -> tuple[TrainingPair, dict[str, NDArray]]:
     """Count a frame of a training set; the frame and the planes of every pipeline, as `Evaluation.add` gives them."""
-    frame, camera = reader.frame(index), reader.head.camera
+    frame = reader.frame(index)
+    raw = raw_of(frame, index, reader.head.camera)
+    return frame, evaluation.add(frame, renderer.outputs(raw), renderer.labels(raw))
+
+
+def raw_of(frame: TrainingPair, index: int, camera: CameraModel) -> RawFrame:
+    """Frame number `index` of a training set as its camera gave it; InputFileError if it is none that a camera gives."""
     try:
-        raw = RawFrame(
+        return RawFrame(
             frame.scene, frame.raw, camera.black_level, camera.white_level, dark=camera.dark_signal(frame.dark_time)
         )
     except ValueError as error:
         raise InputFileError(f"frame {index} of the training set, {error}; make the training set again") from error
-    return frame, evaluation.add(frame, renderer.outputs(raw), renderer.labels(raw))

@@ -1,28 +1,32 @@
 """`l3 report`: what it takes and refuses, what the page holds, and how a browser paints it."""
 
+import base64
+import csv
 import html.parser
 import itertools
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.schema import Stage
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import open_training_set, write_training_set
 from l3cli.cli import run
 from l3cli.io.images import read_image
+from l3cli.report.downloads import csv_uri, file_stem
 from l3cli.report.drawing import Axis, spanning, tick_text
-from l3cli.report.parts import tidy
+from l3cli.report.front import verdict
+from l3cli.report.labels import Places
+from l3cli.report.parts import Data, tidy
 from l3cli.report.pictures import fitted, reduced
 from tests.helpers.browser import CHROMIUM, Browser
-from tests.helpers.cameras import bayer_camera
 
 SCENES = """
 exposure_share = [0.9]
@@ -99,7 +103,7 @@ def test_the_page_holds_every_section_and_stands_alone(page: Path) -> None:
     assert page.stat().st_size < 10_000_000
     headings = [tag for tag, _ in tags.starts if re.fullmatch("h[1-6]", tag)]
     assert headings.count("h1") == 1
-    assert headings.count("h2") == 6  # camera, two training sets, table, evaluation, history
+    assert headings.count("h2") == 7  # pictures, camera, two training sets, table, evaluation, history
     assert all(int(below[1]) <= int(above[1]) + 1 for above, below in itertools.pairwise(headings))
     assert tags.all("html") == [{"lang": "en"}]
     assert not tags.all("link", "iframe", "object")
@@ -120,6 +124,32 @@ def test_the_page_holds_every_section_and_stands_alone(page: Path) -> None:
         assert title in tags.text, title
 
 
+def test_the_picture_comes_first_with_figures_and_verdict_beside_it(page: Path) -> None:
+    text = page.read_text()
+    first = text[text.index("<section") : text.index("</section>")]
+    names = re.findall(r"<figcaption>(\w+):", first)
+    assert names[:3] == ["ours", "ideal", "basic"]
+    aside = first[first.index("<aside") : first.index("</aside>")]
+    assert re.search(r'class="score"><strong>\d+\.\d\d</strong> mean ΔE00 of ours, mean over 4 frames', aside)
+    assert re.search("<p>Ours is (not )?nearer to the ideal than basic by", aside)
+    assert aside.count('<th scope="row">') == 7
+    assert "The first is, of 4 frames, the one of median mean ΔE00" in first
+    assert "The worst and the best frame" in first
+
+
+def test_a_verdict_says_by_which_figures_and_how_often() -> None:
+    def said(frames: int, **wins: int) -> str:
+        figures = {"ours": dict.fromkeys(wins, 1.0)}
+        return verdict({"frames": [figures] * frames, "better": {"basic": wins}})
+
+    assert said(1, mean_delta_e=1, ssim=1) == "Ours is nearer to the ideal than basic by every figure."
+    assert said(3, mean_delta_e=3, ssim=3) == "Ours is nearer to the ideal than basic by every figure, in every frame."
+    some = "Ours is nearer to the ideal than basic by mean ΔE00 in 3 of 4 frames"
+    assert said(4, mean_delta_e=3, ssim=3) == f"{some}."
+    assert said(4, mean_delta_e=3, ssim=2) == f"{some}, not by SSIM (1)."
+    assert said(1, mean_delta_e=0, ssim=1) == "Ours is not nearer to the ideal than basic by mean ΔE00."
+
+
 def test_drawings_and_pictures_say_what_they_find(page: Path) -> None:
     tags = Tags(page)
     drawings = [svg["aria-label"] or "" for svg in tags.all("svg") if svg.get("role") == "img"]
@@ -131,6 +161,67 @@ def test_drawings_and_pictures_say_what_they_find(page: Path) -> None:
     assert all(cell.get("scope") in ("row", "col") for cell in tags.all("th"))
     named = {label["for"] for label in tags.all("label")}
     assert {control["id"] for control in tags.all("input", "select")} == named
+
+
+def test_labels_lie_on_nothing_that_is_drawn(page: Path) -> None:
+    """Boxes of the labels inside plots against every stroke of the same plot and against each other."""
+    count = 0
+    for inner in re.findall(r'<svg x="\d[^>]*>(.*?)</svg>', page.read_text(), re.DOTALL):
+        strokes = [line for path in re.findall(r'<path d="([^"]+)"', inner) for line in polylines(path)]
+        labels = re.findall(r'<text class="mark" x="([\d.]+)" y="([\d.]+)" text-anchor="(\w+)">([^<]*)', inner)
+        boxes = [box_of(float(x), float(y), anchor, text) for x, y, anchor, text in labels]
+        assert not any(crossed(line, box) for line in strokes for box in boxes), labels
+        for one, other in itertools.combinations(boxes, 2):
+            assert one[2] <= other[0] or other[2] <= one[0] or one[3] <= other[1] or other[3] <= one[1], labels
+        count += len(boxes)
+    assert count > 10
+
+
+def polylines(path: str) -> list[np.ndarray]:
+    """The lines (point, 2) of a path; of its dots and boxes where they begin."""
+    return [np.array([point.split(",") for point in line.split("L")], float) for line in re.findall(r"M([-\d.,L]+)", path)]
+
+
+def box_of(x: float, y: float, anchor: str, text: str) -> tuple[float, float, float, float]:
+    """About what 12 px letters cover."""
+    width = 6.8 * len(text)
+    left = x - {"start": 0.0, "middle": 0.5, "end": 1.0}[anchor] * width
+    return left, y - 9, left + width, y + 2
+
+
+def crossed(line: np.ndarray, box: tuple[float, float, float, float]) -> bool:
+    """Whether a line (point, 2) enters a box."""
+    shares = np.linspace(0, 1, 400)[:, None]
+    x, y = np.concatenate([line, *(one + shares * (other - one) for one, other in itertools.pairwise(line))]).T
+    return bool(((x > box[0]) & (x < box[2]) & (y > box[1]) & (y < box[3])).any())
+
+
+def test_every_plot_can_be_taken_from_the_page(page: Path, stages: Path) -> None:
+    tags = Tags(page)
+    links = [link for link in tags.all("a") if "download" in link]
+    buttons = [button for button in tags.all("button") if "data-file" in button]
+    drawings = [svg for svg in tags.all("svg") if svg.get("role") == "img"]
+    assert len(links) == len(buttons) == len(drawings) > 15
+    assert all(re.fullmatch(r"[a-z0-9-]+\.csv", link["download"] or "") for link in links)
+    files = {link["download"]: csv_rows(link["href"] or "") for link in links}
+    assert all(len(rows) > 1 and {len(row) for row in rows} == {len(rows[0])} for rows in files.values())
+    rows = files["responsivities.csv"]
+    camera = load(CameraModel, stages / "camera.h5")
+    assert rows[0] == ["series", "wavelength (nm)", "quantum efficiency (e⁻/photon)"]
+    assert [row[0] for row in rows[1:]] == [name for name in camera.channels for _ in camera.wavelength]
+    assert np.allclose([float(row[2]) for row in rows[1:]], camera.responsivity.ravel(), rtol=1e-8)
+
+
+def csv_rows(uri: str) -> list[list[str]]:
+    head, _, body = uri.partition(",")
+    assert head == "data:text/csv;charset=utf-8;base64"
+    return list(csv.reader(base64.b64decode(body).decode().splitlines()))
+
+
+def test_a_spreadsheet_computes_nothing_that_is_a_name() -> None:
+    rows = csv_rows(csv_uri(Data(("name", "value"), (("=HYPERLINK(1)", -1.5), ("-2+3", 2.0), ('a,"b', 0.1 + 0.2)))))
+    assert rows == [["name", "value"], [" =HYPERLINK(1)", "-1.5"], [" -2+3", "2"], ['a,"b', "0.3"]]
+    assert (file_stem("Größe: ../a b"), file_stem("…")) == ("gr-e-a-b", "figure")
 
 
 def test_figures_are_those_of_the_artifacts(page: Path, stages: Path, l3: Callable) -> None:
@@ -165,7 +256,11 @@ def test_the_same_artifacts_give_the_same_bytes(page: Path, stages: Path, tmp_pa
         (["table"], ["Table", "History"], "Add a training set that the table was not trained on"),
         (["training"], ["Camera", "Training set", "History"], "without a transform table"),
         (["training", "table"], ["Camera", "Training set", "Table", "History"], "add frames that it has not seen"),
-        (["table", "unseen"], ["Camera", "Training set", "Table", "Evaluation", "History"], "Mean ΔE00 over 4 frames"),
+        (
+            ["table", "unseen"],
+            ["Pictures", "Camera", "Training set", "Table", "Evaluation", "History"],
+            "Mean ΔE00 over 4 frames",
+        ),
         (["camera", "camera"], ["Camera", "History"], "1 artifact,"),
     ],
 )
@@ -279,11 +374,7 @@ def test_what_is_no_report_is_refused(stages: Path, tmp_path: Path, refused: Cal
     assert l3("report", camera, "-o", out, "--force")[0] == 0
 
 
-def test_artifacts_of_different_cameras_are_refused(stages: Path, tmp_path: Path, refused: Callable) -> None:
-    (tmp_path / "other.toml").write_text(bayer_camera(pattern=("g r", "b g")))
-    save(load_camera(tmp_path / "other.toml"), tmp_path / "other.h5")
-    line = refused(3, "report", stages / "table.h5", tmp_path / "other.h5", "-o", tmp_path / "report.html")
-    assert "other.h5 is of a camera with another CFA than" in line
+def test_a_table_and_frames_of_different_outputs_are_refused(stages: Path, tmp_path: Path, refused: Callable) -> None:
     with open_training_set(stages / "unseen.h5") as reader:
         head, frame = replace(reader.head, outputs=("a", "b", "c")), reader.frame(0)
     with write_training_set(tmp_path / "bands.h5", head) as writer:
@@ -314,6 +405,19 @@ def test_ticks_are_round_and_enough() -> None:
 def test_numbers_read_without_exponents_where_they_can() -> None:
     shown = [tidy(value) for value in (0, 0.25, -0.0979, 24000, 12.3456, 1.1843e7, 3.2e-6)]
     assert shown == ["0", "0.25", "−0.0979", "24000", "12.3", "1.18×10⁷", "3.20×10⁻⁶"]
+
+
+def test_a_label_goes_where_there_is_room_or_nowhere() -> None:
+    free = Places(200, 100)
+    assert free.place(100, 50, "here") == (100, 45 - 13.5 + 10, "middle")
+    crossed_by = Places(200, 100)
+    crossed_by.take([(100, 0), (100, 100)], joined=True)
+    place = crossed_by.place(100, 50, "aside")
+    assert place is not None
+    assert place[2] == "start"
+    full = Places(200, 100)
+    full.take([(x, y) for y in range(0, 100, 4) for x in range(0, 200, 4)], joined=False)
+    assert full.place(100, 50, "nowhere") is None
 
 
 def test_pictures_are_made_smaller_until_they_fit() -> None:
@@ -366,6 +470,13 @@ CONTRASTS = """(() => {
 })()"""
 
 
+UNPACKED = """new Promise((done) => {
+  const waiting = () => [...document.querySelectorAll('.pixels .reading')].some((each) => each.hidden);
+  const wait = () => waiting() ? setTimeout(wait, 20) : done();
+  wait();
+})"""
+
+
 @pytest.fixture(scope="module")
 def tab() -> Iterator[Browser]:
     if CHROMIUM is None:
@@ -376,6 +487,7 @@ def tab() -> Iterator[Browser]:
 
 def painted(tab: Browser, path: Path) -> dict[str, np.ndarray]:
     """Pixels of every figure and picture on the page by what it says."""
+    tab.run(UNPACKED)
     areas = tab.run(AREAS)
     assert areas
     whole, _ = read_image(tab.screenshot(path))
@@ -398,6 +510,7 @@ def test_every_figure_is_painted_and_readable(tab: Browser, page: Path, tmp_path
         assert np.ptp(pixels.astype(int)) > 40, name
         assert len(np.unique(pixels[..., :3].astype(int) @ [1 << 16, 1 << 8, 1])) > 3, name
     assert tab.run(CONTRASTS) == []
+    assert tab.run("getComputedStyle(document.querySelector('svg text.mark')).outlineStyle") == "none"
     luminance = tab.run("getComputedStyle(document.documentElement).backgroundColor")
     assert (luminance != "rgb(255, 255, 255)") == dark
 
@@ -424,6 +537,25 @@ def test_the_slider_divides_and_obeys_the_keyboard(tab: Browser, page: Path) -> 
     choose = "(() => { const s = document.querySelector('.comparison select'); s.value = '2';"
     tab.run(choose + "s.dispatchEvent(new Event('change', {bubbles: true})); })()")
     assert "basic" in tab.run("document.querySelector('.under img').alt")
+
+
+def test_a_plot_is_saved_as_a_drawing_of_its_own(tab: Browser, page: Path, tmp_path: Path) -> None:
+    tab.open(page, dark=True)
+    tab.call("Page.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path))
+    for kind in ("button[data-file='responsivities.svg']", "a[download='responsivities.csv']"):
+        tab.run(f'document.querySelector("{kind}").click()')
+    wanted = [tmp_path / "responsivities.svg", tmp_path / "responsivities.csv"]
+    for _ in range(100):
+        if all(file.exists() for file in wanted):
+            break
+        tab.run("new Promise((done) => setTimeout(done, 50))")
+    drawing = ElementTree.parse(wanted[0]).getroot()
+    said = "".join(drawing.itertext())
+    assert drawing.get("width") == "440"
+    assert all(text in said for text in ("wavelength (nm)", "#1b1f24"))
+    assert [child.text for child in drawing][-6:][1::2] == ["r", "g", "b"]  # the legend, mark by mark
+    assert "var(" not in wanted[0].read_text()
+    assert wanted[1].read_text().startswith("series,wavelength (nm)")
 
 
 def test_the_page_works_without_scripts_and_on_paper(tab: Browser, page: Path, tmp_path: Path) -> None:

@@ -84,7 +84,7 @@ def test_several_photos_and_a_guessed_light(bayer: CameraModel, tmp_path: Path, 
     assert "Estimated from 2 photos of a chart" in text
     assert text.count("its light was guessed") == 2
     assert "A (guessed)" in text
-    assert text.count("Patches of ") == 2
+    assert text.count("<h4>Patches of ") == 2
     again = page(photographed(bayer, ("one.dng", "two.dng"), guessed=True, deficit=0.0), tmp_path, l3)
     assert again == text
 

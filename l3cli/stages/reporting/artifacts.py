@@ -4,8 +4,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.schema import Artifact
 from l3cli.artifacts.store import load, open_artifact
@@ -43,8 +41,21 @@ class Given:
 
     @property
     def pairs(self) -> list[tuple[tuple[Entry, TransformTable], tuple[Entry, TrainingSet]]]:
-        """What is evaluated: each table with each training set that it was not trained on."""
-        return [(table, frames) for table in self.tables for frames in self.training if not trained_on(table[1], frames[0])]
+        """What is evaluated: each table with each training set of its array that it was not trained on."""
+        return [
+            (table, frames)
+            for table in self.tables
+            for frames in self.training
+            if _array_of(table[1]) == _array_of(frames[1]) and not trained_on(table[1], frames[0])
+        ]
+
+    @property
+    def arrays(self) -> list["Given"]:
+        """The artifacts of each colour filter array, in the order in which they were given, without sequences."""
+        groups: dict[Any, list[Entry]] = {}
+        for entry in self.entries:
+            groups.setdefault(_array_of(entry.artifact), []).append(entry)
+        return [_sorted(entries, {}, {}) for entries in groups.values()]
 
 
 def trained_on(table: TransformTable, frames: Entry) -> bool:
@@ -66,8 +77,15 @@ def by_kind(paths: tuple[Path, ...]) -> Given:
         artifact, digest = _artifact(path), sha256(path)
         entries_by_digest.setdefault(digest, Entry(name, path, digest, artifact))
     entries = list(entries_by_digest.values())
-    _require_one_array(entries)
-    given = Given(
+    given = _sorted(entries, sequences, sums)
+    for (table, transforms), (frames, head) in given.pairs:
+        if transforms.outputs != head.outputs:
+            raise InputFileError(f"{table.path} and {frames.path} have different outputs; report on a matching pair")
+    return given
+
+
+def _sorted(entries: list[Entry], sequences: dict[str, dict[str, Any]], sums: dict[str, str]) -> Given:
+    return Given(
         [(entry, entry.artifact) for entry in entries if isinstance(entry.artifact, CameraModel)],
         [(entry, entry.artifact) for entry in entries if isinstance(entry.artifact, TrainingSet)],
         [(entry, entry.artifact) for entry in entries if isinstance(entry.artifact, TransformTable)],
@@ -75,10 +93,6 @@ def by_kind(paths: tuple[Path, ...]) -> Given:
         sequences,
         sums,
     )
-    for (table, transforms), (frames, head) in given.pairs:
-        if transforms.outputs != head.outputs:
-            raise InputFileError(f"{table.path} and {frames.path} have different outputs; report on a matching pair")
-    return given
 
 
 def _artifact(path: Path) -> Artifact:
@@ -92,12 +106,7 @@ def _artifact(path: Path) -> Artifact:
         return reader.head
 
 
-def _require_one_array(entries: list[Entry]) -> None:
-    arrays: list[Any] = [
-        entry.artifact.camera if isinstance(entry.artifact, TrainingSet) else entry.artifact for entry in entries
-    ]
-    for entry, array in zip(entries, arrays, strict=True):
-        if array.channels != arrays[0].channels or not np.array_equal(array.cfa, arrays[0].cfa):
-            raise InputFileError(
-                f"{entry.path} is of a camera with another CFA than {entries[0].path}; report on each camera alone"
-            )
+def _array_of(artifact: Artifact) -> tuple[Any, ...]:
+    """What tells colour filter arrays apart."""
+    of: Any = artifact.camera if isinstance(artifact, TrainingSet) else artifact
+    return of.channels, of.cfa.shape, of.cfa.tobytes()

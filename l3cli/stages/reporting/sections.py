@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.schema import equal
 from l3cli.artifacts.table import TransformTable
-from l3cli.artifacts.training_set import TrainingSet, open_training_set
+from l3cli.artifacts.training_set import open_training_set
 from l3cli.io.embedded import jpeg
 from l3cli.report.camera import camera_section
 from l3cli.report.colours import channel_light
-from l3cli.report.evaluation import evaluation_section, shown_frames
+from l3cli.report.evaluation import evaluation_section
 from l3cli.report.page import history_section
 from l3cli.report.parts import Section, counted
 from l3cli.report.sequence import sequence_section
@@ -22,28 +22,34 @@ from l3cli.report.sequence import summary as sequence_summary
 from l3cli.report.training import training_section
 from l3cli.report.transforms import transform_section
 from l3cli.stages.console import Console
-from l3cli.stages.evaluation import evaluate_frame
-from l3cli.stages.input_warnings import warn_if_unlike
 from l3cli.stages.reporting.artifacts import Entry, Given, trained_on
+from l3cli.stages.reporting.judged import Judged, judge
+from l3cli.stages.reporting.side_by_side import side_by_side
 
-PICTURE_BYTES, THUMBNAIL_BYTES = 6_500_000, 2_000_000  # of all evaluated frames, of all training sets: see page.LIMIT
+# of all evaluated frames, of all pixels that can be looked into, of all training sets: see page.LIMIT
+PICTURE_BYTES, PIXEL_BYTES, THUMBNAIL_BYTES = 5_500_000, 1_000_000, 2_000_000
 
 
 def compose(given: Given, backend: str, console: Console) -> tuple[str, str, list[Section]]:
-    """Title, lead and sections of the page."""
-    _warn_of_cameras(given, console)
-    share = PICTURE_BYTES // max(len(given.pairs), 1)
-    judged = [_evaluation(*pair, str(number), share, backend, console) for number, pair in enumerate(given.pairs)]
-    cameras = [(entry.name, camera) for entry, camera in given.cameras] or _cameras_within(given)
-    sections = [camera_section(camera, figures_of_camera(camera), name) for name, camera in cameras]
-    for entry, _ in given.training:
-        with open_training_set(entry.path, unchanged=True) as reader:
-            sections.append(
-                training_section(reader, entry.name, _role(given, entry), THUMBNAIL_BYTES // len(given.training), jpeg)
-            )
-    light = channel_light(cameras[0][1].responsivity, cameras[0][1].wavelength) if cameras else None
-    sections += [_transforms(entry.name, table, light) for entry, table in given.tables]
-    sections += [section for _, section in judged]
+    """Title, lead and sections of the page: pictures first, then what was given, array by array."""
+    arrays = given.arrays
+    _warn_of_arrays(given, console)
+    pairs = len(given.pairs)
+    shares = PICTURE_BYTES // (pairs + (pairs > 1) or 1), PIXEL_BYTES // (pairs or 1)
+    judged: list[Judged] = []
+    cameras: list[tuple[str, CameraModel]] = []
+    sections: list[Section] = []
+    for array in arrays:
+        _warn_of_cameras(array, console)
+        here = [judge(*pair, str(len(judged) + number), shares, backend, console) for number, pair in enumerate(array.pairs)]
+        held = [(entry.name, camera) for entry, camera in array.cameras] or _cameras_within(array)
+        sections += _array_sections(array, held, THUMBNAIL_BYTES // max(len(given.training), 1))
+        sections += [_evaluation(each) for each in here]
+        judged += here
+        cameras += held
+    first = [each.front for each in judged if each.front is not None]
+    if len(judged) > 1:
+        first.insert(0, side_by_side(judged, shares[0], backend))
     files = [(entry.name, entry.artifact.kind, entry.sha256, entry.artifact.history) for entry in given.entries]
     if given.sequences:
         sections.append(sequence_section(given.sequences))
@@ -51,7 +57,32 @@ def compose(given: Given, backend: str, console: Console) -> tuple[str, str, lis
     sections.append(history_section(files))
     names = [camera.name for _, camera in cameras] or [table.camera_name for _, table in given.tables]
     names = names or [*given.sequences]
-    return f"{', '.join(dict.fromkeys(names))}: report", _lead(given, [lead for lead, _ in judged]), sections
+    doubts = (f"But {each.warning}." for each in judged if each.warning)
+    lead = (
+        " ".join((first[0].lead, *doubts)) if len(judged) > 1 else _lead(given, [_evaluation(each).lead for each in judged])
+    )
+    return f"{', '.join(dict.fromkeys(names))}: report", lead, [*first, *sections]
+
+
+def _array_sections(given: Given, cameras: list[tuple[str, CameraModel]], limit: int) -> list[Section]:
+    """Cameras, training sets and tables of one array; `limit` bytes is what the pictures of a set may take."""
+    sections = [camera_section(camera, figures_of_camera(camera), name) for name, camera in cameras]
+    for entry, _ in given.training:
+        with open_training_set(entry.path, unchanged=True) as reader:
+            sections.append(training_section(reader, entry.name, _role(given, entry), limit, jpeg))
+    light = channel_light(cameras[0][1].responsivity, cameras[0][1].wavelength) if cameras else None
+    return sections + [_transforms(entry.name, table, light) for entry, table in given.tables]
+
+
+def _warn_of_arrays(given: Given, console: Console) -> None:
+    """Say so of every training set of another array than all tables."""
+    if not given.tables:
+        return
+    for array in given.arrays:
+        if not array.tables:
+            for entry, _ in array.training:
+                tables = ", ".join(table.name for table, _ in given.tables)
+                console.warn(f"{entry.name} is of another colour filter array than {tables}: nothing is evaluated on it")
 
 
 def _warn_of_cameras(given: Given, console: Console) -> None:
@@ -69,11 +100,10 @@ def _warn_of_cameras(given: Given, console: Console) -> None:
 def _lead(given: Given, leads: list[str]) -> str:
     if given.sequences and not leads:
         return sequence_summary(given.sequences)
-    if len(leads) == 1:
-        return leads[0]
     if leads:
-        named = (f"{table.name} on {frames.name}" for (table, _), (frames, _) in given.pairs)
-        return " ".join(f"{pair}: {figures}" for pair, figures in zip(named, leads, strict=True))
+        return leads[0]
+    if given.tables and len(given.arrays) > 1:
+        return "Add, for each table, frames of its colour filter array that it has not seen to have it evaluated."
     if given.tables and given.training:
         return "The table was trained on every training set given: add frames that it has not seen to have it evaluated."
     if given.tables:
@@ -117,33 +147,6 @@ def _role(given: Given, frames: Entry) -> str:
     return " ".join(roles)
 
 
-def _evaluation(
-    table: tuple[Entry, TransformTable],
-    frames: tuple[Entry, TrainingSet],
-    anchor: str,
-    limit: int,
-    backend: str,
-    console: Console,
-) -> tuple[str, Section]:
-    """A table on frames it has not seen: in a sentence, and as a section with pictures of a few frames."""
-    from l3cli.evaluation.evaluation import Evaluation
-    from l3cli.evaluation.pictures import frame_pictures
-    from l3cli.evaluation.quality import XYZ
-    from l3cli.rendering.renderer import make_renderer
-
-    (given, transforms), (seen, head) = table, frames
-    warning = warn_if_unlike((given.name, transforms), (seen.name, head.camera), console)
-    renderer = make_renderer(backend, transforms)
-    with open_training_set(seen.path, unchanged=True) as reader:
-        evaluation = Evaluation(transforms, reader.head)
-        for index in console.progress(range(len(reader)), len(reader), "frames"):
-            evaluate_frame(evaluation, renderer, reader, index)
-        document = evaluation.document()
-        pictures = {}
-        if transforms.outputs == XYZ:
-            again = Evaluation(transforms, reader.head)
-            for index in shown_frames(document):
-                pictures[index] = frame_pictures(*evaluate_frame(again, renderer, reader, index))
-    section = evaluation_section(document, pictures, (given.name, seen.name), anchor, limit, jpeg)
-    lead = f"{section.lead} But {warning}." if warning else section.lead
-    return lead, replace(section, lead=lead)
+def _evaluation(judged: Judged) -> Section:
+    section = evaluation_section(judged.document, (judged.table[0].name, judged.frames[0].name))
+    return replace(section, lead=f"{section.lead} But {judged.warning}.") if judged.warning else section

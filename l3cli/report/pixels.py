@@ -1,0 +1,114 @@
+"""Pixels of a crop with their classes and transforms, packed into the page for a script that shows them (pixels.js).
+
+What is packed is deflated and in base64: the length of the head in four bytes, the head as JSON padded to a multiple of
+four bytes; then for each layer the largest weight of every class and output (float32), the class of every pixel as an index
+into the head's classes (uint16), and the weights (int8) as 127 times the signed square root of their share of the largest.
+All numbers are little-endian.
+"""
+
+import base64
+import json
+import zlib
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.report.parts import Picture, PixelPicker
+from l3cli.report.pictures import Jpeg, Pixels
+
+Array = NDArray[np.floating]
+SIZES = ((192, 256), (144, 192), (96, 128), (72, 96), (48, 64), (24, 32))  # rows and columns of crops, tried in this order
+QUALITY = 95  # of the crop's pictures
+PLACES = 8  # of crops along each side of a frame
+STEPS = 127  # of the square root of a weight's share of the largest
+
+
+@dataclass(frozen=True)
+class Layer:
+    """A layer of a table at the pixels of a crop: only the classes that occur there."""
+
+    side: int  # of the windows
+    planes: tuple[str, ...]  # names of what is read, in the order of the taps; one: the mosaic
+    labels: NDArray[np.integer]  # (row, col) index into what follows
+    words: tuple[dict[str, str], ...]  # (class) where each applies
+    patches: Array  # (class) that it was trained on; 0: filled from a neighbour
+    weights: Array  # (class, output, tap)
+
+
+@dataclass(frozen=True)
+class Crop:
+    """Part of a frame: its first row and column, and what stands there."""
+
+    corner: tuple[int, int]
+    layers: tuple[Layer, ...]
+
+
+@dataclass(frozen=True)
+class Sites:
+    """The colour filter array that the crop was seen through."""
+
+    cfa: NDArray[np.uint8]  # (cfa_row, cfa_col) channel of each site
+    channels: tuple[str, ...]
+    colours: tuple[str, ...]  # CSS, (channel)
+
+
+def richest(labels: NDArray[np.integer], size: tuple[int, int]) -> tuple[int, int]:
+    """The corner of the crop of at most `size` that shows most classes of `labels` (row, col), the first of equal ones."""
+    best, most = (0, 0), -1
+    room = [max(0, whole - part) for whole, part in zip(labels.shape, size, strict=True)]
+    tops, lefts = (sorted({length * step // PLACES for step in range(PLACES + 1)}) for length in room)
+    for top in tops:
+        for left in lefts:
+            count = len(np.unique(labels[top : top + size[0], left : left + size[1]]))
+            if count > most:
+                best, most = (top, left), count
+    return best
+
+
+def packed(crop: Crop, sites: Sites, outputs: tuple[str, ...]) -> str:
+    """All of it as text."""
+    head: dict[str, Any] = {
+        "corner": crop.corner,
+        "size": crop.layers[0].labels.shape,
+        "outputs": outputs,
+        "cfa": sites.cfa.tolist(),
+        "channels": sites.channels,
+        "colours": sites.colours,
+        "layers": [
+            {
+                "side": layer.side,
+                "planes": layer.planes,
+                "classes": [
+                    {**words, "training": f"{count:.0f} patches" if count > 0 else "none: filled from a neighbour"}
+                    for words, count in zip(layer.words, layer.patches.tolist(), strict=True)
+                ],
+            }
+            for layer in crop.layers
+        ],
+    }
+    text = json.dumps(head, ensure_ascii=False, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)
+    whole = len(text).to_bytes(4, "little") + text + b"".join(_numbers(layer) for layer in crop.layers)
+    return base64.b64encode(zlib.compress(whole, 9)).decode()
+
+
+def _numbers(layer: Layer) -> bytes:
+    largest = np.abs(layer.weights).max(axis=2).astype("<f4")
+    share = layer.weights / np.where(largest > 0, largest, 1.0)[..., None]
+    weights = np.rint(STEPS * np.sign(share) * np.sqrt(np.abs(share))).astype(np.int8)
+    parts = (largest.tobytes(), layer.labels.astype("<u2").tobytes(), weights.tobytes())
+    return b"".join(part + b"\0" * (-len(part) % 4) for part in parts)
+
+
+def picker(anchor: str, crop: Crop, text: str, pictures: dict[str, Pixels], scene: str, jpeg: Jpeg) -> PixelPicker:
+    """The block of a page: `pictures` of the whole frame by name, `text` what `packed` has made of the crop."""
+    (top, left), (rows, cols) = crop.corner, crop.layers[0].labels.shape
+    where = f"{cols} × {rows} pixels from row {top}, column {left}"
+    shown = []
+    for name, picture in pictures.items():
+        coded = base64.b64encode(jpeg(np.ascontiguousarray(picture[top : top + rows, left : left + cols]), QUALITY)).decode()
+        shown.append(Picture("data:image/jpeg;base64," + coded, rows, cols, name, f"{scene}, {name}: {where}"))
+    counts = ", ".join(f"{len(layer.words)} of layer {number}" for number, layer in enumerate(crop.layers, 1))
+    return PixelPicker(anchor, f"{where}, enlarged. Classes that occur in it: {counts}.", tuple(shown), text)

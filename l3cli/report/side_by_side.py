@@ -1,0 +1,201 @@
+"""Tables side by side, of one or several arrays: the same frame, their figures, their errors over light level."""
+
+import itertools
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.schema import equal
+from l3cli.report.camera import array_figure, responsivity_figures
+from l3cli.report.colours import SERIES, channel_light
+from l3cli.report.drawing import Plot, spanning
+from l3cli.report.evaluation import NAMES, OURS, figure_text, level_middles
+from l3cli.report.parts import (
+    Block,
+    Comparison,
+    Figure,
+    Figures,
+    Gallery,
+    Key,
+    Picture,
+    Section,
+    Subsection,
+    Table,
+    Text,
+    counted,
+)
+from l3cli.report.pictures import Jpeg, Pixels, fitted
+
+CAVEAT = "Scenes and lights are the same; each camera exposes them as its own training set says."
+Place = tuple[str, str, str]  # scene, light and luminance: frames of several sets that show the same
+
+
+@dataclass(frozen=True)
+class Side:
+    """A table judged on frames; `document` is that of `l3 evaluate --json`."""
+
+    name: str
+    frames: str
+    camera: CameraModel
+    document: dict[str, Any]
+
+    @property
+    def places(self) -> dict[Place, int]:
+        """Number of each frame by what it shows, the first of equal ones."""
+        places: dict[Place, int] = {}
+        for index, frame in enumerate(self.document["frames"]):
+            places.setdefault((frame["scene"], frame["illuminant"], f"{frame['luminance']:.6g}"), index)
+        return places
+
+
+def shared_places(sides: list[Side]) -> list[Place]:
+    """What frames of all sides show, in the order of the first side."""
+    others = [side.places for side in sides[1:]]
+    return [place for place in sides[0].places if all(place in other for other in others)]
+
+
+def shared_frame(sides: list[Side]) -> list[int] | None:
+    """Number in each side of the frame that all sides have, of several the one of median quality in the first side; None if
+    there is none, or if the outputs are no pictures."""
+    figures = {_main(side) for side in sides}
+    places = shared_places(sides)
+    if figures != {"mean_delta_e"} or not places:
+        return None
+    first = sides[0]
+    ordered = sorted(places, key=lambda place: _frames(first, [place])[0][OURS]["mean_delta_e"])
+    middle = ordered[len(ordered) // 2]
+    return [side.places[middle] for side in sides]
+
+
+def side_by_side_section(sides: list[Side], pictures: list[dict[str, Pixels]], limit: int, jpeg: Jpeg) -> Section:
+    """`pictures` are those of `shared_frame` of every side, none if there is none, of which `limit` bytes is what they may
+    take."""
+    parts = []
+    if pictures:
+        parts.append(Subsection("The same frame", (_frame_block(sides, pictures, limit, jpeg),)))
+    shared = shared_places(sides)
+    parts.append(Subsection("Figures", _figure_blocks(sides, shared)))
+    if len({side.camera.name for side in sides}) > 1 or len({side.camera.cfa.tobytes() for side in sides}) > 1:
+        parts.append(Subsection("Arrays", (Figures(_cameras(sides)),)))
+    return Section("Side by side", _verdict(sides, shared), tuple(parts))
+
+
+def _main(side: Side) -> str:
+    return str(next(iter(side.document["frames"][0][OURS])))
+
+
+def _frames(side: Side, places: list[Place]) -> list[dict[str, Any]]:
+    """The figures of the frames that show `places`; of all frames if there are none."""
+    frames = side.document["frames"]
+    return [frames[side.places[place]] for place in places] if places else list(frames)
+
+
+def _mean(side: Side, places: list[Place], pipeline: str, figure: str) -> float:
+    return float(np.mean([frame[pipeline][figure] for frame in _frames(side, places)]))
+
+
+def _verdict(sides: list[Side], shared: list[Place]) -> str:
+    if len({_main(side) for side in sides}) > 1:
+        return "The tables have different outputs: their figures are not comparable."
+    if not shared:
+        return "The tables were evaluated on different frames: their figures are not comparable."
+    figure = _main(sides[0])
+    ranked = sorted(sides, key=lambda side: _mean(side, shared, OURS, figure))
+    values = ", ".join(f"{_title(side, sides)} {figure_text(figure, _mean(side, shared, OURS, figure))}" for side in ranked)
+    errors = np.array([[frame[OURS][figure] for frame in _frames(side, shared)] for side in ranked])
+    won = int((errors[0] <= errors.min(axis=0)).sum())
+    frames = "the frame" if len(shared) == 1 else f"{counted(len(shared), 'frame')}"
+    caveat = f" {CAVEAT}" if any(not equal(side.camera, sides[0].camera) for side in sides) else ""
+    often = "" if len(shared) == 1 else f", in {won} of {len(shared)} frames"
+    best = f"{_title(ranked[0], sides)} is nearest to the ideal{often}."
+    return f"{best} {NAMES[figure][0].upper()}{NAMES[figure][1:]} over {frames} that all have: {values}.{caveat}"
+
+
+def _title(side: Side, sides: list[Side]) -> str:
+    """A side's table, with its frames where the same table stands on several sets."""
+    alone = [each.name for each in sides].count(side.name) == 1
+    return side.name if alone else f"{side.name} on {side.frames}"
+
+
+def _frame_block(sides: list[Side], pictures: list[dict[str, Pixels]], limit: int, jpeg: Jpeg) -> Block:
+    """Ours of every side and the ideal: one upon another if they are of one size."""
+    shown = {_title(side, sides): of[OURS] for side, of in zip(sides, pictures, strict=True)}
+    shown["ideal"] = pictures[0]["ideal"]
+    index = shared_frame(sides)
+    assert index is not None
+    frames = {_title(side, sides): side.document["frames"][at] for side, at in zip(sides, index, strict=True)}
+    first = frames[_title(sides[0], sides)]
+    made = []
+    for name, pixels in shown.items():
+        uri, (rows, cols) = fitted(pixels, limit // len(shown), jpeg)
+        says = f"mean ΔE00 {frames[name][OURS]['mean_delta_e']:.2f}" if name in frames else "the target"
+        made.append(
+            Picture(uri, rows, cols, f"{name}: {says}", f"{frames[_title(sides[0], sides)]['scene']}, {name}: {says}")
+        )
+    first = frames[_title(sides[0], sides)]
+    title = f"{first['scene']}, {first['illuminant']}"
+    sizes = {pixels.shape[:2] for pixels in shown.values()}
+    if len(sizes) > 1:
+        return Gallery(tuple(made), wide=True)
+    return Comparison("sides", title, tuple(made), size=next(iter(sizes)))
+
+
+def _figure_blocks(sides: list[Side], shared: list[Place]) -> tuple[Block, ...]:
+    figure_names = tuple(sides[0].document["frames"][0][OURS])
+    same = len({_main(side) for side in sides}) == 1
+    heads = (
+        ("table", "frames", "array", *(NAMES[figure] for figure in figure_names)) if same else ("table", "frames", "array")
+    )
+    rows = []
+    for side in sides:
+        height, width = side.camera.cfa.shape
+        cells = tuple(figure_text(figure, _mean(side, shared, OURS, figure)) for figure in figure_names)
+        rows.append((side.name, side.frames, f"{height} × {width}, {len(side.camera.channels)} channels", *cells))
+    over = "over the frames that all have" if shared else "each over its own frames"
+    blocks: list[Block] = [Table(f"Mean figures {over}", heads, tuple(rows))]
+    if not shared:
+        blocks.append(Text("Give every table frames of the same scenes, lights and luminances to compare them."))
+    drawn = _level_figure(sides) if same else None
+    return (*blocks, *([Figures((drawn,))] if drawn else []))
+
+
+def _level_figure(sides: list[Side]) -> Figure | None:
+    """Error of ours over the class's level, a line for each side."""
+    classes = [side.document["by_class"].get("level", []) for side in sides]
+    if min(map(len, classes)) < 2:
+        return None
+    figure = _main(sides[0])
+    curves = [(level_middles(entries), np.array([entry[OURS][figure] for entry in entries])) for entries in classes]
+    x = spanning(
+        "level of the pixel's neighbourhood (share of full scale)", np.concatenate([at for at, _ in curves]), log=True
+    )
+    plot = Plot(x, spanning(NAMES[figure], np.concatenate([values for _, values in curves]), zero=True))
+    keys, said = [], []
+    styles = zip(itertools.cycle(SERIES), itertools.cycle(("line", "dashed", "dotted")), sides, curves, strict=False)
+    for colour, mark, side, (at, values) in styles:
+        name = _title(side, sides)
+        plot.line(at, values, colour, mark).dots(at, values, colour, size=6, series=name)
+        keys.append(Key(name, colour, mark))
+        said.append(f"{name} {figure_text(figure, values.min())} to {figure_text(figure, values.max())}")
+    finding = f"{NAMES[figure]} of ours, over all frames of each: {'; '.join(said)}."
+    return Figure("Error over the class's level", plot.svg(finding), finding, tuple(keys), data=plot.data())
+
+
+def _cameras(sides: list[Side]) -> tuple[Figure, ...]:
+    """Array and responsivities of every camera, once each."""
+    figures: list[Figure] = []
+    drawn: list[bytes] = []
+    for side in sides:
+        camera = side.camera
+        key = camera.cfa.tobytes() + camera.responsivity.tobytes()
+        if key not in drawn:
+            drawn.append(key)
+            light = channel_light(camera.responsivity, camera.wavelength)
+            figures += [_named(array_figure(camera, light), camera), _named(responsivity_figures(camera, light)[0], camera)]
+    return tuple(figures)
+
+
+def _named(figure: Figure, camera: CameraModel) -> Figure:
+    return Figure(f"{figure.title}: {camera.name}", figure.svg, figure.finding, figure.legend, figure.narrow, figure.data)

@@ -1,0 +1,85 @@
+"""Tables judged on frames that they have not seen: figures, and pictures of a few frames."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.training_set import TrainingSet, TrainingSetReader, open_training_set
+from l3cli.io.embedded import jpeg
+from l3cli.rendering.renderer import Renderer, make_renderer
+from l3cli.report.front import Pictures, front_section, shown_frames
+from l3cli.report.parts import Section, Subsection
+from l3cli.report.pixels import picker
+from l3cli.stages.console import Console
+from l3cli.stages.evaluation import evaluate_frame, raw_of
+from l3cli.stages.input_warnings import warn_if_unlike
+from l3cli.stages.reporting.artifacts import Entry
+from l3cli.stages.reporting.charts import chart_subsection
+from l3cli.stages.reporting.pixels import crop_of
+
+CROPPED = ("ours", "ideal", "basic")  # pictures whose pixels can be looked at
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A table on frames that it has not seen; `document` is that of `l3 evaluate --json`."""
+
+    table: tuple[Entry, TransformTable]
+    frames: tuple[Entry, TrainingSet]
+    document: dict[str, Any]
+    front: Section | None  # None: the outputs are no picture
+    warning: str | None  # why not to trust it
+
+
+def judge(
+    table: tuple[Entry, TransformTable],
+    frames: tuple[Entry, TrainingSet],
+    anchor: str,
+    limits: tuple[int, int],
+    backend: str,
+    console: Console,
+) -> Judged:
+    """Evaluate a table; `limits` in bytes are those of its pictures and of the pixels that can be looked into."""
+    from l3cli.evaluation.evaluation import Evaluation
+    from l3cli.evaluation.quality import XYZ
+
+    (given, transforms), (seen, head) = table, frames
+    warning = warn_if_unlike((given.name, transforms), (seen.name, head.camera), console)
+    renderer = make_renderer(backend, transforms)
+    with open_training_set(seen.path, unchanged=True) as reader:
+        evaluation = Evaluation(transforms, reader.head)
+        pictures, chart = transforms.outputs == XYZ, None
+        for index in console.progress(range(len(reader)), len(reader), "frames"):
+            frame, planes = evaluate_frame(evaluation, renderer, reader, index)
+            if pictures and chart is None:
+                chart = chart_subsection(frame, index, planes, head)
+        document = evaluation.document()
+        front = _front(table, seen, document, reader, renderer, anchor, limits, chart) if pictures else None
+    return Judged(table, frames, document, front, warning)
+
+
+def _front(
+    table: tuple[Entry, TransformTable],
+    seen: Entry,
+    document: dict[str, Any],
+    reader: TrainingSetReader,
+    renderer: Renderer,
+    anchor: str,
+    limits: tuple[int, int],
+    chart: Subsection | None,
+) -> Section:
+    from l3cli.evaluation.evaluation import Evaluation
+    from l3cli.evaluation.pictures import frame_pictures
+
+    again, pictures = Evaluation(table[1], reader.head), Pictures()
+    for index in shown_frames(document):
+        pictures[index] = frame_pictures(*evaluate_frame(again, renderer, reader, index))
+    first = next(iter(pictures))
+    frame = reader.frame(first)
+    raw = raw_of(frame, first, reader.head.camera)
+    crop, text = crop_of(table[1], reader.head.camera, renderer, raw, limits[1])
+    cropped = {name: pictures[first][name] for name in CROPPED if name in pictures[first]}
+    looked_into = picker(f"{anchor}-{first}", crop, text, cropped, frame.scene, jpeg)
+    title = f"Pictures: {table[0].name} on {seen.name}"
+    below = (*([chart] if chart else []), Subsection("Pixels", (looked_into,)))
+    return front_section(document, pictures, title, anchor, limits[0], jpeg, below)
