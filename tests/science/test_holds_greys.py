@@ -35,8 +35,8 @@ size = [128, 128]
 count = 6
 """
 SMALLER = {"patches": "2000", "draws": "6", "patch": "{patch}", "mosaics": "24", "rows": "2000"}
-# Of full scale, where greys clip: 16-bit weights of two or three round a plane by up to 0.00018 at a site, and two planes make an
-# output.
+# Of full scale, where greys clip: 16-bit weights of two or three round a plane by up to 0.00018 at a site, and an output is
+# made of two planes.
 PLANES_ROUNDED = 2.0**-11
 EXPOSURES = np.geomspace(0.001, 3.0, 160)  # of that at which a perfect white fills its brightest channel
 AREA, MARGIN, ACROSS = 48, 16, 16  # of a ramp's areas: side, rim beyond which no output reaches (pixels), areas a row
