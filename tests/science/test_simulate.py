@@ -13,7 +13,7 @@ from l3cli.artifacts.camera import CameraModel, Noise, Optics
 from l3cli.physics import spectra
 from l3cli.physics.lens import diffraction_transfer, relative_illumination
 from l3cli.scene import Scene
-from l3cli.simulation import charts, light, optics, patterns, procedural, sensor
+from l3cli.simulation import charts, leaves, light, optics, patterns, procedural, sensor
 from l3cli.simulation.frame import Saturating, simulate
 from l3cli.simulation.recipe import Lens
 from l3cli.simulation.sources import ColorChecker, WantedScene
@@ -216,6 +216,19 @@ def test_patterns_lie_on_their_share_of_the_leaves_and_change_nothing_else() -> 
     for cube in (half, every):
         assert cube.min() >= 0
         assert cube.max() <= procedural.BRIGHTEST
+
+
+def test_a_leaf_may_show_where_a_pixel_in_its_square_is_uncovered() -> None:
+    rng = np.random.default_rng(8)
+    label = np.where(rng.random((20, 30)) < 0.02, -1, 0).astype(np.int32)
+    row, col, radius = (rng.uniform(low, high, 200) for low, high in ((-3, 23), (-3, 33), (0.5, 4)))
+    may = leaves._may_show(label, row, col, radius)
+    squares = (
+        label[max(0, int(r - q)) : max(0, int(r + q + 1)), max(0, int(c - q)) : max(0, int(c + q + 1))]
+        for r, c, q in zip(row, col, radius, strict=True)
+    )
+    np.testing.assert_array_equal(may, [bool((square < 0).any()) for square in squares])
+    assert 20 < np.count_nonzero(may) < 180
 
 
 def test_leaves_that_share_a_pixel_are_averaged() -> None:

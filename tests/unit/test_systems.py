@@ -47,7 +47,7 @@ def test_taps_that_all_but_clip_do_not_get_weights_that_no_layer_could_read() ->
     without, _ = solve_within(equation, 1e-12, CHANNELS, None)
     solution, _ = solve_within(equation, 1e-12, CHANNELS, BITS)
     assert room_for(without[None, :, 0, None].swapaxes(1, 2), np.zeros((1, 1)), *BITS)[0] < 1
-    assert room_for(solution[None, :, 0, None].swapaxes(1, 2), np.zeros((1, 1)), *BITS)[0] > systems.SPARE
+    assert room_for(solution[None, :, 0, None].swapaxes(1, 2), np.zeros((1, 1)), *BITS)[0] > 3.9  # four times, rounded
     np.testing.assert_allclose(np.delete(rows, 3, 0) @ solution[:, 0], 1.0, atol=0.05)  # what the rows have in common stays
 
 
