@@ -14,10 +14,10 @@ from l3cli.evaluation.basic import Colour, develop, develop_bands, fit_colour, l
 from l3cli.evaluation.classes import ClassErrors
 from l3cli.evaluation.demosaic import band_baselines, baselines, interpolate
 from l3cli.evaluation.exposures import merges
-from l3cli.evaluation.quality import XYZ, band_figures, band_quality, cropped, quality
+from l3cli.evaluation.quality import band_figures, band_quality, cropped, quality
 from l3cli.evaluation.scielab import VIEWING
 from l3cli.evaluation.similarity import spectral_angle
-from l3cli.physics.display import displayed, displayed_delta_e, white_luminance
+from l3cli.physics.display import XYZ, displayed, displayed_delta_e, white_luminance
 
 Array = NDArray[np.floating]
 FORMAT = 2  # of the document; a change of its keys raises it

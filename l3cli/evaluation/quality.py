@@ -8,10 +8,17 @@ from numpy.typing import NDArray
 
 from l3cli.evaluation.scielab import VIEWING, scielab
 from l3cli.evaluation.similarity import psnr, spectral_angle, ssim
-from l3cli.physics.display import LUMA, daylight, displayed, displayed_delta_e, displayed_xyz, srgb_curve, white_luminance
+from l3cli.physics.display import (
+    LUMA,
+    daylight,
+    displayed,
+    displayed_delta_e,
+    displayed_xyz,
+    srgb_curve,
+    white_luminance,
+)
 
 Array = NDArray[np.floating]
-XYZ = ("X", "Y", "Z")
 CODES = 255  # of a white, in PSNR of codes
 
 

@@ -16,6 +16,7 @@ from l3cli.physics.spectra import colour_science, white_point
 from l3cli.quantities import Quantity
 
 Array = NDArray[np.floating]
+XYZ = ("X", "Y", "Z")  # names of outputs that are CIE 1931 tristimulus values
 CHROMATICITY = Quantity(0.001, 0.999)  # x or y of a white
 WHITE_PERCENTILE = 99  # of Y, shown white, as the authors of the method show their pictures
 LUMA = np.array([0.2126, 0.7152, 0.0722])  # of sRGB's primaries (Rec. 709)

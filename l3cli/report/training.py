@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import TrainingFrame, TrainingPair, TrainingSet, TrainingSetReader
+from l3cli.physics.display import XYZ
 from l3cli.report import colours
 from l3cli.report.channels import channel_keys, mark_of
 from l3cli.report.drawing import Axis, Plot, spanning
@@ -29,7 +30,6 @@ from l3cli.report.parts import (
 from l3cli.report.pictures import Jpeg, fitted, thumbnail
 
 Array = NDArray[np.floating]
-XYZ = ("X", "Y", "Z")
 SHOWN = 24  # scenes with a picture
 LEVEL_EDGES = np.geomspace(1e-3, 1.0, 37)  # of the raw signal, share of full scale
 SATURATED = 0.985  # share of full scale, as in docs/method.md#saturation-cases

@@ -12,8 +12,8 @@ from l3cli.artifacts.training_set import LightSpectrum, TrainingFrame, TrainingP
 from l3cli.classes.windows import Neighbourhoods
 from l3cli.errors import InputFileError
 from l3cli.physics import spectra
+from l3cli.physics.display import XYZ
 from l3cli.training.recipe import LearningRecipe
-from l3cli.training.solve import XYZ
 from l3cli.training.symmetry import orientations, site_maps
 
 Floats = NDArray[np.float32]

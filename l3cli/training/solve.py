@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.partial_sums import ClassSums
 from l3cli.errors import L3Error
+from l3cli.physics.display import XYZ
 from l3cli.training import systems
 from l3cli.training.highlights import flat_moments, grey_patches, plain_colours, white_channels
 from l3cli.training.plain_surfaces import PlainSurfaces
@@ -19,7 +20,6 @@ from l3cli.training.systems import Integers
 from l3cli.training.thin_classes import parent_of, parents_of, shrunk
 
 Array = NDArray[np.float64]
-XYZ = ("X", "Y", "Z")
 PLAIN = 0.2  # plain patches, a patch of a textured class, on which a difference between sites counts as an error
 
 

@@ -21,11 +21,12 @@ from l3cli.classes.saturation import choose_cases, saturation_codes, spared_case
 from l3cli.classes.windows import neighbourhoods
 from l3cli.errors import InputFileError
 from l3cli.physics import spectra
+from l3cli.physics.display import XYZ
 from l3cli.training.highlights import misleading
 from l3cli.training.patches import draw_levels, expose_patches, patches_of, white_signal
 from l3cli.training.plain_surfaces import plain_surfaces
 from l3cli.training.recipe import LearningRecipe, TrainingRecipe
-from l3cli.training.solve import XYZ, Goal, Solution, equal_responses, solve
+from l3cli.training.solve import Goal, Solution, equal_responses, solve
 from l3cli.training.sums import add, empty_sums, grid_steps, require_exact
 from l3cli.training.symmetry import class_stabilisers, orientations, site_maps, turned_classes
 from l3cli.training.systems import Integers

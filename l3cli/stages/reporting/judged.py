@@ -41,7 +41,7 @@ def judge(
 ) -> Judged:
     """Evaluate a table; `limits` in bytes are those of its pictures and of the pixels that can be looked into."""
     from l3cli.evaluation.evaluation import Evaluation
-    from l3cli.evaluation.quality import XYZ
+    from l3cli.physics.display import XYZ
 
     (given, transforms), (seen, head) = table, frames
     warning = warn_if_unlike((given.name, transforms), (seen.name, head.camera), console)

@@ -11,6 +11,7 @@ from l3cli.artifacts.layer_sums import LayerSums
 from l3cli.artifacts.layers import PlaneRule
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.planes import fixed_point, opponent_basis
+from l3cli.physics.display import XYZ
 from l3cli.stages.console import Console
 from l3cli.stages.training.passes import Execution
 from l3cli.stages.training.run import TrainingRun, TrainingSource, frames_of
@@ -28,7 +29,6 @@ from l3cli.training.layers.tree import TreeSample
 from l3cli.training.recipe import TrainingRecipe
 from l3cli.training.training_pass import spread_patches
 
-XYZ = ("X", "Y", "Z")
 UNITS = 8  # a process: more tell progress better, but every one hands on its own sums
 
 
