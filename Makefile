@@ -46,8 +46,10 @@ demo-steps:
 	$(TIMED) $(L3) report $(DEMO)/camera.h5 $(DEMO)/training.h5 $(DEMO)/table.h5 $(DEMO)/unseen.h5 -o $(DEMO)/report.html
 	@ls $(CURDIR)/$(DEMO)/report.html $(CURDIR)/$(DEMO)/rendered.png $(CURDIR)/$(DEMO)/unseen/*_ideal.png
 
+# One process more than there are cores: many tests wait for processes that they start. These start sooner if Python may keep
+# what it has compiled. Files go in their order, small ones last: none is begun late that takes long.
 test: $(VENV)/installed ## the test suite
-	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile
+	env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pytest -n $$(( $(JOBS) + 1 )) --dist loadfile --no-loadscope-reorder
 
 docs: docs-build ## the pages of docs/ as a site, on http://127.0.0.1:8000 until Ctrl-C (PORT=…)
 	$(BIN)/python -m http.server --directory $(DOCS)/html --bind 127.0.0.1 $(PORT)
@@ -55,10 +57,10 @@ docs: docs-build ## the pages of docs/ as a site, on http://127.0.0.1:8000 until
 docs-build: notebooks ## the same without serving; fails on any warning and any link that leads nowhere
 	$(BIN)/python docs/site/build.py $(DOCS)
 
-gallery: $(VENV)/installed ## docs/gallery.md and its pictures, one array after the other (about 16 minutes of two quiet cores); ARRAYS="bayer xtrans" for some
+gallery: $(VENV)/installed ## docs/gallery.md and its pictures, two arrays at a time (a quarter of an hour of two quiet cores); ARRAYS="bayer xtrans" for some
 	PYTHONPATH=$(CURDIR) $(BIN)/python docs/gallery/gallery.py $(ARRAYS) --jobs $(JOBS)
 
-peers: $(VENV)/installed ## docs/peers.md: ours beside other methods, from the pictures of L3_DATA (an hour on two cores); PARTS="bayer noise" for some
+peers: $(VENV)/installed ## docs/peers.md: ours beside other methods, from the pictures of L3_DATA (an hour on two cores); PARTS="bayer noise" for some, PARTS="noise --seconds" for times alone
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[peers]"
 	PYTHONPATH=$(CURDIR) $(BIN)/python docs/peers/peers.py $(PARTS) --jobs $(JOBS)
 

@@ -23,6 +23,20 @@ class Shot:
 
 
 @dataclass(frozen=True)
+class NoiseLeft:
+    """What a filter in time has left of a frame's noise that varies in time."""
+
+    shares: NDArray[np.uint16]  # (cell row, cell col) of its variance, …
+    whole: int  # … of which all is so much
+    cell: tuple[int, int]  # rows and columns of a cell
+
+    def quiet(self, limit: float, shape: tuple[int, ...]) -> NDArray[np.uint8]:
+        """1 where no more than the share `limit` is left, else 0, (row, col) of a frame of this shape."""
+        cells = (self.shares <= int(limit * self.whole)).view(np.uint8)
+        return cells.repeat(self.cell[1], 1)[:, : shape[1]].repeat(self.cell[0], 0)[: shape[0]]
+
+
+@dataclass(frozen=True)
 class RawFrame:
     """A mosaic with its black and white level and the site of the super-pixel that its first pixel has."""
 
@@ -39,7 +53,8 @@ class RawFrame:
     taken_by: tuple[str, ...] = ()  # make, model and other names of the camera, where the file has them
     shot: Shot = Shot()
     shading: Shading | None = None  # what the lens takes, which is still in the values
-    noise_share: float = 1.0  # of its camera's noise variance that it has: less where a filter in time has taken some out
+    noise_share: float = 1.0  # of its camera's noise variance that it has: less where a filter in time has taken some out …
+    noise_left: NoiseLeft | None = None  # … as here, cell by cell; None: nowhere
     notes: tuple[str, ...] = ()  # what the file wants done to it, and nobody does
 
     def __post_init__(self) -> None:

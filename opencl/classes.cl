@@ -13,8 +13,9 @@
     __global const uint *restrict mean_reciprocal,      /* (channel, CFA row, period) round(65536 / count) */ \
     __global const uint *restrict variance_reciprocal,  /* (channel, CFA row, period) round(512 / count) */ \
     __global const uint *restrict site_column,          /* (period) CFA column */ \
-    RULE_CONSTANTS
-#define CLASSES_READ raw, row_source, column_source, member, channel_bit, count, mean_reciprocal, variance_reciprocal, site_column, RULE
+    RULE_CONSTANTS QUIET_PARAMETER
+#define CLASSES_READ raw, row_source, column_source, member, channel_bit, count, mean_reciprocal, variance_reciprocal, site_column, \
+    RULE QUIET_READ
 
 // What a tile keeps of its latest rows: arrays apart from one another, which the compiler can then tell apart.
 typedef struct {
@@ -63,16 +64,17 @@ INLINE void see_row(Seen *seen, int k, int x0, int y0, int width, int phase_row,
                       channel_bit + PADDED_PHASE(y0 + late, phase_row, CFA_ROWS) * PERIOD, padded_phase, span);
 }
 
-// Classes of LANES pixels of a row of the tile from x on, whose patches end with padded row k and whose CFA column is `phase`.
-INLINE uints classes_at(const Seen *seen, int k, int x, int site_row, int phase, CLASSES_PARAMETERS) {
+// Classes of LANES pixels of a row of the tile from x on, which is the frame's pixel `at`, whose patches end with padded row k and
+// whose CFA column is `phase`.
+INLINE uints classes_at(const Seen *seen, int k, int x, size_t at, int site_row, int phase, CLASSES_PARAMETERS) {
     Evidence evidence;
     no_evidence(&evidence, RULE);
     #pragma unroll
     for (int c = 0; c < CHANNELS; c++) {
-        const int at = (c * CFA_ROWS + site_row) * PERIOD + phase;
-        add_evidence(&evidence, c, LOAD_GLOBAL(uints, count + at), patch_sum(seen->runs, seen->near, c, x),
-                     patch_square(seen->runs, seen->near, c, x), LOAD_GLOBAL(uints, mean_reciprocal + at),
-                     LOAD_GLOBAL(uints, variance_reciprocal + at), RULE);
+        const int here = (c * CFA_ROWS + site_row) * PERIOD + phase;
+        add_evidence(&evidence, c, LOAD_GLOBAL(uints, count + here), patch_sum(seen->runs, seen->near, c, x),
+                     patch_square(seen->runs, seen->near, c, x), LOAD_GLOBAL(uints, mean_reciprocal + here),
+                     LOAD_GLOBAL(uints, variance_reciprocal + here), RULE);
     }
 #ifdef BOX_ROWS
 #define ADD_WINDOW(s, top, left, rows, columns, sign) \
@@ -84,7 +86,7 @@ INLINE uints classes_at(const Seen *seen, int k, int x, int site_row, int phase,
     EACH_WINDOW(ADD_WINDOW)
 #endif
     const uints site = LOAD_GLOBAL(uints, site_column + phase) + site_row * CFA_COLUMNS;
-    return class_of(&evidence, site, patch_saturated(seen->runs, x), RULE);
+    return class_of(&evidence, site, patch_saturated(seen->runs, x), QUIET_AT(at) RULE);
 }
 
 INLINE void write_classes(__global uint *to, uints label, int count) {
@@ -107,11 +109,11 @@ void classes(CLASSES_PARAMETERS,
         if (k < 2 * RADIUS) continue;
         const int y = y0 + k - 2 * RADIUS, site_row = (y + phase_row) % CFA_ROWS;
         add_runs(seen.runs, seen.near, span_of(width));
-        __global uint *label_row = labels + (size_t)y * columns + x0;
+        const size_t at = (size_t)y * columns + x0;
         __global const ushort *next = raw + (size_t)row_source[min(y0 + k + 1, y1 + 2 * RADIUS - 1)] * columns + x0;
         for (int x = 0, phase = first_phase; x < width; x += LANES, phase = PHASE_AFTER(phase, LANES)) {
             FETCH(next + x);
-            write_classes(label_row + x, classes_at(&seen, k, x, site_row, phase, CLASSES_READ), width - x);
+            write_classes(labels + at + x, classes_at(&seen, k, x, at + x, site_row, phase, CLASSES_READ), width - x);
         }
     }
 }

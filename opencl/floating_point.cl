@@ -3,13 +3,18 @@
 // An odd square is 8n + 1, so a patch of one plane is VECTORS whole vectors (of 16 lanes the last one may be half weights of zero)
 // and one tap more, which goes with the intercept: for all outputs of a group together, one vector of four.
 
-#ifndef FIXED_POINT
+#ifndef SIDE_BY_SIDE
 
 #define VECTORS ((TAPS - 1 + LANES - 1) / LANES)
 #define GROUPS ((OUTPUTS + 3) / 4)               // outputs are taken in groups …
 #define GROUP ((OUTPUTS + GROUPS - 1) / GROUPS)  // … of at most four, so that their sums stay in registers
 #define LAST_TAP (VECTORS * GROUP * LANES)       // where a group's last taps lie, behind them its intercepts
-#define GROUP_STRIDE WHOLE(LAST_TAP + 8, 16)
+#ifdef RATIO_TAPS
+#define TAPS_BEHIND RATIO_TAPS  // behind those of the windows, and their weights behind the intercepts
+#else
+#define TAPS_BEHIND 0
+#endif
+#define GROUP_STRIDE WHOLE(LAST_TAP + 8 + 4 * TAPS_BEHIND, 16)
 #define CLASS_STRIDE (GROUPS * GROUP_STRIDE)
 #define PLANES_MADE (GROUPS * GROUP)
 #define READ_AHEAD (VECTORS * LANES)  // taps that may be read behind a patch
@@ -27,14 +32,18 @@ INLINE totals fold_all(const totals v[LANES / 4]) {
 }
 
 // Where the sums of a pixel begin: output o's last tap and intercept, in lane o.
-INLINE four_totals last_taps(const tap *patch, __global const tap *weights) {
-    return LOAD_GLOBAL(four_totals, weights + LAST_TAP) * patch[TAPS - 1] + LOAD_GLOBAL(four_totals, weights + LAST_TAP + 4);
+INLINE four_totals last_taps(const tap *patch, const float *behind, __global const tap *weights) {
+    four_totals sum = LOAD_GLOBAL(four_totals, weights + LAST_TAP) * patch[TAPS - 1] + LOAD_GLOBAL(four_totals, weights + LAST_TAP + 4);
+    #pragma unroll
+    for (int i = 0; i < TAPS_BEHIND; i++) sum += LOAD_GLOBAL(four_totals, weights + LAST_TAP + 8 + 4 * i) * behind[i * SPAN];
+    return sum;
 }
 
 // A pair's products with the weights of their classes, summed as far as a pair goes.
-INLINE void apply_pair(totals sum[GROUP], const tap *first, const tap *second, __global const tap *first_weights,
+INLINE void apply_pair(totals sum[GROUP], const tap *first, const tap *second, const float *behind, __global const tap *first_weights,
                        __global const tap *second_weights) {
-    const four_totals first_last = last_taps(first, first_weights), second_last = last_taps(second, second_weights);
+    const four_totals first_last = last_taps(first, behind, first_weights);
+    const four_totals second_last = last_taps(second, behind + PAIR, second_weights);
     totals one[GROUP], other[GROUP];
     #pragma unroll
     for (int o = 0; o < GROUP; o++) {
@@ -55,8 +64,8 @@ INLINE void apply_pair(totals sum[GROUP], const tap *first, const tap *second, _
     for (int o = 0; o < GROUP; o++) sum[o] = fold_two(one[o], other[o]);
 }
 
-// LANES pixels from x on: output o of group g → made[g * GROUP + o].
-INLINE void apply(totals *made, const tap *patches, const uint *label, __global const tap *weights, int x) {
+// LANES pixels from x on, `behind` (tap, column) what they have behind their patches: output o of group g → made[g * GROUP + o].
+INLINE void apply(totals *made, const tap *patches, const float *behind, const uint *label, __global const tap *weights, int x) {
     for (int g = 0; g < GROUPS; g++) {
         __global const tap *group = weights + g * GROUP_STRIDE;
         totals folded[GROUP][LANES / 4];
@@ -69,10 +78,11 @@ INLINE void apply(totals *made, const tap *patches, const uint *label, __global 
                 const uint class = label[x + first], other = label[x + second];
                 const tap *patch = patches + (x + first) * COLUMN;
                 __global const tap *row = group + (size_t)class * CLASS_STRIDE;
+                const float *its = behind + x + first;
                 if (class == other)
-                    apply_pair(pair[i], patch, patch + PAIR * COLUMN, row, row);
+                    apply_pair(pair[i], patch, patch + PAIR * COLUMN, its, row, row);
                 else
-                    apply_pair(pair[i], patch, patch + PAIR * COLUMN, row, group + (size_t)other * CLASS_STRIDE);
+                    apply_pair(pair[i], patch, patch + PAIR * COLUMN, its, row, group + (size_t)other * CLASS_STRIDE);
             }
             #pragma unroll
             for (int o = 0; o < GROUP; o++) folded[o][n / 2] = fold_four(pair[0][o], pair[1][o]);

@@ -6,6 +6,11 @@
 #define COLUMN (PATCH * SOURCES)  // values of a column of the ring (transform.cl)
 #define TAPS (PATCH * COLUMN)
 
+// Which of two arrangements of weights there is (layout.py): side_by_side.cl, or else floating_point.cl.
+#if defined(FIXED_POINT) || (OUTPUTS >= 3 && OUTPUTS <= 4 && TAPS <= 25 && !defined(RATIO_TAPS))
+#define SIDE_BY_SIDE
+#endif
+
 #if 2 * CFA_COLUMNS <= LANES && (CFA_COLUMNS & (CFA_COLUMNS - 1)) == 0
 #define PAIR CFA_COLUMNS
 #else

@@ -33,7 +33,7 @@ void classes(__global const ushort *restrict raw,                // (row, col) D
              __global const uint *restrict mean_reciprocal,      // (channel, CFA row, period) round(65536 / count)
              __global const uint *restrict variance_reciprocal,  // (channel, CFA row, period) round(512 / count)
              __global const uint *restrict site_column,          // (period) CFA column
-             RULE_CONSTANTS,
+             RULE_CONSTANTS QUIET_PARAMETER,
              __global uint *restrict labels,                     // (row, col)
              int phase_row, int phase_column, int rows, int columns) {
     __local ushort value[TILE_ROWS][TILE_COLUMNS], bit[TILE_ROWS][TILE_COLUMNS];  // DN and 1 << channel
@@ -89,14 +89,20 @@ void classes(__global const ushort *restrict raw,                // (row, col) D
 #endif
     uint code = 0;
     for (int p = column + RADIUS - SATURATION_RADIUS; p <= column + RADIUS + SATURATION_RADIUS; p++) code |= saturated[line][p];
-    const uint label = class_of(&evidence, site_row * CFA_COLUMNS + site, code, RULE);
-    if (x < columns && y < rows) labels[(size_t)y * columns + x] = label;
+    if (x >= columns || y >= rows) return;
+    const size_t pixel = (size_t)y * columns + x;
+    labels[pixel] = class_of(&evidence, site_row * CFA_COLUMNS + site, code, QUIET_AT(pixel) RULE);
 }
 
 #endif
 
 #define FOURS ((OUTPUTS + 3) / 4)  // vectors of four that hold the outputs
-#define CLASS_STRIDE ((PATCH * PATCH * SOURCES + 1) * FOURS)
+#ifdef RATIO_TAPS
+#define TAPS_BEHIND RATIO_TAPS
+#else
+#define TAPS_BEHIND 0
+#endif
+#define CLASS_STRIDE ((PATCH * PATCH * SOURCES + 1 + TAPS_BEHIND) * FOURS)
 #if SOURCES == 1
 #define SOURCE ushort
 #else
@@ -169,6 +175,17 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
             }
         }
     }
+#ifdef RATIO_TAPS
+    // Chroma as shading would make it (l3cli/classes/ratios.py), behind the window.
+    float sum[SOURCES] = {0};
+    for (int i = 0; i < PATCH; i++)
+        for (int j = 0; j < PATCH; j++)
+            for (int s = 0; s < SOURCES; s++) sum[s] += signal[line + j][column + i][s];
+    const float count = PATCH * PATCH, luminance = signal[line + RADIUS][column + RADIUS][LUMINANCE];
+    const float share = clamp((count * luminance - sum[LUMINANCE]) / max(sum[LUMINANCE], count * DARKEST), -1.0f, 1.0f) / count;
+    for (int f = 0; f < FOURS; f++) total[f] += sum[0] * share * *weight++;
+    for (int f = 0; f < FOURS; f++) total[f] += sum[SOURCES - 1] * share * *weight++;
+#endif
     tap output[4 * FOURS];
     for (int f = 0; f < FOURS; f++) {
         output[4 * f] = total[f].x;

@@ -16,17 +16,23 @@
 #define PHASE_AFTER(phase, n) (((phase) + (n)) % CFA_COLUMNS)
 #endif
 
-// One raw row → row[p], at most MAX_RAW, for the tile that begins at column x0.
+INLINE ushort highest_raw(ushort v) { return v < (ushort)MAX_RAW ? v : (ushort)MAX_RAW; }  // min is a call in PoCL 3.0
+
+INLINE void ingest_vector(ushort *row, __global const ushort *from) {
+    const full_shorts v = LOAD_GLOBAL(full_shorts, from), top = (ushort)MAX_RAW;
+    STORE_PRIVATE(full_shorts, row) = v < top ? v : top;
+}
+
+// One raw row → row[p], at most MAX_RAW, for the tile that begins at column x0. The last vector of what lies in the frame repeats some
+// of the one before it, so that none are left to be taken one by one.
 INLINE void ingest(ushort *row, __global const ushort *raw_row, __global const int *column_source, int x0, int columns) {
     const int first = max(0, RADIUS - x0), last = min(TILE + 2 * RADIUS, columns - x0 + RADIUS);
     const int end = min(TILE + 2 * RADIUS, columns - x0 + 2 * RADIUS);
     __global const ushort *inside = raw_row + x0 - RADIUS;
     int p = first;
-    for (; p + 2 * LANES <= last; p += 2 * LANES) {
-        const full_shorts v = LOAD_GLOBAL(full_shorts, inside + p), top = (ushort)MAX_RAW;
-        STORE_PRIVATE(full_shorts, row + p) = v < top ? v : top;
-    }
-    for (; p < last; p++) row[p] = min(inside[p], (ushort)MAX_RAW);
-    for (p = 0; p < first; p++) row[p] = min(raw_row[column_source[x0 + p]], (ushort)MAX_RAW);
-    for (p = last; p < end; p++) row[p] = min(raw_row[column_source[x0 + p]], (ushort)MAX_RAW);
+    for (; p + 2 * LANES <= last; p += 2 * LANES) ingest_vector(row + p, inside + p);
+    if (last - first >= 2 * LANES) ingest_vector(row + last - 2 * LANES, inside + last - 2 * LANES);
+    else for (; p < last; p++) row[p] = highest_raw(inside[p]);
+    for (p = 0; p < first; p++) row[p] = highest_raw(raw_row[column_source[x0 + p]]);
+    for (p = last; p < end; p++) row[p] = highest_raw(raw_row[column_source[x0 + p]]);
 }

@@ -10,7 +10,12 @@ typedef struct {
 INLINE void read_plane(int *to, __global const int *row, __global const int *column_source, int x0, int end, int columns) {
     const int first = max(0, STRUCTURE_REACH - x0), last = min(end, columns - x0 + STRUCTURE_REACH);
     int p = first;
-    for (; p + LANES <= last; p += LANES) STORE_PRIVATE(ints, to + p) = LOAD_GLOBAL(ints, row + x0 - STRUCTURE_REACH + p);
+    __global const int *inside = row + x0 - STRUCTURE_REACH;
+    for (; p + LANES <= last; p += LANES) STORE_PRIVATE(ints, to + p) = LOAD_GLOBAL(ints, inside + p);
+    if (last - first >= LANES) {  // the last vector repeats some of the one before it
+        p = last;
+        STORE_PRIVATE(ints, to + p - LANES) = LOAD_GLOBAL(ints, inside + p - LANES);
+    }
     for (int i = 0; i < first; i++) to[i] = row[column_source[x0 + i]];
     for (; p < end; p++) to[p] = row[column_source[x0 + p]];
 }

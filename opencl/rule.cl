@@ -15,6 +15,24 @@
 #define RULE BASIC
 #endif
 
+// Which set of transforms: as a value, as a parameter of kernels, and handed on; nothing where there is one.
+#ifdef QUIET_SITES
+#define QUIET_VALUE uints quiet,
+#define QUIET_PARAMETER , __global const uchar *restrict quiet_pixels  // (row, col)
+#define QUIET_READ , quiet_pixels
+#define QUIET_AT(at) quiet_values(quiet_pixels + (at)),
+#if LANES == 1
+INLINE uints quiet_values(__global const uchar *at) { return *at; }
+#else
+INLINE uints quiet_values(__global const uchar *at) { return CONVERT(LOAD_GLOBAL(bytes, at), uints); }
+#endif
+#else
+#define QUIET_VALUE
+#define QUIET_PARAMETER
+#define QUIET_READ
+#define QUIET_AT(at)
+#endif
+
 typedef struct {
     uints level_sum, variance_sum;  // over the channels seen so far
     Colour colour;
@@ -50,19 +68,38 @@ INLINE uints kind_of(const Evidence *e, patterns code, RULE_CONSTANTS) {
 
 // The class of pixels of `site` near whose centres the channels of `code` are saturated. Comparing with every level edge
 // needs no table, which vectors are slow at; contrast edges follow the level in the same loop.
-INLINE uints class_of(const Evidence *e, uints site, patterns code, RULE_CONSTANTS) {
+//
+// Of two sets of transforms (l3cli/rendering/noise_sets.py), `quiet` pixels, 1 and not 0, compare with the second's edges, which
+// lie behind the first's, and are of sites beyond the array's.
+INLINE uints class_of(const Evidence *e, uints site, patterns code, QUIET_VALUE RULE_CONSTANTS) {
     const uints kind = kind_of(e, code, RULE);
     uints level = 0, edge[CONTRASTS];
     first_contrast_edges(edge, contrast_edges);
+#ifdef QUIET_SITES
+    uints quiet_edge[CONTRASTS];
+    first_contrast_edges(quiet_edge, contrast_edges + (CONTRASTS - 1) * LEVELS);
+#endif
     #pragma unroll 4
     for (int l = 1; l < LEVELS; l++) {
         const ints reached = above_level(e->level_sum, level_tops[l - 1]);
         level = reached ? level + 1 : level;
         next_contrast_edges(edge, reached, l, contrast_edges);
+#ifdef QUIET_SITES
+        next_contrast_edges(quiet_edge, reached, l, contrast_edges + (CONTRASTS - 1) * LEVELS);
+#endif
     }
+#ifdef QUIET_SITES
+    for (int k = 0; k < CONTRASTS - 1; k++) edge[k] = quiet != 0 ? quiet_edge[k] : edge[k];
+    site = quiet != 0 ? site + QUIET_SITES : site;
+#endif
     uints within = level * CONTRASTS + contrast_of(e->variance_sum, edge);
 #ifdef EACH_WINDOW
-    within = within * FURTHER + further_of(e->window_sum, level, further_constants);
+    uints further = further_of(e->window_sum, level, further_constants);
+#ifdef QUIET_SITES
+    const uints quiet_further = further_of(e->window_sum, level, further_constants + FURTHER_CONSTANTS);
+    further = quiet != 0 ? quiet_further : further;
+#endif
+    within = within * FURTHER + further;
 #endif
     return (site * (LEVELS * CONTRASTS * FURTHER) + within) * KINDS + kind;
 }

@@ -32,7 +32,7 @@ void classes_and_transform(CLASSES_PARAMETERS,
         __global const ushort *next = raw + (size_t)row_source[min(y0 + k + 1, y1 + 2 * RADIUS - 1)] * columns + x0;
         for (int x = 0, phase = first_phase; x < width; x += LANES, phase = PHASE_AFTER(phase, LANES)) {
             FETCH(next + x);
-            const uints classes = classes_at(&seen, k, x, site_row, phase, CLASSES_READ);
+            const uints classes = classes_at(&seen, k, x, at + x, site_row, phase, CLASSES_READ);
             STORE_PRIVATE(uints, label + x) = classes;
 #ifdef FIXED_POINT
             write_classes(labels + at + x, classes, width - x);
@@ -40,7 +40,7 @@ void classes_and_transform(CLASSES_PARAMETERS,
         }
         for (int x = 0; x < width; x += LANES) {
             totals made[PLANES_MADE];
-            apply(made, ring + k - 2 * RADIUS, label, weights, x);
+            apply(made, ring + k - 2 * RADIUS, 0, label, weights, x);
 #ifdef SHADED
             even_pixels(made, gain + (size_t)y * GAIN_NODES(columns), x0 + x);
 #endif

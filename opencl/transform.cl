@@ -54,6 +54,10 @@ INLINE void into_ring(tap *to, __global const int *planes, __global const int *c
         int p = first;
         for (; p + LANES <= last; p += LANES)
             STORE_PRIVATE(signals, signal[s] + p) = signal_of(LOAD_GLOBAL(ints, planes + x0 - RADIUS + p));
+        if (last - first >= LANES) {  // the last vector repeats some of the one before it
+            p = last;
+            STORE_PRIVATE(signals, signal[s] + p - LANES) = signal_of(LOAD_GLOBAL(ints, planes + x0 - RADIUS + p - LANES));
+        }
         for (int i = 0; i < first; i++) signal[s][i] = signal_of((ints)planes[column_source[x0 + i]])[0];
         for (; p < end; p++) signal[s][p] = signal_of((ints)planes[column_source[x0 + p]])[0];
     }
@@ -83,6 +87,11 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
     ushort row[SPAN];
     uint label[TILE];
     tap ring[RING];
+#ifdef RATIO_TAPS
+    Ratios ratios;
+    for (int s = 0; s < SOURCES; s++)
+        for (int i = 0; i < SPAN; i++) ratios.sum[s][i] = ratios.luminance[i] = 0;
+#endif
     for (int i = 0; i < SPAN; i++) row[i] = 0;
     for (int i = 0; i < TILE; i++) label[i] = 0;
     for (int i = 0; i < RING; i++) ring[i] = 0;
@@ -93,12 +102,15 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
         const int y = y0 + k - 2 * RADIUS;
         const size_t at = (size_t)y * columns + x0;
         for (int x = 0; x < width; x++) label[x] = labels[at + x];
+#ifdef RATIO_TAPS
+        shaded_chroma(&ratios, source, row_source + y, column_source, x0, width, columns, stride);
+#endif
         __global const SOURCE *next = source + (size_t)row_source[min(y0 + k + 1, y1 + 2 * RADIUS - 1)] * columns + x0;
         for (int x = 0; x < width; x += LANES) {
             for (int s = 0; s < SOURCES; s++) FETCH(next + s * stride + x);
             FETCH(labels + at + columns + x);
             totals made[PLANES_MADE];
-            apply(made, ring + (k - 2 * RADIUS) * SOURCES, label, weights, x);
+            apply(made, ring + (k - 2 * RADIUS) * SOURCES, BEHIND(ratios), label, weights, x);
 #ifdef SHADED
             even_pixels(made, gain + (size_t)y * GAIN_NODES(columns), x0 + x);
 #endif

@@ -25,6 +25,7 @@ VECTOR(uint, uints, LANES);
 VECTOR(int, ints, LANES);
 VECTOR(float, floats, LANES);
 VECTOR(char, signed_chars, LANES);
+VECTOR(uchar, bytes, LANES);
 VECTOR(short, signed_shorts, LANES);
 VECTOR(ushort, shorts, LANES);           // as many as there are uints: half a register
 VECTOR(ushort, full_shorts, 2 * LANES);  // a whole register

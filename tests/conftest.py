@@ -1,17 +1,30 @@
 """Fixtures are the stages before: camera → training set → table. All are small, all are made by the real commands."""
 
+import atexit
+import contextlib
+import gc
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.cli import run
+from l3cli.parallel import processes
 from tests.helpers.cameras import bayer_camera
 from tests.helpers.paths import CONFIGS
 from tests.helpers.recipes import CLASSES, SCENES, UNSEEN
+
+gc.disable()  # until tests are collected: of the many objects that this makes none is garbage
+
+
+def pytest_collection_finish() -> None:
+    gc.freeze()
+    atexit.register(gc.unfreeze)
+    gc.enable()
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -56,6 +69,24 @@ def refused(l3: Callable[..., tuple[int, str, str]], tmp_path: Path) -> Callable
         return err
 
     return call
+
+
+@pytest.fixture(scope="session")
+def two_processes() -> Iterator[Callable[..., Iterator[Any]]]:
+    """`map` by two worker processes that are started once for all tests."""
+    with processes.several(2) as mapped:
+        yield mapped
+
+
+@pytest.fixture
+def same_workers(two_processes: Callable[..., Iterator[Any]], monkeypatch: pytest.MonkeyPatch) -> None:
+    """`--jobs 2` by the two processes of all tests: to start some for each run takes many times longer than its work."""
+
+    def several(jobs: int) -> contextlib.nullcontext[Callable[..., Iterator[Any]]]:
+        assert jobs == 2
+        return contextlib.nullcontext(two_processes)
+
+    monkeypatch.setattr(processes, "several", several)
 
 
 @pytest.fixture(scope="session")

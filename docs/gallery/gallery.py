@@ -1,17 +1,19 @@
 """python docs/gallery/gallery.py [NAME …]: the pictures of docs/gallery/ and the page docs/gallery.md, from recipes alone.
 
 Every array that `l3 init` knows, or those of the names: its camera learns from the scenes of RECIPES and takes the picture
-of scene.toml, which it has not seen. What is named already in figures.json stays as it is unless it is named here.
+of scene.toml, which it has not seen. What is named already in figures.json stays as it is unless it is named here. As many
+arrays are made at a time as there are jobs, each by one process: no sums travel, and no core waits for what one core does.
 """
 
 import argparse
 import json
+import re
 import sys
 import tempfile
 import time
 import tomllib
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import OpenImageIO as oiio
 from page import page
@@ -25,6 +27,7 @@ from l3cli.evaluation.pictures import frame_pictures
 from l3cli.files import write_whole
 from l3cli.io.embedded import jpeg
 from l3cli.io.images import encoded
+from l3cli.parallel import ordered_map
 from l3cli.recipes import known_recipes
 from l3cli.rendering.renderer import make_renderer
 from l3cli.stages.evaluation import evaluate_frame
@@ -64,8 +67,24 @@ def arrays() -> dict[str, tuple[Path, list[str]]]:
     }
 
 
-def make(name: str, path: Path, twins: list[str], jobs: int) -> dict[str, Any]:
-    """Write the pictures of an array; its entry in figures.json."""
+class Array(NamedTuple):
+    """An array to be made."""
+
+    name: str
+    path: Path
+    twins: list[str]
+    jobs: int
+
+
+def effort(path: Path) -> int:
+    """What an array takes, about: sites by channels. The largest are begun first: no core shall wait for one at the end."""
+    rows, cols, channels = map(int, re.findall(r"\d+", summary(path))[:3])
+    return rows * cols * channels
+
+
+def make(array: Array) -> tuple[dict[str, Any], float]:
+    """Write the pictures of an array; its entry in figures.json, and the seconds of processor that it took this process."""
+    begin, (name, path, twins, jobs) = time.process_time(), array
     with tempfile.TemporaryDirectory(prefix="l3-gallery-") as folder:
         training, table, unseen = (Path(folder, f"{each}.h5") for each in ("training", "table", "unseen"))
         l3cli.simulate(RECIPES["scenes"], path, training, jobs=jobs)
@@ -82,7 +101,8 @@ def make(name: str, path: Path, twins: list[str], jobs: int) -> dict[str, Any]:
         whole = [picture[-rows:, :cols] for picture in shown]
         crops = [enlarged(picture, CROP, (rows // FACTOR, cols // FACTOR), FACTOR) for picture in shown]
         write_whole(FOLDER / FRONT_FILE, jpeg(grid([whole, crops]), QUALITY))
-    return {"title": head.camera.name, "summary": summary(path), "twins": twins, "figures": figures}
+    entry = {"title": head.camera.name, "summary": summary(path), "twins": twins, "figures": figures}
+    return entry, time.process_time() - begin
 
 
 def judged(table: Path, unseen: Path) -> tuple[TrainingSet, dict[str, Picture], dict[str, dict[str, float]]]:
@@ -105,13 +125,16 @@ def main(names: list[str], jobs: int) -> int:
         print(f'no array "{unknown[0]}"; there are {", ".join(known)}', file=sys.stderr)
         return 2
     entries = json.loads(FIGURES.read_text(encoding="utf-8")) if names and FIGURES.exists() else {}
-    for name in names or known:
-        start = time.perf_counter()
-        entries[name] = make(name, *known[name], jobs)
+    wanted = sorted(dict.fromkeys(names) or known, key=lambda name: -effort(known[name][0]))
+    at_once = min(jobs, len(wanted))
+    arrays_wanted = [Array(name, *known[name], jobs // at_once) for name in wanted]
+    start = time.perf_counter()
+    for name, (entry, seconds) in zip(wanted, ordered_map(make, arrays_wanted, at_once), strict=True):
+        entries[name] = entry
         entries = {each: entries[each] for each in known if each in entries}
         write_whole(FIGURES, (json.dumps(entries, indent=1, ensure_ascii=False) + "\n").encode())
         write_whole(PAGE, page(entries, RECIPES).encode())
-        print(f"{name}: {time.perf_counter() - start:.0f} s, {time.process_time():.0f} s of processor so far", flush=True)
+        print(f"{name}: {seconds:.0f} s of processor; {time.perf_counter() - start:.0f} s since the beginning", flush=True)
     return 0
 
 

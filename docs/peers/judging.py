@@ -55,7 +55,7 @@ def judged(
         row |= best_settings(means)
         rows.append(row)
         print(f"{key}: {row['figures']} {row['settings']}", file=sys.stderr, flush=True)
-    _timed(rows, sets, tables, rivals)
+    put_seconds(rows, sets, tables, rivals)
     first = next(iter(rows[0]["figures"]))
     return sorted(rows, key=lambda row: row["figures"][first], reverse=not lower_is_better(first))
 
@@ -151,7 +151,7 @@ def _means(sets: Mapping[str, Path], run: Callable[[TrainingPair, TrainingSet], 
     return means
 
 
-def _timed(
+def put_seconds(
     rows: Iterable[Row], sets: Mapping[str, Path], tables: Mapping[str, TransformTable], rivals: Iterable[Rival]
 ) -> None:
     """Put into every row the seconds a megapixel of the slowest setting that its figures are of."""

@@ -7,6 +7,8 @@ import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 
+import provenance
+
 import l3cli
 from l3cli.recipes import find_recipe, known_benchmarks
 from l3cli.stages.console import Silent
@@ -96,4 +98,5 @@ def _simulated(scenes: Path | str, camera: Path | str, output: Path, jobs: int) 
 def _trained(training: Path, classes: str, output: Path, jobs: int) -> Path:
     if not output.exists():
         l3cli.train(training, output, classes=classes, jobs=jobs)
+        provenance.stamp(output)
     return output

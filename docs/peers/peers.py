@@ -1,21 +1,24 @@
-"""python docs/peers/peers.py [PART …] [--folder DIR]: tables of ours beside other methods, and the page docs/peers.md.
+"""python docs/peers/peers.py [PART …] [--folder DIR] [--seconds]: ours beside other methods, and the page docs/peers.md.
 
-Training sets and tables lie in the folder (build/peers) and are not made again where they are there. What is named already
-in figures.json stays as it is unless its part is named here; without names all parts are measured.
+One run makes one page: without names all parts are measured, and named by day, machine and source. Training sets and tables
+lie in the folder (build/peers) and are not made again where they are there; the page says so where their source was another.
+With names, the other parts of figures.json stay as they are, with the run that they are of.
 """
 
 import argparse
 import functools
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import libraw_rivals
 import making
 import network
+import provenance
 import rawtherapee
-from judging import judged, of_bands, of_codes, of_pictures
+from judging import OURS, Protocol, judged, of_bands, of_codes, of_pictures, put_seconds
 from peers_page import Part, page
 from rivals import PLAIN, Demosaic, Rival, gathered, installed
 
@@ -31,47 +34,79 @@ Programs = list[Callable[[], list[Rival]]]
 OUR_METHODS = "l3's own"  # methods of the literature that l3 itself holds, as baselines
 
 
-def bayer(folder: Path, data: Path, jobs: int) -> Part:
+@dataclass(frozen=True)
+class Comparison:
+    """What a part compares, on which training sets, and how it is judged."""
+
+    sets: Mapping[str, Path]
+    tables: Mapping[str, Path]
+    rivals: Sequence[Rival]
+    protocol: Protocol
+    missing: Sequence[str] = ()  # programs that are not installed
+    absent: Sequence[str] = ()  # pictures that are not there
+
+    def measured(self) -> Part:
+        """The part as figures.json has it, but for its run."""
+        rows = judged(self.sets, self._loaded(), self.rivals, self.protocol)
+        trained = {name: provenance.stamped(path) for name, path in self.tables.items()}
+        return {"trained": trained, "rows": rows, "missing": list(self.missing), "absent": list(self.absent)}
+
+    def timed(self, part: Part) -> Part:
+        """The same part with the seconds of a run now; a row whose method is not there keeps its own."""
+        known = {(rival.name, rival.program) for rival in self.rivals} | {(name, OURS) for name in self.tables}
+        rows = [row | {"seconds": 0.0} for row in part["rows"] if (row["name"], row["program"]) in known]
+        put_seconds(rows, self.sets, self._loaded(), self.rivals)
+        again = {(row["name"], row["program"]): row for row in rows}
+        return part | {"rows": [again.get((row["name"], row["program"]), row) for row in part["rows"]]}
+
+    def _loaded(self) -> dict[str, TransformTable]:
+        return {name: load(TransformTable, path) for name, path in self.tables.items()}
+
+
+def bayer(folder: Path, data: Path, jobs: int) -> Comparison:
     sets, table = making.codes(folder, data, "bayer", jobs)
     programs: Programs = [_plain_bayer, _colour_demosaicing, functools.partial(libraw_rivals.bayer, False)]
     programs += [functools.partial(rawtherapee.bayer, False), functools.partial(network.rivals, (2, 2), False)]
-    rivals, missing = gathered(programs)
-    rows = judged(sets, {"benchmark-bayer": load(TransformTable, table)}, rivals, of_codes())
-    return {"rows": rows, "missing": missing, "absent": [name for name in making.PICTURES if name not in sets]}
+    return Comparison(sets, {"benchmark-bayer": table}, *_rivals(programs, of_codes()), _absent(sets))
 
 
-def xtrans(folder: Path, data: Path, jobs: int) -> Part:
+def xtrans(folder: Path, data: Path, jobs: int) -> Comparison:
     sets, table = making.codes(folder, data, "xtrans", jobs)
     own = [Rival("bilinear", OUR_METHODS, {PLAIN: interpolate})]
-    programs: Programs = [
-        lambda: own,
-        libraw_rivals.xtrans,
-        rawtherapee.xtrans,
-        functools.partial(network.rivals, (6, 6), False),
-    ]
-    rivals, missing = gathered(programs)
-    rows = judged(sets, {"benchmark-bayer, its array X-Trans": load(TransformTable, table)}, rivals, of_codes())
-    return {"rows": rows, "missing": missing, "absent": [name for name in making.PICTURES if name not in sets]}
+    programs: Programs = [lambda: own, libraw_rivals.xtrans, rawtherapee.xtrans]
+    programs.append(functools.partial(network.rivals, (6, 6), False))
+    return Comparison(sets, {"benchmark-bayer, its array X-Trans": table}, *_rivals(programs, of_codes()), _absent(sets))
 
 
-def bands(folder: Path, data: Path, jobs: int) -> Part:
+def bands(folder: Path, data: Path, jobs: int) -> Comparison:
     sets, table = making.bands(folder, data, jobs)
     methods = {"weighted bilinear": bilinear, "spectral difference": spectral_difference, "PPID": ppi_difference}
     rivals = [Rival(name, OUR_METHODS, {PLAIN: demosaic}) for name, demosaic in methods.items()]
-    rows = judged(sets, {"bands": load(TransformTable, table)}, rivals, of_bands())
-    return {"rows": rows, "missing": [], "absent": []}
+    return Comparison(sets, {"bands": table}, rivals, of_bands())
 
 
-def noise(folder: Path, data: Path, jobs: int) -> Part:
+def noise(folder: Path, data: Path, jobs: int) -> Comparison:
     sets, tables = making.noise(folder, data, jobs)
     programs: Programs = [_plain_bayer, _colour_demosaicing, functools.partial(libraw_rivals.bayer, True)]
     programs += [functools.partial(rawtherapee.bayer, True), functools.partial(network.rivals, (2, 2), True)]
+    return Comparison(sets, tables, *_rivals(programs, of_pictures()))
+
+
+PARTS: dict[str, Callable[[Path, Path, int], Comparison]] = {
+    "bayer": bayer,
+    "xtrans": xtrans,
+    "bands": bands,
+    "noise": noise,
+}
+
+
+def _rivals(programs: Programs, protocol: Protocol) -> tuple[list[Rival], Protocol, list[str]]:
     rivals, missing = gathered(programs)
-    rows = judged(sets, {name: load(TransformTable, path) for name, path in tables.items()}, rivals, of_pictures())
-    return {"rows": rows, "missing": missing, "absent": []}
+    return rivals, protocol, missing
 
 
-PARTS: dict[str, Callable[[Path, Path, int], Part]] = {"bayer": bayer, "xtrans": xtrans, "bands": bands, "noise": noise}
+def _absent(sets: Mapping[str, Path]) -> list[str]:
+    return [name for name in making.PICTURES if name not in sets]
 
 
 def _plain_bayer() -> list[Rival]:
@@ -84,15 +119,21 @@ def _colour_demosaicing() -> list[Rival]:
     return [Rival(name, program, {PLAIN: demosaic}) for name, demosaic in methods.items()]
 
 
-def main(names: list[str], folder: Path, jobs: int) -> int:
-    """0, or 2 if a name is none of a part."""
+def main(names: list[str], folder: Path, jobs: int, seconds: bool = False) -> int:
+    """0, or 2 if a name is none of a part. `seconds`: figures stay as they are, only the seconds are measured again."""
     if unknown := [name for name in names if name not in PARTS]:
         print(f'no part "{unknown[0]}"; there are {", ".join(PARTS)}', file=sys.stderr)
         return 2
     data = making.data_folder()
-    parts = json.loads(FIGURES.read_text(encoding="utf-8")) if names and FIGURES.exists() else {}
-    for name in names or PARTS:
-        parts[name] = PARTS[name](folder / name, data, jobs)
+    run = provenance.origin()
+    held = (names or seconds) and FIGURES.exists()
+    parts = json.loads(FIGURES.read_text(encoding="utf-8")) if held else {}
+    for name in names or (parts if seconds else PARTS):
+        compared = PARTS[name](folder / name, data, jobs)
+        if seconds:
+            parts[name] = compared.timed(parts[name]) | {"timed": run}
+        else:
+            parts[name] = {"run": run} | compared.measured()
         parts = {each: parts[each] for each in PARTS if each in parts}
         write_whole(FIGURES, (json.dumps(parts, indent=1, ensure_ascii=False) + "\n").encode())
         write_whole(PAGE, page(parts).encode())
@@ -104,5 +145,6 @@ if __name__ == "__main__":
     parser.add_argument("names", nargs="*", metavar="PART")
     parser.add_argument("--folder", type=Path, default=Path("build/peers"))
     parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--seconds", action="store_true", help="measure the seconds again, and nothing else")
     given = parser.parse_args()
-    sys.exit(main(given.names, given.folder.resolve(), given.jobs))
+    sys.exit(main(given.names, given.folder.resolve(), given.jobs, given.seconds))

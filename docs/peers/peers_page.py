@@ -13,8 +13,8 @@ METHOD = "method.md"  # beside the page
 HEAD = """# Beside other methods
 
 What `l3` makes of mosaics beside what others make of the same: demosaicking methods of PyPI's packages, of LibRaw and of
-RawTherapee, and a network. `make peers` measures all of it and writes this page; a method that is not installed is named.
-Ours learned from none of the pictures that are shown here.
+RawTherapee, and a network. `make peers` measures all of it in one run and writes this page; a method that is not installed
+is named. Ours learned from none of the pictures that are shown here.
 
 Where a rival has several settings, each of its figures is that of the setting which is best on these very pictures; ours has
 one. LibRaw and RawTherapee are given DNG files whose white balance and colour matrix are exact. Figures are means over
@@ -22,18 +22,21 @@ pictures, without 10 pixels at each edge. Seconds are processor time a megapixel
 picture of 1512² pixels takes more than one of 504², so that no start-up counts; of LibRaw and RawTherapee the DNG file, too.
 """
 TEXTS = {
-    "bayer": """## Bayer, as published
+    "bayer": f"""## Bayer, as published
 
 The codes of RGB pictures are sampled as they are and compared with themselves (CPSNR, all three channels). Ours is the table
 of `l3 init benchmark-bayer`, learned from thirty other pictures. **The last two columns were not measured here**: they are
-published figures, on more pictures than the twelve of odd number that ours are of. LibRaw and RawTherapee take the codes for
-light, as every method here does. The network is that of Gharbi and others (2016): no other was found on PyPI that demosaicks
-and brings its weights.
+published figures, on more pictures than the twelve of odd number that ours are of
+({published.SOURCE}).
+McMaster's eighteen pictures are sampled, too, where they lie in `demosaicking/mcmaster` of the data. LibRaw and RawTherapee
+take the codes for light, as every method here does. The network is that of Gharbi and others (2016): no other was found on
+PyPI that demosaicks and brings its weights.
 """,
     "xtrans": """## X-Trans
 
 The same pictures and the same recipe, sampled through the 6×6 array of X-Trans. LibRaw's *1 pass* and *3 passes*, and those
 of RawTherapee, are Markesteijn's method. *bilinear* stands for a Gaussian-weighted mean of each channel's samples.
+The network is that of the first table, with the weights for X-Trans that its package brings.
 """,
     "bands": f"""## Sixteen bands
 
@@ -71,7 +74,31 @@ def page(parts: dict[str, Part]) -> str:
         if name not in parts
     ]
     said = f"\n**Not measured for this page**: {', '.join(lacking)}.\n" if lacking else ""
-    return HEAD + said + "".join(f"\n{section(name, parts[name])}" for name in TEXTS if name in parts)
+    return HEAD + origins(parts) + said + "".join(f"\n{section(name, parts[name])}" for name in TEXTS if name in parts)
+
+
+def origins(parts: dict[str, Part]) -> str:
+    """The run that all parts are of, if they are of one."""
+    runs = {_run(part[key]) for part in parts.values() for key in ("run", "timed") if key in part}
+    every = f"All of it is of one run: {runs.pop()}." if len(runs) == 1 else "Parts are of several runs; each says of which."
+    return f"\n{every} *Source* is a digest of `l3cli/`, `opencl/` and `configs/`.\n"
+
+
+def origin(part: Part) -> str:
+    """The run that a part is of, and those of tables that were trained before it."""
+    said = f"Measured: {_run(part['run'])}."
+    if "timed" in part:
+        said += f" Seconds: {_run(part['timed'])}."
+    for name, trained in part["trained"].items():
+        if trained is None:
+            said += f" The table of {name} was trained by a run that was not noted."
+        elif trained["source"] != part["run"]["source"]:
+            said += f" The table of {name} was trained on {trained['date']}, source `{trained['source']}`."
+    return f"{said}\n"
+
+
+def _run(run: dict[str, str]) -> str:
+    return f"{run['date']}, source `{run['source']}`, {run['machine']}"
 
 
 def section(name: str, part: Part) -> str:
@@ -82,11 +109,10 @@ def section(name: str, part: Part) -> str:
     if chosen:
         lines.append(f"Settings other than the plain one: {'; '.join(chosen)}.\n")
     if any("seconds" not in row for row in part["rows"]):
-        lines.append(
-            "Seconds were not measured for this table; without denoising the methods are those of the first table.\n"
-        )
+        lines.append(f"Seconds were not measured of all (`make peers PARTS='{name} --seconds'` does).\n")
     lines += [f"Not installed: {each}.\n" for each in part["missing"]]
     lines += [f"Not measured, since the pictures are not there: {each}.\n" for each in part["absent"]]
+    lines.append(origin(part))
     return "\n".join(lines)
 
 

@@ -25,7 +25,7 @@ CONTENTS = {
 
 def gather(folder: Path) -> None:
     """Write the pages of the site into a new `folder`."""
-    shutil.copytree(ROOT / "docs", folder, ignore=shutil.ignore_patterns("site", "Dockerfile", "meta.yaml", "__pycache__"))
+    shutil.copytree(ROOT / "docs", folder, ignore=shutil.ignore_patterns("site", "Dockerfile*", "meta.yaml", "__pycache__"))
     for path in folder.rglob("*.md"):
         path.write_text(relinked(path.read_text(encoding="utf-8")), encoding="utf-8")
     for name, page in FRONT.items():

@@ -216,13 +216,16 @@ class CameraModel(Artifact):
         signal = np.maximum(signal, 0.0)
         return constant + (linear + quadratic * signal) * signal
 
-    def noise_terms(self, dark: float = 0.0, channel: NDArray[np.integer] | None = None) -> tuple[Any, Any, float]:
+    def noise_terms(
+        self, dark: float = 0.0, channel: NDArray[np.integer] | None = None, left: float = 1.0
+    ) -> tuple[Any, Any, float]:
         """The noise variance's constant (DN²), linear (DN) and quadratic term over the signal above black.
 
         Of `dark` DN the mean has been taken off, and the light that is left stretched to full scale; the shot noise of the
         dark electrons, and what pixels differ in them, stays. ValueError if dark current alone fills a pixel. `dark` is that
         of a channel of the whole exposure and of `gain`. The terms are those of such a channel, or, where `channel` says
-        which pixels are of which and these differ, arrays of its shape.
+        which pixels are of which and these differ, arrays of its shape. `left`: share of the variance over time that
+        a filter has left, before values are rounded.
         """
         noise, span = self.noise, self.white_level - self.black_level
         if not dark < span:
@@ -235,6 +238,6 @@ class CameraModel(Artifact):
             gain = self.gain * self.readout.channel_gain[channel]
             read_noise = self.readout.channel_read_noise[channel]
             own_dark = dark * (self.readout.channel_exposure * self.readout.channel_gain)[channel]
-        constant = gain**2 * (read_noise**2 + noise.dsnu**2 + noise.column_noise**2) + 1.0 / 12.0
-        constant += (gain + prnu * own_dark) * own_dark
-        return stretch**2 * constant, stretch * (gain + 2 * prnu * own_dark), prnu
+        constant = gain**2 * (left * read_noise**2 + noise.dsnu**2 + noise.column_noise**2) + 1.0 / 12.0
+        constant += (left * gain + prnu * own_dark) * own_dark
+        return stretch**2 * constant, stretch * (left * gain + 2 * prnu * own_dark), prnu

@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.layers import PlaneRule, one_rule
+from l3cli.artifacts.layers import RATIO_TAPS, PlaneRule, one_rule
 from l3cli.artifacts.schema import Artifact, check, data, group
 from l3cli.artifacts.structure_rule import StructureRule
 from l3cli.artifacts.table import TransformTable
@@ -38,7 +38,7 @@ class PartialLayerSums(Artifact):
     """
 
     kind: ClassVar[str] = "partial sums of a layer"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
     made_by: ClassVar[str] = '"l3 train --shard I/N"'
 
     shard: int = data("int64", doc="which part of the run this is, from 1 …")
@@ -51,6 +51,7 @@ class PartialLayerSums(Artifact):
     )
     structure: StructureRule | None = group(default=None)  # the layer's rule …
     tree: TreeRule | None = group(default=None)  # … is either
+    ratio_taps: int = data("int64", doc="taps behind those of the windows, of colour ratios", default=0)
 
     @property
     def rule(self) -> PlaneRule:
@@ -62,6 +63,8 @@ class PartialLayerSums(Artifact):
             raise ValueError(f"shard {self.shard} of {self.shards} cannot be")
         if self.table.camera is None:
             raise ValueError("table must hold its camera")
+        if self.ratio_taps not in (0, RATIO_TAPS):
+            raise ValueError(f"ratio_taps is {self.ratio_taps}, neither 0 nor {RATIO_TAPS}")
         if self.side < 1 or self.side % 2 == 0:
             raise ValueError(f"side is {self.side}, not odd")
         below = self.table.first.rule
@@ -74,6 +77,6 @@ class PartialLayerSums(Artifact):
     def shapes(self) -> tuple[tuple[int, int], tuple[int, int], tuple[int]]:
         """Of moments, noise and count of every site."""
         classes, outputs = self.rule.classes_per_site, len(self.table.outputs)
-        taps = outputs * self.side**2
+        taps = outputs * self.side**2 + self.ratio_taps
         width = taps + 1 + outputs
         return (classes, width * (width + 1) // 2), (classes, taps * (taps + 1) // 2), (classes,)

@@ -1,7 +1,7 @@
 """The layers of a transform table: the first reads the mosaic, later ones the outputs of the layer before
 (docs/method.md#layers)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from l3cli.artifacts.tree_rule import TreeRule
 
 PlaneRule = StructureRule | TreeRule
 PLANE_STEP = 2.0**-18  # of the output unit: what a plane's integers count, far below the noise of any sensor
+RATIO_TAPS = 2  # behind those of the windows, of a last layer that has them: chroma as shading would make it
 PLANE_TOP = 2**22 - 1  # 16 times a full scale: differences times a factor of 7 bits stay within 32 bits
 
 
@@ -34,6 +35,10 @@ class MosaicLayer:
         if self.weights.shape[2] != self.rule.patch**2:
             raise ValueError(f"weights has {self.weights.shape[2]} taps, the rule's patch {self.rule.patch**2}")
 
+    def pictured(self) -> "MosaicLayer":
+        """The layer of the first three outputs alone."""
+        return replace(self, weights=self.weights[:, :3], intercept=self.intercept[:, :3])
+
 
 @dataclass(frozen=True)
 class PlaneLayer:
@@ -41,7 +46,11 @@ class PlaneLayer:
 
     side: int = data("int64", unit="pixel", doc="side of the windows")
     weights: NDArray[np.float32] = data(
-        "float32", "plane_class", "output", "plane_tap", doc="taps plane by plane, each row by row; per output unit"
+        "float32",
+        "plane_class",
+        "output",
+        "plane_tap",
+        doc="taps plane by plane, each row by row, behind them the colour ratios' two if there are any; per output unit",
     )
     intercept: NDArray[np.float32] = data("float32", "plane_class", "output", doc="added to the weighted sum")
     samples: NDArray[np.float64] = data("float64", "plane_class", doc="training patches; 0: filled from a neighbour")
@@ -59,6 +68,21 @@ class PlaneLayer:
     @property
     def radius(self) -> int:
         return self.side // 2
+
+    @property
+    def window_taps(self) -> int:
+        """Taps of the windows; what follows are those of the colour ratios (docs/method.md#colour-ratios)."""
+        return self.weights.shape[1] * self.side**2
+
+    @property
+    def ratio_taps(self) -> int:
+        """RATIO_TAPS or none."""
+        return self.weights.shape[2] - self.window_taps
+
+    def scaled_as(self, other: PlaneRule) -> "PlaneLayer":
+        """The layer with gradients scaled as by another rule."""
+        rule = replace(self.rule, gradient_factor=other.gradient_factor, gradient_shift=other.gradient_shift)
+        return replace(self, **rule_fields(rule))
 
 
 def rule_fields(rule: PlaneRule) -> dict[str, Any]:

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel, check_cfa, check_sensor
-from l3cli.artifacts.layers import MosaicLayer, PlaneLayer
+from l3cli.artifacts.layers import RATIO_TAPS, MosaicLayer, PlaneLayer
+from l3cli.artifacts.quiet_set import QuietSet
 from l3cli.artifacts.schema import Artifact, data, group
 from l3cli.artifacts.training_set import LightSpectrum
 
@@ -17,7 +18,7 @@ class TransformTable(Artifact):
     """Local linear transforms for every class: of the mosaic and, in later layers, of what the layer before has made."""
 
     kind: ClassVar[str] = "transform table"
-    version: ClassVar[int] = 3
+    version: ClassVar[int] = 4
     made_by: ClassVar[str] = '"l3 train"'
 
     camera_name: str = data("str", doc="the camera it was learned for")
@@ -41,6 +42,7 @@ class TransformTable(Artifact):
     exposure: float = data("float64", unit="s", doc="mean exposure time of the simulated training frames", default=0.0)
     light: LightSpectrum | None = group(default=None)  # mean of those that fell on the training scenes
     camera: CameraModel | None = group(default=None)  # it was learned for, without its fit; None: an older file
+    quiet: QuietSet | None = group(default=None)  # None: pixels of any noise have the same transforms
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -59,6 +61,10 @@ class TransformTable(Artifact):
         self.first.rule.check_fits(len(self.channels), self.bits)
         for later in self.later:
             self._check_later(later)
+        if any(later.ratio_taps for later in self.later[:-1]):
+            raise ValueError("a layer that another follows has colour ratios; only the last one may")
+        if self.quiet:
+            self.quiet.check_fits(self.first, self.later)
 
     def _check_later(self, layer: PlaneLayer) -> None:
         """ValueError if a layer does not fit the first one, whose levels, saturation cases and outputs it takes."""
@@ -71,7 +77,7 @@ class TransformTable(Artifact):
                 f"the first has {below.levels} and {below.lost_cases}"
             )
         taps = layer.side**2 * len(self.outputs)
-        if layer.side % 2 == 0 or layer.weights.shape[2] != taps:
+        if layer.side % 2 == 0 or layer.weights.shape[2] not in (taps, taps + RATIO_TAPS):
             raise ValueError(f"weights has {layer.weights.shape[2]} taps, {len(self.outputs)} windows of odd side {taps}")
 
     @property
@@ -83,8 +89,10 @@ class TransformTable(Artifact):
         """The table of X, Y, Z alone if other outputs follow them, which no picture shows; else the table itself."""
         if self.outputs[:3] != ("X", "Y", "Z") or len(self.outputs) == 3 or self.later:
             return self
-        first = replace(self.first, weights=self.first.weights[:, :3], intercept=self.first.intercept[:, :3])
-        return replace(self, outputs=self.outputs[:3], white_point=self.white_point[:3], first=first)
+        quiet = self.quiet and replace(self.quiet, first=self.quiet.first.pictured())
+        return replace(
+            self, outputs=self.outputs[:3], white_point=self.white_point[:3], first=self.first.pictured(), quiet=quiet
+        )
 
     def dark_signal(self, exposure: float | None) -> float:
         """DN above black that dark current makes, on average, in `exposure` s; if that is unknown, in that of training. A

@@ -146,6 +146,11 @@ class TrainingSetReader:
     def __len__(self) -> int:
         return len(self._names)
 
+    @property
+    def has_pairs(self) -> bool:
+        """Whether there are real pairs."""
+        return "pairs" in self._groups
+
     def frame(self, index: int) -> TrainingPair:
         group, name = self._names[index]
         frame: TrainingPair = read_fields(hard_group(self._groups[group], name, self._path), GROUPS[group], self._path)

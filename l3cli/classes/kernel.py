@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.further_features import Axis
+from l3cli.classes import contrast
 from l3cli.classes.features import BASIC, further_features
 
 
@@ -51,9 +52,16 @@ def kernel_macros(rule: ClassRule) -> dict[str, int]:
     return basic | further | {"KINDS": rule.kinds}
 
 
-def kernel_arrays(rule: ClassRule) -> tuple[NDArray, ...]:
-    """The constants of the features, in the order in which kernels take them."""
-    return (*(feature.kernel_array(rule) for feature in BASIC), *_further_constants(rule.axes))
+def kernel_arrays(rule: ClassRule, *others: ClassRule) -> tuple[NDArray, ...]:
+    """The constants of the features, in the order in which kernels take them. Behind those that noise tells, edges of
+    contrast and what further features read, lie those of `others`, which differ in nothing else."""
+    basic = [
+        np.concatenate([contrast.kernel_array(each) for each in (rule, *others)])
+        if feature is contrast
+        else feature.kernel_array(rule)
+        for feature in BASIC
+    ]
+    return (*basic, *_further_constants(tuple(axis for each in (rule, *others) for axis in each.axes)))
 
 
 def _further_constants(axes: tuple[Axis, ...]) -> tuple[NDArray[np.int32], ...]:

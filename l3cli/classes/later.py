@@ -1,5 +1,8 @@
 """Classes of a plane layer, of whole frames: from the planes and classes of the first layer (docs/method.md#structure)."""
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,12 +16,23 @@ from l3cli.classes.windows import Integers
 from l3cli.frame import mirrored_indices
 
 
-def label_planes(planes: NDArray[np.int32], first: Integers, rule: PlaneRule, first_rule: ClassRule) -> Integers:
+def label_planes(
+    planes: NDArray[np.int32], first: Integers, rule: PlaneRule, first_rule: ClassRule, *others: PlaneRule
+) -> Integers:
     """Class (row, col) of every pixel, among those of all sites, from the first layer's planes (plane, row, col) and classes
-    (row, col)."""
+    (row, col). `others`: the rules of further sets of transforms, which differ in the scale of gradients alone; classes of
+    the sets follow one another, as if each had sites of its own."""
     place = first_rule.split(first)
-    kind = rule.kind(_structure(planes, place.level, place.site, rule), first_rule.lost(place.kind))
+    scale = place.level + first_rule.levels * (place.site // len(rule.turns)) if others else place.level
+    kind = rule.kind(_structure(planes, scale, place.site, _together(rule, others)), first_rule.lost(place.kind))
     return rule.join(rule.level_of(place.level), kind, place.site)
+
+
+def _together(rule: PlaneRule, others: tuple[PlaneRule, ...]) -> PlaneRule:
+    """The rule with the sites of all sets, and the scales of gradients at the levels of all."""
+    names = ("turns", "gradient_factor", "gradient_shift") if others else ()
+    arrays: dict[str, Any] = {name: np.concatenate([getattr(each, name) for each in (rule, *others)]) for name in names}
+    return replace(rule, **arrays)
 
 
 def _structure(planes: NDArray[np.int32], level: Integers, site: Integers, rule: PlaneRule) -> Integers:
@@ -45,16 +59,18 @@ def mirrored(planes: NDArray, margin: int) -> NDArray:
     return planes[..., rows[:, None], cols]
 
 
-def first_label_words(rule: PlaneRule, first: ClassRule) -> NDArray[np.uint64]:
+def first_label_words(rule: PlaneRule, first: ClassRule, *others: PlaneRule) -> NDArray[np.uint64]:
     """What a kernel reads of each class (class) of the first layer. In its lower half, the factor of gradients, from bit 8
     on their shift, from bit 14 on how its site is turned; in its upper half the first class of its site and level, with the
-    highest bit set where saturation decides and it is the class itself (opencl/gradient.cl)."""
-    place = first.split(np.arange(len(rule.turns) * first.classes_per_site))
-    factor, shift = (values[place.level].astype(np.uint64) for values in (rule.gradient_factor, rule.gradient_shift))
-    if isinstance(rule, StructureRule):
-        turned = (rule.turns < 0) @ np.array([1, 2])
+    highest bit set where saturation decides and it is the class (opencl/gradient.cl). `others`: as in label_planes."""
+    every = _together(rule, others)
+    place = first.split(np.arange(len(every.turns) * first.classes_per_site))
+    scale = place.level + first.levels * (place.site // len(rule.turns))
+    factor, shift = (values[scale].astype(np.uint64) for values in (every.gradient_factor, every.gradient_shift))
+    if isinstance(every, StructureRule):
+        turned = (every.turns < 0) @ np.array([1, 2])
     else:
-        axes = np.array([tree.turned_axes(turn) for turn in rule.turns.tolist()])
+        axes = np.array([tree.turned_axes(turn) for turn in every.turns.tolist()])
         turned = (axes * [1, -1, -1] > 0) @ np.array([1, 2, 4])
     case = first.lost(place.kind)
     start = rule.join(rule.level_of(place.level), rule.kind(0, case), place.site)

@@ -17,6 +17,11 @@ def heading(axis: str, entry: dict[str, Any]) -> str:
     return AXES[axis].heading(entry)
 
 
+def further_headings(entry: dict[str, Any]) -> list[str]:
+    """What the further features say of a class whose entry they have all added to, such as "direction 3: along 90°"."""
+    return [f"{name} {feature.heading(entry)}" for name, feature in FURTHER.items() if name in entry]
+
+
 def class_name(table: TransformTable, index: int) -> str:
     """Where a class applies, such as "site (1, 2) g, level 3 (0.002–0.003 of full scale), contrast 0, chroma 5"."""
     place = table.first.rule.split(index)

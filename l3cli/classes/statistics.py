@@ -90,16 +90,15 @@ def mosaic_statistics(
 def _mosaic_windows(padded: Integers, rule: ClassRule, rows: int, cols: int) -> Integers:
     """Window sums (row, col, sum) of a padded mosaic of v."""
     total = np.pad(padded.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
-    sums = np.zeros((rows, cols, sum(axis.sums for axis in rule.axes)), np.int64)
+    sums = np.zeros((sum(axis.sums for axis in rule.axes), rows, cols), np.int64)
     first = 0
     for axis in rule.axes:
         for window in axis.windows:
-            top, left = np.arange(rows) + window.top, np.arange(cols) + window.left
-            low, right = top + window.rows, left + window.columns
-            corners = total[np.ix_(low, right)] - total[np.ix_(top, right)] - total[np.ix_(low, left)]
-            sums[..., first + window.sum] += window.sign * (corners + total[np.ix_(top, left)])
+            top, low = (total[row : row + rows] for row in (window.top, window.top + window.rows))
+            left, right = (slice(col, col + cols) for col in (window.left, window.left + window.columns))
+            sums[first + window.sum] += window.sign * (low[:, right] - top[:, right] - low[:, left] + top[:, left])
         first += axis.sums
-    return sums
+    return np.moveaxis(sums, 0, -1)
 
 
 def _padded_channels(frame_cfa: NDArray[np.uint8], radius: int, rows: int, cols: int) -> Integers:

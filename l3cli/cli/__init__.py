@@ -13,6 +13,7 @@ from l3cli import __version__
 from l3cli.cli.results import Record, Result, begin
 from l3cli.cli.terminal import drop, prepare, show, to_stderr
 from l3cli.errors import L3Error, suggestion
+from l3cli.importing import without_collecting
 from l3cli.interrupts import Terminated, heed, leave_to_python
 from l3cli.ledger import close_ledger
 from l3cli.limits import require_address_space
@@ -58,7 +59,8 @@ class Pipeline(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in COMMANDS:
             return None
-        return getattr(importlib.import_module(f"l3cli.cli.{cmd_name}"), cmd_name)
+        with without_collecting():
+            return getattr(importlib.import_module(f"l3cli.cli.{cmd_name}"), cmd_name)
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
         if args[0] not in COMMANDS and not args[0].startswith("-") and not ctx.resilient_parsing:

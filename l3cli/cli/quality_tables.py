@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING, Any
 
-from l3cli.classes.names import heading
+from l3cli.classes.names import further_headings, heading
 from l3cli.cli import terminal
 from l3cli.cli.terminal import show, show_table
 from l3cli.columns import figure as number
@@ -79,7 +79,8 @@ def _print_classes(document: dict[str, Any], figure: str) -> None:
     worst = []
     for entry in document["worst_classes"]:
         kind = f"case {entry['case']}" if entry["chroma"] is None else f"chroma {entry['chroma']}"
-        worst.append(row(f"{heading('level', entry)} · contrast {entry['contrast']} · {kind}", entry))
+        parts = [heading("level", entry), f"contrast {entry['contrast']}", *further_headings(entry), kind]
+        worst.append(row(" · ".join(parts), entry))
     show_table(["", "worst classes"], named, worst)
 
 

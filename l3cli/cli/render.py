@@ -13,6 +13,7 @@ from l3cli.cli import options
 from l3cli.cli.clip_tables import clips_result
 from l3cli.cli.results import Record, Result
 from l3cli.errors import L3Error, shortened
+from l3cli.importing import without_collecting
 from l3cli.interrupts import Terminated
 from l3cli.stages.plan import is_dry
 
@@ -236,10 +237,11 @@ def render(
 
     if any(needs_sandbox(path) for path in inputs):
         start()  # it takes a third of a second, like what follows
-    from l3cli.io.raw.files import KnownBetter
-    from l3cli.stages.rendering.clips import ClipJob, alone, are_clips
-    from l3cli.stages.rendering.render import render as stage
-    from l3cli.stages.rendering.watch import watch
+    with without_collecting():
+        from l3cli.io.raw.files import KnownBetter
+        from l3cli.stages.rendering.clips import ClipJob, alone, are_clips
+        from l3cli.stages.rendering.render import render as stage
+        from l3cli.stages.rendering.watch import watch
 
     known = KnownBetter(black_level, white_level, phase, size, packing, stride, exposure_time)
     render_one = functools.partial(

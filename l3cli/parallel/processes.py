@@ -6,6 +6,7 @@ import functools
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
@@ -61,9 +62,26 @@ def _submit(pool: ProcessPoolExecutor, function: Callable[[T], R], item: T) -> "
     its parent. A blocked signal is inherited from the first instruction on, and still reaches the parent afterwards."""
     old = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
-        return pool.submit(function, item)
+        with _script_left_alone(function):
+            return pool.submit(function, item)
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, old)
+
+
+@contextlib.contextmanager
+def _script_left_alone(function: Callable[..., object]) -> Iterator[None]:
+    """While it lasts a process that is started does not import the script that is run: one that calls `l3cli` on its top
+    level would begin all its work anew in each of them. Only functions of the script itself need it."""
+    script = sys.modules["__main__"]
+    if getattr(function, "__module__", None) == "__main__":
+        yield
+        return
+    names = {name: value for name, value in vars(script).items() if name in ("__spec__", "__file__")}
+    vars(script).update(dict.fromkeys(names))  # multiprocessing finds nothing to import
+    try:
+        yield
+    finally:
+        vars(script).update(names)
 
 
 def _result(future: "Future[R]") -> R:

@@ -45,6 +45,19 @@ def _greener(green: float, wavelength: Array) -> Array:
 def light_of_neutral(weights: Array, wavelength: Array, neutral: Array) -> NearLight:
     """The light under which a grey gives a camera of `weights` (channel, wavelength) the signals `neutral` (channel), of any
     scale: by least squares in their logarithms. Channels whose signal is not above zero are left out."""
+    mired, green, misfit = _nearest(weights, wavelength, neutral)
+    xyz = spectra.xyz_weights(WAVELENGTH) @ radiance(mired, green, WAVELENGTH)
+    return NearLight(xyz / xyz[1], *temperature(xyz), misfit, radiance(mired, green, wavelength))
+
+
+def light_of_white(white: Array, wavelength: Array) -> NearLight:
+    """The light that has a white (3), its radiance on a camera's grid `wavelength`; `misfit` is of X, Y and Z."""
+    mired, green, misfit = _nearest(spectra.xyz_weights(WAVELENGTH), WAVELENGTH, white)
+    return NearLight(white / white[1], *temperature(white), misfit, radiance(mired, green, wavelength))
+
+
+def _nearest(weights: Array, wavelength: Array, neutral: Array) -> tuple[float, float, float]:
+    """Reciprocal temperature (mired), green and misfit of the light whose grey is `neutral` (channel)."""
     used = neutral > 0
     wanted = _centred(np.log(neutral[used]))
     mireds, greens = MIREDS, GREENS
@@ -56,8 +69,7 @@ def light_of_neutral(weights: Array, wavelength: Array, neutral: Array) -> NearL
         mired, green, misfit = float(mireds[row]), float(greens[col]), float(error[row, col])
         mireds = np.clip(mired + np.linspace(-10, 10, 2 * FINER + 1), MIREDS[0], MIREDS[-1])
         greens = np.clip(green + np.linspace(-0.1, 0.1, 2 * FINER + 1), GREENS[0], GREENS[-1])
-    xyz = spectra.xyz_weights(WAVELENGTH) @ radiance(mired, green, WAVELENGTH)
-    return NearLight(xyz / xyz[1], *temperature(xyz), misfit, radiance(mired, green, wavelength))
+    return mired, green, misfit
 
 
 def light_of(white: Array) -> NearLight:

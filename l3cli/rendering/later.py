@@ -7,6 +7,7 @@ from l3cli.artifacts.layers import PLANE_STEP, PlaneLayer
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.later import mirrored
 from l3cli.classes.planes import FixedPoint, coarse
+from l3cli.classes.ratios import shaded_chroma
 from l3cli.classes.windows import Integers
 from l3cli.frame import RawFrame, pad_mosaic
 
@@ -41,9 +42,11 @@ def later_outputs(planes: NDArray[np.int32], labels: Integers, layer: PlaneLayer
     """Outputs (output, row, col) of a plane layer from what it reads and its classes (row, col)."""
     _, rows, cols = planes.shape
     windows = _windows(planes.astype(np.float64) * PLANE_STEP, layer)
+    ratios = np.moveaxis(shaded_chroma(planes, layer.side), 0, -1)[..., : layer.ratio_taps] * PLANE_STEP
     outputs = np.empty((layer.weights.shape[1], rows, cols))
     for row in range(rows):
-        patches = np.moveaxis(windows[:, row], 0, 1).reshape(cols, -1, 1)
+        patches = np.moveaxis(windows[:, row], 0, 1).reshape(cols, -1)
+        patches = np.concatenate([patches, ratios[row]], axis=1)[..., None]
         weighted = layer.weights[labels[row]].astype(np.float64) @ patches
         outputs[:, row] = (weighted[..., 0] + layer.intercept[labels[row]]).T
     return outputs

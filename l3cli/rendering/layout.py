@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.class_rule import ClassRule
-from l3cli.artifacts.layers import PLANE_STEP, PLANE_TOP, PlaneLayer, PlaneRule
+from l3cli.artifacts.layers import PLANE_STEP, PLANE_TOP, MosaicLayer, PlaneLayer, PlaneRule
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.kernel import joined, kernel_arrays, kernel_macros, snippets
 from l3cli.classes.later import first_label_words
 from l3cli.classes.plane_kernel import rule_constants, rule_macros, rule_snippets
 from l3cli.classes.planes import COARSE, COARSE_TOP, LUMINANCE, FixedPoint, raw_middle
+from l3cli.classes.ratios import DARKEST
 from l3cli.classes.windows import Integers, neighbourhoods
 from l3cli.rendering.curves import curve_macros, curve_pieces
 from l3cli.rendering.display import Display
@@ -23,7 +24,6 @@ from l3cli.rendering.display import Display
 Macros = dict[str, int | str]
 
 PLANES = 3  # that a layer after the first reads
-
 PERIODS = 31  # columns by which a row of the CFA is repeated, so that two vectors of 16 can be read from any phase on
 
 
@@ -68,10 +68,12 @@ def joined_files(*names: str) -> str:
     return "\n".join(f'#line 1 "{name}"\n{(folder / name).read_text(encoding="utf-8")}' for name in names)
 
 
-def table_macros(table: TransformTable) -> Macros:
-    """Everything about a table that a kernel's loops and formulas depend on."""
+def table_macros(table: TransformTable, sets: int = 1) -> Macros:
+    """Everything about a table that a kernel's loops and formulas depend on; `sets`: of transforms, 1 or 2."""
     rule = table.first.rule
+    further = sum(len(axis.constants) for axis in rule.axes)
     return {
+        **({"QUIET_SITES": table.cfa.size, "FURTHER_CONSTANTS": further} if sets > 1 else {}),
         "PATCH": rule.patch,
         "RADIUS": rule.radius,
         "SOURCES": 1,
@@ -101,6 +103,7 @@ def later_macros(table: TransformTable, layer: PlaneLayer) -> Macros:
         "OUTPUTS": len(table.outputs),
         "CFA_COLUMNS": table.cfa.shape[1],
         "MAX_RAW": 0,
+        **({"RATIO_TAPS": layer.ratio_taps, "DARKEST": DARKEST} if layer.ratio_taps else {}),
         **rule_macros(layer.rule),
     }
 
@@ -118,8 +121,8 @@ def display_macros(display: Display) -> Macros:
     return macros | curve_macros(display.curve, 3, 8)
 
 
-def class_arrays(table: TransformTable) -> tuple[NDArray, ...]:
-    """The constants of the kernel `classes`, in the order of its arguments; what they are stands there."""
+def class_arrays(table: TransformTable, *others: TransformTable) -> tuple[NDArray, ...]:
+    """The constants of the kernel `classes`, in the order of its arguments, for a table and `others`, further sets of it."""
     rule, channels = table.first.rule, len(table.channels)
     near = neighbourhoods(table.cfa, rule.patch, channels)
     period = np.arange(table.cfa.shape[1] + PERIODS) % table.cfa.shape[1]
@@ -136,7 +139,7 @@ def class_arrays(table: TransformTable) -> tuple[NDArray, ...]:
         by_channel(near.mean_reciprocal),
         by_channel(near.variance_reciprocal),
         period.astype(np.uint32),
-        *kernel_arrays(rule),
+        *kernel_arrays(rule, *(other.first.rule for other in others)),
     )
 
 
@@ -146,6 +149,7 @@ class Weights:
 
     taps: NDArray[Any]  # (class, output, tap), taps column by column, in each row by row, plane by plane
     intercept: NDArray[Any]  # (class, output)
+    ratio_taps: int = 0  # the last of the taps, which are of no window
 
 
 @dataclass(frozen=True)
@@ -157,10 +161,10 @@ class WholeWeights:
     fraction: NDArray[np.int32]  # (class)
 
 
-def first_weights(table: TransformTable) -> Weights:
-    """Of a table's only layer, per DN above black."""
-    taps = by_column(table.first.weights, 1) / (table.white_level - table.black_level)
-    return Weights(taps.astype(np.float32), table.first.intercept)
+def first_weights(table: TransformTable, first: MosaicLayer) -> Weights:
+    """Of the only layer, `first`, per DN above black of a table."""
+    taps = by_column(first.weights, 1) / (table.white_level - table.black_level)
+    return Weights(taps.astype(np.float32), first.intercept)
 
 
 def first_plane_weights(fixed: FixedPoint, bits: int) -> WholeWeights:
@@ -176,13 +180,14 @@ def later_plane_weights(fixed: FixedPoint) -> WholeWeights:
 
 def later_weights(layer: PlaneLayer) -> Weights:
     """Of the last layer, if it reads planes, per step of a plane."""
-    return Weights((by_column(layer.weights, PLANES) * PLANE_STEP).astype(np.float32), layer.intercept)
+    windows = by_column(layer.weights[..., : layer.window_taps], PLANES)
+    taps = np.concatenate([windows, layer.weights[..., layer.window_taps :]], axis=-1)
+    return Weights((taps * PLANE_STEP).astype(np.float32), layer.intercept, layer.ratio_taps)
 
 
-def rule_arrays(table: TransformTable, rule: PlaneRule, variant: str) -> tuple[NDArray, ...]:
-    """The constants of the kernel `structures`, in the order of its arguments; what they are stands in gradient.cl and in
-    structure.cl or tree.cl."""
-    return (first_label_words(rule, table.first.rule), *rule_constants(rule, variant))
+def rule_arrays(table: TransformTable, variant: str, rule: PlaneRule, *others: PlaneRule) -> tuple[NDArray, ...]:
+    """The constants of the kernel `structures` (gradient.cl, structure.cl, tree.cl); `others`: rules of further sets."""
+    return (first_label_words(rule, table.first.rule, *others), *rule_constants(rule, variant))
 
 
 def by_column(weights: NDArray, planes: int) -> NDArray:
@@ -193,37 +198,53 @@ def by_column(weights: NDArray, planes: int) -> NDArray:
     return square.transpose(0, 1, 4, 3, 2).reshape(classes, outputs, taps)
 
 
+SIDE_BY_SIDE_OUTPUTS, SIDE_BY_SIDE_TAPS = (3, 4), 25  # of floats that are arranged so; at most so many taps (folding.cl)
+
+
 def pack_in_vectors(layer: Weights, lanes: int) -> NDArray:
-    """(class, group, …) for transform.cl: vectors (vector, output, lane) of all taps but the last, the last taps of four
-    outputs, their four intercepts, and zeros up to a multiple of 16."""
+    """(class, …) for side_by_side.cl; or, for floating_point.cl, (class, group, …): vectors (vector, output, lane) of all
+    taps of a window but the last, the last taps of four outputs, their four intercepts, the taps behind the window one by
+    one, and zeros up to a multiple of 16."""
     classes, outputs, taps = layer.taps.shape
+    taps, behind = taps - layer.ratio_taps, layer.ratio_taps
+    if outputs in SIDE_BY_SIDE_OUTPUTS and taps <= SIDE_BY_SIDE_TAPS and not behind:
+        return _side_by_side(layer.taps, layer.intercept, 4)
     groups = -(-outputs // 4)
     group = -(-outputs // groups)
     vectors = -(-(taps - 1) // lanes)
     last = vectors * group * lanes
-    packed = np.zeros((classes, groups, -(-(last + 8) // 16) * 16), layer.taps.dtype)
+    packed = np.zeros((classes, groups, -(-(last + 8 + 4 * behind) // 16) * 16), layer.taps.dtype)
     for g in range(groups):
         chosen = slice(g * group, min((g + 1) * group, outputs))
         count = chosen.stop - chosen.start
         in_lanes = np.zeros((classes, group, vectors * lanes), layer.taps.dtype)
-        in_lanes[:, :count, : taps - 1] = layer.taps[:, chosen, :-1]
+        in_lanes[:, :count, : taps - 1] = layer.taps[:, chosen, : taps - 1]
         ordered = in_lanes.reshape(classes, group, vectors, lanes).transpose(0, 2, 1, 3)
         packed[:, g, :last] = ordered.reshape(classes, last)
-        packed[:, g, last : last + count] = layer.taps[:, chosen, -1]
+        packed[:, g, last : last + count] = layer.taps[:, chosen, taps - 1]
         packed[:, g, last + 4 : last + 4 + count] = layer.intercept[:, chosen]
+        for tap in range(behind):
+            start = last + 8 + 4 * tap
+            packed[:, g, start : start + count] = layer.taps[:, chosen, taps + tap]
     return packed
 
 
 def pack_whole_in_vectors(layer: WholeWeights, lanes: int) -> NDArray[np.int16]:
-    """(class, …) for fixed_point.cl: in 32 bits three intercepts and the fraction, each before three zeros; then, eight taps
-    at a time, those of the three planes and zeros."""
-    classes, planes, taps = layer.taps.shape
-    first = np.zeros((classes, 4, 4), np.int32)
-    first[:, :, 0] = np.column_stack([layer.intercept, layer.fraction])
-    in_eights = np.zeros((classes, 4, -(-taps // 8) * 8), np.int16)
-    in_eights[:, :planes, :taps] = layer.taps
-    beside = in_eights.reshape(classes, 4, -1, 8).transpose(0, 2, 1, 3)
-    return np.concatenate([first.reshape(classes, 16).view(np.int16), beside.reshape(classes, -1)], axis=1)
+    """(class, …) for side_by_side.cl, the fraction being the intercept of a fourth plane."""
+    intercept = np.column_stack([layer.intercept, layer.fraction])
+    return _side_by_side(layer.taps, intercept, 8)
+
+
+def _side_by_side(taps: NDArray, intercept: NDArray, once: int) -> NDArray:
+    """(class, …) of taps (class, output, tap) and intercepts (class, output): four of these, each before three zeros; then,
+    `once` taps at a time, those of four outputs; zeros where there is none."""
+    classes, outputs, count = taps.shape
+    first = np.zeros((classes, 4, 4), intercept.dtype)
+    first[:, : intercept.shape[1], 0] = intercept
+    filled = np.zeros((classes, 4, -(-count // once) * once), taps.dtype)
+    filled[:, :outputs, :count] = taps
+    beside = filled.reshape(classes, 4, -1, once).transpose(0, 2, 1, 3)
+    return np.concatenate([first.reshape(classes, 16).view(taps.dtype), beside.reshape(classes, -1)], axis=1)
 
 
 def pack_in_fours(layer: Weights, lanes: int) -> NDArray:
@@ -263,7 +284,7 @@ class Variant:
 
 
 SHARED = ("rule.cl", "encoding.cl")
-TRANSFORM = ("folding.cl", "floating_point.cl", "fixed_point.cl", "transform.cl")
+TRANSFORM = ("ratios.cl", "folding.cl", "floating_point.cl", "side_by_side.cl", "transform.cl")
 VARIANTS = {
     # Few and long work-items, each vectorised within: over pixels for the classes, over taps for the transforms.
     "processor": Variant(

@@ -19,10 +19,12 @@ from l3cli.errors import RecipeError
 from l3cli.frame import RawFrame
 from l3cli.rendering import layout
 from l3cli.rendering.display import Display, require_known_layers, require_xyz
+from l3cli.rendering.noise_sets import sets_of
 from l3cli.rendering.opencl_bands import bands
 from l3cli.rendering.opencl_devices import choose_device, pyopencl, refusals
 from l3cli.rendering.opencl_planes import plane_steps
 from l3cli.rendering.opencl_programs import Compiler, Programs
+from l3cli.rendering.opencl_quiet import bring, last_weights
 from l3cli.rendering.opencl_shading import DeviceShading
 from l3cli.rendering.opencl_work import Band, Held, Track, Work, constant, scratch, shares_memory
 
@@ -36,16 +38,17 @@ class OpenCLRenderer:
     or its number; without either on the first GPU or the first of any kind.
 
     `variant` is a key of layout.VARIANTS, by default the one made for the device's type; `lanes` the length of the processor
-    variant's vectors, by default what the device's compiler has registers for. Device, program, kernels and the table's
-    buffers are made once, a band's buffers once for each frame size. One thread may use a renderer at a time; others run on
-    while it waits. DeviceError if there is no device or it refuses.
+    variant's vectors, by default what the device's compiler has registers for; `by_noise`: as make_renderer has it. Device,
+    program, kernels and the table's buffers are made once, a band's buffers once for each frame size. One thread may use a
+    renderer at a time; others run on while it waits. DeviceError if there is no device or it refuses.
     """
 
     def __init__(
-        self, table: TransformTable, device: str | None = None, variant: str | None = None, lanes: int | None = None
-    ) -> None:
+        self, table: TransformTable, device: str | None = None, variant: str | None = None, lanes: int | None = None,
+        by_noise: bool = False,
+    ) -> None:  # fmt: skip
         require_known_layers(table)
-        self.table = table
+        self.table, self._sets = table, sets_of(table, by_noise)
         self.device = choose_device(os.environ.get("L3_DEVICE", "") if device is None else device)
         cl = pyopencl()
         self.variant = variant or ("graphics" if self.device.type & cl.device_type.GPU else "processor")
@@ -56,12 +59,11 @@ class OpenCLRenderer:
             self._constant, self._scratch = partial(constant, self._context), partial(scratch, self._context)
             variant_layout = layout.VARIANTS[self.variant]
             self._compiler = Compiler(self._context, self.device)
-            self._programs = Programs(self._compiler, table, self.variant, lanes)
+            self._programs = Programs(self._compiler, table, self.variant, lanes, len(self._sets))
             self._cut = self._programs.cut
-            self._class_buffers = [self._constant(array) for array in layout.class_arrays(table)]
-            last = layout.later_weights(table.later[-1]) if table.later else layout.first_weights(table)
-            self._weights = self._constant(variant_layout.pack(last, self._cut.lanes))
-            self._later = plane_steps(table, self.variant, self._cut.lanes, self._constant)
+            self._class_buffers = [self._constant(array) for array in layout.class_arrays(*self._sets)]
+            self._weights = self._constant(variant_layout.pack(last_weights(self._sets), self._cut.lanes))
+            self._later = plane_steps(self._sets, self.variant, self._cut.lanes, self._constant)
             self._tracks = deque(Track(self._context, len(table.later)) for _ in range(TRACKS))
             self._frame_bands: tuple[tuple[int, ...], tuple[Band, ...]] | None = None
             self._held: Held | None = None
@@ -211,6 +213,8 @@ class OpenCLRenderer:
             work.arrays.append(source)
             track.raw = track.uploaded = self._scratch(track.uploaded, source.nbytes)
             work.add("upload", pyopencl().enqueue_copy(track.queue, track.raw, source, is_blocking=False))
+        if len(self._sets) > 1:
+            track.chosen = bring(frame, self.table, track, band, self._in_place, work)
         if self._shading.evens(frame):
             work.add("classes", self._shading.even(frame, track, band))
 
@@ -221,7 +225,7 @@ class OpenCLRenderer:
 
     def _decides(self, track: Track, band: Band) -> tuple[Any, ...]:
         """What the first layer's classes are decided on, and where they are written."""
-        return track.raw, *band.mosaic_source, *self._class_buffers, track.labels
+        return track.raw, *band.mosaic_source, *self._class_buffers, *track.chosen, track.labels
 
     def _site(self, band: Band, frame: RawFrame) -> tuple[np.int32, np.int32]:
         """Row and column of the CFA where a band begins."""

@@ -76,11 +76,11 @@ class Programs:
     """The kernels of a table's layers, counted from 0, and what makes pictures of outputs.
 
     `ending`: what the transforms write (layout.py). `lanes`: length of the processor variant's vectors; None: what the
-    device's compiler has registers for.
+    device's compiler has registers for. `sets`: of transforms that pixels choose from.
     """
 
-    def __init__(self, compiler: Compiler, table: TransformTable, variant: str, lanes: int | None) -> None:
-        self._compiler, self._table, self._variant = compiler, table, variant
+    def __init__(self, compiler: Compiler, table: TransformTable, variant: str, lanes: int | None, sets: int = 1) -> None:
+        self._compiler, self._table, self._variant, self._sets = compiler, table, variant, sets
         self._programs: dict[Key, kernels.Made] = {}  # by layer, -1: an encoder, or "together"; and ending
         self._kernels: dict[Key, Any] = {}  # by program and name
         self._last = len(table.later)
@@ -140,7 +140,8 @@ class Programs:
             files = ("lanes.cl", "vectors.cl", "encoding.cl", *self._encoder_files)
             return layout.joined_files(*files), {}, self.encoder_cut
         if layer == 0:
-            return layout.first_source(self._variant, self._table.first.rule), layout.table_macros(self._table), self.cut
+            macros = layout.table_macros(self._table, self._sets)
+            return layout.first_source(self._variant, self._table.first.rule), macros, self.cut
         later = self._table.later[layer - 1]
         return layout.later_source(self._variant, later.rule), layout.later_macros(self._table, later), self.cut
 

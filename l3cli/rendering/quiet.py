@@ -1,8 +1,9 @@
-"""Frames that a filter in time has left less noise than their camera's: classes decide against what is left.
+"""Frames that a filter in time has left less noise than their camera's.
 
-What a class rule compares with noise is scaled by the share of its variance that is left: contrasts and directions of a
-mosaic, strengths of edges. So detail that noise would hide is told from flat areas again. Transforms stay as they were
-learned.
+By a table with a quiet set (noise_sets.py) each pixel is rendered by the set that its noise asks for. By one of a single
+set classes decide against what is left in the frame: what a class rule compares with noise is scaled by the share of its
+variance, contrasts and directions of a mosaic, strengths of edges, so that detail that noise would hide is told from flat
+areas again; transforms stay as they were learned.
 """
 
 import itertools
@@ -35,7 +36,7 @@ def quiet_table(table: TransformTable, share: float) -> TransformTable:
         )
         for layer in table.later
     )
-    return replace(table, first=replace(table.first, rule=first), later=later)
+    return replace(table, first=replace(table.first, rule=first), later=later, quiet=None)
 
 
 def _scaled(edges: NDArray[np.uint32], share: float) -> NDArray[np.uint32]:
@@ -45,32 +46,39 @@ def _scaled(edges: NDArray[np.uint32], share: float) -> NDArray[np.uint32]:
 
 
 class QuietRenderer:
-    """Renders each frame by the table for its share of noise; the table's own for a whole one."""
+    """Renders each frame by what its noise asks for: a frame of all its camera's noise by the table's usual set, as if there
+    were no other; one that is filtered in time by both sets, pixel by pixel, or by the table for its share of noise where
+    there is one set."""
 
-    def __init__(self, renderer: Renderer, make: Callable[[TransformTable], Renderer]) -> None:
+    def __init__(self, renderer: Renderer, make: Callable[[TransformTable, bool], Renderer]) -> None:
         self.table, self._make = renderer.table, make
-        self._renderers = {1.0: renderer}
+        self._renderers: dict[float | None, Renderer] = {1.0: renderer}  # by share of noise; None: by pixel
 
-    def _of(self, share: float) -> Renderer:
+    def _of(self, share: float | None) -> Renderer:
         if share not in self._renderers:
-            self._renderers[share] = self._make(quiet_table(self.table, share))
+            by_pixel = share is None
+            self._renderers[share] = self._make(self.table if share is None else quiet_table(self.table, share), by_pixel)
         return self._renderers[share]
+
+    def _share(self, frame: RawFrame) -> float | None:
+        """By what a frame is rendered."""
+        return None if self.table.quiet and frame.noise_left is not None else frame.noise_share
 
     def labels(self, frame: RawFrame, layer: int = 0) -> NDArray[np.integer]:
         """As Renderer."""
-        return self._of(frame.noise_share).labels(frame, layer)
+        return self._of(self._share(frame)).labels(frame, layer)
 
     def outputs(self, frame: RawFrame) -> NDArray[np.float32]:
         """As Renderer."""
-        return self._of(frame.noise_share).outputs(frame)
+        return self._of(self._share(frame)).outputs(frame)
 
     def picture(self, frame: RawFrame, display: Display) -> NDArray:
         """As Renderer."""
-        return self._of(frame.noise_share).picture(frame, display)
+        return self._of(self._share(frame)).picture(frame, display)
 
     def pictures(self, frames: Iterable[tuple[RawFrame, Display]]) -> Iterator[NDArray]:
         """As Renderer; frames that follow one another with the same noise overlap on the device."""
-        shared = ((frame.noise_share, (frame, display)) for frame, display in frames)
+        shared = ((self._share(frame), (frame, display)) for frame, display in frames)
         for share, run in itertools.groupby(shared, key=itemgetter(0)):
             yield from self._of(share).pictures(each for _, each in run)
 
@@ -78,7 +86,7 @@ class QuietRenderer:
 def quiet_renderer(backend: str, table: TransformTable, **options: str | None) -> QuietRenderer:
     """The renderer of a backend (renderer.make_renderer) that takes frames of any noise."""
 
-    def make(table: TransformTable) -> Renderer:
-        return make_renderer(backend, table, **options)
+    def make(table: TransformTable, by_noise: bool) -> Renderer:
+        return make_renderer(backend, table, by_noise, **options)
 
-    return QuietRenderer(make(table), make)
+    return QuietRenderer(make(table, False), make)

@@ -1,33 +1,35 @@
 """The plain truth of rendering in float64: what every other backend is held against (docs/method.md#rendering)."""
 
 import functools
-import itertools
 from collections.abc import Iterable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.layers import MosaicLayer
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.decide import label_mosaic
 from l3cli.classes.later import label_planes
-from l3cli.classes.planes import FixedPoint, fixed_point, later_fixed_point, opponent_basis
+from l3cli.classes.planes import FixedPoint, later_fixed_point, opponent_basis
 from l3cli.classes.windows import Integers
 from l3cli.frame import RawFrame, pad_mosaic
 from l3cli.rendering.display import Display, encode, require_known_layers, require_xyz
 from l3cli.rendering.later import first_planes, later_outputs, later_planes
+from l3cli.rendering.noise_sets import first_fixed_point, first_layer, later_layers, later_rules, quiet_pixels, sets_of
 
 
 class ReferenceRenderer:
-    """Renderer in numpy: slow, exact, without a device."""
+    """Renderer in numpy: slow, exact, without a device. `by_noise`: as make_renderer has it."""
 
-    def __init__(self, table: TransformTable) -> None:
+    def __init__(self, table: TransformTable, by_noise: bool = False) -> None:
         require_known_layers(table)
-        self.table = table
+        self.table, self._sets = table, sets_of(table, by_noise)
+        self._first, self._later_layers = first_layer(self._sets), later_layers(self._sets)
 
     def labels(self, frame: RawFrame, layer: int = 0) -> Integers:
         """Class (row, col) of every pixel in a layer of the table."""
         levelled = at_table_levels(frame, self.table)
-        labels = table_labels(levelled, self.table)
+        labels = self._labels(levelled)
         return self._later(levelled, labels, layer)[1] if layer else labels
 
     def outputs(self, frame: RawFrame) -> NDArray[np.float32]:
@@ -46,33 +48,47 @@ class ReferenceRenderer:
     def exact_outputs(self, frame: RawFrame) -> NDArray[np.float64]:
         """`outputs` before rounding to float32."""
         levelled = at_table_levels(frame, self.table)
-        labels = table_labels(levelled, self.table)
+        labels = self._labels(levelled)
         share = frame.light_share * (1.0 if frame.shading is None else frame.shading.gain_map(frame.values.shape[1]))
         if not self.table.later:
-            return share * output_planes(levelled, labels, self.table)
+            return share * output_planes(levelled, labels, self.table, self._first)
         planes, later_labels = self._later(levelled, labels, len(self.table.later))
-        return share * later_outputs(planes, later_labels, self.table.later[-1])
+        return share * later_outputs(planes, later_labels, self._later_layers[-1])
 
     def planes(self, frame: RawFrame) -> NDArray[np.int32]:
         """What the last layer of a table of several reads of a frame, (plane, row, col)."""
         levelled = at_table_levels(frame, self.table)
-        return self._later(levelled, table_labels(levelled, self.table), len(self.table.later))[0]
+        return self._later(levelled, self._labels(levelled), len(self.table.later))[0]
 
     @functools.cached_property
     def _fixed_points(self) -> list[FixedPoint]:
         """Of all layers but the last."""
         basis = opponent_basis(self.table.white_point)
-        return [fixed_point(self.table), *(later_fixed_point(layer, basis) for layer in self.table.later[:-1])]
+        return [first_fixed_point(self._sets), *(later_fixed_point(layer, basis) for layer in self._later_layers[:-1])]
+
+    def _labels(self, levelled: RawFrame) -> Integers:
+        """Class (row, col) in the first layer of every pixel of a frame at the table's levels, those of the quiet set behind
+        the usual ones."""
+        labels = table_labels(levelled, self._sets[0])
+        if len(self._sets) == 1:
+            return labels
+        quiet = quiet_pixels(levelled, self.table)
+        return np.where(quiet, len(self.table.first.weights) + table_labels(levelled, self._sets[1]), labels)
 
     def _later(self, levelled: RawFrame, first_labels: Integers, number: int) -> tuple[NDArray[np.int32], Integers]:
         """What layer `number` after the first reads of a frame at the table's levels, and the classes it sorts it into."""
-        table = self.table
-        planes = first_planes(levelled, first_labels, table, self._fixed_points[0])
-        labels = label_planes(planes, first_labels, table.later[0].rule, table.first.rule)
-        for (before, layer), fixed in zip(itertools.pairwise(table.later[:number]), self._fixed_points[1:], strict=False):
-            planes = later_planes(planes, labels, before, fixed)
-            labels = label_planes(planes, first_labels, layer.rule, table.first.rule)
+        later = self._later_layers
+        planes = first_planes(levelled, first_labels, self.table, self._fixed_points[0])
+        labels = self._later_labels(planes, first_labels, 0)
+        for place, fixed in enumerate(self._fixed_points[1:number], 1):
+            planes = later_planes(planes, labels, later[place - 1], fixed)
+            labels = self._later_labels(planes, first_labels, place)
         return planes, labels
+
+    def _later_labels(self, planes: NDArray[np.int32], first_labels: Integers, place: int) -> Integers:
+        """Class (row, col) in later layer `place`, from 0, of every pixel."""
+        rule, *others = later_rules(self._sets, place)
+        return label_planes(planes, first_labels, rule, self.table.first.rule, *others)
 
 
 def at_table_levels(frame: RawFrame, table: TransformTable) -> RawFrame:
@@ -85,9 +101,9 @@ def table_labels(frame: RawFrame, table: TransformTable) -> Integers:
     return label_mosaic(frame.values, table.first.rule, table.cfa, len(table.channels), frame.phase)
 
 
-def output_planes(frame: RawFrame, labels: Integers, table: TransformTable) -> NDArray[np.float64]:
-    """Each pixel's transform applied to its neighbourhood: (output, row, col) from a frame at the table's levels and its
-    classes (row, col)."""
+def output_planes(frame: RawFrame, labels: Integers, table: TransformTable, first: MosaicLayer) -> NDArray[np.float64]:
+    """Each pixel's transform of a first layer applied to its neighbourhood: (output, row, col) from a frame at the table's
+    levels and its classes (row, col)."""
     rows, cols = frame.values.shape
     patch, outputs = table.first.rule.patch, len(table.outputs)
     signal = (frame.values - frame.black_level) / (table.white_level - table.black_level)
@@ -96,6 +112,6 @@ def output_planes(frame: RawFrame, labels: Integers, table: TransformTable) -> N
     planes = np.empty((outputs, rows, cols))
     for row in range(rows):  # a row at a time: the chosen transforms of a whole frame would fill gigabytes
         patches = windows[row].reshape(cols, patch**2, 1)
-        weighted = table.first.weights[labels[row]].astype(np.float64) @ patches
-        planes[:, row] = (weighted[..., 0] + table.first.intercept[labels[row]]).T
+        weighted = first.weights[labels[row]].astype(np.float64) @ patches
+        planes[:, row] = (weighted[..., 0] + first.intercept[labels[row]]).T
     return planes

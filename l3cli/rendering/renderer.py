@@ -51,12 +51,13 @@ def make_ready(backend: str) -> None:
         devices()
 
 
-def make_renderer(backend: str, table: TransformTable, **options: str | None) -> Renderer:
+def make_renderer(backend: str, table: TransformTable, by_noise: bool = False, **options: str | None) -> Renderer:
     """The renderer called `backend` for a table. RecipeError if there is none, DeviceError if it finds no device.
 
-    `options` are the backend's: of "opencl" `device` and `variant` (OpenCLRenderer).
+    `by_noise`: pixels of which a filter in time has left little noise are rendered by the table's quiet set, which must be
+    there. `options` are the backend's: of "opencl" `device` and `variant` (OpenCLRenderer).
     """
     if backend not in BACKENDS:
         raise RecipeError(f'backend "{backend}" is unknown; {suggestion(backend, BACKENDS)}')
     module, _, name = BACKENDS[backend].partition(":")
-    return getattr(importlib.import_module(module), name)(table, **options)
+    return getattr(importlib.import_module(module), name)(table, by_noise=by_noise, **options)

@@ -12,7 +12,7 @@ from l3cli.frame import RawFrame
 from l3cli.physics import spectra
 from l3cli.physics.display import display_white
 from l3cli.physics.matrices import fit_through
-from l3cli.physics.near_lights import NearLight, light_of, light_of_neutral, temperature
+from l3cli.physics.near_lights import NearLight, light_of, light_of_neutral, light_of_white, temperature, uv
 from l3cli.rendering.balance import WhiteBalance, adaptation, balanced, plain_balance
 from l3cli.rendering.grey import GreyRenderer, Square
 
@@ -22,6 +22,7 @@ LARGEST_GAIN = 8.0  # of a channel: beyond, it is noise
 SURFACES = 64  # measured reflectances that a table's colours under a light are corrected by
 DARKEST = 0.05  # of white: below, errors of surfaces count no more than there
 MOST_GREEN = 0.03  # distance from the black bodies in CIE 1960 uv that no lamp for people has
+SAME_WHITE = 5e-4  # distance in CIE 1960 uv of whites that are the same, as written with four digits
 MOST_MISFIT = 0.12  # of the logarithms of channels; fluorescent and LED lamps reach half of it
 COOLEST, WARMEST = 24_000.0, 1_700.0  # K: what a search ends with lies beyond them
 
@@ -88,6 +89,18 @@ class Whites:
         radiance = spectra.illuminant(name, camera.wavelength)
         light = NearLight(white, *temperature(white), 0.0, radiance)
         return SceneWhite(self._balance(camera.signal_weights @ radiance, light), light, True)
+
+    def of_chromaticity(self, white: Array) -> SceneWhite:
+        """The white of a scene of which no more is known than its XYZ (3): of the light of training if that has it, else of
+        the black body or daylight, more or less green, that has it; where none has, pictures are adapted from it alone."""
+        camera = self.table.camera
+        if camera is None or np.linalg.norm(uv(white) - uv(self.table.white_point[:3])) < SAME_WHITE:
+            return self.of_xyz(white)
+        light = light_of_white(white, camera.wavelength)
+        if not _is_plausible(light):
+            return self.of_xyz(white)
+        assert light.radiance is not None
+        return SceneWhite(self._balance(camera.signal_weights @ light.radiance, light), light, True)
 
     def of_xyz(self, white: Array) -> SceneWhite:
         """The white of XYZ (3) as the table shows it."""

@@ -95,7 +95,7 @@ def given_white(text: str | None, table: TransformTable) -> SceneWhite | None:
     """The white that a name or "x,y" means; None: that of the table. RecipeError if it is neither."""
     if text is None:
         return None
-    return Whites(table).of_xyz(scene_white(text)) if "," in text else Whites(table).of_light(text)
+    return Whites(table).of_chromaticity(scene_white(text)) if "," in text else Whites(table).of_light(text)
 
 
 def usual_balance(table: TransformTable) -> WhiteBalance:

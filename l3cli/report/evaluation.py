@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from l3cli.classes.names import heading
+from l3cli.classes.names import further_headings, heading
 from l3cli.columns import figure as number
 from l3cli.report.colours import SERIES
 from l3cli.report.drawing import Plot, spanning
@@ -206,7 +206,10 @@ def _class_blocks(document: dict[str, Any], figure: str) -> tuple[Block, ...]:
         if axis != "level" and len(entries) > 1:
             tables.append(Table(f"By {axis}", (axis, *heads), tuple((heading(axis, e), *cells(e)) for e in entries)))
     worst = tuple(
-        (f"level {e['from']:.3g}–{e['to']:.3g}, contrast {e['contrast']}, {_kind(e)}", *cells(e))
+        (
+            ", ".join([f"level {e['from']:.3g}–{e['to']:.3g}, contrast {e['contrast']}", *further_headings(e), _kind(e)]),
+            *cells(e),
+        )
         for e in document["worst_classes"]
     )
     return (*tables, Table("Worst classes", ("class", *heads), worst))

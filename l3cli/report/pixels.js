@@ -25,7 +25,7 @@ async function unpacked(text) {
   };
   for (const layer of view.layers) {
     layer.taps = layer.side ** 2 * layer.planes.length;
-    const rows = layer.classes.length * view.outputs.length;
+    const rows = layer.held * view.outputs.length;
     layer.largest = next(Float32Array, rows);
     layer.labels = next(Uint16Array, view.size[0] * view.size[1]);
     layer.weights = next(Int8Array, rows * layer.taps);
@@ -96,22 +96,30 @@ function transform(view, layer, index, site) {
   return [drawn("svg", { ...box, role: "img", "aria-label": `Weights of the taps. ${finding}` }, ...items), finding];
 }
 
+const layerTitle = (number) => (number ? `Layer ${number + 1}, reads the outputs of layer ${number}` : "Layer 1, reads the mosaic");
+
+// A class in words, and its transform as far as the page holds it.
+function classed(view, number, index, site) {
+  const layer = view.layers[number];
+  const list = document.createElement("dl");
+  const words = { ...layer.classes[index], frame: `${share(view, layer, index)} of its pixels` };
+  for (const [name, text] of Object.entries(words)) list.append(written("dt", name), written("dd", text));
+  let figure = written("p", "This page does not hold the transform: the class is too rare in the frame, or does not occur.");
+  if (index < layer.held) {
+    const [drawing, finding] = transform(view, layer, index, site);
+    figure = written("figure", drawing, written("figcaption", finding));
+  }
+  const block = written("div", written("h5", view.layers.length > 1 ? layerTitle(number) : "Class"), list, figure);
+  block.className = "layer";
+  return block;
+}
+
 function described(view, row, col) {
   const site = [row % view.cfa.length, col % view.cfa[0].length];
   const [top, left] = view.corner;
   const at = (row - top) * view.size[1] + col - left;
   const parts = [written("h4", `Row ${row}, column ${col}: site (${site.join(", ")}) ${view.channels[view.channelAt(...site)]}`)];
-  view.layers.forEach((layer, number) => {
-    const index = layer.labels[at];
-    const list = document.createElement("dl");
-    for (const [name, words] of Object.entries(layer.classes[index])) list.append(written("dt", name), written("dd", words));
-    const [drawing, finding] = transform(view, layer, index, site);
-    const figure = written("figure", drawing, written("figcaption", finding));
-    const title = number ? `Layer ${number + 1}, reads the outputs of layer ${number}` : "Layer 1, reads the mosaic";
-    const block = written("div", written("h5", view.layers.length > 1 ? title : "Class"), list, figure);
-    block.className = "layer";
-    parts.push(block);
-  });
+  view.layers.forEach((layer, number) => parts.push(classed(view, number, layer.labels[at], site)));
   return parts;
 }
 
@@ -171,6 +179,7 @@ async function pick(block) {
   reading.hidden = false;
   block.querySelector(".hint span").hidden = false;
   show();
+  browse(block.querySelector(".classes"), view);
 }
 
 if ("DecompressionStream" in window) document.querySelectorAll(".pixels").forEach(pick);

@@ -1,9 +1,10 @@
-"""Pixels of a crop with their classes and transforms, packed into the page for a script that shows them (pixels.js).
+"""Pixels of a crop with their classes and transforms, packed into the page for scripts that show them (pixels.js), and
+what other classes the table has (classes.js).
 
 What is packed is deflated and in base64: the length of the head in four bytes, the head as JSON padded to a multiple of
 four bytes; then for each layer the largest weight of every class and output (float32), the class of every pixel as an index
 into the head's classes (uint16), and the weights (int8) as 127 times the signed square root of their share of the largest.
-All numbers are little-endian.
+Weights are those of the first classes of the head, as many as its `held`. All numbers are little-endian.
 """
 
 import base64
@@ -27,14 +28,20 @@ STEPS = 127  # of the square root of a weight's share of the largest
 
 @dataclass(frozen=True)
 class Layer:
-    """A layer of a table at the pixels of a crop: only the classes that occur there."""
+    """A layer of a table at the pixels of a crop: first the classes that occur there, then others."""
 
     side: int  # of the windows
     planes: tuple[str, ...]  # names of what is read, in the order of the taps; one: the mosaic
     labels: NDArray[np.integer]  # (row, col) index into what follows
     words: tuple[dict[str, str], ...]  # (class) where each applies
     patches: Array  # (class) that it was trained on; 0: filled from a neighbour
-    weights: Array  # (class, output, tap)
+    pixels: NDArray[np.integer]  # (class) of the frame
+    weights: Array  # (class, output, tap) of the first classes
+
+    @property
+    def cropped(self) -> int:
+        """How many classes occur in the crop."""
+        return int(self.labels.max()) + 1
 
 
 @dataclass(frozen=True)
@@ -42,6 +49,7 @@ class Crop:
     """Part of a frame: its first row and column, and what stands there."""
 
     corner: tuple[int, int]
+    frame: tuple[int, int]  # its rows and columns
     layers: tuple[Layer, ...]
 
 
@@ -72,6 +80,7 @@ def packed(crop: Crop, sites: Sites, outputs: tuple[str, ...]) -> str:
     head: dict[str, Any] = {
         "corner": crop.corner,
         "size": crop.layers[0].labels.shape,
+        "frame": crop.frame,
         "outputs": outputs,
         "cfa": sites.cfa.tolist(),
         "channels": sites.channels,
@@ -80,6 +89,8 @@ def packed(crop: Crop, sites: Sites, outputs: tuple[str, ...]) -> str:
             {
                 "side": layer.side,
                 "planes": layer.planes,
+                "held": len(layer.weights),
+                "pixels": np.trim_zeros(layer.pixels, "b").tolist(),
                 "classes": [
                     {**words, "training": f"{count:.0f} patches" if count > 0 else "none: filled from a neighbour"}
                     for words, count in zip(layer.words, layer.patches.tolist(), strict=True)
@@ -110,5 +121,5 @@ def picker(anchor: str, crop: Crop, text: str, pictures: dict[str, Pixels], scen
     for name, picture in pictures.items():
         coded = base64.b64encode(jpeg(np.ascontiguousarray(picture[top : top + rows, left : left + cols]), QUALITY)).decode()
         shown.append(Picture("data:image/jpeg;base64," + coded, rows, cols, name, f"{scene}, {name}: {where}"))
-    counts = ", ".join(f"{len(layer.words)} of layer {number}" for number, layer in enumerate(crop.layers, 1))
+    counts = ", ".join(f"{layer.cropped} of layer {number}" for number, layer in enumerate(crop.layers, 1))
     return PixelPicker(anchor, f"{where}, enlarged. Classes that occur in it: {counts}.", tuple(shown), text)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.simulation import leaves
+from l3cli.simulation import fields, leaves
 from l3cli.simulation.framing import resampled
 from l3cli.simulation.motion import Course, View, before
 
@@ -39,7 +39,7 @@ def sprites(course: Course, colours: NDArray[np.floating], seed: tuple[int, ...]
         at = ((np.arange(2 * half) + 0.5 - half) * step).astype(np.float32)
         shape, angle, slimness = int(rng.integers(5)), rng.uniform(0, np.pi), rng.uniform(0.4, 1.0)
         mask = leaves.inside(shape, at[:, None], at[None], radius, angle, slimness).astype(np.float32)
-        bright = np.exp(TEXTURE * leaves.pink(rng, mask.shape, 1.2)).astype(np.float32)
+        bright = np.exp(TEXTURE * fields.pink(rng, mask.shape, 1.2)).astype(np.float32)
         drawn.append(Sprite(step, np.stack([mask, mask * bright], axis=2), colour.astype(np.float32)))
     return drawn
 

@@ -1,21 +1,29 @@
-"""Geometry of procedural scenes: leaves that cover each other, random fields (docs/method.md#procedural-scenes).
+"""Geometry of procedural scenes: leaves that cover each other (docs/method.md#procedural-scenes).
 
 Natural pictures are scale invariant because objects of every size occlude each other: "dead leaves" of density r⁻³ have
 their edges, their power spectrum and their contrast statistics (Lee, Mumford and Huang, 2001).
 """
 
 import functools
-import itertools
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 Field = NDArray[np.float32]
+Size = float | Field
 
 EXPONENT = 2.0  # of the cumulative distribution: density r^-3
 UNCOVERED = 0.003  # share of the picture left to the ground, which would take long to cover
-BATCH = 400  # pixels for each leaf that is drawn before what is still uncovered is counted anew
+BATCH = 1.5  # leaves drawn before what is still uncovered is counted anew: squares about them in pictures
+BLOCK = 8  # pixels down and across that are asked together whether a leaf may still show: one 64-bit word of bytes
+SMALL = 40.0  # pixels: radius up to which leaves are laid many at once
+WIDER = 1.15  # from one size of windows about small leaves to the next
+CHUNK = 1 << 16  # samples of leaves laid at once, which stay in the cache
+FEW = 0.2  # share of uncovered pixels about a leaf below which these are asked one by one
+FREE = np.iinfo(np.int32).max  # label of what is uncovered: under every leaf
+BEYOND = -1  # label of what is outside of the picture: over every leaf
 
 
 @dataclass(frozen=True)
@@ -28,24 +36,62 @@ class Leaves:
     radius: Field  # (leaf) pixels
 
 
+@dataclass(frozen=True)
+class Drawn:
+    """Leaves from front to back; an array of one value a leaf each."""
+
+    number: NDArray[np.int32]  # rising from front to back
+    row: NDArray[np.float64]  # centre, pixels
+    col: NDArray[np.float64]
+    radius: NDArray[np.float64]  # pixels
+    shape: NDArray[np.int64]  # 0…4, as `inside` counts them
+    angle: NDArray[np.float64]  # radians
+    slimness: NDArray[np.float64]
+
+    def of(self, which: NDArray[Any]) -> "Drawn":
+        """Those that an index or a mask says."""
+        return Drawn(**{name: values[which] for name, values in vars(self).items()})
+
+
 def dead_leaves(rng: np.random.Generator, shape: tuple[int, int], smallest: float, largest: float) -> Leaves:
-    """Leaves of five shapes with radii in `smallest`…`largest` pixels laid from front to back over `shape` (rows, cols)."""
-    label = np.full(shape, -1, np.int32)
-    seen: list[tuple[float, float, float]] = []
-    free = label.size
-    while free > UNCOVERED * label.size:
-        radius = _radii(rng, max(1, label.size // BATCH), smallest, largest)
-        row = rng.uniform(-radius, shape[0] + radius)
-        col = rng.uniform(-radius, shape[1] + radius)
-        for leaf in np.flatnonzero(_may_show(label, row, col, radius)):
-            covered = _lay(rng, label, len(seen), row[leaf], col[leaf], radius[leaf])
-            if covered:
-                seen.append((row[leaf], col[leaf], radius[leaf]))
-                free -= covered
-    label[label < 0] = len(seen)
-    seen.append((shape[0] / 2, shape[1] / 2, max(shape) / 2))
-    rows, cols, radii = np.array(seen, np.float32).T
-    return Leaves(label, rows, cols, radii)
+    """Leaves of five shapes with radii in `smallest`…`largest` pixels laid from front to back over `shape` (rows, cols).
+
+    Each pixel shows the leaf of the lowest number that covers it, so that leaves may be laid in any order, many at once."""
+    room = int(2 * min(SMALL, largest) * WIDER) + 3  # about the picture, for windows that reach beyond it
+    canvas = np.full([-(-(length + 2 * room) // BLOCK) * BLOCK for length in shape], BEYOND, np.int32)
+    label = canvas[room : room + shape[0], room : room + shape[1]]
+    label[:] = FREE
+    count = max(1, int(BATCH * label.size / (4 * _mean_square(smallest, largest))))
+    batches: list[Drawn] = []
+    while np.count_nonzero(label == FREE) > UNCOVERED * label.size:
+        drawn = _drawn(rng, count * len(batches), count, shape, smallest, largest)
+        batches.append(drawn)
+        visible = drawn.of(_may_show(canvas, room, drawn))
+        for leaf in np.flatnonzero(visible.radius > SMALL).tolist():
+            _lay(label, visible, leaf)
+        _lay_small(canvas, room, visible.of(visible.radius <= SMALL))
+    return _seen(label, batches)
+
+
+def _mean_square(smallest: float, largest: float) -> float:
+    """Mean of r² for radii of density r^-3, pixels²."""
+    return float(2 * np.log(largest / smallest) / (smallest**-EXPONENT - largest**-EXPONENT)) or smallest**2
+
+
+def _drawn(
+    rng: np.random.Generator, first: int, count: int, shape: tuple[int, int], smallest: float, largest: float
+) -> Drawn:
+    """`count` leaves that show, or lie just beyond, a picture of `shape` (rows, cols), numbered from `first` on."""
+    radius = _radii(rng, count, smallest, largest)
+    return Drawn(
+        number=np.arange(first, first + count, dtype=np.int32),
+        row=rng.uniform(-radius, shape[0] + radius),
+        col=rng.uniform(-radius, shape[1] + radius),
+        radius=radius,
+        shape=rng.integers(5, size=count),
+        angle=rng.uniform(0, np.pi, count),
+        slimness=rng.uniform(0.2, 1.0, count),
+    )
 
 
 def _radii(rng: np.random.Generator, count: int, smallest: float, largest: float) -> NDArray[np.float64]:
@@ -55,81 +101,126 @@ def _radii(rng: np.random.Generator, count: int, smallest: float, largest: float
     return (near + share * (far - near)) ** (-1.0 / EXPONENT)
 
 
-def _may_show(
-    label: NDArray[np.int32], row: NDArray[np.float64], col: NDArray[np.float64], radius: NDArray[np.float64]
-) -> NDArray[np.bool_]:
-    """Whether the square about each leaf still holds an uncovered pixel: most leaves drawn late are hidden."""
-    count = np.zeros((label.shape[0] + 1, label.shape[1] + 1), np.int32)
-    np.cumsum(label < 0, axis=1, out=count[1:, 1:])
-    for above, below in itertools.pairwise(count[1:]):  # a tenth of the time of cumsum down the columns
-        below += above
-    top, bottom = _span(row, radius, label.shape[0])
-    left, right = _span(col, radius, label.shape[1])
+def _may_show(canvas: NDArray[np.int32], room: int, drawn: Drawn) -> NDArray[np.bool_]:
+    """Whether a block of pixels that the square about each leaf touches holds an uncovered one: most leaves drawn late are
+    hidden. The canvas has `room` pixels about the picture."""
+    free = (canvas == FREE).view(np.uint64)  # BLOCK pixels of a row in each
+    blocks = functools.reduce(np.bitwise_or, (free[row::BLOCK] for row in range(BLOCK))) != 0
+    count = np.zeros((blocks.shape[0] + 1, blocks.shape[1] + 1), np.int32)
+    count[1:, 1:] = blocks.cumsum(axis=0, dtype=np.int32).cumsum(axis=1)
+    top, bottom = _span(drawn.row + room, drawn.radius, blocks.shape[0])
+    left, right = _span(drawn.col + room, drawn.radius, blocks.shape[1])
     return count[bottom, right] - count[top, right] - count[bottom, left] + count[top, left] > 0
 
 
-def _span(centre: NDArray, radius: NDArray, length: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """First pixel and one past the last of each leaf, clipped to the picture."""
-    first = np.clip(centre - radius, 0, length).astype(np.intp)
-    last = np.clip(centre + radius + 1, 0, length).astype(np.intp)
+def _span(centre: NDArray, radius: NDArray, blocks: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """First block and one past the last that the square about each leaf touches."""
+    first = np.clip((centre - radius) // BLOCK, 0, blocks).astype(np.intp)
+    last = np.clip((centre + radius) // BLOCK + 1, 0, blocks).astype(np.intp)
     return first, last
 
 
-def _lay(rng: np.random.Generator, label: NDArray[np.int32], leaf: int, row: float, col: float, radius: float) -> int:
-    """Put one leaf of random shape and direction under those that lie there; the number of pixels it shows."""
-    shape, angle, slimness = int(rng.integers(5)), rng.uniform(0, np.pi), rng.uniform(0.2, 1.0)
+def _lay(label: NDArray[np.int32], drawn: Drawn, leaf: int) -> None:
+    """Put one leaf where it lies before what is there."""
+    row, col, radius = float(drawn.row[leaf]), float(drawn.col[leaf]), float(drawn.radius[leaf])
     top, left = max(0, int(row - radius)), max(0, int(col - radius))
     window = label[top : max(0, int(row + radius + 1)), left : max(0, int(col + radius + 1))]
-    if not (window < 0).any():
-        return 0
     y = np.arange(top, top + window.shape[0], dtype=np.float32)[:, None] - np.float32(row)
     x = np.arange(left, left + window.shape[1], dtype=np.float32) - np.float32(col)
-    shown = inside(shape, y, x, radius, angle, slimness) & (window < 0)
-    window[shown] = leaf
-    return int(np.count_nonzero(shown))
+    look = radius, float(drawn.angle[leaf]), float(drawn.slimness[leaf])
+    free = window > drawn.number[leaf]
+    if np.count_nonzero(free) > FEW * free.size:
+        window[free & inside(int(drawn.shape[leaf]), y, x, *look)] = drawn.number[leaf]
+        return
+    rows, cols = np.divmod(np.flatnonzero(free), free.shape[1])
+    covered = inside(int(drawn.shape[leaf]), y[rows, 0], x[cols], *look)
+    window[rows[covered], cols[covered]] = drawn.number[leaf]
 
 
-def inside(shape: int, y: Field, x: Field, radius: float, angle: float, slimness: float) -> NDArray[np.bool_]:
+def _lay_small(canvas: NDArray[np.int32], room: int, drawn: Drawn) -> None:
+    """As `_lay` for many leaves on a canvas with `room` pixels about the picture: those of one shape and about one size
+    have windows of one size, and are laid together."""
+    if not drawn.number.size:
+        return
+    smallest = drawn.radius.min()
+    step = np.ceil(np.log(drawn.radius / smallest) / np.log(WIDER))
+    side = np.ceil(2 * smallest * WIDER**step).astype(int) + 1
+    order = np.lexsort((side, drawn.shape))
+    ends = np.flatnonzero(np.diff(side[order]) | np.diff(drawn.shape[order])) + 1
+    for group in np.split(order, ends):
+        most = max(1, CHUNK // int(side[group[0]]) ** 2)
+        for first in range(0, len(group), most):
+            _lay_alike(canvas, room, drawn.of(group[first : first + most]), int(side[group[0]]))
+
+
+def _lay_alike(canvas: NDArray[np.int32], room: int, drawn: Drawn, side: int) -> None:
+    """As `_lay` for leaves of one shape that fit windows of `side` × `side` pixels."""
+
+    def each(values: NDArray[Any]) -> Field:
+        return values.astype(np.float32)[:, None, None]
+
+    top, left = np.ceil(drawn.row - drawn.radius), np.ceil(drawn.col - drawn.radius)
+    steps = np.arange(side, dtype=np.float32)
+    y, x = each(top - drawn.row) + steps[:, None], each(left - drawn.col) + steps
+    radius, angle, slimness = each(drawn.radius), each(drawn.angle), each(drawn.slimness)
+    covered = np.flatnonzero(inside(int(drawn.shape[0]), y, x, radius, angle, slimness))
+    first = np.arange(len(top) + 1) * side**2  # index of each leaf's window among the samples
+    samples = np.diff(np.searchsorted(covered, first))
+    covered -= np.repeat(first[:-1], samples)
+    window = np.arange(side)[:, None] * canvas.shape[1] + np.arange(side)
+    corner = ((top + room) * canvas.shape[1] + left + room).astype(np.intp)
+    places = window.reshape(-1)[covered] + np.repeat(corner, samples)
+    np.minimum.at(canvas.reshape(-1), places, np.repeat(drawn.number, samples))
+
+
+def _seen(label: NDArray[np.int32], batches: list[Drawn]) -> Leaves:
+    """The leaves that show a pixel, numbered anew, and the ground after them."""
+    row, col, radius = (np.concatenate([getattr(one, name) for one in batches]) for name in ("row", "col", "radius"))
+    ground = len(radius)
+    label = np.where(label == FREE, np.int32(ground), label)
+    shows = np.zeros(ground + 1, bool)
+    shows[label] = True
+    shows[ground] = True
+    leaf = (np.cumsum(shows) - 1).astype(np.int32)
+    rows, cols = label.shape
+    places = np.array([row, col, radius])[:, shows[:-1]]
+    whole = np.array([rows / 2, cols / 2, max(rows, cols) / 2])
+    return Leaves(leaf[label], *np.column_stack([places, whole]).astype(np.float32))
+
+
+def inside(shape: int, y: Field, x: Field, radius: Size, angle: Size, slimness: Size) -> NDArray[np.bool_]:
     """Mask of a disc, an ellipse, a rectangle, a triangle or a lobed leaf about (0, 0) within `radius`."""
     if shape == 0:
         return x**2 + y**2 < radius**2
-    along = x * np.float32(np.cos(angle)) + y * np.float32(np.sin(angle))
-    across = y * np.float32(np.cos(angle)) - x * np.float32(np.sin(angle))
+    cosine, sine = np.cos(angle, dtype=np.float32), np.sin(angle, dtype=np.float32)
+    along, across = x * cosine + y * sine, y * cosine - x * sine
     if shape == 1:
-        return along**2 + (across / slimness) ** 2 < radius**2
+        across /= slimness
+        return along**2 + across**2 < radius**2
     if shape == 2:
         return (abs(along) < 0.7 * radius) & (abs(across) < 0.7 * radius * slimness)
     if shape == 3:
         half = 0.5 * radius
         return (along > -half) & (abs(across) < half * slimness - 0.5 * along)
-    turn = np.arctan2(across, along)
-    edge = 0.7 + 0.15 * np.sin(3 * turn + angle) + 0.12 * np.sin(5 * turn + 9 * angle)
-    return np.hypot(along, across) < radius * edge
+    return _lobed(along, across, radius, angle)
 
 
-def pink(rng: np.random.Generator, shape: tuple[int, int], exponent: float, stretch: float = 1.0) -> Field:
-    """A random field (row, col) with amplitude ∝ 1/frequency^exponent, mean 0 and variance 1; `stretch` > 1 draws it out
-    in a random direction."""
-    from scipy import fft
-
-    angle = rng.uniform(0, np.pi) if stretch != 1.0 else 0.0
-    spectrum = fft.rfft2(rng.standard_normal(shape, dtype=np.float32))
-    spectrum *= np.exp(_log_frequencies(shape, stretch, angle) * np.float32(-exponent))
-    spectrum[0, 0] = 0.0
-    field: Field = fft.irfft2(spectrum, s=shape)
-    field /= field.std()
-    return field
-
-
-@functools.lru_cache(maxsize=1)  # most fields of a frame have no direction
-def _log_frequencies(shape: tuple[int, int], stretch: float, angle: float) -> Field:
-    """Logarithm of the frequency (cycles a pixel) of each coefficient of a real transform, `stretch` times as high at
-    `angle`; at least one period a picture."""
-    from scipy import fft
-
-    down = fft.fftfreq(shape[0])[:, None].astype(np.float32)
-    across = fft.rfftfreq(shape[1])[None].astype(np.float32)
-    cosine, sine = np.float32(np.cos(angle)), np.float32(np.sin(angle))
-    along = (down * cosine + across * sine) * np.float32(stretch)
-    power = along**2 + (across * cosine - down * sine) ** 2
-    return np.float32(0.5) * np.log(np.maximum(power, np.float32(1.0 / max(shape) ** 2)))
+def _lobed(along: Field, across: Field, radius: Size, angle: Size) -> NDArray[np.bool_]:
+    """Mask of a leaf whose edge is at radius · (0.7 + 0.15 sin(3θ + angle) + 0.12 sin(5θ + 9 angle)) in direction θ; the
+    sines are those of powers of along + i across, without an arc tangent for each pixel."""
+    squared = along * along + across * across
+    squared += np.float32(1e-12)  # the middle has no direction
+    re, im = along * along - across * across, np.float32(2) * along * across  # of the square
+    third = re * along - im * across, re * across + im * along
+    fifth = third[0] * re - third[1] * im, third[0] * im + third[1] * re
+    distance = np.sqrt(squared)
+    edge = third[1] * np.cos(angle, dtype=np.float32) + third[0] * np.sin(angle, dtype=np.float32)
+    edge *= np.float32(0.15)
+    more = fifth[1] * np.cos(9 * angle, dtype=np.float32) + fifth[0] * np.sin(9 * angle, dtype=np.float32)
+    more *= np.float32(0.12)
+    more /= squared
+    edge += more
+    edge /= squared * distance
+    edge += np.float32(0.7)
+    edge *= radius
+    return distance < edge

@@ -1,22 +1,24 @@
 """Scenes from mathematics: dead leaves to train on, and a composition to look at (docs/method.md#procedural-scenes)."""
 
+import functools
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.simulation import charts, leaves
+from l3cli.simulation import charts, fields, leaves
 from l3cli.simulation.patterns import Patterns, coverage, draw_patterns
 from l3cli.simulation.reflectances import palette, surfaces, visible_bands
+from l3cli.simulation.textures import TEXTURES, Textures, draw_textures, sampled
 
 Array = NDArray[np.floating]
 Cube = NDArray[np.float32]  # (row, col, band)
 
 OVERSAMPLING = 2  # scenes are drawn finer and averaged, so that their edges fall between pixels
-SMALLEST_RADIUS, LARGEST_RADIUS = 3.0, 150.0  # pixels of the scene
+SMALLEST_RADIUS, LARGEST_RADIUS = 3.0, 100.0  # pixels of the scene
 BRIGHTEST = 3.0  # of a perfect white, highlights included
-STRIP = 64  # rows drawn at once: a picture's spectra at twice its size would not fit
+STRIP = 8  # rows drawn at once, which stay in the cache
 
 
 def grid(wavelength: Array) -> NDArray[np.float64]:
@@ -38,7 +40,6 @@ class Coat:
     slope: NDArray[np.float32]  # (2, leaf) gradient down and across of the logarithm
     hollow: NDArray[np.float32]  # (leaf) fall of the logarithm towards the rim
     texture: NDArray[np.float32]  # (leaf) amplitude of the logarithm
-    field: NDArray[np.intp]  # (leaf) texture field
     highlight: NDArray[np.float32]  # (leaf) peak of a white reflection, in perfect whites
     sharpness: NDArray[np.float32]  # (leaf) of the highlight
     position: NDArray[np.float32]  # (2, leaf) of the highlight, down and across
@@ -52,7 +53,7 @@ def dead_leaves(rng: np.random.Generator, size: tuple[int, int], wavelength: Arr
     smallest = SMALLEST_RADIUS * (4.0 if rng.random() < 0.5 else 1.0)  # half the frames are of larger things
     cover = leaves.dead_leaves(rng, fine, smallest * OVERSAMPLING, LARGEST_RADIUS * OVERSAMPLING)
     coat = _coats(rng, materials, len(cover.radius))
-    fields = _texture_fields(rng, fine)
+    textures = draw_textures(rng, fine, rng.integers(TEXTURES, size=len(cover.radius)), OVERSAMPLING)
     light = _light(rng, fine)
     patterns = None
     if patterned > 0:
@@ -61,7 +62,7 @@ def dead_leaves(rng: np.random.Generator, size: tuple[int, int], wavelength: Arr
     cube = np.empty((*size, wavelength.size), np.float32)
     for top in range(0, size[0], STRIP):
         rows = slice(top * OVERSAMPLING, min(top + STRIP, size[0]) * OVERSAMPLING)
-        cube[top : top + STRIP] = _draw(cover, coat, patterns, fields[:, rows], light[rows], rows)
+        _draw(cube[top : top + STRIP], cover, coat, patterns, textures, light[rows], rows)
     return _blurred(cube, rng.uniform(0.0, 0.8))
 
 
@@ -78,80 +79,65 @@ def _coats(rng: np.random.Generator, materials: Array, count: int) -> Coat:
         slope=(steepness * np.array([np.sin(angle), np.cos(angle)])).astype(np.float32),
         hollow=hollow.astype(np.float32),
         texture=np.exp(rng.uniform(np.log(0.01), np.log(0.6), count)).astype(np.float32),
-        field=rng.integers(TEXTURES, size=count),
         highlight=(glossy * np.exp(rng.uniform(np.log(0.1), np.log(2.7), count))).astype(np.float32),
         sharpness=rng.uniform(4, 60, count).astype(np.float32),
         position=rng.uniform(-0.7, 0.7, (2, count)).astype(np.float32),
     )
 
 
-# Exponent range of the amplitude spectrum and stretch of the pink textures: from sand to clouds, and a brushed one.
-PINK = ((0.3, 0.9, 1.0), (0.8, 1.3, 1.0), (1.6, 1.6, 1.0), (1.0, 1.0, 1.0), (0.6, 0.6, 1.0), (1.1, 1.1, 4.0))
-TEXTURES = len(PINK) + 2  # blotches and stripes beside them
-
-
-def _texture_fields(rng: np.random.Generator, shape: tuple[int, int]) -> NDArray[np.float32]:
-    """The textures of one frame, (texture, row, col), each with a variance of about 1."""
-    pink = [leaves.pink(rng, shape, rng.uniform(low, high), stretch) for low, high, stretch in PINK]
-    return np.stack([*pink, _blotches(rng, shape), _stripes(rng, shape)])
-
-
-def _blotches(rng: np.random.Generator, shape: tuple[int, int]) -> NDArray[np.float32]:
-    """Two tones with sharp borders, as on fur, bark and prints."""
-    return np.tanh(8 * leaves.pink(rng, shape, rng.uniform(0.8, 1.8), np.exp(rng.uniform(0.0, 2.0))))
-
-
-def _stripes(rng: np.random.Generator, shape: tuple[int, int]) -> NDArray[np.float32]:
-    """Two tones in wavering stripes, 2 to 14 pixels of the scene a period, as on cloth, blinds and letters."""
-    angle, period = rng.uniform(0, np.pi), OVERSAMPLING * np.exp(rng.uniform(np.log(2.0), np.log(14.0)))
-    down, across = np.ogrid[: shape[0], : shape[1]]
-    position = (across * np.cos(angle) + down * np.sin(angle)) / period
-    position = position + rng.uniform(0, 1) * leaves.pink(rng, shape, 1.8)
-    return np.where(position % 1 < rng.uniform(0.3, 0.7), 1.0, -1.0).astype(np.float32)
-
-
 def _light(rng: np.random.Generator, shape: tuple[int, int]) -> NDArray[np.float32]:
     """Relative light (row, col): uneven everywhere, in 30 % of the frames with shadows of soft, ragged edges."""
-    logarithm = 0.4 * leaves.pink(rng, shape, 1.8)
+    logarithm = 0.4 * fields.pink(rng, shape, 1.8)
     shadows = rng.poisson(1.0) if rng.random() < 0.3 else 0
     down, across = np.ogrid[: shape[0], : shape[1]]
     for _ in range(shadows):
         angle = rng.uniform(0, 2 * np.pi)
         through = rng.uniform(0, 1, 2) * shape
         distance = (across - through[1]) * np.cos(angle) + (down - through[0]) * np.sin(angle)
-        ragged = distance + rng.uniform(0, 30) * leaves.pink(rng, shape, 1.2)
+        ragged = distance + rng.uniform(0, 30) * fields.pink(rng, shape, 1.2)
         softness = OVERSAMPLING * np.exp(rng.uniform(np.log(0.5), np.log(20.0)))
         logarithm -= (rng.uniform(0.3, 1.6) / (1 + np.exp(-np.clip(ragged / softness, -30, 30)))).astype(np.float32)
     return np.exp(logarithm)
 
 
 def _draw(
+    cube: Cube,
     cover: leaves.Leaves,
     coat: Coat,
     patterns: Patterns | None,
-    fields: NDArray[np.float32],
+    textures: Textures,
     light: NDArray[np.float32],
     rows: slice,
-) -> Cube:
-    """Some rows of the picture: reflectance (row, col, band), averaged to the scene's own size."""
-    label = cover.label[rows]
+) -> None:
+    """Fill some rows of the picture with reflectance (row, col, band), averaged to the scene's own size."""
+    label = cover.label[rows].astype(np.intp)
     down = np.arange(rows.start, rows.stop, dtype=np.float32)[:, None]
     across = np.arange(label.shape[1], dtype=np.float32)
-    amount, gloss = _shading(cover, coat, label, (down, across), fields)
+    amount, gloss = _shading(cover, coat, label, (down, across), textures)
     amount *= light
     if patterns is None:
-        cube = _averaged(coat.reflectance, label, amount)
+        _average(cube, coat.reflectance, label, amount)
     else:
-        share = coverage(patterns, label, down, across)
-        cube = _averaged(patterns.first, label, amount * (1 - share))
-        cube += _averaged(patterns.second, label, amount * share)
+        share, second = coverage(patterns, label, down, across), np.empty_like(cube)
+        _average(cube, patterns.first, label, amount * (1 - share))
+        _average(second, patterns.second, label, amount * share)
+        cube += second
+    shine = _block_mean(gloss)
+    glossy = np.nonzero(shine)
+    cube[glossy] += shine[glossy][:, None]
+    bright = np.nonzero(_block_mean(amount) + shine > BRIGHTEST)  # no material reflects more than it receives
+    cube[bright] = np.minimum(cube[bright], np.float32(BRIGHTEST))
+
+
+def _block_mean(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Mean over each OVERSAMPLING × OVERSAMPLING block of samples (row, col)."""
     step = OVERSAMPLING
-    cube += gloss.reshape(len(cube), step, -1, step).mean(axis=(1, 3))[..., None]
-    return np.minimum(cube, np.float32(BRIGHTEST), out=cube)
+    samples = [values[row::step, col::step] for row in range(step) for col in range(step)]
+    return functools.reduce(np.add, samples) / np.float32(step**2)
 
 
 def _shading(
-    cover: leaves.Leaves, coat: Coat, label: NDArray[np.int32], place: tuple[Array, Array], fields: NDArray[np.float32]
+    cover: leaves.Leaves, coat: Coat, label: NDArray[np.intp], place: tuple[Array, Array], textures: Textures
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Of leaves (row, col) at a place (rows, columns): by how much each is brighter than what it is made of, and the light
     that it reflects as a mirror does."""
@@ -161,7 +147,7 @@ def _shading(
 
     radius = of(cover.radius)
     v, u = (place[0] - of(cover.row)) / radius, (place[1] - of(cover.col)) / radius
-    texture = np.take_along_axis(fields, of(coat.field)[None], axis=0)[0]
+    texture = sampled(textures, label, *place)
     logarithm = of(coat.brightness) + of(coat.slope[0]) * v + of(coat.slope[1]) * u
     logarithm += of(coat.texture) * texture - of(coat.hollow) * np.minimum(u * u + v * v, np.float32(4.0))
     gloss = np.zeros_like(logarithm)
@@ -173,30 +159,52 @@ def _shading(
     return np.exp(logarithm), gloss
 
 
-def _averaged(materials: NDArray[np.float32], label: NDArray[np.int32], amount: NDArray[np.float32]) -> Cube:
-    """Mean over each OVERSAMPLING × OVERSAMPLING block of the materials (leaf, band) of a label, times an amount, (row, col)
-    both. Most blocks show one leaf: spectra are added up where they do not."""
+def _average(cube: Cube, materials: NDArray[np.float32], label: NDArray[np.integer], amount: NDArray[np.float32]) -> None:
+    """Fill `cube` with the mean over each OVERSAMPLING × OVERSAMPLING block of the materials (leaf, band) of a label, times
+    an amount, (row, col) both. Most blocks show one leaf: spectra are added up where they do not."""
     step = OVERSAMPLING
     samples = [np.s_[row::step, col::step] for row in range(step) for col in range(step)]
+    amount = amount / np.float32(len(samples))
     first = label[samples[0]]
     alike = [label[sample] == first for sample in samples]
     common = sum(amount[sample] * same for sample, same in zip(samples, alike, strict=True))
-    cube = np.take(materials, first, axis=0, mode="clip")
+    np.take(materials, first, axis=0, mode="clip", out=cube)
     cube *= common[..., None]
     for sample, same in zip(samples[1:], alike[1:], strict=True):
         other = np.nonzero(~same)
         cube[other] += materials[label[sample][other]] * amount[sample][other][:, None]
-    cube /= np.float32(len(samples))
-    return cube
 
 
 def _blurred(cube: Cube, sigma: float) -> Cube:
-    """A lens is never perfect: Gaussian blur of `sigma` pixels; below 0.2 it would change nothing."""
-    from scipy.ndimage import gaussian_filter1d
-
+    """A lens is never perfect: Gaussian blur of `sigma` pixels; below 0.2 it would change nothing. Beyond its border the
+    picture is mirrored. In place and row by row, so that all is in the cache: a fifth of the time of scipy.ndimage."""
     if sigma <= 0.2:
         return cube
-    return gaussian_filter1d(gaussian_filter1d(cube, sigma, axis=0), sigma, axis=1)
+    reach = int(4 * sigma + 0.5)
+    weights = np.exp(-0.5 * (np.arange(reach + 1) / sigma) ** 2)
+    weights = (weights / (2 * weights.sum() - 1)).astype(np.float32)
+    rows, cols, bands = cube.shape
+    near = np.pad(np.arange(rows), reach, mode="symmetric").tolist()
+    sides = np.pad(np.arange(cols), reach, mode="symmetric")
+    scratch, kept = np.empty((cols, bands), np.float32), np.empty((reach, cols, bands), np.float32)
+    wide = np.empty((cols + 2 * reach, bands), np.float32)  # a row, blurred down, and what is beyond its ends
+    for row in range(rows):
+
+        def sharp(at: int, row: int = row) -> Array:  # the rows above are blurred already
+            return kept[at % reach] if at < row else cube[at]
+
+        line = wide[reach : reach + cols]
+        np.multiply(cube[row], weights[0], out=line)
+        for step in range(1, reach + 1):
+            np.add(sharp(near[row + reach - step]), sharp(near[row + reach + step]), out=scratch)
+            line += np.multiply(scratch, weights[step], out=scratch)
+        wide[:reach], wide[reach + cols :] = line[sides[:reach]], line[sides[reach + cols :]]
+        kept[row % reach] = cube[row]
+        np.multiply(line, weights[0], out=cube[row])
+        for step in range(1, reach + 1):
+            np.add(wide[reach - step :][:cols], wide[reach + step :][:cols], out=scratch)
+            cube[row] += np.multiply(scratch, weights[step], out=scratch)
+    return cube
 
 
 # -------------------------------------------------------------------------------------------------- composition

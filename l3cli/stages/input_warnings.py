@@ -124,14 +124,16 @@ def other_phase(frame: "RawFrame", table: "TransformTable") -> str:
     )
 
 
-def warn_of_white(asked: str, white: np.ndarray, table: "TransformTable", console: Console) -> None:
-    """Say so if colours are asked for under a light that the table was probably not trained under."""
-    if np.linalg.norm(_uv(white) - _uv(table.white_point)) > NEAR_WHITE:
+def warn_of_white(asked: str, white: "SceneWhite", table: "TransformTable", console: Console) -> None:
+    """Say so if colours are asked for under a light that the table was probably not trained under, and that is not named."""
+    if white.modelled and "," not in asked:
+        return
+    if np.linalg.norm(_uv(white.light.xyz) - _uv(table.white_point)) > NEAR_WHITE:
         x, y = table.white_point[:2] / table.white_point.sum()
-        console.warn(
-            f"‹white› {asked} is far from the mean light of the training, x,y = {x:.4f},{y:.4f}: "
-            "colours are adapted from it alone; name the light, or train with it among the illuminants of SCENES.toml"
-        )
+        how = "colours are adapted from it alone; name the light, or train with it among the illuminants of SCENES.toml"
+        if white.modelled:
+            how = "taken for that of a black body or daylight; name a fluorescent or LED lamp, or give a grey's ROW,COL"
+        console.warn(f"‹white› {asked} is far from the mean light of the training, x,y = {x:.4f},{y:.4f}: {how}")
 
 
 def warn_of_odd_white(what: str, white: "SceneWhite", console: Console) -> None:

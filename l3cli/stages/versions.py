@@ -16,7 +16,7 @@ def versions() -> dict[str, Any]:
         required = metadata.requires("l3cli") or []
     except metadata.PackageNotFoundError:  # sources on a path, not installed
         required = []
-    used = [each for each in required if not re.search(r"""extra == ['"](dev|docs)['"]""", each)]
+    used = [each for each in required if not re.search(r"""extra == ['"](dev|docs|fuzz|peers)['"]""", each)]
     names = sorted({re.split(r"[^\w.-]", each)[0] for each in used}, key=str.lower)
     try:
         devices = survey()

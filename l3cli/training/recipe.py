@@ -40,6 +40,9 @@ class LearningRecipe(Recipe):
     # noise-free patches and a covariance, patches with noise drawn, or no noise at all, neither in classes nor in patches;
     # without a covariance the weights below weigh nothing, and without noise those of a layer only rounding to DN
     noise: Literal["analytic", "sampled", "none"] = "analytic"
+    # share of the noise over time for which a second set of transforms is learned, for pixels of which --temporal has left
+    # little noise (docs/method.md#noise-sets); 0: none
+    noise_left: Annotated[float, msgspec.Meta(ge=0, lt=1)] = 0.0
     level_power: Share = 1.0  # rows weigh level^-power: 1 for errors relative to the level, 0 for errors as they are
     brightness_power: float = 0.5  # rows weigh (Y / level)^-power, 0…1 (docs/method.md#row-weights)
     error_power: float = 0.25  # second pass: (e² + ¼)^-power, e the error of the first (docs/method.md#second-pass)
@@ -76,6 +79,12 @@ class LayerRecipe(Recipe):
     ridge: Positive = 1e-5  # relative to the mean power of a tap
     luminance_noise: NotNegative = 1.5  # weight of the noise covariance for Y
     chroma_noise: NotNegative = 2.0  # the same for the two chroma rows
+    # rows weigh (Y / level)^-power and (e² + ¼)^-power, e the error of the layers before; as in [learning] if not given
+    brightness_power: Annotated[float, msgspec.Meta(ge=0, le=1)] | None = None
+    error_power: Annotated[float, msgspec.Meta(ge=0, le=0.5)] | None = None
+    colour_ratios: bool = (
+        False  # further taps of the last layer: chroma as shading would make it (docs/method.md#colour-ratios)
+    )
     level_pool: tuple[NotNegative, ...] = (0.5, 0.25)  # weight of classes one, two… levels away
     parent_patches: CountOrNone = 200  # pseudo-rows of the parent, added to every class
 
@@ -132,6 +141,8 @@ def learning_faults(recipe: LearningRecipe) -> Iterator[Fault]:
     weights["chroma_noise"] = recipe.chroma_noise >= 0
     if wrong := [f"learning.{key}" for key, right in weights.items() if not right]:
         yield fault("learning.ridge must be positive, the noise weights not negative", *wrong)
+    if recipe.noise_left and recipe.noise == "none":
+        yield fault('learning.noise_left has no noise to leave a share of where noise is "none"', "learning.noise_left")
     powers = {"brightness_power": 0 <= recipe.brightness_power <= 1, "error_power": 0 <= recipe.error_power <= 0.5}
     if wrong := [f"learning.{key}" for key, right in powers.items() if not right]:
         yield fault("learning.brightness_power must lie in 0…1, error_power in 0…0.5", *wrong)
@@ -148,6 +159,8 @@ def layer_faults(layers: tuple[LayerRecipe, ...]) -> Iterator[Fault]:
         yield fault(f"layer: {len(layers)} layers after the first; {MOST_LATER} can be learned", f"layer.{MOST_LATER}")
     for number, recipe in enumerate(layers):
         name, key = f"layer[{number + 1}]", f"layer.{number}"
+        if recipe.colour_ratios and number + 1 < len(layers):
+            yield fault(f"{name}.colour_ratios is for the last layer alone", f"{key}.colour_ratios")
         if recipe.side % 2 == 0:
             yield fault(f"{name}.side is {recipe.side}; windows have odd sides", f"{key}.side")
         if not recipe.strengths or any(high - low < LEAST_STEP for low, high in itertools.pairwise(recipe.strengths)):

@@ -35,6 +35,7 @@ white_level_dn = {WHITE}
 well_capacity_e = 7600
 read_noise_e = 8
 """
+CORNERS = f"corners = {photos.UPRIGHT.tolist()}\n"  # to find them takes longer than all else
 
 
 def mosaic(seed: int = 0, light: str = "D65", scale: float = 1.0) -> np.ndarray:
@@ -100,8 +101,7 @@ def test_a_file_of_another_array_is_refused(bayer: CameraModel, tmp_path: Path, 
 
 
 def test_two_lights_corners_and_a_data_sheet(folder: Path, tmp_path: Path, l3: L3) -> None:
-    corners = f"corners = {photos.UPRIGHT.tolist()}\n"
-    text = f'[[photo]]\nframes = ["d65.npy"]\nlight = "D65"\nchart = "classic ISO 17321"\n{corners}'
+    text = f'[[photo]]\nframes = ["d65.npy"]\nlight = "D65"\nchart = "classic ISO 17321"\n{CORNERS}'
     text += '[[photo]]\nframes = ["a.npy"]\nlight = "A"\nchart = "classic ISO 17321"\n'
     code, _, err = l3("calibrate", measured(folder, text), "-o", tmp_path / "camera.h5")
     assert code == 0, err
@@ -120,7 +120,7 @@ def test_two_lights_corners_and_a_data_sheet(folder: Path, tmp_path: Path, l3: L
 
 
 def test_a_wrong_light_is_refused_unless_accepted(folder: Path, tmp_path: Path, l3: L3, refused: Refused) -> None:
-    path = measured(folder, '[photo]\nframes = ["a.npy"]\nlight = "D65"\nchart = "classic ISO 17321"\n')
+    path = measured(folder, f'[photo]\nframes = ["a.npy"]\nlight = "D65"\nchart = "classic ISO 17321"\n{CORNERS}')
     line = refused(1, "calibrate", path, "-o", tmp_path / "camera.h5")
     assert "times more probable under" in line
     assert "than under D65" in line
@@ -137,7 +137,7 @@ def test_reflectances_and_light_of_csv_files(folder: Path, tmp_path: Path, l3: L
     grid = np.arange(380.0, 781.0, 5.0)
     lamp = np.column_stack([grid, spectra.illuminant("A", grid)])
     (folder / "lamp.csv").write_text("nm,lamp (photons/s/sr/m²/nm)\n" + "\n".join(f"{nm:g},{x:.6g}" for nm, x in lamp))
-    text = '[photo]\nframes = ["a.npy", "a.npy"]\nlight = "lamp.csv"\nchart = "chart.csv"\n'
+    text = f'[photo]\nframes = ["a.npy", "a.npy"]\nlight = "lamp.csv"\nchart = "chart.csv"\n{CORNERS}'
     code, out, err = l3("calibrate", measured(folder, text), "-o", tmp_path / "camera.h5", "--json")
     assert code == 0, err
     photo = json.loads(out)["photos"]["a.npy"]
@@ -151,7 +151,7 @@ def test_a_white_shot_and_a_dark_one(folder: Path, tmp_path: Path, l3: L3) -> No
     noise = np.random.default_rng(3).standard_normal((600, 800))
     np.save(folder / "white.npy", np.rint(2000 * slope + BLACK + 20 * noise).astype(np.uint16))
     np.save(folder / "dark.npy", np.rint(BLACK + 4 * noise).astype(np.uint16))
-    text = '[photo]\nframes = ["slanted.npy"]\nlight = "D65"\nchart = "classic ISO 17321"\n'
+    text = f'[photo]\nframes = ["slanted.npy"]\nlight = "D65"\nchart = "classic ISO 17321"\n{CORNERS}'
     text += 'white = ["white.npy"]\ndark = ["dark.npy"]\n'
     code, out, err = l3("calibrate", measured(folder, text), "-o", tmp_path / "camera.h5", "--json")
     assert code == 0, err
@@ -164,7 +164,7 @@ def test_a_white_shot_and_a_dark_one(folder: Path, tmp_path: Path, l3: L3) -> No
     ("text", "code", "says"),
     [
         ('frames = ["none.npy"]', 3, "no chart of 4×6 patches"),
-        ('frames = ["clipped.npy"]\ncorners = CORNERS', 3, "shorten the exposure"),
+        ('frames = ["clipped.npy"]\nCORNERS', 3, "shorten the exposure"),
         ('frames = ["d65.npy"]\nlight = "D66"', 2, '"D66" is unknown'),
         ('frames = ["d65.npy"]\nlight = "table.csv"', 3, "do not cover 400…700 nm"),
         ('frames = ["d65.npy"]\nchart = "clasic"', 2, 'did you mean "classic"'),
@@ -180,7 +180,7 @@ def test_a_white_shot_and_a_dark_one(folder: Path, tmp_path: Path, l3: L3) -> No
     ],
 )
 def test_one_line_for_every_mistake(folder: Path, text: str, code: int, says: str, tmp_path: Path, refused: Refused) -> None:
-    text = text.replace("CORNERS", str(photos.UPRIGHT.tolist()))
+    text = text.replace("CORNERS", CORNERS)
     assert says in refused(code, "calibrate", measured(folder, f"[photo]\n{text}\n"), "-o", tmp_path / "camera.h5")
 
 
@@ -204,7 +204,7 @@ def test_a_prior_of_a_folder(folder: Path, tmp_path: Path, l3: L3, refused: Refu
         curves = photos.drawn(seed) * WAVELENGTH
         rows = "\n".join(",".join(f"{value:.6g}" for value in row) for row in np.column_stack([WAVELENGTH, curves.T]))
         (folder / f"cameras/{seed}.csv").write_text(f"nm,r,g,b\n{rows}\n")
-    path = measured(folder, '[photo]\nframes = ["d65.npy"]\nlight = "D65"\n', 'prior = "cameras"\n' + FILE)
+    path = measured(folder, f'[photo]\nframes = ["d65.npy"]\nlight = "D65"\n{CORNERS}', 'prior = "cameras"\n' + FILE)
     code, out, err = l3("calibrate", path, "-o", tmp_path / "camera.h5")
     assert code == 0, err
     assert "prior of the curves" in out

@@ -13,7 +13,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingFrame, TrainingSet, open_training_set, write_training_set
 from l3cli.classes.chroma import chroma_centres
 from l3cli.classes.decide import label_mosaic
-from l3cli.cli import run
+from l3cli.cli import quality_tables, run
 from l3cli.evaluation.classes import ClassErrors
 from l3cli.evaluation.evaluation import Evaluation
 from l3cli.io.images import read_image
@@ -119,6 +119,17 @@ def test_tables_name_everything_that_is_compared(trained: Path, l3: Callable) ->
     assert code == 0
     for word in ("S-CIELAB", "basic", "by light level", "by illuminant", "by class: chroma", "worst classes", "dead leaves"):
         assert word in out, word
+
+
+def test_classes_that_differ_in_a_further_feature_are_told_apart(capsys: pytest.CaptureFixture[str]) -> None:
+    of = {"mean_delta_e": 3.0}
+    about = {"level": 6, "from": 0.1, "to": 0.2, "contrast": 0, "chroma": 5, "case": 0, "pixels": 91, "ours": of}
+    worst = [about | {"direction": 1, "varies": "along 0°"}, about | {"direction": 2, "varies": "along 45°"}, about]
+    quality_tables._print_classes({"pipelines": ["ours"], "by_class": {}, "worst_classes": worst}, "mean_delta_e")
+    out = capsys.readouterr().out
+    assert "contrast 0 · direction 1: along 0° · chroma 5" in out
+    assert "contrast 0 · direction 2: along 45° · chroma 5" in out
+    assert "contrast 0 · chroma 5" in out
 
 
 def test_pictures_of_every_frame(trained: Path, l3: Callable, refused: Callable, tmp_path: Path) -> None:

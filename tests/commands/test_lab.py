@@ -98,6 +98,7 @@ def test_a_patch_has_the_value_that_its_measured_radiance_says(folder: Path, bay
     assert measured == pytest.approx(bayer.gain * electrons, rel=0.01)  # ~130 pixels of ~1000 e-: 0.3 %
 
 
+@pytest.mark.usefixtures("same_workers")
 def test_same_seed_same_bytes_whatever_the_jobs(
     folder: Path, bayer_recipe: Path, quick: Path, tmp_path: Path, l3: Callable[..., tuple[int, str, str]]
 ) -> None:

@@ -32,12 +32,6 @@ jsonschema = pytest.importorskip("jsonschema")
 
 
 @pytest.fixture
-def table(tmp_path: Path) -> Path:
-    save(RGGB, tmp_path / "table.h5")
-    return tmp_path / "table.h5"
-
-
-@pytest.fixture
 def shots(tmp_path: Path) -> Path:
     """A folder with a clip of each kind, of the same frames: fold/, pat_00.tif …, stack.npy, still.npy, v.mkv."""
     folder = tmp_path / "shots"

@@ -8,22 +8,15 @@ import numpy as np
 import pytest
 import tifffile
 
-from l3cli.artifacts.store import save
 from l3cli.errors import InputFileError
 from l3cli.io.frames import read_frame
 from l3cli.io.images import read_image, write_mosaic, write_picture
 from l3cli.io.raw.pages import count_pages, read_page
 from l3cli.limits import TRUST
 from tests.helpers.calls import L3, Refused
-from tests.helpers.sequences import COUNT, FAST, RGGB, frames, pictures
+from tests.helpers.sequences import COUNT, FAST, frames, pictures
 
 PLAIN = {"photometric": "minisblack", "metadata": None}
-
-
-@pytest.fixture
-def table(tmp_path: Path) -> Path:
-    save(RGGB, tmp_path / "table.h5")
-    return tmp_path / "table.h5"
 
 
 def write_pages(path: Path, pages: Iterable[np.ndarray], big: bool = False, order: str = "<", **options: object) -> Path:

@@ -21,7 +21,7 @@ from l3cli.io.images import read_image, write_picture
 from l3cli.locks import sole_writer_of_file, sole_writer_of_folder
 from tests.helpers.cameras import bayer_camera
 from tests.helpers.paths import CONFIGS, ROOT
-from tests.helpers.recipes import SMALL
+from tests.helpers.recipes import FEW_CLASSES, SMALL
 from tests.helpers.workplace import PATH, Workplace, a_workplace
 
 needs_snakemake = pytest.mark.skipif(not shutil.which("snakemake", path=PATH), reason="snakemake is not installed")
@@ -45,9 +45,9 @@ def made(workplace: Workplace, tmp_path_factory: pytest.TempPathFactory) -> tupl
     assert run(["init", "bayer", str(folder), "--quiet"]) == 0
     recipes = {
         **SMALL,
-        "classes": SMALL["classes"].replace("first_draws = 0", "first_draws = 2"),
+        "classes": FEW_CLASSES.replace("first_draws = 0", "draws = 3\nfirst_draws = 2"),
         "bands_scenes": SMALL["scenes"] + '[target]\noutputs = "camera"\n',
-        "bands_classes": SMALL["classes"],
+        "bands_classes": FEW_CLASSES,
         "camera": bayer_camera().replace("[400, 700, 10]", "[400, 700, 5]"),
     }
     for recipe, text in recipes.items():
@@ -240,7 +240,7 @@ def test_a_benchmark_learns_from_pictures_and_judges_on_others(workplace: Workpl
         smooth = gaussian_filter(noise.mean(axis=0), 1.2) + 0.2 * gaussian_filter(noise, (0, 4, 4))
         codes = np.rint(255 * (smooth - smooth.min()) / np.ptp(smooth)).astype(np.uint8)
         write_picture(folder / name / "noise.png", np.ascontiguousarray(np.moveaxis(codes, 0, -1)))
-    (folder / "classes.toml").write_text(SMALL["classes"])
+    (folder / "classes.toml").write_text(FEW_CLASSES)
     out, calls = workplace.do(folder, make)
     assert sorted(calls) == ["evaluate", "simulate test.h5", "simulate training.h5", "train table.h5"]
     assert out.endswith((folder / "quality.txt").read_text())

@@ -10,17 +10,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from l3cli.artifacts.store import save
 from l3cli.errors import InputFileError
 from l3cli.frame import with_one_black_level
 from l3cli.io.raw.cfa_codes import channel_codes, find_phase
 from l3cli.io.raw.files import KnownBetter, read_raw
 from tests.helpers.calls import Refused
-from tests.helpers.cameras import BAYER, FIVE_BAND
+from tests.helpers.cameras import FIVE_BAND
 from tests.helpers.dng_files import BYTE, LONG, RATIONAL, SHORT, SRATIONAL, lossless_jpeg, packed, write_dng
+from tests.helpers.raw_files import RGGB
 from tests.helpers.tables import random_table
 
-RGGB = dataclasses.replace(random_table(BAYER, bits=12, black_level=64.0), camera_name="RGGB", rows=32, cols=40)
 X_TRANS = np.array(
     [[1, 2, 1, 1, 0, 1], [0, 1, 0, 2, 1, 2], [1, 2, 1, 1, 0, 1], [1, 0, 1, 1, 2, 1], [2, 1, 2, 0, 1, 0], [1, 0, 1, 1, 2, 1]]
 )
@@ -46,17 +45,6 @@ class Sensor:
 
 def sensor(channels: tuple[str, ...], cfa: np.ndarray) -> Any:
     return Sensor(channels, cfa.astype(np.uint8))
-
-
-@pytest.fixture
-def mosaic() -> np.ndarray:
-    return np.random.default_rng(0).integers(0, 4096, (RGGB.rows, RGGB.cols)).astype(np.uint16)
-
-
-@pytest.fixture
-def table(tmp_path: Path) -> Path:
-    save(RGGB, tmp_path / "table.h5")
-    return tmp_path / "table.h5"
 
 
 # --------------------------------------------------------------------------------------- the colour filter array
@@ -219,10 +207,10 @@ def test_linearisation_table_is_applied(tmp_path: Path, mosaic: np.ndarray) -> N
     ],
 )
 def test_a_dng_that_does_not_fit_is_refused(
-    refused: Refused, tmp_path: Path, table: Path, mosaic: np.ndarray, tags: dict[int, tuple[int, list[int]]], word: str
+    refused: Refused, tmp_path: Path, raw_table: Path, mosaic: np.ndarray, tags: dict[int, tuple[int, list[int]]], word: str
 ) -> None:
     write_dng(tmp_path / "a.dng", mosaic, PATTERN, tags=tags)
-    assert word in refused(3, "render", table, tmp_path / "a.dng", "-o", tmp_path / "a.png")
+    assert word in refused(3, "render", raw_table, tmp_path / "a.dng", "-o", tmp_path / "a.png")
 
 
 # ------------------------------------------------------------------------------------------------- camera raws by LibRaw

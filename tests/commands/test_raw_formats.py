@@ -1,6 +1,5 @@
 """Raw files of the field: packed dumps, graymaps, FITS."""
 
-import dataclasses
 import subprocess
 import sys
 from pathlib import Path
@@ -11,7 +10,6 @@ from astropy.io import fits
 from hypothesis import given
 from hypothesis import strategies as st
 
-from l3cli.artifacts.store import save
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.io.frames import read_frame
 from l3cli.io.images import read_image
@@ -20,22 +18,7 @@ from l3cli.io.raw.fits import INSTALL
 from l3cli.io.raw.packed import PACKED, PACKINGS, make_layout, row_bytes
 from l3cli.io.sequences import find_frames
 from tests.helpers.calls import L3, Refused
-from tests.helpers.cameras import BAYER
-from tests.helpers.tables import random_table
-
-RGGB = dataclasses.replace(random_table(BAYER, bits=12, black_level=64.0), camera_name="RGGB", rows=32, cols=40)
-
-
-@pytest.fixture
-def mosaic() -> np.ndarray:
-    return np.random.default_rng(0).integers(0, 4096, (RGGB.rows, RGGB.cols)).astype(np.uint16)
-
-
-@pytest.fixture
-def table(tmp_path: Path) -> Path:
-    save(RGGB, tmp_path / "table.h5")
-    return tmp_path / "table.h5"
-
+from tests.helpers.raw_files import RGGB
 
 # ------------------------------------------------------------------------------------------------------ packed dumps
 
@@ -79,18 +62,18 @@ def test_the_bytes_of_the_standard() -> None:
     assert make_layout((1, 2), "raw12", None).unpack(bytes([0xAB, 0x12, 0x3C])).tolist() == [[0xABC, 0x123]]
 
 
-def test_packed_files_and_stacks_render_as_their_values(l3: L3, tmp_path: Path, table: Path, mosaic: np.ndarray) -> None:
+def test_packed_files_and_stacks_render_as_their_values(l3: L3, tmp_path: Path, raw_table: Path, mosaic: np.ndarray) -> None:
     np.save(tmp_path / "a.npy", np.stack([mosaic >> 2, mosaic >> 3]))
     levels = ("--black-level", 16, "--white-level", 1023, "--exposure", 0.8, "--backend", "reference", "--quiet")
-    assert l3("render", table, tmp_path / "a.npy", "-o", tmp_path / "truth", *levels) == (0, "", "")
+    assert l3("render", raw_table, tmp_path / "a.npy", "-o", tmp_path / "truth", *levels) == (0, "", "")
     content = [pack(values, "raw10", 64) for values in (mosaic >> 2, mosaic >> 3)]
     (tmp_path / "a.raw10").write_bytes(b"".join(content))
     (tmp_path / "a.bin").write_bytes(b"".join(content))
     (tmp_path / "one.raw10").write_bytes(content[1])
     layout = ("--stride", 64, *levels)
-    assert l3("render", table, tmp_path / "a.raw10", "-o", tmp_path / "out", *layout) == (0, "", "")
-    assert l3("render", table, tmp_path / "a.bin", "-o", tmp_path / "bin", "--packing", "raw10", *layout) == (0, "", "")
-    assert l3("render", table, tmp_path / "one.raw10", "-o", tmp_path / "one.png", *layout) == (0, "", "")
+    assert l3("render", raw_table, tmp_path / "a.raw10", "-o", tmp_path / "out", *layout) == (0, "", "")
+    assert l3("render", raw_table, tmp_path / "a.bin", "-o", tmp_path / "bin", "--packing", "raw10", *layout) == (0, "", "")
+    assert l3("render", raw_table, tmp_path / "one.raw10", "-o", tmp_path / "one.png", *layout) == (0, "", "")
     for number in (0, 1):
         truth = read_image(tmp_path / f"truth/a_{number:06d}.png")[0]
         np.testing.assert_array_equal(read_image(tmp_path / f"out/a_{number:06d}.png")[0], truth)
@@ -98,8 +81,20 @@ def test_packed_files_and_stacks_render_as_their_values(l3: L3, tmp_path: Path, 
     np.testing.assert_array_equal(read_image(tmp_path / "one.png")[0], truth)
 
 
-def test_a_packed_stream_renders(tmp_path: Path, table: Path, mosaic: np.ndarray) -> None:
-    arguments = ["render", table, "-", "-o", tmp_path / "####.png", "--size", "32x40", "--packing", "raw12", "--stride", 64]
+def test_a_packed_stream_renders(tmp_path: Path, raw_table: Path, mosaic: np.ndarray) -> None:
+    arguments = [
+        "render",
+        raw_table,
+        "-",
+        "-o",
+        tmp_path / "####.png",
+        "--size",
+        "32x40",
+        "--packing",
+        "raw12",
+        "--stride",
+        64,
+    ]
     command = [sys.executable, "-c", "import sys; from l3cli.cli import run; sys.exit(run(sys.argv[1:]))"]
     command += [str(each) for each in (*arguments, "--backend", "reference", "--quiet", "--exposure", 0.8)]
     done = subprocess.run(command, input=pack(mosaic, "raw12", 64) * 2, capture_output=True, check=False)
@@ -107,14 +102,14 @@ def test_a_packed_stream_renders(tmp_path: Path, table: Path, mosaic: np.ndarray
     assert (tmp_path / "0000.png").read_bytes() == (tmp_path / "0001.png").read_bytes()
 
 
-def test_dumps_of_another_size_are_refused(refused: Refused, tmp_path: Path, table: Path) -> None:
+def test_dumps_of_another_size_are_refused(refused: Refused, tmp_path: Path, raw_table: Path) -> None:
     (tmp_path / "a.raw12").write_bytes(bytes(1925))
-    line = refused(3, "render", table, tmp_path / "a.raw12", "-o", tmp_path / "a.png")
+    line = refused(3, "render", raw_table, tmp_path / "a.raw12", "-o", tmp_path / "a.png")
     assert "1925 bytes, 32×40 raw12 values have 1920" in line
     assert "--stride" in line
-    short = refused(2, "render", table, tmp_path / "a.raw12", "-o", tmp_path / "a.png", "--stride", 59)
+    short = refused(2, "render", raw_table, tmp_path / "a.raw12", "-o", tmp_path / "a.png", "--stride", 59)
     assert "40 raw12 values has 60 bytes" in short
-    assert "raw14" in refused(2, "render", table, tmp_path / "a.raw12", "-o", tmp_path / "a.png", "--packing", "raw14")
+    assert "raw14" in refused(2, "render", raw_table, tmp_path / "a.raw12", "-o", tmp_path / "a.png", "--packing", "raw14")
     with pytest.raises(RecipeError, match="no pixels"):
         make_layout((0, 4), "raw10", None)
 
@@ -162,16 +157,20 @@ def test_a_lab_may_write_graymaps(tmp_path: Path, mosaic: np.ndarray) -> None:
         (b"P5 999999999 999999999 65535\n", "truncated"),
     ],
 )
-def test_broken_graymaps_are_refused(refused: Refused, tmp_path: Path, table: Path, content: bytes, word: str) -> None:
+def test_broken_graymaps_are_refused(refused: Refused, tmp_path: Path, raw_table: Path, content: bytes, word: str) -> None:
     (tmp_path / "a.pgm").write_bytes(content)
-    assert word in refused(3, "render", table, tmp_path / "a.pgm", "-o", tmp_path / "a.png")
+    assert word in refused(3, "render", raw_table, tmp_path / "a.pgm", "-o", tmp_path / "a.png")
 
 
-def test_a_folder_of_graymaps_is_a_sequence(l3: L3, tmp_path: Path, table: Path, mosaic: np.ndarray) -> None:
+def test_a_folder_of_graymaps_is_a_sequence(l3: L3, tmp_path: Path, raw_table: Path, mosaic: np.ndarray) -> None:
     (tmp_path / "clip").mkdir()
     for number in (9, 10):
         (tmp_path / f"clip/{number}.pgm").write_bytes(b"P5 40 32 4095\n" + mosaic.astype(">u2").tobytes())
-    assert l3("render", table, tmp_path / "clip", "-o", tmp_path / "out", "--backend", "reference", "--quiet") == (0, "", "")
+    assert l3("render", raw_table, tmp_path / "clip", "-o", tmp_path / "out", "--backend", "reference", "--quiet") == (
+        0,
+        "",
+        "",
+    )
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["10.png", "9.png"]
 
 
@@ -213,23 +212,23 @@ def test_a_fits_cube_is_a_sequence(tmp_path: Path, mosaic: np.ndarray) -> None:
 
 
 def test_broken_fits_is_refused(
-    refused: Refused, tmp_path: Path, table: Path, mosaic: np.ndarray, monkeypatch: pytest.MonkeyPatch
+    refused: Refused, tmp_path: Path, raw_table: Path, mosaic: np.ndarray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path, output = tmp_path / "a.fits", tmp_path / "a.png"
     path.write_bytes(b"nothing")
-    assert "no FITS file" in refused(3, "render", table, path, "-o", output)
+    assert "no FITS file" in refused(3, "render", raw_table, path, "-o", output)
     fits.writeto(path, mosaic, overwrite=True)
     path.write_bytes(path.read_bytes()[:3000])
-    assert "damaged" in refused(3, "render", table, path, "-o", output)
+    assert "damaged" in refused(3, "render", raw_table, path, "-o", output)
     for values, word in (
         (mosaic / 2, "float64"),
         (mosaic.astype(np.int16) - 9, "unsigned"),
         (mosaic.astype("u4"), "uint32"),
     ):
         fits.writeto(path, values, overwrite=True)
-        assert word in refused(3, "render", table, path, "-o", output)
+        assert word in refused(3, "render", raw_table, path, "-o", output)
     fits.HDUList([fits.PrimaryHDU()]).writeto(path, overwrite=True)
-    assert "no image" in refused(3, "render", table, path, "-o", output)
+    assert "no image" in refused(3, "render", raw_table, path, "-o", output)
     monkeypatch.setitem(sys.modules, "astropy.io", None)
     monkeypatch.setenv("L3_TRUST", "1")  # the process that decodes has separate modules
-    assert INSTALL in refused(1, "render", table, path, "-o", output)
+    assert INSTALL in refused(1, "render", raw_table, path, "-o", output)

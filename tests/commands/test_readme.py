@@ -49,7 +49,8 @@ def command(name: str) -> click.Command:
 
 
 @pytest.mark.parametrize("line", LINES)
-def test_every_command_shown_is_complete(line: str) -> None:
+def test_every_command_shown_is_complete(line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)  # where a --log may lie
     calls = commands(line)
     assert calls, line
     for name, *arguments in calls:
@@ -104,6 +105,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "scenes/default.toml": {r"(?s)size = \[160, 160\]\ncount = 60.*": "size = [64, 64]\ncount = 4\n"},
         "scenes/demo_unseen.toml": {r"size = \[720, 1280\]": "size = [160, 240]"},
         "classes/default.toml": {
+            r"levels = 10 ": "levels = 4 ",
             r"patches = 120000": "patches = 1000",
             r"mosaics = 900": "mosaics = 8",
             r"rows = 6000": "rows = 500",

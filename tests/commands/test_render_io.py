@@ -17,7 +17,7 @@ from l3cli.io.images import read_image, write_picture
 from l3cli.io.raw.files import KnownBetter, read_raw
 from l3cli.physics import spectra
 from l3cli.physics.display import adaptation_matrix, scene_white, srgb_from_xyz_matrix
-from l3cli.rendering import opencl_devices
+from l3cli.rendering import opencl_devices, renderer
 from l3cli.rendering.display import make_display
 from l3cli.rendering.reference import ReferenceRenderer
 from tests.helpers.calls import L3, Refused
@@ -285,6 +285,17 @@ def test_a_frame_is_rendered_without_colour_science_by_its_very_numbers(tmp_path
     slow = "{'colour', 'scipy', 'matplotlib', 'av', 'tifffile'}"
     program = f"import sys; from l3cli.cli import run; code = {call}; sys.exit(code or bool({slow} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
+
+
+def test_a_dry_run_makes_no_device_ready(
+    l3: L3, tmp_path: Path, table: Path, raw: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[str] = []
+    monkeypatch.setattr(renderer, "make_ready", made.append)
+    assert l3("render", table, raw, "-o", tmp_path / "a.png", "--dry-run")[0] == 0
+    assert made == []
+    assert l3("render", table, raw, "-o", tmp_path / "a.png")[0] == 0
+    assert made == ["opencl"]
 
 
 # ------------------------------------------------------------------------------------------------------- real files

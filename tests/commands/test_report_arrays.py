@@ -15,7 +15,7 @@ from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.store import save
 from l3cli.artifacts.training_set import TrainingSet, write_training_set
 from l3cli.cli import run
-from tests.helpers.browser import CHROMIUM, Browser
+from tests.helpers.browser import Browser
 from tests.helpers.calls import L3
 from tests.helpers.cameras import bayer_camera
 from tests.helpers.tables import colorimetric_table, frame_of_all_levels
@@ -144,16 +144,14 @@ def test_frames_of_an_array_without_a_table_are_said_to_be_left_out(files: list[
     assert "Side by side" not in sections(text)
 
 
-@pytest.mark.skipif(not CHROMIUM, reason="no Chromium here; .ci/run installs it")
-def test_the_divider_names_what_it_divides(both: Path) -> None:
-    with Browser() as tab:
-        for width in (400, 1200):
-            tab.open(both, width, dark=True)
-            assert tab.complaints() == []
-            assert tab.run("document.documentElement.scrollWidth") <= width
-        label = "document.querySelector('.comparison label').textContent"
-        assert tab.run(label) == "Compare <i>bayer.h5 with"
-        cut = "document.querySelector('.comparison input').getAttribute('aria-valuetext')"
-        assert tab.run(cut) == "50 % <i>bayer.h5"
-        options = "[...document.querySelectorAll('.comparison option')].slice(0, 2).map((each) => each.text)"
-        assert tab.run(options) == ["quad.h5", "ideal"]
+def test_the_divider_names_what_it_divides(both: Path, tab: Browser) -> None:
+    for width in (400, 1200):
+        tab.open(both, width, dark=True)
+        assert tab.complaints() == []
+        assert tab.run("document.documentElement.scrollWidth") <= width
+    label = "document.querySelector('.comparison label').textContent"
+    assert tab.run(label) == "Compare <i>bayer.h5 with"
+    cut = "document.querySelector('.comparison input').getAttribute('aria-valuetext')"
+    assert tab.run(cut) == "50 % <i>bayer.h5"
+    options = "[...document.querySelectorAll('.comparison option')].slice(0, 2).map((each) => each.text)"
+    assert tab.run(options) == ["quad.h5", "ideal"]

@@ -5,13 +5,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.fit import Fit, PhotoFit
 from l3cli.artifacts.store import save
 from l3cli.physics import spectra
-from tests.helpers.browser import CHROMIUM, Browser
+from tests.helpers.browser import Browser
 from tests.helpers.calls import L3
 
 SURFACES = spectra.colorchecker(np.arange(400.0, 701.0, 10.0))[1][:, ::12]  # (24, 3) some values of a chart
@@ -89,11 +88,9 @@ def test_several_photos_and_a_guessed_light(bayer: CameraModel, tmp_path: Path, 
     assert again == text
 
 
-@pytest.mark.skipif(not CHROMIUM, reason="no Chromium")
-def test_it_is_painted_without_complaint(bayer: CameraModel, tmp_path: Path, l3: L3) -> None:
+def test_it_is_painted_without_complaint(bayer: CameraModel, tmp_path: Path, l3: L3, tab: Browser) -> None:
     page(photographed(bayer, ("one.dng",), guessed=False, deficit=0.0), tmp_path, l3)
-    with Browser() as tab:
-        for dark in (False, True):
-            tab.open(tmp_path / "report.html", width=500, dark=dark)
-            assert tab.complaints() == []
-            assert tab.run("document.documentElement.scrollWidth") <= 500
+    for dark in (False, True):
+        tab.open(tmp_path / "report.html", width=500, dark=dark)
+        assert tab.complaints() == []
+        assert tab.run("document.documentElement.scrollWidth") <= 500

@@ -5,7 +5,6 @@ import dataclasses
 import json
 import re
 import zlib
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,7 +24,8 @@ from l3cli.frame import RawFrame
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.report.pixels import Crop, Layer, Sites, packed, richest
 from l3cli.stages.reporting.pixels import crop_of
-from tests.helpers.browser import CHROMIUM, Browser
+from l3cli.stages.reporting.sections import CLASS_BYTES
+from tests.helpers.browser import Browser
 from tests.helpers.tables import colorimetric_table, frame_of_all_levels, with_later, with_tree
 from tests.helpers.training_sets import a_frame
 
@@ -73,7 +73,7 @@ def unpacked(text: str) -> View:
         return array
 
     for layer in head["layers"]:
-        classes, outputs, taps = len(layer["classes"]), len(head["outputs"]), layer["side"] ** 2 * len(layer["planes"])
+        classes, outputs, taps = layer["held"], len(head["outputs"]), layer["side"] ** 2 * len(layer["planes"])
         largest = numbers("<f4", classes * outputs).reshape(classes, outputs, 1)
         labels = numbers("<u2", int(np.prod(head["size"]))).reshape(head["size"])
         root = numbers("i1", classes * outputs * taps).reshape(classes, outputs, taps) / 127
@@ -96,10 +96,9 @@ def test_every_pixel_has_its_classes_and_transforms(report: Report) -> None:
     for number, (labels, weights) in enumerate(view.layers):
         layer = report.table.layers[number]
         truth = renderer.labels(report.raw, number)[top : top + rows, left : left + cols]
-        words = view.head["layers"][number]["classes"]
-        assert len(words) == len(np.unique(truth))
+        words = view.head["layers"][number]["classes"][: len(np.unique(truth))]
         assert np.array_equal(np.array([int(each["class"].split()[0]) for each in words])[labels], truth)
-        wanted = layer.weights[np.unique(truth)]
+        wanted = layer.weights[[int(each["class"].split()[0]) for each in view.head["layers"][number]["classes"]]]
         assert np.abs(weights - wanted).max() <= 0.009 * np.abs(wanted).max()
         for index, said in zip(np.unique(truth).tolist(), words, strict=True):
             of_class = (
@@ -161,25 +160,52 @@ def test_the_crop_is_that_of_most_classes_and_of_bounded_size(report: Report) ->
     assert smaller.layers[0].labels.size < np.prod(SIZE)
     assert len(less) < len(text)
     again = crop_of(report.table, report.table.camera, renderer, report.raw, 10**6)[1]
-    assert again == text == packed_in(report.page)
+    assert again == text
+    assert len(text) < len(packed_in(report.page)) <= len(text) + CLASS_BYTES
+
+
+def test_other_classes_follow_those_of_the_crop(report: Report) -> None:
+    """All of them in words, and their weights as far as there is room, those of most pixels first; if there is none, those
+    of the frame alone or no other."""
+    assert report.table.camera is not None
+    given = report.table, report.table.camera, ReferenceRenderer(report.table), report.raw
+    small = 1  # letters, which only the smallest crop is tried for
+    _, alone = crop_of(*given, small)
+    plain, truths = unpacked(alone), [given[2].labels(report.raw, number) for number in range(2)]
+    for more, whole in ((CLASS_BYTES, True), (len(alone) // 2, False)):
+        crop, text = crop_of(*given, small, more)
+        assert len(text) <= len(alone) + more
+        view, (top, left) = unpacked(text), crop.corner
+        for number, (labels, weights) in enumerate(view.layers):
+            layer, head = report.table.layers[number], view.head["layers"][number]
+            truth = truths[number]
+            classes = [int(each["class"].split()[0]) for each in head["classes"]]
+            first = plain.head["layers"][number]["held"]
+            assert classes[:first] == np.unique(truth[top : top + labels.shape[0], left : left + labels.shape[1]]).tolist()
+            assert len(set(classes)) == len(classes)
+            assert head["held"] == len(weights) <= len(classes)
+            pixels = np.bincount(truth.ravel(), minlength=len(layer.weights))
+            held = head["pixels"] + [0] * (len(classes) - len(head["pixels"]))
+            assert held == pixels[classes].tolist()
+            assert (np.diff(held[first:]) <= 0).all()
+            if whole:
+                assert len(classes) == len(layer.weights)
+                assert head["held"] > first
+                assert np.abs(weights - layer.weights[classes][: len(weights)]).max() <= 0.009 * np.abs(layer.weights).max()
+            for index, said in zip(classes, head["classes"], strict=True):
+                row, col = divmod(index // layer.rule.classes_per_site, 2)
+                assert said["site"] == f"({row}, {col}) {report.table.channels[report.table.cfa[row, col]]}"
+    assert unpacked(crop_of(*given, small, 0)[1]).head["layers"] == plain.head["layers"]
 
 
 def test_transforms_without_weights_are_packed() -> None:
     labels = np.zeros((1, 1), int)
-    layer = Layer(3, ("mosaic",), labels, ({"level": "0"},), np.zeros(1), np.zeros((1, 1, 9)))
-    view = unpacked(packed(Crop((0, 0), (layer,)), Sites(np.zeros((1, 1), np.uint8), ("w",), ("#fff",)), ("Y",)))
+    layer = Layer(3, ("mosaic",), labels, ({"level": "0"},), np.zeros(1), np.ones(1, int), np.zeros((1, 1, 9)))
+    view = unpacked(packed(Crop((0, 0), (1, 1), (layer,)), Sites(np.zeros((1, 1), np.uint8), ("w",), ("#fff",)), ("Y",)))
     assert not view.layers[0][1].any()
 
 
 # ------------------------------------------------------------------------------------------------------- in a browser
-
-
-@pytest.fixture(scope="module")
-def tab() -> Iterator[Browser]:
-    if CHROMIUM is None:
-        pytest.skip("no Chromium here; .ci/run installs it")
-    with Browser() as browser:
-        yield browser
 
 
 READ = "document.querySelector('.reading').innerText"
@@ -251,9 +277,44 @@ def test_the_drawn_transform_is_that_of_the_class(tab: Browser, report: Report) 
     assert tab.run("document.querySelector('.reading').getAttribute('aria-live')") == "polite"
 
 
+@pytest.mark.parametrize("width", [1200, 400])
+def test_any_class_is_looked_at_without_the_picture(tab: Browser, report: Report, width: int) -> None:
+    """By keys alone: the list is opened, a layer, a site and a class chosen."""
+    tab.open(report.page, width)
+    tab.run(READY)
+    tab.run("document.querySelector('.classes summary').focus()")
+    tab.call("Input.dispatchKeyEvent", type="keyDown", key="Enter", code="Enter", text="\r", windowsVirtualKeyCode=13)
+    tab.run(READY.replace(".reading h4", ".classes h5"))
+    layer, site, classes = (f"document.querySelectorAll('.classes select')[{number}]" for number in range(3))
+    each = len(report.table.first.weights) // 4
+    assert tab.run(f"{classes}.length") == each
+    tab.run(f"{site}.focus()")
+    press(tab, "ArrowDown")
+    assert tab.run(f"{site}.selectedOptions[0].text") == "(0, 1) <b>"
+    pixels = np.bincount(ReferenceRenderer(report.table).labels(report.raw).ravel(), minlength=4 * each)[each : 2 * each]
+    shares = [f"{100 * count / np.prod(SIZE):.2f} %" for count in sorted(pixels.tolist(), reverse=True)]
+    assert tab.run(f"[...{classes}.options].map((each) => each.text.split(' · ')[0])") == shares
+    tab.run(f"{classes}.focus()")
+    press(tab, "ArrowDown")
+    second = int(np.argsort(-pixels, kind="stable")[1]) + each
+    words = class_words(report.table, second)
+    said = tab.run("document.querySelector('.classes .reading').innerText")
+    assert f"{second} of {4 * each}" in said
+    assert words["level"] in said
+    assert f"{shares[1]} of its pixels" in said
+    taps = report.table.first.weights.shape[1] * report.table.first.weights.shape[2] + 25
+    assert tab.run("document.querySelectorAll('.classes .reading rect').length") == taps
+    tab.run(f"{layer}.focus()")
+    press(tab, "ArrowDown")
+    assert "structure" in tab.run("document.querySelector('.classes .reading').innerText")
+    assert tab.complaints() == []
+    assert tab.run("document.documentElement.scrollWidth") <= width
+
+
 def test_without_scripts_the_crops_are_pictures(tab: Browser, report: Report) -> None:
     tab.open(report.page, scripts=False)
     tab.call("Emulation.setScriptExecutionDisabled", value=False)
     assert not tab.run("document.querySelector('.reading').checkVisibility()")
     assert not tab.run("document.querySelector('.hint span').checkVisibility()")
+    assert not tab.run("document.querySelector('.classes').checkVisibility()")
     assert tab.run("[...document.querySelectorAll('.crops img')].every((each) => each.checkVisibility())")

@@ -16,21 +16,8 @@ import tifffile
 from l3cli.artifacts.store import save
 from l3cli.io.images import write_mosaic
 from tests.helpers.calls import L3, Refused
-from tests.helpers.sequences import COUNT, FAST, RGGB, RUN, frames, pictures, write_frames, write_stack
+from tests.helpers.sequences import COUNT, FAST, RGGB, RUN, frames, pictures, write_stack
 from tests.helpers.tables import with_first
-
-
-@pytest.fixture
-def table(tmp_path: Path) -> Path:
-    save(RGGB, tmp_path / "table.h5")
-    return tmp_path / "table.h5"
-
-
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    """frame_07.tif … frame_11.tif"""
-    return write_frames(tmp_path / "frames")
-
 
 # --------------------------------------------------------------------------------------------------- broken and resumed
 

@@ -23,20 +23,8 @@ from l3cli.rendering.exposure import LightMeter, SteadyExposure
 from l3cli.rendering.reference import ReferenceRenderer
 from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import BAYER, FIVE_BAND
-from tests.helpers.sequences import COUNT, FAST, RGGB, RUN, frames, pictures, write_frames, write_stack
+from tests.helpers.sequences import COUNT, FAST, RGGB, RUN, frames, pictures, write_stack
 from tests.helpers.tables import random_table, with_first
-
-
-@pytest.fixture
-def table(tmp_path: Path) -> Path:
-    save(RGGB, tmp_path / "table.h5")
-    return tmp_path / "table.h5"
-
-
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    """frame_07.tif … frame_11.tif"""
-    return write_frames(tmp_path / "frames")
 
 
 @pytest.fixture

@@ -69,6 +69,7 @@ def test_pictures_hold_the_raw_frame_and_a_white_that_is_white(
     assert 110 < patch.mean() < 130
 
 
+@pytest.mark.usefixtures("same_workers")
 def test_the_same_bytes_whatever_the_number_of_jobs(
     l3: Callable[..., tuple[int, str, str]], bayer_recipe: Path, tmp_path: Path
 ) -> None:

@@ -53,6 +53,15 @@ def test_one_frame_needs_one_process_few_libraries_and_few_programs(desk: Path, 
     assert (desk / "x.png").read_bytes() == made
 
 
+def test_nothing_is_said_when_all_is_done(desk: Path) -> None:
+    """Libraries tell of their objects that are still there when Python ends, of a picture's file among them."""
+    call = [sys.executable, "-m", "l3cli", "render", "table.h5", "raw.tif", "-o", "y.exr", "--force", "--quiet"]
+    ended = subprocess.run(
+        call, cwd=desk, env=os.environ | {"PYTHONPATH": str(CONFIGS.parent)}, capture_output=True, check=False
+    )
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, b"", b"")
+
+
 def test_a_foreign_file_is_read_in_the_sandbox(desk: Path, tmp_path: Path) -> None:
     import OpenImageIO as oiio
 

@@ -16,7 +16,7 @@ from l3cli.rendering.temporal import chunks
 from l3cli.rendering.temporal.reference import ReferenceFilter
 from tests.helpers.cameras import BAYER, random_camera
 from tests.helpers.sequences import FAST, pictures
-from tests.helpers.tables import random_table
+from tests.helpers.tables import random_table, with_quiet
 
 ROWS, COLS, COUNT, BLACK = 40, 52, 9, 64.0
 CAMERA = random_camera(BAYER, 3, 12, BLACK)
@@ -62,6 +62,20 @@ def test_a_picture_is_that_of_its_filtered_mosaic(l3: Callable, tmp_path: Path, 
         outputs = ReferenceRenderer(quiet_table(TABLE, made.noise_share)).outputs(made)
         assert np.array_equal(ours[name], np.moveaxis(outputs, 0, -1))
     assert (shares[0], shares[-1]) == (1.0, 0.5)
+
+
+def test_quiet_pixels_are_rendered_by_the_quiet_set(l3: Callable, tmp_path: Path, folder: Path) -> None:
+    two = with_quiet(TABLE)
+    save(two, tmp_path / "two.h5")
+    assert l3("render", tmp_path / "two.h5", folder, "-o", tmp_path / "out", "--temporal", *LINEAR) == (0, "", "")
+    filtered, quiet = ReferenceFilter((2, 2), CAMERA), []
+    for name, mosaic in zip(sorted(each.name for each in folder.iterdir()), mosaics(), strict=True):
+        made = filtered.filtered(RawFrame("frame", mosaic, BLACK, 4095.0))
+        assert made.noise_left is not None
+        quiet.append(made.noise_left.quiet(0.125**0.5, made.values.shape).mean())
+        outputs = ReferenceRenderer(two, by_noise=True).outputs(made)
+        assert np.array_equal(read_image(tmp_path / "out" / name)[0], np.moveaxis(outputs, 0, -1))
+    assert (quiet[0], quiet[-1] > 0.9) == (0.0, True)
 
 
 def test_stacks_and_files_named_one_by_one_are_sequences_too(

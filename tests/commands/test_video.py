@@ -34,12 +34,6 @@ OUTPUTS = {  # arguments: encoder, pixel format, transfer (13: sRGB, 1: BT.709),
 
 
 @pytest.fixture
-def table(tmp_path: Path) -> Path:
-    save(RGGB, tmp_path / "table.h5")
-    return tmp_path / "table.h5"
-
-
-@pytest.fixture
 def stack(tmp_path: Path) -> Path:
     np.save(tmp_path / "stack.npy", frames())
     return tmp_path / "stack.npy"

@@ -286,7 +286,7 @@ def test_no_chromas_are_none(l3: L3, tmp_path: Path, pipeline: Path) -> None:
     tables = []
     for chromas in (0, 1):
         recipe = tmp_path / f"{chromas}.toml"
-        recipe.write_text(CLASSES.replace("[learning]", f"chromas = {chromas}\n[learning]").replace("12000", "500"))
+        recipe.write_text(CLASSES.replace("chromas = 3", f"chromas = {chromas}").replace("5000", "500"))
         output = tmp_path / f"{chromas}.h5"
         assert l3("train", pipeline / "training.h5", "--classes", recipe, "-o", output, "--quiet") == (0, "", "")
         tables.append(load(TransformTable, output))

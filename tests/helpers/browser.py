@@ -10,6 +10,10 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from l3cli.io.images import read_image
+
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 PATIENCE = 120  # seconds without a word
 FLAGS = (
@@ -125,3 +129,30 @@ class Browser:
         """The page as it is printed."""
         path.write_bytes(base64.b64decode(self.call("Page.printToPDF", printBackground=False)["data"]))
         return path
+
+
+AREAS = """[...document.querySelectorAll('figure img, svg[role=img]')].filter(e => e.checkVisibility()).map(e => {
+  const r = e.getBoundingClientRect();
+  return {x: r.x + scrollX, y: r.y + scrollY, width: r.width, height: r.height, natural: e.naturalWidth ?? 1,
+          name: e.alt || e.getAttribute('aria-label')};
+})"""
+UNPACKED = """new Promise((done) => {
+  const waiting = () => [...document.querySelectorAll('.pixels .reading')].some((each) => each.hidden);
+  const wait = () => waiting() ? setTimeout(wait, 20) : done();
+  wait();
+})"""
+
+
+def painted(tab: Browser, path: Path) -> dict[str, np.ndarray]:
+    """Pixels of every figure and picture on the page by what it says."""
+    tab.run(UNPACKED)
+    areas = tab.run(AREAS)
+    assert areas
+    whole, _ = read_image(tab.screenshot(path))
+    pixels = {}
+    for area in areas:
+        assert area["natural"] > 0, area
+        assert min(area["width"], area["height"]) >= 20, area
+        rows = slice(round(area["y"]), round(area["y"] + area["height"]))
+        pixels[area["name"]] = whole[rows, round(area["x"]) : round(area["x"] + area["width"])]
+    return pixels

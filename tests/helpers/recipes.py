@@ -20,7 +20,7 @@ source = "composition"
 size = [160, 240]
 seed = 5
 """
-CLASSES = "[classes]\npatch = 5\nlevels = 8\n[learning]\npatches = 5000\n"
+CLASSES = "[classes]\npatch = 5\nlevels = 8\nchromas = 3\n[learning]\npatches = 5000\ndraws = 4\n"
 FEW_CLASSES = "[classes]\npatch = 5\nlevels = 4\nchromas = 1\n[learning]\npatches = 300\nfirst_draws = 0\n"
 SMALL = {
     "scenes": 'exposure_share = [0.9]\n[[scene]]\nsource = "dead leaves"\nsize = [64, 64]\ncount = 4\n',

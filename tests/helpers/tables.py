@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.layers import MosaicLayer, PlaneLayer
+from l3cli.artifacts.layers import RATIO_TAPS, MosaicLayer, PlaneLayer
+from l3cli.artifacts.quiet_set import QuietSet
 from l3cli.artifacts.structure_rule import StructureRule
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import LightSpectrum
@@ -37,8 +38,8 @@ def with_first(table: TransformTable, **fields: Any) -> TransformTable:
     return dataclasses.replace(table, first=dataclasses.replace(table.first, **fields))
 
 
-def with_later(table: TransformTable, *sides: int, seed: int = 1) -> TransformTable:
-    """The table with later layers of random weights, whose windows have these sides."""
+def with_later(table: TransformTable, *sides: int, seed: int = 1, ratios: bool = False) -> TransformTable:
+    """The table with later layers of random weights, whose windows have these sides; the last one may have colour ratios."""
     rng = np.random.default_rng(seed)
     sites, outputs, below = table.cfa.size, len(table.outputs), table.first.rule
     layers = []
@@ -56,10 +57,44 @@ def with_later(table: TransformTable, *sides: int, seed: int = 1) -> TransformTa
         weights = (rng.normal(size=(classes, outputs, outputs * side**2)) / side).astype(np.float32)
         samples = np.where(np.arange(classes) % 2, 10.0, 0.0)
         layers.append(PlaneLayer(side, weights, np.zeros((classes, outputs), np.float32), samples, rule))
+    if ratios:
+        layers[-1] = with_ratios(layers[-1], rng)
     return dataclasses.replace(table, later=tuple(layers))
 
 
-def with_tree(table: TransformTable, side: int = 3, leaves: int = 40, seed: int = 1) -> TransformTable:
+def with_quiet(table: TransformTable, noise_left: float = 0.125, seed: int = 9) -> TransformTable:
+    """The table with a quiet set of random weights and lower edges."""
+    rng = np.random.default_rng(seed)
+    rule, features = table.first.rule, table.first.rule.features
+    least = np.arange(len(rule.contrast_edges), dtype=np.uint32)[:, None]
+    edges = np.maximum((rule.contrast_edges * 0.02).astype(np.uint32), least)
+    if features:
+        features = dataclasses.replace(
+            features, constants=np.where(features.constants > 64, features.constants // 3, features.constants)
+        )
+    first = dataclasses.replace(
+        table.first,
+        rule=dataclasses.replace(rule, contrast_edges=edges, features=features),
+        weights=rng.permutation(table.first.weights),
+        intercept=rng.permutation(table.first.intercept),
+    )
+    later = tuple(
+        dataclasses.replace(
+            layer.scaled_as(dataclasses.replace(layer.rule, gradient_factor=layer.rule.gradient_factor[::-1])),
+            weights=rng.permutation(layer.weights),
+        )
+        for layer in table.later
+    )
+    return dataclasses.replace(table, quiet=QuietSet(noise_left, first, later))
+
+
+def with_ratios(layer: PlaneLayer, rng: np.random.Generator) -> PlaneLayer:
+    """The layer with random weights for the taps of colour ratios."""
+    behind = (rng.normal(size=(*layer.weights.shape[:2], RATIO_TAPS)) / layer.side).astype(np.float32)
+    return dataclasses.replace(layer, weights=np.concatenate([layer.weights, behind], axis=2))
+
+
+def with_tree(table: TransformTable, side: int = 3, leaves: int = 40, seed: int = 1, ratios: bool = False) -> TransformTable:
     """The table with a second layer of random weights, whose classes are the leaves of a random tree that a random frame
     falls into; sites are learned in random orientations."""
     rng = np.random.default_rng(seed)
@@ -77,7 +112,7 @@ def with_tree(table: TransformTable, side: int = 3, leaves: int = 40, seed: int 
     weights = (rng.normal(size=(classes, outputs, outputs * side**2)) / side).astype(np.float32)
     samples = np.where(np.arange(classes) % 2, 10.0, 0.0)
     layer = PlaneLayer(side, weights, np.zeros((classes, outputs), np.float32), samples, tree=rule)
-    return dataclasses.replace(table, later=(layer,))
+    return dataclasses.replace(table, later=(with_ratios(layer, rng) if ratios else layer,))
 
 
 def frame_of_all_levels(

@@ -97,6 +97,7 @@ def test_the_monitor_and_stray_light_count(mean_lab: Path, fine_bayer_recipe: Pa
     assert min(channel["R²"] for channel in result["channels"].values()) > 0.99  # which hardly shows it
 
 
+@pytest.mark.usefixtures("same_workers")
 def test_processes_change_nothing(lab_folder: Path, tmp_path: Path, l3: L3) -> None:
     for jobs in (1, 2):
         assert l3("calibrate", lab_folder / "MEASUREMENTS.toml", "-o", tmp_path / f"{jobs}.h5", "--jobs", jobs)[0] == 0

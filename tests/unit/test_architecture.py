@@ -1,6 +1,7 @@
 """Imports go down: never up, never across rooms; outside libraries enter by their one door (docs/architecture.md#floors)."""
 
 import ast
+import functools
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,6 +25,7 @@ FLOORS = [
         "recipes",
         "files",
         "ledger",
+        "importing",
         "locks",
         "columns",
         "quantities",
@@ -64,7 +66,7 @@ DOORS = {
     "dask": ("parallel/cluster.py",),
     "distributed": ("parallel/cluster.py",),
     "rich": ("cli/",),
-    "threadpoolctl": ("api.py",),
+    "threadpoolctl": ("api/stages.py",),
     "jinja2": ("report/",),
     "markupsafe": ("report/",),
     "colour_demosaicing": ("evaluation/",),
@@ -75,9 +77,15 @@ DOORS = {
 LONGEST = 300  # lines of a module
 
 
+@functools.cache
+def nodes(path: Path) -> list[ast.AST]:
+    """Every node of a module, which is parsed once for all tests."""
+    return list(ast.walk(ast.parse(path.read_text())))
+
+
 def imports(path: Path) -> set[str]:
     modules = set()
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in nodes(path):
         if isinstance(node, ast.Import):
             modules |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
@@ -128,7 +136,7 @@ def test_class_indices_are_split_in_one_place() -> None:
     for path in PACKAGE.rglob("*.py"):
         if path.name in ("class_rule.py", "plane_classes.py"):
             continue
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in nodes(path):
             divides = isinstance(node, ast.BinOp) and isinstance(node.op, ast.FloorDiv | ast.Mod)
             divides |= isinstance(node, ast.Call) and ast.unparse(node.func).endswith(("divmod", "unravel_index"))
             used = {part.attr for part in ast.walk(node) if isinstance(part, ast.Attribute)} if divides else set()
@@ -137,13 +145,12 @@ def test_class_indices_are_split_in_one_place() -> None:
 
 def texts(path: Path) -> Iterator[str]:
     """Every string of a module but docstrings; of an f-string the parts between its fields."""
-    tree = ast.parse(path.read_text())
     docstrings = {
         id(node.body[0].value)
-        for node in ast.walk(tree)
+        for node in nodes(path)
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and node.body and isinstance(node.body[0], ast.Expr)
     }
-    for node in ast.walk(tree):
+    for node in nodes(path):
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docstrings:
             yield node.value
 

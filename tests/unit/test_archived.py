@@ -111,7 +111,7 @@ def test_a_table_without_layers_opens_as_one_of_one_layer(archived: Archived, fo
         assert "first" not in root
     save(table, folder / "again.h5")
     with h5py.File(folder / "again.h5") as root:
-        assert (int(root.attrs["version"]), "weights" in root, "first/weights" in root) == (3, False, True)
+        assert (int(root.attrs["version"]), "weights" in root, "first/weights" in root) == (4, False, True)
         assert (root["black_level"][()], root["white_level"][()]) == (64.0, 3814.0)
         assert not {"black", "white"} & set(root)
     assert equal(load(TransformTable, folder / "again.h5"), table)

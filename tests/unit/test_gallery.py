@@ -3,6 +3,7 @@
 import importlib
 import json
 import re
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -51,6 +52,29 @@ def test_the_page_says_where_it_loses(gallery: ModuleType, entries: dict[str, di
     ours = {"mean_delta_e": basic["mean_delta_e"] - 1, "psnr": basic["psnr"] - 1}
     worse = {"x": {**entry, "figures": {"ours": ours, "basic": basic}}}
     assert "Better than ours: basic on x (PSNR)." in gallery.page(worse, gallery.RECIPES)
+
+
+def test_the_largest_arrays_are_begun_first_and_each_by_one_process(
+    gallery: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And figures stand in the order of the recipes, whatever the order in which arrays are done."""
+    made = []
+
+    def make(array: Any) -> tuple[dict[str, Any], float]:
+        made.append((array.name, array.jobs))
+        return {"title": array.name, "summary": "2×2,  3 channels  x", "twins": [], "figures": {}}, 1.0
+
+    def ordered_map(function: Any, items: Any, jobs: int) -> Any:
+        assert jobs == 2
+        return map(make, items)
+
+    monkeypatch.setattr(gallery, "ordered_map", ordered_map)
+    monkeypatch.setattr(gallery, "page", lambda entries, recipes: "")
+    monkeypatch.setattr(gallery, "FIGURES", tmp_path / "figures.json")
+    monkeypatch.setattr(gallery, "PAGE", tmp_path / "gallery.md")
+    assert gallery.main(["bayer", "xtrans", "snapshot16", "bayer"], 2) == 0
+    assert made == [("snapshot16", 1), ("xtrans", 1), ("bayer", 1)]
+    assert list(json.loads((tmp_path / "figures.json").read_text())) == ["bayer", "snapshot16", "xtrans"]
 
 
 def test_a_wrong_name_makes_nothing(gallery: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:

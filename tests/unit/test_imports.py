@@ -1,11 +1,13 @@
 """Ctrl-C while a module is imported comes when it is whole: half a module is taken for one that is not there."""
 
+import gc
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from l3cli.importing import without_collecting
 from tests.helpers.paths import CONFIGS
 
 PROGRAM = """
@@ -41,3 +43,13 @@ def test_a_signal_waits_for_the_end_of_an_import(tmp_path: Path, name: str, endi
     known = {"PYTHONPATH": f"{CONFIGS.parent}:{tmp_path}"}
     ended = subprocess.run([sys.executable, "-c", PROGRAM], env=known, capture_output=True, text=True, check=True)
     assert ended.stdout == f"{ending} True\n"
+
+
+def test_nothing_is_collected_while_modules_are_imported() -> None:
+    with without_collecting():
+        states = [gc.isenabled()]
+        with without_collecting():
+            pass
+        states.append(gc.isenabled())
+    assert states == [False, False]
+    assert gc.isenabled()

@@ -84,6 +84,18 @@ def test_layers_agree_in_what_they_share() -> None:
         )
 
 
+def test_only_the_last_layer_has_colour_ratios(tmp_path: Path) -> None:
+    one, two = with_later(TABLE, 3, 5, ratios=True).later
+    table = dataclasses.replace(TABLE, later=(one, two))
+    assert (one.ratio_taps, two.ratio_taps, two.window_taps) == (0, 2, 75)
+    save(table, tmp_path / "table.h5")
+    assert equal(load(TransformTable, tmp_path / "table.h5"), table)
+    with pytest.raises(ValueError, match="a layer that another follows has colour ratios"):
+        dataclasses.replace(TABLE, later=(two, one))
+    with pytest.raises(ValueError, match="76 taps"):
+        dataclasses.replace(TABLE, later=(dataclasses.replace(two, weights=two.weights[..., :76]),))
+
+
 @pytest.mark.parametrize("lost", ["first", "later/0"])
 def test_a_layer_that_is_missing_is_named(path: Path, lost: str) -> None:
     with h5py.File(path, "r+") as root:

@@ -31,6 +31,24 @@ def test_results_come_in_order_from_the_same_processes() -> None:
     assert alone(squared, 3) == 9
 
 
+@pytest.mark.parametrize("guarded", [False, True])
+def test_a_script_is_run_once(tmp_path: Path, guarded: bool) -> None:
+    """Also one that calls l3cli on its top level; and the functions of one that guards itself are found all the same."""
+    lines = ["from l3cli.parallel import ordered_map", "print('begun')"]
+    if guarded:
+        lines += ["def halved(number): return number / 2", "if __name__ == '__main__':"]
+        lines += ["    print(list(ordered_map(halved, [2, 4], 2)), __file__)"]
+    else:
+        lines += ["print(list(ordered_map(abs, [-1, -2], 2)), __file__)"]
+    script = tmp_path / "script.py"
+    script.write_text("\n".join(lines))
+    ended = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=50)
+    assert (ended.returncode, ended.stderr) == (0, "")
+    said = ended.stdout.splitlines()
+    assert said[-1] == (f"[1.0, 2.0] {script}" if guarded else f"[1, 2] {script}")
+    assert guarded or said[:-1] == ["begun"]
+
+
 def drawing(number: int) -> set[str]:
     """What a worker that has asked for a spectrum could draw plots and make tables with."""
     spectra.white_point("D65")

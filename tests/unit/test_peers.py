@@ -24,6 +24,8 @@ from tests.helpers.tables import random_table
 FOLDER = ROOT / "docs/peers"
 GRBG = np.array([[1, 0], [2, 1]], np.uint8)
 SCENES = 'illuminants = ["D65"]\nexposure_share = [0.9, 0.5]\n[[scene]]\nsource = "colorchecker"\nsize = [48, 72]\n'
+RUN = {"date": "2026-01-02", "source": "abc", "machine": "a processor, 2 cores"}
+PLAIN = {"run": RUN, "trained": {"o": RUN}, "missing": [], "absent": []}
 SHAPE = (120, 160)
 COLOUR = np.array([0.9, 0.5, 0.25])
 
@@ -57,24 +59,58 @@ def test_the_page_is_that_of_its_figures(peers: Callable[[str], ModuleType], par
 
 def test_the_page_says_where_ours_is_beaten(peers: Callable[[str], ModuleType]) -> None:
     page = peers("peers_page")
-    lost = page.section("bands", {"rows": [row("x", 41.5), row("o", 40, ours=True)], "missing": ["y"], "absent": ["z"]})
+    lost = page.section(
+        "bands", PLAIN | {"rows": [row("x", 41.5), row("o", 40, ours=True)], "missing": ["y"], "absent": ["z"]}
+    )
     assert "Better than ours: x of p in PSNR (dB), by 1.50; x of p in SAM (°), by 1.50." in lost
     assert "Not installed: y." in lost
     assert "are not there: z." in lost
-    won = page.section("bands", {"rows": [row("o", 40, ours=True), row("x", 39)], "missing": [], "absent": []})
+    won = page.section("bands", PLAIN | {"rows": [row("o", 40, ours=True), row("x", 39)]})
     assert "Nothing measured here is better" in won
     assert "| **o** | p | **40.00** | **0.9000** | **10.00** | 0.1 |" in won
 
 
 def test_a_part_that_was_not_measured_is_named(peers: Callable[[str], ModuleType]) -> None:
-    page = peers("peers_page").page({"bands": {"rows": [row("o", 40, ours=True)], "missing": [], "absent": []}})
+    page = peers("peers_page").page({"bands": PLAIN | {"rows": [row("o", 40, ours=True)]}})
     assert "**Not measured for this page**: Bayer, as published (`make peers PARTS=bayer`), X-Trans (" in page
     assert "## Sixteen bands" in page
     assert "## X-Trans" not in page
 
 
+def test_the_page_says_of_which_run_each_part_is(peers: Callable[[str], ModuleType]) -> None:
+    page, rows = peers("peers_page").page, {"rows": [row("o", 40, ours=True)]}
+    one = page({"bands": PLAIN | rows})
+    assert "All of it is of one run: 2026-01-02, source `abc`, a processor, 2 cores." in one
+    assert "was trained" not in one
+    figures = {f"{level} {key}": 1.0 for level in ("0.2", "0.02") for key in ("psnr", "delta_e")}
+    noise = {"rows": [row("o", 40, ours=True, figures=figures)]}
+    older = {"o": RUN | {"source": "def"}, "p": None}
+    several = page(
+        {"bands": PLAIN | rows | {"trained": older}, "noise": PLAIN | {"run": RUN | {"date": "2026-01-03"}} | noise}
+    )
+    assert "Parts are of several runs" in several
+    assert "The table of o was trained on 2026-01-02, source `def`." in several
+    assert "The table of p was trained by a run that was not noted." in several
+
+
+def test_a_source_is_known_by_what_it_holds(peers: Callable[[str], ModuleType], tmp_path: Path) -> None:
+    provenance = peers("provenance")
+    (tmp_path / "l3cli").mkdir()
+    (tmp_path / "l3cli/a.py").write_text("1")
+    first = provenance.source(tmp_path)
+    (tmp_path / "l3cli/__pycache__").mkdir()
+    (tmp_path / "l3cli/__pycache__/a.pyc").write_text("2")
+    assert provenance.source(tmp_path) == first
+    (tmp_path / "l3cli/a.py").rename(tmp_path / "l3cli/b.py")
+    assert provenance.source(tmp_path) != first
+    table = tmp_path / "table.h5"
+    assert provenance.stamped(table) is None
+    provenance.stamp(table)
+    assert provenance.stamped(table) == provenance.origin()
+
+
 def test_published_figures_stand_in_columns_of_their_own(peers: Callable[[str], ModuleType]) -> None:
-    part = {"rows": [row("o", 0, ours=True, figures={"Kodak psnr": 41.0})], "missing": [], "absent": []}
+    part = PLAIN | {"rows": [row("o", 0, ours=True, figures={"Kodak psnr": 41.0})]}
     lines = peers("peers_page").section("bayer", part).splitlines()
     assert "| **o** | p | **41.00** | 0.1 | — | — |" in lines
     assert "| CDM-CNN (Tan and others 2017) | published | — | — | *42.04* | *38.98* |" in lines
@@ -201,6 +237,32 @@ def test_tables_and_rivals_are_judged_alike(
     assert best["settings"] == {"s psnr": "brighter", "s delta_e": "brighter"}
     assert best["figures"]["s delta_e"] < 15  # hard edges of a small chart
     assert all(each["seconds"] == 1 for each in rows)
+
+
+def test_seconds_are_measured_again_without_the_figures(
+    peers: Callable[[str], ModuleType], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of the settings that the figures are of; a method that is not here keeps what was measured of it."""
+    module, rivals = peers("peers"), peers("rivals")
+    seen: list[str] = []
+
+    def put(rows: list[dict[str, Any]], *given: Any) -> None:
+        seen.extend(row["name"] for row in rows)
+        for each in rows:
+            each["seconds"] = 7.0
+
+    monkeypatch.setattr(module, "put_seconds", put)
+    rows = [row("x", 41.5), row("gone", 40, seconds=2.0)]
+    part = module.Comparison({}, {}, [rivals.Rival("x", "p", {})], None).timed(PLAIN | {"rows": rows})
+    assert seen == ["x"]
+    assert [(each["name"], each["seconds"], each["figures"]["bands psnr"]) for each in part["rows"]] == [
+        ("x", 7.0, 41.5),
+        ("gone", 2.0, 40),
+    ]
+    page = peers("peers_page")
+    assert "Seconds: 2026-01-02, source" in page.section("bands", PLAIN | {"rows": [row("o", 1, ours=True)], "timed": RUN})
+    del rows[0]["seconds"]
+    assert "| — |" in page.section("bands", PLAIN | {"rows": [row("o", 1, ours=True), rows[0]]})
 
 
 def test_a_wrong_part_measures_nothing(peers: Callable[[str], ModuleType], capsys: pytest.CaptureFixture[str]) -> None:

@@ -30,6 +30,9 @@ def test_the_container_copies_what_a_wheel_is_built_from_and_drops_rights() -> N
     copied = {word for line in lines if line.startswith("COPY") for word in line.split()[1:-1]}
     wheel = PROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]
     assert copied == {"pyproject.toml", "README.md", "LICENSE", *wheel["packages"], *wheel["force-include"]}
+    ignored = (ROOT / "docs/install/Dockerfile.dockerignore").read_text(encoding="utf-8").splitlines()
+    assert "*" in ignored
+    assert {line[1:] for line in ignored if line.startswith("!")} == copied
     assert [line.split()[0] for line in lines if line[:4] in ("FROM", "USER")] == ["FROM", "USER"]
     assert lines.index("USER l3") < lines.index('ENTRYPOINT ["l3"]')
 

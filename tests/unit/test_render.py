@@ -1,6 +1,7 @@
 """Rendering: the float64 reference against hand-made truths, the OpenCL kernels against the reference."""
 
 import dataclasses
+import math
 import threading
 import time
 from typing import Any
@@ -14,14 +15,14 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.classes import direction
 from l3cli.classes.windows import neighbourhoods
 from l3cli.errors import RecipeError
-from l3cli.frame import RawFrame
+from l3cli.frame import NoiseLeft, RawFrame
 from l3cli.rendering import opencl_bands
 from l3cli.rendering.display import Display, encode, make_display
 from l3cli.rendering.opencl import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.rendering.renderer import BACKENDS, make_renderer
 from tests.helpers.cameras import BAYER, FIVE_BAND, X_TRANS
-from tests.helpers.tables import XYZ, frame_of_all_levels, random_table, with_first, with_later, with_tree
+from tests.helpers.tables import XYZ, frame_of_all_levels, random_table, with_first, with_later, with_quiet, with_tree
 
 # float32 sums of at most 225 products, each term below 1 and rounded to 6e-8: 225 · 6e-8 at worst, a tenth of it in fact.
 OUTPUT_TOLERANCE = 1e-5
@@ -41,6 +42,7 @@ TABLES = {
     ),
     "stripes": lambda: random_table(STRIPES, bits=8, patch=3, outputs=XYZ + ("N", "U"), contrasts=()),
     "sixteen": lambda: random_table(SIXTEEN, bits=13, patch=15, outputs=("a",), contrasts=(1.4, 3.0), wild=True),
+    "four outputs": lambda: random_table(BAYER, bits=12, black_level=64.0, patch=5, outputs=XYZ + ("N",)),
     "mono": lambda: random_table([[0]], bits=16, patch=11, outputs=tuple("abcdefghijklmnop"), wild=True),
     "directions": lambda: random_table(BAYER, bits=14, black_level=256.0, patch=9, direction=direction.Keys()),
     "directions of a large array": lambda: random_table(
@@ -49,18 +51,28 @@ TABLES = {
     "8 directions": lambda: random_table(
         FIVE_BAND, black_level=100.0, direction=direction.Keys(orientations=8, strengths=(1.5, 6.0), coherence=0.4)
     ),
-    "two layers": lambda: with_later(random_table(FIVE_BAND, black_level=100.0, patch=9), 5),
+    "two layers": lambda: with_later(random_table(FIVE_BAND, black_level=100.0, patch=9), 5, ratios=True),
     "two layers of 16 bits": lambda: with_later(random_table(X_TRANS, bits=16, black_level=2048.0, patch=7), 3),
     "three layers": lambda: with_later(random_table(FIVE_BAND, black_level=100.0, patch=7), 5, 3, seed=2),
-    "four layers": lambda: with_later(random_table(X_TRANS, bits=14, patch=5), 3, 7, 5, seed=4),
-    "two wide layers": lambda: with_later(random_table(BAYER, bits=8, patch=5), 7, seed=3),
+    "four layers": lambda: with_later(random_table(X_TRANS, bits=14, patch=5), 3, 7, 5, seed=4, ratios=True),
+    "a layer of single pixels": lambda: with_later(random_table(BAYER, patch=5), 1, seed=6, ratios=True),
+    "two wide layers": lambda: with_later(random_table(BAYER, bits=8, patch=5), 7, seed=3, ratios=True),
     "tree of 8 bits": lambda: with_tree(random_table(BAYER, bits=8, patch=5, seed=11), 5, leaves=100),
-    "tree of five bands": lambda: with_tree(random_table(FIVE_BAND, black_level=108.93, patch=9, seed=11), seed=2),
+    "tree of five bands": lambda: with_tree(
+        random_table(FIVE_BAND, black_level=108.93, patch=9, seed=11), seed=2, ratios=True
+    ),
     "tree of 16 bits": lambda: with_tree(
         random_table(X_TRANS, bits=16, black_level=2048.0, patch=7, seed=14), leaves=400, seed=3
     ),
     "tree of stripes": lambda: with_tree(random_table(STRIPES, bits=14, black_level=512.5, patch=5, seed=11), 7, seed=4),
     "tree of one leaf": lambda: with_tree(random_table(BAYER, patch=3), leaves=1, seed=5),
+    "two sets": lambda: with_quiet(
+        random_table(FIVE_BAND, contrasts=(1.1, 2.0), direction=direction.Keys(orientations=8, strengths=(1.5, 6.0)))
+    ),
+    "two sets of three layers": lambda: with_quiet(
+        with_later(random_table(BAYER, black_level=64.0, patch=9, direction=direction.Keys()), 5, 3, ratios=True)
+    ),
+    "two sets of a tree": lambda: with_quiet(with_tree(random_table(X_TRANS, bits=14, patch=5, seed=11), seed=2)),
 }
 TREES = [name for name in TABLES if name.startswith("tree")][:-1]  # of several leaves
 
@@ -72,11 +84,12 @@ KINDS: dict[str, dict[str, Any]] = {  # how a table is rendered: arguments of Op
     "graphics": {"variant": "graphics"},
 }
 RENDERED = [(name, "processor") for name in TABLES]
-RENDERED += [("five-band", "8 lanes"), ("five-band", "16 lanes")]
+RENDERED += [("five-band", "8 lanes"), ("five-band", "16 lanes"), ("four outputs", "8 lanes")]
 RENDERED += [("five-band", "graphics"), ("x-trans", "graphics"), ("stripes", "graphics")]
 RENDERED += [("8 directions", "8 lanes"), ("8 directions", "16 lanes")]
 RENDERED += [("directions", "graphics"), ("8 directions", "graphics")]
 RENDERED += [("two layers", "8 lanes"), ("two layers", "graphics"), ("two layers of 16 bits", "graphics")]
+RENDERED += [("two sets of three layers", "graphics")]
 RENDERED += [("tree of five bands", "graphics"), ("tree of stripes", "graphics"), ("tree of one leaf", "graphics")]
 
 
@@ -84,7 +97,8 @@ RENDERED += [("tree of five bands", "graphics"), ("tree of stripes", "graphics")
 def renderers(request: pytest.FixtureRequest) -> tuple[ReferenceRenderer, OpenCLRenderer]:
     name, kind = request.param
     table = TABLES[name]()
-    return ReferenceRenderer(table), OpenCLRenderer(table, **KINDS[kind])
+    by_noise = table.quiet is not None
+    return ReferenceRenderer(table, by_noise), OpenCLRenderer(table, by_noise=by_noise, **KINDS[kind])
 
 
 LENGTHS = st.integers(1, 24) | st.sampled_from([47, 48, 49, 66])
@@ -105,7 +119,16 @@ def frames(draw: st.DrawFn, table: TransformTable) -> RawFrame:
         row, col = rng.integers(0, rows), rng.integers(0, cols)
         values[row : row + rng.integers(1, 9), col : col + rng.integers(1, 9)] = value
     phase = (draw(st.integers(0, table.cfa.shape[0] - 1)), draw(st.integers(0, table.cfa.shape[1] - 1)))
-    return RawFrame("drawn", np.clip(values, 0, top).astype(np.uint16), table.black_level, table.white_level, phase)
+    raw = np.clip(values, 0, top).astype(np.uint16)
+    return RawFrame("drawn", raw, table.black_level, table.white_level, phase, noise_left=some_left(rng, rows, cols))
+
+
+def some_left(rng: np.random.Generator, rows: int, cols: int) -> NoiseLeft:
+    """Noise that a filter has left in cells of 4 × 6 pixels: little, much, or just the limit of 0.125."""
+    limit = math.isqrt(1024**2 // 8)
+    return NoiseLeft(
+        rng.choice(np.array([44, limit, limit + 1, 1024], np.uint16), (-(-rows // 4), -(-cols // 6))), 1024, (4, 6)
+    )
 
 
 def assert_equal_to_reference(reference: ReferenceRenderer, device: OpenCLRenderer, frame: RawFrame) -> None:

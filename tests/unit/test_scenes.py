@@ -13,7 +13,7 @@ from l3cli.io.scenes.rgb import read as read_rgb_picture
 from l3cli.physics import paint, spectra
 from l3cli.physics.display import srgb_curve, srgb_from_xyz_matrix
 from l3cli.scene import Scene
-from l3cli.simulation import charts, leaves, light, procedural, reflectances, rgb
+from l3cli.simulation import charts, light, procedural, reflectances, rgb
 from tests.helpers.paths import CONFIGS
 
 WAVELENGTH = np.arange(400.0, 701.0, 10.0)
@@ -233,28 +233,6 @@ def test_no_colorchecker_among_the_training_reflectances() -> None:
     _, chart = spectra.colorchecker(WAVELENGTH)
     nearest = np.sqrt(((chart[:, None] - library[None]) ** 2).mean(axis=2)).min(axis=1)
     assert nearest.min() > 1e-3
-
-
-def test_leaves_cover_the_picture_with_radii_of_density_r_to_the_minus_three() -> None:
-    rng = np.random.default_rng(0)
-    cover = leaves.dead_leaves(rng, (200, 300), 4.0, 100.0)
-    assert cover.label.min() == 0
-    assert cover.label.max() == len(cover.radius) - 1
-    radius = leaves._radii(rng, 20000, 4.0, 100.0)
-    assert radius.min() >= 4
-    assert radius.max() <= 100
-    assert np.mean(radius > 8) == pytest.approx((8**-2 - 100**-2) / (4**-2 - 100**-2), rel=0.03)
-
-
-def test_pink_fields_have_their_spectrum() -> None:
-    field = leaves.pink(np.random.default_rng(0), (256, 256), 1.0)
-    assert field.dtype == np.float32
-    assert abs(field.mean()) < 1e-3
-    assert field.std() == pytest.approx(1.0, rel=1e-3)
-    power = abs(np.fft.fft2(field)) ** 2
-    frequency = np.hypot(np.fft.fftfreq(256)[:, None], np.fft.fftfreq(256))
-    low, high = (power[(frequency > f) & (frequency < 1.2 * f)].mean() for f in (0.05, 0.2))
-    assert low / high == pytest.approx(16.0, rel=0.2)
 
 
 def test_dead_leaves_are_what_the_method_asks_for() -> None:

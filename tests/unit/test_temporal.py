@@ -56,6 +56,9 @@ def test_kernels_agree_with_the_reference_on_every_value(cfa: ArrayLike, bits: i
         assert np.array_equal(reference.kept.values, kernels.kept())
         assert np.array_equal(ours.values, theirs.values)
         assert ours.noise_share == theirs.noise_share
+        assert ours.noise_left is not None
+        assert theirs.noise_left is not None
+        assert np.array_equal(ours.noise_left.shares, theirs.noise_left.shares)
         weights.append(reference.kept.left.mean() / ONE)
     assert min(weights) < 0.7  # much was blended
     assert reference.vectors is not None

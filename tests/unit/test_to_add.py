@@ -242,7 +242,8 @@ chromas = 1
 steps = 3
 [classes.direction]
 [learning]
-patches = 2000
+patches = 500
+draws = 2
 first_draws = 0
 """
 COMPARED = """

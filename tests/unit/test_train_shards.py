@@ -34,10 +34,12 @@ from l3cli.training.sums import empty_sums
 from l3cli.training.training_pass import LAST, TrainingPass, spread_patches
 from tests.helpers.training_sets import a_frame, a_set
 
-SMALL = "[classes]\npatch = 3\nlevels = 4\n[learning]\npatches = 2100\nfirst_draws = 1\ndraws = 2\n"
+SMALL = "[classes]\npatch = 3\nlevels = 4\nchromas = 2\n[learning]\npatches = 2100\nfirst_draws = 1\ndraws = 2\n"
 
 TWO_LAYERS = SMALL.replace("2100", "900") + "[[layer]]\nside = 3\nmosaics = 12\nrows = 500\n"
-THREE_LAYERS = TWO_LAYERS + "[[layer]]\nside = 1\nleaves = 3\ntree_rows = 1000\nmosaics = 7\nrows = 500\n"
+THREE_LAYERS = (
+    TWO_LAYERS + "[[layer]]\nside = 3\nleaves = 3\ntree_rows = 1000\nmosaics = 7\nrows = 500\ncolour_ratios = true\n"
+)
 
 
 def test_patches_are_spread_over_frames_or_by_shares() -> None:
@@ -131,12 +133,13 @@ def lit_set(path: Path, camera: CameraModel, count: int, white: tuple[float, flo
     return path
 
 
+@pytest.mark.usefixtures("same_workers")
 def test_same_bytes_for_jobs_and_shards(bayer: CameraModel, tmp_path: Path, l3: Callable, refused: Callable) -> None:
     """One process, two processes, three shards of each pass merged in any order: the same table to the last bit."""
     training = a_set(tmp_path / "training.h5", bayer, 4, smooth=False)
     more = a_set(tmp_path / "more.h5", bayer, 3, smooth=True)
     # more patches than are sorted together, so that there are blocks to deal out: two, and the third shard is empty
-    small = "[classes]\npatch = 3\nlevels = 4\n[learning]\npatches = 52000\nfirst_draws = 1\ndraws = 1\n"
+    small = "[classes]\npatch = 3\nlevels = 4\nchromas = 2\n[learning]\npatches = 52000\nfirst_draws = 1\ndraws = 1\n"
     (tmp_path / "classes.toml").write_text(small)
     run = (training, more, "--classes", tmp_path / "classes.toml", "--seed", 5)
     for jobs in (1, 2):
@@ -188,6 +191,7 @@ def in_shards(l3: Callable, run: tuple, shards: int, folder: Path, *first: objec
     return paths, table, err
 
 
+@pytest.mark.usefixtures("same_workers")
 def test_a_second_layer_has_the_same_bytes_in_shards(
     bayer: CameraModel, tmp_path: Path, l3: Callable, refused: Callable
 ) -> None:
@@ -237,7 +241,7 @@ def test_three_layers_have_the_same_bytes_in_shards(
     (tmp_path / "classes.toml").write_text(THREE_LAYERS)
     run = (training, "--classes", tmp_path / "classes.toml", "--seed", 5)
     assert l3("train", *run, "-o", tmp_path / "whole.h5")[0] == 0
-    assert [layer.side for layer in load(TransformTable, tmp_path / "whole.h5").later] == [3, 1]
+    assert [layer.side for layer in load(TransformTable, tmp_path / "whole.h5").later] == [3, 3]
 
     before: tuple = ()
     shards, tables = [], []
@@ -306,6 +310,7 @@ def test_shares_weigh_training_sets(bayer: CameraModel, tmp_path: Path, l3: Call
     assert alone.history[-1].inputs == table.history[-1].inputs
 
 
+@pytest.mark.usefixtures("same_workers")
 def test_shares_give_the_same_bytes_in_shards(bayer: CameraModel, tmp_path: Path, l3: Callable, refused: Callable) -> None:
     sets = [a_set(tmp_path / f"{count}.h5", bayer, count, smooth=False) for count in (3, 1)]
     text = SMALL.replace("2100", "52000").replace("draws = 2", "draws = 1")  # more than are sorted together

@@ -12,7 +12,7 @@ from l3cli.errors import InputFileError, RecipeError
 from l3cli.frame import RawFrame, upright
 from l3cli.io.raw.cfa_codes import neutral_of_channels
 from l3cli.physics import near_lights, spectra
-from l3cli.physics.display import daylight, delta_e_2000, display_white, lab
+from l3cli.physics.display import daylight, delta_e_2000, display_white, lab, scene_white
 from l3cli.rendering.auto_white import AutoWhite
 from l3cli.rendering.balance import SteadyWhite, WhiteBalance, balanced, plain_balance
 from l3cli.rendering.grey import GreyRenderer, Square
@@ -284,6 +284,37 @@ def test_a_named_light_is_that_which_gives_its_grey(table: TransformTable, bayer
     assert named.modelled
     np.testing.assert_allclose(named.balance.gains, measured.balance.gains, rtol=1e-9)
     np.testing.assert_allclose(named.balance.adaptation, measured.balance.adaptation, atol=0.01)
+
+
+@pytest.mark.parametrize("light", ["2500K", "3200K", "D5000K"])
+def test_a_chromaticity_is_that_of_the_lamp_or_daylight_that_has_it(
+    light: str, table: TransformTable, bayer: CameraModel
+) -> None:
+    """As if the light were named: its search steps by 1 mired and 0.01 of green, 0.3 % of a signal."""
+    x, y = spectra.white_point(light)[:2] / spectra.white_point(light).sum()
+    given, named = given_white(f"{x:.4f},{y:.4f}", table), given_white(light, table)
+    assert given
+    assert named
+    assert given.modelled
+    np.testing.assert_allclose(given.balance.gains, named.balance.gains, rtol=6e-3)
+    np.testing.assert_allclose(given.balance.adaptation, named.balance.adaptation, atol=0.015)
+    shares = 0.3 * grey_of(bayer, light)[None] / grey_of(bayer, light).max()
+    assert chroma(GreyRenderer(table).outputs_of(given.balance.gains * shares)[0], given.balance) < 1
+
+
+@pytest.mark.parametrize("white", ["0.3127,0.3290", "0.6,0.35", "0.2,0.6", "0.15,0.06", "0.99,0.005", "0.001,0.001"])
+def test_the_tables_white_and_colours_that_no_light_has_are_adapted_from(white: str, table: TransformTable) -> None:
+    given = given_white(white, table)
+    assert given
+    assert not given.modelled
+    np.testing.assert_array_equal(given.balance.adaptation, plain_balance(scene_white(white), 3).adaptation)
+    assert (given.balance.gains == 1).all()
+
+
+def test_a_chromaticity_does_without_a_camera(table: TransformTable) -> None:
+    given = given_white("0.4476,0.4074", dataclasses.replace(table, camera=None))
+    assert given
+    assert not given.modelled
 
 
 def test_neutrals_are_those_of_the_channels() -> None:

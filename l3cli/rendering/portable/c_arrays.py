@@ -106,15 +106,23 @@ def table_arrays(table: TransformTable, short: ShortWords | None) -> tuple[list[
 
 
 def _last_floats(table: TransformTable) -> list[Array]:
-    weights = later_weights(table.later[-1]) if table.later else first_weights(table)
+    weights = later_weights(table.later[-1]) if table.later else first_weights(table, table.first)
+    windows = weights.taps.shape[-1] - weights.ratio_taps
     return [
-        Array("l3_last_weights", _fill(weights.taps), "(class, output, tap)", nested=False),
+        Array("l3_last_weights", _fill(weights.taps[..., :windows]), "(class, output, tap)", nested=False),
         Array("l3_last_intercept", weights.intercept, "(class, output)", nested=False),
+        *_behind(weights.taps[..., windows:]),
     ]
 
 
+def _behind(taps: NDArray) -> list[Array]:
+    """Weights of the taps behind windows, if there are any."""
+    return [Array("l3_ratio_weights", taps, "(class, output, tap)", nested=False)] if taps.size else []
+
+
 def _last_words(table: TransformTable, words: ShortWords) -> list[Array]:
-    taps = _fill(by_column(words.whole, PLANES if table.later else 1))
+    windows = table.later[-1].window_taps if table.later else words.whole.shape[-1]
+    taps = _fill(by_column(words.whole[..., :windows], PLANES if table.later else 1))
     short = np.clip(taps, -SHORT_TOP, SHORT_TOP).astype(np.int16)
     rest = taps - short
     return [
@@ -128,6 +136,7 @@ def _last_words(table: TransformTable, words: ShortWords) -> list[Array]:
             nested=False,
         ),
         Array("l3_last_tap", np.abs(rest).argmax(axis=-1).astype(np.uint16), "which (class, output)", nested=False),
+        *_behind(words.whole[..., windows:].astype(np.int16)),
     ]
 
 

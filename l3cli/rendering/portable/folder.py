@@ -12,6 +12,7 @@ from l3cli.artifacts.schema import Spec, declared
 from l3cli.artifacts.structure_rule import GRADIENT
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.planes import COARSE, COARSE_TOP, FixedPoint, fixed_point, later_fixed_point, opponent_basis
+from l3cli.classes.ratios import DARKEST as RATIO_DARKEST
 from l3cli.classes.structure import NOISE_TRACE
 from l3cli.classes.tree import CHROMA_TOP, DARK, EVERY, TOP, turned_tests
 from l3cli.classes.windows import neighbourhoods
@@ -43,7 +44,10 @@ LAYERS = {
     "plane": "clamp(sum of fixed_weights * value + fixed_intercept + 2^(F - 1) >> F, -plane_top, plane_top); "
     "F = fraction[class]; value: DN in the first layer; in others clamp(plane + 2^(coarse - 1) >> coarse, "
     "-coarse_top, coarse_top)",
-    "output": "sum of the last layer's weights * plane * plane_step + intercept; taps plane by plane, each row by row",
+    "output": "sum of the last layer's weights * plane * plane_step + intercept; taps plane by plane, each row by row, "
+    "behind them those of the colour ratios if it has two taps more",
+    "colour ratios": "mean * clamp((Y - mean Y) / max(mean Y, ratio_darkest), -1, 1) of the first and of the third plane; "
+    "means over the window",
     "later class": "(site * levels + level // level_step) * kinds + kind; level and case of the first layer; kind: "
     "structure or leaf where case - spared_cases is at most 0, else structures - 1 + that; of a tree levels = 1",
 }
@@ -169,6 +173,7 @@ def _constants(table: TransformTable) -> dict[str, Any]:
     values: dict[str, Any] = {"level_fraction_bits": 8, "variance_fraction_bits": 9, "chroma_fraction_bits": 4}
     if table.later:
         values |= {"plane_step": PLANE_STEP, "plane_top": PLANE_TOP, "coarse": COARSE, "coarse_top": COARSE_TOP,
+                   "ratio_darkest": RATIO_DARKEST,
                    "gradient_top": GRADIENT, "tree_gradient_top": TOP, "tree_chroma_gradient_top": CHROMA_TOP,
                    "tree_noise_trace": NOISE_TRACE, "tree_dark": DARK, "tree_tests": [test.name for test in EVERY],
                    "tree_denominators": [test.denominator for test in EVERY]}  # fmt: skip

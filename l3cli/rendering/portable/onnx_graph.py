@@ -43,6 +43,9 @@ class Tensor:
     def __rmul__(self, other: "Operand") -> "Tensor":
         return self._with("Mul", other)
 
+    def __truediv__(self, other: "Operand") -> "Tensor":
+        return self._with("Div", other)
+
     def __mod__(self, other: "Operand") -> "Tensor":
         """Of whole numbers, not negative where `other` is positive."""
         return self._with("Mod", other)

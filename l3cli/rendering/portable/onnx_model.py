@@ -14,7 +14,8 @@ from l3cli.artifacts.layers import PLANE_STEP, PLANE_TOP, PlaneLayer
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes import direction
 from l3cli.classes.features import further_features
-from l3cli.classes.planes import COARSE, COARSE_TOP, FixedPoint, fixed_point, later_fixed_point, opponent_basis
+from l3cli.classes.planes import COARSE, COARSE_TOP, LUMINANCE, FixedPoint, fixed_point, later_fixed_point, opponent_basis
+from l3cli.classes.ratios import DARKEST
 from l3cli.columns import printable
 from l3cli.errors import InputFileError
 from l3cli.rendering.display import require_known_layers
@@ -86,7 +87,29 @@ def _render(frame: Frame) -> tuple[list[Tensor], Tensor]:
     last = table.later[-1]
     labels.append(plane_labels(frame, last, planes, labels[0]))
     signal_planes = _windows(frame, last, [each * PLANE_STEP for each in planes])
-    return labels, _transformed(graph, signal_planes, labels[-1], last.weights, last.intercept)
+    outputs = _transformed(graph, signal_planes, labels[-1], last.weights[..., : last.window_taps], last.intercept)
+    if last.ratio_taps:
+        for tap, values in enumerate(_shaded_chroma(signal_planes, last.side), last.window_taps):
+            outputs = outputs + _weights(graph, last.weights[..., tap], labels[-1]) * values
+    return labels, outputs
+
+
+def _shaded_chroma(planes: list[Tensor], side: int) -> list[Tensor]:
+    """As l3cli/classes/ratios.py, of padded planes in output units."""
+    first, luminance, second = (_box_mean(each, side) for each in planes)
+    reach = side // 2
+    own = planes[LUMINANCE].cut(0, reach, -reach or END).cut(1, reach, -reach or END)
+    share = ((own - luminance) / luminance.most(DARKEST * PLANE_STEP)).within(-1.0, 1.0)
+    return [first * share, second * share]
+
+
+def _box_mean(plane: Tensor, side: int) -> Tensor:
+    """Means (row, col) of a padded plane over side × side."""
+    total = plane.graph.constant(0.0)
+    for place in range(side**2):
+        row, column = divmod(place, side)
+        total = total + plane.cut(0, row, row + 1 - side or END).cut(1, column, column + 1 - side or END)
+    return total * (1 / side**2)
 
 
 def _windows(frame: Frame, layer: PlaneLayer, planes: list[Tensor]) -> list[Tensor]:
@@ -110,5 +133,10 @@ def _transformed(graph: Graph, sources: list[Tensor], labels: Tensor, weights: N
         source, row, column = np.unravel_index(tap, (len(sources), side, side))
         rows = sources[source].cut(0, int(row), int(row) + 1 - side or END)
         values = rows.cut(1, int(column), int(column) + 1 - side or END)
-        total = total + graph.constant(weights[:, :, tap].T, weights.dtype).to(np.float64).take(labels, axis=1) * values
+        total = total + _weights(graph, weights[:, :, tap], labels) * values
     return total
+
+
+def _weights(graph: Graph, weights: NDArray, labels: Tensor) -> Tensor:
+    """Weights (class, output) of a tap at every pixel (output, row, col)."""
+    return graph.constant(weights.T, weights.dtype).to(np.float64).take(labels, axis=1)

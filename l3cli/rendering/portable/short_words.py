@@ -4,7 +4,8 @@
 
 Values are DN (of 16 bits less 32768) or planes. To keep sums within 32 bits a value is read as high · 2^split + low, and the
 sum of products with low, >> split, is added to that with high. F is that of a class and output, the largest with which no
-sum over any values leaves 32 bits and all weights but the largest fit 16; what that has more is multiplied by itself.
+sum over any values leaves 32 bits and all weights but the largest of a window fit 16; what that has more is multiplied by
+itself.
 
 Weights are rounded so that the error of a window's sum is small where neighbours are alike: after rounding each, one weight
 after the other is moved by one where that lowers eᵀ R e, with e what was rounded off, R the likeness of a window's values.
@@ -34,7 +35,7 @@ REACH, OTHER, NOISE = 8.0, 0.8, 0.2  # R: pixels by which likeness falls to 1/e;
 class ShortWords:
     """Transforms of the last layer; taps in the table's order."""
 
-    whole: NDArray[np.int32]  # (class, output, tap) of 16 bits, but for the largest
+    whole: NDArray[np.int32]  # (class, output, tap) of 16 bits, but for the largest of a window
     intercept: NDArray[np.int32]  # (class, output)
     fraction: NDArray[np.uint8]  # (class, output) F, less the split
     split: int  # bits of the low part
@@ -64,7 +65,9 @@ def short_words(table: TransformTable) -> ShortWords:
     values = PLANE_TOP if table.later else max(2**table.bits - 1 - offset, offset)
     size = np.abs(weights)
     sums = size.sum(axis=-1) * values + np.abs(intercept)
-    second = np.sort(size, axis=-1)[..., -2:].min(axis=-1)
+    windows = weights.shape[-1] - _taps_behind(table)
+    second = np.sort(size[..., :windows], axis=-1)[..., -2:].min(axis=-1)
+    second = np.maximum(second, size[..., windows:].max(axis=-1, initial=0.0))
     most = np.minimum(MOST_WEIGHT / (second + 1e-30), MOST_SUM * 2.0**split / (sums + 1e-30))
     fraction = np.minimum(MOST_FRACTION + split, np.floor(np.log2(most)))
     if fraction.min() < split:
@@ -72,7 +75,8 @@ def short_words(table: TransformTable) -> ShortWords:
             "transforms of the last layer are too large for words of 16 bits; export them as float32 (‹words›)"
         )
     scaled = weights * 2.0 ** fraction[..., None]
-    whole = np.concatenate([_rounded(scaled[members], likeness) for members, likeness in _likenesses(table)])
+    of_windows = [_rounded(scaled[members, :, :windows], likeness) for members, likeness in _likenesses(table)]
+    whole = np.concatenate([np.concatenate(of_windows), np.rint(scaled[..., windows:])], axis=-1)
     intercept = (intercept + black * weights.sum(axis=-1)) * 2.0 ** (fraction - split) - black * whole.sum(
         axis=-1
     ) / 2**split
@@ -84,6 +88,11 @@ def short_words(table: TransformTable) -> ShortWords:
     )
 
 
+def _taps_behind(table: TransformTable) -> int:
+    """Of the last layer, behind those of its windows."""
+    return table.later[-1].ratio_taps if table.later else 0
+
+
 def _value_step(table: TransformTable) -> float:
     """What the last layer's weights are per, in units of the values that words multiply."""
     return PLANE_STEP if table.later else 1 / (table.white_level - table.black_level)
@@ -93,7 +102,7 @@ def _likenesses(table: TransformTable) -> list[tuple[NDArray[np.bool_], NDArray[
     """R (tap, tap) of the windows of the last layer, and which classes have these: of the mosaic, those of a site."""
     layer = table.layers[-1]
     if table.later:
-        source = np.repeat(np.arange(len(table.outputs)), layer.weights.shape[2] // len(table.outputs))
+        source = np.repeat(np.arange(len(table.outputs)), table.later[-1].side ** 2)
         return [(np.ones(len(layer.weights), bool), _likeness(source, 0.0))]
     site = table.first.rule.split(np.arange(len(layer.weights))).site
     channels = window_channels(table.cfa, table.first.rule.patch)

@@ -14,6 +14,7 @@ from l3cli.artifacts.tree_rule import TreeRule
 from l3cli.classes import direction, saturation
 from l3cli.classes.features import further_features
 from l3cli.classes.planes import COARSE, COARSE_TOP, LUMINANCE, raw_middle
+from l3cli.classes.ratios import DARKEST as RATIO_DARKEST
 from l3cli.classes.structure import NOISE_TRACE
 from l3cli.classes.tree import CHROMA_TOP, DARK, EVERY, TOP
 from l3cli.columns import printable
@@ -128,6 +129,8 @@ def _plane_macros(table: TransformTable) -> dict[str, int | str]:
         "DARK": DARK,
         "TESTS": len(EVERY),
         "LAST_TAPS": filled(3 * table.later[-1].side ** 2),
+        "RATIO_TAPS": table.later[-1].ratio_taps,
+        "RATIO_DARKEST": RATIO_DARKEST,
         "MOST_SIDE": max(most, table.first.rule.patch),
         "MOST_COLUMN": max(3 * most, table.first.rule.patch),
         "MOST_TAPS": max(filled(3 * most**2), filled(table.first.rule.patch**2)),
@@ -181,10 +184,12 @@ def _readme(table: TransformTable, vector: Vector, arrays: list[Array], short: S
         "columns": vector.raw.shape[1],
         "phase": "{}, {}".format(*vector.phase),
     }
+    known["ratio_darkest"] = RATIO_DARKEST
     known |= _words_known(table, short) if short else {"words": "float"}
     parts = ["readme.md", "readme_int16.md" if short else "readme_float32.md"]
     parts += ["readme_direction.md"] if rule.axes else []
     parts += ["readme_planes.md"] if table.later else ["readme_one_layer.md"]
+    parts += ["readme_ratios.md"] if table.later and table.later[-1].ratio_taps else []
     parts += ["readme_structure.md"] if any(isinstance(layer.rule, StructureRule) for layer in table.later) else []
     parts += ["readme_tree.md"] if any(isinstance(layer.rule, TreeRule) for layer in table.later) else []
     return "\n".join(string.Template(_piece(part)).substitute(known) for part in parts)

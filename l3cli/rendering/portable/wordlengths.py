@@ -99,8 +99,6 @@ def _outputs(table: TransformTable) -> Callable[[NDArray[np.float32]], NDArray[n
     labels = reference.labels(frame, len(table.layers) - 1)
     if not table.later:
         first = table.first
-        return lambda weights: output_planes(
-            frame, labels, dataclasses.replace(table, first=dataclasses.replace(first, weights=weights))
-        )
+        return lambda weights: output_planes(frame, labels, table, dataclasses.replace(first, weights=weights))
     last, planes = table.later[-1], reference.planes(frame)
     return lambda weights: later_outputs(planes, labels, dataclasses.replace(last, weights=weights))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.frame import RawFrame
+from l3cli.frame import NoiseLeft, RawFrame
 from l3cli.rendering import layout
 from l3cli.rendering.opencl_devices import choose_device, pyopencl, refusals
 from l3cli.rendering.opencl_programs import Compiler
@@ -158,7 +158,9 @@ class OpenCLFilter:
                 pair.reverse()
             rows, cols = frame.values.shape
             left = int(buffers.host_left.sum(dtype=np.int64)) / (int(np.prod(grid.cells)) * blend.ONE)
-            return replace(frame, values=made[:rows, :cols], noise_share=share_left(self._camera, frame, left))
+            share = share_left(self._camera, frame, left)
+            of_cells = NoiseLeft(buffers.host_left[1:-1, SLACK:-SLACK].copy(), blend.ONE, grid.cell)
+            return replace(frame, values=made[:rows, :cols], noise_share=share, noise_left=of_cells)
 
     def kept(self) -> NDArray[np.uint16]:
         """What is kept of the frames so far, u (row, col)."""

@@ -3,8 +3,10 @@
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
+
 from l3cli.artifacts.camera import CameraModel
-from l3cli.frame import RawFrame
+from l3cli.frame import NoiseLeft, RawFrame
 from l3cli.rendering.temporal.blend import ONE, Blend, blended, first_blend
 from l3cli.rendering.temporal.grid import Grid
 from l3cli.rendering.temporal.motion import Vectors, planes_of, vectors_of
@@ -34,7 +36,8 @@ class ReferenceFilter:
         rows, cols = frame.values.shape
         made = of_units(self.kept.values[:rows, :cols], noise)
         share = share_left(self._camera, frame, int(self.kept.left.sum()) / (self.kept.left.size * ONE))
-        return replace(frame, values=made, noise_share=share)
+        left = NoiseLeft(self.kept.left.astype(np.uint16), ONE, grid.cell)
+        return replace(frame, values=made, noise_share=share, noise_left=left)
 
 
 def reference_filters(period: tuple[int, ...], camera: CameraModel) -> Callable[[], ReferenceFilter]:

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from l3cli.artifacts.class_rule import MAX_PATCH
+from l3cli.artifacts.layers import RATIO_TAPS
 from l3cli.artifacts.structure_rule import DIRECTIONS
 from l3cli.classes import contrast, level
 from l3cli.classes.rule import make_rule
@@ -40,7 +41,9 @@ def meaning(recipe: TrainingRecipe, source: Source) -> tuple[dict[str, Any], lis
     chromas = max(1, classes.chromas)
     first = levels * contrasts * int(np.prod(list(further.values()), initial=1)) * (chromas + cases - 1)
     layers = [{"classes_per_site": first, "taps": classes.patch**2}]
-    layers += [{"classes_per_site": _later(each, levels, cases), "taps": OUTPUTS * each.side**2} for each in recipe.layer]
+    for each in recipe.layer:
+        taps = OUTPUTS * each.side**2 + RATIO_TAPS * each.colour_ratios
+        layers.append({"classes_per_site": _later(each, levels, cases), "taps": taps})
     document = {
         "levels": levels, "contrasts": contrasts, "further": further, "chromas": chromas, "saturation_cases": cases,
         "patch": classes.patch, "layers": layers, "patches": recipe.learning.patches,
@@ -48,7 +51,8 @@ def meaning(recipe: TrainingRecipe, source: Source) -> tuple[dict[str, Any], lis
     if camera is not None:
         sites = camera.cfa.size
         size = sum(each["classes_per_site"] * (OUTPUTS * (each["taps"] + 1) * WEIGHT + OTHERS) for each in layers)
-        document |= {"camera": camera.name, "sites": sites, "table_bytes": sites * size}
+        sets = 2 if recipe.learning.noise_left else 1
+        document |= {"camera": camera.name, "sites": sites, "table_bytes": sets * sites * size}
     return document, []
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from l3cli.errors import InputFileError, L3Error
 from l3cli.files import require_same
 from l3cli.frame import RawFrame, upright
+from l3cli.importing import without_collecting
 from l3cli.io import images
 from l3cli.io.label import Label
 from l3cli.io.raw.files import KnownBetter, read_raw
@@ -20,6 +21,7 @@ from l3cli.parallel import Crew
 from l3cli.parallel.threads import Meanwhile
 from l3cli.rendering.balance import WhiteBalance
 from l3cli.rendering.display import Display
+from l3cli.stages.plan import is_dry
 from l3cli.stages.rendering.corrections import CameraFile, correction_again
 from l3cli.stages.rendering.rendition import Exposed, Rendered, Rendition, Unread, file_of, rendered, shown
 
@@ -158,15 +160,22 @@ def _renderer(
     return table, quiet_renderer(backend, table, **dict(engine))
 
 
-def while_reading(backend: str, suffix: str | None, scheduler: "Scheduler | None") -> Meanwhile:
-    """Makes ready, while a table is read, what this process renders and writes files of a suffix with."""
+def while_reading(
+    backend: str, suffix: str | None, scheduler: "Scheduler | None"
+) -> contextlib.AbstractContextManager[None]:
+    """Makes ready, while a table is read, what this process renders and writes files of a suffix with; nothing in a dry
+    run."""
     from l3cli.rendering.renderer import make_ready
 
+    if is_dry():
+        return contextlib.nullcontext()
+
     def work() -> None:
-        if scheduler is None:
-            make_ready(backend)
-        if suffix is not None:
-            images.make_ready(suffix)
+        with without_collecting():
+            if scheduler is None:
+                make_ready(backend)
+            if suffix is not None:
+                images.make_ready(suffix)
 
     return Meanwhile(work)
 

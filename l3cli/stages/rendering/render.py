@@ -157,7 +157,7 @@ def _rendition(
     require_xyz(table.outputs)
     given, space_of = given_white(white, table), chosen_space(space, destination.linear)
     balance = usual_balance(table) if white is None or given is None else given.balance
-    if white is not None and given is not None and not given.modelled:
-        warn_of_white(white, given.light.xyz, table, console)
+    if white is not None and given is not None:
+        warn_of_white(white, given, table, console)
     rendition = Rendition(balance, exposure, bits, space_of)
     return for_developers(rendition, remosaic) if destination.raw else rendition

@@ -35,11 +35,11 @@ def judge(
     table: tuple[Entry, TransformTable],
     frames: tuple[Entry, TrainingSet],
     anchor: str,
-    limits: tuple[int, int],
+    limits: tuple[int, int, int],
     backend: str,
     console: Console,
 ) -> Judged:
-    """Evaluate a table; `limits` in bytes are those of its pictures and of the pixels that can be looked into."""
+    """Evaluate a table; `limits` in bytes are those of its pictures, of pixels that can be looked into, of other classes."""
     from l3cli.evaluation.evaluation import Evaluation
     from l3cli.physics.display import XYZ
 
@@ -65,7 +65,7 @@ def _front(
     reader: TrainingSetReader,
     renderer: Renderer,
     anchor: str,
-    limits: tuple[int, int],
+    limits: tuple[int, int, int],
     chart: Subsection | None,
 ) -> Section:
     from l3cli.evaluation.evaluation import Evaluation
@@ -77,7 +77,7 @@ def _front(
     first = next(iter(pictures))
     frame = reader.frame(first)
     raw = raw_of(frame, first, reader.head.camera)
-    crop, text = crop_of(table[1], reader.head.camera, renderer, raw, limits[1])
+    crop, text = crop_of(table[1], reader.head.camera, renderer, raw, *limits[1:])
     cropped = {name: pictures[first][name] for name in CROPPED if name in pictures[first]}
     looked_into = picker(f"{anchor}-{first}", crop, text, cropped, frame.scene, jpeg)
     title = f"Pictures: {table[0].name} on {seen.name}"

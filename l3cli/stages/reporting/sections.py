@@ -26,8 +26,8 @@ from l3cli.stages.reporting.artifacts import Entry, Given, trained_on
 from l3cli.stages.reporting.judged import Judged, judge
 from l3cli.stages.reporting.side_by_side import side_by_side
 
-# of all evaluated frames, of all pixels that can be looked into, of all training sets: see page.LIMIT
-PICTURE_BYTES, PIXEL_BYTES, THUMBNAIL_BYTES = 5_500_000, 1_000_000, 2_000_000
+# of all evaluated frames, of all pixels that can be looked into, of classes elsewhere, of all training sets: see page.LIMIT
+PICTURE_BYTES, PIXEL_BYTES, CLASS_BYTES, THUMBNAIL_BYTES = 5_500_000, 1_000_000, 300_000, 2_000_000
 
 
 def compose(given: Given, backend: str, console: Console) -> tuple[str, str, list[Section]]:
@@ -35,7 +35,7 @@ def compose(given: Given, backend: str, console: Console) -> tuple[str, str, lis
     arrays = given.arrays
     _warn_of_arrays(given, console)
     pairs = len(given.pairs)
-    shares = PICTURE_BYTES // (pairs + (pairs > 1) or 1), PIXEL_BYTES // (pairs or 1)
+    shares = PICTURE_BYTES // (pairs + (pairs > 1) or 1), PIXEL_BYTES // (pairs or 1), CLASS_BYTES // (pairs or 1)
     judged: list[Judged] = []
     cameras: list[tuple[str, CameraModel]] = []
     sections: list[Section] = []

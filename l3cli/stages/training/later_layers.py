@@ -4,6 +4,7 @@ import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -32,14 +33,17 @@ from l3cli.training.training_pass import spread_patches
 UNITS = 8  # a process: more tell progress better, but every one hands on its own sums
 
 
-def learn_later(run: TrainingRun, table: TransformTable, execution: Execution) -> TransformTable:
-    """The table with the layers that the recipe wants after the first."""
+def learn_later(
+    run: TrainingRun, table: TransformTable, execution: Execution, like: TransformTable | None = None
+) -> TransformTable:
+    """The table with the layers that the recipe wants after the first; `like`: classes are those of its layers, but for the
+    scale of gradients."""
     if not run.has_later_layers:
         tell_what_is_left_out(run, execution.console)
         return table
     while len(table.later) < len(run.recipe.layer):
         layer = layer_pass(table, run.recipe, layer_mosaics(run, len(table.later)), run.seed)
-        rule = layer_rule(run, layer, execution)
+        rule = layer_rule(run, layer, execution, like.later[len(table.later)].rule if like else None)
         sums = summed_layer(run, layer, rule, range(len(layer.mosaics)), execution)
         table = replace(table, later=(*table.later, learn_layer(layer, rule, sums)), history=run.history())
     return table
@@ -60,6 +64,9 @@ def layer_mosaics(run: TrainingRun, number: int) -> tuple[int, ...]:
 def layer_pass(table: TransformTable, recipe: TrainingRecipe, mosaics: tuple[int, ...], seed: int) -> LayerPass:
     """The pass that learns the next layer on a table."""
     assert table.camera is not None  # tables have had one since there are layers
+    own = recipe.layer[len(table.later)]
+    powers = {"brightness_power": own.brightness_power, "error_power": own.error_power}
+    learning = msgspec.structs.replace(recipe.learning, **{name: each for name, each in powers.items() if each is not None})
     return LayerPass(
         camera=table.camera,
         rule=table.first.rule,
@@ -67,8 +74,8 @@ def layer_pass(table: TransformTable, recipe: TrainingRecipe, mosaics: tuple[int
         basis=opponent_basis(table.white_point),
         white_point=table.white_point,
         before=table.later,
-        recipe=recipe.layer[len(table.later)],
-        learning=recipe.learning,
+        recipe=own,
+        learning=learning,
         mosaics=mosaics,
         pictures=table.outputs == XYZ,
         exposure=table.exposure,
@@ -87,12 +94,14 @@ class LayerUnit:
     frames: range
 
 
-def layer_rule(run: TrainingRun, layer: LayerPass, execution: Execution) -> PlaneRule:
-    """The layer's class rule, from a pilot over all frames."""
+def layer_rule(run: TrainingRun, layer: LayerPass, execution: Execution, like: PlaneRule | None = None) -> PlaneRule:
+    """The layer's class rule, from a pilot over all frames; that it is to be `like` takes from it the scale of gradients."""
     frames = range(len(run.patches))
     units = _units(run, layer, None, frames, execution)
     measured = execution.console.progress(execution.crew(_measure, units), len(units), f"layer {layer.number}, pilot")
     scale = gradient_scale(layer, [noise for part in measured for noise in part])
+    if like is not None:
+        return replace(like, **scale._asdict())
     if not layer.recipe.leaves:
         rule: PlaneRule = structure_rule(layer, scale)
         classes = f"{rule.levels} levels × ({rule.structures} structures + {rule.cases - 1} saturation cases)"

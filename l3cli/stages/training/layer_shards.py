@@ -33,6 +33,7 @@ def write_layer_shard(
         shards=count,
         mosaics=np.array(mosaics),
         side=layer.recipe.side,
+        ratio_taps=layer.ratio_taps,
         **rule_fields(rule),
         table=table,
         sites=np.array(list(sums)),
@@ -47,7 +48,7 @@ def merged_layer(readers: list[PartialSumsReader], recipe: TrainingRecipe, seed:
     head: PartialLayerSums = readers[0].head
     layer = layer_pass(head.table, recipe, tuple(head.mosaics.tolist()), seed)
     sums = no_sums(layer, head.rule)
-    if (layer.recipe.side, list(sums)) != (head.side, head.sites.tolist()):
+    if (layer.recipe.side, layer.ratio_taps, list(sums)) != (head.side, head.ratio_taps, head.sites.tolist()):
         raise InputFileError(f"{path} holds sums of other windows or sites than its recipe and camera have; make it again")
     for index, site in enumerate(sums):
         for reader in readers:

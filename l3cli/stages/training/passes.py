@@ -3,7 +3,7 @@ sums."""
 
 import collections
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from l3cli.artifacts.partial_sums import ClassSums
@@ -14,12 +14,12 @@ from l3cli.parallel import Crew
 from l3cli.stages.console import Console
 from l3cli.stages.training.run import TrainingRun, TrainingSource, frames_of
 from l3cli.training.accumulate import sum_sites
-from l3cli.training.division import WorkShare, work_shares
+from l3cli.training.division import WorkShare, frame_blocks, work_shares
 from l3cli.training.recipe import TrainingRecipe, check_layers, check_learning
 from l3cli.training.row_weighting import RowWeighting, row_weighting
 from l3cli.training.solve import Solution
 from l3cli.training.sums import add
-from l3cli.training.table import Pilot, canonical_sites, learn_site, pilot_patches, survey, take_pilot
+from l3cli.training.table import Pilot, assemble, canonical_sites, learn_site, pilot_patches, survey, take_pilot
 from l3cli.training.training_pass import FIRST, LAST, TrainingPass, has_two_passes
 
 MOST_PILOTED = 256  # frames that a worker looks at in one go before the passes
@@ -112,6 +112,18 @@ def summed(
                 waiting[site] = result
             if not left[site]:
                 yield site, waiting.pop(site)
+
+
+def learn_first(run: TrainingRun, pass_: TrainingPass, execution: Execution) -> TransformTable:
+    """The table of one layer that this pass and those after it make."""
+    table = None
+    for number in range(pass_.number, LAST + 1):
+        pass_ = replace(pass_, number=number)
+        sums = summed(learn_unit, run, pass_, table, frame_blocks(pass_), execution)
+        solutions = {site: learn_site(pass_, [one], site) if isinstance(one, ClassSums) else one for site, one in sums}
+        table = assemble(pass_, solutions, run.history_of_pass(number))
+    assert table is not None  # there is at least one pass
+    return table
 
 
 def sum_unit(unit: WorkUnit) -> dict[int, ClassSums]:

@@ -69,7 +69,7 @@ def open_run(
     classes = classes or known_recipes("classes")["default"]
     recipe = load_recipe(classes, TrainingRecipe)
     stamps = {path: stamp(path) for path in training}
-    head, frames = _common_head(training)
+    head, frames = _common_head(training, noisy=not recipe.learning.noise_left)
     recipe = for_camera(recipe, head.camera)
     chosen: dict[str, Any] = {"seed": seed}
     if shares is not None:
@@ -101,12 +101,17 @@ def frames_of(training: tuple[TrainingSource, ...], wanted: range, remote: bool)
             yield from map(reader.frame, here)
 
 
-def _common_head(training: tuple[Path, ...]) -> tuple[TrainingSet, tuple[int, ...]]:
-    """The head that all sets share and the frames of each; InputFileError if they are of different cameras."""
+def _common_head(training: tuple[Path, ...], noisy: bool) -> tuple[TrainingSet, tuple[int, ...]]:
+    """The head that all sets share and the frames of each; InputFileError if they are of different cameras, or some are real
+    and may not be as `noisy` as they are."""
     frames, head = [], None
     for path in training:
         with open_training_set(path) as reader:
             frames.append(len(reader))
+            if reader.has_pairs and not noisy:
+                raise InputFileError(
+                    f"{path} holds real pairs, whose noise no second set can be without; leave out learning.noise_left"
+                )
             if head is None:
                 head = reader.head
             elif not equal(head, reader.head):

@@ -7,7 +7,6 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from l3cli.artifacts.partial_sums import ClassSums
 from l3cli.artifacts.store import save
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import RecipeError
@@ -16,11 +15,9 @@ from l3cli.stages.claims import Claims
 from l3cli.stages.console import Console
 from l3cli.stages.plan import Made, before_work
 from l3cli.stages.training.later_layers import learn_later
-from l3cli.stages.training.passes import Execution, first_pass, learn_unit, summed
+from l3cli.stages.training.passes import Execution, first_pass, learn_first
+from l3cli.stages.training.quiet import learn_quiet
 from l3cli.stages.training.run import TrainingRun, open_run
-from l3cli.training.division import frame_blocks
-from l3cli.training.table import assemble, learn_site
-from l3cli.training.training_pass import LAST
 
 if TYPE_CHECKING:
     from l3cli.parallel.cluster import Scheduler
@@ -68,15 +65,9 @@ def executed(
 
 
 def _learn(run: TrainingRun, execution: Execution) -> TransformTable:
-    """All passes."""
-    pass_, table = first_pass(run, execution), None
-    for number in range(pass_.number, LAST + 1):
-        pass_ = replace(pass_, number=number)
-        sums = summed(learn_unit, run, pass_, table, frame_blocks(pass_), execution)
-        solutions = {site: learn_site(pass_, [one], site) if isinstance(one, ClassSums) else one for site, one in sums}
-        table = assemble(pass_, solutions, run.history_of_pass(number))
-    assert table is not None  # there is at least one pass
-    return learn_later(run, table, execution)
+    """All passes of all sets."""
+    table = learn_first(run, first_pass(run, execution), execution)
+    return learn_quiet(run, learn_later(run, table, execution), execution)
 
 
 def say_table(table: TransformTable, output: Path, console: Console) -> None:

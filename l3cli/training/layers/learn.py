@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.layer_sums import LayerSums
-from l3cli.artifacts.layers import PlaneLayer, PlaneRule, rule_fields
+from l3cli.artifacts.layers import RATIO_TAPS, PlaneLayer, PlaneRule, rule_fields
 from l3cli.artifacts.training_set import TrainingPair
 from l3cli.classes.later import label_planes
 from l3cli.classes.planes import FixedPoint
@@ -67,11 +67,16 @@ class LayerPass:
     def reading(self, side: int) -> Reading:
         """How windows of `side` are read at every site."""
         maps, turns = self._turns()
-        return Reading(np.array([one.canonical for one in maps]), np.array([orientations(side)[turn] for turn in turns]))
+        order = np.array([orientations(side)[turn] for turn in turns])
+        return Reading(np.array([one.canonical for one in maps]), order, self.ratio_taps)
+
+    @property
+    def ratio_taps(self) -> int:
+        return RATIO_TAPS if self.recipe.colour_ratios else 0
 
     def grid_steps(self, rule: PlaneRule) -> NDArray[np.float64]:
         """Grid steps of the moments (level, pair)."""
-        return grid_steps(rule, self.rule, self.camera, 3 * self.recipe.side**2, 3)
+        return grid_steps(rule, self.rule, self.camera, self.reading(self.recipe.side).taps, 3)
 
     @property
     def turns(self) -> list[int]:
@@ -87,8 +92,8 @@ class LayerPass:
 
 def no_sums(layer: LayerPass, rule: PlaneRule) -> dict[int, LayerSums]:
     """Sums of every canonical site over no frames."""
-    side = layer.recipe.side
-    return {site: empty_sums(rule, 3 * side**2, 3) for site in np.unique(layer.reading(side).canonical).tolist()}
+    reading = layer.reading(layer.recipe.side)
+    return {site: empty_sums(rule, reading.taps, 3) for site in np.unique(reading.canonical).tolist()}
 
 
 def sum_layer(layer: LayerPass, rule: PlaneRule, frames: Iterable[TrainingPair], first: int) -> dict[int, LayerSums]:
@@ -124,7 +129,8 @@ def learn_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]) -
     noise = (recipe.chroma_noise, recipe.luminance_noise, recipe.chroma_noise)
     if not layer.pictures:
         noise = (min(recipe.luminance_noise, 1.0),) * 3  # as in the first layer
-    goal = LayerGoal(recipe.level_pool, recipe.parent_patches, recipe.ridge, noise, np.array([0.0, 1.0, 0.0]))
+    white, windows = np.array([0.0, 1.0, 0.0]), 3 * recipe.side**2
+    goal = LayerGoal(recipe.level_pool, recipe.parent_patches, recipe.ridge, noise, white, windows)
     solved = dict(
         zip(sums, solve_layer(list(sums.values()), copies, rule, goal, layer.learning.equal_response), strict=True)
     )
@@ -132,10 +138,10 @@ def learn_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]) -
     weights, intercept, samples = [], [], []
     for site, canonical in enumerate(reading.canonical.tolist()):
         rows = np.swapaxes(solved[canonical] @ back, 1, 2)  # (class, output, tap + 1)
-        taps = rows[..., :-1].reshape(*rows.shape[:2], 3, -1)
+        taps = rows[..., :windows].reshape(*rows.shape[:2], 3, -1)
         turned = np.empty_like(taps)
         turned[..., reading.order[site]] = taps
-        weights.append(turned.reshape(*rows.shape[:2], -1))
+        weights.append(np.concatenate([turned.reshape(*rows.shape[:2], -1), rows[..., windows:-1]], axis=-1))
         intercept.append(rows[..., -1])
         samples.append(sums[canonical].count)
     return PlaneLayer(

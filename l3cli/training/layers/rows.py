@@ -11,6 +11,7 @@ from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.layer_sums import LayerSums
 from l3cli.artifacts.layers import PLANE_STEP, PlaneRule
 from l3cli.classes.later import mirrored
+from l3cli.classes.ratios import shaded_chroma
 from l3cli.classes.windows import Integers
 from l3cli.errors import L3Error
 from l3cli.training.accumulate import TARGET_FLOOR
@@ -30,10 +31,23 @@ class Reading:
 
     canonical: Integers  # (site) that a site is learned as
     order: Integers  # (site, tap) place of each tap in the window
+    ratio_taps: int = 0  # behind those of the windows, the same in every orientation
 
     @property
     def side(self) -> int:
         return int(np.sqrt(self.order.shape[1]))
+
+    @property
+    def taps(self) -> int:
+        """Of a window of all planes, and behind it."""
+        return 3 * self.order.shape[1] + self.ratio_taps
+
+    def taps_of(self, planes: NDArray, pixels: Integers, site: int, ratios: NDArray[np.float64]) -> Floats:
+        """Taps (pixel, tap) of planes (plane, row, col) about pixels of a site, those of `ratios` (tap, row, col)
+        behind them."""
+        windows = windows_of(planes, pixels, self.order[site])
+        behind = ratios.reshape(len(ratios), planes[0].size)[:, pixels].T * PLANE_STEP
+        return np.concatenate([windows, behind.astype(np.float32)], axis=1)
 
 
 def empty_sums(rule: PlaneRule, taps: int, outputs: int) -> LayerSums:
@@ -117,12 +131,13 @@ def add_rows(
     canonical sites, on the grid of `steps` (level, pair)."""
     site, within = rule.within_site(label.ravel())
     weight = weight.ravel()
+    ratios = [shaded_chroma(planes, reading.side)[: reading.ratio_taps] for planes in (seen.clean, seen.noisy)]
     target = seen.target.reshape(-1, seen.target.shape[-1]) @ basis.astype(np.float32)
     for one in np.unique(site[pixels]).tolist():
         here = pixels[site[pixels] == one]
         here = here[np.argsort(within[here], kind="stable")]
-        clean = windows_of(seen.clean, here, reading.order[one])
-        noise = windows_of(seen.noisy, here, reading.order[one]) - clean
+        clean, noisy = map(reading.taps_of, (seen.clean, seen.noisy), (here, here), (one, one), ratios)
+        noise = noisy - clean
         rows = np.concatenate([clean, np.ones((len(here), 1), np.float32), target[here]], axis=1)
         weighted = rows * weight[here, None], noise * weight[here, None]
         _add_classes(sums[int(reading.canonical[one])], rule, steps, within[here], *weighted)

@@ -24,6 +24,7 @@ class LayerGoal:
     ridge: float
     noise: tuple[float, ...]  # (output) weight of noise
     white: Array  # (plane) what the layer before makes of a white of Y = 1, and this one shall
+    windows: int  # taps of the windows; those behind them are zero on flat areas
 
 
 def solve_layer(
@@ -35,7 +36,8 @@ def solve_layer(
     """
     taps = int((np.sqrt(8 * sums[0].noise.shape[1] + 1) - 1) / 2)
     outputs, planes = len(goal.noise), len(goal.white)
-    member = np.asarray(np.kron(np.eye(planes), np.ones((taps // planes, 1))), np.float64)  # (tap, plane)
+    member = np.zeros((taps, planes))  # (tap, plane)
+    member[: goal.windows] = np.kron(np.eye(planes), np.ones((goal.windows // planes, 1)))
     rows = [np.zeros((rule.classes_per_site, taps + 1, outputs)) for _ in sums]
     solved = np.zeros(rule.classes_per_site, bool)
     parents = [_Parents(one, rule) for one in sums]

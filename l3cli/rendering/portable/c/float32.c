@@ -24,8 +24,33 @@ static inline float dot(const float *restrict a, const float *restrict b) {
     return (four[0] + four[2]) + (four[1] + four[3]);
 }
 
-/* The output numbered class * L3_OUTPUTS + output, of the patch that begins at ring[at]. */
-static inline L3Output output_of(const Ring *ring, ptrdiff_t at, size_t output) {
-    return dot(ring->value + at, l3_last_weights + output * L3_LAST_TAPS) + l3_last_intercept[output];
+/* What taps behind the patch add to an output. */
+typedef float Behind;
+
+/* The output numbered class * L3_OUTPUTS + output, of the patch that begins at ring[at] and what is behind it. */
+static inline L3Output output_of(const Ring *ring, ptrdiff_t at, size_t output, Behind behind) {
+    return dot(ring->value + at, l3_last_weights + output * L3_LAST_TAPS) + l3_last_intercept[output] + behind;
 }
+
+#if L3_RATIO_TAPS
+
+/* Chroma as light and shade would make it of the sums of the planes X - aY, Y, Z - bY over `count` pixels and of Y itself. */
+typedef struct {
+    float chroma[L3_RATIO_TAPS];
+} Ratios;
+
+static inline Ratios ratios_of(const int32_t sum[3], int32_t luminance, int count) {
+    const float total = (float)sum[L3_LUMINANCE], least = (float)(count * L3_RATIO_DARKEST);
+    float share = ((float)count * (float)luminance - total) / (total > least ? total : least);
+    share = (share < -1 ? -1 : share > 1 ? 1 : share) / (float)count;
+    const Ratios made = {{(float)sum[0] * share, (float)sum[2] * share}};
+    return made;
+}
+
+static inline Behind behind_of(const Ratios *ratios, size_t output) {
+    const float *weights = l3_ratio_weights + output * L3_RATIO_TAPS;
+    return weights[0] * ratios->chroma[0] + weights[1] * ratios->chroma[1];
+}
+
+#endif
 

@@ -30,14 +30,49 @@ static inline int32_t dot(const int16_t *restrict a, const int16_t *restrict b) 
     return sum;
 }
 
-/* The output numbered class * L3_OUTPUTS + output, of the patch that begins at ring[at]. */
-static inline L3Output output_of(const Ring *ring, ptrdiff_t at, size_t output) {
+/* What taps behind the patch add to a sum of products. */
+typedef int32_t Behind;
+
+/* The output numbered class * L3_OUTPUTS + output, of the patch that begins at ring[at] and what is behind it. */
+static inline L3Output output_of(const Ring *ring, ptrdiff_t at, size_t output, Behind behind) {
     const int16_t *weights = l3_last_weights + output * L3_LAST_TAPS;
     const int32_t rest = l3_last_rest[output]; /* of the largest weight, beyond 16 bits */
     const ptrdiff_t its = at + l3_last_tap[output];
-    int32_t sum = dot(ring->high + at, weights) + rest * ring->high[its] + l3_last_intercept[output];
+    int32_t sum = dot(ring->high + at, weights) + rest * ring->high[its] + l3_last_intercept[output] + behind;
     if (L3_SPLIT > 0) sum += (dot(ring->low + at, weights) + rest * ring->low[its]) >> L3_SPLIT;
     const int shift = l3_last_shift[output];
     return (L3Output)clamped((sum + (1 << shift >> 1)) >> shift, -L3_OUTPUT_TOP, L3_OUTPUT_TOP);
 }
+
+#if L3_RATIO_TAPS
+
+/* Chroma as light and shade would make it of the sums of the planes X - aY, Y, Z - bY over `count` pixels and of Y itself, as
+ * high * 2^L3_SPLIT + low. */
+typedef struct {
+    int16_t high[L3_RATIO_TAPS], low[L3_RATIO_TAPS];
+} Ratios;
+
+static inline Ratios ratios_of(const int32_t sum[3], int32_t luminance, int count) {
+    const int32_t total = sum[L3_LUMINANCE], least = total > count * L3_RATIO_DARKEST ? total : count * L3_RATIO_DARKEST;
+    const int32_t share = clamped(count * luminance - total, -least, least);
+    Ratios made;
+    for (int i = 0; i < L3_RATIO_TAPS; i++) {
+        const int32_t chroma = (int32_t)((int64_t)sum[2 * i] * share / ((int64_t)least * count));
+        made.high[i] = (int16_t)(chroma >> L3_SPLIT);
+        made.low[i] = (int16_t)(chroma & ((1 << L3_SPLIT) - 1));
+    }
+    return made;
+}
+
+static inline Behind behind_of(const Ratios *ratios, size_t output) {
+    const int16_t *weights = l3_ratio_weights + output * L3_RATIO_TAPS;
+    int32_t high = 0, low = 0;
+    for (int i = 0; i < L3_RATIO_TAPS; i++) {
+        high += weights[i] * ratios->high[i];
+        low += weights[i] * ratios->low[i];
+    }
+    return high + (low >> L3_SPLIT);
+}
+
+#endif
 

@@ -32,7 +32,7 @@ static void render_layers(const Workspace *w, int rows, int columns, int phase_r
         for (int x = 0; x < columns; x++)
             for (size_t o = 0; o < L3_OUTPUTS; o++)
                 outputs[(ptrdiff_t)o * pixels + at + x] =
-                    output_of(&w->ring, (ptrdiff_t)x * L3_PATCH + k - DIAMETER, (size_t)labels[at + x] * L3_OUTPUTS + o);
+                    output_of(&w->ring, (ptrdiff_t)x * L3_PATCH + k - DIAMETER, (size_t)labels[at + x] * L3_OUTPUTS + o, 0);
     }
 }
 

@@ -85,9 +85,41 @@ static void planes_to_planes(const L3PlaneLayer *layer, const int32_t *restrict 
 
 /* ------------------------------------------------------------------------------------------------- transforms to outputs */
 
+#if L3_RATIO_TAPS
+
+/* Sums (plane, padded column) of planes down the window of a row. */
+static void sum_columns(const int32_t *restrict from, int radius, int row, int rows, int columns, int32_t *restrict sums) {
+    const int span = columns + 2 * radius;
+    const ptrdiff_t pixels = (ptrdiff_t)rows * columns;
+    for (int s = 0; s < 3; s++, from += pixels, sums += span) {
+        int32_t *restrict inner = sums + radius;
+        for (int c = 0; c < columns; c++) inner[c] = 0;
+        for (int k = row - radius; k <= row + radius; k++) {
+            const int32_t *restrict line = from + (ptrdiff_t)mirrored(k, rows, 1) * columns;
+            for (int c = 0; c < columns; c++) inner[c] += line[c];
+        }
+        for (int p = 0; p < radius; p++) {
+            sums[p] = inner[mirrored_column(p - radius, columns)];
+            inner[columns + p] = inner[mirrored_column(columns + p, columns)];
+        }
+    }
+}
+
+/* Those of the pixel in column x, whose Y is `luminance`, over its window. */
+static inline Ratios ratios_at(const int32_t *restrict sums, int side, int x, int columns, int32_t luminance) {
+    const int span = columns + side - 1;
+    int32_t sum[3] = {0, 0, 0};
+    for (int s = 0; s < 3; s++)
+        for (int p = x; p < x + side; p++) sum[s] += sums[s * span + p];
+    return ratios_of(sum, luminance, side * side);
+}
+
+#endif
+
 /* Planes and classes of the last layer -> outputs (output, row, column). */
-static void planes_to_outputs(const L3PlaneLayer *layer, const int32_t *restrict from, const Ring *ring, size_t ring_values, int rows,
-                              int columns, const uint32_t *restrict labels, L3Output *restrict outputs) {
+static void planes_to_outputs(const L3PlaneLayer *layer, const int32_t *restrict from, const Ring *ring, size_t ring_values,
+                              int32_t *restrict sums, int rows, int columns, const uint32_t *restrict labels,
+                              L3Output *restrict outputs) {
     const int radius = layer->side / 2;
     const ptrdiff_t step = 3 * layer->side, pixels = (ptrdiff_t)rows * columns;
     for (size_t i = 0; i < ring_values; i++) keep_nothing(ring, i);
@@ -99,10 +131,23 @@ static void planes_to_outputs(const L3PlaneLayer *layer, const int32_t *restrict
         }
         if (k < 2 * radius) continue;
         const ptrdiff_t at = (ptrdiff_t)(k - 2 * radius) * columns;
-        for (int x = 0; x < columns; x++)
+#if L3_RATIO_TAPS
+        sum_columns(from, radius, k - 2 * radius, rows, columns, sums);
+#else
+        (void)sums;
+#endif
+        for (int x = 0; x < columns; x++) {
+            const size_t first = (size_t)labels[at + x] * L3_OUTPUTS;
+#if L3_RATIO_TAPS
+            const Ratios ratios = ratios_at(sums, layer->side, x, columns, from[L3_LUMINANCE * pixels + at + x]);
+#define BEHIND(output) behind_of(&ratios, output)
+#else
+#define BEHIND(output) 0
+#endif
             for (size_t o = 0; o < L3_OUTPUTS; o++)
                 outputs[(ptrdiff_t)o * pixels + at + x] =
-                    output_of(ring, x * step + 3 * (k - 2 * radius), (size_t)labels[at + x] * L3_OUTPUTS + o);
+                    output_of(ring, x * step + 3 * (k - 2 * radius), first + o, BEHIND(first + o));
+        }
     }
 }
 

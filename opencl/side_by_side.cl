@@ -1,26 +1,42 @@
-// Processor variant, layers in fixed point: patches of 16-bit values → sums of three outputs in 32 bits, and planes of them.
+// Processor variant, outputs side by side: layers in fixed point (16-bit values → sums in 32 bits, and planes of them), and small
+// patches of floats.
 //
-// Outputs lie side by side: a vector of weights holds EIGHT taps of each, those of one in four lanes of sums. The patch is read EIGHT
-// taps at a time, repeated for every output. So the sums of a pixel are one vector (or two of 8 lanes), and folding them costs a
-// third of what it would with a vector an output. A fourth output has no weights: its intercept is the fraction of the class.
+// A vector of weights holds ONCE taps of each output, those of one in four lanes of sums. The patch is read ONCE taps at a time,
+// repeated for every output. So the sums of a pixel are one vector (or two of 8 lanes), and folding them costs a third of what it would
+// with a vector an output. Of three outputs, a fourth has no weights; in fixed point its intercept is the fraction of the class. Floats
+// fill vectors with half as many taps: reading those of large patches would take longer than is saved by folding less.
 
+#ifdef SIDE_BY_SIDE
+
+#define BESIDE (LANES / 4)         // outputs side by side in a vector
+#define SUMS (4 / BESIDE)          // vectors that hold four outputs
+#define ONCE (TAP_LANES / BESIDE)  // taps
+#define VECTORS ((TAPS + ONCE - 1) / ONCE)
+#define CLASS_STRIDE (TAP_LANES * SUMS * (1 + VECTORS))  // first the intercepts, in the first lane of each four
+#define PLANES_MADE OUTPUTS
+#define READ_AHEAD ONCE
+
+// Whether weights are read once for a pair of one class. Before a further layer classes change so often that processors would guess wrong,
+// which takes longer than reading a few weights twice. And there a loop is as fast, and compiled in half the time.
 #ifdef FIXED_POINT
+#define SHARED(class, other) false
+#define UNROLLED 1
+#else
+#define SHARED(class, other) ((class) == (other))
+#define UNROLLED (LANES / 4)
+#endif
 
-#define EIGHT 8
-#define VECTORS ((TAPS + EIGHT - 1) / EIGHT)
-#define BESIDE (LANES / 4)    // outputs side by side in a vector
-#define SUMS (4 / BESIDE)     // vectors that hold four outputs
-#define CLASS_STRIDE (2 * LANES * SUMS * (1 + VECTORS))  // in 16 bits: first the intercepts, in the first lane of each four
-#define PLANES_MADE 3
-#define READ_AHEAD EIGHT
+typedef tap some_taps __attribute__((ext_vector_type(ONCE), aligned(sizeof(tap))));
 
-typedef short eight_taps __attribute__((ext_vector_type(EIGHT), aligned(sizeof(short))));
-
-#if LANES == 16
+#if TAP_LANES == 32
 #define REPEATED(v) __builtin_shufflevector(v, v, 0, 1, 2, 3, 4, 5, 6, 7, 0, 1, 2, 3, 4, 5, 6, 7, \
     0, 1, 2, 3, 4, 5, 6, 7, 0, 1, 2, 3, 4, 5, 6, 7)
-#else
+#elif TAP_LANES == 8
+#define REPEATED(v) __builtin_shufflevector(v, v, 0, 1, 2, 3, 0, 1, 2, 3)
+#elif defined(FIXED_POINT)
 #define REPEATED(v) __builtin_shufflevector(v, v, 0, 1, 2, 3, 4, 5, 6, 7, 0, 1, 2, 3, 4, 5, 6, 7)
+#else
+#define REPEATED(v) __builtin_shufflevector(v, v, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3)
 #endif
 
 // A pair's products with the weights of their classes, summed as far as a pair goes.
@@ -34,7 +50,7 @@ INLINE void apply_pair(totals sum[SUMS], const tap *first, const tap *second, __
     }
     #pragma unroll
     for (int j = 0; j < VECTORS; j++) {
-        const eight_taps u = *(const eight_taps *)(first + j * EIGHT), v = *(const eight_taps *)(second + j * EIGHT);
+        const some_taps u = *(const some_taps *)(first + j * ONCE), v = *(const some_taps *)(second + j * ONCE);
         #pragma unroll
         for (int s = 0; s < SUMS; s++) {
             const int at = ((1 + j) * SUMS + s) * TAP_LANES;
@@ -65,19 +81,19 @@ INLINE void part_outputs(totals output[4], totals folded[SUMS][LANES / 4]) {
 #endif
 }
 
-// LANES pixels from x on: plane o → made[o].
-INLINE void apply(totals *made, const tap *patches, const uint *label, __global const tap *weights, int x) {
+// LANES pixels from x on: plane or output o → made[o].
+INLINE void apply(totals *made, const tap *patches, const float *behind, const uint *label, __global const tap *weights, int x) {
     totals folded[SUMS][LANES / 4], output[4];
-    #pragma nounroll  // as fast, and compiled in half the time
+    #pragma clang loop unroll_count(UNROLLED)
     for (int n = 0; n < LANES / 2; n += 2) {
         totals pair[2][SUMS];
         #pragma unroll
         for (int i = 0; i < 2; i++) {
             const int first = PAIR_FIRST(n + i), second = first + PAIR;
-            const uint class = label[x + first], other = label[x + second];
             const tap *patch = patches + (x + first) * COLUMN;
+            const uint class = label[x + first], other = label[x + second];
             __global const tap *row = weights + (size_t)class * CLASS_STRIDE;
-            if (class == other) apply_pair(pair[i], patch, patch + PAIR * COLUMN, row, row);
+            if (SHARED(class, other)) apply_pair(pair[i], patch, patch + PAIR * COLUMN, row, row);
             else apply_pair(pair[i], patch, patch + PAIR * COLUMN, row, weights + (size_t)other * CLASS_STRIDE);
         }
         #pragma unroll
@@ -85,8 +101,12 @@ INLINE void apply(totals *made, const tap *patches, const uint *label, __global 
     }
     part_outputs(output, folded);
     #pragma unroll
-    for (int o = 0; o < 3; o++) {
+    for (int o = 0; o < OUTPUTS; o++) {
+#ifdef FIXED_POINT
         const totals in_pairs = plane_value(output[o], output[3]);
+#else
+        const totals in_pairs = output[o];
+#endif
         made[o] = __builtin_shufflevector(in_pairs, in_pairs, ALL_LANES(PAIR_PLACE));
     }
 }

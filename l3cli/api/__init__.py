@@ -1,0 +1,19 @@
+"""The Python interface: the four stages, evaluation, artifacts, raw frames and a renderer, as `l3cli.NAME`.
+
+    import l3cli as l3
+
+    camera = l3.calibrate("lab/MEASUREMENTS.toml", "camera.h5")
+    l3.simulate("default", camera, "training.h5", jobs=2)
+    table = l3.train("training.h5", "table.h5", jobs=2)
+    picture = l3.Renderer(table).picture(l3.read_raw("frame.dng", table))
+
+Stages take paths or artifacts, write the file that the command of their name writes, byte for byte, and return its content.
+They raise the errors of `l3cli.errors`: RecipeError (a wrong call or recipe), InputFileError, DeviceError, L3Error. They say
+nothing unless they are given a `console` (`l3cli.stages.console.Console`).
+"""
+
+from l3cli.api.artifacts import load, save
+from l3cli.api.frames import Renderer, read_raw
+from l3cli.api.stages import calibrate, evaluate, render, simulate, train
+
+__all__ = ["Renderer", "calibrate", "evaluate", "load", "read_raw", "render", "save", "simulate", "train"]

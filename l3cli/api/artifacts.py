@@ -1,0 +1,48 @@
+"""Artifacts: read, written, and handed to stages, which take files."""
+
+import contextlib
+import tempfile
+from collections.abc import Iterator
+from os import PathLike
+from pathlib import Path
+
+from l3cli.artifacts import store
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.schema import Artifact
+from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.training_set import TrainingSet
+from l3cli.errors import InputFileError
+from l3cli.recipes import find_recipe
+
+Name = str | PathLike[str]
+KINDS: tuple[type[Artifact], ...] = (CameraModel, TrainingSet, TransformTable)
+
+
+def load(path: Name) -> CameraModel | TransformTable | TrainingSet:
+    """The artifact in a file: a camera model, a transform table, or the head of a training set (its frames are read one by
+    one through `l3cli.artifacts.training_set.open_training_set`). InputFileError if it holds none, or a byte has changed."""
+    with store.open_artifact(Path(path)) as root:
+        kind = str(root.attrs["kind"])
+    for cls in KINDS:
+        if cls.kind == kind:
+            return store.load(cls, Path(path))  # type: ignore[return-value]
+    raise InputFileError(
+        f"{path} holds {kind}, which only l3 train --merge reads; give a camera model, training set or table"
+    )
+
+
+def save(artifact: CameraModel | TransformTable, path: Name) -> None:
+    """Write a camera model or a transform table, whole or not at all. L3Error if `path` cannot be written."""
+    store.save(artifact, Path(path))
+
+
+@contextlib.contextmanager
+def file_of(given: Name | Artifact, kind: str | None = None) -> Iterator[Path]:
+    """The file of an artifact: the one that is named (a recipe of a `kind` also by its name), or one made for the while."""
+    if not isinstance(given, Artifact):
+        yield Path(given) if kind is None else find_recipe(str(given), kind)
+        return
+    with tempfile.TemporaryDirectory(prefix="l3-") as folder:
+        path = Path(folder, "artifact.h5")
+        store.save(given, path)
+        yield path

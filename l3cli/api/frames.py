@@ -1,0 +1,122 @@
+"""Raw frames in memory, and what renders them."""
+
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.api.artifacts import Name
+from l3cli.artifacts import store
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.table import TransformTable
+from l3cli.correction import correction_of
+from l3cli.errors import InputFileError
+from l3cli.frame import RawFrame
+from l3cli.io.raw import files as raw_files
+from l3cli.io.raw.files import KnownBetter
+from l3cli.rendering.balance import WhiteBalance
+from l3cli.rendering.quiet import quiet_renderer
+from l3cli.rendering.temporal.chunks import Chunks
+from l3cli.rendering.temporal.filters import filters
+from l3cli.stages.rendering.following import Following, shown_as
+from l3cli.stages.rendering.rendition import OUTPUTS, Rendition, rendered
+
+
+def read_raw(
+    path: Name, sensor: TransformTable | CameraModel, *, black_level: float | None = None, white_level: float | None = None,
+    phase: tuple[int, int] | None = None, size: tuple[int, int] | None = None, packing: str | None = None,
+    stride: int | None = None, exposure: float | None = None, camera: CameraModel | None = None,
+) -> RawFrame:  # fmt: skip
+    """The raw frame in a file of any format that `l3 render` reads, `values` (row, col) in DN.
+
+    `black_level`, `white_level` (DN), `phase` (CFA row and column of the first pixel), `exposure` (s): known better than
+    the file says; `size` (rows, columns), `packing`, `stride` (bytes): of headerless files. `camera`: model whose defects
+    and flat field are corrected. InputFileError if it cannot be read, or has another CFA than the `sensor`.
+    """
+    correction = None if camera is None else correction_of(camera)
+    known = KnownBetter(black_level, white_level, phase, size, packing, stride, exposure, correction=correction)
+    return raw_files.read_raw(Path(path), sensor, known)
+
+
+class Renderer:
+    """Renders frames through a table, one or thousands, from any number of threads (one at a time is at work).
+
+    A frame is what `read_raw` gives, or an array (row, col) of uint16 at the table's black and white level whose first pixel
+    has CFA site (0, 0). `backend`: "opencl" or "reference"; `device`, `variant`: of "opencl", as the command's options.
+    """
+
+    def __init__(
+        self, table: Name | TransformTable, *, backend: str = "opencl", device: str | None = None, variant: str | None = None
+    ) -> None:
+        self.table = table if isinstance(table, TransformTable) else store.load(TransformTable, Path(table))
+        chosen = {name: value for name, value in {"device": device, "variant": variant}.items() if value is not None}
+        self._renderer, self._backend, self._chosen = quiet_renderer(backend, self.table, **chosen), backend, chosen
+        self._alone = threading.Lock()
+
+    def picture(
+        self, frame: RawFrame | NDArray[np.uint16], *, exposure: float | None = None, white: str | None = None,
+        space: str = "srgb", bits: int = 8,
+    ) -> NDArray[Any]:  # fmt: skip
+        """The picture, upright, (row, col, 3): what `l3 render` writes of the frame. uint8 or uint16 by `bits`; with 32
+        float32, linear and not clipped.
+
+        `exposure`: factor of Y, None: the frame's 99th percentile is shown white. `white`: name ("D50", "3200K") or "x,y" of
+        the scene's white, "camera" as the file states it, "auto" estimated on the frame, "ROW,COL" or "ROW,COL,SIZE" of a
+        grey in the picture, None: the table's. `space`: "srgb", "display-p3", "rec2020" or, linear, "acescg", "xyz".
+        RecipeError unless the table's outputs are X, Y, Z, InputFileError if the white cannot be taken from the frame.
+        """
+        return next(self.pictures([frame], exposure=exposure, white=white, space=space, bits=bits))
+
+    def pictures(
+        self, frames: Iterable[RawFrame | NDArray[np.uint16]], *, exposure: float | None = None, white: str | None = None,
+        space: str = "srgb", bits: int = 8,
+    ) -> Iterator[NDArray[Any]]:  # fmt: skip
+        """`picture` of each frame, in order, as they are asked for; each has its automatic exposure."""
+        rendition, source = shown_as(self.table, exposure, white, space, bits)
+        for each in frames:
+            frame = self._frame(each)
+            measured = source.white(frame) if source else None
+            yield self._pixels(frame, rendition, exposure or 0.0, measured.balance if measured else None)
+
+    def sequence(
+        self, rate: Fraction | None, *, exposure: float | None = None, white: str | None = None, space: str = "srgb",
+        bits: int = 8, temporal: bool = False,
+    ) -> Callable[[RawFrame | NDArray[np.uint16]], NDArray[Any]]:  # fmt: skip
+        """What makes the `picture` of each frame of a sequence, called with one after the other. Exposure and white that are
+        measured follow at `rate` (frames/s), as in `l3 render` of a sequence; None: they stay those of the first frame that
+        it is called with, and the others may come in any order, from any thread. `temporal`: frames come in their order, and
+        share what is not noise, as in `l3 render --temporal`; RecipeError if the table does not know its camera's noise."""
+        rendition, source = shown_as(self.table, exposure, white, space, bits)
+        quiet = Chunks(filters(self._backend, self.table, **self._chosen)) if temporal else None
+        following = Following(self.table, rendition, source, rate, quiet)
+
+        def picture(given: RawFrame | NDArray[np.uint16]) -> NDArray[Any]:
+            frame, scale, balance = following.shown(self._frame(given))
+            return self._pixels(frame, rendition, scale, balance)
+
+        return picture
+
+    def outputs(self, frame: RawFrame | NDArray[np.uint16]) -> NDArray[np.float32]:
+        """The table's outputs, upright, (row, col, output); 1 is `table.output_unit` cd s/m²."""
+        return self._pixels(self._frame(frame), OUTPUTS, 0.0, None)
+
+    def labels(self, frame: RawFrame | NDArray[np.uint16]) -> NDArray[np.integer]:
+        """The class (row, col) of every pixel, as the sensor lies."""
+        with self._alone:
+            return self._renderer.labels(self._frame(frame))
+
+    def _pixels(self, frame: RawFrame, rendition: Rendition, scale: float, balance: WhiteBalance | None) -> NDArray[Any]:
+        with self._alone:
+            pixels: NDArray[Any] = rendered(self._renderer, frame, rendition, scale, balance=balance).pixels
+        return pixels
+
+    def _frame(self, given: RawFrame | NDArray[np.uint16]) -> RawFrame:
+        if isinstance(given, RawFrame):
+            return given
+        if given.dtype not in (np.uint8, np.uint16):
+            raise InputFileError(f"an array of {given.dtype} is no raw frame; give DN as uint16")
+        return raw_files.frame_of("the array", {"values": given}, self.table, KnownBetter())

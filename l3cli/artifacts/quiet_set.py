@@ -1,0 +1,43 @@
+"""A table's second set of transforms: for pixels of which a filter in time has left little noise
+(docs/method.md#noise-sets)."""
+
+import math
+from dataclasses import dataclass, replace
+
+from l3cli.artifacts.layers import MosaicLayer, PlaneLayer
+from l3cli.artifacts.schema import check, data, equal, group
+
+
+@dataclass(frozen=True)
+class QuietSet:
+    """Layers that are those of their table, but for transforms, edges that noise tells, and scales of gradients."""
+
+    noise_left: float = data("float64", doc="share of the noise that varies in time, which is left where it was learned")
+    first: MosaicLayer = group()
+    later: tuple[PlaneLayer, ...] = group(default=())
+
+    def __post_init__(self) -> None:
+        check(self)
+        if not 0 < self.noise_left < 1:
+            raise ValueError(f"noise_left is {self.noise_left:g}, not between 0 and 1")
+
+    @property
+    def limit(self) -> float:
+        """The share of the noise up to which a pixel is rendered by it: half-way, in logarithms, to all of the noise."""
+        return math.sqrt(self.noise_left)
+
+    def check_fits(self, first: MosaicLayer, later: tuple[PlaneLayer, ...]) -> None:
+        """ValueError if classes are not numbered as those of the table's own layers."""
+        ours, theirs = self.first.rule, first.rule
+        features = ours.features and theirs.features and replace(ours.features, constants=theirs.features.constants)
+        if not equal(replace(ours, contrast_edges=theirs.contrast_edges, features=features), theirs):
+            raise ValueError("quiet/first has other classes than first")
+        if self.first.weights.shape != first.weights.shape:
+            raise ValueError("quiet/first has transforms of other shapes than first")
+        if len(self.later) != len(later):
+            raise ValueError(f"quiet holds {1 + len(self.later)} layers, the table {1 + len(later)}")
+        for number, (layer, usual) in enumerate(zip(self.later, later, strict=True)):
+            if not (type(layer.rule) is type(usual.rule) and equal(usual.scaled_as(layer.rule).rule, layer.rule)):
+                raise ValueError(f"quiet/later/{number} has other classes than later/{number}")
+            if (layer.side, layer.weights.shape) != (usual.side, usual.weights.shape):
+                raise ValueError(f"quiet/later/{number} has windows or transforms of other shapes than later/{number}")

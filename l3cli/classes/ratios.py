@@ -1,0 +1,23 @@
+"""Chroma as shading would make it: two further taps of a table's last layer (docs/method.md#colour-ratios)."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.classes.later import mirrored
+from l3cli.classes.planes import LUMINANCE
+
+DARKEST = 2**9  # steps of a plane: the least mean luminance that a ratio is taken to
+
+
+def shaded_chroma(planes: NDArray, side: int) -> NDArray[np.float64]:
+    """How far the two chroma planes of a pixel would be from their means over side × side, had all of the window one colour
+    and only light and shade: (chroma, row, col) of planes (plane, row, col), in their steps.
+
+        C̄ · ρ        ρ = clamp((Y − Ȳ) / max(Ȳ, DARKEST), ±1)
+
+    """
+    exact = planes.astype(np.float64)
+    windows = np.lib.stride_tricks.sliding_window_view(mirrored(exact, side // 2), (side, side), (1, 2))
+    first, luminance, second = windows.mean(axis=(-2, -1))
+    share = np.clip((exact[LUMINANCE] - luminance) / np.maximum(luminance, DARKEST), -1, 1)
+    return np.stack([first * share, second * share])

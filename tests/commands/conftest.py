@@ -1,0 +1,47 @@
+"""What tests of several commands start from: tables in a file, frames of a sequence, a mosaic, a browser."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from l3cli.artifacts.store import save
+from tests.helpers import raw_files, sequences
+from tests.helpers.browser import CHROMIUM, Browser
+
+
+@pytest.fixture
+def table(tmp_path: Path) -> Path:
+    """The table of the short sequence (tests.helpers.sequences)."""
+    save(sequences.RGGB, tmp_path / "table.h5")
+    return tmp_path / "table.h5"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Its frames: frame_07.tif … frame_11.tif"""
+    return sequences.write_frames(tmp_path / "frames")
+
+
+@pytest.fixture
+def raw_table(tmp_path: Path) -> Path:
+    """The table of raw files of the field (tests.helpers.raw_files)."""
+    save(raw_files.RGGB, tmp_path / "table.h5")
+    return tmp_path / "table.h5"
+
+
+@pytest.fixture
+def mosaic() -> np.ndarray:
+    """(row, col) What these files hold."""
+    shape = raw_files.RGGB.rows, raw_files.RGGB.cols
+    return np.random.default_rng(0).integers(0, 4096, shape).astype(np.uint16)
+
+
+@pytest.fixture(scope="session")
+def tab() -> Iterator[Browser]:
+    """A tab of one browser for all pages."""
+    if CHROMIUM is None:
+        pytest.skip("no Chromium here; .ci/run installs it")
+    with Browser() as browser:
+        yield browser
