@@ -1,10 +1,11 @@
 """The four stages and evaluation, as functions of files or artifacts."""
 
-from collections.abc import Sequence
+import functools
+from collections.abc import Callable, Sequence
 from fractions import Fraction
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 from l3cli.api.artifacts import Name, file_of
 from l3cli.artifacts import store
@@ -15,7 +16,25 @@ from l3cli.errors import RecipeError
 from l3cli.recipes import find_recipe
 from l3cli.stages.console import Console, Silent
 
+P = ParamSpec("P")
+R = TypeVar("R")
 
+
+def _in_one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
+    """`function` while BLAS computes in one thread, as in the command: the number of cores must not change how it rounds."""
+
+    @functools.wraps(function)
+    def limited(*args: P.args, **kwargs: P.kwargs) -> R:
+        import scipy.linalg  # noqa: F401 # whose BLAS is another one, which has to be there to be limited
+        from threadpoolctl import threadpool_limits
+
+        with threadpool_limits(1, user_api="blas"):
+            return function(*args, **kwargs)
+
+    return limited
+
+
+@_in_one_blas_thread
 def calibrate(
     measurements: Name | None, output: Name, *, photos: Sequence[Name] = (), light: str | None = None,
     export: Name | None = None, accept: bool = False, jobs: int = 1, force: bool = False, console: Console | None = None,
@@ -43,6 +62,7 @@ def calibrate(
     return camera
 
 
+@_in_one_blas_thread
 def simulate(
     scenes: Name, camera: Name | CameraModel, output: Name, *, pictures: Name | None = None, dng: Name | None = None,
     resume: bool = False, skip_bad: bool = False, seed: int = 0, jobs: int = 1, force: bool = False,
@@ -63,6 +83,7 @@ def simulate(
     return store.load(TrainingSet, Path(output))
 
 
+@_in_one_blas_thread
 def train(
     training: Name | Sequence[Name], output: Name, *, classes: Name | None = None, shares: Sequence[float] | None = None,
     seed: int = 0, jobs: int = 1, force: bool = False, console: Console | None = None,
@@ -78,13 +99,13 @@ def train(
     if parts is not None and (len(parts) != len(sets) or min(parts) < 0 or not any(parts)):
         raise RecipeError(f"{len(sets)} training sets need as many shares, none below zero and one above")
     recipe = None if classes is None else find_recipe(str(classes), "classes")
-    with _one_blas_thread():
-        return whole.train(
-            tuple(map(Path, sets)), Path(output), console or Silent(), classes=recipe, shares=parts, seed=seed, jobs=jobs,
-            force=force,
-        )  # fmt: skip
+    return whole.train(
+        tuple(map(Path, sets)), Path(output), console or Silent(), classes=recipe, shares=parts, seed=seed, jobs=jobs,
+        force=force,
+    )  # fmt: skip
 
 
+@_in_one_blas_thread
 def render(
     table: Name | TransformTable, inputs: Name | Sequence[Name], output: Name, *, console: Console | None = None,
     **options: Any,
@@ -94,10 +115,11 @@ def render(
     from l3cli.stages.rendering import render as stage
 
     files = (inputs,) if isinstance(inputs, str | PathLike) else tuple(inputs)
-    with file_of(table) as file, _one_blas_thread():
+    with file_of(table) as file:
         return stage.render(file, tuple(map(Path, files)), Path(output), console or Silent(), **options).failures
 
 
+@_in_one_blas_thread
 def evaluate(
     table: Name | TransformTable, frames: Name, *, viewing: float = 50.0, border: int | None = None,
     pictures: Name | None = None, backend: str = "opencl", force: bool = False, console: Console | None = None,
@@ -120,13 +142,6 @@ def evaluate(
             pictures=_optional(pictures),
             force=force,
         )
-
-
-def _one_blas_thread() -> Any:
-    """While it lasts BLAS computes in one thread, as in the command: the number of cores must not change how it rounds."""
-    from threadpoolctl import threadpool_limits
-
-    return threadpool_limits(1, user_api="blas")
 
 
 def _optional(path: Name | None) -> Path | None:

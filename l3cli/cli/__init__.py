@@ -17,7 +17,7 @@ from l3cli.importing import without_collecting
 from l3cli.interrupts import Terminated, heed, leave_to_python
 from l3cli.ledger import close_ledger
 from l3cli.limits import require_address_space
-from l3cli.parallel import without_plots
+from l3cli.parallel import one_blas_thread, without_plots
 from l3cli.stages.log import Logged
 from l3cli.stages.plan import Planned
 
@@ -104,6 +104,7 @@ def main() -> None:
     """Run the command line; every failure ends as one line on stderr and its exit code (docs/robustness.md#exit-codes)."""
     prepare()
     heed()
+    one_blas_thread()
     without_plots()
     code = run(sys.argv[1:])
     leave_to_python()

@@ -228,10 +228,7 @@ def render(
     \b
     Example: l3 render table.h5 frame.dng -o picture.png
     """
-    from l3cli.parallel import one_blas_thread
-
     _refuse_contradictions(inputs, output, watched, every)
-    one_blas_thread()  # the products of the light meter are small, and threads that wait for them take the encoder's time
     from l3cli.io.apart import start
     from l3cli.io.raw.registry import needs_sandbox
 

@@ -95,9 +95,6 @@ def train(
     With first_draws = 0 in the recipe, or other outputs than XYZ, there is one pass: two steps, without --first. Every
     [[layer]] of the recipe is a pass more, with --first and the table of the pass before. --merge says what comes next.
     """
-    from l3cli.parallel import one_blas_thread
-
-    one_blas_thread()
     from l3cli.stages.training.shards import merge_shards, train_shard
     from l3cli.stages.training.whole import filling
     from l3cli.stages.training.whole import train as train_whole

@@ -18,10 +18,10 @@ R = TypeVar("R")
 
 
 def one_blas_thread() -> None:
-    """Keep BLAS to one thread in this process and its children: small products are faster so, and the number of cores does
-    not change how they are rounded. To be called before numpy is first imported; what the user has set himself stays."""
-    for name, value in ONE_BLAS_THREAD.items():
-        os.environ.setdefault(name, value)
+    """Keep BLAS to one thread in this process and its children, whatever the user has set: small products are faster so,
+    threads that wait for them take no time of encoders, and the number of cores does not change how they are rounded. To be
+    called before numpy is first imported."""
+    os.environ.update(ONE_BLAS_THREAD)
 
 
 def without_plots() -> None:

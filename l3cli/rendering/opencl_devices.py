@@ -12,6 +12,7 @@ from l3cli.rendering import kernels
 
 INSTALL = 'install one, on any processor with: pip install "pyopencl[pocl]"'
 LINKER = "ld"  # by which PoCL finishes each kernel, with a C compiler's libraries; without them it ends the whole process
+REFUSES_PROCESSOR = "unknown target CPU"  # words of PoCL's compiler
 LINKS_BY_PROGRAM = re.compile(r"OpenCL \d+\.\d+ PoCL [1-3]\.")  # that of the wheels, which is 3.0, among them
 
 
@@ -95,5 +96,10 @@ def refusals(device: Any) -> Iterator[None]:
     except cl.MemoryError as error:
         raise DeviceError(f"{device.name.strip()} has too little memory for this table and frame") from error
     except cl.Error as error:
+        if REFUSES_PROCESSOR in str(error):
+            raise DeviceError(
+                f"{device.name.strip()}: the compiler of this PoCL is older than the processor and does not know it; "
+                "install a newer one (Debian, Ubuntu: pocl-opencl-icd; conda: pocl) and choose it with ‹device›"
+            ) from error
         reason = " ".join(str(error).split())[:300]
         raise DeviceError(f"{device.name.strip()} failed: {reason}; choose another with ‹device›") from error

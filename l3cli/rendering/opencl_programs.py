@@ -10,6 +10,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.rendering import kernels, layout
 from l3cli.rendering.display import Display
 from l3cli.rendering.opencl_devices import pyopencl
+from l3cli.rendering.opencl_processor import compiled_for
 
 BUILD_OPTIONS = ("-w", "-cl-mad-enable", "-cl-std=CL1.2")
 TRANSFORM_ONLY: layout.Macros = {"TRANSFORM_ONLY": 1}  # without the kernel of the classes, which another program has
@@ -37,7 +38,8 @@ class Compiler:
         """A program."""
         cl, device = pyopencl(), self._device
         options = [*BUILD_OPTIONS, *(f"-D{name}={value}" for name, value in macros.items())]
-        identity = (device.platform.name, device.platform.version, device.name, device.version, device.driver_version)
+        driver = (device.platform.name, device.platform.version, device.version, device.driver_version)
+        identity = (*driver, device.name, compiled_for(device))
 
         def compiled() -> kernels.Made:
             return _made(cl.Program(self.context, source).build(options))

@@ -59,6 +59,26 @@ def test_a_worker_imports_nothing_to_draw_with() -> None:
     assert alone(drawing, 0) == {"colour"}
 
 
+COUNTED = """
+import sys
+from l3cli import cli
+
+def counted(arguments):
+    import scipy.linalg
+    from threadpoolctl import threadpool_info
+    return max(library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas")
+
+cli.run, sys.argv = counted, ["l3"]
+cli.main()
+"""
+
+
+def test_the_number_of_cores_does_not_change_how_products_are_rounded() -> None:
+    """Of some processors BLAS rounds otherwise in several threads, in which workers never compute."""
+    environment = dict(os.environ) | {"OMP_NUM_THREADS": "2", "OPENBLAS_NUM_THREADS": "2"}
+    assert subprocess.run([sys.executable, "-c", COUNTED], env=environment, timeout=PATIENCE).returncode == 1
+
+
 def test_what_a_worker_raises_is_raised_here() -> None:
     with pytest.raises(L3Error, match="not 0"):
         list(ordered_map(refusing, range(3), 2))
