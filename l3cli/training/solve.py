@@ -138,15 +138,14 @@ def solve(
 
 
 def _surfaces(rule: ClassRule, window: NDArray[np.int64], goal: Goal, white: Array | None) -> dict[int, Array]:
-    """Moments of plain surfaces of the unsaturated classes of the lowest contrast, if the patches bear out what the camera
-    sees of white, and so of all else."""
+    """Moments of plain surfaces of the unsaturated classes of the lowest contrast and no direction, if the patches bear out
+    what the camera sees of white, and so of all else."""
     if goal.surfaces is None or white is None or goal.white_signal is None or not np.array_equal(white, goal.white_signal):
         return {}
     moments = goal.surfaces.moments(rule, window)
     plain = {chroma: each for chroma, each in enumerate(moments) if each is not None}
-    levels, further = np.ogrid[: rule.levels, : rule.further]
-    places = ((rule.join(levels, 0, chroma, further=further).ravel().tolist(), each) for chroma, each in plain.items())
-    return {index: each for indices, each in places for index in indices}
+    levels = np.arange(rule.levels)
+    return {index: each for chroma, each in plain.items() for index in rule.join(levels, 0, chroma).tolist()}
 
 
 def equal_responses(

@@ -41,6 +41,11 @@ draws = 3
 first_draws = 0
 plain_surfaces = {weight}
 """
+DIRECTION = """
+[classes.direction]
+orientations = 4
+strengths = [2.0]
+"""
 
 
 def surfaces_of(camera: CameraModel, light: str, target: str | None = None) -> tuple[PlainSurfaces | None, np.ndarray]:
@@ -112,11 +117,11 @@ def test_a_chroma_of_few_surfaces_is_left_to_its_patches(fiveband: CameraModel) 
     assert few.moments(rule, neighbourhoods(fiveband.cfa, 5, 5).channel[0]) == [None]
 
 
-def learned(lights: list[str], weight: float, folder: Path, l3: Callable) -> TransformTable:
-    """A small table of the five-band camera."""
+def learned(lights: list[str], weight: float, folder: Path, l3: Callable, more: str = "") -> TransformTable:
+    """A small table of the five-band camera, of classes with `more` keys."""
     folder.mkdir(exist_ok=True)
     (folder / "scenes.toml").write_text(SCENES.format(lights=str(lights).replace("'", '"')))
-    (folder / "classes.toml").write_text(CLASSES.format(weight=weight))
+    (folder / "classes.toml").write_text(CLASSES.format(weight=weight) + more)
     if not (folder / "scenes.h5").exists():
         camera = CONFIGS / "cameras/fiveband.toml"
         assert l3("simulate", folder / "scenes.toml", "--camera", camera, "-o", folder / "scenes.h5", "--quiet")[0] == 0
@@ -147,6 +152,14 @@ def chart_error(table: TransformTable, camera: CameraModel) -> float:
 def test_plain_colours_of_an_unseen_chart_are_truer(fiveband: CameraModel, tmp_path: Path, l3: Callable) -> None:
     without, taught = (chart_error(learned(["D65"], weight, tmp_path, l3), fiveband) for weight in (0.0, 1.0))
     assert taught < 0.8 * without
+
+
+def test_classes_of_a_direction_are_left_to_their_patches(tmp_path: Path, l3: Callable) -> None:
+    """No plain area has one."""
+    without, taught = (learned(["D65"], weight, tmp_path, l3, DIRECTION).first for weight in (0.0, 3.0))
+    further = taught.rule.split(np.arange(len(taught.weights))).further
+    np.testing.assert_array_equal(taught.weights[further > 0], without.weights[further > 0])
+    assert (taught.weights[further == 0] != without.weights[further == 0]).any()
 
 
 def test_training_under_several_lights_is_left_to_its_patches(tmp_path: Path, l3: Callable) -> None:
