@@ -69,7 +69,7 @@ INLINE void apply(totals *made, const tap *patches, const float *behind, const u
     for (int g = 0; g < GROUPS; g++) {
         __global const tap *group = weights + g * GROUP_STRIDE;
         totals folded[GROUP][LANES / 4];
-        #pragma unroll
+        #pragma clang loop unroll_count(UNROLLED)
         for (int n = 0; n < LANES / 2; n += 2) {
             totals pair[2][GROUP];
             #pragma unroll

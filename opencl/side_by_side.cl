@@ -17,13 +17,11 @@
 #define READ_AHEAD ONCE
 
 // Whether weights are read once for a pair of one class. Before a further layer classes change so often that processors would guess wrong,
-// which takes longer than reading a few weights twice. And there a loop is as fast, and compiled in half the time.
+// which takes longer than reading a few weights twice.
 #ifdef FIXED_POINT
 #define SHARED(class, other) false
-#define UNROLLED 1
 #else
 #define SHARED(class, other) ((class) == (other))
-#define UNROLLED (LANES / 4)
 #endif
 
 typedef tap some_taps __attribute__((ext_vector_type(ONCE), aligned(sizeof(tap))));

@@ -54,7 +54,7 @@ class Renderer:
     ) -> None:
         self.table = table if isinstance(table, TransformTable) else store.load(TransformTable, Path(table))
         chosen = {name: value for name, value in {"device": device, "variant": variant}.items() if value is not None}
-        self._renderer, self._backend, self._chosen = quiet_renderer(backend, self.table, **chosen), backend, chosen
+        self._renderer, self._backend, self._chosen = quiet_renderer(backend, self.table, None, **chosen), backend, chosen
         self._alone = threading.Lock()
 
     def picture(

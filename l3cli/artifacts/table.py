@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel, check_cfa, check_sensor
 from l3cli.artifacts.layers import RATIO_TAPS, MosaicLayer, PlaneLayer
+from l3cli.artifacts.light import LightSpectrum
 from l3cli.artifacts.quiet_set import QuietSet
 from l3cli.artifacts.schema import Artifact, data, group
-from l3cli.artifacts.training_set import LightSpectrum
 
 
 @dataclass(frozen=True)

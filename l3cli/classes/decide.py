@@ -7,7 +7,7 @@ from l3cli.artifacts.class_rule import ClassRule
 from l3cli.classes import chroma, contrast, level, saturation
 from l3cli.classes.features import further_features
 from l3cli.classes.statistics import PatchSums, Statistics, mosaic_statistics, patch_statistics, window_sums
-from l3cli.classes.windows import Integers, Neighbourhoods, neighbourhoods, tap_order
+from l3cli.classes.windows import Integers, Neighbourhoods, TapOrder, neighbourhoods, tap_order
 
 
 def labels(rule: ClassRule, statistics: Statistics) -> Integers:
@@ -32,9 +32,11 @@ def label_mosaic(
     return rule.on_site(labels(rule, statistics), statistics.site)
 
 
-def label_patches(patches: NDArray[np.unsignedinteger], rule: ClassRule, near: Neighbourhoods, site: int) -> Integers:
-    """Class within `site` of each patch (patch, tap) of DN."""
-    order = tap_order(rule, near, site)
+def label_patches(
+    patches: NDArray[np.unsignedinteger], rule: ClassRule, near: Neighbourhoods, site: int, order: TapOrder | None = None
+) -> Integers:
+    """Class within `site` of each patch (patch, tap) of DN; `order`: that of the site, where it is known."""
+    order = order or tap_order(rule, near, site)
     return label_sums(patch_statistics(patches.T[order.taps].astype(np.uint32), rule, order), rule, near, site)
 
 

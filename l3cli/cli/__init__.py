@@ -13,8 +13,8 @@ from l3cli import __version__
 from l3cli.cli.results import Record, Result, begin
 from l3cli.cli.terminal import drop, prepare, show, to_stderr
 from l3cli.errors import L3Error, suggestion
-from l3cli.importing import without_collecting
-from l3cli.interrupts import Terminated, heed, leave_to_python
+from l3cli.importing import own_process, without_collecting
+from l3cli.interrupts import Terminated, end_process, heed, leave_to_python
 from l3cli.ledger import close_ledger
 from l3cli.limits import require_address_space
 from l3cli.parallel import one_blas_thread, without_plots
@@ -106,9 +106,10 @@ def main() -> None:
     heed()
     one_blas_thread()
     without_plots()
+    own_process()
     code = run(sys.argv[1:])
     leave_to_python()
-    sys.exit(code)
+    end_process(code)
 
 
 def run(arguments: list[str]) -> int:

@@ -238,7 +238,6 @@ def render(
         from l3cli.io.raw.files import KnownBetter
         from l3cli.stages.rendering.clips import ClipJob, alone, are_clips
         from l3cli.stages.rendering.render import render as stage
-        from l3cli.stages.rendering.watch import watch
 
     known = KnownBetter(black_level, white_level, phase, size, packing, stride, exposure_time)
     render_one = functools.partial(
@@ -254,6 +253,8 @@ def render(
         if watched is None:
             job.run(inputs, resume)
         else:
+            from l3cli.stages.rendering.watch import watch
+
             watch(job, watched, USUAL_EVERY if every is None else every)
     except (L3Error, KeyboardInterrupt, Terminated) as ended:
         if not job.summary.clips:

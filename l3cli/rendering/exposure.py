@@ -1,5 +1,6 @@
 """Exposure of a sequence: measured on a few pixels a frame, followed without flicker (docs/method.md#display)."""
 
+import functools
 import math
 from dataclasses import replace
 from fractions import Fraction
@@ -8,7 +9,7 @@ import numpy as np
 
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.decide import label_patches
-from l3cli.classes.windows import neighbourhoods, window_channels
+from l3cli.classes.windows import TapOrder, neighbourhoods, tap_order, window_channels
 from l3cli.frame import RawFrame, mirrored_indices
 from l3cli.physics.display import white_percentile
 from l3cli.rendering.balance import WhiteBalance, balanced_patches, followed_share
@@ -27,12 +28,16 @@ class LightMeter:
         self._near = neighbourhoods(table.cfa, table.first.rule.patch, len(table.channels))
         self._weights = np.ascontiguousarray(table.first.weights[:, 1])
         self._intercept = table.first.intercept[:, 1]
+        self._orders: dict[int, TapOrder] = {}  # by CFA site
 
     def brightness(self, frame: RawFrame, balance: WhiteBalance | None = None) -> float:
         """Y that ought to be shown white, of the frame with the gains of a white balance."""
         table = self.table
         patches, site = spread_patches(frame, table, None if balance is None else balance.gains)
-        classes = table.first.rule.on_site(label_patches(patches.values, table.first.rule, self._near, site), site)
+        if site not in self._orders:
+            self._orders[site] = tap_order(table.first.rule, self._near, site)
+        labels = label_patches(patches.values, table.first.rule, self._near, site, self._orders[site])
+        classes = table.first.rule.on_site(labels, site)
         signal = (patches.values.astype(np.float32) - np.float32(patches.black_level)) / np.float32(
             table.white_level - table.black_level
         )
@@ -46,13 +51,11 @@ class LightMeter:
 def spread_patches(frame: RawFrame, table: TransformTable, gains: np.ndarray | None = None) -> tuple[RawFrame, int]:
     """About 1500 patches (patch, tap) of a frame, evenly spread, at the table's levels, with the gains (channel) of a white
     balance, shading that of each patch; and the CFA site of them all, that of the frame's first pixel."""
-    period_row, period_col = table.cfa.shape
-    rows, cols = frame.values.shape
-    row, col = (_windows(frame, table, axis) for axis in (0, 1))
-    row_source = mirrored_indices(rows, table.first.rule.radius, period_row)[row]
-    col_source = mirrored_indices(cols, table.first.rule.radius, period_col)[col]
+    period_col = table.cfa.shape[1]
+    (row, row_source), (col, col_source) = (_windows(*_geometry(frame, table, axis)) for axis in (0, 1))
     taken = (row_source[:, None, :, None], col_source[None, :, None, :])
-    patches = frame.values[taken].reshape(-1, table.first.rule.patch**2)
+    places = taken[0].astype(np.intp) * frame.values.shape[1] + taken[1]  # one index in place of two: half the time
+    patches = frame.values.reshape(-1).take(places).reshape(-1, table.first.rule.patch**2)
     shading = None if frame.shading is None else frame.shading.of_patches(taken, row[:, 0], col[:, 0])
     cut, site = replace(frame, values=patches, shading=shading), frame.phase[0] * period_col + frame.phase[1]
     if gains is not None:
@@ -62,16 +65,24 @@ def spread_patches(frame: RawFrame, table: TransformTable, gains: np.ndarray | N
 
 def spread_shape(frame: RawFrame, table: TransformTable) -> tuple[int, int]:
     """Rows and columns of the grid in which `spread_patches` lie, row by row."""
-    return len(_windows(frame, table, 0)), len(_windows(frame, table, 1))
+    row, col = (_windows(*_geometry(frame, table, axis))[0] for axis in (0, 1))
+    return len(row), len(col)
 
 
-def _windows(frame: RawFrame, table: TransformTable, axis: int) -> np.ndarray:
-    """Padded indices (position, tap) along an axis of patches at evenly spread samples of the first sample's phase."""
-    period = table.cfa.shape[axis]
-    available = -(-frame.values.shape[axis] // period)
-    spread = np.linspace(0, available - 1, min(GRID[axis], available)).round().astype(int)
+def _geometry(frame: RawFrame, table: TransformTable, axis: int) -> tuple[int, int, int, int]:
+    """What `_windows` depend on."""
+    return frame.values.shape[axis], table.cfa.shape[axis], table.first.rule.patch, GRID[axis]
+
+
+@functools.lru_cache(4)  # the same for every frame of a sequence
+def _windows(length: int, period: int, patch: int, most: int) -> tuple[np.ndarray, np.ndarray]:
+    """Padded indices (position, tap) along an axis of patches at evenly spread samples, at most so many, of the first
+    sample's phase, and the samples that these are."""
+    available = -(-length // period)
+    spread = np.linspace(0, available - 1, min(most, available)).round().astype(int)
     chosen = spread[np.diff(spread, prepend=-1) > 0]  # np.unique would load modules that rendering does not need
-    return chosen[:, None] * period + np.arange(table.first.rule.patch)
+    padded = chosen[:, None] * period + np.arange(patch)
+    return padded, mirrored_indices(length, patch // 2, period)[padded]
 
 
 class SteadyExposure:

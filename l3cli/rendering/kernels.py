@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from l3cli.errors import DeviceError, L3Error
-from l3cli.files import sweep, write_whole
+from l3cli.kept import kept_folder, read_kept, write_kept
 from l3cli.locks import sole_writer_of_folder
 
 PREFIX = "l3-kernels-"
@@ -30,6 +30,7 @@ ROOM = 16 << 20  # bytes, several times what the kernels of a table need while t
 YOUNG = 60  # seconds in which a folder may be another run's that has not locked it yet
 PROGRAMS = "??/*"  # PoCL's folders of a program each
 COMPILED = "*/*/*.so"  # below each of them: a folder a kernel, in it one for each size of work-groups
+MOST = 64 << 20  # bytes of one that is kept
 GENERAL = "0-0-0"  # PoCL's folder, of each kernel, of the form for work-groups of any size
 
 
@@ -46,7 +47,7 @@ class _Cache:
     """PoCL's folder, and the one where its kernels are kept."""
 
     def __init__(self) -> None:
-        self.kept = _kept_folder()
+        self.kept = kept_folder()
         self.folder = _private_folder(self.kept)
         self.unkept = "" if self.kept else "there is no home folder"
         self._new: dict[Path, tuple[set[Path], Made]] = {}  # file to be kept: PoCL's folders of what it is to hold
@@ -77,9 +78,7 @@ class _Cache:
             try:
                 if made.spares_general:
                     _spare_general_forms(folders)
-                content = zlib.compress(made.binary(), 1)
-                write_whole(file, hashlib.sha256(content).digest() + content)
-                sweep(file.parent)
+                write_kept(file, [zlib.compress(made.binary(), 1)])
             except (L3Error, OSError) as error:
                 self.unkept = f"{file.parent}: {getattr(error.__cause__ or error, 'strerror', None) or error}"
 
@@ -113,17 +112,6 @@ def unkept() -> str:
         f"compiled kernels cannot be kept ({_cache().unkept}), so each run compiles them anew, which takes seconds; "
         "set XDG_CACHE_HOME to a folder with room that can be written to"
     )
-
-
-def _kept_folder() -> Path | None:
-    """Where kernels are kept: in POCL_CACHE_DIR, else below XDG_CACHE_HOME or the home folder; None if there is none."""
-    chosen, caches = Path(os.environ.get("POCL_CACHE_DIR", "")), Path(os.environ.get("XDG_CACHE_HOME", ""))
-    if chosen.is_absolute():
-        return chosen
-    home = Path(os.path.expanduser("~"))
-    if not caches.is_absolute() and home.is_absolute() and os.environ.get("HOME") != "":
-        caches = home / ".cache"
-    return caches / "l3cli" / "kernels" if caches.is_absolute() else None
 
 
 def _private_folder(kept: Path | None) -> Path:
@@ -183,8 +171,7 @@ def _spare_general_forms(programs: set[Path]) -> None:
 def _read(file: Path) -> bytes | None:
     """What is kept in a file; None if it is not there or not as it was written."""
     try:
-        whole = file.read_bytes()
-        size = hashlib.sha256().digest_size
-        return zlib.decompress(whole[size:]) if hashlib.sha256(whole[size:]).digest() == whole[:size] else None
-    except (OSError, zlib.error):
+        content = read_kept(file, MOST)
+        return None if content is None else zlib.decompress(content)
+    except zlib.error:
         return None

@@ -19,12 +19,13 @@ from l3cli.errors import RecipeError
 from l3cli.frame import RawFrame
 from l3cli.rendering import layout
 from l3cli.rendering.display import Display, require_known_layers, require_xyz
+from l3cli.rendering.kept_table import Layouts
 from l3cli.rendering.noise_sets import sets_of
 from l3cli.rendering.opencl_bands import bands
 from l3cli.rendering.opencl_devices import choose_device, pyopencl, refusals
-from l3cli.rendering.opencl_planes import plane_steps
+from l3cli.rendering.opencl_planes import table_buffers
 from l3cli.rendering.opencl_programs import Compiler, Programs
-from l3cli.rendering.opencl_quiet import bring, last_weights
+from l3cli.rendering.opencl_quiet import bring
 from l3cli.rendering.opencl_shading import DeviceShading
 from l3cli.rendering.opencl_work import Band, Held, Track, Work, constant, scratch, shares_memory
 
@@ -45,7 +46,7 @@ class OpenCLRenderer:
 
     def __init__(
         self, table: TransformTable, device: str | None = None, variant: str | None = None, lanes: int | None = None,
-        by_noise: bool = False,
+        by_noise: bool = False, layouts: Layouts | None = None,
     ) -> None:  # fmt: skip
         require_known_layers(table)
         self.table, self._sets = table, sets_of(table, by_noise)
@@ -57,13 +58,12 @@ class OpenCLRenderer:
         with refusals(self.device):
             self._context = cl.Context([self.device])
             self._constant, self._scratch = partial(constant, self._context), partial(scratch, self._context)
-            variant_layout = layout.VARIANTS[self.variant]
             self._compiler = Compiler(self._context, self.device)
             self._programs = Programs(self._compiler, table, self.variant, lanes, len(self._sets))
             self._cut = self._programs.cut
-            self._class_buffers = [self._constant(array) for array in layout.class_arrays(*self._sets)]
-            self._weights = self._constant(variant_layout.pack(last_weights(self._sets), self._cut.lanes))
-            self._later = plane_steps(self._sets, self.variant, self._cut.lanes, self._constant)
+            self._class_buffers, self._weights, self._later = table_buffers(
+                self._sets, self.variant, self._cut.lanes, self._constant, layouts or Layouts()
+            )
             self._tracks = deque(Track(self._context, len(table.later)) for _ in range(TRACKS))
             self._frame_bands: tuple[tuple[int, ...], tuple[Band, ...]] | None = None
             self._held: Held | None = None

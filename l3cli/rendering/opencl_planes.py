@@ -1,14 +1,18 @@
-"""What an OpenCL device keeps of a table's later layers."""
+"""What an OpenCL device keeps of a table."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from l3cli.classes.planes import later_fixed_point, opponent_basis
 from l3cli.rendering import layout
+from l3cli.rendering.kept_table import Layouts
 from l3cli.rendering.noise_sets import Sets, first_fixed_point, later_layers, later_rules
+from l3cli.rendering.opencl_quiet import last_weights
 
 
 @dataclass(frozen=True)
@@ -20,16 +24,28 @@ class PlaneStep:
     nothing: Any  # where other transforms have a display's matrix
 
 
-def plane_steps(sets: Sets, variant: str, lanes: int, constant: Callable[..., Any]) -> list[PlaneStep]:
-    """The step to each later layer; `constant` makes buffers of arrays."""
-    return [_plane_step(sets, number, variant, lanes, constant) for number in range(len(sets[0].later))]
+def table_buffers(
+    sets: Sets, variant: str, lanes: int, constant: Callable[..., Any], layouts: Layouts
+) -> tuple[list[Any], Any, list[PlaneStep]]:
+    """What classes of the first layer are decided by, the last layer's transforms, and the step to each later layer.
+    `constant` makes buffers of arrays."""
+    name = f"{len(sets)} {len(sets[0].outputs)} {variant} {lanes}"
+    classes = layouts.of(f"{name} classes", lambda: layout.class_arrays(*sets))
+    (weights,) = layouts.of(f"{name} weights", lambda: [layout.VARIANTS[variant].pack(last_weights(sets), lanes)])
+    steps = []
+    for number in range(len(sets[0].later)):
+        made = layouts.of(f"{name} planes {number}", partial(_arrays, sets, number, variant, lanes))
+        before, *rule = map(constant, made)
+        steps.append(PlaneStep(before, tuple(rule), constant(np.zeros(9, np.float32))))
+    return [*map(constant, classes)], constant(weights), steps
 
 
-def _plane_step(sets: Sets, number: int, variant: str, lanes: int, constant: Callable[..., Any]) -> PlaneStep:
+def _arrays(sets: Sets, number: int, variant: str, lanes: int) -> tuple[NDArray, ...]:
+    """Weights of the layer before, and what later layer `number` decides its classes by."""
     table, later = sets[0], later_layers(sets)
     if number:
         weights = layout.later_plane_weights(later_fixed_point(later[number - 1], opponent_basis(table.white_point)))
     else:
         weights = layout.first_plane_weights(first_fixed_point(sets), table.bits)
-    rule = tuple(constant(array) for array in layout.rule_arrays(table, variant, *later_rules(sets, number)))
-    return PlaneStep(constant(layout.VARIANTS[variant].pack_whole(weights, lanes)), rule, constant(np.zeros(9, np.float32)))
+    rules = layout.rule_arrays(table, variant, *later_rules(sets, number))
+    return layout.VARIANTS[variant].pack_whole(weights, lanes), *rules

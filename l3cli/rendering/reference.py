@@ -14,6 +14,7 @@ from l3cli.classes.planes import FixedPoint, later_fixed_point, opponent_basis
 from l3cli.classes.windows import Integers
 from l3cli.frame import RawFrame, pad_mosaic
 from l3cli.rendering.display import Display, encode, require_known_layers, require_xyz
+from l3cli.rendering.kept_table import Layouts
 from l3cli.rendering.later import first_planes, later_outputs, later_planes
 from l3cli.rendering.noise_sets import first_fixed_point, first_layer, later_layers, later_rules, quiet_pixels, sets_of
 
@@ -21,7 +22,7 @@ from l3cli.rendering.noise_sets import first_fixed_point, first_layer, later_lay
 class ReferenceRenderer:
     """Renderer in numpy: slow, exact, without a device. `by_noise`: as make_renderer has it."""
 
-    def __init__(self, table: TransformTable, by_noise: bool = False) -> None:
+    def __init__(self, table: TransformTable, by_noise: bool = False, layouts: Layouts | None = None) -> None:
         require_known_layers(table)
         self.table, self._sets = table, sets_of(table, by_noise)
         self._first, self._later_layers = first_layer(self._sets), later_layers(self._sets)

@@ -18,6 +18,7 @@ FLOORS = [
         "errors",
         "limits",
         "interrupts",
+        "kept",
         "config",
         "faults",
         "toml_lines",

@@ -46,6 +46,7 @@ def test_a_signal_waits_for_the_end_of_an_import(tmp_path: Path, name: str, endi
 
 
 def test_nothing_is_collected_while_modules_are_imported() -> None:
+    frozen = gc.get_freeze_count()
     with without_collecting():
         states = [gc.isenabled()]
         with without_collecting():
@@ -53,3 +54,24 @@ def test_nothing_is_collected_while_modules_are_imported() -> None:
         states.append(gc.isenabled())
     assert states == [False, False]
     assert gc.isenabled()
+    assert gc.get_freeze_count() == frozen  # this process is not l3's
+
+
+END = """
+import atexit, sys, threading
+from l3cli.interrupts import end_process
+atexit.register(lambda: print("at exit"))
+print("said", end=" ")
+{before}
+end_process(3)
+"""
+
+
+@pytest.mark.parametrize(
+    "before", ["", "threading.Thread(target=lambda: print('thread', end=' ')).start()", "sys.setprofile(lambda *_: None)"]
+)
+def test_a_process_ends_with_its_code_and_what_is_to_be_done_at_exit(before: str) -> None:
+    call = [sys.executable, "-c", END.format(before=before)]
+    ended = subprocess.run(call, env={"PYTHONPATH": str(CONFIGS.parent)}, capture_output=True, text=True, check=False)
+    said = "said thread at exit\n" if "Thread" in before else "said at exit\n"
+    assert (ended.returncode, ended.stdout, ended.stderr) == (3, said, "")

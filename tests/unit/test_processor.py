@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import pytest
 
 from l3cli.errors import DeviceError
-from l3cli.rendering import opencl_processor
-from l3cli.rendering.opencl_devices import pyopencl, refusals
+from l3cli.rendering import kernels, opencl_processor, opencl_programs
+from l3cli.rendering.opencl_devices import choose_device, pyopencl, refusals
 from l3cli.rendering.opencl_processor import DEVICE_BYTES, HASWELL, PROCESSORS, compiled_for
 
 ZEN_5 = "fpu sse2 avx avx2 bmi1 bmi2 f16c fma movbe abm avx512f avx512bw avx512cd avx512dq avx512vl avx512_vnni"
@@ -76,3 +76,13 @@ def test_a_compiler_that_does_not_know_the_processor_is_one_line() -> None:
     device = SimpleNamespace(name="pthread-Some Processor")
     with pytest.raises(DeviceError, match=r"older than the processor.*pocl-opencl-icd"), refusals(device):
         raise pyopencl().RuntimeError("clBuildProgram failed: error: unknown target CPU 'generic'")
+
+
+def test_what_is_compiled_for_another_processor_is_kept_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two machines that share a home folder may both have processors that PoCL calls by the same name."""
+    identities = []
+    monkeypatch.setattr(kernels, "built", lambda identity, *_: identities.append(identity))
+    for name in ("skylake-avx512", "haswell"):
+        monkeypatch.setattr(opencl_programs, "compiled_for", lambda device, name=name: name)
+        opencl_programs.Compiler(None, choose_device("")).build("", {})
+    assert identities[0] != identities[1]

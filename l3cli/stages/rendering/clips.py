@@ -13,8 +13,6 @@ from pathlib import Path
 from typing import Any
 
 from l3cli import __version__
-from l3cli.artifacts.store import load
-from l3cli.artifacts.table import TransformTable
 from l3cli.errors import DeviceError, InputFileError, L3Error, RecipeError
 from l3cli.files import FULL, STDIN, UNFINISHED, refuse_existing, refuse_filled_folder, sha256
 from l3cli.io.numbered import PATTERN
@@ -23,6 +21,7 @@ from l3cli.io.sequences import frame_files, is_one_file, is_still
 from l3cli.io.video import USUAL_RATE, VideoChoice, is_video
 from l3cli.ledger import dated
 from l3cli.locks import sole_writer_of_folder
+from l3cli.rendering.kept_table import open_table
 from l3cli.stages.claims import Claims, refuse_unwritable
 from l3cli.stages.console import Console, Gathering
 from l3cli.stages.plan import Planned, is_dry
@@ -127,7 +126,7 @@ class ClipJob:
         self._renderers = Renderers()
         self._path, self._suffix = table, suffix
         self._render = functools.partial(render, renderers=self._renderers)
-        self._table, self._dated = load(TransformTable, table), dated(table)
+        self._table, self._dated = open_table(table).table, dated(table)
         choices = {name: value for name, value in render.keywords.items() if name not in ("skip_bad", "scheduler")}
         self._known: KnownBetter = choices["known"]
         about = {name: choices[name] for name in ("codec", "crf", "preset") if name in choices}

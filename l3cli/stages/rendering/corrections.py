@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.store import load, open_artifact
 from l3cli.artifacts.table import TransformTable
 from l3cli.correction import Correction, correction_of
 from l3cli.errors import InputFileError, RecipeError
@@ -43,6 +42,8 @@ def correction_again(file: CameraFile) -> Correction:
 
 def _camera_of(file: CameraFile) -> CameraModel:
     """The camera model in a file, or that of a table."""
+    from l3cli.artifacts.store import load, open_artifact
+
     with open_artifact(file.path, CameraModel, TransformTable) as root:
         kind = str(root.attrs["kind"])
     if kind == CameraModel.kind:

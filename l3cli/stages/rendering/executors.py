@@ -28,6 +28,7 @@ from l3cli.stages.rendering.rendition import Exposed, Rendered, Rendition, Unrea
 if TYPE_CHECKING:
     from l3cli.artifacts.table import TransformTable
     from l3cli.parallel.cluster import Scheduler
+    from l3cli.rendering.kept_table import Layouts
     from l3cli.rendering.renderer import Renderer
     from l3cli.shading import Shading
 
@@ -157,7 +158,7 @@ def _renderer(
     require_same(path, digest)
     table = load(TransformTable, path)
     table = table.pictured() if pictures else table
-    return table, quiet_renderer(backend, table, **dict(engine))
+    return table, quiet_renderer(backend, table, None, **dict(engine))
 
 
 def while_reading(
@@ -187,13 +188,13 @@ class Renderers:
     def __init__(self) -> None:
         self._kept: dict[Any, Renderer] = {}
 
-    def of(self, setup: RenderSetup, table: "TransformTable") -> "Renderer":
-        """The renderer of a run."""
+    def of(self, setup: RenderSetup, table: "TransformTable", layouts: "Layouts") -> "Renderer":
+        """The renderer of a run; `layouts`: what has been made of the table before."""
         from l3cli.rendering.quiet import quiet_renderer
 
         key = setup.digest, table.outputs, setup.backend, tuple(setup.engine.items())
         if key not in self._kept:
-            self._kept = {key: quiet_renderer(setup.backend, table, **setup.engine)}
+            self._kept = {key: quiet_renderer(setup.backend, table, layouts, **setup.engine)}
         return self._kept[key]
 
     def forget(self) -> None:
@@ -203,13 +204,13 @@ class Renderers:
 
 @contextlib.contextmanager
 def executor_of(
-    setup: RenderSetup, table: "TransformTable", scheduler: "Scheduler | None", renderers: Renderers
+    setup: RenderSetup, table: "TransformTable", layouts: "Layouts", scheduler: "Scheduler | None", renderers: Renderers
 ) -> "Iterator[Local | Remote]":
     """Who renders: this process, or the workers of a scheduler."""
     from l3cli.parallel import workers
 
     if scheduler is None:
-        yield Local(renderers.of(setup, table), setup)
+        yield Local(renderers.of(setup, table, layouts), setup)
     else:
         with workers(1, scheduler) as crew:
             known, correction = replace(setup.known, dark=None, correction=None), setup.known.correction

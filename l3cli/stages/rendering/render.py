@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from l3cli import __version__
-from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import DeviceError, RecipeError
 from l3cli.files import sha256
@@ -17,6 +16,7 @@ from l3cli.io.raw.files import KnownBetter
 from l3cli.io.sequences import Footage, find_frames, read_dark
 from l3cli.io.video import USUAL_RATE, VideoChoice
 from l3cli.rendering.display import require_xyz
+from l3cli.rendering.kept_table import open_table
 from l3cli.rendering.temporal.chunks import Chunks
 from l3cli.rendering.temporal.filters import filters
 from l3cli.rendering.white_source import given_white, usual_balance, white_source
@@ -70,7 +70,8 @@ def render(
         if engine and backend != "opencl":
             raise RecipeError(f"‹{next(iter(engine))}› is for the opencl backend; leave it or ‹backend› {backend} out")
         with while_reading(backend, destination.file_suffix, scheduler):
-            transforms = load(TransformTable, table)
+            opened = open_table(table)
+        transforms = opened.table
         if not destination.linear or space is not None:
             transforms = transforms.pictured()
         if dark:
@@ -88,7 +89,7 @@ def render(
         choice = replace(choice, rate=rate or footage.rate or USUAL_RATE)
         plan(table, inputs, dark, footage, destination, force or resume, skip_bad)
         setup = RenderSetup(
-            table.absolute(), sha256(table), backend, engine, known, rendition, destination.file_suffix, model
+            table.absolute(), opened.digest, backend, engine, known, rendition, destination.file_suffix, model
         )
         steady = follows(footage, destination) and (rendition.measures_exposure or source is not None)
         chunks = _chunks(backend, engine, transforms, scheduler, footage, console) if temporal else None
@@ -99,12 +100,13 @@ def render(
         origins = functools.partial(Origins, inputs[0], steady or temporal)
         with (
             marked(destination, key, resume, force, footage, origins) as mark,
-            executor_of(setup, transforms, scheduler, renderers or Renderers()) as executor,
+            executor_of(setup, transforms, opened.layouts, scheduler, renderers or Renderers()) as executor,
         ):
             tally = render_frames(
                 footage, destination, executor, transforms, rendition, source, choice, mark, origins(), skip_bad, console,
                 chunks,
             )  # fmt: skip
+        opened.keep()
         warn_of_kernels(console)
         return tally
 
