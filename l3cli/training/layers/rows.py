@@ -10,7 +10,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.layer_sums import LayerSums
 from l3cli.artifacts.layers import PLANE_STEP, PlaneRule
-from l3cli.classes.later import mirrored
+from l3cli.classes.later import mirrored, window_means
 from l3cli.classes.ratios import shaded_chroma
 from l3cli.classes.windows import Integers
 from l3cli.errors import L3Error
@@ -119,8 +119,7 @@ def _of_mosaic(seen: Seen, basis: NDArray[np.float64]) -> float:
 
 def _averaged(values: Floats) -> Floats:
     """Means over 5 × 5."""
-    windows = np.lib.stride_tricks.sliding_window_view(mirrored(values, 2), (5, 5))
-    return np.asarray(windows.mean(axis=(2, 3)), np.float32)
+    return window_means(mirrored(values, 2), 5)
 
 
 def add_rows(
