@@ -26,7 +26,7 @@ from l3cli.training.accumulate import TARGET_FLOOR
 from l3cli.training.layers.first import Seen
 from l3cli.training.layers.learn import LayerPass, add_sums, learn_layer, no_sums, sum_layer
 from l3cli.training.layers.mosaics import mosaics_of
-from l3cli.training.layers.rows import add_rows, inner_pixels, require_exact, row_weights
+from l3cli.training.layers.rows import GatheredRows, inner_pixels, require_exact, row_weights
 from l3cli.training.layers.rules import gradient_scale, structure_rule
 from l3cli.training.patches import white_signal
 from l3cli.training.recipe import LayerRecipe, LearningRecipe, TrainingRecipe
@@ -83,8 +83,9 @@ def known_sums(layer: LayerPass, rule: StructureRule, noise: float) -> dict[int,
     ones = np.ones(shape, np.float32)
     seen = Seen(target, np.zeros(shape, np.int64), ones, noisy, clean)
     sums = no_sums(layer, rule)
-    grid = layer.grid_steps(rule)
-    add_rows(sums, seen, label, rule, layer.reading(SIDE), inner_pixels(shape), ones, layer.basis, grid)
+    gathered = GatheredRows(sums, rule, layer.reading(SIDE), layer.basis, layer.grid_steps(rule))
+    gathered.add(seen, label, inner_pixels(shape), ones)
+    gathered.add_up()
     return sums
 
 
