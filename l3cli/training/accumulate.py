@@ -19,7 +19,7 @@ from l3cli.classes.level import unclipped_level
 from l3cli.classes.statistics import patch_statistics, truncation
 from l3cli.classes.windows import Neighbourhoods, TapOrder, neighbourhoods, tap_order
 from l3cli.training.division import BATCH
-from l3cli.training.patches import Floats, Patches, draw_levels, expose_patches, noise_share, patches_of
+from l3cli.training.patches import Floats, Patches, colourless_frame, draw_levels, expose_patches, noise_share, patches_of
 from l3cli.training.row_weighting import RowWeighting
 from l3cli.training.sums import add_rounded, beside, empty_sums, grid_steps, pairs
 from l3cli.training.training_pass import TrainingPass
@@ -57,12 +57,13 @@ def _batches(
     of it at a time."""
     waiting: dict[int, list[Patches]] = {site: [] for site in rngs}
     for index, frame in enumerate(frames, first):
+        colourless = colourless_frame(frame, pass_.head) if pass_.recipe.achromatic else None
         for site, rng in rngs.items():
             rest = pass_.patches[index]
             while rest:
                 count = min(rest, BATCH)
                 rest -= count
-                how = pass_.recipe.symmetry, pass_.recipe.achromatic
+                how = pass_.recipe.symmetry, pass_.recipe.achromatic, colourless
                 waiting[site].append(patches_of(frame, pass_.head, near, site, count, rng, *how))
                 if rest:
                     yield site, waiting[site].pop()
@@ -207,8 +208,9 @@ def _add_runs(
     width = rows.shape[1]
     row, col = pairs(width)
     place = row * width + col
-    for index, first, last in runs:
+    levels = rule.split(np.array([index for index, _, _ in runs])).level.tolist()
+    for (index, first, last), level in zip(runs, levels, strict=True):
         block = rows[first:last]
-        add_rounded(sums.moments[index], (block.T @ block).reshape(-1).take(place), large[rule.split(index).level])
+        add_rounded(sums.moments[index], (block.T @ block).reshape(-1).take(place), large[level])
         add_rounded(sums.noise[index], weight[first:last] @ variance[first:last], large[0, 0])
         sums.count[index] += last - first

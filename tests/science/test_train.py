@@ -30,7 +30,15 @@ from l3cli.io.images import read_image
 from l3cli.physics import spectra
 from l3cli.rendering.renderer import make_renderer
 from l3cli.training.accumulate import sum_sites
-from l3cli.training.patches import Patches, draw_levels, expose_patches, patches_of, sample_patches, white_signal
+from l3cli.training.patches import (
+    Patches,
+    colourless_frame,
+    draw_levels,
+    expose_patches,
+    patches_of,
+    sample_patches,
+    white_signal,
+)
 from l3cli.training.recipe import LayerRecipe, LearningRecipe, TrainingRecipe, for_camera
 from l3cli.training.sums import EXACT, STEP, add_rounded, beside, grid_steps, moment_matrix
 from l3cli.training.symmetry import orientations, site_maps, stabilisers
@@ -96,7 +104,7 @@ def test_patches_without_colour_show_luminance_as_white_is_seen(bayer: CameraMod
     near = neighbourhoods(bayer.cfa, 5, 3)
 
     def patches(share: float, frame: TrainingFrame = frame, head: TrainingSet = head) -> Patches:
-        return patches_of(frame, head, near, 1, 10, np.random.default_rng(3), achromatic=share)
+        return patches_of(frame, head, near, 1, 10, np.random.default_rng(3), True, share, colourless_frame(frame, head))
 
     sample, window, white = patches(0.3), near.channel[1], white_signal(light, bayer)
     coloured = patches(0.0)

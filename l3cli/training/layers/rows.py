@@ -184,8 +184,9 @@ def _add_classes(sums: LayerSums, rule: PlaneRule, steps: NDArray[np.float64], r
     widths = rows.values.shape[1], rows.noise.shape[1]
     places, noise_places = (np.ravel_multi_index(pairs(width), (width, width)) for width in widths)
     large, noise_large = beside(steps), beside(STEP)
-    for index, run in runs_of(rows.label):
-        level = rule.split(index).level
+    runs = runs_of(rows.label)
+    levels = rule.split(np.array([index for index, _ in runs])).level.tolist()
+    for (index, run), level in zip(runs, levels, strict=True):
         for first in range(run.start, run.stop, LARGEST_PIECE):
             piece = slice(first, min(first + LARGEST_PIECE, run.stop))
             block, spread = rows.values[piece], rows.noise[piece]
