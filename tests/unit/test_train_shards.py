@@ -19,12 +19,13 @@ from hypothesis import strategies as st
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
-from l3cli.artifacts.training_set import TrainingSet, write_training_set
+from l3cli.artifacts.training_set import TrainingSet, TrainingSetReader, write_training_set
 from l3cli.classes.recipe import ClassRecipe
 from l3cli.classes.rule import make_rule
 from l3cli.errors import InputFileError
 from l3cli.parallel import workers
 from l3cli.stages.console import Silent
+from l3cli.stages.training.held_frames import HELD
 from l3cli.stages.training.passes import Execution, first_pass
 from l3cli.stages.training.run import open_run
 from l3cli.training.benchmark import made_up_frame, stage_shares, train
@@ -379,3 +380,23 @@ def test_memory_does_not_grow_with_frames_or_jobs(tmp_path: Path, fiveband: Came
         assert run.returncode == 0
         print(f"{60 * times} frames, {jobs} jobs: largest process {usage.ru_maxrss / 1e6:.2f} GB")
         assert usage.ru_maxrss * 1024 * (1 if jobs == 1 else jobs + 1) < 1.5e9
+
+
+def test_a_small_training_set_is_read_once(
+    bayer: CameraModel, tmp_path: Path, l3: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever the passes; with no room for its frames it is read in each, and the table is the same."""
+    training = a_set(tmp_path / "training.h5", bayer, 3)
+    (tmp_path / "classes.toml").write_text(TWO_LAYERS)
+    read: list[int] = []
+    frame = TrainingSetReader.frame
+    monkeypatch.setattr(TrainingSetReader, "frame", lambda self, index: read.append(index) or frame(self, index))
+    tables = []
+    for most, times in ((SUM_BYTES, 1), (0, 5)):  # pilot, two passes, pilot and sums of the second layer
+        monkeypatch.setattr(HELD, "most", most)
+        read.clear()
+        tables.append(tmp_path / f"{most}.h5")
+        assert l3("train", training, "--classes", tmp_path / "classes.toml", "-o", tables[-1])[0] == 0
+        assert sorted(read) == sorted([0, 1, 2] * times)
+        assert HELD.bytes == 0
+    assert tables[0].read_bytes() == tables[1].read_bytes()
