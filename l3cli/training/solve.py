@@ -105,7 +105,7 @@ def solve(
             taught = moments + single_bands(moments, window, gains)
         elif (plain := surfaces.get(index)) is not None:
             taught = moments + recipe.plain_surfaces * (sums.count[index] + recipe.parent_patches) * plain
-        power[index] = np.einsum("ct,tu,cu->", means, taught[: window.size, : window.size], means)
+        power[index] = (means @ taught[: window.size, : window.size] * means).sum()
         used = groups.size if rule.case(rule.split(index).kind) else groups.size - 1  # an intercept if saturated
         for number, ((factor, is_taught), wanted) in enumerate(columns.items()):
             of = taught if is_taught else moments
