@@ -117,6 +117,23 @@ def test_so_is_what_light_and_shade_make_of_chroma(bayer: CameraModel) -> None:
     assert behind == pytest.approx(np.broadcast_to(BEHIND, behind.shape), abs=2e-3)
 
 
+def test_rows_of_several_mosaics_add_up_to_those_of_each(bayer: CameraModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    """But for half a grid step a mosaic, and for how products of float32 are rounded, of which a sum has dozens of rows."""
+    layer, frames = a_pass(bayer), [a_frame(bayer, seed, smooth=False) for seed in range(2)]
+    rule = a_rule(layer)
+    steps = layer.grid_steps(rule)[rule.split(np.arange(rule.classes_per_site)).level]
+    together = sum_layer(layer, rule, frames, 0)
+    monkeypatch.setattr("l3cli.training.layers.rows.GATHERED", 0)
+    apart = sum_layer(layer, rule, frames, 0)
+    for site, one in together.items():
+        each = apart[site]
+        assert (one.count == each.count).all()
+        for sums, parts, step in ((one.moments, each.moments, steps), (one.noise, each.noise, np.float64(STEP))):
+            off = np.abs(sums - parts)
+            assert off.max() > 0
+            assert (off <= 4 * step + 3e-7 * np.abs(parts).max(axis=1, keepdims=True)).all()
+
+
 def test_a_layer_weighs_rows_by_its_own_powers_or_those_of_the_first(bayer: CameraModel) -> None:
     """Errors as they are, relative ones, and what the first layer does where it says nothing."""
     usual, own = a_pass(bayer), a_pass(bayer, brightness_power=1.0, error_power=0.0)

@@ -19,17 +19,25 @@ from hypothesis import strategies as st
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
-from l3cli.artifacts.training_set import TrainingSet, TrainingSetReader, write_training_set
+from l3cli.artifacts.training_set import (
+    LightSpectrum,
+    TrainingSet,
+    TrainingSetReader,
+    open_training_set,
+    write_training_set,
+)
 from l3cli.classes.recipe import ClassRecipe
 from l3cli.classes.rule import make_rule
 from l3cli.errors import InputFileError
 from l3cli.parallel import workers
+from l3cli.physics import spectra
 from l3cli.stages.console import Silent
 from l3cli.stages.training.held_frames import HELD
 from l3cli.stages.training.passes import Execution, first_pass
 from l3cli.stages.training.run import open_run
 from l3cli.training.benchmark import made_up_frame, stage_shares, train
 from l3cli.training.division import BATCH, SUM_BYTES, frame_blocks, work_shares
+from l3cli.training.patches import colourless_frame
 from l3cli.training.recipe import LearningRecipe, TrainingRecipe
 from l3cli.training.sums import empty_sums
 from l3cli.training.training_pass import LAST, TrainingPass, spread_patches
@@ -385,18 +393,37 @@ def test_memory_does_not_grow_with_frames_or_jobs(tmp_path: Path, fiveband: Came
 def test_a_small_training_set_is_read_once(
     bayer: CameraModel, tmp_path: Path, l3: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whatever the passes; with no room for its frames it is read in each, and the table is the same."""
+    """Whatever the passes, of as many frames as there is room for; the others in each. Nothing is held when all is done."""
     training = a_set(tmp_path / "training.h5", bayer, 3)
-    (tmp_path / "classes.toml").write_text(TWO_LAYERS)
+    (tmp_path / "classes.toml").write_text(SMALL.replace("2100", "300"))
     read: list[int] = []
     frame = TrainingSetReader.frame
     monkeypatch.setattr(TrainingSetReader, "frame", lambda self, index: read.append(index) or frame(self, index))
-    tables = []
-    for most, times in ((SUM_BYTES, 1), (0, 5)):  # pilot, two passes, pilot and sums of the second layer
-        monkeypatch.setattr(HELD, "most", most)
-        read.clear()
-        tables.append(tmp_path / f"{most}.h5")
-        assert l3("train", training, "--classes", tmp_path / "classes.toml", "-o", tables[-1])[0] == 0
-        assert sorted(read) == sorted([0, 1, 2] * times)
-        assert HELD.bytes == 0
-    assert tables[0].read_bytes() == tables[1].read_bytes()
+    with open_training_set(training) as reader:
+        size = sum(value.nbytes for value in vars(reader.frame(0)).values() if isinstance(value, np.ndarray))
+    monkeypatch.setattr(HELD, "most", 2 * size)
+    read.clear()
+    assert l3("train", training, "--classes", tmp_path / "classes.toml", "-o", tmp_path / "table.h5")[0] == 0
+    assert sorted(read) == [0, 1, 2, 2, 2]  # by the pilot, and two passes
+    assert HELD.bytes == 0
+
+
+def test_what_all_sites_share_is_made_once(
+    bayer: CameraModel, tmp_path: Path, l3: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Surfaces under the light once a pass, a frame without colour once in each; three sites are learned."""
+    wavelength = spectra.light_grid(bayer.wavelength).astype(np.float64)
+    light = LightSpectrum(wavelength, np.full(wavelength.size, 4e13, np.float32))
+    head = TrainingSet(camera=bayer, outputs=("X", "Y", "Z"), target_description="a known mix of the channels")
+    with write_training_set(tmp_path / "training.h5", head) as writer:
+        for seed in range(2):
+            writer.append(dataclasses.replace(a_frame(bayer, seed, smooth=False), light=light))
+    (tmp_path / "classes.toml").write_text(SMALL + "achromatic = 0.2\n")
+    made: list[str] = []
+    monkeypatch.setattr("l3cli.training.goal.plain_surfaces", lambda *about: made.append("surfaces"))
+    monkeypatch.setattr(
+        "l3cli.training.accumulate.colourless_frame",
+        lambda frame, head: made.append("colourless") or colourless_frame(frame, head),
+    )
+    assert l3("train", tmp_path / "training.h5", "--classes", tmp_path / "classes.toml", "-o", tmp_path / "t.h5")[0] == 0
+    assert sorted(made) == ["colourless"] * 4 + ["surfaces"] * 2
