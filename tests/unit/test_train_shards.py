@@ -21,6 +21,8 @@ from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import (
     LightSpectrum,
+    TrainingFrame,
+    TrainingPair,
     TrainingSet,
     TrainingSetReader,
     open_training_set,
@@ -398,7 +400,12 @@ def test_a_small_training_set_is_read_once(
     (tmp_path / "classes.toml").write_text(SMALL.replace("2100", "300"))
     read: list[int] = []
     frame = TrainingSetReader.frame
-    monkeypatch.setattr(TrainingSetReader, "frame", lambda self, index: read.append(index) or frame(self, index))
+
+    def noted(self: TrainingSetReader, index: int) -> TrainingPair:
+        read.append(index)
+        return frame(self, index)
+
+    monkeypatch.setattr(TrainingSetReader, "frame", noted)
     with open_training_set(training) as reader:
         size = sum(value.nbytes for value in vars(reader.frame(0)).values() if isinstance(value, np.ndarray))
     monkeypatch.setattr(HELD, "most", 2 * size)
@@ -420,10 +427,12 @@ def test_what_all_sites_share_is_made_once(
             writer.append(dataclasses.replace(a_frame(bayer, seed, smooth=False), light=light))
     (tmp_path / "classes.toml").write_text(SMALL + "achromatic = 0.2\n")
     made: list[str] = []
+
+    def noted(frame: TrainingPair, head: TrainingSet) -> TrainingFrame | None:
+        made.append("colourless")
+        return colourless_frame(frame, head)
+
+    monkeypatch.setattr("l3cli.training.accumulate.colourless_frame", noted)
     monkeypatch.setattr("l3cli.training.goal.plain_surfaces", lambda *about: made.append("surfaces"))
-    monkeypatch.setattr(
-        "l3cli.training.accumulate.colourless_frame",
-        lambda frame, head: made.append("colourless") or colourless_frame(frame, head),
-    )
     assert l3("train", tmp_path / "training.h5", "--classes", tmp_path / "classes.toml", "-o", tmp_path / "t.h5")[0] == 0
     assert sorted(made) == ["colourless"] * 4 + ["surfaces"] * 2
