@@ -60,6 +60,8 @@ def noise_of_grey(levels: NDArray[np.float64], camera: CameraModel, dark: float)
 
 def contrasts(rule: ClassRule, statistics: Statistics, level: Integers) -> Integers:
     """Contrast (…) at `level` (…)."""
+    if statistics.squares is None:
+        return np.zeros(level.shape, np.int64)
     near, site, sums = statistics.near, statistics.site, statistics.sums
     mean = statistics.scaled >> 16
     deviation = statistics.squares - mean * (2 * sums - near.count[site] * mean)

@@ -61,5 +61,6 @@ def observe_patches(
 
 
 def _statistics(seen: PatchSums, near: Neighbourhoods, site: int) -> Statistics:
-    sums, squares, windows = (each.astype(np.int64).T for each in (seen.sums, seen.squares, seen.windows))
+    sums, windows = (each.astype(np.int64).T for each in (seen.sums, seen.windows))
+    squares = None if seen.squares is None else seen.squares.astype(np.int64).T
     return Statistics(near, np.array([site]), sums, squares, seen.code, windows)

@@ -1,5 +1,6 @@
 """Classes of a plane layer, of whole frames: from the planes and classes of the first layer (docs/method.md#structure)."""
 
+import functools
 from dataclasses import replace
 from typing import Any
 
@@ -57,6 +58,14 @@ def mirrored(planes: NDArray, margin: int) -> NDArray:
     """Planes (…, row, col) with `margin` more pixels on each side, mirrored about the outermost ones."""
     rows, cols = (mirrored_indices(length, margin, 1) for length in planes.shape[-2:])
     return planes[..., rows[:, None], cols]
+
+
+def window_means(planes: NDArray, side: int) -> NDArray:
+    """Means (…, row, col) over side × side of planes (…, row, col) with a margin of mirrored pixels. Whole planes are added,
+    along rows and then along columns: means of a strided view of windows take ten times as long."""
+    rows, cols = (length - side + 1 for length in planes.shape[-2:])
+    across = functools.reduce(np.add, [planes[..., first : first + cols] for first in range(side)])
+    return np.asarray(functools.reduce(np.add, [across[..., first : first + rows, :] for first in range(side)]) / side**2)
 
 
 def first_label_words(rule: PlaneRule, first: ClassRule, *others: PlaneRule) -> NDArray[np.uint64]:

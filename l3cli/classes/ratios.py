@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.classes.later import mirrored
+from l3cli.classes.later import mirrored, window_means
 from l3cli.classes.planes import LUMINANCE
 
 DARKEST = 2**9  # steps of a plane: the least mean luminance that a ratio is taken to
@@ -17,7 +17,6 @@ def shaded_chroma(planes: NDArray, side: int) -> NDArray[np.float64]:
 
     """
     exact = planes.astype(np.float64)
-    windows = np.lib.stride_tricks.sliding_window_view(mirrored(exact, side // 2), (side, side), (1, 2))
-    first, luminance, second = windows.mean(axis=(-2, -1))
+    first, luminance, second = window_means(mirrored(exact, side // 2), side)
     share = np.clip((exact[LUMINANCE] - luminance) / np.maximum(luminance, DARKEST), -1, 1)
     return np.stack([first * share, second * share])

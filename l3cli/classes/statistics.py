@@ -20,7 +20,7 @@ class Statistics:
     near: Neighbourhoods
     site: Integers  # (…), or one site for all, (1)
     sums: Integers  # (…, channel) of v = DN >> shift
-    squares: Integers  # (…, channel) of v²
+    squares: Integers | None  # (…, channel) of v²; None: the rule has one contrast, and nothing else asks for them
     code: Integers  # (…) bit c: a pixel of channel c near the centre is saturated
     windows: Integers  # (…, sum) of v over the windows of all further features
 
@@ -34,7 +34,7 @@ class PatchSums(NamedTuple):
     """Of patches of one site."""
 
     sums: NDArray[np.uint32]  # (channel, patch) of v = DN >> shift
-    squares: NDArray[np.uint32]  # (channel, patch) of v²
+    squares: NDArray[np.uint32] | None  # (channel, patch) of v²; None as above
     code: Integers  # (patch) saturation codes
     windows: NDArray[np.float32]  # (sum, patch) of v over the windows of all further features: whole numbers below 2²⁴
 
@@ -55,11 +55,17 @@ def patch_statistics(values: NDArray[np.uint32], rule: ClassRule, order: TapOrde
     code = saturation.codes(values, rule, order)
     if rule.shift:
         values >>= rule.shift
-    sums = np.stack([np.add.reduce(values[taps], axis=0, dtype=np.uint32) for taps in order.channels])
+    sums = _channel_sums(values, order)
     windows = order.windows @ values.astype(np.float32) if len(order.windows) else _no_windows(values.shape[1])
-    values *= values
-    squares = np.stack([np.add.reduce(values[taps], axis=0, dtype=np.uint32) for taps in order.channels])
+    squares = None
+    if rule.contrasts > 1:
+        values *= values
+        squares = _channel_sums(values, order)
     return PatchSums(sums, squares, code, windows)
+
+
+def _channel_sums(values: NDArray[np.uint32], order: TapOrder) -> NDArray[np.uint32]:
+    return np.stack([np.add.reduce(values[taps], axis=0, dtype=np.uint32) for taps in order.channels])
 
 
 def _no_windows(patches: int) -> NDArray[np.float32]:
@@ -79,12 +85,14 @@ def mosaic_statistics(
     for index in range(near.count.shape[1]):
         here = channel == index
         sums.append(_box(shifted * here, rule.patch))
-        squares.append(_box(shifted**2 * here, rule.patch))
+        if rule.contrasts > 1:
+            squares.append(_box(shifted**2 * here, rule.patch))
         inner = _inner(saturated & here, rule)
-        code |= (_box(inner.astype(np.int64), 2 * rule.saturation_radius + 1) > 0).astype(np.int64) << index
+        if inner.any():
+            code |= (_box(inner.astype(np.int64), 2 * rule.saturation_radius + 1) > 0).astype(np.int64) << index
     site = sites(rows, cols, cfa.shape, phase)
     windows = _mosaic_windows(shifted, rule, rows, cols)
-    return Statistics(near, site, np.stack(sums, -1), np.stack(squares, -1), code, windows)
+    return Statistics(near, site, np.stack(sums, -1), np.stack(squares, -1) if squares else None, code, windows)
 
 
 def _mosaic_windows(padded: Integers, rule: ClassRule, rows: int, cols: int) -> Integers:

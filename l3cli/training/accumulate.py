@@ -19,9 +19,9 @@ from l3cli.classes.level import unclipped_level
 from l3cli.classes.statistics import patch_statistics, truncation
 from l3cli.classes.windows import Neighbourhoods, TapOrder, neighbourhoods, tap_order
 from l3cli.training.division import BATCH
-from l3cli.training.patches import Floats, Patches, draw_levels, expose_patches, noise_share, patches_of
+from l3cli.training.patches import Floats, Patches, colourless_frame, draw_levels, expose_patches, noise_share, patches_of
 from l3cli.training.row_weighting import RowWeighting
-from l3cli.training.sums import add_rounded, empty_sums, grid_steps, pairs
+from l3cli.training.sums import add_rounded, beside, empty_sums, grid_steps, pairs
 from l3cli.training.training_pass import TrainingPass
 
 EXPOSED = 4096  # patches exposed at once, so that their arrays stay in the caches
@@ -57,12 +57,13 @@ def _batches(
     of it at a time."""
     waiting: dict[int, list[Patches]] = {site: [] for site in rngs}
     for index, frame in enumerate(frames, first):
+        colourless = colourless_frame(frame, pass_.head) if pass_.recipe.achromatic else None
         for site, rng in rngs.items():
             rest = pass_.patches[index]
             while rest:
                 count = min(rest, BATCH)
                 rest -= count
-                how = pass_.recipe.symmetry, pass_.recipe.achromatic
+                how = pass_.recipe.symmetry, pass_.recipe.achromatic, colourless
                 waiting[site].append(patches_of(frame, pass_.head, near, site, count, rng, *how))
                 if rest:
                     yield site, waiting[site].pop()
@@ -86,11 +87,11 @@ class _Batch:
         label, level, scale = self._exposed(rng)
         order = np.argsort(label, kind="stable")
         label = label[order]
-        steps = grid_steps(self.pass_.rule, self.pass_.head.camera, self.patches.target.shape[1])
+        large = beside(grid_steps(self.pass_.rule, self.pass_.head.camera, self.patches.target.shape[1]))
         for piece in _pieces(label):
             draw = order[piece]
             patch = draw % len(self.patches.signal)
-            self._add_piece(sums, steps, label[piece], level[draw], scale[draw], patch, rng)
+            self._add_piece(sums, large, label[piece], level[draw], scale[draw], patch, rng)
 
     def _exposed(self, rng: np.random.Generator) -> tuple[NDArray[np.unsignedinteger], Floats, Floats]:
         """Class, level as the camera sees it and scale of every draw of every patch (draw · patch)."""
@@ -147,7 +148,7 @@ class _Batch:
     def _add_piece(
         self,
         sums: ClassSums,
-        steps: NDArray[np.float64],
+        large: NDArray[np.float64],
         label: NDArray[np.unsignedinteger],
         level: Floats,
         scale: Floats,
@@ -180,7 +181,7 @@ class _Batch:
         np.multiply(clean, weight[:, None], out=rows[:, :taps])
         rows[:, taps] = weight
         np.multiply(target, weight[:, None], out=rows[:, taps + 1 :])
-        _add_runs(sums, self.pass_.rule, steps, rows, variance, weight**2, runs)
+        _add_runs(sums, self.pass_.rule, large, rows, variance, weight**2, runs)
 
 
 def _pieces(label: NDArray[np.unsignedinteger]) -> Iterator[slice]:
@@ -196,19 +197,20 @@ def _pieces(label: NDArray[np.unsignedinteger]) -> Iterator[slice]:
 def _add_runs(
     sums: ClassSums,
     rule: ClassRule,
-    steps: NDArray[np.float64],
+    large: NDArray[np.float64],
     rows: Floats,
     variance: Floats,
     weight: Floats,
     runs: list,
 ) -> None:
     """Add the products of the rows, and the noise variance by `weight`, of each class, first and last row of `runs`,
-    rounded to the grid of `steps` (level, pair)."""
+    rounded to the grid that `large` (level, pair) is beside."""
     width = rows.shape[1]
     row, col = pairs(width)
     place = row * width + col
-    for index, first, last in runs:
+    levels = rule.split(np.array([index for index, _, _ in runs])).level.tolist()
+    for (index, first, last), level in zip(runs, levels, strict=True):
         block = rows[first:last]
-        add_rounded(sums.moments[index], (block.T @ block).reshape(-1).take(place), steps[rule.split(index).level])
-        add_rounded(sums.noise[index], weight[first:last] @ variance[first:last], steps[0, 0])
+        add_rounded(sums.moments[index], (block.T @ block).reshape(-1).take(place), large[level])
+        add_rounded(sums.noise[index], weight[first:last] @ variance[first:last], large[0, 0])
         sums.count[index] += last - first

@@ -57,23 +57,31 @@ def patches_of(
     rng: np.random.Generator,
     shared: bool = True,
     achromatic: float = 0.0,
+    colourless: TrainingFrame | None = None,
 ) -> Patches:
     """`count` patches of a simulated frame or a real pair, laid out like those of canonical `site`; whether sites share
-    their training, as in site_maps, matters to real pairs. A share `achromatic` of simulated ones shows the scene without
-    colour, where the outputs are X, Y, Z and the light is known."""
+    their training, as in site_maps, matters to real pairs. A share `achromatic` of them is taken from the `colourless`
+    frame, if there is one."""
     side = int(np.sqrt(near.channel.shape[1]))
     if frame.raw.shape[0] < side or frame.raw.shape[1] < side:
         rows, cols = frame.raw.shape
         raise InputFileError(f"frame of scene {frame.scene} is {rows}×{cols}, smaller than the {side}×{side} patch")
     if isinstance(frame, TrainingFrame):
-        grey = round(achromatic * count) if head.outputs[:3] == XYZ and frame.light is not None else 0
+        grey = round(achromatic * count) if colourless is not None else 0
         how = head.camera.saturation_exposure, near.channel[site]
         patches = sample_patches(frame, head, *how, count - grey, orientations(side), rng)
-        if not grey:
+        if not grey or colourless is None:
             return patches
-        colourless = without_colour(frame, head.camera)
         return Patches.together([patches, sample_patches(colourless, head, *how, grey, orientations(side), rng)])
     return sample_pair(frame, head.camera, near, site, count, rng, shared)
+
+
+def colourless_frame(frame: TrainingPair, head: TrainingSet) -> TrainingFrame | None:
+    """A frame without colour, for all sites; None of a real pair, and where the light is not known or the outputs are not
+    X, Y, Z."""
+    if not isinstance(frame, TrainingFrame) or frame.light is None or head.outputs[:3] != XYZ:
+        return None
+    return without_colour(frame, head.camera)
 
 
 def without_colour(frame: TrainingFrame, camera: CameraModel) -> TrainingFrame:

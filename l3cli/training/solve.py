@@ -11,33 +11,15 @@ from l3cli.artifacts.partial_sums import ClassSums
 from l3cli.errors import L3Error
 from l3cli.physics.display import XYZ
 from l3cli.training import systems
+from l3cli.training.goal import Goal
 from l3cli.training.highlights import flat_moments, grey_patches, plain_colours, white_channels
-from l3cli.training.plain_surfaces import PlainSurfaces
 from l3cli.training.recipe import LearningRecipe
 from l3cli.training.single_bands import output_gains, single_bands, teaches
 from l3cli.training.sums import moment_matrix, symmetric_places
-from l3cli.training.systems import Integers
 from l3cli.training.thin_classes import parent_of, parents_of, shrunk
 
 Array = NDArray[np.float64]
 PLAIN = 0.2  # plain patches, a patch of a textured class, on which a difference between sites counts as an error
-
-
-@dataclass(frozen=True)
-class Goal:
-    """What the transforms are to give."""
-
-    outputs: tuple[str, ...]
-    channels: tuple[str, ...]
-    white: Array  # (output) a perfect white under the training light, Y = 1
-    white_signal: Array | None  # (channel) its signals, shares of full scale; None: not known
-    black_level: float  # DN, of the camera
-    white_level: float  # DN, at which a pixel of the camera saturates
-    misled: Array | float = 0.0  # (channel) how far off, relatively, surfaces make the signals of white
-    surfaces: PlainSurfaces | None = None  # under the training light; None: not known, or the outputs are others
-    filters: tuple[int, ...] = ()  # (channel) first channel with its filter; (): every channel has its own
-    sensitivity: Array | None = None  # (channel) as of the camera; None: all alike
-    integers: Integers | None = None  # of the planes that a next layer reads; None: no layer can follow
 
 
 class Equations(NamedTuple):
@@ -123,7 +105,7 @@ def solve(
             taught = moments + single_bands(moments, window, gains)
         elif (plain := surfaces.get(index)) is not None:
             taught = moments + recipe.plain_surfaces * (sums.count[index] + recipe.parent_patches) * plain
-        power[index] = np.einsum("ct,tu,cu->", means, taught[: window.size, : window.size], means)
+        power[index] = (means @ taught[: window.size, : window.size] * means).sum()
         used = groups.size if rule.case(rule.split(index).kind) else groups.size - 1  # an intercept if saturated
         for number, ((factor, is_taught), wanted) in enumerate(columns.items()):
             of = taught if is_taught else moments

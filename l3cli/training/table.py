@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,17 +21,14 @@ from l3cli.classes.windows import neighbourhoods
 from l3cli.errors import InputFileError
 from l3cli.physics import spectra
 from l3cli.physics.display import XYZ
-from l3cli.training.highlights import misleading
+from l3cli.training.goal import one_light
 from l3cli.training.patches import draw_levels, expose_patches, patches_of, white_signal
-from l3cli.training.plain_surfaces import plain_surfaces
 from l3cli.training.recipe import LearningRecipe, TrainingRecipe
-from l3cli.training.solve import Goal, Solution, equal_responses, solve
+from l3cli.training.solve import Solution, equal_responses, solve
 from l3cli.training.sums import add, empty_sums, grid_steps, require_exact
 from l3cli.training.symmetry import class_stabilisers, orientations, site_maps, turned_classes
-from l3cli.training.systems import Integers
 from l3cli.training.training_pass import TrainingPass, brightness_of
 
-ONE_LIGHT = 0.001  # spread of lights that are one
 PILOT_PATCHES = 4000  # patches a site over all frames that decide which saturation cases are kept
 
 
@@ -111,11 +107,6 @@ def survey(
     return rule, np.average(whites, axis=0, weights=patches), exposure, light
 
 
-def one_light(light: LightSpectrum | None) -> LightSpectrum | None:
-    """A mean light, if it is known and that of a single light."""
-    return light if light is not None and light.spread <= ONE_LIGHT else None
-
-
 def _mean_light(lights: NDArray[np.float64], patches: Sequence[int], camera: CameraModel) -> LightSpectrum | None:
     mean = np.average(lights, axis=0, weights=patches)
     if not np.isfinite(mean).all():
@@ -150,7 +141,7 @@ def learn_site(pass_: TrainingPass, parts: Iterable[ClassSums], site: int) -> So
     camera, rule = pass_.head.camera, pass_.rule
     window = neighbourhoods(camera.cfa, rule.patch, len(camera.channels)).channel[site]
     alike = class_stabilisers(rule, window) if pass_.recipe.symmetry else orientations(rule.patch)[:1]
-    return solve(sums, rule, window, alike, pass_.recipe, _goal(pass_))
+    return solve(sums, rule, window, alike, pass_.recipe, pass_.goal)
 
 
 # Long: a table has many fields, and each is named.
@@ -160,7 +151,7 @@ def assemble(pass_: TrainingPass, solutions: dict[int, Solution], history: tuple
     near = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
     maps = site_maps(near.channel, rule.patch, pass_.recipe.symmetry)
     copies = [sum(site_map.canonical == site for site_map in maps) for site in solutions]
-    equal = equal_responses(list(solutions.values()), copies, rule, pass_.recipe, _goal(pass_))
+    equal = equal_responses(list(solutions.values()), copies, rule, pass_.recipe, pass_.goal)
     transforms = dict(zip(solutions, equal, strict=True))
     weights, intercept, samples, condition = [], [], [], []
     for site_map in maps:
@@ -197,23 +188,6 @@ def assemble(pass_: TrainingPass, solutions: dict[int, Solution], history: tuple
         light=pass_.light,
         camera=replace(camera, fit=None),
     )
-
-
-def _goal(pass_: TrainingPass) -> Goal:
-    camera = pass_.head.camera
-    levels = camera.black_level, camera.white_level
-    apart: dict[str, Any] = {}
-    if len(pass_.head.outputs) == 3:
-        apart["integers"] = Integers(camera.bits, *levels)
-    if camera.readout is not None:
-        apart |= {"filters": tuple(camera.readout.same_filter.tolist()), "sensitivity": camera.sensitivity}
-    if pass_.light is None:
-        return Goal(pass_.head.outputs, camera.channels, pass_.white_point, None, *levels, **apart)
-    signal, misled = white_signal(pass_.light, camera), misleading(pass_.light, camera)
-    surfaces = None
-    if one_light(pass_.light) and pass_.head.outputs == XYZ:
-        surfaces = plain_surfaces(camera, pass_.light, pass_.head.target_light or pass_.light, pass_.white_point)
-    return Goal(pass_.head.outputs, camera.channels, pass_.white_point, signal, *levels, misled, surfaces, **apart)
 
 
 def _light_of(frame: TrainingPair, camera: CameraModel) -> NDArray[np.float64]:

@@ -1,5 +1,6 @@
 """One pass over the training frames: all that its work, however it is divided, has in common."""
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.training_set import LightSpectrum, TrainingSet
+from l3cli.training.goal import Goal, goal_of
 from l3cli.training.recipe import LearningRecipe
 
 FIRST, LAST = 1, 2  # the passes: errors of the first weigh the rows of the last (docs/method.md#second-pass)
@@ -33,6 +35,12 @@ class TrainingPass:
     def dark(self) -> float:
         """DN above black that dark current makes, on average, in a frame that the table is for."""
         return self.head.camera.dark_signal(self.exposure)
+
+    @functools.cached_property
+    def goal(self) -> Goal:
+        """What the transforms are to give; made once for all sites, since surfaces under a light take as long as a site's
+        systems of a few channels."""
+        return goal_of(self.head, self.white_point, self.light)
 
     @property
     def draws(self) -> int:

@@ -26,7 +26,7 @@ from l3cli.training.accumulate import TARGET_FLOOR
 from l3cli.training.layers.first import Seen
 from l3cli.training.layers.learn import LayerPass, add_sums, learn_layer, no_sums, sum_layer
 from l3cli.training.layers.mosaics import mosaics_of
-from l3cli.training.layers.rows import add_rows, inner_pixels, require_exact, row_weights
+from l3cli.training.layers.rows import GatheredRows, inner_pixels, require_exact, row_weights
 from l3cli.training.layers.rules import gradient_scale, structure_rule
 from l3cli.training.patches import white_signal
 from l3cli.training.recipe import LayerRecipe, LearningRecipe, TrainingRecipe
@@ -83,8 +83,9 @@ def known_sums(layer: LayerPass, rule: StructureRule, noise: float) -> dict[int,
     ones = np.ones(shape, np.float32)
     seen = Seen(target, np.zeros(shape, np.int64), ones, noisy, clean)
     sums = no_sums(layer, rule)
-    grid = layer.grid_steps(rule)
-    add_rows(sums, seen, label, rule, layer.reading(SIDE), inner_pixels(shape), ones, layer.basis, grid)
+    gathered = GatheredRows(sums, rule, layer.reading(SIDE), layer.basis, layer.grid_steps(rule))
+    gathered.add(seen, label, inner_pixels(shape), ones)
+    gathered.add_up()
     return sums
 
 
@@ -114,6 +115,23 @@ def test_so_is_what_light_and_shade_make_of_chroma(bayer: CameraModel) -> None:
     assert in_planes(layer, learned) == pytest.approx(np.broadcast_to(TRUTH, (len(learned.weights), 3, 3, 9)), abs=2e-3)
     behind = np.einsum("cot,op->cpt", learned.weights[..., learned.window_taps :].astype(np.float64), layer.basis)
     assert behind == pytest.approx(np.broadcast_to(BEHIND, behind.shape), abs=2e-3)
+
+
+def test_rows_of_several_mosaics_add_up_to_those_of_each(bayer: CameraModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    """But for half a grid step a mosaic, and for how products of float32 are rounded, of which a sum has dozens of rows."""
+    layer, frames = a_pass(bayer), [a_frame(bayer, seed, smooth=False) for seed in range(2)]
+    rule = a_rule(layer)
+    steps = layer.grid_steps(rule)[rule.split(np.arange(rule.classes_per_site)).level]
+    together = sum_layer(layer, rule, frames, 0)
+    monkeypatch.setattr("l3cli.training.layers.rows.GATHERED", 0)
+    apart = sum_layer(layer, rule, frames, 0)
+    for site, one in together.items():
+        each = apart[site]
+        assert (one.count == each.count).all()
+        for sums, parts, step in ((one.moments, each.moments, steps), (one.noise, each.noise, np.float64(STEP))):
+            off = np.abs(sums - parts)
+            assert off.max() > 0
+            assert (off <= 4 * step + 3e-7 * np.abs(parts).max(axis=1, keepdims=True)).all()
 
 
 def test_a_layer_weighs_rows_by_its_own_powers_or_those_of_the_first(bayer: CameraModel) -> None:

@@ -30,9 +30,17 @@ from l3cli.io.images import read_image
 from l3cli.physics import spectra
 from l3cli.rendering.renderer import make_renderer
 from l3cli.training.accumulate import sum_sites
-from l3cli.training.patches import Patches, draw_levels, expose_patches, patches_of, sample_patches, white_signal
+from l3cli.training.patches import (
+    Patches,
+    colourless_frame,
+    draw_levels,
+    expose_patches,
+    patches_of,
+    sample_patches,
+    white_signal,
+)
 from l3cli.training.recipe import LayerRecipe, LearningRecipe, TrainingRecipe, for_camera
-from l3cli.training.sums import EXACT, STEP, add_rounded, grid_steps, moment_matrix
+from l3cli.training.sums import EXACT, STEP, add_rounded, beside, grid_steps, moment_matrix
 from l3cli.training.symmetry import orientations, site_maps, stabilisers
 from l3cli.training.table import add_up
 from l3cli.training.thin_classes import parent_of, parents_of
@@ -96,7 +104,7 @@ def test_patches_without_colour_show_luminance_as_white_is_seen(bayer: CameraMod
     near = neighbourhoods(bayer.cfa, 5, 3)
 
     def patches(share: float, frame: TrainingFrame = frame, head: TrainingSet = head) -> Patches:
-        return patches_of(frame, head, near, 1, 10, np.random.default_rng(3), achromatic=share)
+        return patches_of(frame, head, near, 1, 10, np.random.default_rng(3), True, share, colourless_frame(frame, head))
 
     sample, window, white = patches(0.3), near.channel[1], white_signal(light, bayer)
     coloured = patches(0.0)
@@ -135,7 +143,7 @@ def test_contributions_are_rounded_to_whole_steps() -> None:
     rng = np.random.default_rng(0)
     more, step = (rng.standard_normal(999) * 300).astype(np.float32), np.exp2(rng.integers(-24, -10, 999).astype(np.float64))
     total = np.zeros(999)
-    add_rounded(total, more, step)
+    add_rounded(total, more, beside(step))
     assert (total == np.rint(more / step) * step).all()
 
 

@@ -9,11 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.classes.decide import label_mosaic, label_patches
+from l3cli.classes.decide import label_mosaic, label_patches, labels
 from l3cli.classes.features import BASIC, FURTHER
 from l3cli.classes.level import LEVEL_FRACTION
 from l3cli.classes.recipe import ClassRecipe
 from l3cli.classes.rule import make_rule
+from l3cli.classes.statistics import mosaic_statistics
 from l3cli.classes.windows import neighbourhoods, sites
 from l3cli.errors import RecipeError
 from l3cli.frame import mirrored_indices, pad_mosaic
@@ -43,6 +44,23 @@ def test_mosaic_and_patches_are_labelled_alike(
     for number in np.unique(site):
         of_site = label_patches(patches[site == number], rule, near, number) + number * rule.classes_per_site
         assert (of_site == labels[site == number]).all()
+
+
+def test_one_contrast_asks_for_no_squares_and_changes_no_other_feature(fiveband: CameraModel) -> None:
+    rng = np.random.default_rng(2)
+    about = fiveband, random_case_of_code(5, rng), rng.dirichlet(np.ones(5), 6)
+    values = rng.integers(100, 4096, (24, 31)).astype(np.uint16)
+    near, places = neighbourhoods(fiveband.cfa, 9, 5), []
+    for contrasts in ((1.4,), ()):
+        rule = make_rule(ClassRecipe(contrasts=contrasts), *about)
+        statistics = mosaic_statistics(values, rule, near, fiveband.cfa, (0, 0))
+        assert (statistics.squares is None) == (not contrasts)
+        places.append(rule.split(labels(rule, statistics)))
+    told, one = places
+    assert told.contrast.max() == 1
+    assert one.contrast.max() == 0
+    assert (told.level == one.level).all()
+    assert (told.kind == one.kind).all()
 
 
 @pytest.mark.parametrize(("rows", "cols"), [(1, 1), (1, 23), (3, 2), (23, 3)])

@@ -10,9 +10,10 @@ from l3cli.classes.planes import opponent_basis, room_between, room_for
 from l3cli.classes.recipe import ClassRecipe
 from l3cli.classes.rule import make_rule
 from l3cli.training import systems
+from l3cli.training.goal import Goal
 from l3cli.training.layers.solve import LayerGoal, solve_layer
 from l3cli.training.recipe import LearningRecipe
-from l3cli.training.solve import Goal, Solution, equal_responses, solve
+from l3cli.training.solve import Solution, equal_responses, solve
 from l3cli.training.sums import pairs
 from l3cli.training.systems import Equation, Integers, fits, solve_within
 from tests.helpers.cameras import random_camera

@@ -19,16 +19,27 @@ from hypothesis import strategies as st
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
-from l3cli.artifacts.training_set import TrainingSet, write_training_set
+from l3cli.artifacts.training_set import (
+    LightSpectrum,
+    TrainingFrame,
+    TrainingPair,
+    TrainingSet,
+    TrainingSetReader,
+    open_training_set,
+    write_training_set,
+)
 from l3cli.classes.recipe import ClassRecipe
 from l3cli.classes.rule import make_rule
 from l3cli.errors import InputFileError
 from l3cli.parallel import workers
+from l3cli.physics import spectra
 from l3cli.stages.console import Silent
+from l3cli.stages.training.held_frames import HELD
 from l3cli.stages.training.passes import Execution, first_pass
 from l3cli.stages.training.run import open_run
 from l3cli.training.benchmark import made_up_frame, stage_shares, train
 from l3cli.training.division import BATCH, SUM_BYTES, frame_blocks, work_shares
+from l3cli.training.patches import colourless_frame
 from l3cli.training.recipe import LearningRecipe, TrainingRecipe
 from l3cli.training.sums import empty_sums
 from l3cli.training.training_pass import LAST, TrainingPass, spread_patches
@@ -379,3 +390,49 @@ def test_memory_does_not_grow_with_frames_or_jobs(tmp_path: Path, fiveband: Came
         assert run.returncode == 0
         print(f"{60 * times} frames, {jobs} jobs: largest process {usage.ru_maxrss / 1e6:.2f} GB")
         assert usage.ru_maxrss * 1024 * (1 if jobs == 1 else jobs + 1) < 1.5e9
+
+
+def test_a_small_training_set_is_read_once(
+    bayer: CameraModel, tmp_path: Path, l3: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever the passes, of as many frames as there is room for; the others in each. Nothing is held when all is done."""
+    training = a_set(tmp_path / "training.h5", bayer, 3)
+    (tmp_path / "classes.toml").write_text(SMALL.replace("2100", "300"))
+    read: list[int] = []
+    frame = TrainingSetReader.frame
+
+    def noted(self: TrainingSetReader, index: int) -> TrainingPair:
+        read.append(index)
+        return frame(self, index)
+
+    monkeypatch.setattr(TrainingSetReader, "frame", noted)
+    with open_training_set(training) as reader:
+        size = sum(value.nbytes for value in vars(reader.frame(0)).values() if isinstance(value, np.ndarray))
+    monkeypatch.setattr(HELD, "most", 2 * size)
+    read.clear()
+    assert l3("train", training, "--classes", tmp_path / "classes.toml", "-o", tmp_path / "table.h5")[0] == 0
+    assert sorted(read) == [0, 1, 2, 2, 2]  # by the pilot, and two passes
+    assert HELD.bytes == 0
+
+
+def test_what_all_sites_share_is_made_once(
+    bayer: CameraModel, tmp_path: Path, l3: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Surfaces under the light once a pass, a frame without colour once in each; three sites are learned."""
+    wavelength = spectra.light_grid(bayer.wavelength).astype(np.float64)
+    light = LightSpectrum(wavelength, np.full(wavelength.size, 4e13, np.float32))
+    head = TrainingSet(camera=bayer, outputs=("X", "Y", "Z"), target_description="a known mix of the channels")
+    with write_training_set(tmp_path / "training.h5", head) as writer:
+        for seed in range(2):
+            writer.append(dataclasses.replace(a_frame(bayer, seed, smooth=False), light=light))
+    (tmp_path / "classes.toml").write_text(SMALL + "achromatic = 0.2\n")
+    made: list[str] = []
+
+    def noted(frame: TrainingPair, head: TrainingSet) -> TrainingFrame | None:
+        made.append("colourless")
+        return colourless_frame(frame, head)
+
+    monkeypatch.setattr("l3cli.training.accumulate.colourless_frame", noted)
+    monkeypatch.setattr("l3cli.training.goal.plain_surfaces", lambda *about: made.append("surfaces"))
+    assert l3("train", tmp_path / "training.h5", "--classes", tmp_path / "classes.toml", "-o", tmp_path / "t.h5")[0] == 0
+    assert sorted(made) == ["colourless"] * 4 + ["surfaces"] * 2

@@ -1,5 +1,6 @@
 """A training run: what all of its passes and shards have in common, and the frames of its training sets."""
 
+import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -12,6 +13,7 @@ from l3cli.config import load_recipe, read_text
 from l3cli.errors import InputFileError
 from l3cli.files import require_same, sha256, stamp
 from l3cli.recipes import known_recipes
+from l3cli.stages.training.held_frames import HELD
 from l3cli.training.recipe import TrainingRecipe, for_camera
 from l3cli.training.training_pass import FIRST, spread_patches
 
@@ -93,12 +95,33 @@ def frames_of(training: tuple[TrainingSource, ...], wanted: range, remote: bool)
         before += source.frames
         if not here:
             continue
-        if remote:
+        if remote:  # for who knows how many runs: nothing is held
             require_same(source.path, source.digest)
-        with open_training_set(source.path, unchanged=True) as reader:  # since _common_head read it
-            if not remote and stamp(source.path) != source.stamp:
-                raise InputFileError(f"{source.path} has been replaced while it was trained on; train again")
-            yield from map(reader.frame, here)
+            with open_training_set(source.path, unchanged=True) as reader:
+                yield from map(reader.frame, here)
+            continue
+        _require_in_place(source)
+        yield from _held_or_read(source, here)
+
+
+def _require_in_place(source: TrainingSource) -> None:
+    if stamp(source.path) != source.stamp:
+        raise InputFileError(f"{source.path} has been replaced while it was trained on; train again")
+
+
+def _held_or_read(source: TrainingSource, wanted: range) -> Iterator[TrainingPair]:
+    with contextlib.ExitStack() as opened:
+        reader = None
+        for index in wanted:
+            frame = HELD.get(source.digest, index)
+            if frame is None:
+                if reader is None:
+                    # unchanged since _common_head read it
+                    reader = opened.enter_context(open_training_set(source.path, unchanged=True))
+                    _require_in_place(source)
+                frame = reader.frame(index)
+                HELD.keep(source.digest, index, frame)
+            yield frame
 
 
 def _common_head(training: tuple[Path, ...], noisy: bool) -> tuple[TrainingSet, tuple[int, ...]]:

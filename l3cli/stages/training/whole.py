@@ -14,6 +14,7 @@ from l3cli.parallel import workers
 from l3cli.stages.claims import Claims
 from l3cli.stages.console import Console
 from l3cli.stages.plan import Made, before_work
+from l3cli.stages.training.held_frames import held_for_a_run
 from l3cli.stages.training.later_layers import learn_later
 from l3cli.stages.training.passes import Execution, first_pass, learn_first
 from l3cli.stages.training.quiet import learn_quiet
@@ -58,7 +59,7 @@ def executed(
     made = replace(made, what=f"{made.what} of {sum(run.patches)} patches in {frames} frames")
     before_work({"training sets": training, "class recipe": [classes] if classes else []}, made)
     try:
-        with workers(jobs, scheduler) as crew:  # they start while the first reads
+        with workers(jobs, scheduler) as crew, held_for_a_run():  # workers start while the first reads
             yield run, Execution(crew, scheduler is not None, console)
     except RecipeError as error:
         raise RecipeError(f"{classes or 'the built-in class recipe'}: {error}") from error

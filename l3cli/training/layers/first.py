@@ -82,41 +82,37 @@ class _Transforms:
 
     def __init__(self, fixed: FixedPoint) -> None:
         self.fixed = fixed
-        # Integers, which float64 adds exactly. Contiguous in every process: strides, which pickling does not always keep,
-        # decide how products of float32 are rounded.
+        # Contiguous in every process: strides, which pickling does not always keep, may decide how products are rounded.
         self._weights = np.ascontiguousarray(np.swapaxes(fixed.weights, 1, 2), np.float64)
-        self._light_weights = self._weights.astype(np.float32)
 
     def __call__(self, noisy: NDArray, clean: NDArray, side: int, label: Integers) -> tuple[NDArray[np.int32], Floats]:
         """Planes (plane, row, col) of the windows of `side` in padded sources (source, row, col), of the classes `label`
-        (row, col): of noisy ones, which are whole numbers; and without rounding, of those without noise."""
+        (row, col): of noisy ones, which are whole numbers, that float64 adds exactly; and without rounding, of those without
+        noise. Both in one product a class, of which a mosaic has hundreds with few pixels each."""
         flat = label.reshape(-1)
         order = np.argsort(flat, kind="stable")
-        outputs, intercepts = self._weights.shape[2], self.fixed.intercept
-        exact, light = np.empty((flat.size, outputs), np.float64), np.empty((flat.size, outputs), np.float32)
-        whole, smooth = _windows(noisy.astype(np.float64), side), _windows(clean.astype(np.float32), side)
+        windows = _windows(np.stack([noisy, clean]).astype(np.float64), side)
+        sums = np.empty((flat.size, 2, self._weights.shape[2]))
         for first in range(0, flat.size, AT_ONCE):
             part = order[first : first + AT_ONCE]
-            taps, light_taps = _taps(whole, part, label.shape[1]), _taps(smooth, part, label.shape[1])
-            sums, light_sums = np.empty((part.size, outputs), np.float64), np.empty((part.size, outputs), np.float32)
+            taps = windows[part // label.shape[1], part % label.shape[1]].reshape(2 * part.size, -1)
+            made = np.empty((2 * part.size, sums.shape[2]))
             for index, run in runs_of(flat[part]):
-                np.matmul(taps[run], self._weights[index], out=sums[run])
-                np.matmul(light_taps[run], self._light_weights[index], out=light_sums[run])
-            exact[part] = sums + intercepts[flat[part]]
-            light[part] = light_sums + intercepts[flat[part]].astype(np.float32)
+                both = slice(2 * run.start, 2 * run.stop)
+                np.matmul(taps[both], self._weights[index], out=made[both])
+            sums[part] = made.reshape(part.size, 2, -1)
+        sums += self.fixed.intercept[flat, None]
+        exact, light = np.ascontiguousarray(np.moveaxis(sums, 0, -1)).reshape(2, -1, *label.shape)
         scale = (2.0 ** -self.fixed.fraction[label]).astype(np.float32)
-        planes = self.fixed.planes(exact.T.reshape(-1, *label.shape).astype(np.int64), label)
-        return planes, np.clip(light.T.reshape(-1, *label.shape) * scale, -PLANE_TOP, PLANE_TOP)
+        return self.fixed.planes(exact.astype(np.int64), label), np.clip(
+            light.astype(np.float32) * scale, -PLANE_TOP, PLANE_TOP
+        )
 
 
 def _windows(padded: NDArray, side: int) -> NDArray:
-    """Windows (source, row, col, window row, window col) of padded sources."""
-    return np.lib.stride_tricks.sliding_window_view(padded, (side, side), (1, 2))
-
-
-def _taps(windows: NDArray, pixels: Integers, cols: int) -> NDArray:
-    """Windows (pixel, tap) of some pixels, numbered row by row."""
-    return np.swapaxes(windows[:, pixels // cols, pixels % cols], 0, 1).reshape(len(pixels), -1)
+    """Windows (row, col, …, window row, window col) of padded sources (…, row, col)."""
+    windows = np.lib.stride_tricks.sliding_window_view(padded, (side, side), (-2, -1))
+    return np.moveaxis(windows, (-4, -3), (0, 1))
 
 
 def runs_of(label: Integers) -> list[tuple[int, slice]]:

@@ -17,7 +17,15 @@ from l3cli.classes.planes import FixedPoint
 from l3cli.classes.windows import neighbourhoods
 from l3cli.training.layers.first import FirstLayer, PlaneStage, Seen
 from l3cli.training.layers.mosaics import Exposed, Mosaic, mosaics_of
-from l3cli.training.layers.rows import Reading, add_rows, empty_sums, grid_steps, inner_pixels, require_exact, row_weights
+from l3cli.training.layers.rows import (
+    GatheredRows,
+    Reading,
+    empty_sums,
+    grid_steps,
+    inner_pixels,
+    require_exact,
+    row_weights,
+)
 from l3cli.training.layers.solve import LayerGoal, solve_layer
 from l3cli.training.recipe import LayerRecipe, LearningRecipe
 from l3cli.training.symmetry import orientations, site_maps
@@ -99,7 +107,7 @@ def no_sums(layer: LayerPass, rule: PlaneRule) -> dict[int, LayerSums]:
 def sum_layer(layer: LayerPass, rule: PlaneRule, frames: Iterable[TrainingPair], first: int) -> dict[int, LayerSums]:
     """Sums of every canonical site over frames, `first` being the index of the first."""
     see, reading, sums = layer.seer(), layer.reading(layer.recipe.side), no_sums(layer, rule)
-    steps = layer.grid_steps(rule)
+    gathered = GatheredRows(sums, rule, reading, layer.basis, layer.grid_steps(rule))
     for index, frame in enumerate(frames, first):
         rng = layer.rng(index, 1)
         for mosaic in mosaics_of(frame, layer.mosaics[index], layer.exposed, rng):
@@ -108,7 +116,8 @@ def sum_layer(layer: LayerPass, rule: PlaneRule, frames: Iterable[TrainingPair],
             label = label_planes(seen.noisy, seen.label, rule, layer.rule)
             pixels = rng.choice(inner, min(layer.recipe.rows, inner.size), replace=False)
             weight = row_weights(seen, layer.basis, layer.white_point, layer.learning, layer.pictures)
-            add_rows(sums, seen, label, rule, reading, pixels, weight, layer.basis, steps)
+            gathered.add(seen, label, pixels, weight)
+        gathered.add_up()
     return sums
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,17 +11,18 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.layer_sums import LayerSums
 from l3cli.artifacts.layers import PLANE_STEP, PlaneRule
-from l3cli.classes.later import mirrored
+from l3cli.classes.later import mirrored, window_means
 from l3cli.classes.ratios import shaded_chroma
 from l3cli.classes.windows import Integers
 from l3cli.errors import L3Error
-from l3cli.training.accumulate import TARGET_FLOOR
+from l3cli.training.accumulate import LARGEST_PIECE, TARGET_FLOOR
 from l3cli.training.layers.first import Floats, Seen, runs_of
 from l3cli.training.recipe import LearningRecipe
 from l3cli.training.row_weighting import ERROR_FLOOR, lab_error
-from l3cli.training.sums import EXACT, STEP, add_rounded, intercept_scale, pairs, steps_of_columns, width_of
+from l3cli.training.sums import EXACT, STEP, add_rounded, beside, intercept_scale, pairs, steps_of_columns, width_of
 
 MEAN_FLOOR = 1e-5  # squared error, in output units, below which mosaics count alike
+GATHERED = 64 << 20  # bytes of rows that are added up at once, from several mosaics of a frame
 BORDER = 12  # pixels at a mosaic's edge without rows: what they see is mirrored
 Y = 1
 
@@ -119,36 +121,75 @@ def _of_mosaic(seen: Seen, basis: NDArray[np.float64]) -> float:
 
 def _averaged(values: Floats) -> Floats:
     """Means over 5 × 5."""
-    windows = np.lib.stride_tricks.sliding_window_view(mirrored(values, 2), (5, 5))
-    return np.asarray(windows.mean(axis=(2, 3)), np.float32)
+    return window_means(mirrored(values, 2), 5)
 
 
-def add_rows(
-    sums: Mapping[int, LayerSums], seen: Seen, label: Integers, rule: PlaneRule, reading: Reading, pixels: Integers,
-    weight: Floats, basis: NDArray[np.float64], steps: NDArray[np.float64],
-) -> None:  # fmt: skip
-    """Add the rows of `pixels` with classes `label` (row, col) and weights `weight` (row, col) to the sums of their
-    canonical sites, on the grid of `steps` (level, pair)."""
-    site, within = rule.within_site(label.ravel())
-    weight = weight.ravel()
-    ratios = [shaded_chroma(planes, reading.side)[: reading.ratio_taps] for planes in (seen.clean, seen.noisy)]
-    target = seen.target.reshape(-1, seen.target.shape[-1]) @ basis.astype(np.float32)
-    for one in np.unique(site[pixels]).tolist():
-        here = pixels[site[pixels] == one]
-        here = here[np.argsort(within[here], kind="stable")]
-        clean, noisy = map(reading.taps_of, (seen.clean, seen.noisy), (here, here), (one, one), ratios)
-        noise = noisy - clean
-        rows = np.concatenate([clean, np.ones((len(here), 1), np.float32), target[here]], axis=1)
-        weighted = rows * weight[here, None], noise * weight[here, None]
-        _add_classes(sums[int(reading.canonical[one])], rule, steps, within[here], *weighted)
+class Rows(NamedTuple):
+    """Rows of one canonical site, weighted."""
+
+    label: Integers  # (row) class within the site
+    values: Floats  # (row, column) taps without noise, intercept, outputs
+    noise: Floats  # (row, tap) what noise adds to the taps
+
+    @classmethod
+    def by_class(cls, parts: list["Rows"]) -> "Rows":
+        """All rows of `parts`, of non-decreasing class."""
+        label, values, noise = (np.concatenate(each) for each in zip(*parts, strict=True))
+        order = np.argsort(label, kind="stable")
+        return cls(label[order], values[order], noise[order])
 
 
-def _add_classes(
-    sums: LayerSums, rule: PlaneRule, steps: NDArray[np.float64], label: Integers, rows: Floats, noise: Floats
-) -> None:
-    places, noise_places = (np.ravel_multi_index(pairs(width), (width, width)) for width in (rows.shape[1], noise.shape[1]))
-    for index, run in runs_of(label):
-        block, spread = rows[run], noise[run]
-        add_rounded(sums.moments[index], (block.T @ block).ravel().take(places), steps[rule.split(index).level])
-        add_rounded(sums.noise[index], (spread.T @ spread).ravel().take(noise_places), np.float64(STEP))
-        sums.count[index] += len(block)
+class GatheredRows:
+    """Rows of several mosaics on their way into the sums: a class's product costs little more for many rows than for few,
+    and one mosaic has few of each class. What is gathered decides how products of float32 are rounded, so that it may depend
+    on nothing but the frame."""
+
+    def __init__(
+        self, sums: Mapping[int, LayerSums], rule: PlaneRule, reading: Reading, basis: NDArray[np.float64],
+        steps: NDArray[np.float64],
+    ) -> None:  # fmt: skip
+        """Rows for the `sums` of canonical sites, outputs in planes of the `basis`; `steps` (level, pair) of the grid."""
+        self.sums, self.rule, self.reading, self.basis, self.steps = sums, rule, reading, basis.astype(np.float32), steps
+        self._waiting: dict[int, list[Rows]] = {site: [] for site in sums}
+        self._bytes = 0
+
+    def add(self, seen: Seen, label: Integers, pixels: Integers, weight: Floats) -> None:
+        """Gather the rows of `pixels` of a mosaic, with classes `label` (row, col) and weights `weight` (row, col)."""
+        reading = self.reading
+        site, within = self.rule.within_site(label.ravel())
+        weight = weight.ravel()
+        ratios = [shaded_chroma(planes, reading.side)[: reading.ratio_taps] for planes in (seen.clean, seen.noisy)]
+        target = seen.target.reshape(-1, seen.target.shape[-1]) @ self.basis
+        for one in np.unique(site[pixels]).tolist():
+            here = pixels[site[pixels] == one]
+            clean, noisy = map(reading.taps_of, (seen.clean, seen.noisy), (here, here), (one, one), ratios)
+            weights = weight[here, None]
+            values = np.concatenate([clean * weights, weights, target[here] * weights], axis=1)
+            rows = Rows(within[here], values, (noisy - clean) * weights)
+            self._waiting[int(reading.canonical[one])].append(rows)
+            self._bytes += rows.values.nbytes + rows.noise.nbytes
+        if self._bytes > GATHERED:
+            self.add_up()
+
+    def add_up(self) -> None:
+        """Add what has been gathered to the sums."""
+        for site, parts in self._waiting.items():
+            if parts:
+                _add_classes(self.sums[site], self.rule, self.steps, Rows.by_class(parts))
+                parts.clear()
+        self._bytes = 0
+
+
+def _add_classes(sums: LayerSums, rule: PlaneRule, steps: NDArray[np.float64], rows: Rows) -> None:
+    widths = rows.values.shape[1], rows.noise.shape[1]
+    places, noise_places = (np.ravel_multi_index(pairs(width), (width, width)) for width in widths)
+    large, noise_large = beside(steps), beside(STEP)
+    runs = runs_of(rows.label)
+    levels = rule.split(np.array([index for index, _ in runs])).level.tolist()
+    for (index, run), level in zip(runs, levels, strict=True):
+        for first in range(run.start, run.stop, LARGEST_PIECE):
+            piece = slice(first, min(first + LARGEST_PIECE, run.stop))
+            block, spread = rows.values[piece], rows.noise[piece]
+            add_rounded(sums.moments[index], (block.T @ block).ravel().take(places), large[level])
+            add_rounded(sums.noise[index], (spread.T @ spread).ravel().take(noise_places), noise_large)
+        sums.count[index] += run.stop - run.start

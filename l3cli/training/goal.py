@@ -1,0 +1,57 @@
+"""What the transforms of a training are to give: the same for all sites and passes."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.training_set import LightSpectrum, TrainingSet
+from l3cli.physics.display import XYZ
+from l3cli.training.highlights import misleading
+from l3cli.training.patches import white_signal
+from l3cli.training.plain_surfaces import PlainSurfaces, plain_surfaces
+from l3cli.training.systems import Integers
+
+Array = NDArray[np.float64]
+ONE_LIGHT = 0.001  # spread of lights that are one
+
+
+@dataclass(frozen=True)
+class Goal:
+    """What the transforms are to give."""
+
+    outputs: tuple[str, ...]
+    channels: tuple[str, ...]
+    white: Array  # (output) a perfect white under the training light, Y = 1
+    white_signal: Array | None  # (channel) its signals, shares of full scale; None: not known
+    black_level: float  # DN, of the camera
+    white_level: float  # DN, at which a pixel of the camera saturates
+    misled: Array | float = 0.0  # (channel) how far off, relatively, surfaces make the signals of white
+    surfaces: PlainSurfaces | None = None  # under the training light; None: not known, or the outputs are others
+    filters: tuple[int, ...] = ()  # (channel) first channel with its filter; (): every channel has its own
+    sensitivity: Array | None = None  # (channel) as of the camera; None: all alike
+    integers: Integers | None = None  # of the planes that a next layer reads; None: no layer can follow
+
+
+def one_light(light: LightSpectrum | None) -> LightSpectrum | None:
+    """A mean light, if it is known and that of a single light."""
+    return light if light is not None and light.spread <= ONE_LIGHT else None
+
+
+def goal_of(head: TrainingSet, white_point: Array, light: LightSpectrum | None) -> Goal:
+    """The goal of a training with sets of this head, whose frames have the mean `white_point` (output) and `light`."""
+    camera = head.camera
+    levels = camera.black_level, camera.white_level
+    apart: dict[str, Any] = {}
+    if len(head.outputs) == 3:
+        apart["integers"] = Integers(camera.bits, *levels)
+    if camera.readout is not None:
+        apart |= {"filters": tuple(camera.readout.same_filter.tolist()), "sensitivity": camera.sensitivity}
+    if light is None:
+        return Goal(head.outputs, camera.channels, white_point, None, *levels, **apart)
+    signal, misled = white_signal(light, camera), misleading(light, camera)
+    surfaces = None
+    if one_light(light) and head.outputs == XYZ:
+        surfaces = plain_surfaces(camera, light, head.target_light or light, white_point)
+    return Goal(head.outputs, camera.channels, white_point, signal, *levels, misled, surfaces, **apart)
