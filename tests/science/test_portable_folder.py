@@ -52,7 +52,7 @@ def test_arrays_of_the_second_set_stand_beside_the_usual_ones() -> None:
     alone = dataclasses.replace(table, first=table.quiet.first, later=table.quiet.later, quiet=None)
     other, other_arrays = read_folder(alone)
     quiet = document.pop("quiet")
-    assert (quiet["noise_left"], quiet["limit"]) == (0.25, 0.5)
+    assert (quiet["noise_left"], quiet["limit"]) == (0.25, 0.25**0.75)
     assert (quiet["layers"], quiet["word_lengths"]) == (other["layers"], other["word_lengths"])
     behind = {name: values for name, values in arrays.items() if not name.startswith("quiet/")}
     assert set(behind) == set(usual_arrays)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
+from scipy.ndimage import map_coordinates, zoom
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
@@ -65,13 +65,16 @@ def made(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
     return load_camera(CONFIGS / f"cameras/{name}.toml"), load(TransformTable, folder / "table.h5")
 
 
-def drawn(camera: CameraModel, seed: int) -> Drawn:
+def drawn(camera: CameraModel, seed: int, larger: int = 1) -> Drawn:
+    """A scene of dead leaves; `larger`: so many times, and smoother, as through a longer lens."""
     wavelength = procedural.grid(camera.wavelength)
     cube = procedural.dead_leaves(np.random.default_rng(seed), (DRAWN, DRAWN), wavelength)
     light = make_light("D65", {}, camera.wavelength).at(100.0)
     scene = Scene("leaves", wavelength, cube, NO_ILLUMINANT)
     frame = simulate(camera, scene, light, Averaging(LEVEL), Lens(), (seed,))
     planes = np.concatenate([frame.electrons, frame.target * np.float32(frame.exposure)])
+    part = planes[:, : DRAWN // larger, : DRAWN // larger]
+    planes = part if larger == 1 else np.stack([zoom(plane, larger, order=1) for plane in part])
     return Drawn(planes, len(frame.electrons), frame.exposure)
 
 
@@ -146,14 +149,16 @@ def test_what_no_noise_over_time_would_gain(made: tuple[CameraModel, TransformTa
 
 
 @pytest.mark.slow
-def test_gains_and_losses(made: tuple[CameraModel, TransformTable]) -> None:
+@pytest.mark.parametrize("larger", [1, 2])
+def test_gains_and_losses(made: tuple[CameraModel, TransformTable], larger: int) -> None:
     camera, table = made
     usual, both = (quiet_renderer("opencl", each) for each in (replace(table, quiet=None), table))
     make = filters("opencl", table)
     pattern = part_of_pattern(camera)
-    scenes = [drawn(camera, seed) for seed in (1, 2, 3, 4, 5, 6)]
+    scenes = [drawn(camera, seed, larger) for seed in (1, 2, 3, 4, 5, 6)]
     columns = f"{'gain':>9} {'worst frame':>12} {'noise':>9}"
-    print(f"\n{camera.name:20} {'alone':>7} one set: {columns}   two sets: {columns}")
+    print(f"\n{camera.name}, scenes {larger} times as large")
+    print(f"{'':20} {'alone':>7} one set: {columns}   two sets: {columns}")
     for kind in KINDS:
         gains, alone, spreads = [], [], []
         for one, other in zip(scenes[::2], scenes[1::2], strict=True):
