@@ -1,7 +1,6 @@
 """A table's second set of transforms: for pixels of which a filter in time has left little noise
 (docs/method.md#noise-sets)."""
 
-import math
 from dataclasses import dataclass, replace
 
 from l3cli.artifacts.layers import MosaicLayer, PlaneLayer
@@ -23,8 +22,9 @@ class QuietSet:
 
     @property
     def limit(self) -> float:
-        """The share of the noise up to which a pixel is rendered by it: half-way, in logarithms, to all of the noise."""
-        return math.sqrt(self.noise_left)
+        """The share of the noise up to which a pixel is rendered by it: a quarter of the way, in logarithms, to all of the
+        noise (docs/method.md#noise-sets)."""
+        return self.noise_left**0.75
 
     def check_fits(self, first: MosaicLayer, later: tuple[PlaneLayer, ...]) -> None:
         """ValueError if classes are not numbered as those of the table's own layers."""

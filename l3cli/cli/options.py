@@ -11,6 +11,7 @@ import click
 
 from l3cli.cli.results import JSON, recorded
 from l3cli.cli.terminal import ErrorsOnly, Terminal, with_options
+from l3cli.errors import shortened
 from l3cli.files import sparing
 from l3cli.quantities import LARGEST_WHOLE, NoSuchNumber, Quantity
 
@@ -117,6 +118,25 @@ _JSON = click.option(  # results.begin has seen it already
 def quiet(command: F) -> F:
     """--quiet, --log FILE and --json: how a command speaks, all as one parameter `console`."""
     return _LOG(_QUIET(_JSON(command)))
+
+
+SHARD = Number(0, 1_000_000, "shards", whole=True)
+
+
+def shard(context: Any, parameter: Any, text: str | None) -> tuple[int, int] | None:
+    """Callback of --shard, which reads "I/N" with 1 ≤ I ≤ N."""
+    if text is None:
+        return None
+    first, has_separator, second = text.partition("/")
+    if not has_separator:
+        raise click.BadParameter(f'"{shortened(text)}" is not I/N, such as 1/4')
+    try:
+        index, count = int(SHARD.read(first)), int(SHARD.read(second))
+    except click.BadParameter as error:
+        raise click.BadParameter(f'"{shortened(text)}" is not I/N, such as 1/4: {error.message}') from None
+    if not 1 <= index <= count:
+        raise click.BadParameter(f"{text}: shards count from 1/{max(count, 1)} to {max(count, 1)}/{max(count, 1)}")
+    return index, count
 
 
 seed = click.option(

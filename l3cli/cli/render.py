@@ -191,6 +191,10 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
 @click.option(
     "--temporal", is_flag=True, help="Frames follow one another in time: blend each with what is not noise of those before."
 )
+@click.option(
+    "--shard", callback=options.shard, metavar="I/N",
+    help="Render only part I of N, from 1, of a sequence, to the same pictures as a run over all of it.",
+)  # fmt: skip
 @click.option("--skip-bad", is_flag=True, help="Leave out missing and broken frames; exit code 1 if there were any.")
 @click.option("--resume", is_flag=True, help="Continue a sequence of pictures, or many clips, where a run was stopped.")
 @click.option(
@@ -213,8 +217,8 @@ def render(
     bits: str, black_level: float | None, white_level: float | None, exposure_time: float | None, dark: tuple[Path, ...],
     camera: Path | None, hot: str,
     phase: tuple[int, int] | None, size: tuple[int, int] | None, packing: str | None,
-    stride: int | None, temporal: bool, skip_bad: bool, resume: bool, watched: Path | None, every: float | None,
-    scheduler: "Scheduler | None", force: bool, console: "Console",
+    stride: int | None, temporal: bool, shard: tuple[int, int] | None, skip_bad: bool, resume: bool, watched: Path | None,
+    every: float | None, scheduler: "Scheduler | None", force: bool, console: "Console",
 ) -> Result:  # fmt: skip
     """Render INPUT through TABLE.h5: files (DNG, camera raw, one-channel TIFF, PNG or PGM, FITS, .npy, headerless .raw,
     .bin, .raw10 or .raw12), or a sequence: a folder, a pattern (a_%04d.tif, a_####.tif), a quoted glob, a stack (.npy, HDF5,
@@ -228,7 +232,7 @@ def render(
     \b
     Example: l3 render table.h5 frame.dng -o picture.png
     """
-    _refuse_contradictions(inputs, output, watched, every)
+    _refuse_contradictions(inputs, output, watched, every, shard)
     from l3cli.io.apart import start
     from l3cli.io.raw.registry import needs_sandbox
 
@@ -247,7 +251,10 @@ def render(
         scheduler=scheduler, temporal=temporal,
     )  # fmt: skip
     if watched is None and not are_clips(inputs, output, suffix):
+        render_one = functools.partial(render_one, shard=shard)
         return clips_result(alone(render_one, inputs, output, console, resume, force))
+    if shard is not None:
+        raise click.UsageError("--shard divides one sequence; these inputs are several clips")
     job = ClipJob(table, output, suffix, render_one, console, force=force)
     try:
         if watched is None:
@@ -263,7 +270,9 @@ def render(
     return clips_result(job.summary, show_text=True)
 
 
-def _refuse_contradictions(inputs: tuple[Path, ...], output: Path, watched: Path | None, every: float | None) -> None:
+def _refuse_contradictions(
+    inputs: tuple[Path, ...], output: Path, watched: Path | None, every: float | None, shard: tuple[int, int] | None
+) -> None:
     """UsageError if what is asked for cannot go together."""
     if bool(inputs) == (watched is not None):
         raise click.UsageError("give either INPUTs or --watch FOLDER")
@@ -271,5 +280,7 @@ def _refuse_contradictions(inputs: tuple[Path, ...], output: Path, watched: Path
         raise click.UsageError("--every goes with --watch")
     if watched is not None and is_dry():
         raise click.UsageError("--watch never ends, so a dry run cannot say what it makes; leave one of them out")
+    if watched is not None and shard is not None:
+        raise click.UsageError("--shard divides one sequence; leave it or --watch out")
     if Record.current is not None and output == Path("-"):
         raise click.UsageError("-o - writes pictures to stdout, where --json goes; name a file or leave --json out")

@@ -15,24 +15,7 @@ if TYPE_CHECKING:
     from l3cli.stages.console import Console
 
 
-SHARD = options.Number(0, 1_000_000, "shards", whole=True)
 SHARE = options.Number(0, 1e6)
-
-
-def _shard(context: Any, parameter: Any, text: str | None) -> tuple[int, int] | None:
-    """Reads "I/N" with 1 ≤ I ≤ N."""
-    if text is None:
-        return None
-    first, has_separator, second = text.partition("/")
-    if not has_separator:
-        raise click.BadParameter(f'"{shortened(text)}" is not I/N, such as 1/4')
-    try:
-        index, count = int(SHARD.read(first)), int(SHARD.read(second))
-    except click.BadParameter as error:
-        raise click.BadParameter(f'"{shortened(text)}" is not I/N, such as 1/4: {error.message}') from None
-    if not 1 <= index <= count:
-        raise click.BadParameter(f"{text}: shards count from 1/{max(count, 1)} to {max(count, 1)}/{max(count, 1)}")
-    return index, count
 
 
 def _shares(context: Any, parameter: Any, text: str | None) -> tuple[Fraction, ...] | None:
@@ -59,7 +42,10 @@ def _shares(context: Any, parameter: Any, text: str | None) -> tuple[Fraction, .
 )
 @options.output("Transform table to write; with --shard the partial sums")
 @click.option(
-    "--shard", callback=_shard, metavar="I/N", help="Only compute the partial sums of part I of N, from 1, for --merge."
+    "--shard",
+    callback=options.shard,
+    metavar="I/N",
+    help="Only compute the partial sums of part I of N, from 1, for --merge.",
 )
 @click.option("--first", type=options.FILE, metavar="FIRST.h5", help="Table of the pass before, for the shards of the next.")
 @click.option("--merge", is_flag=True, help="Make the table of a pass from its partial sums, all of which must be given.")

@@ -47,11 +47,21 @@ class Footage:
     missing: Sequence[range] = ()  # numbers of those that ought to be and are not, known before reading
     is_stream: bool = False
     wanted: range | None = None  # numbers chosen of a stream
+    part: range | None = None  # places, from 0, of the frames that are rendered of those that there are; None: all
 
     @property
     def lost(self) -> int:
         """How many are missing."""
         return sum(len(numbers) for numbers in self.missing)
+
+    @property
+    def rendered(self) -> int | None:
+        """How many ought to be rendered; None: as many as a stream has."""
+        return self.count if self.part is None else len(self.part)
+
+    def renders(self, place: int) -> bool:
+        """Whether the frame at a place is rendered; others are only what it depends on."""
+        return self.part is None or place in self.part
 
     def absent(self, numbers: range) -> InputFileError:
         """Says that frames are not there."""

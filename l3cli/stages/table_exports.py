@@ -15,6 +15,7 @@ from l3cli.stages.console import Console
 from l3cli.stages.plan import Made, before_work
 
 Form = Literal["c", "folder", "onnx"]
+FORMS = {"c": "C source renders", "onnx": "an ONNX graph renders"}
 
 
 def export_table(
@@ -28,7 +29,13 @@ def export_table(
     with Claims(console) as claims:
         claims.spare(table)
         claims.hold_folder(output)
-        files = _files(load(TransformTable, table), form, words or "float32")
+        transforms = load(TransformTable, table)
+        if transforms.quiet and form != "folder":
+            console.alert(
+                f"{table}: {FORMS[form]} frames one by one, so the table's second set, for frames filtered in time, "
+                "is left out; ‹to› folder has it"
+            )
+        files = _files(transforms, form, words or "float32")
         for name in files:
             claims.claim_file(output / name, force)
         before_work({"table": [table]}, *(Made(output / name, "export", len(content)) for name, content in files.items()))

@@ -1,5 +1,7 @@
 """What every host shares: a table that is open for mosaics of one size."""
 
+import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +15,8 @@ from l3cli.frame import RawFrame
 from l3cli.io.raw.cfa_codes import codes_of
 from l3cli.io.raw.files import KnownBetter, frame_of
 from l3cli.quantities import NoSuchNumber, Quantity
+from l3cli.rendering.temporal.any_order import AnyOrder
+from l3cli.rendering.temporal.filters import filters
 from l3cli.stages.rendering.corrections import CameraFile, correction_in
 
 MOST, LEAST = 1e9, 1e-9  # times Y, of an exposure
@@ -43,6 +47,8 @@ class Mosaics:
 
     def __init__(self, table: str, asked: Asked) -> None:
         self.renderer = Renderer(table, backend=asked.backend, device=asked.device)
+        device = {} if asked.device is None else {"device": asked.device}
+        self._filters = functools.partial(filters, asked.backend, self.renderer.table, **device)
         sensor = self.renderer.table
         self._size = asked.size or (sensor.rows, sensor.cols)
         model = None if asked.camera is None else CameraFile(Path(asked.camera).absolute(), sha256(Path(asked.camera)))
@@ -56,6 +62,11 @@ class Mosaics:
                 f"frames of {rows}×{cols} pixels (rows × columns) are not of the {self._size[0]}×{self._size[1]} "
                 f"expected; if they are meant, give ‹size› {rows}x{cols}, and ‹phase› if they begin at another CFA site"
             )
+
+    def in_time(self, read: Callable[[int], RawFrame], keep: int) -> AnyOrder:
+        """What filters frames in time that are asked for in any order; `read`: gives the raw frame of a number. RecipeError
+        if the table does not know its camera's noise."""
+        return AnyOrder(self._filters(), read, keep)
 
     def frame(self, values: NDArray[Any], order: str | None = None) -> RawFrame:
         """The raw frame of values (row, col) in DN. `order`: colours of a Bayer array from its first pixel on, "rggb", as

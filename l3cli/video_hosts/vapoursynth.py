@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from l3cli.errors import L3Error
+from l3cli.frame import RawFrame
 from l3cli.video_hosts.mosaics import Asked, Mosaics
 from l3cli.video_hosts.told import told
 
@@ -28,7 +29,7 @@ def render(
     clip: Any, table: str | os.PathLike[str], *, bits: int = 8, exposure: float | None = None, white: str | None = None,
     black_level: float | None = None, white_level: float | None = None, phase: tuple[int, int] | None = None,
     size: tuple[int, int] | None = None, camera: str | os.PathLike[str] | None = None, backend: str = "opencl",
-    device: str | None = None,
+    device: str | None = None, temporal: bool = False,
 ) -> Any:  # fmt: skip
     """The clip (vapoursynth.VideoNode) that a table makes of a clip of mosaics, GRAY8 to GRAY16, values in DN.
 
@@ -37,6 +38,8 @@ def render(
     for the clip, so that frames may be asked for in any order. `black_level`, `white_level` (DN), `phase` (CFA row, column
     of the first pixel): None: the table's. `size` (rows, columns): of frames that are meant to be of another size than the
     table's. `camera`: file of a model whose defects and flat field are corrected. `backend`, `device`: as the options.
+    `temporal`: frames share what is not noise, as in `l3 render --temporal`, each the same in whatever order they are asked
+    for: one that does not follow the last is filtered after the up to 255 before it that it depends on.
 
     Frames may be rendered from any number of threads; one is at work on the device at a time. The first is rendered at once.
     vapoursynth.Error, one line, for a clip, file or value that does not fit.
@@ -52,15 +55,21 @@ def render(
         _require_mosaics(clip)
         mosaics.require_size(clip.height, clip.width)
         show = mosaics.renderer.sequence(None, exposure=exposure, white=white, bits=bits)
-        with clip.get_frame(0) as first:
-            show(mosaics.frame(np.asarray(first[0])))
+
+        def read(number: int) -> RawFrame:
+            with clip.get_frame(number) as raw:
+                return mosaics.frame(np.array(raw[0]))
+
+        show(read(0))
+        in_time = mosaics.in_time(read, keep=2 * vs.core.num_threads) if temporal else None
     except (L3Error, OSError) as error:
         raise vs.Error(f"l3: {told(error)}") from error
 
     def shown(n: int, f: list[Any]) -> Any:
         raw, made = f[0], f[1].copy()
         try:
-            picture = show(mosaics.frame(np.asarray(raw[0])))
+            frame = mosaics.frame(np.asarray(raw[0]))
+            picture = show(in_time.filtered(n, frame) if in_time else frame)
         except L3Error as error:
             raise vs.Error(f"l3: frame {n}: {told(error)}") from error
         for plane in range(3):

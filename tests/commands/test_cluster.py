@@ -39,6 +39,7 @@ source = "rgb"
 file = "picture.png"
 """
 CLASSES = "[classes]\npatch = 3\nlevels = 4\n[learning]\npatches = 52000\nfirst_draws = 1\ndraws = 1\n"  # two blocks
+TWO_SETS = CLASSES + "noise_left = 0.1\n"
 ROWS, COLS, FRAMES = 48, 64, 9
 
 
@@ -97,7 +98,7 @@ def made(bayer_recipe: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     rng = np.random.default_rng(0)
     write_picture(folder / "picture.png", rng.integers(0, 256, (32, 40, 3), dtype=np.uint8))
     (folder / "scenes.toml").write_text(SCENES)
-    (folder / "classes.toml").write_text(CLASSES)
+    (folder / "classes.toml").write_text(TWO_SETS)
     (folder / "frames").mkdir()
     for number in range(FRAMES):
         values = np.clip(rng.normal(400 + 100 * number, 200, (ROWS, COLS)), 0, 4095)
@@ -154,7 +155,8 @@ def test_train_gives_the_same_bytes(cluster: Cluster, made: Path, tmp_path: Path
 
 
 def test_a_shard_gives_the_same_bytes(cluster: Cluster, made: Path, tmp_path: Path, l3: Callable) -> None:
-    command = ("train", made / "training.h5", "--classes", made / "classes.toml", "--shard", "2/2")
+    (tmp_path / "classes.toml").write_text(CLASSES)
+    command = ("train", made / "training.h5", "--classes", tmp_path / "classes.toml", "--shard", "2/2")
     for name, where in (("here", ()), ("there", ("--scheduler", cluster.address))):
         assert l3(*command, "-o", tmp_path / name, *where)[0] == 0
     assert (tmp_path / "here").read_bytes() == (tmp_path / "there").read_bytes()

@@ -8,10 +8,11 @@ from pathlib import Path
 import pytest
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.store import save
+from l3cli.artifacts.store import load, save
+from l3cli.artifacts.table import TransformTable
 from tests.helpers.artifacts import some_sums
 from tests.helpers.calls import L3, Refused
-from tests.helpers.tables import random_table, with_later
+from tests.helpers.tables import random_table, with_later, with_quiet
 
 C_FILES = ["Makefile", "README.md", "l3.c", "l3.h", "l3_table.c", "l3_table.h", "test.c", "test_labels.bin",
            "test_outputs.bin", "test_raw.bin"]  # fmt: skip
@@ -61,6 +62,17 @@ def test_an_onnx_graph_is_written_alike_twice(table: Path, tmp_path: Path, l3: L
     assert sorted(contents(tmp_path / "one")) == [
         "README.md", "table.onnx", "test_labels.bin", "test_outputs.bin", "test_raw.bin"
     ]  # fmt: skip
+
+
+def test_only_a_folder_has_the_second_set(table: Path, tmp_path: Path, l3: L3) -> None:
+    save(with_quiet(load(TransformTable, table)), tmp_path / "two.h5")
+    for form in ("c", "onnx"):
+        err = l3("export", tmp_path / "two.h5", "-o", tmp_path / form, "--to", form)[2]
+        assert "second set, for frames filtered in time, is left out; --to folder has it" in err
+        err = l3("export", table, "-o", tmp_path / f"{form}1", "--to", form)[2]
+        assert "left out" not in err
+        assert contents(tmp_path / form) == contents(tmp_path / f"{form}1")
+    assert "left out" not in l3("export", tmp_path / "two.h5", "-o", tmp_path / "folder", "--to", "folder")[2]
 
 
 def test_without_onnx_its_extra_is_named(

@@ -11,9 +11,11 @@ import l3cli
 from l3cli.artifacts.store import save
 from l3cli.io.images import read_image
 from l3cli.rendering import quiet
+from tests.helpers import still_scene
 from tests.helpers.calls import L3
 from tests.helpers.readme import PAGES, fenced
 from tests.helpers.sequences import COUNT, RGGB, frames, write_raw_video
+from tests.helpers.tables import with_quiet
 
 vs: Any = pytest.importorskip("vapoursynth", reason='has wheels for Python ≥ 3.12 alone: "make vapoursynth"')
 
@@ -46,6 +48,11 @@ def mosaics(values: np.ndarray | None = None, form: Any = None) -> Any:
 def pixels(frame: Any) -> np.ndarray:
     """A frame (row, col, 3)."""
     return np.stack([np.asarray(frame[plane]) for plane in range(3)], axis=-1)
+
+
+def raw_size(clip: Any) -> tuple[int, int]:
+    """Rows and columns of a clip."""
+    return clip.height, clip.width
 
 
 def rendered(l3: L3, folder: Path, out: Path, *options: object, clip: str = "clip.mkv") -> np.ndarray:
@@ -113,6 +120,37 @@ def test_frames_in_any_order_from_many_threads(folder: Path) -> None:
     assert all(np.array_equal(picture, expected[clip][number]) for clip, number, picture in got)
 
 
+@pytest.mark.parametrize("threads", [1, 4])
+def test_frames_filtered_in_time_are_those_of_the_command_in_any_order(
+    l3: L3, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, threads: int
+) -> None:
+    """One after the other, as when a film is written, and jumping about, as when it is edited."""
+    from l3cli.rendering.temporal import chunks
+    from l3cli.video_hosts.vapoursynth import render
+
+    monkeypatch.setattr(chunks, "CHUNK", 3)
+    monkeypatch.setattr(chunks, "LEAD", 1)
+    np.save(tmp_path / "still.npy", still_scene.mosaics())
+    save(with_quiet(still_scene.TABLE), tmp_path / "table.h5")
+    call = ("render", tmp_path / "table.h5", tmp_path / "still.npy", "-o", tmp_path / "out", "--temporal", "--exposure", 0.7)
+    assert l3(*call)[0] == 0
+    expected = [read_image(path)[0] for path in sorted((tmp_path / "out").glob("*.png"))]
+    vs.core.num_threads, before = threads, vs.core.num_threads
+    raw = mosaics(still_scene.mosaics())
+    options: Any = {"size": raw_size(raw), "exposure": 0.7, "temporal": True}
+    in_order = [pixels(frame) for frame in render(raw, tmp_path / "table.h5", **options).frames()]
+    asked = [*range(still_scene.COUNT)] * 3
+    random.Random(2).shuffle(asked)
+    jumping = render(raw, tmp_path / "table.h5", **options)
+    waiting = [(number, jumping.get_frame_async(number)) for number in asked]
+    got = [(number, pixels(future.result(timeout=60))) for number, future in waiting]
+    vs.core.num_threads = before
+    np.testing.assert_array_equal(in_order, expected)
+    assert all(np.array_equal(picture, expected[number]) for number, picture in got)
+    alone = pixels(render(raw, tmp_path / "table.h5", size=raw_size(raw), exposure=0.7).get_frame(2))
+    assert (alone != expected[2]).any()
+
+
 def test_floating_point_is_linear_and_says_so(folder: Path) -> None:
     from l3cli.video_hosts.vapoursynth import render
 
@@ -139,6 +177,7 @@ def test_eight_bits_with_levels_and_a_phase(l3: L3, folder: Path, tmp_path: Path
         ({}, {"exposure": -1.0}, r"exposure -1 is not within 1e-09…1e\+09 times Y"),
         ({}, {"bits": 10}, "10 bits cannot be; ask for 8, 16 or 32"),
         ({}, {"white": "D5"}, "did you mean"),
+        ({}, {"temporal": True}, "temporal needs the camera's noise"),
         ({}, {"size": (30, 28)}, "frames of 20×28 pixels .* not of the 30×28 expected; .* give size 20x28"),
         ({}, {"white_level": 3.0}, "black level 64 and white level 3 do not fit; give black_level and white_level"),
         ({}, {"table": "nothing.h5"}, "nothing.h5 does not exist"),

@@ -2,8 +2,6 @@
 
 import ctypes
 import dataclasses
-import itertools
-import json
 import os
 import re
 import shutil
@@ -23,7 +21,6 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.classes import direction
 from l3cli.errors import InputFileError
 from l3cli.frame import RawFrame
-from l3cli.rendering.portable.folder import folder_files
 from l3cli.rendering.portable.short_words import OUTPUT_FRACTION, OUTPUT_TOP, short_words
 from l3cli.rendering.portable.source import Words, c_files
 from l3cli.rendering.portable.vector import drawn_mosaic
@@ -208,49 +205,6 @@ def test_numbers_do_not_follow_the_print_options_of_numpy() -> None:
     text = plain["l3_table.c"].decode()
     numbers = re.findall(r"[-+.e0-9]+(?=f)", text[text.index("float l3_last_intercept") :])
     np.testing.assert_array_equal(np.array(numbers, np.float32), table.first.intercept.ravel())
-
-
-def read_folder(table: TransformTable) -> tuple[dict[str, Any], dict[str, NDArray]]:
-    """table.json and the arrays that it names, read as it says and as nothing else does."""
-    files = folder_files(table)
-    document = json.loads(files.pop("table.json"))
-    arrays = {}
-    for entry in document["arrays"]:
-        content = files.pop(entry["file"])
-        values = np.frombuffer(content, np.dtype(entry["dtype"]).newbyteorder("<")).reshape(entry["shape"])
-        assert len(entry["axes"]) == values.ndim
-        assert entry["unit"]
-        arrays[entry["name"]] = values
-    assert not files, "files that table.json does not name"
-    return document, arrays
-
-
-def test_arrays_of_one_layer_make_the_outputs_of_the_test_mosaic() -> None:
-    document, arrays = read_folder(random_table([[0, 1], [1, 2]], 12, 64.0))
-    black, white = (document["table"][key]["value"] for key in ("black_level", "white_level"))
-    radius, sizes = document["layers"][0]["patch"]["value"] // 2, document["layers"][0]["sizes"]
-    raw, (labels,), outputs = arrays["test_raw"], arrays["test_labels"], arrays["test_outputs"]
-    assert sizes["classes"] == len(arrays["layer0/weights"]) > labels.max()
-    words = arrays["layer0/word_weights"] * 2.0 ** -arrays["layer0/word_fraction"].astype(float)[:, None, None]
-    coarse = 8 * 10 ** (-document["word_lengths"]["chosen"]["least_psnr_db"] / 20)
-    for weights, most in ((arrays["layer0/weights"], 1e-6), (words, coarse)):
-        for row, col in itertools.product(range(5, 35, 7), range(5, 140, 3)):
-            patch = (raw[row - radius : row + radius + 1, col - radius : col + radius + 1].ravel() - black) / (white - black)
-            made = weights[labels[row, col]].astype(float) @ patch + arrays["layer0/intercept"][labels[row, col]]
-            np.testing.assert_allclose(made, outputs[:, row, col], atol=most)
-
-
-def test_two_bits_more_cost_twelve_decibels_less() -> None:
-    document, arrays = read_folder(with_later(random_table([[0, 1], [1, 2]], 12, 64.0, contrasts=()), 3))
-    costs = {(each["binary_point_of"], each["bits"]): each["psnr_db"] for each in document["word_lengths"]["costs"]}
-    for scale in ("class", "table"):
-        steps = np.diff([costs[scale, bits] for bits in (8, 10, 12, 14, 16)])
-        assert ((steps > 9) & (steps < 15)).all(), steps
-    assert all(costs["class", bits] >= costs["table", bits] - 0.5 for bits in (8, 10, 12, 14, 16))
-    chosen = document["word_lengths"]["chosen"]["bits"]
-    assert costs["class", chosen] >= 60 > costs["class", chosen - 2]
-    assert np.abs(arrays["layer1/word_weights"].astype(int)).max() < 2 ** (chosen - 1)
-    assert arrays["layer0/fixed_weights"].dtype == np.int16
 
 
 def test_words_are_the_nearest_that_fit() -> None:

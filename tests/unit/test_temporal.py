@@ -1,11 +1,17 @@
 """The temporal filter: kernels agree with the reference on every value, vectors are found, scenes are not mixed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 
-from l3cli.errors import RecipeError
+from l3cli.errors import InputFileError, RecipeError
 from l3cli.frame import RawFrame
+from l3cli.rendering.temporal import chunks
+from l3cli.rendering.temporal.any_order import AnyOrder
 from l3cli.rendering.temporal.blend import LEAST_WEIGHT, ONE
 from l3cli.rendering.temporal.chunks import CHUNK, LEAD, Chunks, chunks_of, needed
 from l3cli.rendering.temporal.filters import filters
@@ -170,3 +176,64 @@ def test_a_faint_edge_leaves_little_behind() -> None:
         behind = made.values[:, 3 * 13 + 20 - 12 : 3 * 13 + 20]
         left.append((behind.mean() - BLACK) / camera.gain - 260)
     assert np.mean(left) / 10.4 < 0.2
+
+
+class Remembering:
+    """A filter whose frames are called by all that it has taken."""
+
+    def __init__(self) -> None:
+        self.taken = ""
+
+    def filtered(self, frame: RawFrame) -> RawFrame:
+        self.taken += frame.name
+        return replace(frame, name=self.taken)
+
+
+def of_place(place: int) -> RawFrame:
+    return RawFrame(chr(ord("a") + place), np.zeros((2, 2), np.uint16), 0.0, 1.0)
+
+
+@given(st.lists(st.integers(0, 19), min_size=1, max_size=40), st.integers(1, 6))
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_frames_in_any_order_are_those_in_order(monkeypatch: pytest.MonkeyPatch, places: list[int], keep: int) -> None:
+    monkeypatch.setattr(chunks, "CHUNK", 5)
+    monkeypatch.setattr(chunks, "LEAD", 2)
+    in_order = Chunks(Remembering)
+    expected = [in_order.filtered(place, of_place(place)).name for place in range(20)]
+    asked = AnyOrder(Remembering, of_place, keep)
+    assert [asked.filtered(place, of_place(place)).name for place in places] == [expected[place] for place in places]
+
+
+def test_frames_in_nearly_any_order_are_read_once_and_jumps_from_the_lead_in_on() -> None:
+    read: list[int] = []
+
+    def noted(place: int) -> RawFrame:
+        read.append(place)
+        return RawFrame("a", np.zeros((2, 2), np.uint16), 0.0, 1.0)
+
+    asked = AnyOrder(Remembering, noted, keep=4)
+    for place in (1, 0, 3, 2, 4, 7, 5, 6):
+        asked.filtered(place, of_place(0))
+    assert read == [0, 2, 5, 6]
+    read.clear()
+    asked.filtered(3 * CHUNK + 2, of_place(0))
+    assert read == [*range(3 * CHUNK - LEAD, 3 * CHUNK + 2)]
+    read.clear()
+    asked.filtered(3 * CHUNK - 1, of_place(0))
+    assert read == [*range(2 * CHUNK - LEAD, 3 * CHUNK - 1)]
+
+
+def test_after_a_broken_frame_the_others_are_what_they_were() -> None:
+    broken = {2}
+
+    def read(place: int) -> RawFrame:
+        if place in broken:
+            raise InputFileError("broken")
+        return of_place(place)
+
+    asked = AnyOrder(Remembering, read, keep=4)
+    with pytest.raises(InputFileError):
+        asked.filtered(4, of_place(4))
+    assert asked.filtered(1, of_place(1)).name == "ab"
+    broken.clear()
+    assert asked.filtered(4, of_place(4)).name == "abcde"

@@ -1,6 +1,7 @@
 """A table as plain arrays: little-endian files, and table.json that says what each holds."""
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -39,6 +40,12 @@ FORMULAS = {
     "kind": "chroma where the case is 0, else chromas - 1 + case",
     "borders": "the sample of equal CFA phase nearest the mirror image; planes: mirrored about the outermost pixels",
 }
+QUIET = "quiet/"  # before the names of its arrays
+QUIET_DOC = (
+    "a second set of transforms, for pixels of which a filter in time has left no more of the noise variance than limit, a "
+    "share of a frame's; learned for noise_left of it. Its arrays are those of the same name behind quiet/; where there is "
+    "none, those of the usual set. Formulas and constants are the same; test_labels and test_outputs are by this set alone"
+)
 ONE_LAYER = {"output": "sum of weights * (DN - black_level) / (white_level - black_level) + intercept"}
 LAYERS = {
     "plane": "clamp(sum of fixed_weights * value + fixed_intercept + 2^(F - 1) >> F, -plane_top, plane_top); "
@@ -57,26 +64,36 @@ def folder_files(table: TransformTable) -> dict[str, bytes]:
     """Name → content of every file."""
     require_known_layers(table)
     arrays = _Arrays()
-    costs = word_costs(table)
-    words = chosen_words(table, costs)
     content: dict[str, Any] = {
         "format": FORMAT,
         "version": VERSION,
         "made_by": f"l3cli {__version__}",
         "camera": printable(table.camera_name),
         "table": arrays.of_fields("", table, HEAD),
-        "layers": [_layer(arrays, number, layer) for number, layer in enumerate(table.layers)],
+        **_set(arrays, table),
         "formulas": FORMULAS | (LAYERS if table.later else ONE_LAYER),
         "constants": _constants(table),
-        "word_lengths": _study(words, costs),
     }
+    if table.quiet:
+        quiet = replace(table, first=table.quiet.first, later=table.quiet.later, quiet=None)
+        arrays.prefix = QUIET
+        values = {"noise_left": table.quiet.noise_left, "limit": table.quiet.limit}
+        content["quiet"] = {"doc": QUIET_DOC, **values, **_set(arrays, quiet)}
+    content["arrays"] = arrays.entries
+    text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    return {"table.json": text.encode(), **arrays.files}
+
+
+def _set(arrays: "_Arrays", table: TransformTable) -> dict[str, Any]:
+    """Add the arrays of a set of transforms; its layers' single values, and what short words of it cost."""
+    costs = word_costs(table)
+    words = chosen_words(table, costs)
+    layers = [_layer(arrays, number, layer) for number, layer in enumerate(table.layers)]
     _derived(arrays, table)
     _words(arrays, words, len(table.layers) - 1)
     for name, values in _vector(table).items():
         arrays.add(name, *values)
-    content["arrays"] = arrays.entries
-    text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-    return {"table.json": text.encode(), **arrays.files}
+    return {"layers": layers, "word_lengths": _study(words, costs)}
 
 
 class _Arrays:
@@ -85,10 +102,14 @@ class _Arrays:
     def __init__(self) -> None:
         self.files: dict[str, bytes] = {}
         self.entries: list[dict[str, Any]] = []
+        self.prefix = ""  # of the names of a further set, whose arrays are left out where the usual set has the same
 
     def add(self, name: str, values: NDArray, axes: tuple[str, ...], unit: str, doc: str) -> None:
         little = values.astype(values.dtype.newbyteorder("<"))
-        file = f"{name.replace('/', '_')}.bin"
+        if self.prefix and self.files.get(_file(name)) == little.tobytes():
+            return
+        name = self.prefix + name
+        file = _file(name)
         self.files[file] = little.tobytes()
         self.entries.append(
             {"name": name, "file": file, "dtype": values.dtype.name, "byte_order": "little", "shape": list(values.shape),
@@ -107,6 +128,10 @@ class _Arrays:
             else:
                 values[name] = {"value": value, "unit": spec.unit, "doc": spec.doc}
         return values
+
+
+def _file(name: str) -> str:
+    return f"{name.replace('/', '_')}.bin"
 
 
 def _layer(arrays: _Arrays, number: int, layer: Any) -> dict[str, Any]:

@@ -40,6 +40,11 @@ def chunks_of(place: int) -> range:
     return range(place // CHUNK, (place + LEAD) // CHUNK + 1)
 
 
+def first_needed(place: int) -> int:
+    """The first place that the frame at a place depends on."""
+    return max(0, place // CHUNK * CHUNK - LEAD)
+
+
 def needed(wanted: Iterable[tuple[int, bool]]) -> Iterator[bool]:
     """Whether the filter must take each frame, given as its place and whether it is wanted itself: whether that is so, or a
     later one that depends on it is wanted. Looks up to LEAD + CHUNK frames ahead."""

@@ -34,6 +34,7 @@ class Destination:
     kind: str
     suffix: str  # of the files in a folder
     bits: int = 8  # of a value
+    shard: tuple[int, int] | None = None  # that is written, number from 1 of how many
 
     @property
     def one_by_one(self) -> bool:
@@ -69,7 +70,19 @@ class Destination:
     @property
     def mark(self) -> Path:
         """Lies beside the pictures while a run lasts, and identifies it to `--resume`."""
-        return self.path / ".l3-render" if self.kind == "folder" else self.path.with_name(f".{self.path.name}.l3-render")
+        name = f"{self._of_shard}.l3-render"
+        return self.path / name if self.kind == "folder" else self.path.with_name(f".{self.path.name}{name}")
+
+    @property
+    def lock(self) -> tuple[Path, str]:
+        """The folder, and what tells these pictures from others in it, of the lock that other runs respect: shards of a
+        sequence are written side by side."""
+        folder, name = (self.path, "") if self.kind == "folder" else (self.path.parent, self.path.name)
+        return folder, name + self._of_shard
+
+    @property
+    def _of_shard(self) -> str:
+        return "" if self.shard is None else ".{}-of-{}".format(*self.shard)
 
 
 def destination_of(output: Path, suffix: str, choice: VideoChoice) -> Destination:
@@ -95,7 +108,7 @@ def destination_of(output: Path, suffix: str, choice: VideoChoice) -> Destinatio
 
 def paged(destination: Destination, footage: Footage) -> Destination:
     """The destination with pages, if it is a single file that can have them and there are several frames."""
-    if destination.kind == "file" and footage.count != 1 and destination.path.suffix.lower() in PAGED:
+    if destination.kind == "file" and footage.rendered != 1 and destination.path.suffix.lower() in PAGED:
         return replace(destination, kind="pages")
     return destination
 
@@ -109,17 +122,14 @@ def claim(destination: Destination, force: bool, claims: Claims) -> None:
         refuse_spared(1)
     else:
         refuse_unwritable(destination.file(0, "frame"))
-        folder, name = (
-            (destination.path, "") if destination.kind == "folder" else (destination.path.parent, destination.path.name)
-        )
-        claims.hold(sole_writer_of_folder(folder, name), destination.path)
+        claims.hold(sole_writer_of_folder(*destination.lock), destination.path)
 
 
 def refuse_outputs(destination: Destination, footage: Footage, force: bool, mark: Mark | None = None) -> None:
     """RecipeError if the frames do not fit into the destination or would replace what is read, L3Error if they would replace
     what is there and not of the mark's run."""
-    if destination.kind == "file" and footage.count != 1:
-        count = "a sequence" if footage.count is None else f"{footage.count} frames"
+    if destination.kind == "file" and footage.rendered != 1:
+        count = "a sequence" if footage.rendered is None else f"{footage.rendered} frames"
         raise RecipeError(
             f"{destination.path} holds one picture, the inputs are {count}; name a folder, a pattern "
             f"({destination.path.stem}_%04d{destination.path.suffix}), a .tif or a video"
@@ -129,7 +139,8 @@ def refuse_outputs(destination: Destination, footage: Footage, force: bool, mark
     if footage.is_stream:
         files = _existing(destination, footage)
     else:
-        files = [destination.file(pending.number, pending.stem) for pending in footage.frames]
+        pictures = (pending for place, pending in enumerate(footage.frames) if footage.renders(place))
+        files = [destination.file(pending.number, pending.stem) for pending in pictures]
     if len(set(files)) < len(files):
         raise RecipeError("two inputs have the same name and would write the same file; render them one by one")
     for file in files:
@@ -147,10 +158,11 @@ def _existing(destination: Destination, footage: Footage) -> list[Path]:
     """Pictures that are there and that frames of a stream, which may be endless, would replace."""
     if footage.wanted is None:
         return _pictures(destination)
+    wanted = footage.wanted if footage.part is None else footage.wanted[footage.part.start : footage.part.stop]
     if destination.kind == "pattern":
-        return [file for number, file in numbered_files(destination.path).items() if number in footage.wanted]
+        return [file for number, file in numbered_files(destination.path).items() if number in wanted]
     numbers = {last_number(file) for file in _pictures(destination)}
-    frames = [footage.frames.pending(number) for number in numbers if number is not None and number in footage.wanted]
+    frames = [footage.frames.pending(number) for number in numbers if number is not None and number in wanted]
     return [destination.file(pending.number, pending.stem) for pending in frames]
 
 
@@ -192,8 +204,10 @@ def marked(
 
 def _refuse_changed(destination: Destination, footage: Footage, mark: Mark, origins: Origins) -> None:
     """RecipeError, before anything is read, if pictures are there that are known to be of other frames."""
-    for pending in footage.frames:
-        mark.keeps(destination.file(pending.number, pending.stem), origins.of(pending).origin)
+    for place, pending in enumerate(footage.frames):
+        origin = origins.of(pending).origin  # which may tell of every frame before
+        if footage.renders(place):
+            mark.keeps(destination.file(pending.number, pending.stem), origin)
     mark.refuse_others()
 
 
@@ -216,7 +230,7 @@ def open_sink(
 
         yield write, PICTURE_WRITERS
     elif destination.kind == "pages":
-        with new_pages(destination.path, rendition.space, footage.count) as pages:
+        with new_pages(destination.path, rendition.space, footage.rendered) as pages:
             yield lambda item: pages.write(item[1].pixels, item[1].label), 1
     elif destination.kind == "stream" or destination.path.suffix.lower() == ".y4m":
         with new_y4m(None if destination.kind == "stream" else destination.path, choice) as stream:

@@ -20,11 +20,13 @@ def plan(
     are there may be replaced or kept."""
     if not (is_dry() or is_noting()):
         return  # there may be many frames
-    files = [] if footage.is_stream else [pending.source for pending in footage.frames if pending.source is not None]
+    frames = [] if footage.is_stream else [frame for place, frame in enumerate(footage.frames) if footage.renders(place)]
+    files = [pending.source for pending in frames if pending.source is not None]
     if is_dry():
         refuse_outputs(destination, footage, replace)
         for file in files if not skip_bad else ():
             require_regular(file)
-    count = "as many frames as come" if footage.count is None else f"{footage.count} frame{'s' * (footage.count > 1)}"
+    rendered = footage.rendered
+    count = "as many frames as come" if rendered is None else f"{rendered} frame{'s' * (rendered > 1)}"
     made = Made(destination.path, f"{KINDS.get(destination.kind, 'picture of')} {count}")
     before_work({"table": [table], "inputs": files or inputs, "dark frames": dark}, made)

@@ -30,6 +30,7 @@ from l3cli.stages.rendering.mark import Origins
 from l3cli.stages.rendering.plan import plan
 from l3cli.stages.rendering.rendition import Rendition, chosen_space, for_developers, outputs_as_they_are
 from l3cli.stages.rendering.sequence import Tally, follows, render_frames
+from l3cli.stages.rendering.shards import part_of
 
 if TYPE_CHECKING:
     from l3cli.parallel.cluster import Scheduler
@@ -45,7 +46,7 @@ def render(
     exposure: float | None = None, white: str | None = None, space: str | None = None, remosaic: str | None = None,
     backend: str = "opencl", device: str | None = None, variant: str | None = None, skip_bad: bool = False,
     resume: bool = False, scheduler: "Scheduler | None" = None, renderers: Renderers | None = None, force: bool = False,
-    temporal: bool = False,
+    temporal: bool = False, shard: tuple[int, int] | None = None,
 ) -> Tally:  # fmt: skip
     """Render raw frames through a table into a picture, numbered files, a folder (of files that end in `suffix`) or a video.
 
@@ -56,12 +57,12 @@ def render(
     "camera", "auto" or "ROW,COL[,SIZE]" of a grey, None: the table's. `space`: of the values, None: sRGB, in floating point
     the outputs as they are; `remosaic`: mosaic of a DNG file, "bayer". `skip_bad`: leave out broken frames. `resume`: go on
     where a run was stopped. `renderers`: shared with other runs. `temporal`: frames follow one another in time, and share
-    what is not noise.
+    what is not noise. `shard`: (number from 1, of how many) that is rendered alone, as it is in a run over all frames.
     RecipeError, InputFileError, DeviceError or L3Error before anything is written where that is known.
     """
     # One long sequence: in this order a refusal comes before any work, and no output takes the place of what is read.
     choice = VideoChoice(rate or USUAL_RATE, bits, codec, crf, preset)
-    destination = destination_of(output, suffix, choice)
+    destination = replace(destination_of(output, suffix, choice), shard=shard)
     engine = {name: value for name, value in {"device": device, "variant": variant}.items() if value is not None}
     with Claims(console) as claims:
         claims.spare(table, *inputs, *dark, *filter(None, [camera]))
@@ -82,6 +83,8 @@ def render(
         source = white_source(white, transforms) if white is not None else None
         rendition = _rendition(destination, None if source else white, exposure, space, remosaic, bits, transforms, console)
         footage = find_frames(inputs, transforms, known, frames, dataset)
+        if shard is not None:
+            footage = replace(footage, part=part_of(footage, shard, temporal))
         destination = paged(destination, footage)
         _spared(footage, claims)
         if not skip_bad:
@@ -96,7 +99,7 @@ def render(
         chosen = {"device": os.environ.get("L3_DEVICE"), **engine}
         levels = (replace(known, dark=None, correction=None), known.dark and known.dark.digest)
         key: list[Any] = [setup.digest, __version__, frames, dataset, suffix, backend, chosen, exposure, white, choice]
-        key += [space, remosaic, *levels, known.correction and known.correction.digest, steady, temporal]
+        key += [space, remosaic, *levels, known.correction and known.correction.digest, steady, temporal, shard]
         origins = functools.partial(Origins, inputs[0], steady or temporal)
         with (
             marked(destination, key, resume, force, footage, origins) as mark,

@@ -47,7 +47,8 @@ class _Read:
     white: SceneWhite | None = None  # measured on it
     balance: WhiteBalance | None = None  # what it is shown with, if not the rendition's
     error: L3Error | None = None
-    kept: bool = False  # its picture is there already
+    kept: bool = False  # its picture is there already, or not to be made
+    counted: bool = True  # whether it is among those to be rendered
     lost: int = 1  # frames that there are not, if there is an error
 
 
@@ -85,7 +86,8 @@ def render_frames(
     with sink as (write, threads), Behind(write, DEPTH, threads) as writing:
         meters = _Meters(LightMeter(table) if steady else None, whites, in_order)
         reading = ahead(_read(footage, destination, meters, mark, origins, executor.by_path, temporal), DEPTH)
-        reading = console.progress(reading, footage.count and footage.count - footage.lost, "frames")
+        total = footage.part.stop if footage.part else footage.count and footage.count - footage.lost
+        reading = console.progress(reading, total, "frames")
         exposed = warnings.watched(_exposed(reading, rendition, steady, skip_bad, tally, told, console), footage.stills)
         for pending, made in executor.render(exposed):
             if isinstance(made, L3Error):
@@ -135,10 +137,11 @@ def _asked(
     footage: Footage, destination: Destination, mark: Mark | None, origins: Origins
 ) -> Iterator[tuple[int, Pending, bool]]:
     """Each frame with its place, and whether its picture is known to be there already, before it is read."""
-    for place, pending in enumerate(footage.frames):
-        kept = False
+    for place, pending in enumerate(itertools.islice(footage.frames, footage.part.stop if footage.part else None)):
+        kept = not footage.renders(place)
         if mark:
             pending = origins.of(pending)
+        if mark and not kept:
             kept = pending.origin is not None and mark.keeps(destination.file(pending.number, pending.stem), pending.origin)
         yield place, pending, kept
 
@@ -158,12 +161,14 @@ def _read(
     a file that becomes a file, and is neither measured nor filtered, is left to who renders it."""
     size: tuple[int, ...] | None = None
     asked = _asked(footage, destination, mark, origins)
-    # A stream is not asked for what has not come yet.
-    ahead_of = _with_need(asked) if temporal and not footage.is_stream else ((*each, not each[2]) for each in asked)
+    # A stream is not asked for what has not come yet, unless its length is known.
+    looks_ahead = temporal is not None and (not footage.is_stream or footage.part is not None)
+    ahead_of = _with_need(asked) if looks_ahead else ((*each, not each[2]) for each in asked)
     for place, pending, kept, need in ahead_of:
+        counted = footage.renders(place)
         file = destination.file(pending.number, pending.stem)
         if not need and not (meters.any and meters.in_order) and not footage.is_stream:
-            yield _Read(pending, None, kept=True)
+            yield _Read(pending, None, kept=True, counted=counted)
             continue
         try:
             if by_path and pending.source and destination.one_by_one and not (meters.any or temporal):
@@ -181,15 +186,16 @@ def _read(
                 _require_size(frame, size, "first page" if destination.pictures else "video")
             read = meters.measured(pending, frame, kept)
         except (L3Error, OSError) as error:
-            yield _Read(pending, None, error=error if isinstance(error, L3Error) else InputFileError(str(error)))
+            wrong = error if isinstance(error, L3Error) else InputFileError(str(error))
+            yield _Read(pending, None, error=wrong, counted=counted)
             continue
         if mark and pending.origin is None:
             pending = origins.of_read(pending, frame)
-            kept = mark.keeps(file, pending.origin)
+            kept = kept or mark.keeps(file, pending.origin)
         if destination.pictures and not kept:
             pending = replace(pending, identity=_identity(pending, frame))
-        filtered = temporal.filtered(place, frame) if temporal and (need or footage.is_stream) else frame
-        yield replace(read, pending=pending, frame=filtered, kept=kept)
+        filtered = temporal.filtered(place, frame) if temporal and (need or not looks_ahead) else frame
+        yield replace(read, pending=pending, frame=filtered, kept=kept, counted=counted)
     if mark:
         mark.refuse_others()
 
@@ -225,12 +231,13 @@ def _exposed(
     """The frames to render, each with its scale (0: automatic exposure); what is broken is raised, or said and counted."""
     for each in reading:
         if each.error is not None:
-            tally.leave_out(each.error, skip_bad, console, each.lost)
+            if each.counted or not skip_bad:
+                tally.leave_out(each.error, skip_bad, console, each.lost)
             continue
-        tally.done += 1
+        tally.done += each.counted
         if each.frame is not None:
             scale = rendition.exposure or (steady.scale(each.brightness) if steady else 0.0)
-            if isinstance(each.frame, RawFrame):
+            if isinstance(each.frame, RawFrame) and each.counted:
                 told.tell(each.frame, each.white)
             if not each.kept:
                 yield Exposed(each.pending, each.frame, scale, each.balance)

@@ -30,4 +30,7 @@ def learn_quiet(run: TrainingRun, table: TransformTable, execution: Execution) -
 def require_whole(run: TrainingRun) -> None:
     """RecipeError if a shard of the run is asked for and a quiet set is wanted, too."""
     if run.recipe.learning.noise_left:
-        raise RecipeError("learning.noise_left: a second set is learned in one go, not in shards; train without ‹shard›")
+        raise RecipeError(
+            "learning.noise_left: a second set is learned in one go, not in shards; train without ‹shard›, on several "
+            "machines with ‹scheduler›"
+        )
