@@ -131,6 +131,9 @@ def test_the_level_of_clipped_channels_is_told_by_the_others() -> None:
     assert learning.brightest == pytest.approx(2.5 * 16 * model.sensitivity.mean())
     with pytest.raises(RecipeError, match=r"differ 32 times in exposure and gain.*take a class recipe of one layer"):
         for_camera(TrainingRecipe(layer=(LayerRecipe(),)), camera(1 / 32))
+    for_camera(TrainingRecipe(layer=(LayerRecipe(),)), camera(1 / 16))
+    with pytest.raises(RecipeError, match=r"layers hold 4 times full scale; take a class recipe of two layers"):
+        for_camera(TrainingRecipe(layer=(LayerRecipe(), LayerRecipe())), camera(1 / 8))  # of which 16-bit planes hold a half
 
 
 def test_a_filter_is_lost_only_where_all_its_channels_clip() -> None:
