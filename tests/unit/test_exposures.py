@@ -10,6 +10,7 @@ import pytest
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.channel_recipe import ChannelRecipe, channel_faults, readout_of, settings_of
+from l3cli.artifacts.layers import PLANE_STEP, PLANE_TOP
 from l3cli.artifacts.readout import Readout
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.training_set import TrainingFrame
@@ -132,8 +133,15 @@ def test_the_level_of_clipped_channels_is_told_by_the_others() -> None:
     with pytest.raises(RecipeError, match=r"differ 32 times in exposure and gain.*take a class recipe of one layer"):
         for_camera(TrainingRecipe(layer=(LayerRecipe(),)), camera(1 / 32))
     for_camera(TrainingRecipe(layer=(LayerRecipe(),)), camera(1 / 16))
-    with pytest.raises(RecipeError, match=r"layers hold 4 times full scale; take a class recipe of two layers"):
+    with pytest.raises(RecipeError, match=r"differ 8 times.*hold 4; take a class recipe of two layers"):
         for_camera(TrainingRecipe(layer=(LayerRecipe(), LayerRecipe())), camera(1 / 8))  # of which 16-bit planes hold a half
+
+
+def test_planes_hold_four_times_what_fills_the_least_sensitive_channel() -> None:
+    for exposure in (1 / 16, 1 / 8, 1 / 4, 0.9):
+        model = camera(exposure)
+        assert (PLANE_TOP + 1) * PLANE_STEP * model.output_unit >= 4 * model.saturation_exposure / model.sensitivity.min()
+    assert camera(1 / 4).output_unit == model.output_unit == model.saturation_exposure
 
 
 def test_a_filter_is_lost_only_where_all_its_channels_clip() -> None:
