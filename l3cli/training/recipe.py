@@ -114,8 +114,8 @@ def for_camera(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
     ):
         if len(recipe.layer) > further and sensitivity.min() < least:
             raise RecipeError(
-                f"channels of {camera.name} differ {1 / sensitivity.min():.3g} times in exposure and gain, of which tables of "
-                f"so many layers hold {1 / least:g}; take a class recipe of {layers}"
+                f"channels of {camera.name} differ {1 / sensitivity.min():.3g} times in exposure and gain, of which tables "
+                f"of so many layers hold {1 / least:g}; take a class recipe of {layers}"
             )
     if camera.readout is not None:
         learning = msgspec.structs.replace(learning, brightest=learning.brightest * mean / float(sensitivity.min()))
