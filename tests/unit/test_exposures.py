@@ -144,6 +144,18 @@ def test_planes_hold_four_times_what_fills_the_least_sensitive_channel() -> None
     assert camera(1 / 4).output_unit == model.output_unit == model.saturation_exposure
 
 
+@pytest.mark.parametrize(
+    ("name", "asked", "radius"), [("nona_bayer_hdr", 2, 3), ("quad_bayer_hdr", 2, 2), ("nona_bayer_hdr", 0, 0)]
+)
+def test_every_site_sees_every_channel_clip(name: str, asked: int, radius: int) -> None:
+    model = load_camera(recipe_of(name))
+    rule = make_rule(ClassRecipe(patch=9, saturation_radius=asked), model, np.arange(64, dtype=np.uint16))
+    assert rule.saturation_radius == radius
+    clipped = np.full((24, 24), model.white_level, np.uint16)
+    cases = rule.case(rule.split(label_mosaic(clipped, rule, model.cfa, 6) % rule.classes_per_site).kind)
+    assert (np.unique(cases).size == 1) == (radius > 0)
+
+
 def test_a_filter_is_lost_only_where_all_its_channels_clip() -> None:
     occurrences = np.zeros(16, np.int64)
     occurrences[[0b0000, 0b0001, 0b0011, 0b0101, 0b1111]] = 1000, 100, 100, 100, 100
