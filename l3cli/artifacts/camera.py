@@ -203,6 +203,12 @@ class CameraModel(Artifact):
             )
         return exposure
 
+    @property
+    def output_unit(self) -> float:
+        """cd s/m²: what an output of 1 stands for in tables of the camera: the saturation exposure, or a quarter of what
+        fills the least sensitive of channels that differ more than four times (docs/method.md#exposures)."""
+        return self.saturation_exposure * max(1.0, 0.25 / float(self.sensitivity.min()))
+
     def dark_signal(self, exposure: float | None) -> float:
         """DN above black that dark current makes, on average, in `exposure` s; None: 0 (docs/method.md#dark-current)."""
         return 0.0 if exposure is None else self.gain * self.noise.dark_current * exposure

@@ -12,7 +12,7 @@ from l3cli.artifacts.further_features import FurtherFeatures
 from l3cli.classes import chroma, contrast, level, saturation
 from l3cli.classes.features import FURTHER
 from l3cli.classes.recipe import ClassRecipe, switched_on
-from l3cli.classes.windows import neighbourhoods
+from l3cli.classes.windows import neighbourhoods, window_channels
 from l3cli.errors import RecipeError
 
 
@@ -49,7 +49,7 @@ def make_rule(
             level_edges=level_edges,
             contrast_edges=contrast_edges,
             saturation=saturation.stored_threshold(recipe, camera),
-            saturation_radius=min(recipe.saturation_radius, recipe.patch // 2),
+            saturation_radius=_saturation_radius(recipe, camera),
             case_of_code=case_of_code,
             chroma_black_level=chroma.stored_black_level(camera, shift),
             chroma_weights=chroma.chroma_weights(
@@ -65,3 +65,14 @@ def make_rule(
         return replace(rule, features=FurtherFeatures.of(axes)) if axes else rule
     except ValueError as error:
         raise RecipeError(f"classes: {error}") from error
+
+
+def _saturation_radius(recipe: ClassRecipe, camera: CameraModel) -> int:
+    """The recipe's, within the patch, and wide enough for every site to see every channel: else sites would put one clipped
+    area into different cases, most of which no clipped grey is taught to (docs/method.md#saturation-cases)."""
+    most, least = recipe.patch // 2, min(recipe.saturation_radius, recipe.patch // 2)
+    for radius in range(least, most if least else 0):
+        seen = window_channels(camera.cfa, 2 * radius + 1)
+        if all(np.unique(window).size == len(camera.channels) for window in seen):
+            return radius
+    return most if least else 0

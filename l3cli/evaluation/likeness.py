@@ -34,9 +34,8 @@ def unlike(known: TransformTable | CameraModel, camera: CameraModel) -> str:
 
     Of a table that does not hold its camera, as older ones do not, sensitivity alone is known.
     """
-    learned, exposure = (
-        (known.camera, known.output_unit) if isinstance(known, TransformTable) else (known, known.saturation_exposure)
-    )
+    learned = known.camera if isinstance(known, TransformTable) else known
+    exposure = known.output_unit if learned is None else learned.saturation_exposure  # older tables are of alike channels
     if learned is not None and equal(replace(learned, fit=None), replace(camera, fit=None)):
         return ""
     differences = []

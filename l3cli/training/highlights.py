@@ -73,6 +73,32 @@ def grey_patches(
     return {index: np.array(greys).T @ np.array(greys) / len(greys) for index, greys in rows.items()}
 
 
+def steps_back(
+    common: Array,
+    here: NDArray[np.int64],
+    rule: ClassRule,
+    signal: Array,
+    black_level: float,
+    white_level: float,
+) -> tuple[NDArray[np.int64], Array]:
+    """Places in `here` of the classes that a grey falls into where every channel clips, and how much luminance each of them
+    lacks there, beside the brightest that greys are given on the way; `here` are the classes with something saturated,
+    `common` (class, channel + 1) what each adds to luminance for a flat patch of one channel, or at all, and `signal`
+    (channel) what the camera sees of the training light's white."""
+    threshold = (rule.saturation - black_level) / (white_level - black_level)
+    greys = np.exp(np.arange(np.log(threshold / signal.max()), np.log(threshold / signal.min()), np.log(STEP)))
+    clipped = np.append(np.minimum(greys[:, None] * signal, 1.0), np.ones((1, signal.size)), axis=0)
+    totals = (clipped * (white_level - black_level) + black_level).sum(axis=1)
+    levels = np.array([level.level_of_mean(rule, float(total)) for total in totals])
+    kinds = rule.kind(0, saturation.cases(rule, saturation.code_of(clipped >= threshold)))
+    passed = np.searchsorted(here, rule.join(levels, 0, kinds)).clip(max=here.size - 1)
+    known = here[passed] == rule.join(levels, 0, kinds)
+    shown = (common[passed, :-1] * clipped).sum(axis=1) + common[passed, -1]
+    _, at, _, _, kind = rule.split(here)
+    last = np.flatnonzero((at == levels[-1]) & (kind == kinds[-1]))
+    return last, np.maximum(shown[:-1].max(initial=0.0, where=known[:-1]) - common[last].sum(axis=1), 0.0)
+
+
 def white_channels(
     sums: ClassSums,
     rule: ClassRule,

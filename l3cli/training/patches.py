@@ -68,7 +68,7 @@ def patches_of(
         raise InputFileError(f"frame of scene {frame.scene} is {rows}×{cols}, smaller than the {side}×{side} patch")
     if isinstance(frame, TrainingFrame):
         grey = round(achromatic * count) if colourless is not None else 0
-        how = head.camera.saturation_exposure, near.channel[site]
+        how = head.camera.output_unit, near.channel[site]
         patches = sample_patches(frame, head, *how, count - grey, orientations(side), rng)
         if not grey or colourless is None:
             return patches
@@ -90,7 +90,7 @@ def without_colour(frame: TrainingFrame, camera: CameraModel) -> TrainingFrame:
         raise ValueError("the light must be known")
     luminance = frame.target[Y]
     electrons = white_signal(frame.light, camera) * camera.full_scale / camera.channel_gains
-    of_white = electrons * (frame.exposure / camera.saturation_exposure)
+    of_white = electrons * (frame.exposure / camera.output_unit)
     grey, white = (each.astype(np.float32)[:, None, None] * luminance for each in (of_white, frame.white / frame.white[Y]))
     return replace(frame, electrons=grey, target=white)
 
@@ -98,7 +98,7 @@ def without_colour(frame: TrainingFrame, camera: CameraModel) -> TrainingFrame:
 def white_signal(light: LightSpectrum, camera: CameraModel) -> NDArray[np.float64]:
     """Signals (channel), as shares of full scale, of a white of Y = 1 under a light."""
     radiance = spectra.resample(light.radiance.astype(np.float64), light.wavelength, camera.wavelength)
-    return np.asarray(camera.signal_weights @ radiance * (camera.saturation_exposure / camera.full_scale))
+    return np.asarray(camera.signal_weights @ radiance * (camera.output_unit / camera.full_scale))
 
 
 def sample_pair(
@@ -138,7 +138,7 @@ def sample_pair(
     carried = (camera.noise_variance(signal * span, channel=window) / span**2).astype(np.float32)
     signal[values >= np.floor(camera.white_level)] = 1.0
     target = pair.target.reshape(len(pair.target), -1)[:, np.concatenate(places)].T
-    scaled = target * np.float32(pair.exposure / camera.saturation_exposure)
+    scaled = target * np.float32(pair.exposure / camera.output_unit)
     return Patches(signal, np.ascontiguousarray(scaled, np.float32), carried)
 
 

@@ -91,7 +91,7 @@ def plain_surfaces(camera: CameraModel, light: LightSpectrum, target: LightSpect
         return None
     surfaces, greys = cached_reflectances(tuple(grid))
     every = np.concatenate([surfaces, greys])
-    signals = np.einsum("sw,cw->sc", every, electrons * (camera.saturation_exposure / camera.full_scale))
+    signals = np.einsum("sw,cw->sc", every, electrons * (camera.output_unit / camera.full_scale))
     if not signals.min() > 0:
         return None
     outputs = np.einsum("sw,ow->so", every, matching * (white / of_white)[:, None])

@@ -18,7 +18,8 @@ MOST_PATCHES = 1_000_000_000
 MOST_LATER = 3  # layers after the first
 MOST_STRENGTH = 1e5  # an edge of the structure tensor's trace: what gradients reach lies far below
 MOST_OF_HIGHLIGHTS = 0.5  # where highlights begin: darker than that are the darkest levels of a camera that sees noise alone
-LEAST_SENSITIVE = 1 / 16  # of channels, relative: beyond, planes of layers clip before the channel does
+LEAST_SENSITIVE = 1 / 16  # of channels, relative: beyond, planes do not hold both dark and light (docs/method.md#exposures)
+LEAST_BETWEEN = 1 / 4  # the same where a layer between reads planes, in 16 bits (docs/method.md#planes)
 LEAST_STEP = 0.001  # between such edges, which are stored as integers
 NotNegative = Annotated[float, msgspec.Meta(ge=0)]
 MOST_DRAWS = 1000  # levels of one patch: more tell nothing new
@@ -107,11 +108,15 @@ def for_camera(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
     between layers cannot hold what channels differ by."""
     learning, sensitivity = recipe.learning, camera.sensitivity
     mean = float(sensitivity.mean())
-    if recipe.layer and sensitivity.min() < LEAST_SENSITIVE:
-        raise RecipeError(
-            f"channels of {camera.name} differ {1 / sensitivity.min():.3g} times in exposure and gain, planes between "
-            f"layers hold {1 / LEAST_SENSITIVE:g} times full scale; take a class recipe of one layer, such as single"
-        )
+    for further, least, layers in (
+        (0, LEAST_SENSITIVE, "one layer, such as single"),
+        (1, LEAST_BETWEEN, "two layers, such as default"),
+    ):
+        if len(recipe.layer) > further and sensitivity.min() < least:
+            raise RecipeError(
+                f"channels of {camera.name} differ {1 / sensitivity.min():.3g} times in exposure and gain, of which tables "
+                f"of so many layers hold {1 / least:g}; take a class recipe of {layers}"
+            )
     if camera.readout is not None:
         learning = msgspec.structs.replace(learning, brightest=learning.brightest * mean / float(sensitivity.min()))
     if learning.darkest:

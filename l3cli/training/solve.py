@@ -12,7 +12,7 @@ from l3cli.errors import L3Error
 from l3cli.physics.display import XYZ
 from l3cli.training import systems
 from l3cli.training.goal import Goal
-from l3cli.training.highlights import flat_moments, grey_patches, plain_colours, white_channels
+from l3cli.training.highlights import flat_moments, grey_patches, plain_colours, steps_back, white_channels
 from l3cli.training.recipe import LearningRecipe
 from l3cli.training.single_bands import output_gains, single_bands, teaches
 from l3cli.training.sums import moment_matrix, symmetric_places
@@ -167,6 +167,7 @@ def _bent(
     bent = [solution.rows.copy() for solution in solutions]
     saturated = rule.case(rule.split(np.arange(solved.size)).kind) > 0
     white = _exact_white(solutions, goal)
+    rising = solutions[0].white if goal.outputs[:3] == XYZ else None
     of_white = (_opponent_basis(goal).T @ goal.white).tolist()
     slack = np.pad(_slack(solutions, copies), (0, 1))
     # Among textures of many bands, each measured by few pixels, sites do better apart; colours show the least difference.
@@ -190,6 +191,10 @@ def _bent(
                 bend = np.linalg.solve(total, np.broadcast_to(white[:, None], common.shape))
                 missing = of_white[output] - white @ common
                 common = common + bend * (missing / (white @ bend))[:, None]
+            if kind and rising is not None and output == XYZ.index("Y") and here.size:
+                last, missing = steps_back(common[..., 0], here, rule, rising, goal.black_level, goal.white_level)
+                bend = np.linalg.solve(np.asarray(total)[last], np.ones((last.size, common.shape[1], 1)))
+                common[last] += bend * (missing / bend.sum(axis=(1, 2)))[:, None, None]
             for site, (stiff, separate) in enumerate(zip(stiffness, response, strict=True)):
                 change = solutions[site].compliance[here, number][:, :, used] @ (stiff @ (common - separate))
                 bent[site][here, :, output] += change[..., 0]

@@ -174,7 +174,7 @@ def assemble(pass_: TrainingPass, solutions: dict[int, Solution], history: tuple
         black_level=camera.black_level,
         white_level=camera.white_level,
         outputs=head.outputs,
-        output_unit=camera.saturation_exposure,
+        output_unit=camera.output_unit,
         target_description=head.target_description,
         white_point=pass_.white_point,
         first=MosaicLayer(

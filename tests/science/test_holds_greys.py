@@ -87,7 +87,7 @@ def training_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Path, str
     def simulated(camera: Path, light: str) -> str:
         name = f"{folder}/{camera.stem}-{light}"
         Path(f"{name}.toml").write_text(SCENES.format(light=light))
-        assert run(["simulate", f"{name}.toml", "--camera", str(camera), "-o", f"{name}.h5", "--quiet", "--seed", "2"]) == 0
+        assert run(["simulate", f"{name}.toml", "--camera", str(camera), "-o", f"{name}.h5", "--quiet"]) == 0
         return f"{name}.h5"
 
     return simulated

@@ -10,6 +10,7 @@ import pytest
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.channel_recipe import ChannelRecipe, channel_faults, readout_of, settings_of
+from l3cli.artifacts.layers import PLANE_STEP, PLANE_TOP
 from l3cli.artifacts.readout import Readout
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.training_set import TrainingFrame
@@ -131,6 +132,28 @@ def test_the_level_of_clipped_channels_is_told_by_the_others() -> None:
     assert learning.brightest == pytest.approx(2.5 * 16 * model.sensitivity.mean())
     with pytest.raises(RecipeError, match=r"differ 32 times in exposure and gain.*take a class recipe of one layer"):
         for_camera(TrainingRecipe(layer=(LayerRecipe(),)), camera(1 / 32))
+    for_camera(TrainingRecipe(layer=(LayerRecipe(),)), camera(1 / 16))
+    with pytest.raises(RecipeError, match=r"differ 8 times.*hold 4; take a class recipe of two layers"):
+        for_camera(TrainingRecipe(layer=(LayerRecipe(), LayerRecipe())), camera(1 / 8))  # of which 16-bit planes hold a half
+
+
+def test_planes_hold_four_times_what_fills_the_least_sensitive_channel() -> None:
+    for exposure in (1 / 16, 1 / 8, 1 / 4, 0.9):
+        model = camera(exposure)
+        assert (PLANE_TOP + 1) * PLANE_STEP * model.output_unit >= 4 * model.saturation_exposure / model.sensitivity.min()
+    assert camera(1 / 4).output_unit == model.output_unit == model.saturation_exposure
+
+
+@pytest.mark.parametrize(
+    ("name", "asked", "radius"), [("nona_bayer_hdr", 2, 3), ("quad_bayer_hdr", 2, 2), ("nona_bayer_hdr", 0, 0)]
+)
+def test_every_site_sees_every_channel_clip(name: str, asked: int, radius: int) -> None:
+    model = load_camera(recipe_of(name))
+    rule = make_rule(ClassRecipe(patch=9, saturation_radius=asked), model, np.arange(64, dtype=np.uint16))
+    assert rule.saturation_radius == radius
+    clipped = np.full((24, 24), model.white_level, np.uint16)
+    cases = rule.case(rule.split(label_mosaic(clipped, rule, model.cfa, 6) % rule.classes_per_site).kind)
+    assert (np.unique(cases).size == 1) == (radius > 0)
 
 
 def test_a_filter_is_lost_only_where_all_its_channels_clip() -> None:

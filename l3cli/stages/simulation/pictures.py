@@ -47,7 +47,7 @@ def _write_pictures(run: SimulationRun, frames: Iterable[TrainingPair], folder: 
             continue
         display = make_display(frame.white, 1.0 / frame.white[1], bits=8)
         write_picture(folder / f"{name}_ideal.png", encode(frame.target, display))
-        scales[index] = run.camera.saturation_exposure / (frame.white[1] * frame.exposure)
+        scales[index] = run.camera.output_unit / (frame.white[1] * frame.exposure)
     return scales
 
 

@@ -48,7 +48,7 @@ def mosaics_of(frame: TrainingPair, count: int, exposed: Exposed, rng: np.random
             frame = without_colour(frame, camera)
         turn = _drawn_turn(frame.raw.shape, rng)
         seen = _turned(frame.electrons, turn) * (camera.channel_gains / camera.full_scale).astype(np.float32)[:, None, None]
-        wanted = _turned(frame.target, turn) * np.float32(frame.exposure / camera.saturation_exposure)
+        wanted = _turned(frame.target, turn) * np.float32(frame.exposure / camera.output_unit)
         scale = np.float32(
             _drawn_level(exposed.recipe, rng) / max(float(seen.mean()), 1e-3) if exposed.recipe.rescale else 1
         )
@@ -68,7 +68,7 @@ def _piece_of_pair(pair: TrainingPair, camera: CameraModel, rng: np.random.Gener
     ]
     rows, cols = (slice(start, start + LARGEST_SIDE) for start in starts)
     values = pair.raw[rows, cols]
-    target = pair.target[:, rows, cols] * np.float32(pair.exposure / camera.saturation_exposure)
+    target = pair.target[:, rows, cols] * np.float32(pair.exposure / camera.output_unit)
     return Mosaic(values, np.minimum(values.astype(np.float32), np.float32(camera.white_level)), target)
 
 
