@@ -131,7 +131,7 @@ def raw_files(folder: Path, mosaic: np.ndarray) -> None:
     for name, values in {"night.fits": mosaic, "darks/1.fits": np.full_like(mosaic, 64)}.items():
         fits.writeto(folder / name, values, fits.Header({"EXPTIME": 1.0, "BAYERPAT": "RGGB"}))
     (folder / "clip").mkdir()
-    for number in (0, 1):
+    for number in range(3):
         tifffile.imwrite(folder / f"clip/frame_{number:04}.tif", mosaic)
     write_raw_video(folder / "mosaic.mkv")
     with h5py.File(folder / "stack.h5", "w") as stack:
