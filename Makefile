@@ -57,7 +57,7 @@ docs: docs-build ## the pages of docs/ as a site, on http://127.0.0.1:8000 until
 docs-build: notebooks ## the same without serving; fails on any warning and any link that leads nowhere
 	$(BIN)/python docs/site/build.py $(DOCS)
 
-gallery: $(VENV)/installed ## docs/gallery.md and its pictures, two arrays at a time (a quarter of an hour of two quiet cores); ARRAYS="bayer xtrans" for some
+gallery: $(VENV)/installed ## docs/gallery.md and its pictures, two arrays at a time (eight minutes of two quiet cores); ARRAYS="bayer xtrans" for some
 	PYTHONPATH=$(CURDIR) $(BIN)/python docs/gallery/gallery.py $(ARRAYS) --jobs $(JOBS)
 
 peers: $(VENV)/installed ## docs/peers.md: ours beside other methods, from the pictures of L3_DATA (an hour on two cores); PARTS="bayer noise" for some, PARTS="noise --seconds" for times alone
