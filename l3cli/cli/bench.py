@@ -62,7 +62,11 @@ def _rendering(results: list[dict[str, Any]]) -> None:
         ]
         rows.append([*what, *times, f"{result['frame_ms']:.2f}", f"{result['mp_per_s']:.1f}", limit])
     headings = ["", "frame", "patch", "classes", "outputs", "variant", *stages, "whole", "MP/s", "limit"]
-    show_table(["", "rendering, milliseconds a frame; limit: times the bare multiply-adds"], headings, rows)
+    show_table(
+        ["", "rendering, milliseconds a frame; limit: the fastest frame over the fastest run of the bare multiply-adds"],
+        headings,
+        rows,
+    )
 
 
 def _comparison(document: dict[str, Any]) -> None:
@@ -79,7 +83,14 @@ def _comparison(document: dict[str, Any]) -> None:
             ]
             rows.append([*what, f"{result['frame_ms']:.2f}", f"{result['stages_sum_ms']:.2f}", *limit])
     headings = ["case", "channels", "patch", "classes", "variant", "frame", "sum of stages", "limit", "ratio"]
-    show_table(["", "a frame, the sum of its stages, the limit, milliseconds"], headings, rows)
+    show_table(
+        [
+            "",
+            "a frame and the sum of its stages (medians), the limit (its fastest run), milliseconds; ratio: of the fastest",
+        ],
+        headings,
+        rows,
+    )
     rows = []
     for peer in document["peers"]:
         size = f"{peer['width']}×{peer['height']}"
