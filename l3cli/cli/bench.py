@@ -63,7 +63,7 @@ def _rendering(results: list[dict[str, Any]]) -> None:
         rows.append([*what, *times, f"{result['frame_ms']:.2f}", f"{result['mp_per_s']:.1f}", limit])
     headings = ["", "frame", "patch", "classes", "outputs", "variant", *stages, "whole", "MP/s", "limit"]
     show_table(
-        ["", "rendering, milliseconds a frame; limit: the fastest frame over the fastest run of the bare multiply-adds"],
+        ["", "rendering, ms a frame; limit: fastest, times the fastest bare multiply-adds"],
         headings,
         rows,
     )
@@ -86,7 +86,7 @@ def _comparison(document: dict[str, Any]) -> None:
     show_table(
         [
             "",
-            "a frame and the sum of its stages (medians), the limit (its fastest run), milliseconds; ratio: of the fastest",
+            "a frame, the sum of its stages: medians, ms; limit and ratio: of the fastest",
         ],
         headings,
         rows,
