@@ -95,6 +95,8 @@ def test_wrong_shards_are_one_line(l3: Callable, tmp_path: Path, table: Path, fo
     call = ("render", table, folder, "-o", tmp_path / "out", *FAST)
     assert "9 frames, too few for 10 shards" in refused(2, *call, "--shard", "1/10")
     assert "shards count from 1/2 to 2/2" in refused(2, *call, "--shard", "3/2")
+    missing = ("render", table, tmp_path / "missing", "-o", tmp_path / "out", *FAST)
+    assert "missing does not exist" in refused(3, *missing, "--shard", "1/2")
     several = ("render", table, folder, folder, "-o", tmp_path / "out", *FAST)
     assert "--shard divides one sequence" in refused(2, *several, "--shard", "1/2")
     stream = ("render", table, "-", "-o", tmp_path / "out", "--size", "40x52", *FAST)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from l3cli import __version__
 from l3cli.artifacts.table import TransformTable
-from l3cli.errors import DeviceError, RecipeError
+from l3cli.errors import DeviceError, InputFileError, RecipeError
 from l3cli.files import sha256
 from l3cli.io.raw.files import KnownBetter
 from l3cli.io.sequences import Footage, find_frames, read_dark
@@ -84,6 +84,8 @@ def render(
         rendition = _rendition(destination, None if source else white, exposure, space, remosaic, bits, transforms, console)
         footage = find_frames(inputs, transforms, known, frames, dataset)
         if shard is not None:
+            if footage.count == 1 and not (inputs[0].exists() or set("%#*?[") & set(str(inputs[0]))):
+                raise InputFileError(f"{inputs[0]} does not exist; give a folder, a pattern or a stack")
             footage = replace(footage, part=part_of(footage, shard, temporal))
         destination = paged(destination, footage)
         _spared(footage, claims)
