@@ -3,7 +3,8 @@
 
 Patches of scenes are textured. A class follows them where their detail tells something of their colour, which is wrong on
 plain areas, and its plain areas are few. So every plain class is also taught uniform areas of measured surfaces of its
-colour, as they are and paler, bare and painted; and whites and greys of paint, of which the made world is full.
+colour, as they are and paler, bare and painted; and whites and greys of paint, of which the made world is full. Where there
+are none, as the colour is that of stripes which repeat with the array, it is taught that these are grey.
 """
 
 import functools
@@ -18,6 +19,7 @@ from l3cli.artifacts.training_set import LightSpectrum
 from l3cli.classes.chroma import chroma_centres
 from l3cli.physics import spectra
 from l3cli.physics.paint import LARGEST, SMALLEST, with_saturation, with_titanium_white
+from l3cli.training.stripes import MODULATIONS, false_colours, optimal_reflectances, shares
 
 Array = NDArray[np.float64]
 
@@ -51,6 +53,9 @@ class PlainSurfaces:
     outputs: Array  # (surface, 3) X, Y, Z
     white: Array  # (channel) signals of white
     greys: int  # how many of them, the last, are paints without dye
+    beyond: Array  # (sample, channel) signals of stripes of false colours, and of optimal colours
+    beyond_outputs: Array  # (sample, 3)
+    stripes: int  # how many of them, the first, are stripes, whose outputs are those of white
 
     def moments(self, rule: ClassRule, window: NDArray[np.int64]) -> list[Array | None]:
         """Mean moments (column, column) of uniform patches of the surfaces of each chroma of a rule, columns and weights as
@@ -63,19 +68,41 @@ class PlainSurfaces:
             every[white] = OF_WHITE * of_white
         return every
 
+    def moments_of_stripes(self, rule: ClassRule, window: NDArray[np.int64]) -> dict[int, Array]:
+        """As `moments`, of stripes and what else has their colours, by chroma: those that stripes have for themselves."""
+        if rule.chromas == 1:
+            return {}
+        chroma = _nearest(self.beyond, chroma_centres(rule))
+        stripes = np.bincount(chroma[: self.stripes], minlength=rule.chromas)
+        vivid = np.bincount(chroma[self.stripes :], minlength=rule.chromas)
+        surfaces = np.bincount(_nearest(self.signals, chroma_centres(rule)), minlength=rule.chromas)
+        # Their chroma has most modulations of one, others may have the palest.
+        theirs = np.flatnonzero((stripes >= len(MODULATIONS) / 2) & (surfaces < FEWEST * self.signals.shape[1]))
+        every = {}
+        for each in theirs.tolist():
+            # Both count alike, however many: a lamp may have a colour that no surface has.
+            count = np.repeat([1 / stripes[each], 1 / max(vivid[each], 1)], [stripes[each], vivid[each]])
+            here = chroma == each
+            every[each] = _moments(self.beyond[here], self.beyond_outputs[here], count, window)
+        return every
+
     def _mean(self, here: NDArray[np.bool_], window: NDArray[np.int64]) -> Array | None:
         dyed = np.count_nonzero(here[: -self.greys])
         if dyed < FEWEST * self.signals.shape[1]:
             return None
         count = np.append(np.ones(len(here) - self.greys), np.full(self.greys, GREY_SHARE * dyed / self.greys))[here]
-        signals, outputs = self.signals[here], self.outputs[here]
-        weight = count / count.sum() / (signals.mean(axis=1) * outputs[:, 1])
-        values = np.concatenate([signals, np.zeros((len(signals), 1)), outputs], axis=1)
-        # Not by BLAS, whose sums depend on how many threads it has.
-        products = np.einsum("s,si,sj->ij", weight, values, values, optimize=False)
-        channels = signals.shape[1]
-        columns = np.concatenate([window, np.arange(channels, values.shape[1])])  # all taps of a channel are alike
-        return np.asarray(products[np.ix_(columns, columns)])
+        return _moments(self.signals[here], self.outputs[here], count, window)
+
+
+def _moments(signals: Array, outputs: Array, count: Array, window: NDArray[np.int64]) -> Array:
+    """Mean moments (column, column) of samples (sample, channel or output) that count unlike."""
+    weight = count / count.sum() / (signals.mean(axis=1) * outputs[:, 1])
+    values = np.concatenate([signals, np.zeros((len(signals), 1)), outputs], axis=1)
+    # Not by BLAS, whose sums depend on how many threads it has.
+    products = np.einsum("s,si,sj->ij", weight, values, values, optimize=False)
+    channels = signals.shape[1]
+    columns = np.concatenate([window, np.arange(channels, values.shape[1])])  # all taps of a channel are alike
+    return np.asarray(products[np.ix_(columns, columns)])
 
 
 def plain_surfaces(camera: CameraModel, light: LightSpectrum, target: LightSpectrum, white: Array) -> PlainSurfaces | None:
@@ -89,16 +116,25 @@ def plain_surfaces(camera: CameraModel, light: LightSpectrum, target: LightSpect
     of_white = matching.sum(axis=1)
     if not of_white.min() > 0 or (np.abs(of_white / of_white[1] - white) > SAME_WHITE * white).any():
         return None
+    to_signals = electrons * (camera.output_unit / camera.full_scale)
+    to_outputs = matching * (white / of_white)[:, None]
     surfaces, greys = cached_reflectances(tuple(grid))
-    every = np.concatenate([surfaces, greys])
-    signals = np.einsum("sw,cw->sc", every, electrons * (camera.output_unit / camera.full_scale))
+    signals, outputs = _seen(np.concatenate([surfaces, greys]), to_signals, to_outputs)
     if not signals.min() > 0:
         return None
-    outputs = np.einsum("sw,ow->so", every, matching * (white / of_white)[:, None])
-    return PlainSurfaces(signals, outputs, electrons.sum(axis=1), len(greys))
+    stripes = false_colours(camera, grid, lit)
+    modulated = (1.0 + MODULATIONS[:, None, None] * stripes).reshape(-1, len(electrons)) * to_signals.sum(axis=1)
+    vivid, vivid_outputs = _seen(optimal_reflectances(grid), to_signals, to_outputs)
+    beyond = np.concatenate([modulated, vivid])
+    beyond_outputs = np.concatenate([np.broadcast_to(white, (len(modulated), 3)), vivid_outputs])
+    return PlainSurfaces(signals, outputs, electrons.sum(axis=1), len(greys), beyond, beyond_outputs, len(modulated))
+
+
+def _seen(reflectances: Array, to_signals: Array, to_outputs: Array) -> tuple[Array, Array]:
+    """Signals and outputs of surfaces (surface, wavelength). Not by BLAS, whose sums depend on how many threads it has."""
+    return np.einsum("sw,cw->sc", reflectances, to_signals), np.einsum("sw,ow->so", reflectances, to_outputs)
 
 
 def _nearest(signals: Array, centres: Array) -> NDArray[np.intp]:
     """The chroma (sample) of signals (sample, channel)."""
-    shares = signals / signals.sum(axis=1, keepdims=True)
-    return np.argmin(((shares[:, None] - centres[None]) ** 2).sum(axis=2), axis=1)
+    return np.argmin(((shares(signals)[:, None] - centres[None]) ** 2).sum(axis=2), axis=1)

@@ -20,6 +20,9 @@ from l3cli.training.thin_classes import parent_of, parents_of, shrunk
 
 Array = NDArray[np.float64]
 PLAIN = 0.2  # plain patches, a patch of a textured class, on which a difference between sites counts as an error
+NOISE_FADES = (
+    50.0  # of noise over signal, in power: what plain areas are taught fades with it, as noise tells surfaces apart less
+)
 
 
 class Equations(NamedTuple):
@@ -104,7 +107,9 @@ def solve(
         elif gains is not None and teaches(rule, index):
             taught = moments + single_bands(moments, window, gains)
         elif (plain := surfaces.get(index)) is not None:
-            taught = moments + recipe.plain_surfaces * (sums.count[index] + recipe.parent_patches) * plain
+            noisy = noise[: window.size].sum() / moments.diagonal()[: window.size].sum()
+            count = (sums.count[index] + recipe.parent_patches) / (1.0 + NOISE_FADES * noisy)
+            taught = moments + recipe.plain_surfaces * count * plain
         power[index] = (means @ taught[: window.size, : window.size] * means).sum()
         used = groups.size if rule.case(rule.split(index).kind) else groups.size - 1  # an intercept if saturated
         for number, ((factor, is_taught), wanted) in enumerate(columns.items()):
@@ -120,14 +125,17 @@ def solve(
 
 
 def _surfaces(rule: ClassRule, window: NDArray[np.int64], goal: Goal, white: Array | None) -> dict[int, Array]:
-    """Moments of plain surfaces of the unsaturated classes of the lowest contrast and no direction, if the patches bear out
-    what the camera sees of white, and so of all else."""
+    """Moments of plain surfaces of the unsaturated classes of the lowest contrast and no direction, and of stripes of those
+    of any direction, if the patches bear out what the camera sees of white, and so of all else."""
     if goal.surfaces is None or white is None or goal.white_signal is None or not np.array_equal(white, goal.white_signal):
         return {}
-    moments = goal.surfaces.moments(rule, window)
-    plain = {chroma: each for chroma, each in enumerate(moments) if each is not None}
+    plain = {chroma: each for chroma, each in enumerate(goal.surfaces.moments(rule, window)) if each is not None}
     levels = np.arange(rule.levels)
-    return {index: each for chroma, each in plain.items() for index in rule.join(levels, 0, chroma).tolist()}
+    taught = {index: each for chroma, each in plain.items() for index in rule.join(levels, 0, chroma).tolist()}
+    every = np.arange(rule.further)[:, None]  # near what is uniform lies what is nearly so, and has a direction
+    for chroma, each in goal.surfaces.moments_of_stripes(rule, window).items():
+        taught |= dict.fromkeys(rule.join(levels, 0, chroma, further=every).ravel().tolist(), each)
+    return taught
 
 
 def equal_responses(

@@ -25,6 +25,7 @@ from l3cli.training.goal import one_light
 from l3cli.training.patches import draw_levels, expose_patches, patches_of, white_signal
 from l3cli.training.recipe import LearningRecipe, TrainingRecipe
 from l3cli.training.solve import Solution, equal_responses, solve
+from l3cli.training.stripes import false_colours, stripe_shares
 from l3cli.training.sums import add, empty_sums, grid_steps, require_exact
 from l3cli.training.symmetry import class_stabilisers, orientations, site_maps, turned_classes
 from l3cli.training.training_pass import TrainingPass, brightness_of
@@ -97,6 +98,9 @@ def survey(
     single = one_light(light) if head.outputs == XYZ else None
     white = white_signal(single, head.camera) if single is not None else None
     centres = choose_chromas(np.concatenate([pilot.shares for pilot in every]), recipe.classes.chromas, seed, white)
+    if centres is not None and white is not None and single is not None:
+        stripes = false_colours(head.camera, single.wavelength, single.radiance.astype(np.float64))
+        centres = np.concatenate([stripe_shares(white, stripes), centres])
     whites = np.concatenate([pilot.whites for pilot in every])
     exposures = np.concatenate([pilot.exposures for pilot in every])
     counts = np.where(exposures > 0, patches, 0)

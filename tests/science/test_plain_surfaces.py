@@ -18,7 +18,9 @@ from l3cli.classes.windows import neighbourhoods
 from l3cli.physics import spectra
 from l3cli.physics.display import delta_e_2000, lab
 from l3cli.simulation.light import make_light
+from l3cli.training.patches import white_signal
 from l3cli.training.plain_surfaces import FEWEST, PlainSurfaces, plain_surfaces
+from l3cli.training.stripes import false_colours
 from tests.helpers.paths import CONFIGS
 
 SCENES = """
@@ -41,6 +43,7 @@ draws = 3
 first_draws = 0
 plain_surfaces = {weight}
 """
+STRIPES = 6  # that have a chroma with the five-band camera, the first ones
 DIRECTION = """
 [classes.direction]
 orientations = 4
@@ -149,17 +152,38 @@ def chart_error(table: TransformTable, camera: CameraModel) -> float:
     return float(np.mean(errors))
 
 
-def test_plain_colours_of_an_unseen_chart_are_truer(fiveband: CameraModel, tmp_path: Path, l3: Callable) -> None:
-    without, taught = (chart_error(learned(["D65"], weight, tmp_path, l3), fiveband) for weight in (0.0, 1.0))
-    assert taught < 0.8 * without
+def stripe_chroma(table: TransformTable, camera: CameraModel) -> float:
+    """Largest C*ab of what the unsaturated classes of a mean level make of stripes of false colours, at all sites."""
+    light, rule = spectrum(camera, "D65"), table.first.rule
+    white = white_signal(light, camera) / white_signal(light, camera).sum()
+    wanted = spectra.xyz_weights(light.wavelength) @ light.radiance
+    stripes = false_colours(camera, light.wavelength, light.radiance.astype(float))
+    signals = white * (1 + 0.7 * stripes)
+    chromas = np.argmin(signals @ rule.chroma_weights.T, axis=1)
+    chroma = []
+    for site, window in enumerate(neighbourhoods(camera.cfa, rule.patch, 5).channel):
+        weights = table.first.weights[site * rule.classes_per_site + rule.join(2, 0, chromas)]
+        shown = np.einsum("pot,pt->po", weights, signals[:, window])
+        scale = shown[:, 1].mean()  # as bright as a white, whatever the unit
+        chroma.append(np.hypot(*lab(shown / scale, wanted / wanted[1])[:, 1:].T).max())
+    return float(np.max(chroma))
+
+
+def test_plain_colours_of_an_unseen_chart_and_stripes_are_truer(fiveband: CameraModel, tmp_path: Path, l3: Callable) -> None:
+    without, taught = (learned(["D65"], weight, tmp_path, l3) for weight in (0.0, 1.0))
+    assert chart_error(taught, fiveband) < 0.8 * chart_error(without, fiveband)
+    assert stripe_chroma(taught, fiveband) < 20 < 50 < stripe_chroma(without, fiveband)
 
 
 def test_classes_of_a_direction_are_left_to_their_patches(tmp_path: Path, l3: Callable) -> None:
-    """No plain area has one."""
+    """No plain area has one; what is nearly uniform to every channel, as stripes are, does."""
     without, taught = (learned(["D65"], weight, tmp_path, l3, DIRECTION).first for weight in (0.0, 3.0))
-    further = taught.rule.split(np.arange(len(taught.weights))).further
-    np.testing.assert_array_equal(taught.weights[further > 0], without.weights[further > 0])
-    assert (taught.weights[further == 0] != without.weights[further == 0]).any()
+    place = taught.rule.split(np.arange(len(taught.weights)))
+    of_stripes = place.kind < STRIPES
+    directed = (place.further > 0) & ~of_stripes
+    np.testing.assert_array_equal(taught.weights[directed], without.weights[directed])
+    for plain in (place.further == 0, (place.further > 0) & of_stripes):
+        assert (taught.weights[plain] != without.weights[plain]).any()
 
 
 def test_training_under_several_lights_is_left_to_its_patches(tmp_path: Path, l3: Callable) -> None:
