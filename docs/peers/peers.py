@@ -21,6 +21,7 @@ import rawtherapee
 from judging import OURS, Protocol, judged, of_bands, of_codes, of_pictures, put_seconds
 from peers_page import Part, page
 from rivals import PLAIN, Demosaic, Rival, gathered, installed
+from seconds import core_seconds
 
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
@@ -129,6 +130,7 @@ def main(names: list[str], folder: Path, jobs: int, seconds: bool = False) -> in
     held = (names or seconds) and FIGURES.exists()
     parts = json.loads(FIGURES.read_text(encoding="utf-8")) if held else {}
     for name in names or (parts if seconds else PARTS):
+        start = core_seconds()
         compared = PARTS[name](folder / name, data, jobs)
         if seconds:
             parts[name] = compared.timed(parts[name]) | {"timed": run}
@@ -137,6 +139,7 @@ def main(names: list[str], folder: Path, jobs: int, seconds: bool = False) -> in
         parts = {each: parts[each] for each in PARTS if each in parts}
         write_whole(FIGURES, (json.dumps(parts, indent=1, ensure_ascii=False) + "\n").encode())
         write_whole(PAGE, page(parts).encode())
+        print(f"{name}: {(core_seconds() - start) / 60:.0f} minutes of processor time", file=sys.stderr, flush=True)
     return 0
 
 

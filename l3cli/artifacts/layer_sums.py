@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.layers import RATIO_TAPS, PlaneRule, one_rule
+from l3cli.artifacts.quiet_set import same_plane_classes
 from l3cli.artifacts.schema import Artifact, check, data, group
 from l3cli.artifacts.structure_rule import StructureRule
 from l3cli.artifacts.table import TransformTable
@@ -32,13 +33,14 @@ class LayerSums:
 
 @dataclass(frozen=True)
 class PartialLayerSums(Artifact):
-    """Head of a file of a layer's partial sums; the sums lie in the groups sums/00000… in the order of `sites`.
+    """Head of a file of a layer's partial sums; the sums lie in the groups sums/00000… in the order of `sites`, those of a
+    quiet set in quiet_sums/00000….
 
     Its history ends with the training run that all shards belong to, so that shards of one run have equal histories.
     """
 
     kind: ClassVar[str] = "partial sums of a layer"
-    version: ClassVar[int] = 3
+    version: ClassVar[int] = 4
     made_by: ClassVar[str] = '"l3 train --shard I/N"'
 
     shard: int = data("int64", doc="which part of the run this is, from 1 …")
@@ -52,10 +54,16 @@ class PartialLayerSums(Artifact):
     structure: StructureRule | None = group(default=None)  # the layer's rule …
     tree: TreeRule | None = group(default=None)  # … is either
     ratio_taps: int = data("int64", doc="taps behind those of the windows, of colour ratios", default=0)
+    quiet_structure: StructureRule | None = group(default=None)  # the rule of the layer's quiet set, if the table has one, …
+    quiet_tree: TreeRule | None = group(default=None)  # … is either, too
 
     @property
     def rule(self) -> PlaneRule:
         return one_rule(self.structure, self.tree)
+
+    @property
+    def quiet_rule(self) -> PlaneRule | None:
+        return one_rule(self.quiet_structure, self.quiet_tree) if self.table.quiet else None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -72,6 +80,8 @@ class PartialLayerSums(Artifact):
             raise ValueError("rule has other levels or saturation cases than the table's first layer")
         if len(self.rule.turns) != self.table.cfa.size:
             raise ValueError(f"rule is for {len(self.rule.turns)} sites, the CFA has {self.table.cfa.size}")
+        if self.quiet_rule and not same_plane_classes(self.quiet_rule, self.rule):
+            raise ValueError("the quiet set's rule has other classes than the usual one")
 
     @property
     def shapes(self) -> tuple[tuple[int, int], tuple[int, int], tuple[int]]:

@@ -81,8 +81,12 @@ class PlaneLayer:
 
     def scaled_as(self, other: PlaneRule) -> "PlaneLayer":
         """The layer with gradients scaled as by another rule."""
-        rule = replace(self.rule, gradient_factor=other.gradient_factor, gradient_shift=other.gradient_shift)
-        return replace(self, **rule_fields(rule))
+        return replace(self, **rule_fields(scaled_rule(self.rule, other)))
+
+
+def scaled_rule(rule: PlaneRule, other: PlaneRule) -> PlaneRule:
+    """The rule with gradients scaled as by another one."""
+    return replace(rule, gradient_factor=other.gradient_factor, gradient_shift=other.gradient_shift)
 
 
 def rule_fields(rule: PlaneRule) -> dict[str, Any]:

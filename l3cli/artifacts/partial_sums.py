@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.layer_sums import LayerSums, PartialLayerSums
+from l3cli.artifacts.quiet_set import same_classes
 from l3cli.artifacts.scales import name_axes
 from l3cli.artifacts.schema import Artifact, check, data, group
 from l3cli.artifacts.store import hard_group, members, new_artifact, open_artifact, read_fields, read_history, write_fields
@@ -35,13 +36,14 @@ class ClassSums:
 
 @dataclass(frozen=True)
 class PartialSums(Artifact):
-    """Head of a file of partial sums; the sums lie in the groups sums/00000, sums/00001… in the order of `sites`.
+    """Head of a file of partial sums; the sums lie in the groups sums/00000, sums/00001… in the order of `sites`, those of
+    a quiet set (docs/method.md#noise-sets) in quiet_sums/00000….
 
     Its history ends with the training run that all shards belong to, so that shards of one run have equal histories.
     """
 
     kind: ClassVar[str] = "partial sums"
-    version: ClassVar[int] = 3
+    version: ClassVar[int] = 4
     made_by: ClassVar[str] = '"l3 train --shard I/N"'
 
     shard: int = data("int64", doc="which part of the run this is, from 1 …")
@@ -58,6 +60,7 @@ class PartialSums(Artifact):
     )
     exposure: float = data("float64", unit="s", doc="mean exposure time of the simulated training frames", default=0.0)
     light: LightSpectrum | None = group(default=None)  # mean of those that fell on the training scenes
+    quiet_rule: ClassRule | None = group(default=None)  # of the quiet set; None: none is learned
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -66,6 +69,8 @@ class PartialSums(Artifact):
         self.rule.check_fits(len(self.training.camera.channels), self.training.camera.bits)
         if len(self.white_point) != len(self.training.outputs):
             raise ValueError(f"white_point has {len(self.white_point)} values for {len(self.training.outputs)} outputs")
+        if self.quiet_rule and not same_classes(self.quiet_rule, self.rule):
+            raise ValueError("quiet_rule has other classes than rule")
 
     @property
     def shapes(self) -> tuple[tuple[int, int], tuple[int, int], tuple[int]]:
@@ -77,25 +82,28 @@ class PartialSums(Artifact):
 
 Head = PartialSums | PartialLayerSums
 SUMS: dict[type[Head], type] = {PartialSums: ClassSums, PartialLayerSums: LayerSums}  # of a site
+USUAL, QUIET = "sums", "quiet_sums"  # the groups in which the sums of each set lie
 
 
 class PartialSumsReader:
-    """An open file of partial sums: `head` and `site(i)`, the sums of head.sites[i]. Memory holds one site at a time."""
+    """An open file of partial sums: `head` and `site(i)`, the sums of head.sites[i], of either set. Memory holds one site at
+    a time."""
 
     def __init__(self, root: h5py.File, path: Path) -> None:
         self._path = path
         kind = next(kind for kind in SUMS if kind.kind == root.attrs["kind"])
         self.head: Any = read_fields(root, kind, path, history=read_history(root, path))
-        self._sums = hard_group(root, "sums", path)
-        if len(members(self._sums, path)) != len(self.head.sites):
+        sets = (USUAL, QUIET) if self.head.quiet_rule else (USUAL,)
+        self._sums = {each: hard_group(root, each, path) for each in sets}
+        if any(len(members(sums, path)) != len(self.head.sites) for sums in self._sums.values()):
             raise InputFileError(f"{path} lacks sums of some sites; make it again with {kind.made_by}")
 
-    def site(self, index: int) -> Any:
-        """ClassSums, or LayerSums if the pass is one of a later layer."""
+    def site(self, index: int, of_set: str = USUAL) -> Any:
+        """ClassSums, or LayerSums if the pass is one of a later layer; QUIET: those of the quiet set."""
         name = f"{index:05d}"
-        sums: Any = read_fields(hard_group(self._sums, name, self._path), SUMS[type(self.head)], self._path)
+        sums: Any = read_fields(hard_group(self._sums[of_set], name, self._path), SUMS[type(self.head)], self._path)
         if (sums.moments.shape, sums.noise.shape, sums.count.shape) != self.head.shapes:
-            raise InputFileError(f"{self._path}: sums/{name} does not fit the class rule; make the file again")
+            raise InputFileError(f"{self._path}: {of_set}/{name} does not fit the class rule; make the file again")
         return sums
 
 
@@ -107,13 +115,15 @@ def open_partial_sums(path: Path) -> Iterator[PartialSumsReader]:
         yield PartialSumsReader(root, path)
 
 
-def write_partial_sums(path: Path, head: Head, sums: Iterable[ClassSums] | Iterable[LayerSums]) -> None:
-    """Write `head` and the sums of each of its sites, taken one by one, whole or not at all."""
+def write_partial_sums(path: Path, head: Head, *sets: Iterable[ClassSums] | Iterable[LayerSums]) -> None:
+    """Write `head` and the sums of each of its sites, taken one by one, whole or not at all: those of the usual set and, if
+    the head has a rule of it, of the quiet set."""
     with new_artifact(path, head.kind, head.version, head.history) as root:
         write_fields(root, head)
         name_axes(root, type(head), {}, head)
-        below = root.create_group("sums")
-        for index, site in enumerate(sums):
-            group = below.create_group(f"{index:05d}")
-            write_fields(group, site)
-            name_axes(group, SUMS[type(head)], {})
+        for name, sums in zip((USUAL, QUIET), sets, strict=False):
+            below = root.create_group(name)
+            for index, site in enumerate(sums):
+                group = below.create_group(f"{index:05d}")
+                write_fields(group, site)
+                name_axes(group, SUMS[type(head)], {})

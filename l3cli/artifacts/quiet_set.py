@@ -3,7 +3,8 @@
 
 from dataclasses import dataclass, replace
 
-from l3cli.artifacts.layers import MosaicLayer, PlaneLayer
+from l3cli.artifacts.class_rule import ClassRule
+from l3cli.artifacts.layers import MosaicLayer, PlaneLayer, PlaneRule, scaled_rule
 from l3cli.artifacts.schema import check, data, equal, group
 
 
@@ -28,16 +29,25 @@ class QuietSet:
 
     def check_fits(self, first: MosaicLayer, later: tuple[PlaneLayer, ...]) -> None:
         """ValueError if classes are not numbered as those of the table's own layers."""
-        ours, theirs = self.first.rule, first.rule
-        features = ours.features and theirs.features and replace(ours.features, constants=theirs.features.constants)
-        if not equal(replace(ours, contrast_edges=theirs.contrast_edges, features=features), theirs):
+        if not same_classes(self.first.rule, first.rule):
             raise ValueError("quiet/first has other classes than first")
         if self.first.weights.shape != first.weights.shape:
             raise ValueError("quiet/first has transforms of other shapes than first")
         if len(self.later) != len(later):
             raise ValueError(f"quiet holds {1 + len(self.later)} layers, the table {1 + len(later)}")
         for number, (layer, usual) in enumerate(zip(self.later, later, strict=True)):
-            if not (type(layer.rule) is type(usual.rule) and equal(usual.scaled_as(layer.rule).rule, layer.rule)):
+            if not same_plane_classes(layer.rule, usual.rule):
                 raise ValueError(f"quiet/later/{number} has other classes than later/{number}")
             if (layer.side, layer.weights.shape) != (usual.side, usual.weights.shape):
                 raise ValueError(f"quiet/later/{number} has windows or transforms of other shapes than later/{number}")
+
+
+def same_classes(rule: ClassRule, usual: ClassRule) -> bool:
+    """Whether a rule of first layers is the usual one but for edges that noise tells."""
+    features = rule.features and usual.features and replace(rule.features, constants=usual.features.constants)
+    return equal(replace(rule, contrast_edges=usual.contrast_edges, features=features), usual)
+
+
+def same_plane_classes(rule: PlaneRule, usual: PlaneRule) -> bool:
+    """Whether a rule of later layers is the usual one but for the scale of gradients."""
+    return type(rule) is type(usual) and equal(scaled_rule(usual, rule), rule)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from l3cli.artifacts.store import save
-from tests.helpers import raw_files, sequences
+from tests.helpers import raw_files, sequences, still_scene
 from tests.helpers.browser import CHROMIUM, Browser
 
 
@@ -22,6 +22,19 @@ def table(tmp_path: Path) -> Path:
 def folder(tmp_path: Path) -> Path:
     """Its frames: frame_07.tif … frame_11.tif"""
     return sequences.write_frames(tmp_path / "frames")
+
+
+@pytest.fixture
+def still_table(tmp_path: Path) -> Path:
+    """The table of a still scene (tests.helpers.still_scene)."""
+    save(still_scene.TABLE, tmp_path / "table.h5")
+    return tmp_path / "table.h5"
+
+
+@pytest.fixture
+def still_frames(tmp_path: Path) -> Path:
+    """Its frames: frame_0.tif … frame_8.tif"""
+    return still_scene.write_frames(tmp_path / "frames")
 
 
 @pytest.fixture

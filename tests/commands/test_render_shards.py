@@ -6,25 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l3cli.artifacts.store import save
 from l3cli.frame import RawFrame
 from l3cli.rendering.temporal import chunks
 from l3cli.stages.rendering import shards
 from tests.helpers.calls import Refused
 from tests.helpers.sequences import FAST
-from tests.helpers.still_scene import COUNT, TABLE, mosaics, write_frames
-
-
-@pytest.fixture
-def table(tmp_path: Path) -> Path:
-    save(TABLE, tmp_path / "table.h5")
-    return tmp_path / "table.h5"
-
-
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    """frame_0.tif … frame_8.tif"""
-    return write_frames(tmp_path / "frames")
+from tests.helpers.still_scene import COUNT, mosaics
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -33,12 +20,12 @@ def files(folder: Path) -> dict[str, bytes]:
 
 @pytest.mark.parametrize("exposure", ["auto", "0.8"])
 def test_shards_are_the_pictures_of_one_run(
-    l3: Callable, tmp_path: Path, table: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, exposure: str
+    l3: Callable, tmp_path: Path, still_table: Path, still_frames: Path, monkeypatch: pytest.MonkeyPatch, exposure: str
 ) -> None:
     """Filtered in time, into one folder; each shard filters its frames and those that they depend on, and no others."""
     monkeypatch.setattr(chunks, "CHUNK", 4)
     monkeypatch.setattr(chunks, "LEAD", 1)
-    call = ("render", table, folder, "--temporal", "--exposure", exposure, *FAST)
+    call = ("render", still_table, still_frames, "--temporal", "--exposure", exposure, *FAST)
     assert l3(*call, "-o", tmp_path / "whole")[0] == 0
     taken: list[int] = []
     filtered = chunks.Chunks.filtered
@@ -55,14 +42,14 @@ def test_shards_are_the_pictures_of_one_run(
     assert files(tmp_path / "out") == files(tmp_path / "whole")
 
 
-def test_a_shard_goes_on_where_it_was_stopped(l3: Callable, tmp_path: Path, table: Path, folder: Path) -> None:
-    call = ("render", table, folder, "-o", tmp_path / "out", "--temporal", *FAST)
-    content = (folder / "frame_7.tif").read_bytes()
-    (folder / "frame_7.tif").write_bytes(b"")
+def test_a_shard_goes_on_where_it_was_stopped(l3: Callable, tmp_path: Path, still_table: Path, still_frames: Path) -> None:
+    call = ("render", still_table, still_frames, "-o", tmp_path / "out", "--temporal", *FAST)
+    content = (still_frames / "frame_7.tif").read_bytes()
+    (still_frames / "frame_7.tif").write_bytes(b"")
     assert l3(*call, "--shard", "1/2") == (0, "", "")
     assert l3(*call, "--shard", "2/2")[0] == 3
-    (folder / "frame_7.tif").write_bytes(content)
-    assert "frame_4.tif" in "".join(path.name for path in folder.iterdir())
+    (still_frames / "frame_7.tif").write_bytes(content)
+    assert "frame_4.tif" in "".join(path.name for path in still_frames.iterdir())
     assert "exists; add --force" in l3(*call, "--shard", "1/2")[2]
     assert (tmp_path / "out/.2-of-2.l3-render").exists()
     assert l3(*call, "--shard", "2/2", "--resume") == (0, "", "")
@@ -70,9 +57,11 @@ def test_a_shard_goes_on_where_it_was_stopped(l3: Callable, tmp_path: Path, tabl
     assert files(tmp_path / "out") == files(tmp_path / "whole")
 
 
-def test_broken_frames_of_other_shards_are_theirs(l3: Callable, tmp_path: Path, table: Path, folder: Path) -> None:
-    (folder / "frame_2.tif").write_bytes(b"")
-    call = ("render", table, folder, "-o", tmp_path / "out", "--temporal", "--skip-bad", *FAST, "--shard")
+def test_broken_frames_of_other_shards_are_theirs(
+    l3: Callable, tmp_path: Path, still_table: Path, still_frames: Path
+) -> None:
+    (still_frames / "frame_2.tif").write_bytes(b"")
+    call = ("render", still_table, still_frames, "-o", tmp_path / "out", "--temporal", "--skip-bad", *FAST, "--shard")
     code, _, err = l3(*call, "2/2")
     assert (code, "frame_2.tif" in err) == (0, False)
     code, _, err = l3(*call, "1/2")
@@ -80,9 +69,9 @@ def test_broken_frames_of_other_shards_are_theirs(l3: Callable, tmp_path: Path, 
     assert len(files(tmp_path / "out")) == COUNT - 1
 
 
-def test_streams_of_a_known_length_and_videos_are_divided(l3: Callable, tmp_path: Path, table: Path) -> None:
+def test_streams_of_a_known_length_and_videos_are_divided(l3: Callable, tmp_path: Path, still_table: Path) -> None:
     np.save(tmp_path / "stack.npy", mosaics())
-    call = ("render", table, tmp_path / "stack.npy", "--exposure", "0.8", *FAST)
+    call = ("render", still_table, tmp_path / "stack.npy", "--exposure", "0.8", *FAST)
     for name, options in (("whole", ()), ("one", ("--shard", "1/2")), ("two", ("--shard", "2/2"))):
         assert l3(*call, "-o", tmp_path / f"{name}.y4m", *options)[0] == 0
     whole, one, two = ((tmp_path / f"{name}.y4m").read_bytes() for name in ("whole", "one", "two"))
@@ -91,15 +80,17 @@ def test_streams_of_a_known_length_and_videos_are_divided(l3: Callable, tmp_path
     assert whole[:head] == two[:head]
 
 
-def test_wrong_shards_are_one_line(l3: Callable, tmp_path: Path, table: Path, folder: Path, refused: Refused) -> None:
-    call = ("render", table, folder, "-o", tmp_path / "out", *FAST)
+def test_wrong_shards_are_one_line(
+    l3: Callable, tmp_path: Path, still_table: Path, still_frames: Path, refused: Refused
+) -> None:
+    call = ("render", still_table, still_frames, "-o", tmp_path / "out", *FAST)
     assert "9 frames, too few for 10 shards" in refused(2, *call, "--shard", "1/10")
     assert "shards count from 1/2 to 2/2" in refused(2, *call, "--shard", "3/2")
-    missing = ("render", table, tmp_path / "missing", "-o", tmp_path / "out", *FAST)
+    missing = ("render", still_table, tmp_path / "missing", "-o", tmp_path / "out", *FAST)
     assert "missing does not exist" in refused(3, *missing, "--shard", "1/2")
-    several = ("render", table, folder, folder, "-o", tmp_path / "out", *FAST)
+    several = ("render", still_table, still_frames, still_frames, "-o", tmp_path / "out", *FAST)
     assert "--shard divides one sequence" in refused(2, *several, "--shard", "1/2")
-    stream = ("render", table, "-", "-o", tmp_path / "out", "--size", "40x52", *FAST)
+    stream = ("render", still_table, "-", "-o", tmp_path / "out", "--size", "40x52", *FAST)
     assert "does not say how many frames it has; choose those of all shards with --frames" in refused(
         2, *stream, "--shard", "1/2"
     )

@@ -1,5 +1,6 @@
 """Training sets whose targets are a known mix of the channels, so that the best table is known."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -42,3 +43,15 @@ def a_set(
         for seed in range(count):
             writer.append(a_frame(camera, seed, smooth, size))
     return path
+
+
+def in_shards(l3: Callable, run: tuple, shards: int, folder: Path, *first: object) -> tuple[list[Path], Path, str]:
+    """Shards of a pass, their table, and what is said of it."""
+    name = f"{len(list(folder.iterdir()))}"
+    paths, table = [folder / f"{name}_{index}.h5" for index in range(1, shards + 1)], folder / f"{name}.h5"
+    for index, path in enumerate(paths, start=1):
+        code, _, err = l3("train", *run, "--shard", f"{index}/{shards}", *first, "-o", path)
+        assert code == 0, err
+    code, _, err = l3("train", "--merge", *paths[::-1], "-o", table)
+    assert code == 0, err
+    return paths, table, err

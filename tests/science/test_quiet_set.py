@@ -9,16 +9,19 @@ import numpy as np
 import pytest
 
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.partial_sums import QUIET, open_partial_sums, write_partial_sums
 from l3cli.artifacts.schema import equal
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingFrame, open_training_set
+from l3cli.errors import InputFileError
 from l3cli.frame import NoiseLeft, RawFrame
 from l3cli.rendering.quiet import quiet_renderer
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.simulation import sensor
 from l3cli.training.patches import expose_patches
 from l3cli.training.quiet import FilteredCamera
+from tests.helpers.artifacts import some_layer_sums, some_sums
 from tests.helpers.cameras import BAYER
 from tests.helpers.paths import CONFIGS
 from tests.helpers.tables import XYZ, random_table, with_later, with_quiet, with_tree
@@ -152,9 +155,30 @@ def test_a_quiet_set_of_other_classes_is_refused() -> None:
     changed("windows or transforms of other shapes", later=(narrow,))
 
 
+def test_sums_of_a_quiet_set_of_other_classes_are_refused(bayer: CameraModel, tmp_path: Path) -> None:
+    head, sums = some_sums(bayer)
+    dark = dataclasses.replace(head.rule, contrast_edges=head.rule.contrast_edges // 2)
+    write_partial_sums(tmp_path / "one.h5", dataclasses.replace(head, quiet_rule=dark), iter([sums]), iter([sums]))
+    with open_partial_sums(tmp_path / "one.h5") as reader:
+        assert equal(reader.head.quiet_rule, dark)
+        assert equal(reader.site(0, QUIET), sums)
+    write_partial_sums(tmp_path / "less.h5", dataclasses.replace(head, quiet_rule=dark), iter([sums]), iter([]))
+    with pytest.raises(InputFileError, match="lacks sums of some sites"), open_partial_sums(tmp_path / "less.h5"):
+        pass
+    other = dataclasses.replace(head.rule, shift=head.rule.shift + 1)
+    with pytest.raises(ValueError, match="quiet_rule has other classes"):
+        dataclasses.replace(head, quiet_rule=other)
+    layer, _ = some_layer_sums(bayer)
+    assert layer.structure is not None
+    coarser = dataclasses.replace(layer.structure, coherence=layer.structure.coherence + 1)
+    with pytest.raises(ValueError, match="the quiet set's rule has other classes"):
+        dataclasses.replace(layer, table=with_quiet(layer.table), quiet_structure=coarser)
+    with pytest.raises(ValueError, match="either a structure rule or a tree"):
+        dataclasses.replace(layer, table=with_quiet(layer.table))
+
+
 def test_wrong_calls_are_one_line(learned: dict[str, Path], tmp_path: Path, refused: Callable) -> None:
     train = ("train", learned["set.h5"], "-o", tmp_path / "table.h5", "--classes")
-    assert "in one go, not in shards" in refused(2, *train, learned["two.toml"], "--shard", "1/2")
     for key, words in (("1", "noise_left"), ("-0.1", "noise_left"), ('0.1\nnoise = "none"', "no noise to leave")):
         (tmp_path / "classes.toml").write_text(f"[learning]\nnoise_left = {key}\n")
         assert words in refused(2, *train, tmp_path / "classes.toml")

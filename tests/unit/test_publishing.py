@@ -20,6 +20,8 @@ def test_the_conda_recipe_needs_what_the_project_needs() -> None:
         needed = {re.sub(rf"^{re.escape(name)}(?=[<>=]|$)", other, each) for each in needed}
     needed |= {f"python{PROJECT['project']['requires-python']}", "pocl", "__linux"}
     assert {each.replace(" ", "") for each in recipe["requirements"]["run"]} == needed
+    built_with = {f"python{PROJECT['project']['requires-python']}", "pip", *PROJECT["build-system"]["requires"]}
+    assert {each.replace(" ", "") for each in recipe["requirements"]["host"]} == built_with
     assert recipe["package"]["version"] == PROJECT["project"]["version"] == __version__
     (entry,) = recipe["build"]["entry_points"]
     assert entry.split(" = ")[1] == PROJECT["project"]["scripts"]["l3"]

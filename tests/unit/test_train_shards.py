@@ -17,7 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.store import load
+from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import (
     LightSpectrum,
@@ -37,13 +37,14 @@ from l3cli.stages.console import Silent
 from l3cli.stages.training.held_frames import HELD
 from l3cli.stages.training.passes import Execution, first_pass
 from l3cli.stages.training.run import open_run
+from l3cli.training import division
 from l3cli.training.benchmark import made_up_frame, stage_shares, train
 from l3cli.training.division import BATCH, SUM_BYTES, frame_blocks, work_shares
 from l3cli.training.patches import colourless_frame
 from l3cli.training.recipe import LearningRecipe, TrainingRecipe
 from l3cli.training.sums import empty_sums
 from l3cli.training.training_pass import LAST, TrainingPass, spread_patches
-from tests.helpers.training_sets import a_frame, a_set
+from tests.helpers.training_sets import a_frame, a_set, in_shards
 
 SMALL = "[classes]\npatch = 3\nlevels = 4\nchromas = 2\n[learning]\npatches = 2100\nfirst_draws = 1\ndraws = 2\n"
 
@@ -190,18 +191,6 @@ def test_same_bytes_for_jobs_and_shards(bayer: CameraModel, tmp_path: Path, l3: 
     assert "--first goes with --shard" in refused(2, "train", *run, "--first", first, "-o", out)
 
 
-def in_shards(l3: Callable, run: tuple, shards: int, folder: Path, *first: object) -> tuple[list[Path], Path, str]:
-    """Shards of a pass, their table, and what is said of it."""
-    name = f"{len(list(folder.iterdir()))}"
-    paths, table = [folder / f"{name}_{index}.h5" for index in range(1, shards + 1)], folder / f"{name}.h5"
-    for index, path in enumerate(paths, start=1):
-        code, _, err = l3("train", *run, "--shard", f"{index}/{shards}", *first, "-o", path)
-        assert code == 0, err
-    code, _, err = l3("train", "--merge", *paths[::-1], "-o", table)
-    assert code == 0, err
-    return paths, table, err
-
-
 @pytest.mark.usefixtures("same_workers")
 def test_a_second_layer_has_the_same_bytes_in_shards(
     bayer: CameraModel, tmp_path: Path, l3: Callable, refused: Callable
@@ -245,14 +234,18 @@ def test_a_second_layer_has_the_same_bytes_in_shards(
 
 
 def test_three_layers_have_the_same_bytes_in_shards(
-    bayer: CameraModel, tmp_path: Path, l3: Callable, refused: Callable
+    bayer: CameraModel, tmp_path: Path, l3: Callable, refused: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A layer by structure and one by a tree, each in a pass of its own; a shard takes only the table of the pass before."""
+    """A layer by structure and one by a tree, each in a pass of its own, with a second set of all of them; a shard takes
+    only the table of the pass before."""
+    monkeypatch.setattr(division, "BATCH", 500)  # two blocks of frames, one for each shard
     training = a_set(tmp_path / "training.h5", bayer, 3, smooth=False)
-    (tmp_path / "classes.toml").write_text(THREE_LAYERS)
+    (tmp_path / "classes.toml").write_text(THREE_LAYERS.replace("draws = 2\n", "draws = 2\nnoise_left = 0.1\n"))
     run = (training, "--classes", tmp_path / "classes.toml", "--seed", 5)
     assert l3("train", *run, "-o", tmp_path / "whole.h5")[0] == 0
-    assert [layer.side for layer in load(TransformTable, tmp_path / "whole.h5").later] == [3, 3]
+    whole = load(TransformTable, tmp_path / "whole.h5")
+    assert whole.quiet is not None
+    assert [layer.side for layer in (*whole.later, *whole.quiet.later)] == [3, 3, 3, 3]
 
     before: tuple = ()
     shards, tables = [], []
@@ -272,6 +265,8 @@ def test_three_layers_have_the_same_bytes_in_shards(
     assert of_this_run in refused(3, "train", *run, "--shard", "1/2", "--first", table, "-o", out)  # nothing follows it
     for of_other_run in tables:
         assert of_this_run in refused(3, "train", *run[:-1], 6, "--shard", "1/2", "--first", of_other_run, "-o", out)
+    save(dataclasses.replace(load(TransformTable, tables[1]), quiet=None), tmp_path / "one_set.h5")
+    assert of_this_run in refused(3, "train", *run, "--shard", "1/2", "--first", tmp_path / "one_set.h5", "-o", out)
     (tmp_path / "two.toml").write_text(TWO_LAYERS)  # with which two layers are all
     assert l3("train", training, "--classes", tmp_path / "two.toml", "--seed", 5, "-o", tmp_path / "two.h5")[0] == 0
     assert of_this_run in refused(3, "train", *run, "--shard", "1/2", "--first", tmp_path / "two.h5", "-o", out)

@@ -6,12 +6,13 @@ from pathlib import Path
 import numpy as np
 
 from l3cli.artifacts.layer_sums import PartialLayerSums
-from l3cli.artifacts.layers import rule_fields
-from l3cli.artifacts.partial_sums import PartialSumsReader, write_partial_sums
+from l3cli.artifacts.layers import PlaneRule, rule_fields
+from l3cli.artifacts.partial_sums import QUIET, USUAL, PartialSumsReader, write_partial_sums
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import InputFileError
 from l3cli.stages.training.later_layers import layer_mosaics, layer_pass, layer_rule, parts_of, summed_layer
 from l3cli.stages.training.passes import Execution
+from l3cli.stages.training.quiet import quiet_as_table, with_quiet
 from l3cli.stages.training.run import TrainingRun
 from l3cli.training.layers.learn import add_sums, learn_layer, no_sums
 from l3cli.training.recipe import TrainingRecipe
@@ -26,7 +27,12 @@ def write_layer_shard(
     rule = layer_rule(run, layer, execution)
     index, count = shard
     frames = list(parts_of(range(len(mosaics)), count))[index - 1]
-    sums = summed_layer(run, layer, rule, frames, execution)
+    sets, quiet_fields = [summed_layer(run, layer, rule, frames, execution)], {}
+    if table.quiet:
+        layer_of_quiet = layer_pass(quiet_as_table(table), run.recipe, mosaics, run.seed)
+        quiet_rule = layer_rule(run, layer_of_quiet, execution, like=rule)
+        quiet_fields = {f"quiet_{name}": each for name, each in rule_fields(quiet_rule).items()}
+        sets.append(summed_layer(run, layer_of_quiet, quiet_rule, frames, execution))
     head = PartialLayerSums(
         history=run.history_of_layers(layer.number),
         shard=index,
@@ -35,10 +41,11 @@ def write_layer_shard(
         side=layer.recipe.side,
         ratio_taps=layer.ratio_taps,
         **rule_fields(rule),
+        **quiet_fields,
         table=table,
-        sites=np.array(list(sums)),
+        sites=np.array(list(sets[0])),
     )
-    write_partial_sums(output, head, sums.values())
+    write_partial_sums(output, head, *(sums.values() for sums in sets))
     execution.console.say(f"{output}: shard {index} of {count}, layer {layer.number}")
 
 
@@ -46,11 +53,24 @@ def merged_layer(readers: list[PartialSumsReader], recipe: TrainingRecipe, seed:
     """The table with the layer that all shards of its pass give; InputFileError, which names `path`, if they do not fit
     their recipe."""
     head: PartialLayerSums = readers[0].head
-    layer = layer_pass(head.table, recipe, tuple(head.mosaics.tolist()), seed)
-    sums = no_sums(layer, head.rule)
+    usual = replace(head.table, quiet=None)
+    table = _with_layer(usual, head.rule, readers, USUAL, recipe, seed, path)
+    if head.table.quiet is None or head.quiet_rule is None:
+        return table
+    quiet = _with_layer(quiet_as_table(head.table), head.quiet_rule, readers, QUIET, recipe, seed, path)
+    return with_quiet(table, head.table.quiet.noise_left, quiet)
+
+
+def _with_layer(
+    table: TransformTable, rule: PlaneRule, readers: list[PartialSumsReader], of_set: str, recipe: TrainingRecipe, seed: int,
+    path: Path,
+) -> TransformTable:  # fmt: skip
+    head: PartialLayerSums = readers[0].head
+    layer = layer_pass(table, recipe, tuple(head.mosaics.tolist()), seed)
+    sums = no_sums(layer, rule)
     if (layer.recipe.side, layer.ratio_taps, list(sums)) != (head.side, head.ratio_taps, head.sites.tolist()):
         raise InputFileError(f"{path} holds sums of other windows or sites than its recipe and camera have; make it again")
     for index, site in enumerate(sums):
         for reader in readers:
-            add_sums({site: sums[site]}, {site: reader.site(index)})
-    return replace(head.table, later=(*head.table.later, learn_layer(layer, head.rule, sums)), history=head.history)
+            add_sums({site: sums[site]}, {site: reader.site(index, of_set)})
+    return replace(table, later=(*table.later, learn_layer(layer, rule, sums)), history=head.history)

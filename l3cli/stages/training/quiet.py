@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from l3cli.artifacts.quiet_set import QuietSet
 from l3cli.artifacts.table import TransformTable
-from l3cli.errors import RecipeError
+from l3cli.artifacts.training_set import TrainingSet
 from l3cli.stages.training.later_layers import learn_later
 from l3cli.stages.training.passes import Execution, learn_first
 from l3cli.stages.training.run import TrainingRun
@@ -18,19 +18,35 @@ def learn_quiet(run: TrainingRun, table: TransformTable, execution: Execution) -
     if not learning.noise_left:
         return table
     execution.console.say(f"a second set, for {learning.noise_left:g} of the noise over time")
-    camera = FilteredCamera.of(run.head.camera, learning.noise_left)
-    filtered = replace(run, head=replace(run.head, camera=camera))
-    rule = quiet_rule(table.first.rule, run.recipe.classes, camera, camera.dark_signal(table.exposure))
     number = FIRST if has_two_passes(run.head, learning) else LAST
-    about = (filtered.head, run.patches, rule, learning, table.white_point, run.seed, number, table.exposure, table.light)
-    made = learn_later(filtered, learn_first(filtered, TrainingPass(*about), execution), execution, like=table)
-    return replace(table, quiet=QuietSet(learning.noise_left, made.first, made.later))
+    about = (run.head, run.patches, table.first.rule, learning, table.white_point, run.seed, number, table.exposure)
+    pass_ = quiet_pass(run, TrainingPass(*about, table.light))
+    filtered = replace(run, head=pass_.head)
+    made = learn_later(filtered, learn_first(filtered, pass_, execution), execution, like=table)
+    return with_quiet(table, learning.noise_left, made)
 
 
-def require_whole(run: TrainingRun) -> None:
-    """RecipeError if a shard of the run is asked for and a quiet set is wanted, too."""
-    if run.recipe.learning.noise_left:
-        raise RecipeError(
-            "learning.noise_left: a second set is learned in one go, not in shards; train without ‹shard›, on several "
-            "machines with ‹scheduler›"
-        )
+def quiet_pass(run: TrainingRun, usual: TrainingPass) -> TrainingPass:
+    """The pass of the quiet set beside the usual one: for frames of less noise, by lower edges."""
+    head = filtered_head(usual.head, run.recipe.learning.noise_left)
+    assert isinstance(head.camera, FilteredCamera)
+    rule = quiet_rule(usual.rule, run.recipe.classes, head.camera, head.camera.dark_signal(usual.exposure))
+    return replace(usual, head=head, rule=rule)
+
+
+def filtered_head(head: TrainingSet, noise_left: float) -> TrainingSet:
+    """What training sets have in common, as if their frames were of a filtered camera."""
+    return replace(head, camera=FilteredCamera.of(head.camera, noise_left))
+
+
+def quiet_as_table(table: TransformTable) -> TransformTable:
+    """The quiet set of a table, which must be there, as a table for the filtered camera."""
+    assert table.quiet is not None
+    assert table.camera is not None  # tables have had one since there are quiet sets
+    camera = FilteredCamera.of(table.camera, table.quiet.noise_left)
+    return replace(table, first=table.quiet.first, later=table.quiet.later, camera=camera, quiet=None)
+
+
+def with_quiet(table: TransformTable, noise_left: float, quiet: TransformTable) -> TransformTable:
+    """The table with another one, learned for this share of the noise, as its quiet set."""
+    return replace(table, quiet=QuietSet(noise_left, quiet.first, quiet.later))

@@ -1,6 +1,7 @@
 """Training in shards, as over several machines: partial sums of each, merged into the table."""
 
 import contextlib
+from collections.abc import Iterator
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -9,7 +10,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from l3cli.artifacts.layer_sums import PartialLayerSums
-from l3cli.artifacts.partial_sums import Head, PartialSums, PartialSumsReader, open_partial_sums, write_partial_sums
+from l3cli.artifacts.partial_sums import (
+    QUIET,
+    USUAL,
+    ClassSums,
+    Head,
+    PartialSums,
+    PartialSumsReader,
+    open_partial_sums,
+    write_partial_sums,
+)
 from l3cli.artifacts.schema import Stage, equal
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
@@ -21,7 +31,7 @@ from l3cli.stages.plan import Made, before_work
 from l3cli.stages.training.later_layers import tell_what_is_left_out
 from l3cli.stages.training.layer_shards import merged_layer, write_layer_shard
 from l3cli.stages.training.passes import Execution, first_pass, sum_unit, summed
-from l3cli.stages.training.quiet import require_whole
+from l3cli.stages.training.quiet import filtered_head, quiet_as_table, quiet_pass, with_quiet
 from l3cli.stages.training.run import FIRST_PASS, LAYERS, TrainingRun
 from l3cli.stages.training.whole import executed, say_table
 from l3cli.training.division import frame_blocks
@@ -49,10 +59,9 @@ def train_shard(
         claims.claim_file(output, force)
         made = Made(output, f"partial sums, shard {shard[0]} of {shard[1]},")
         with executed(training, console, classes, shares, seed, jobs, scheduler, made) as (run, execution):
-            require_whole(run)
             table = load(TransformTable, first) if first else None
             tell_what_is_left_out(run, console)
-            if table and run.has_later_layers and table.history == run.history(LAYERS[len(table.later)]):
+            if table and run.has_later_layers and _is_of(run, table, LAYERS[len(table.later)]):
                 check_layers(run.recipe.layer)
                 write_layer_shard(run, shard, table, output, execution)
             else:
@@ -67,9 +76,10 @@ def _write_shard(
     index, count = shard
     blocks = frame_blocks(pass_)[index - 1 :: count]
     sites = canonical_sites(run.head, pass_.rule, pass_.recipe)
-    sums = summed(sum_unit, run, pass_, table, blocks, execution)
-    if not blocks:  # more shards than blocks
-        sums = ((site, empty_sums(pass_.rule, len(run.head.outputs))) for site in sites)
+    sets = [_sums(run, pass_, table, blocks, sites, execution)]
+    quiet = quiet_pass(run, pass_) if run.recipe.learning.noise_left else None
+    if quiet:
+        sets.append(_sums(run, quiet, table and quiet_as_table(table), blocks, sites, execution))
     head = PartialSums(
         history=run.history_of_pass(pass_.number),
         shard=index,
@@ -82,16 +92,33 @@ def _write_shard(
         sites=np.array(sites),
         exposure=pass_.exposure,
         light=pass_.light,
+        quiet_rule=quiet.rule if quiet else None,
     )
-    write_partial_sums(output, head, (add_up(pass_, [site_sums]) for _, site_sums in sums))
+    write_partial_sums(output, head, *sets)
     last = "layer 1" if run.has_later_layers else "last pass"
     what = "first pass" if pass_.number == FIRST else last
     execution.console.say(f"{output}: shard {index} of {count}, {what}")
 
 
+def _sums(
+    run: TrainingRun, pass_: TrainingPass, table: TransformTable | None, blocks: list[range], sites: list[int],
+    execution: Execution,
+) -> Iterator[ClassSums]:  # fmt: skip
+    """Of a shard's blocks, for each canonical site in order."""
+    sums = summed(sum_unit, run, pass_, table, blocks, execution)
+    if not blocks:  # more shards than blocks
+        sums = ((site, empty_sums(pass_.rule, len(run.head.outputs))) for site in sites)
+    return (add_up(pass_, [site_sums]) for _, site_sums in sums)
+
+
+def _is_of(run: TrainingRun, table: TransformTable, pass_: str) -> bool:
+    """Whether a table is what a pass of the run has made."""
+    return table.history == run.history(pass_) and bool(table.quiet) == bool(run.recipe.learning.noise_left)
+
+
 def _last_pass(run: TrainingRun, table: TransformTable, path: Path | None) -> TrainingPass:
     """The pass after the one that made the table; InputFileError if that is of another run."""
-    if table.history != run.history(FIRST_PASS):
+    if not _is_of(run, table, FIRST_PASS):
         layers = f", nor its {' or '.join(LAYERS[: len(run.recipe.layer)])}" if run.has_later_layers else ""
         raise InputFileError(
             f"{path} is not the first pass of this run{layers}: other training sets, shares, recipe or seed; "
@@ -132,8 +159,18 @@ def _merged_pass(readers: list[PartialSumsReader], recipe: TrainingRecipe, seed:
     pass_ = TrainingPass(*about, seed, head.pass_number, head.exposure, head.light)
     if head.sites.tolist() != canonical_sites(head.training, head.rule, pass_.recipe):
         raise InputFileError(f"{path} holds sums of other sites than its camera has; make it again")
+    table = _learned(pass_, readers, USUAL)
+    if head.quiet_rule is None:
+        return table
+    noise_left = recipe.learning.noise_left
+    quiet = replace(pass_, head=filtered_head(pass_.head, noise_left), rule=head.quiet_rule)
+    return with_quiet(table, noise_left, _learned(quiet, readers, QUIET))
+
+
+def _learned(pass_: TrainingPass, readers: list[PartialSumsReader], of_set: str) -> TransformTable:
+    head: PartialSums = readers[0].head
     solutions = {
-        int(site): learn_site(pass_, (reader.site(index) for reader in readers), int(site))
+        int(site): learn_site(pass_, (reader.site(index, of_set) for reader in readers), int(site))
         for index, site in enumerate(head.sites)
     }
     return assemble(pass_, solutions, head.history)
@@ -144,7 +181,8 @@ def _recipe_and_seed(head: Head, path: Path) -> tuple[TrainingRecipe, int]:
     stage = head.history[-1] if head.history else Stage("", {})
     seed = stage.options.get("seed")
     recipe = parse_recipe(stage.recipe, TrainingRecipe, str(path))
-    if type(seed) is not int or (isinstance(head, PartialLayerSums) and not recipe.layer):
+    is_of_recipe = bool(recipe.learning.noise_left) == bool(head.quiet_rule)
+    if type(seed) is not int or not is_of_recipe or (isinstance(head, PartialLayerSums) and not recipe.layer):
         raise InputFileError(f"{path} does not tell the run it is a shard of; make it again")
     return recipe, seed
 
