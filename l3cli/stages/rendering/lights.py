@@ -1,0 +1,73 @@
+"""How the transforms of a table of several lights are mixed for a run (docs/method.md#several-lights)."""
+
+import contextlib
+import itertools
+from collections.abc import Iterator
+from dataclasses import replace
+
+from l3cli.artifacts.table import TransformTable
+from l3cli.errors import L3Error
+from l3cli.frame import RawFrame
+from l3cli.io.sequences import Footage
+from l3cli.rendering.lights import Mix, described, mix_for
+from l3cli.rendering.white_source import WhiteSource, given_white
+from l3cli.stages.console import Console
+
+
+def mix_of_given(white: str | None, table: TransformTable, console: Console) -> Mix | None:
+    """The mix for a white that is given by name or "x,y"; None, the transforms of all lights in common, for that of the
+    table. RecipeError as given_white."""
+    if not table.lights:
+        return None
+    given = given_white(white, table)
+    if given is None:
+        names = ", ".join(light.name for light in table.lights)
+        console.say(f"the table's transforms for all its lights in common ({names}) are taken; ‹white› mixes those of each")
+        return None
+    mix = mix_for(table, given.light.xyz)
+    assert mix is not None
+    console.say(f"white {white}: transforms of {described(table, mix)}")
+    return mix
+
+
+def mix_of_first(
+    source: WhiteSource, table: TransformTable, footage: Footage, console: Console
+) -> tuple[Mix | None, Footage]:
+    """The mix for the white of the first of the frames, which all of them are rendered by, and the frames; None, the
+    transforms of all lights in common, where it has none. A frame that is broken tells of itself when it is rendered."""
+    first, footage = _first_frame(footage)
+    white = None
+    if first is not None:
+        with contextlib.suppress(L3Error):
+            white = source.white(first)
+    if first is None or white is None:
+        console.say(
+            "nothing to tell the first frame's white by; the table's transforms for all its lights in common are taken"
+        )
+        return None, footage
+    mix = mix_for(table, white.light.xyz)
+    assert mix is not None
+    kept = "" if footage.count == 1 else ", for all frames"
+    console.say(f"{first.name}: white {source.about}: transforms of {described(table, mix)}{kept}")
+    return mix, footage
+
+
+def _first_frame(footage: Footage) -> tuple[RawFrame | None, Footage]:
+    """The first frame, None if there is none or it is broken, and the frames again: those of a stream come once."""
+    frames = footage.frames
+    number = next(iter(frames.wanted), None)
+    if number is None:
+        return None, footage
+    try:
+        first = frames.series.read(number)
+    except (L3Error, OSError):
+        first = None
+    if not footage.is_stream:
+        return first, footage
+
+    def read(wanted: int) -> RawFrame | None:
+        return first if wanted == number and first is not None else frames.series.read(wanted)
+
+    # Numbers without an end come once, too.
+    wanted = itertools.chain([number], frames.wanted) if isinstance(frames.wanted, Iterator) else frames.wanted
+    return first, replace(footage, frames=replace(frames, series=replace(frames.series, read=read), wanted=wanted))
