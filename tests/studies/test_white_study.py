@@ -155,7 +155,7 @@ def test_transforms_of_several_lights(
                 if key not in made or given == "auto":
                     first = given_as(given, table, frame, raw)
                     lit = mixed(table, mix_for(table, first.light.xyz))
-                    made[key] = make_renderer("opencl", lit), given_as(given, lit, frame, raw).balance
+                    made[key] = make_renderer("opencl", lit), given_as(given, lit, frame, raw, table).balance
                 errors = found.setdefault(f"{name}: {given}", {light: [] for light in BLACK_BODIES_AND_LAMPS})
                 errors[frame.illuminant].append(error(made[key][0], frame, raw, made[key][1]))
     mean = shown(found, BLACK_BODIES_AND_LAMPS, capsys)
@@ -164,9 +164,11 @@ def test_transforms_of_several_lights(
         assert min(of.values()) > min(value for name, value in of.items() if "mixed" in name) - GAIN
 
 
-def given_as(given: str, table: TransformTable, frame: TrainingPair, raw: RawFrame) -> SceneWhite:
-    """The white of a frame of which its light, its neutral or its chromaticity is known, or nothing; without gains it is
-    only adapted from its chromaticity."""
+def given_as(
+    given: str, table: TransformTable, frame: TrainingPair, raw: RawFrame, by: TransformTable | None = None
+) -> SceneWhite:
+    """The white of a frame of which its light, its neutral or its chromaticity is known, or nothing, estimated `by` another
+    table; without gains it is only adapted from its chromaticity."""
     whites, camera = Whites(table), table.camera
     assert camera
     if given == "light":
@@ -174,7 +176,7 @@ def given_as(given: str, table: TransformTable, frame: TrainingPair, raw: RawFra
     if given == "neutral":
         return whites.of_neutral(camera.signal_weights @ spectra.illuminant(frame.illuminant, camera.wavelength))
     if given == "auto":
-        estimated = AutoWhite(whites).white(raw)
+        estimated = AutoWhite(Whites(by) if by else whites, whites).white(raw)
         assert estimated
         return estimated
     return whites.of_chromaticity(frame.white) if given == "x,y" else whites.of_xyz(frame.white)

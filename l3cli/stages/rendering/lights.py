@@ -36,18 +36,17 @@ def mix_of_first(
     """The mix for the white of the first of the frames, which all of them are rendered by, and the frames; None, the
     transforms of all lights in common, where it has none. A frame that is broken tells of itself when it is rendered."""
     first, footage = _first_frame(footage)
-    white = None
+    white, alone = None, footage.count == 1
     if first is not None:
         with contextlib.suppress(L3Error):
             white = source.white(first)
     if first is None or white is None:
-        console.say(
-            "nothing to tell the first frame's white by; the table's transforms for all its lights in common are taken"
-        )
+        if not alone:
+            console.say("the first frame tells no white; the table's transforms for all its lights in common are taken")
         return None, footage
     mix = mix_for(table, white.light.xyz)
     assert mix is not None
-    kept = "" if footage.count == 1 else ", for all frames"
+    kept = "" if alone else ", for all frames"
     console.say(f"{first.name}: white {source.about}: transforms of {described(table, mix)}{kept}")
     return mix, footage
 

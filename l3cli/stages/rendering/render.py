@@ -100,7 +100,7 @@ def render(
         if source is not None and white is not None and lit.lights:
             mix, footage = mix_of_first(source, lit, footage, console)
             transforms = mixed(lit, mix)
-            source, rendition = white_source(white, transforms), replace(rendition, balance=usual_balance(transforms))
+            source, rendition = white_source(white, transforms, lit), replace(rendition, balance=usual_balance(transforms))
         setup = RenderSetup(
             table.absolute(), opened.digest, backend, engine, known, rendition, destination.file_suffix, model, mix
         )
