@@ -1,8 +1,9 @@
 """l3 render --white: the file's, a grey's, estimated, by name; right and wrong calls, sequences, resumed runs, Python."""
 
+import contextlib
 import dataclasses
-import io
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -285,7 +286,8 @@ def test_transforms_of_several_lights_are_mixed(l3: Callable, several: Path, war
     renderer = l3cli.Renderer(several, backend="reference")
     frame = l3cli.read_raw(warm, renderer.table)
     np.testing.assert_array_equal(renderer.picture(frame, white=given), ours)
-    np.testing.assert_array_equal(renderer.sequence(None, white=given)(frame), ours)
+    exposed = renderer.picture(frame, white=given, exposure=1.0)
+    np.testing.assert_array_equal(renderer.sequence(None, white=given, exposure=1.0)(frame), exposed)
 
 
 def share_of(table: TransformTable, light: str) -> float:
@@ -295,22 +297,33 @@ def share_of(table: TransformTable, light: str) -> float:
 
 
 def test_a_sequence_is_rendered_by_the_mix_of_its_first_frame(
-    l3: Callable, several: Path, bayer: CameraModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    l3: Callable, several: Path, bayer: CameraModel, tmp_path: Path
 ) -> None:
     """Also one of which each frame comes once."""
     frames = np.stack([mosaic(bayer, light) for light in ("3200K", "D65")])
     np.save(tmp_path / "clip.npy", frames)
+    (tmp_path / "clip.bin").write_bytes(frames.astype("<u2").tobytes())
     call = ("--white", "30,40", "--exposure", "1", *FAST, "-o")
     code, _, err = l3("render", several, tmp_path / "clip.npy", *call, tmp_path / "files" / "####.png")
-    assert code == 0
-    assert "transforms of 81 % A, 19 % D65, for all frames" in err
-    stdin = io.TextIOWrapper(io.BytesIO(frames.astype("<u2").tobytes()))
-    monkeypatch.setattr("sys.stdin", stdin)
-    code, _, err = l3("render", several, "-", "--size", "60x160", *call, tmp_path / "stream" / "####.png")
-    assert (code, "81 % A, 19 % D65, for all frames" in err) == (0, True)
+    assert (code, "transforms of 81 % A, 19 % D65, for all frames" in err) == (0, True)
+    with stdin_of(tmp_path / "clip.bin"):
+        code, _, err = l3("render", several, "-", "--size", "60x160", *call, tmp_path / "stream" / "####.png")
+    assert (code, "transforms of 81 % A, 19 % D65, for all frames" in err) == (0, True)
     for files in zip(*(sorted((tmp_path / name).iterdir()) for name in ("files", "stream")), strict=True):
         one, other = (read_image(file)[0] for file in files)
         np.testing.assert_array_equal(one, other)
+
+
+@contextlib.contextmanager
+def stdin_of(path: Path) -> Iterator[None]:
+    before = os.dup(0)
+    try:
+        with path.open("rb") as file:
+            os.dup2(file.fileno(), 0)
+            yield
+    finally:
+        os.dup2(before, 0)
+        os.close(before)
 
 
 def test_without_a_white_all_lights_are_taken_in_common(

@@ -57,15 +57,21 @@ def _first_frame(footage: Footage) -> tuple[RawFrame | None, Footage]:
     number = next(iter(frames.wanted), None)
     if number is None:
         return None, footage
+    first: RawFrame | None = None
+    broken: Exception | None = None
     try:
         first = frames.series.read(number)
-    except (L3Error, OSError):
-        first = None
+    except (L3Error, OSError) as error:
+        broken = error
     if not footage.is_stream:
         return first, footage
 
     def read(wanted: int) -> RawFrame | None:
-        return first if wanted == number and first is not None else frames.series.read(wanted)
+        if wanted != number:
+            return frames.series.read(wanted)
+        if broken is not None:
+            raise broken
+        return first
 
     # Numbers without an end come once, too.
     wanted = itertools.chain([number], frames.wanted) if isinstance(frames.wanted, Iterator) else frames.wanted
