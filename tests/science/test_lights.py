@@ -12,13 +12,17 @@ from l3cli.artifacts.schema import equal
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import open_training_set
+from l3cli.io.raw.files import KnownBetter
 from l3cli.physics import spectra
 from l3cli.physics.near_lights import mired_of
-from l3cli.rendering.lights import described, mix_for, mixed
+from l3cli.rendering.kept_table import Layouts
+from l3cli.rendering.lights import Mix, described, mix_for, mixed
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.stages.console import Silent
 from l3cli.stages.evaluation import raw_of
 from l3cli.stages.frame_renderers import FrameRenderers
+from l3cli.stages.rendering.executors import Renderers, RenderSetup
+from l3cli.stages.rendering.rendition import OUTPUTS
 from tests.helpers.cameras import BAYER
 from tests.helpers.paths import CONFIGS
 from tests.helpers.tables import XYZ, random_table, with_later, with_lights, with_tree
@@ -191,3 +195,21 @@ def test_frames_are_judged_by_the_transforms_of_their_light(learned: dict[str, P
         for frame in reader:
             own = next(light for light in several.lights if light.name == frame.illuminant)
             np.testing.assert_allclose(renderers.of(frame).table.first.weights, own.first.weights, atol=1e-3)
+
+
+def test_what_is_kept_of_a_table_is_not_taken_for_a_mix_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    given: list[tuple[TransformTable, Layouts | None]] = []
+
+    def make_renderer(backend: str, table: TransformTable, by_noise: bool, layouts: Layouts | None) -> ReferenceRenderer:
+        given.append((table, layouts))
+        return ReferenceRenderer(table)
+
+    monkeypatch.setattr("l3cli.rendering.quiet.make_renderer", make_renderer)
+    table, kept, made = with_lights(random_table(BAYER), "A", "D65"), Layouts(), Renderers()
+    plain = RenderSetup(Path("table.h5"), "0", "reference", {}, KnownBetter(), OUTPUTS, None)
+    common = made.of(plain, table, kept)
+    assert made.of(plain, table, kept) is common
+    lit = mixed(table, Mix(0, 1, 0.5))
+    assert made.of(dataclasses.replace(plain, mix=Mix(0, 1, 0.5)), lit, kept) is not common
+    assert [layouts for _, layouts in given] == [kept, None]
+    assert given[1][0] is lit
