@@ -19,7 +19,7 @@ from l3cli.frame import RawFrame
 from l3cli.io.raw import files as raw_files
 from l3cli.io.raw.files import KnownBetter
 from l3cli.rendering.balance import WhiteBalance
-from l3cli.rendering.lights import Mix, mix_for, mixed
+from l3cli.rendering.lights import Mix, mixed, nearest_for
 from l3cli.rendering.quiet import QuietRenderer, quiet_renderer
 from l3cli.rendering.temporal.chunks import Chunks
 from l3cli.rendering.temporal.filters import filters
@@ -78,13 +78,13 @@ class Renderer:
         self, frames: Iterable[RawFrame | NDArray[np.uint16]], *, exposure: float | None = None, white: str | None = None,
         space: str = "srgb", bits: int = 8,
     ) -> Iterator[NDArray[Any]]:  # fmt: skip
-        """`picture` of each frame, in order, as they are asked for; each has its automatic exposure. The transforms of a
-        table of several lights are mixed for the white of the first."""
+        """`picture` of each frame, in order, as they are asked for; each has its automatic exposure. Of a table of several
+        lights they have the transforms of that nearest to the white of the first."""
         renderer, shown = self._renderer, shown_as(self.table, exposure, white, space, bits)
         for place, each in enumerate(frames):
             frame = self._frame(each)
             if self.table.lights and place == 0:
-                renderer = self._mixed(white, shown[1], frame)
+                renderer = self._lit(white, shown[1], frame)
                 shown = shown_as(renderer.table, exposure, white, space, bits, self.table)
             rendition, source = shown
             measured = source.white(frame) if source else None
@@ -112,7 +112,7 @@ class Renderer:
             nonlocal begun
             frame = self._frame(given)
             with starting:
-                begun = begun or begin(self._mixed(white, shown[1], frame))
+                begun = begun or begin(self._lit(white, shown[1], frame))
             renderer, rendition, following = begun
             filtered, scale, balance = following.shown(frame)
             return self._pixels(renderer, filtered, rendition, scale, balance)
@@ -128,10 +128,10 @@ class Renderer:
         with self._alone:
             return self._renderer.labels(self._frame(frame))
 
-    def _mixed(self, white: str | None, source: WhiteSource | None, frame: RawFrame) -> QuietRenderer:
-        """What renders frames by the table's transforms for a white that is given, or that of a frame; the last is kept."""
+    def _lit(self, white: str | None, source: WhiteSource | None, frame: RawFrame) -> QuietRenderer:
+        """What renders frames by the table's transforms for the light nearest to a given white, or to that of a frame."""
         found = source.white(frame) if source else given_white(white, self.table)
-        mix = None if found is None else mix_for(self.table, found.light.xyz)
+        mix = None if found is None else nearest_for(self.table, found.light.xyz)
         with self._alone:
             if mix not in self._of_mix:
                 made = quiet_renderer(self._backend, mixed(self.table, mix), None, **self._chosen)

@@ -40,6 +40,12 @@ def mix_for(table: TransformTable, white: NDArray[np.floating]) -> Mix | None:
     return Mix(warm, cool, float(np.clip((mireds[warm] - wanted) / span, 0.0, 1.0)) if span > 0 else 1.0)
 
 
+def nearest_for(table: TransformTable, white: NDArray[np.floating]) -> Mix | None:
+    """The one of those two lights that is nearer to a white (3), alone: for frames that are balanced for their white."""
+    mix = mix_for(table, white)
+    return None if mix is None else replace(mix, share=float(mix.share >= 0.5))
+
+
 def mixed(table: TransformTable, mix: Mix | None) -> TransformTable:
     """The table of one set of transforms that a mix of its lights makes; None: its transforms for all lights in common."""
     if mix is None:
@@ -59,10 +65,11 @@ def mixed(table: TransformTable, mix: Mix | None) -> TransformTable:
 
 
 def described(table: TransformTable, mix: Mix) -> str:
-    """The mix in words, such as "62 % A, 38 % D65"."""
-    cool = round(100 * mix.share)
-    parts = ((100 - cool, mix.warm), (cool, mix.cool))
-    return ", ".join(f"{part} % {table.lights[index].name}" for part, index in parts if part)
+    """The mix in words, such as "62 % A, 38 % D65", or "A"."""
+    warm, cool, percent = table.lights[mix.warm].name, table.lights[mix.cool].name, round(100 * mix.share)
+    if percent in (0, 100):
+        return cool if percent else warm
+    return f"{100 - percent} % {warm}, {percent} % {cool}"
 
 
 def _layer(common: Layer, warm: Transforms, cool: Transforms, share: float) -> Layer:

@@ -31,7 +31,7 @@ def transform_section(
         f"For {table.camera_name}. From {name}."
     )
     if lights := ", ".join(light["name"] for light in insight.get("lights", ())):
-        lead += f" Shown is what its lights have in common; for each of them, {lights}, it has transforms besides."
+        lead += f" Shown are the transforms for all its lights in common; it has others for each: {lights}."
     parts: tuple[Subsection, ...] = (
         Subsection("Class population", _population_blocks(table, insight)),
         Subsection("Transforms", _transform_blocks(table, light, class_name)),

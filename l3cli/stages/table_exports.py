@@ -7,7 +7,7 @@ from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import RecipeError
 from l3cli.files import write_whole
-from l3cli.rendering.lights import mixed
+from l3cli.rendering.lights import mix_for, mixed
 from l3cli.rendering.portable.folder import folder_files
 from l3cli.rendering.portable.onnx_model import onnx_files
 from l3cli.rendering.portable.source import Words, c_files
@@ -42,7 +42,7 @@ def export_table(
         transforms = load(TransformTable, table)
         if white is not None and not transforms.lights:
             raise RecipeError(f"{table} has transforms of no single lights to be mixed for a ‹white›; leave it out")
-        transforms = mixed(transforms, mix_of_given(white, transforms, console))
+        transforms = mixed(transforms, mix_of_given(white, transforms, mix_for, console))
         if transforms.quiet and form != "folder":
             console.alert(
                 f"{table}: {FORMS[form]} frames one by one, so the table's second set, for frames filtered in time, "

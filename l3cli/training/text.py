@@ -31,7 +31,7 @@ def learned(insight: dict[str, Any]) -> list[str]:
         lines += _later(number, layer)
     if lights := insight.get("lights"):
         named = " · ".join(f"{light['name']} {light['kelvin']} K" for light in lights)
-        lines.append(f"transforms of single lights, which a white mixes: {named}")
+        lines.append(f"transforms of single lights: {named}")
     return lines
 
 

@@ -19,7 +19,7 @@ from l3cli.io.raw.dng_writer import LIGHT_CODES, RawColour, write_dng
 from l3cli.physics import spectra
 from l3cli.physics.display import display_white
 from l3cli.rendering.balance import adaptation
-from l3cli.rendering.lights import Mix, mix_for, mixed
+from l3cli.rendering.lights import Mix, mixed
 from l3cli.rendering.white import Whites
 from l3cli.rendering.white_source import CAMERA
 from tests.helpers.tables import colorimetric_table
@@ -273,13 +273,15 @@ def several(table: Path, bayer: CameraModel) -> Path:
 
 
 @pytest.mark.parametrize("given", ["3200K", CAMERA])
-def test_transforms_of_several_lights_are_mixed(l3: Callable, several: Path, warm: Path, tmp_path: Path, given: str) -> None:
+def test_transforms_of_the_nearest_of_several_lights_are_taken(
+    l3: Callable, several: Path, warm: Path, tmp_path: Path, given: str
+) -> None:
     """As if the table had these alone, from Python too."""
     code, _, err = l3("render", several, warm, "--white", given, "-o", tmp_path / "a.png", *FAST)
     assert code == 0
-    assert "transforms of 81 % A, 19 % D65" in err
+    assert "transforms of A" in err
     table = load(TransformTable, several)
-    save(mixed(table, Mix(0, 1, share_of(table, "3200K"))), tmp_path / "mixed.h5")
+    save(mixed(table, Mix(0, 1, 0.0)), tmp_path / "mixed.h5")
     assert l3("render", tmp_path / "mixed.h5", warm, "--white", "3200K", "-o", tmp_path / "b.png", *FAST)[0] == 0
     ours, alone = (read_image(tmp_path / name)[0].astype(int) for name in ("a.png", "b.png"))
     assert np.abs(ours - alone).max() <= (1 if given == CAMERA else 0)
@@ -290,13 +292,13 @@ def test_transforms_of_several_lights_are_mixed(l3: Callable, several: Path, war
     np.testing.assert_array_equal(renderer.sequence(None, white=given, exposure=1.0)(frame), exposed)
 
 
-def share_of(table: TransformTable, light: str) -> float:
-    mix = mix_for(table, spectra.white_point(light))
-    assert mix is not None
-    return mix.share
+def test_what_is_exported_is_not_balanced_and_mixed(l3: Callable, several: Path, tmp_path: Path) -> None:
+    code, _, err = l3("export", several, "-o", tmp_path, "--to", "folder", "--white", "3200K")
+    assert code == 0
+    assert "white 3200K: transforms of 81 % A, 19 % D65" in err
 
 
-def test_a_sequence_is_rendered_by_the_mix_of_its_first_frame(
+def test_a_sequence_is_rendered_by_the_light_of_its_first_frame(
     l3: Callable, several: Path, bayer: CameraModel, tmp_path: Path
 ) -> None:
     """Also one of which each frame comes once."""
@@ -305,10 +307,10 @@ def test_a_sequence_is_rendered_by_the_mix_of_its_first_frame(
     (tmp_path / "clip.bin").write_bytes(frames.astype("<u2").tobytes())
     call = ("--white", "30,40", "--exposure", "1", *FAST, "-o")
     code, _, err = l3("render", several, tmp_path / "clip.npy", *call, tmp_path / "files" / "####.png")
-    assert (code, "transforms of 81 % A, 19 % D65, for all frames" in err) == (0, True)
+    assert (code, "transforms of A, for all frames" in err) == (0, True)
     with stdin_of(tmp_path / "clip.bin"):
         code, _, err = l3("render", several, "-", "--size", "60x160", *call, tmp_path / "stream" / "####.png")
-    assert (code, "transforms of 81 % A, 19 % D65, for all frames" in err) == (0, True)
+    assert (code, "transforms of A, for all frames" in err) == (0, True)
     for files in zip(*(sorted((tmp_path / name).iterdir()) for name in ("files", "stream")), strict=True):
         one, other = (read_image(file)[0] for file in files)
         np.testing.assert_array_equal(one, other)
@@ -331,7 +333,7 @@ def test_without_a_white_all_lights_are_taken_in_common(
 ) -> None:
     code, _, err = l3("render", several, warm, "-o", tmp_path / "a.png", *FAST)
     assert code == 0
-    assert "for all its lights in common (A, D65) are taken; --white mixes those of each" in err
+    assert "for all its lights in common (A, D65) are taken; --white chooses others" in err
     assert l3("render", table, warm, "-o", tmp_path / "b.png", *FAST)[0] == 0
     one, other = (read_image(tmp_path / name)[0] for name in ("a.png", "b.png"))
     np.testing.assert_array_equal(one, other)

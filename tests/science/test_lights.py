@@ -16,7 +16,7 @@ from l3cli.io.raw.files import KnownBetter
 from l3cli.physics import spectra
 from l3cli.physics.near_lights import mired_of
 from l3cli.rendering.kept_table import Layouts
-from l3cli.rendering.lights import Mix, described, mix_for, mixed
+from l3cli.rendering.lights import Mix, described, mix_for, mixed, nearest_for
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.stages.console import Silent
 from l3cli.stages.evaluation import raw_of
@@ -128,7 +128,7 @@ def test_the_lights_themselves_and_all_beyond_have_their_own_transforms(
         assert light.light is not None
         np.testing.assert_array_equal(made.light.radiance, light.light.radiance)
         assert mix is not None
-        assert described(table, mix) == f"100 % {light.name}"
+        assert described(table, mix) == light.name
     assert not mixed(table, mix).lights
 
 
@@ -146,6 +146,8 @@ def test_between_lights_transforms_are_mixed_by_mired() -> None:
         (mixed(table, mix).later[0], table.lights[1].later[0], table.lights[2].later[0]),
     ):
         np.testing.assert_allclose(ours.weights, one.weights + share * (other.weights - one.weights), rtol=1e-5, atol=1e-6)
+    assert nearest_for(table, white("3200K")) == Mix(1, 2, 0.0)
+    assert nearest_for(table, white("3700K")) == Mix(1, 2, 1.0)
     again = dataclasses.replace(table, lights=table.lights[::-1])
     assert equal(mixed(again, mix_for(again, white("3200K"))), mixed(table, mix))
 
@@ -163,6 +165,7 @@ def test_equal_sets_stay_what_they_are() -> None:
 def test_a_table_of_one_set_is_not_mixed() -> None:
     table = random_table(BAYER)
     assert mix_for(table, white("A")) is None
+    assert nearest_for(table, white("A")) is None
     assert mixed(table, None) is table
 
 

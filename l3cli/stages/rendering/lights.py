@@ -1,30 +1,35 @@
-"""How the transforms of a table of several lights are mixed for a run (docs/method.md#several-lights)."""
+"""Which transforms of a table of several lights a run takes (docs/method.md#several-lights)."""
 
 import contextlib
 import itertools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import L3Error
 from l3cli.frame import RawFrame
 from l3cli.io.sequences import Footage
-from l3cli.rendering.lights import Mix, described, mix_for
+from l3cli.rendering.lights import Mix, described, nearest_for
 from l3cli.rendering.white_source import WhiteSource, given_white
 from l3cli.stages.console import Console
 
+Choice = Callable[[TransformTable, NDArray[np.floating]], Mix | None]  # mix_for or nearest_for
 
-def mix_of_given(white: str | None, table: TransformTable, console: Console) -> Mix | None:
-    """The mix for a white that is given by name or "x,y"; None, the transforms of all lights in common, for that of the
+
+def mix_of_given(white: str | None, table: TransformTable, choice: Choice, console: Console) -> Mix | None:
+    """The choice for a white that is given by name or "x,y"; None, the transforms of all lights in common, for that of the
     table. RecipeError as given_white."""
     if not table.lights:
         return None
     given = given_white(white, table)
     if given is None:
         names = ", ".join(light.name for light in table.lights)
-        console.say(f"the table's transforms for all its lights in common ({names}) are taken; ‹white› mixes those of each")
+        console.say(f"the table's transforms for all its lights in common ({names}) are taken; ‹white› chooses others")
         return None
-    mix = mix_for(table, given.light.xyz)
+    mix = choice(table, given.light.xyz)
     assert mix is not None
     console.say(f"white {white}: transforms of {described(table, mix)}")
     return mix
@@ -33,8 +38,9 @@ def mix_of_given(white: str | None, table: TransformTable, console: Console) -> 
 def mix_of_first(
     source: WhiteSource, table: TransformTable, footage: Footage, console: Console
 ) -> tuple[Mix | None, Footage]:
-    """The mix for the white of the first of the frames, which all of them are rendered by, and the frames; None, the
-    transforms of all lights in common, where it has none. A frame that is broken tells of itself when it is rendered."""
+    """The light nearest to the white of the first of the frames, by whose transforms all of them are rendered, and the
+    frames; None, the transforms of all lights in common, where it has none. A frame that is broken tells of itself when it is
+    rendered."""
     first, footage = _first_frame(footage)
     white, alone = None, footage.count == 1
     if first is not None:
@@ -44,7 +50,7 @@ def mix_of_first(
         if not alone:
             console.say("the first frame tells no white; the table's transforms for all its lights in common are taken")
         return None, footage
-    mix = mix_for(table, white.light.xyz)
+    mix = nearest_for(table, white.light.xyz)
     assert mix is not None
     kept = "" if alone else ", for all frames"
     console.say(f"{first.name}: white {source.about}: transforms of {described(table, mix)}{kept}")

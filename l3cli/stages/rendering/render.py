@@ -17,7 +17,7 @@ from l3cli.io.sequences import Footage, find_frames, read_dark
 from l3cli.io.video import USUAL_RATE, VideoChoice
 from l3cli.rendering.display import require_xyz
 from l3cli.rendering.kept_table import open_table
-from l3cli.rendering.lights import mixed
+from l3cli.rendering.lights import mixed, nearest_for
 from l3cli.rendering.temporal.chunks import Chunks
 from l3cli.rendering.temporal.filters import filters
 from l3cli.rendering.white_source import given_white, usual_balance, white_source
@@ -83,7 +83,7 @@ def render(
         correction = None if model is None else correction_in(model, transforms)
         known = replace(known, correction=correction, hot=hot_test(transforms) if hot else None)
         source = white_source(white, transforms) if white is not None else None
-        lit, mix = transforms, None if source else mix_of_given(white, transforms, console)
+        lit, mix = transforms, None if source else mix_of_given(white, transforms, nearest_for, console)
         transforms = mixed(lit, mix)
         rendition = _rendition(destination, None if source else white, exposure, space, remosaic, bits, transforms, console)
         footage = find_frames(inputs, transforms, known, frames, dataset)
