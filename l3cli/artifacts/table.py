@@ -44,7 +44,7 @@ class TransformTable(Artifact):
     light: LightSpectrum | None = group(default=None)  # mean of those that fell on the training scenes
     camera: CameraModel | None = group(default=None)  # it was learned for, without its fit; None: an older file
     quiet: QuietSet | None = group(default=None)  # None: pixels of any noise have the same transforms
-    lights: tuple[LightSet, ...] = group(default=())  # for scenes under one of them, or under a light between two
+    lights: tuple[LightSet, ...] = group(default=())  # for scenes under one of them, or near it
 
     def __post_init__(self) -> None:
         super().__post_init__()

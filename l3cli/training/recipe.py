@@ -44,7 +44,7 @@ class LearningRecipe(Recipe):
     # share of the noise over time for which a second set of transforms is learned, for pixels of which --temporal has left
     # little noise (docs/method.md#noise-sets); 0: none
     noise_left: Annotated[float, msgspec.Meta(ge=0, lt=1)] = 0.0
-    # transforms for each light of the training besides those of all, mixed for the white of a scene
+    # transforms for each light of the training besides those of all, of which the white of a scene chooses
     # (docs/method.md#several-lights)
     per_light: bool = False
     level_power: Share = 1.0  # rows weigh level^-power: 1 for errors relative to the level, 0 for errors as they are

@@ -39,7 +39,7 @@ def mix_of_first(
     source: WhiteSource, table: TransformTable, footage: Footage, console: Console
 ) -> tuple[Mix | None, Footage]:
     """The light nearest to the white of the first of the frames, by whose transforms all of them are rendered, and the
-    frames; None, the transforms of all lights in common, where it has none. A frame that is broken tells of itself when it is
+    frames; None, the transforms of all lights in common, where it has none. What is wrong with a frame is said when it is
     rendered."""
     first, footage = _first_frame(footage)
     white, alone = None, footage.count == 1
