@@ -1,6 +1,6 @@
 """What white balance is worth under eight lights that a table has not seen (docs/method.md#scene-white).
 
-python -m pytest -m slow -s tests/studies/test_white_study.py      needs L3_DATA; six minutes on a core
+python -m pytest -m slow -s tests/studies/test_white_study.py      needs L3_DATA; a quarter of an hour on a core
 
 Five faces, leaves and a composition, each under eight lights, on a Bayer table of few leaves by the recipe `fast`, or on the
 table that L3_TABLE names with its camera in L3_CAMERA. Mean ΔE00 of pictures beside ideal ones under the same light, both
