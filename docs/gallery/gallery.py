@@ -29,8 +29,9 @@ from l3cli.io.embedded import jpeg
 from l3cli.io.images import encoded
 from l3cli.parallel import ordered_map
 from l3cli.recipes import known_recipes
-from l3cli.rendering.renderer import make_renderer
+from l3cli.stages.console import Silent
 from l3cli.stages.evaluation import evaluate_frame
+from l3cli.stages.frame_renderers import FrameRenderers
 from l3cli.stages.starting import summary
 
 FOLDER = Path(__file__).parent
@@ -111,7 +112,7 @@ def judged(table: Path, unseen: Path) -> tuple[TrainingSet, dict[str, Picture], 
     assert isinstance(transforms, TransformTable)
     with open_training_set(unseen) as reader:
         evaluation = Evaluation(transforms, reader.head)
-        frame, planes = evaluate_frame(evaluation, make_renderer("opencl", transforms), reader, 0)
+        frame, planes = evaluate_frame(evaluation, FrameRenderers("opencl", transforms, Silent()), reader, 0)
         pictures = frame_pictures(frame, planes) | {"raw": raw_picture(frame, reader.head.camera)}
         mean = evaluation.document()["mean"]
         figures = {name: {key: round(of[key], 2) for key in ("mean_delta_e", "psnr")} for name, of in mean.items()}

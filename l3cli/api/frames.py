@@ -19,9 +19,11 @@ from l3cli.frame import RawFrame
 from l3cli.io.raw import files as raw_files
 from l3cli.io.raw.files import KnownBetter
 from l3cli.rendering.balance import WhiteBalance
-from l3cli.rendering.quiet import quiet_renderer
+from l3cli.rendering.lights import Mix, mixed, nearest_for
+from l3cli.rendering.quiet import QuietRenderer, quiet_renderer
 from l3cli.rendering.temporal.chunks import Chunks
 from l3cli.rendering.temporal.filters import filters
+from l3cli.rendering.white_source import WhiteSource, given_white
 from l3cli.stages.rendering.following import Following, shown_as
 from l3cli.stages.rendering.rendition import OUTPUTS, Rendition, rendered
 
@@ -55,6 +57,7 @@ class Renderer:
         self.table = table if isinstance(table, TransformTable) else store.load(TransformTable, Path(table))
         chosen = {name: value for name, value in {"device": device, "variant": variant}.items() if value is not None}
         self._renderer, self._backend, self._chosen = quiet_renderer(backend, self.table, None, **chosen), backend, chosen
+        self._of_mix: dict[Mix | None, QuietRenderer] = {None: self._renderer}  # of its lights
         self._alone = threading.Lock()
 
     def picture(
@@ -75,12 +78,17 @@ class Renderer:
         self, frames: Iterable[RawFrame | NDArray[np.uint16]], *, exposure: float | None = None, white: str | None = None,
         space: str = "srgb", bits: int = 8,
     ) -> Iterator[NDArray[Any]]:  # fmt: skip
-        """`picture` of each frame, in order, as they are asked for; each has its automatic exposure."""
-        rendition, source = shown_as(self.table, exposure, white, space, bits)
-        for each in frames:
+        """`picture` of each frame, in order, as they are asked for; each has its automatic exposure. Of a table of several
+        lights they have the transforms of that nearest to the white of the first."""
+        renderer, shown = self._renderer, shown_as(self.table, exposure, white, space, bits)
+        for place, each in enumerate(frames):
             frame = self._frame(each)
+            if self.table.lights and place == 0:
+                renderer = self._lit(white, shown[1], frame)
+                shown = shown_as(renderer.table, exposure, white, space, bits, self.table)
+            rendition, source = shown
             measured = source.white(frame) if source else None
-            yield self._pixels(frame, rendition, exposure or 0.0, measured.balance if measured else None)
+            yield self._pixels(renderer, frame, rendition, exposure or 0.0, measured.balance if measured else None)
 
     def sequence(
         self, rate: Fraction | None, *, exposure: float | None = None, white: str | None = None, space: str = "srgb",
@@ -90,28 +98,51 @@ class Renderer:
         measured follow at `rate` (frames/s), as in `l3 render` of a sequence; None: they stay those of the first frame that
         it is called with, and the others may come in any order, from any thread. `temporal`: frames come in their order, and
         share what is not noise, as in `l3 render --temporal`; RecipeError if the table does not know its camera's noise."""
-        rendition, source = shown_as(self.table, exposure, white, space, bits)
+        how = (exposure, white, space, bits)
+        shown, starting = shown_as(self.table, *how), threading.Lock()
         quiet = Chunks(filters(self._backend, self.table, **self._chosen)) if temporal else None
-        following = Following(self.table, rendition, source, rate, quiet)
+
+        def begin(renderer: QuietRenderer) -> tuple[QuietRenderer, Rendition, Following]:
+            rendition, source = shown if renderer is self._renderer else shown_as(renderer.table, *how, self.table)
+            return renderer, rendition, Following(renderer.table, rendition, source, rate, quiet)
+
+        begun = None if self.table.lights else begin(self._renderer)
 
         def picture(given: RawFrame | NDArray[np.uint16]) -> NDArray[Any]:
-            frame, scale, balance = following.shown(self._frame(given))
-            return self._pixels(frame, rendition, scale, balance)
+            nonlocal begun
+            frame = self._frame(given)
+            with starting:
+                begun = begun or begin(self._lit(white, shown[1], frame))
+            renderer, rendition, following = begun
+            filtered, scale, balance = following.shown(frame)
+            return self._pixels(renderer, filtered, rendition, scale, balance)
 
         return picture
 
     def outputs(self, frame: RawFrame | NDArray[np.uint16]) -> NDArray[np.float32]:
         """The table's outputs, upright, (row, col, output); 1 is `table.output_unit` cd s/m²."""
-        return self._pixels(self._frame(frame), OUTPUTS, 0.0, None)
+        return self._pixels(self._renderer, self._frame(frame), OUTPUTS, 0.0, None)
 
     def labels(self, frame: RawFrame | NDArray[np.uint16]) -> NDArray[np.integer]:
         """The class (row, col) of every pixel, as the sensor lies."""
         with self._alone:
             return self._renderer.labels(self._frame(frame))
 
-    def _pixels(self, frame: RawFrame, rendition: Rendition, scale: float, balance: WhiteBalance | None) -> NDArray[Any]:
+    def _lit(self, white: str | None, source: WhiteSource | None, frame: RawFrame) -> QuietRenderer:
+        """What renders frames by the table's transforms for the light nearest to a given white, or to that of a frame."""
+        found = source.white(frame) if source else given_white(white, self.table)
+        mix = None if found is None else nearest_for(self.table, found.light.xyz)
         with self._alone:
-            pixels: NDArray[Any] = rendered(self._renderer, frame, rendition, scale, balance=balance).pixels
+            if mix not in self._of_mix:
+                made = quiet_renderer(self._backend, mixed(self.table, mix), None, **self._chosen)
+                self._of_mix = {None: self._renderer, mix: made}
+            return self._of_mix[mix]
+
+    def _pixels(
+        self, renderer: QuietRenderer, frame: RawFrame, rendition: Rendition, scale: float, balance: WhiteBalance | None
+    ) -> NDArray[Any]:
+        with self._alone:
+            pixels: NDArray[Any] = rendered(renderer, frame, rendition, scale, balance=balance).pixels
         return pixels
 
     def _frame(self, given: RawFrame | NDArray[np.uint16]) -> RawFrame:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel, check_cfa, check_sensor
 from l3cli.artifacts.layers import RATIO_TAPS, MosaicLayer, PlaneLayer
 from l3cli.artifacts.light import LightSpectrum
+from l3cli.artifacts.light_set import LightSet
 from l3cli.artifacts.quiet_set import QuietSet
 from l3cli.artifacts.schema import Artifact, data, group
 
@@ -43,6 +44,7 @@ class TransformTable(Artifact):
     light: LightSpectrum | None = group(default=None)  # mean of those that fell on the training scenes
     camera: CameraModel | None = group(default=None)  # it was learned for, without its fit; None: an older file
     quiet: QuietSet | None = group(default=None)  # None: pixels of any noise have the same transforms
+    lights: tuple[LightSet, ...] = group(default=())  # for scenes under one of them, or near it
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -65,6 +67,8 @@ class TransformTable(Artifact):
             raise ValueError("a layer that another follows has colour ratios; only the last one may")
         if self.quiet:
             self.quiet.check_fits(self.first, self.later)
+        for index, light in enumerate(self.lights):
+            light.check_fits(f"lights/{index}", self.first, self.later)
 
     def _check_later(self, layer: PlaneLayer) -> None:
         """ValueError if a layer does not fit the first one, whose levels, saturation cases and outputs it takes."""
@@ -90,9 +94,9 @@ class TransformTable(Artifact):
         if self.outputs[:3] != ("X", "Y", "Z") or len(self.outputs) == 3 or self.later:
             return self
         quiet = self.quiet and replace(self.quiet, first=self.quiet.first.pictured())
-        return replace(
-            self, outputs=self.outputs[:3], white_point=self.white_point[:3], first=self.first.pictured(), quiet=quiet
-        )
+        lights = tuple(light.pictured() for light in self.lights)
+        first, white_point = self.first.pictured(), self.white_point[:3]
+        return replace(self, outputs=self.outputs[:3], white_point=white_point, first=first, quiet=quiet, lights=lights)
 
     def dark_signal(self, exposure: float | None) -> float:
         """DN above black that dark current makes, on average, in `exposure` s; if that is unknown, in that of training. A

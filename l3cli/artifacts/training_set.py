@@ -110,6 +110,14 @@ class TrainingSet(Artifact):
     target_light: LightSpectrum | None = group(default=None)  # that the target is wanted under; None: that of each frame
 
 
+@dataclass(frozen=True)
+class FrameLight:
+    """What a frame tells of its light, read without its pixels."""
+
+    illuminant: str = data("str", doc="name of the illuminant")
+    white: NDArray[np.float64] = data("float64", "output", unit="cd/m^2 (XYZ)", doc="target of a perfect white")
+
+
 GROUPS: dict[str, type[TrainingPair]] = {"frames": TrainingFrame, "pairs": TrainingPair}
 
 
@@ -141,6 +149,12 @@ class TrainingSetReader:
         if (channels, len(frame.target)) != (len(self.head.camera.channels), len(self.head.outputs)):
             raise InputFileError(f"{self._path}: {group}/{name} is of another camera or target; make the file again")
         return frame
+
+    def light(self, index: int) -> FrameLight:
+        """The light of a frame."""
+        group, name = self._names[index]
+        light: FrameLight = read_fields(hard_group(self._groups[group], name, self._path), FrameLight, self._path)
+        return light
 
     def __iter__(self) -> Iterator[TrainingPair]:
         for index in range(len(self)):

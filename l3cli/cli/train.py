@@ -100,4 +100,6 @@ def train(
     else:
         table = train_whole(files, output, console, force=force, **asked)
     layers = [{"classes": classes, "without_patches": unfilled} for classes, unfilled in filling(table)]
-    return Result({"table": str(output), "layers": layers, "pass": table.history[-1].options.get("pass")})
+    lights = [light.name for light in table.lights]
+    made = {"table": str(output), "layers": layers, "pass": table.history[-1].options.get("pass")}
+    return Result(made | ({"lights": lights} if lights else {}))

@@ -16,6 +16,7 @@ MIREDS = np.concatenate([np.arange(40.0, 250.0, 10.0), np.arange(250.0, 631.0, 1
 DAYLIGHT_MIRED = 250.0  # 4000 K: from here down light is daylight, above it a black body's
 GREENS = np.arange(-0.8, 1.01, 0.1)  # natural logarithm of what a light has more, in the green, than black body or daylight
 GREEN_NM, GREEN_WIDTH = 545.0, 45.0  # where the lines of fluorescent lamps lie that make them green
+SAME_MIRED = 1.0  # between colour temperatures that are the same: 42 K at 6500 K, which nobody sees
 FINER = 10  # steps of the second search in one of the first
 
 
@@ -89,6 +90,11 @@ def temperature(xyz: Array) -> tuple[float, float]:
     mired = mireds[nearest] + along[nearest] * (mireds[nearest + 1] - mireds[nearest])
     side = step[nearest][0] * apart[nearest][1] - step[nearest][1] * apart[nearest][0]
     return float(1e6 / mired), float(np.copysign(np.linalg.norm(apart[nearest]), side))
+
+
+def mired_of(xyz: Array) -> float:
+    """Reciprocal colour temperature (10^6 / K) of a white (3), as `temperature`."""
+    return 1e6 / temperature(xyz)[0]
 
 
 def uv(xyz: Array) -> NDArray[np.float64]:

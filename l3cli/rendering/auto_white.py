@@ -25,12 +25,12 @@ LIKELY_ERROR, LIKELY_GREEN = 0.1, 0.1  # of the logarithm of a cone response; of
 
 class AutoWhite:
     """Estimates whites of frames on some 1500 pixels of one CFA site rendered on the processor, as LightMeter does: a pure
-    function of the frame, whatever the device."""
+    function of the frame, whatever the device. `balanced_by`: whose balances they have, None: those of the same table."""
 
     about, held = "estimated on the frame", False
 
-    def __init__(self, whites: Whites) -> None:
-        self._whites, self._table = whites, whites.table
+    def __init__(self, whites: Whites, balanced_by: Whites | None = None) -> None:
+        self._whites, self._table, self._balances = whites, whites.table, balanced_by or whites
         self._near = neighbourhoods(self._table.cfa, self._table.first.rule.patch, len(self._table.channels))
         self._neutrals = _neutrals(self._table)  # (mired, green, channel)
         self._places = self._log_ratios()  # (fine mired, fine green, 2)
@@ -43,8 +43,8 @@ class AutoWhite:
             return None
         place = self._nearest(estimate)
         if place not in self._made:
-            neutral = self._neutral(*place)
-            self._made[place] = self._whites.of_neutral(neutral) if self._table.camera else self._whites.of_xyz(neutral)
+            neutral, whites = self._neutral(*place), self._balances
+            self._made[place] = whites.of_neutral(neutral) if self._table.camera else whites.of_xyz(neutral)
         return self._made[place]
 
     def _nearest(self, estimate: Array) -> tuple[int, int]:

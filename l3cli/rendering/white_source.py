@@ -72,12 +72,13 @@ class SquareWhite:
         return self._whites.of_square(frame, self._square)
 
 
-def white_source(text: str, table: TransformTable) -> WhiteSource | None:
-    """What "camera", "auto" or "ROW,COL[,SIZE]" asks for; None where `text` is a white by itself, a name or "x,y"."""
+def white_source(text: str, table: TransformTable, estimated_by: TransformTable | None = None) -> WhiteSource | None:
+    """What "camera", "auto" or "ROW,COL[,SIZE]" asks for; None where `text` is a white by itself, a name or "x,y".
+    `estimated_by`: what estimates are made by, None: the table (docs/method.md#several-lights)."""
     if text == CAMERA:
         return CameraWhite(table)
     if text == AUTO:
-        return AutoWhite(Whites(table))
+        return AutoWhite(Whites(estimated_by or table), Whites(table))
     parts = text.split(",")
     if not (2 <= len(parts) <= 3 and (len(parts) == 3 or all(re.fullmatch(r"[+-]?\d+", part) for part in parts))):
         return None

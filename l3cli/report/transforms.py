@@ -30,6 +30,8 @@ def transform_section(
         f"{classes['trained']} are trained on patches of their own, {classes['filled']} filled from their neighbours. "
         f"For {table.camera_name}. From {name}."
     )
+    if lights := ", ".join(light["name"] for light in insight.get("lights", ())):
+        lead += f" Shown are the transforms for all its lights in common; it has others for each: {lights}."
     parts: tuple[Subsection, ...] = (
         Subsection("Class population", _population_blocks(table, insight)),
         Subsection("Transforms", _transform_blocks(table, light, class_name)),

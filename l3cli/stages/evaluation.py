@@ -20,10 +20,10 @@ from l3cli.frame import RawFrame
 from l3cli.io import images
 from l3cli.locks import finished_together, refuse_other_run
 from l3cli.rendering.display import require_xyz
-from l3cli.rendering.renderer import Renderer, make_renderer
 from l3cli.stages.claims import Claims
 from l3cli.stages.console import Console
 from l3cli.stages.frame_names import frame_name
+from l3cli.stages.frame_renderers import FrameRenderers
 from l3cli.stages.input_warnings import warn_if_trained_on, warn_if_unlike, warn_of_kernels
 from l3cli.stages.plan import Made, before_work
 
@@ -57,9 +57,9 @@ def evaluate(
                 unfinished.enter_context(finished_together(pictures, key, force))
             warn_if_trained_on(transforms, table, frames, console)
             warn_if_unlike((table, transforms), (frames, reader.head.camera), console)
-            renderer = make_renderer(backend, transforms)
+            renderers = FrameRenderers(backend, transforms, console)
             for index in console.progress(range(len(reader)), len(reader), "frames"):
-                frame, planes = evaluate_frame(evaluation, renderer, reader, index)
+                frame, planes = evaluate_frame(evaluation, renderers, reader, index)
                 if pictures is not None:
                     for name, picture in frame_pictures(frame, planes).items():
                         images.write_picture(pictures / f"{frame_name(index, frame.scene)}_{name}.png", picture)
@@ -68,11 +68,12 @@ def evaluate(
 
 
 def evaluate_frame(
-    evaluation: Evaluation, renderer: Renderer, reader: TrainingSetReader, index: int
+    evaluation: Evaluation, renderers: FrameRenderers, reader: TrainingSetReader, index: int
 ) -> tuple[TrainingPair, dict[str, NDArray]]:
     """Count a frame of a training set; the frame and the planes of every pipeline, as `Evaluation.add` gives them."""
     frame = reader.frame(index)
     raw = raw_of(frame, index, reader.head.camera)
+    renderer = renderers.of(frame)
     return frame, evaluation.add(frame, renderer.outputs(raw), renderer.labels(raw))
 
 

@@ -6,12 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.layers import PlaneLayer, PlaneRule
+from l3cli.artifacts.light_set import LightSet
 from l3cli.artifacts.structure_rule import DIRECTIONS, StructureRule
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.features import further_features
 from l3cli.classes.names import class_name, kind_name
 from l3cli.classes.tree import EVERY
 from l3cli.classes.windows import window_channels
+from l3cli.physics.near_lights import temperature
 
 WORST = 8  # classes named
 
@@ -24,7 +26,8 @@ def insight(table: TransformTable) -> dict[str, Any]:
     noise_gain: √Σw² of each output, median and worst over trained classes. dc_gain: median over
     trained unsaturated classes of what a flat unit signal of one channel adds to each output. condition: median and worst
     over trained classes. worst: the trained classes of the largest noise gain (of Y if there is one), with their names.
-    All are of the first layer; later: of every layer after it `later_layer`.
+    All are of the first layer and of all lights together; later: of every layer after it `later_layer`. lights: names of
+    those that have transforms besides, and their colour temperatures in K; not there if none has.
     """
     trained, rule = table.first.samples > 0, table.first.rule
     taps = rule.patch**2
@@ -60,7 +63,12 @@ def insight(table: TransformTable) -> dict[str, Any]:
             for index in worst.tolist()
         ],
         "later": [later_layer(layer, table.outputs) for layer in table.later],
+        **({"lights": [_light(light) for light in table.lights]} if table.lights else {}),
     }
+
+
+def _light(light: LightSet) -> dict[str, Any]:
+    return {"name": light.name, "kelvin": round(temperature(light.white_point[:3])[0])}
 
 
 def later_layer(layer: PlaneLayer, outputs: tuple[str, ...]) -> dict[str, Any]:

@@ -44,6 +44,9 @@ class LearningRecipe(Recipe):
     # share of the noise over time for which a second set of transforms is learned, for pixels of which --temporal has left
     # little noise (docs/method.md#noise-sets); 0: none
     noise_left: Annotated[float, msgspec.Meta(ge=0, lt=1)] = 0.0
+    # transforms for each light of the training besides those of all, of which the white of a scene chooses
+    # (docs/method.md#several-lights)
+    per_light: bool = False
     level_power: Share = 1.0  # rows weigh level^-power: 1 for errors relative to the level, 0 for errors as they are
     brightness_power: float = 0.5  # rows weigh (Y / level)^-power, 0…1 (docs/method.md#row-weights)
     error_power: float = 0.25  # second pass: (e² + ¼)^-power, e the error of the first (docs/method.md#second-pass)
@@ -148,6 +151,9 @@ def learning_faults(recipe: LearningRecipe) -> Iterator[Fault]:
         yield fault("learning.ridge must be positive, the noise weights not negative", *wrong)
     if recipe.noise_left and recipe.noise == "none":
         yield fault('learning.noise_left has no noise to leave a share of where noise is "none"', "learning.noise_left")
+    if recipe.noise_left and recipe.per_light:
+        message = "learning.per_light: a table has transforms of several lights or of less noise; leave out noise_left"
+        yield fault(message, "learning.noise_left", "learning.per_light")
     powers = {"brightness_power": 0 <= recipe.brightness_power <= 1, "error_power": 0 <= recipe.error_power <= 0.5}
     if wrong := [f"learning.{key}" for key, right in powers.items() if not right]:
         yield fault("learning.brightness_power must lie in 0…1, error_power in 0…0.5", *wrong)

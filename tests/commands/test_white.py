@@ -1,7 +1,9 @@
 """l3 render --white: the file's, a grey's, estimated, by name; right and wrong calls, sequences, resumed runs, Python."""
 
+import contextlib
 import dataclasses
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +11,7 @@ import pytest
 
 import l3cli
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.light_set import LightSet
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.io.images import read_image
@@ -16,6 +19,7 @@ from l3cli.io.raw.dng_writer import LIGHT_CODES, RawColour, write_dng
 from l3cli.physics import spectra
 from l3cli.physics.display import display_white
 from l3cli.rendering.balance import adaptation
+from l3cli.rendering.lights import Mix, mixed
 from l3cli.rendering.white import Whites
 from l3cli.rendering.white_source import CAMERA
 from tests.helpers.tables import colorimetric_table
@@ -251,3 +255,85 @@ def test_a_table_of_an_older_file_adapts_from_what_it_shows(l3: Callable, table:
         assert code == 0
         assert ": white " in err
         assert cast(tmp_path / "a.png") <= (25 if white == "auto" else ROUNDING)
+
+
+@pytest.fixture(scope="module")
+def several(table: Path, bayer: CameraModel) -> Path:
+    """A table of several lights."""
+    common = load(TransformTable, table)
+    assert common.camera
+    made = [colorimetric_table(common.camera, light) for light in ("A", "D65")]
+    lights = [
+        LightSet.of(name, one.white_point, one.light, one.first, one.later)
+        for name, one in zip(("A", "D65"), made, strict=True)
+    ]
+    path = table.with_name("several.h5")
+    save(dataclasses.replace(common, lights=tuple(lights)), path)
+    return path
+
+
+@pytest.mark.parametrize("given", ["3200K", CAMERA])
+def test_transforms_of_the_nearest_of_several_lights_are_taken(
+    l3: Callable, several: Path, warm: Path, tmp_path: Path, given: str
+) -> None:
+    """As if the table had these alone, from Python too."""
+    code, _, err = l3("render", several, warm, "--white", given, "-o", tmp_path / "a.png", *FAST)
+    assert code == 0
+    assert "transforms of A" in err
+    table = load(TransformTable, several)
+    save(mixed(table, Mix(0, 1, 0.0)), tmp_path / "mixed.h5")
+    assert l3("render", tmp_path / "mixed.h5", warm, "--white", "3200K", "-o", tmp_path / "b.png", *FAST)[0] == 0
+    ours, alone = (read_image(tmp_path / name)[0].astype(int) for name in ("a.png", "b.png"))
+    assert np.abs(ours - alone).max() <= (1 if given == CAMERA else 0)
+    renderer = l3cli.Renderer(several, backend="reference")
+    frame = l3cli.read_raw(warm, renderer.table)
+    np.testing.assert_array_equal(renderer.picture(frame, white=given), ours)
+    exposed = renderer.picture(frame, white=given, exposure=1.0)
+    np.testing.assert_array_equal(renderer.sequence(None, white=given, exposure=1.0)(frame), exposed)
+
+
+def test_what_is_exported_is_not_balanced_and_mixed(l3: Callable, several: Path, tmp_path: Path) -> None:
+    code, _, err = l3("export", several, "-o", tmp_path, "--to", "folder", "--white", "3200K")
+    assert code == 0
+    assert "white 3200K: transforms of 81 % A, 19 % D65" in err
+
+
+def test_a_sequence_is_rendered_by_the_light_of_its_first_frame(
+    l3: Callable, several: Path, bayer: CameraModel, tmp_path: Path
+) -> None:
+    """Also one of which each frame comes once."""
+    frames = np.stack([mosaic(bayer, light) for light in ("3200K", "D65")])
+    np.save(tmp_path / "clip.npy", frames)
+    (tmp_path / "clip.bin").write_bytes(frames.astype("<u2").tobytes())
+    call = ("--white", "30,40", "--exposure", "1", *FAST, "-o")
+    code, _, err = l3("render", several, tmp_path / "clip.npy", *call, tmp_path / "files" / "####.png")
+    assert (code, "transforms of A, for all frames" in err) == (0, True)
+    with stdin_of(tmp_path / "clip.bin"):
+        code, _, err = l3("render", several, "-", "--size", "60x160", *call, tmp_path / "stream" / "####.png")
+    assert (code, "transforms of A, for all frames" in err) == (0, True)
+    for files in zip(*(sorted((tmp_path / name).iterdir()) for name in ("files", "stream")), strict=True):
+        one, other = (read_image(file)[0] for file in files)
+        np.testing.assert_array_equal(one, other)
+
+
+@contextlib.contextmanager
+def stdin_of(path: Path) -> Iterator[None]:
+    before = os.dup(0)
+    try:
+        with path.open("rb") as file:
+            os.dup2(file.fileno(), 0)
+            yield
+    finally:
+        os.dup2(before, 0)
+        os.close(before)
+
+
+def test_without_a_white_all_lights_are_taken_in_common(
+    l3: Callable, table: Path, several: Path, warm: Path, tmp_path: Path
+) -> None:
+    code, _, err = l3("render", several, warm, "-o", tmp_path / "a.png", *FAST)
+    assert code == 0
+    assert "for all its lights in common (A, D65) are taken; --white chooses others" in err
+    assert l3("render", table, warm, "-o", tmp_path / "b.png", *FAST)[0] == 0
+    one, other = (read_image(tmp_path / name)[0] for name in ("a.png", "b.png"))
+    np.testing.assert_array_equal(one, other)

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.layers import RATIO_TAPS, MosaicLayer, PlaneLayer
+from l3cli.artifacts.light_set import LightSet
 from l3cli.artifacts.quiet_set import QuietSet
 from l3cli.artifacts.structure_rule import StructureRule
 from l3cli.artifacts.table import TransformTable
@@ -86,6 +87,22 @@ def with_quiet(table: TransformTable, noise_left: float = 0.125, seed: int = 9) 
         for layer in table.later
     )
     return dataclasses.replace(table, quiet=QuietSet(noise_left, first, later))
+
+
+def with_lights(table: TransformTable, *lights: str, seed: int = 5) -> TransformTable:
+    """The table with transforms of random weights for each of some lights."""
+    rng = np.random.default_rng(seed)
+
+    def changed(layer: Any) -> Any:
+        return dataclasses.replace(layer, weights=rng.permutation(layer.weights), intercept=rng.permutation(layer.intercept))
+
+    grid = np.arange(400.0, 701.0, 10.0)
+    sets = []
+    for name in lights:
+        light = LightSpectrum(grid, spectra.illuminant(name, grid).astype(np.float32))
+        white = np.append(spectra.white_point(name), np.ones(len(table.outputs) - 3))
+        sets.append(LightSet.of(name, white, light, changed(table.first), tuple(map(changed, table.later))))
+    return dataclasses.replace(table, lights=tuple(sets))
 
 
 def with_ratios(layer: PlaneLayer, rng: np.random.Generator) -> PlaneLayer:

@@ -19,7 +19,7 @@ from l3cli.rendering import kept_table
 from l3cli.rendering.kept_table import OpenTable, open_table
 from l3cli.rendering.opencl import OpenCLRenderer
 from tests.helpers.cameras import BAYER
-from tests.helpers.tables import frame_of_all_levels, random_table, with_later, with_quiet, with_tree
+from tests.helpers.tables import frame_of_all_levels, random_table, with_later, with_lights, with_quiet, with_tree
 
 
 def flip_a_byte(file: Path) -> None:
@@ -98,6 +98,7 @@ TABLES = {
     "two layers": with_later(TABLE, 3, ratios=True),
     "trees": with_tree(TABLE),
     "quiet set": with_quiet(with_later(TABLE, 3)),
+    "lights": with_lights(with_later(TABLE, 3), "A", "D65"),
 }
 
 

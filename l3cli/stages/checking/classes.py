@@ -47,6 +47,7 @@ def meaning(recipe: TrainingRecipe, source: Source) -> tuple[dict[str, Any], lis
     document = {
         "levels": levels, "contrasts": contrasts, "further": further, "chromas": chromas, "saturation_cases": cases,
         "patch": classes.patch, "layers": layers, "patches": recipe.learning.patches,
+        "per_light": recipe.learning.per_light,
     }  # fmt: skip
     if camera is not None:
         sites = camera.cfa.size

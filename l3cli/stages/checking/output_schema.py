@@ -79,6 +79,7 @@ RESULTS: dict[str, dict[str, dict[str, Any]]] = {  # command → keys of its res
         "table": TEXT,
         "layers": _listed(_structure(classes=COUNT, without_patches=COUNT)),
         "pass": _told(_maybe(TEXT), "of merged shards, unless it is the last one"),
+        "lights": _told(_listed(TEXT), "where there are transforms for each"),
         "partial_sums": TEXT,
         "shard": _told(_listed(COUNT), "number from 1, of how many"),
     },

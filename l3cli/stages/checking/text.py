@@ -89,6 +89,8 @@ def _classes(classes: dict[str, Any], width: int | None) -> list[str]:
     if "table_bytes" in classes:
         size = _size(classes["table_bytes"])
         lines.append(f"for {classes['camera']}: {classes['sites']} sites; a table of three outputs has up to {size}")
+        if classes["per_light"]:
+            lines.append("and as much again for each light of the training")
     return lines
 
 

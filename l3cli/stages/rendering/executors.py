@@ -21,6 +21,7 @@ from l3cli.parallel import Crew
 from l3cli.parallel.threads import Meanwhile
 from l3cli.rendering.balance import WhiteBalance
 from l3cli.rendering.display import Display
+from l3cli.rendering.lights import Mix, mixed
 from l3cli.stages.plan import is_dry
 from l3cli.stages.rendering.corrections import CameraFile, correction_again
 from l3cli.stages.rendering.rendition import Exposed, Rendered, Rendition, Unread, file_of, rendered, shown
@@ -85,6 +86,7 @@ class RenderSetup:
     rendition: Rendition
     suffix: str | None  # of the picture files; None: pixels are wanted
     camera: CameraFile | None = None  # whose defects and flat field are corrected
+    mix: Mix | None = None  # of the table's lights
 
 
 @dataclass(frozen=True)
@@ -130,7 +132,8 @@ def _rendered(job: RenderJob) -> Any:
     """In a worker: the picture of a frame, or what is wrong with its file."""
     setup = job.setup
     pictures = setup.rendition.balance is not None
-    table, renderer = _renderer(setup.table, setup.digest, setup.backend, tuple(setup.engine.items()), pictures)
+    about = (setup.table, setup.digest, setup.backend, tuple(setup.engine.items()), pictures, setup.mix)
+    table, renderer = _renderer(*about)
     frame = job.frame
     correction = None if setup.camera is None else correction_again(setup.camera)
     if isinstance(frame, Unread):
@@ -148,16 +151,16 @@ def _rendered(job: RenderJob) -> Any:
 
 @functools.lru_cache(1)
 def _renderer(
-    path: Path, digest: str, backend: str, engine: tuple[tuple[str, str | None], ...], pictures: bool
+    path: Path, digest: str, backend: str, engine: tuple[tuple[str, str | None], ...], pictures: bool, mix: Mix | None
 ) -> "tuple[TransformTable, Renderer]":
-    """The table, of `pictures` X, Y, Z alone, and what renders through it, made once a worker."""
+    """The table, of `pictures` X, Y, Z alone, mixed for a light, and what renders through it, made once a worker."""
     from l3cli.artifacts.store import load
     from l3cli.artifacts.table import TransformTable
     from l3cli.rendering.quiet import quiet_renderer
 
     require_same(path, digest)
     table = load(TransformTable, path)
-    table = table.pictured() if pictures else table
+    table = mixed(table.pictured() if pictures else table, mix)
     return table, quiet_renderer(backend, table, None, **dict(engine))
 
 
@@ -189,12 +192,13 @@ class Renderers:
         self._kept: dict[Any, Renderer] = {}
 
     def of(self, setup: RenderSetup, table: "TransformTable", layouts: "Layouts") -> "Renderer":
-        """The renderer of a run; `layouts`: what has been made of the table before."""
+        """The renderer of a run; `layouts`: what has been made of the file's table before."""
         from l3cli.rendering.quiet import quiet_renderer
 
-        key = setup.digest, table.outputs, setup.backend, tuple(setup.engine.items())
+        key = setup.digest, table.outputs, setup.backend, tuple(setup.engine.items()), setup.mix
         if key not in self._kept:
-            self._kept = {key: quiet_renderer(setup.backend, table, layouts, **setup.engine)}
+            of_file = layouts if setup.mix is None else None
+            self._kept = {key: quiet_renderer(setup.backend, table, of_file, **setup.engine)}
         return self._kept[key]
 
     def forget(self) -> None:

@@ -22,12 +22,13 @@ ANY_RATE = Fraction(30)  # frames/s, where only one frame is measured
 
 
 def shown_as(
-    table: "TransformTable", exposure: float | None, white: str | None, space: str, bits: int
-) -> tuple[Rendition, WhiteSource | None]:
-    """How pictures are made, and where frames have their white from, None: all have that of the rendition. RecipeError
-    if there is no such white or space, or the table's outputs are not X, Y, Z."""
+    table: "TransformTable", exposure: float | None, white: str | None, space: str, bits: int,
+    estimated_by: "TransformTable | None" = None,
+) -> tuple[Rendition, WhiteSource | None]:  # fmt: skip
+    """How pictures are made, and where frames have their white from, None: all have that of the rendition. `estimated_by`:
+    as of white_source. RecipeError if there is no such white or space, or the table's outputs are not X, Y, Z."""
     require_xyz(table.outputs)
-    source = white_source(white, table) if white is not None else None
+    source = white_source(white, table, estimated_by) if white is not None else None
     given = None if source else given_white(white, table)
     shown = given.balance if given else usual_balance(table)
     return Rendition(shown, exposure, bits, chosen_space(space, bits == FLOAT_BITS)), source

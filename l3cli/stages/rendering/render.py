@@ -3,7 +3,7 @@
 import functools
 import os
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import astuple, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +17,7 @@ from l3cli.io.sequences import Footage, find_frames, read_dark
 from l3cli.io.video import USUAL_RATE, VideoChoice
 from l3cli.rendering.display import require_xyz
 from l3cli.rendering.kept_table import open_table
+from l3cli.rendering.lights import mixed, nearest_for
 from l3cli.rendering.temporal.chunks import Chunks
 from l3cli.rendering.temporal.filters import filters
 from l3cli.rendering.white_source import given_white, usual_balance, white_source
@@ -26,6 +27,7 @@ from l3cli.stages.input_warnings import warn_of_kernels, warn_of_white
 from l3cli.stages.rendering.corrections import CameraFile, correction_in, hot_test
 from l3cli.stages.rendering.destination import Destination, claim, destination_of, marked, paged, refuse_missing
 from l3cli.stages.rendering.executors import Renderers, RenderSetup, executor_of, while_reading
+from l3cli.stages.rendering.lights import mix_of_first, mix_of_given
 from l3cli.stages.rendering.mark import Origins
 from l3cli.stages.rendering.plan import plan
 from l3cli.stages.rendering.rendition import Rendition, chosen_space, for_developers, outputs_as_they_are
@@ -81,6 +83,8 @@ def render(
         correction = None if model is None else correction_in(model, transforms)
         known = replace(known, correction=correction, hot=hot_test(transforms) if hot else None)
         source = white_source(white, transforms) if white is not None else None
+        lit, mix = transforms, None if source else mix_of_given(white, transforms, nearest_for, console)
+        transforms = mixed(lit, mix)
         rendition = _rendition(destination, None if source else white, exposure, space, remosaic, bits, transforms, console)
         footage = find_frames(inputs, transforms, known, frames, dataset)
         if shard is not None:
@@ -93,8 +97,12 @@ def render(
             refuse_missing(footage)
         choice = replace(choice, rate=rate or footage.rate or USUAL_RATE)
         plan(table, inputs, dark, footage, destination, force or resume, skip_bad)
+        if source is not None and white is not None and lit.lights:
+            mix, footage = mix_of_first(source, lit, footage, console)
+            transforms = mixed(lit, mix)
+            source, rendition = white_source(white, transforms, lit), replace(rendition, balance=usual_balance(transforms))
         setup = RenderSetup(
-            table.absolute(), opened.digest, backend, engine, known, rendition, destination.file_suffix, model
+            table.absolute(), opened.digest, backend, engine, known, rendition, destination.file_suffix, model, mix
         )
         steady = follows(footage, destination) and (rendition.measures_exposure or source is not None)
         chunks = _chunks(backend, engine, transforms, scheduler, footage, console) if temporal else None
@@ -102,6 +110,7 @@ def render(
         levels = (replace(known, dark=None, correction=None), known.dark and known.dark.digest)
         key: list[Any] = [setup.digest, __version__, frames, dataset, suffix, backend, chosen, exposure, white, choice]
         key += [space, remosaic, *levels, known.correction and known.correction.digest, steady, temporal, shard]
+        key += [] if mix is None else [astuple(mix)]
         origins = functools.partial(Origins, inputs[0], steady or temporal)
         with (
             marked(destination, key, resume, force, footage, origins) as mark,

@@ -6,12 +6,12 @@ from typing import Any
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet, TrainingSetReader, open_training_set
 from l3cli.io.embedded import jpeg
-from l3cli.rendering.renderer import Renderer, make_renderer
 from l3cli.report.front import Pictures, front_section, shown_frames
 from l3cli.report.parts import Section, Subsection
 from l3cli.report.pixels import picker
 from l3cli.stages.console import Console
 from l3cli.stages.evaluation import evaluate_frame, raw_of
+from l3cli.stages.frame_renderers import FrameRenderers
 from l3cli.stages.input_warnings import warn_if_unlike
 from l3cli.stages.reporting.artifacts import Entry
 from l3cli.stages.reporting.charts import chart_subsection
@@ -45,16 +45,16 @@ def judge(
 
     (given, transforms), (seen, head) = table, frames
     warning = warn_if_unlike((given.name, transforms), (seen.name, head.camera), console)
-    renderer = make_renderer(backend, transforms)
+    renderers = FrameRenderers(backend, transforms, console)
     with open_training_set(seen.path, unchanged=True) as reader:
         evaluation = Evaluation(transforms, reader.head)
         pictures, chart = transforms.outputs == XYZ, None
         for index in console.progress(range(len(reader)), len(reader), "frames"):
-            frame, planes = evaluate_frame(evaluation, renderer, reader, index)
+            frame, planes = evaluate_frame(evaluation, renderers, reader, index)
             if pictures and chart is None:
                 chart = chart_subsection(frame, index, planes, head)
         document = evaluation.document()
-        front = _front(table, seen, document, reader, renderer, anchor, limits, chart) if pictures else None
+        front = _front(table, seen, document, reader, renderers, anchor, limits, chart) if pictures else None
     return Judged(table, frames, document, front, warning)
 
 
@@ -63,7 +63,7 @@ def _front(
     seen: Entry,
     document: dict[str, Any],
     reader: TrainingSetReader,
-    renderer: Renderer,
+    renderers: FrameRenderers,
     anchor: str,
     limits: tuple[int, int, int],
     chart: Subsection | None,
@@ -73,11 +73,12 @@ def _front(
 
     again, pictures = Evaluation(table[1], reader.head), Pictures()
     for index in shown_frames(document):
-        pictures[index] = frame_pictures(*evaluate_frame(again, renderer, reader, index))
+        pictures[index] = frame_pictures(*evaluate_frame(again, renderers, reader, index))
     first = next(iter(pictures))
     frame = reader.frame(first)
     raw = raw_of(frame, first, reader.head.camera)
-    crop, text = crop_of(table[1], reader.head.camera, renderer, raw, *limits[1:])
+    renderer = renderers.of(frame)
+    crop, text = crop_of(renderer.table, reader.head.camera, renderer, raw, *limits[1:])
     cropped = {name: pictures[first][name] for name in CROPPED if name in pictures[first]}
     looked_into = picker(f"{anchor}-{first}", crop, text, cropped, frame.scene, jpeg)
     title = f"Pictures: {table[0].name} on {seen.name}"

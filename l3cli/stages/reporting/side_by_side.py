@@ -2,11 +2,12 @@
 
 from l3cli.artifacts.training_set import open_training_set
 from l3cli.io.embedded import jpeg
-from l3cli.rendering.renderer import make_renderer
 from l3cli.report.parts import Section
 from l3cli.report.pictures import Pixels
 from l3cli.report.side_by_side import Side, shared_frame, side_by_side_section
+from l3cli.stages.console import Silent
 from l3cli.stages.evaluation import evaluate_frame
+from l3cli.stages.frame_renderers import FrameRenderers
 from l3cli.stages.reporting.judged import Judged
 
 
@@ -24,5 +25,5 @@ def _pictures(judged: Judged, index: int, backend: str) -> dict[str, Pixels]:
 
     (_, table), (frames, head) = judged.table, judged.frames
     with open_training_set(frames.path, unchanged=True) as reader:
-        renderer = make_renderer(backend, table)
-        return frame_pictures(*evaluate_frame(Evaluation(table, head), renderer, reader, index))
+        renderers = FrameRenderers(backend, table, Silent())  # each has been judged before
+        return frame_pictures(*evaluate_frame(Evaluation(table, head), renderers, reader, index))

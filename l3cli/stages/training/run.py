@@ -1,7 +1,7 @@
 """A training run: what all of its passes and shards have in common, and the frames of its training sets."""
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
@@ -29,6 +29,11 @@ class TrainingSource:
     frames: int
     digest: str  # SHA-256
     stamp: tuple[int, ...]  # of the file that has it
+    chosen: tuple[int, ...] | None = None  # indices of the frames in the file; None: all that it has
+
+    def places(self, frames: range) -> Iterable[int]:
+        """Indices in the file of some of the frames."""
+        return frames if self.chosen is None else self.chosen[frames.start : frames.stop]
 
 
 @dataclass(frozen=True)
@@ -98,10 +103,10 @@ def frames_of(training: tuple[TrainingSource, ...], wanted: range, remote: bool)
         if remote:  # for who knows how many runs: nothing is held
             require_same(source.path, source.digest)
             with open_training_set(source.path, unchanged=True) as reader:
-                yield from map(reader.frame, here)
+                yield from map(reader.frame, source.places(here))
             continue
         _require_in_place(source)
-        yield from _held_or_read(source, here)
+        yield from _held_or_read(source, source.places(here))
 
 
 def _require_in_place(source: TrainingSource) -> None:
@@ -109,7 +114,7 @@ def _require_in_place(source: TrainingSource) -> None:
         raise InputFileError(f"{source.path} has been replaced while it was trained on; train again")
 
 
-def _held_or_read(source: TrainingSource, wanted: range) -> Iterator[TrainingPair]:
+def _held_or_read(source: TrainingSource, wanted: Iterable[int]) -> Iterator[TrainingPair]:
     with contextlib.ExitStack() as opened:
         reader = None
         for index in wanted:

@@ -30,6 +30,7 @@ from l3cli.stages.console import Console
 from l3cli.stages.plan import Made, before_work
 from l3cli.stages.training.later_layers import tell_what_is_left_out
 from l3cli.stages.training.layer_shards import merged_layer, write_layer_shard
+from l3cli.stages.training.lights import require_one_go
 from l3cli.stages.training.passes import Execution, first_pass, sum_unit, summed
 from l3cli.stages.training.quiet import filtered_head, quiet_as_table, quiet_pass, with_quiet
 from l3cli.stages.training.run import FIRST_PASS, LAYERS, TrainingRun
@@ -59,6 +60,7 @@ def train_shard(
         claims.claim_file(output, force)
         made = Made(output, f"partial sums, shard {shard[0]} of {shard[1]},")
         with executed(training, console, classes, shares, seed, jobs, scheduler, made) as (run, execution):
+            require_one_go(run)
             table = load(TransformTable, first) if first else None
             tell_what_is_left_out(run, console)
             if table and run.has_later_layers and _is_of(run, table, LAYERS[len(table.later)]):

@@ -16,6 +16,7 @@ from l3cli.stages.console import Console
 from l3cli.stages.plan import Made, before_work
 from l3cli.stages.training.held_frames import held_for_a_run
 from l3cli.stages.training.later_layers import learn_later
+from l3cli.stages.training.lights import learn_lights, runs_by_light
 from l3cli.stages.training.passes import Execution, first_pass, learn_first
 from l3cli.stages.training.quiet import learn_quiet
 from l3cli.stages.training.run import TrainingRun, open_run
@@ -55,6 +56,7 @@ def executed(
     if scheduler:
         training = tuple(path.absolute() for path in training)  # for workers elsewhere
     run = open_run(training, classes, shares, seed)
+    runs_by_light(run)  # refused before any work
     frames = sum(source.frames for source in run.training)
     made = replace(made, what=f"{made.what} of {sum(run.patches)} patches in {frames} frames")
     before_work({"training sets": training, "class recipe": [classes] if classes else []}, made)
@@ -68,7 +70,8 @@ def executed(
 def _learn(run: TrainingRun, execution: Execution) -> TransformTable:
     """All passes of all sets."""
     table = learn_first(run, first_pass(run, execution), execution)
-    return learn_quiet(run, learn_later(run, table, execution), execution)
+    table = learn_quiet(run, learn_later(run, table, execution), execution)
+    return learn_lights(run, table, execution)
 
 
 def say_table(table: TransformTable, output: Path, console: Console) -> None:

@@ -1,0 +1,108 @@
+"""Transforms for each light of a training: its frames learned once more, by the classes of all
+(docs/method.md#several-lights)."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.light_set import LightSet
+from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.training_set import open_training_set
+from l3cli.errors import InputFileError, RecipeError
+from l3cli.physics.display import XYZ
+from l3cli.physics.near_lights import SAME_MIRED, mired_of
+from l3cli.stages.console import Silent
+from l3cli.stages.training.later_layers import layer_mosaics, layer_pass, summed_layer
+from l3cli.stages.training.passes import Execution, first_pass, learn_first
+from l3cli.stages.training.run import TrainingRun, TrainingSource
+from l3cli.training.layers.learn import learn_layer
+from l3cli.training.training_pass import spread_patches
+
+SAME_LIGHT = 1e-3  # relative difference of whites that are of one light, as spectra of one name give them
+
+
+def learn_lights(run: TrainingRun, table: TransformTable, execution: Execution) -> TransformTable:
+    """The table with transforms for each light, if the recipe wants them."""
+    sets = []
+    for name, of_light in runs_by_light(run):
+        execution.console.say(f"transforms for {name}: {len(of_light.patches)} frames")
+        pass_ = first_pass(of_light, replace(execution, console=Silent()))  # its white and light; classes are the table's
+        pass_ = replace(pass_, rule=table.first.rule, exposure=table.exposure)
+        made = learn_first(of_light, pass_, execution)
+        for number, common in enumerate(table.later):
+            layer = layer_pass(made, run.recipe, layer_mosaics(of_light, number), run.seed)
+            sums = summed_layer(of_light, layer, common.rule, range(len(layer.mosaics)), execution)
+            made = replace(made, later=(*made.later, learn_layer(layer, common.rule, sums)))
+        sets.append(LightSet.of(name, made.white_point, made.light, made.first, made.later))
+    return replace(table, lights=tuple(sets)) if sets else table
+
+
+def runs_by_light(run: TrainingRun) -> list[tuple[str, TrainingRun]]:
+    """Each light of a run whose recipe wants transforms for it, the warmest first, with the run over its frames alone, as
+    many patches and mosaics as over all; none if it does not. InputFileError if the frames cannot be told apart by light."""
+    if not run.recipe.learning.per_light:
+        return []
+    named = ", ".join(str(source.path) for source in run.training)
+    if run.head.outputs[:3] != XYZ or run.head.target_light is not None:
+        raise InputFileError(
+            f"{named}: learning.per_light is for targets in X, Y, Z under the light of each frame; leave it out, or "
+            "simulate without [target] illuminant"
+        )
+    frames, mireds = _frames_by_light(run, named)
+    order = sorted(mireds, key=lambda name: -mireds[name])
+    if len(order) < 2:
+        raise InputFileError(
+            f"{named}: all frames are under {order[0]}, and learning.per_light wants several lights; name them as "
+            "illuminants in SCENES.toml, or leave it out"
+        )
+    for warm, cool in itertools.pairwise(order):
+        if mireds[warm] - mireds[cool] < SAME_MIRED:
+            raise InputFileError(
+                f"{named}: {warm} and {cool} have the same colour temperature, by which learning.per_light tells lights "
+                "apart; simulate without one of them"
+            )
+    return [(name, _chosen(run, frames[name])) for name in order]
+
+
+def _frames_by_light(run: TrainingRun, named: str) -> tuple[dict[str, dict[int, list[int]]], dict[str, float]]:
+    """Of each light the indices of its frames by set, and its reciprocal colour temperature (mired); InputFileError if
+    frames under a light of one name have different whites, or their light is not known."""
+    whites: dict[str, NDArray[np.float64]] = {}
+    frames: dict[str, dict[int, list[int]]] = {}
+    for place, source in enumerate(run.training):
+        with open_training_set(source.path, unchanged=True) as reader:
+            if reader.has_pairs:
+                raise InputFileError(
+                    f"{source.path} holds real pairs, whose light is not known; leave out learning.per_light"
+                )
+            for index in range(len(reader)):
+                light = reader.light(index)
+                white = light.white[:3] / light.white[1]
+                if np.abs(whites.setdefault(light.illuminant, white) - white).max() > SAME_LIGHT:
+                    raise InputFileError(
+                        f"{named}: frames under {light.illuminant} have different whites, and learning.per_light tells "
+                        "lights apart by their names; name each light in SCENES.toml, or leave it out"
+                    )
+                frames.setdefault(light.illuminant, {}).setdefault(place, []).append(index)
+    return frames, {name: mired_of(white) for name, white in whites.items()}
+
+
+def _chosen(run: TrainingRun, frames: dict[int, list[int]]) -> TrainingRun:
+    """The run over some frames, indices by set."""
+    shares = None if run.shares is None else tuple(run.shares[place] for place in frames)
+    sources: list[TrainingSource] = []
+    for place, indices in frames.items():
+        sources.append(replace(run.training[place], frames=len(indices), chosen=tuple(indices)))
+    patches = spread_patches(run.recipe.learning.patches, [source.frames for source in sources], shares)
+    return replace(run, training=tuple(sources), patches=patches, shares=shares)
+
+
+def require_one_go(run: TrainingRun) -> None:
+    """RecipeError if a shard of the run is asked for and transforms for each light are wanted, too."""
+    if run.recipe.learning.per_light:
+        raise RecipeError(
+            "learning.per_light: transforms for each light are learned in one go, not in shards; train without ‹shard›, on "
+            "several machines with ‹scheduler›"
+        )

@@ -1,0 +1,218 @@
+"""Transforms of single lights: what they are learned from, how a white mixes them, who renders by them."""
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from l3cli.artifacts.schema import equal
+from l3cli.artifacts.store import load, save
+from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.training_set import open_training_set
+from l3cli.io.raw.files import KnownBetter
+from l3cli.physics import spectra
+from l3cli.physics.near_lights import mired_of
+from l3cli.rendering.kept_table import Layouts
+from l3cli.rendering.lights import Mix, described, mix_for, mixed, nearest_for
+from l3cli.rendering.reference import ReferenceRenderer
+from l3cli.stages.console import Silent
+from l3cli.stages.evaluation import raw_of
+from l3cli.stages.frame_renderers import FrameRenderers
+from l3cli.stages.rendering.executors import Renderers, RenderSetup
+from l3cli.stages.rendering.rendition import OUTPUTS
+from tests.helpers.cameras import BAYER
+from tests.helpers.paths import CONFIGS
+from tests.helpers.tables import XYZ, random_table, with_later, with_lights, with_tree
+
+LEAVES = 'illuminants = {}\nexposure_share = [0.5]\n[[scene]]\nsource = "dead leaves"\nsize = [48, 48]\ncount = 2\n'
+CLASSES = "[classes]\npatch = 3\nlevels = 2\nchromas = 2\n[learning]\npatches = 600\nfirst_draws = 0\ndraws = 2\n"
+LAYER = "[[layer]]\nside = 3\nmosaics = 4\nrows = 200\n"
+
+
+@pytest.fixture(scope="module")
+def learned(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """A table of one set of transforms, and one of a set for each of two lights besides, of the same training sets."""
+    from l3cli.cli import run
+
+    folder = tmp_path_factory.mktemp("lights")
+    camera = CONFIGS / "cameras/bayer.toml"
+    calls: list[tuple[Any, ...]] = []
+    for name, lights in (("both", '["D65", "A"]'), ("warm", '["A"]')):
+        (folder / f"{name}.toml").write_text(LEAVES.format(lights))
+        calls.append(("simulate", folder / f"{name}.toml", "--camera", camera, "-o", folder / f"{name}.set.h5"))
+    for name, key in (("one", ""), ("several", "per_light = true\n")):
+        (folder / f"{name}.classes.toml").write_text(CLASSES + key + LAYER)
+        classes = ("--classes", folder / f"{name}.classes.toml")
+        calls.append(("train", folder / "both.set.h5", folder / "warm.set.h5", *classes, "-o", folder / f"{name}.h5"))
+    for call in calls:
+        assert run([*map(str, call), "--quiet"]) == 0
+    return {path.name: path for path in folder.iterdir()}
+
+
+@pytest.fixture(scope="module")
+def several(learned: dict[str, Path]) -> TransformTable:
+    return load(TransformTable, learned["several.h5"])
+
+
+def white(light: str) -> np.ndarray:
+    return spectra.white_point(light)
+
+
+# ------------------------------------------------------------------------------------------------------- learning
+
+
+def test_transforms_in_common_are_what_they_would_be_alone(learned: dict[str, Path], several: TransformTable) -> None:
+    assert equal(dataclasses.replace(several, lights=()), load(TransformTable, learned["one.h5"]))
+    assert [light.name for light in several.lights] == ["A", "D65"]
+    for light in several.lights:
+        np.testing.assert_allclose(light.white_point, white(light.name), rtol=2e-3)
+        assert light.light is not None
+        assert light.light.spread < 1e-6
+
+
+def test_each_set_is_best_under_its_light(learned: dict[str, Path], several: TransformTable) -> None:
+    """It is learned from the frames under it, in whatever set they lie."""
+    renderers = {
+        light.name: ReferenceRenderer(mixed(several, mix_for(several, light.white_point))) for light in several.lights
+    }
+    errors: dict[tuple[str, str], list[float]] = {}
+    with open_training_set(learned["both.set.h5"]) as reader:
+        for index, frame in enumerate(reader):
+            target = frame.target * np.float32(frame.exposure / several.output_unit)
+            for name, renderer in renderers.items():
+                error = renderer.outputs(raw_of(frame, index, reader.head.camera)) - target
+                errors.setdefault((frame.illuminant, name), []).append(float(np.mean(error[:, 4:-4, 4:-4] ** 2)))
+    for light, other in (("A", "D65"), ("D65", "A")):
+        assert np.mean(errors[light, light]) < 0.8 * np.mean(errors[light, other])
+
+
+def test_a_set_does_not_depend_on_how_the_work_is_divided(learned: dict[str, Path], tmp_path: Path, l3: Callable) -> None:
+    call = ("train", learned["both.set.h5"], learned["warm.set.h5"], "--classes", learned["several.classes.toml"])
+    assert l3(*call, "-o", tmp_path / "two.h5", "--jobs", "2", "--quiet")[0] == 0
+    assert (tmp_path / "two.h5").read_bytes() == learned["several.h5"].read_bytes()
+
+
+def test_wrong_calls_are_one_line(learned: dict[str, Path], tmp_path: Path, refused: Callable) -> None:
+    def train(name: str, *more: Any) -> tuple[Any, ...]:
+        return ("train", learned[f"{name}.set.h5"], "-o", tmp_path / "table.h5", "--classes", *more)
+
+    assert "all frames are under A" in refused(3, *train("warm", learned["several.classes.toml"]))
+    assert "in one go, not in shards" in refused(2, *train("both", learned["several.classes.toml"], "--shard", "1/2"))
+    (tmp_path / "classes.toml").write_text("[learning]\nper_light = true\nnoise_left = 0.1\n")
+    assert "leave out noise_left" in refused(2, *train("both", tmp_path / "classes.toml"))
+    export = ("export", learned["one.h5"], "-o", tmp_path / "export", "--white", "A")
+    assert "no single lights" in refused(2, *export)
+
+
+# --------------------------------------------------------------------------------------------------------- mixing
+
+
+@pytest.mark.parametrize("layers", [lambda table: with_later(table, 3, 5), with_tree])
+def test_the_lights_themselves_and_all_beyond_have_their_own_transforms(
+    layers: Callable[[TransformTable], TransformTable],
+) -> None:
+    table = with_lights(layers(random_table(BAYER)), "D65", "A", "4000K")
+    for scene, own in (("A", 1), ("2000K", 1), ("4000K", 2), ("D65", 0), ("D20000K", 0)):
+        mix = mix_for(table, white(scene))
+        made, light = mixed(table, mix), table.lights[own]
+        np.testing.assert_array_equal(made.first.weights, light.first.weights)
+        np.testing.assert_array_equal(made.first.intercept, light.first.intercept)
+        for ours, theirs in zip(made.later, light.later, strict=True):
+            np.testing.assert_array_equal(ours.weights, theirs.weights)
+            np.testing.assert_array_equal(ours.intercept, theirs.intercept)
+        np.testing.assert_array_equal(made.white_point, light.white_point)
+        assert made.light is not None
+        assert light.light is not None
+        np.testing.assert_array_equal(made.light.radiance, light.light.radiance)
+        assert mix is not None
+        assert described(table, mix) == light.name
+    assert not mixed(table, mix).lights
+
+
+def test_between_lights_transforms_are_mixed_by_mired() -> None:
+    table = with_lights(with_later(random_table(BAYER), 3), "D65", "A", "4000K")
+    mix = mix_for(table, white("3200K"))
+    assert mix is not None
+    warm, cool, scene = (mired_of(white(light)) for light in ("A", "4000K", "3200K"))
+    assert (mix.warm, mix.cool) == (1, 2)
+    assert mix.share == pytest.approx((warm - scene) / (warm - cool))
+    assert described(table, mix) == "62 % A, 38 % 4000K"
+    share = np.float32(mix.share)
+    for ours, one, other in (
+        (mixed(table, mix).first, table.lights[1].first, table.lights[2].first),
+        (mixed(table, mix).later[0], table.lights[1].later[0], table.lights[2].later[0]),
+    ):
+        np.testing.assert_allclose(ours.weights, one.weights + share * (other.weights - one.weights), rtol=1e-5, atol=1e-6)
+    assert nearest_for(table, white("3200K")) == Mix(1, 2, 0.0)
+    assert nearest_for(table, white("3700K")) == Mix(1, 2, 1.0)
+    again = dataclasses.replace(table, lights=table.lights[::-1])
+    assert equal(mixed(again, mix_for(again, white("3200K"))), mixed(table, mix))
+
+
+def test_equal_sets_stay_what_they_are() -> None:
+    table = with_lights(with_later(random_table(BAYER), 3), "A")
+    cool = dataclasses.replace(table.lights[0], white_point=white("D65"))
+    table = dataclasses.replace(table, lights=(*table.lights, cool))
+    made, own = mixed(table, mix_for(table, white("3500K"))), table.lights[0]
+    np.testing.assert_array_equal(made.first.weights, own.first.weights)
+    np.testing.assert_array_equal(made.later[0].weights, own.later[0].weights)
+    assert (made.white_point != own.white_point).any()
+
+
+def test_a_table_of_one_set_is_not_mixed() -> None:
+    table = random_table(BAYER)
+    assert mix_for(table, white("A")) is None
+    assert nearest_for(table, white("A")) is None
+    assert mixed(table, None) is table
+
+
+def test_lights_are_written_and_read(tmp_path: Path) -> None:
+    table = with_lights(with_later(random_table(BAYER), 3, 5), "A", "D65")
+    save(table, tmp_path / "table.h5")
+    assert equal(load(TransformTable, tmp_path / "table.h5"), table)
+    shown = with_lights(random_table(BAYER, outputs=(*XYZ, "N")), "A", "D65").pictured()
+    assert mixed(shown, mix_for(shown, white("A"))).first.weights.shape == shown.first.weights.shape
+
+
+def test_lights_of_other_classes_are_refused() -> None:
+    table = with_lights(with_later(random_table(BAYER), 3), "A", "D65")
+    light = table.lights[1]
+    narrow = dataclasses.replace(light.later[0], weights=light.later[0].weights[:, :, :3])
+    for message, fields in (
+        ("lights/1 holds 1 layers, the table 2", {"later": ()}),
+        ("lights/1/later/0 has transforms of other shapes", {"later": (narrow,)}),
+    ):
+        with pytest.raises(ValueError, match=message):
+            dataclasses.replace(table, lights=(table.lights[0], dataclasses.replace(light, **fields)))
+
+
+# ------------------------------------------------------------------------------------------------------ rendering
+
+
+def test_frames_are_judged_by_the_transforms_of_their_light(learned: dict[str, Path], several: TransformTable) -> None:
+    renderers = FrameRenderers("reference", several, Silent())
+    with open_training_set(learned["both.set.h5"]) as reader:
+        for frame in reader:
+            own = next(light for light in several.lights if light.name == frame.illuminant)
+            np.testing.assert_allclose(renderers.of(frame).table.first.weights, own.first.weights, atol=1e-3)
+
+
+def test_what_is_kept_of_a_table_is_not_taken_for_a_mix_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    given: list[tuple[TransformTable, Layouts | None]] = []
+
+    def make_renderer(backend: str, table: TransformTable, by_noise: bool, layouts: Layouts | None) -> ReferenceRenderer:
+        given.append((table, layouts))
+        return ReferenceRenderer(table)
+
+    monkeypatch.setattr("l3cli.rendering.quiet.make_renderer", make_renderer)
+    table, kept, made = with_lights(random_table(BAYER), "A", "D65"), Layouts(), Renderers()
+    plain = RenderSetup(Path("table.h5"), "0", "reference", {}, KnownBetter(), OUTPUTS, None)
+    common = made.of(plain, table, kept)
+    assert made.of(plain, table, kept) is common
+    lit = mixed(table, Mix(0, 1, 0.5))
+    assert made.of(dataclasses.replace(plain, mix=Mix(0, 1, 0.5)), lit, kept) is not common
+    assert [layouts for _, layouts in given] == [kept, None]
+    assert given[1][0] is lit
