@@ -1,4 +1,5 @@
-"""Row weights of the second pass: large perceived errors count less than their square (docs/method.md#second-pass)."""
+"""Row weights of the second pass: large errors, of colour or of spectrum, count less than their square
+(docs/method.md#second-pass)."""
 
 from dataclasses import dataclass
 
@@ -6,16 +7,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
+from l3cli.physics.display import XYZ
 
 Floats = NDArray[np.float32]
 DARKEST = 0.02  # of the level: darker targets are not judged more strictly
-ERROR_FLOOR = 0.25  # ΔE², below which errors count alike
+ERROR_FLOOR = 0.25  # ΔE² or degrees², below which errors count alike
 # What an error of f(X), f(Y), f(Z) is in L*, a*, b*; the chroma rows are halved and eased, as eyes forgive more of them.
 LIGHTNESS, RED_GREEN, YELLOW_BLUE = 116.0, 250.0, 150.0
 
 
 @dataclass(frozen=True)
-class RowWeighting:
+class ColourWeighting:
     """Transforms of one site's classes from the first pass, in XYZ."""
 
     weights: Floats  # (class, tap, output)
@@ -48,13 +50,46 @@ class RowWeighting:
         return (error + ERROR_FLOOR) ** np.float32(-self.power)
 
 
+@dataclass(frozen=True)
+class SpectralWeighting:
+    """Transforms of one site's classes from the first pass, in the camera's channels."""
+
+    weights: Floats  # (class, tap, output)
+    squares: Floats  # (class, tap) of the weights, summed over the outputs: how noise of the taps adds up
+    intercept: Floats  # (class, output)
+    power: float  # of the weight
+
+    def weight(
+        self, clean: Floats, variance: Floats, target: Floats, level: Floats, runs: list[tuple[int, int, int]]
+    ) -> Floats:
+        """(e² + ¼)^(−power) of each patch (patch): e is the spectral angle in degrees expected of the first pass, by bias
+        and noise. Arguments as of ColourWeighting, `target` (patch, output)."""
+        bias, noise = np.empty_like(target), np.empty_like(level)
+        for index, first, last in runs:
+            bias[first:last] = clean[first:last] @ self.weights[index] + self.intercept[index]
+            noise[first:last] = variance[first:last] @ self.squares[index]
+        bias -= target
+        outputs = target.shape[1]
+        size = np.maximum((target**2).sum(axis=1), outputs * (DARKEST * level) ** 2)
+        across = np.maximum((bias**2).sum(axis=1) - (bias * target).sum(axis=1) ** 2 / size, 0)
+        error = (across + noise * np.float32(1 - 1 / outputs)) / size * np.float32(np.degrees(1) ** 2)
+        return np.asarray((error + ERROR_FLOOR) ** np.float32(-self.power))
+
+
+RowWeighting = ColourWeighting | SpectralWeighting
+
+
 def row_weighting(table: TransformTable, site: int, power: float) -> RowWeighting:
-    """The weighting of a canonical site from the first pass's table; its weights go with `power` of the squared error."""
+    """The weighting of a canonical site from the first pass's table; its weights go with `power` of the squared error.
+    The outputs are X, Y, Z or the camera's channels."""
     classes = table.first.rule.of_site(site)
+    weights = np.ascontiguousarray(np.swapaxes(table.first.weights[classes], 1, 2))
+    intercept = table.first.intercept[classes]
+    if table.outputs != XYZ:
+        return SpectralWeighting(weights, (weights**2).sum(axis=2), intercept, power)
     x, y, z = np.moveaxis(table.first.weights[classes], 1, 0)
     products = np.stack([x * x, y * y, z * z, x * y, y * z], axis=-1)
-    weights = np.ascontiguousarray(np.swapaxes(table.first.weights[classes], 1, 2))
-    return RowWeighting(weights, products, table.first.intercept[classes], table.white_point.astype(np.float32), power)
+    return ColourWeighting(weights, products, intercept, table.white_point.astype(np.float32), power)
 
 
 def lab_error(error: Floats, target: Floats, level: Floats, white: NDArray[np.floating]) -> Floats:

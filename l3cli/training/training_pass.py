@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.training_set import LightSpectrum, TrainingSet
+from l3cli.physics.display import XYZ
 from l3cli.training.goal import Goal, goal_of
 from l3cli.training.recipe import LearningRecipe
 
@@ -66,5 +67,6 @@ def brightness_of(target: NDArray, outputs: tuple[str, ...]) -> NDArray:
 
 
 def has_two_passes(head: TrainingSet, recipe: LearningRecipe) -> bool:
-    """Whether a first pass weighs the rows of the last: errors are judged in Lab, so for XYZ only."""
-    return recipe.first_draws > 0 and head.outputs == ("X", "Y", "Z")
+    """Whether a first pass weighs the rows of the last: errors are judged in Lab or as spectral angles, so for XYZ and the
+    camera's channels only."""
+    return recipe.first_draws > 0 and head.outputs in (XYZ, head.camera.channels)

@@ -231,20 +231,28 @@ def test_greys_get_no_further_tint(bayer_recipe: Path, tmp_path: Path, l3: Calla
 
 
 def test_other_than_three_outputs_get_one_layer(tmp_path: Path, l3: Callable) -> None:
+    """In two passes where they are the camera's channels, whose spectral angles weigh the rows of the second."""
     training = tmp_path / "training.h5"
     (tmp_path / "scenes.toml").write_text(
         'exposure_share = [0.9]\n[[scene]]\nsource = "dead leaves"\nsize = [64, 64]\n[target]\noutputs = "camera"\n'
     )
     camera = CONFIGS / "cameras/fiveband.toml"
     assert l3("simulate", tmp_path / "scenes.toml", "--camera", camera, "-o", training)[0] == 0
-    (tmp_path / "classes.toml").write_text(LAYER.replace("patch = 3", "patch = 5"))
+    recipe = LAYER.replace("patch = 3", "patch = 5").replace("first_draws = 0", "first_draws = 1").replace("3000", "500")
+    (tmp_path / "classes.toml").write_text(recipe)
     run = ("train", training, "--classes", tmp_path / "classes.toml")
-    for shard in ((), ("--shard", "1/1")):
-        code, _, err = l3(*run, *shard, "--force", "-o", tmp_path / "out.h5")
+    whole, sums, first, table = (tmp_path / f"{name}.h5" for name in ("whole", "sums", "first", "table"))
+    for further in (("-o", whole), ("--shard", "1/1", "-o", sums)):
+        code, _, err = l3(*run, *further)
         assert code == 0, err
         assert "one layer is learned for the outputs" in err
-    assert l3("train", "--merge", tmp_path / "out.h5", "-o", tmp_path / "table.h5")[0] == 0
-    assert load(TransformTable, tmp_path / "table.h5").later == ()
+    assert l3("train", "--merge", sums, "-o", first)[0] == 0
+    assert l3(*run, "--shard", "1/1", "--first", first, "--force", "-o", sums)[0] == 0
+    assert l3("train", "--merge", sums, "-o", table)[0] == 0
+    once, twice, together = (load(TransformTable, path).first.weights for path in (first, table, whole))
+    np.testing.assert_array_equal(twice, together)
+    assert not np.array_equal(once, twice)
+    assert load(TransformTable, table).later == ()
 
 
 @pytest.mark.parametrize(
