@@ -16,7 +16,8 @@ from typing import Any
 
 UNKNOWN_PROCESSOR = re.compile(r" PoCL HSTR: pthread-x86_64-.*-generic$")  # versions of devices
 UNKNOWN = b"generic\0"
-DEVICE_BYTES = 2048  # of the structure of PoCL's device, or of what follows it; the name is at its byte 640 in PoCL 3.0
+DEVICE_BYTES = 2048  # of the structure of PoCL's device, or of what follows it, in which the name may lie once more
+USUAL = 640  # the name's place in the structure of PoCL 3.0
 POINTER = ctypes.sizeof(ctypes.c_void_p)
 # Names for LLVM, the newest first, and what a processor must be able to do for each, as Linux calls it.
 HASWELL = frozenset(["avx2", "bmi1", "bmi2", "f16c", "fma", "movbe", "abm"])
@@ -37,16 +38,18 @@ def compiled_for(device: Any) -> str:
 
 @functools.cache
 def _renamed(address: int) -> str:
-    """The name that now stands in the device at `address`; empty if no name was found there, or several."""
+    """The name that now stands in the device at `address`; empty if no name was found there, or several, none of them where
+    it usually is."""
     memory = os.open("/proc/self/mem", os.O_RDONLY)  # reading what may not be read fails there, and does not end the process
     try:
         places = [place for place in range(address, address + DEVICE_BYTES, POINTER) if _unknown(memory, place)]
     finally:
         os.close(memory)
-    if len(places) != 1:
+    place = address + USUAL if address + USUAL in places else places[0] if len(places) == 1 else None
+    if place is None:
         return ""
     name = _name(_abilities())
-    ctypes.c_void_p.from_address(places[0]).value = ctypes.cast(_kept(name), ctypes.c_void_p).value
+    ctypes.c_void_p.from_address(place).value = ctypes.cast(_kept(name), ctypes.c_void_p).value
     return name
 
 

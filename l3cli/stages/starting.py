@@ -25,6 +25,8 @@ COMMON = {
     "Snakefile": "pipelines/Snakefile",
     "slurm.sh": "pipelines/slurm.sh",
 }
+# Camera recipes whose classes are not those of `default`: their class recipe, by name.
+CLASSES = {"nona_bayer_hdr": "blocks", "rgbir4x4": "long_period"}
 
 
 def starters() -> dict[str, Path]:
@@ -71,7 +73,8 @@ def folder_files(starter: Path) -> dict[str, Path]:
     """What the recipe folder of a camera recipe or a benchmark holds, by name: the files it is copied from."""
     if starter.is_dir():
         return {path.name: path for path in sorted(starter.iterdir())}
-    files = {name: recipe_folder() / source for name, source in COMMON.items()} | {"camera.toml": starter}
+    sources = COMMON | {"classes.toml": f"classes/{CLASSES.get(starter.stem, 'default')}.toml"}
+    files = {name: recipe_folder() / source for name, source in sources.items()} | {"camera.toml": starter}
     return files | {path.name: path for path in _named(starter)}
 
 

@@ -16,7 +16,7 @@ from l3cli.io.images import read_image
 from l3cli.recipes import known_benchmarks, known_recipes
 from l3cli.simulation.lab_recipe import LabRecipe
 from l3cli.simulation.recipe import SceneRecipe
-from l3cli.stages.starting import COMMON
+from l3cli.stages.starting import CLASSES, COMMON
 from l3cli.training.recipe import TrainingRecipe
 from tests.helpers.paths import CONFIGS
 from tests.helpers.recipes import SMALL
@@ -81,6 +81,14 @@ def test_a_folder_holds_the_recipes_as_they_are(tmp_path: Path, l3: Callable) ->
         assert (tmp_path / "demo" / name).read_bytes() == (CONFIGS / source).read_bytes()
     assert {path.name for path in (tmp_path / "demo").iterdir()} == {*COMMON, "camera.toml"}
     assert (tmp_path / "demo/slurm.sh").stat().st_mode & 0o777 == 0o755
+
+
+def test_arrays_with_classes_of_their_own_get_them(tmp_path: Path, l3: Callable) -> None:
+    assert set(CLASSES) <= {path.stem for path in (CONFIGS / "cameras").glob("*.toml")}
+    for camera in CLASSES:
+        assert l3("init", camera, tmp_path / camera)[0] == 0
+        made = (tmp_path / camera / "classes.toml").read_bytes()
+        assert made == (CONFIGS / f"classes/{CLASSES[camera]}.toml").read_bytes()
 
 
 def test_a_phase_comes_with_its_base(tmp_path: Path, l3: Callable) -> None:
