@@ -16,7 +16,10 @@ from typing import Any
 
 UNKNOWN_PROCESSOR = re.compile(r" PoCL HSTR: pthread-x86_64-.*-generic$")  # versions of devices
 UNKNOWN = b"generic\0"
-DEVICE_BYTES = 2048  # of the structure of PoCL's device, or of what follows it; the name is at its byte 640 in PoCL 3.0
+DEVICE_BYTES = (
+    2048  # of the structure of PoCL's device, or of what follows it, where PoCL now and then leaves the name once more
+)
+USUAL_PLACE = 640  # byte of the name in PoCL 3.0
 POINTER = ctypes.sizeof(ctypes.c_void_p)
 # Names for LLVM, the newest first, and what a processor must be able to do for each, as Linux calls it.
 HASWELL = frozenset(["avx2", "bmi1", "bmi2", "f16c", "fma", "movbe", "abm"])
@@ -37,12 +40,15 @@ def compiled_for(device: Any) -> str:
 
 @functools.cache
 def _renamed(address: int) -> str:
-    """The name that now stands in the device at `address`; empty if no name was found there, or several."""
+    """The name that now stands in the device at `address`; empty if no name was found there, or several, none of them where
+    it usually is."""
     memory = os.open("/proc/self/mem", os.O_RDONLY)  # reading what may not be read fails there, and does not end the process
     try:
         places = [place for place in range(address, address + DEVICE_BYTES, POINTER) if _unknown(memory, place)]
     finally:
         os.close(memory)
+    if address + USUAL_PLACE in places:
+        places = [address + USUAL_PLACE]
     if len(places) != 1:
         return ""
     name = _name(_abilities())

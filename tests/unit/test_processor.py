@@ -43,13 +43,21 @@ def test_a_processor_that_is_unknown_is_called_by_the_name_of_one_that_can_do_no
     assert device.named(5) == b"pthread"
 
 
+def test_what_lies_behind_the_device_may_be_the_name_once_more() -> None:
+    """As it is left there by PoCL itself, now and then."""
+    device = Device(UNKNOWN, {80: b"generic", 90: b"generic"})
+    assert compiled_for(device) == "skylake-avx512"
+    assert device.named(80) == b"skylake-avx512"
+    assert device.named(90) == b"generic"
+
+
 @pytest.mark.parametrize(
     ("version", "names"),
     [
         (UNKNOWN.replace("generic", "znver3"), {80: b"generic"}),  # a processor that is known
         (UNKNOWN.replace("x86_64", "aarch64"), {80: b"generic"}),  # for which "generic" is a processor
         ("OpenCL 3.0 CUDA", {80: b"generic"}),
-        (UNKNOWN, {80: b"generic", 90: b"generic"}),  # of which either may be another thing
+        (UNKNOWN, {70: b"generic", 90: b"generic"}),  # of which either may be another thing
         (UNKNOWN, {80: b"generic-gpu"}),
         (UNKNOWN, {}),
     ],
