@@ -79,9 +79,11 @@ INLINE void apply(totals *made, const tap *patches, const float *behind, const u
                 const tap *patch = patches + (x + first) * COLUMN;
                 __global const tap *row = group + (size_t)class * CLASS_STRIDE;
                 const float *its = behind + x + first;
+#ifndef PLANES  // mostly of one frame, for its exposure: half the code takes less time to compile, which counts more
                 if (class == other)
                     apply_pair(pair[i], patch, patch + PAIR * COLUMN, its, row, row);
                 else
+#endif
                     apply_pair(pair[i], patch, patch + PAIR * COLUMN, its, row, group + (size_t)other * CLASS_STRIDE);
             }
             #pragma unroll

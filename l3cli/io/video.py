@@ -77,6 +77,7 @@ ENCODINGS = {
     ),
 }
 USUAL = {".mp4": "h264", ".mov": "prores", ".mkv": "ffv1"}  # where no codec is asked for
+READ_BEHIND = 64  # bytes: conversions may read 16 behind a picture (libavutil, frame.h)
 RGB_MATRIX = 0  # of ITU-T H.273: no matrix, the values are red, green and blue
 Y4M = ".y4m"
 Y4M_FORMATS = {8: ("yuv420p", "C420jpeg"), 16: ("yuv420p10le", "C420p10 XYSCSS=420P10")}
@@ -128,6 +129,7 @@ class _Converter:
     def __init__(self, pixel_format: str) -> None:
         self._reformatter = pyav().video.reformatter.VideoReformatter()  # kept: making one takes longer than using it
         self.pixel_format = pixel_format
+        self._bytes = np.empty(0, np.uint8)
 
     def even(self, picture: NDArray) -> NDArray:
         """The picture with its last row or column doubled where the pixel format needs even numbers."""
@@ -139,10 +141,20 @@ class _Converter:
 
     def frame(self, picture: NDArray) -> Any:
         source = "rgb24" if picture.dtype == np.uint8 else "rgb48le"
-        frame = pyav().VideoFrame.from_ndarray(np.ascontiguousarray(self.even(picture)), format=source)
+        frame = pyav().VideoFrame.from_numpy_buffer(self._room_for(self.even(picture)), format=source)
         # One thread: rendering keeps the other cores busy, and sharing the work out costs a fifth of it.
         coded = {"dst_colorspace": "ITU709", "dst_color_range": "MPEG"} if self.pixel_format.startswith("yuv") else {}
         return self._reformatter.reformat(frame, format=self.pixel_format, threads=1, **coded)
+
+    def _room_for(self, picture: NDArray) -> NDArray:
+        """A copy of the picture in memory that is used again for each, with what may be read behind it: a new frame of
+        FFmpeg's for each takes thrice the time."""
+        size = picture.nbytes
+        if len(self._bytes) != size + READ_BEHIND:
+            self._bytes = np.zeros(size + READ_BEHIND, np.uint8)
+        room = self._bytes[:size].view(picture.dtype).reshape(picture.shape)
+        room[...] = picture
+        return room
 
 
 class VideoWriter:

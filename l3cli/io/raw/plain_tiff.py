@@ -73,7 +73,7 @@ def read(path: Path) -> RawContent | None:
             if stream.readinto(rest[:size]) != size:
                 return None  # it has become shorter
             rest = rest[size:]
-    return RawContent(values=values.astype(np.uint16), exposure=plain.exposure)
+    return RawContent(values=values.astype(np.uint16, copy=False), exposure=plain.exposure)
 
 
 def _parsed(stream: BinaryIO) -> _Plain:

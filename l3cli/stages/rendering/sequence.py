@@ -50,6 +50,7 @@ class _Read:
     kept: bool = False  # its picture is there already, or not to be made
     counted: bool = True  # whether it is among those to be rendered
     lost: int = 1  # frames that there are not, if there is an error
+    place: int | None = None  # in the sequence, if it is to be filtered
 
 
 @dataclass
@@ -85,7 +86,9 @@ def render_frames(
     sink = open_sink(destination, choice, rendition, table.outputs, mark, footage)
     with sink as (write, threads), Behind(write, DEPTH, threads) as writing:
         meters = _Meters(LightMeter(table) if steady else None, whites, in_order)
-        reading = ahead(_read(footage, destination, meters, mark, origins, executor.by_path, temporal), DEPTH)
+        reading = ahead(_read(footage, destination, meters, mark, origins, executor.by_path, temporal is not None), DEPTH)
+        if temporal:
+            reading = ahead(_filtered(reading, temporal), DEPTH)
         total = footage.part.stop if footage.part else footage.count and footage.count - footage.lost
         reading = console.progress(reading, total, "frames")
         exposed = warnings.watched(_exposed(reading, rendition, steady, skip_bad, tally, told, console), footage.stills)
@@ -155,14 +158,14 @@ def _with_need(asked: Iterator[tuple[int, Pending, bool]]) -> Iterator[tuple[int
 
 def _read(
     footage: Footage, destination: Destination, meters: _Meters, mark: Mark | None, origins: Origins, by_path: bool,
-    temporal: Chunks | None,
+    temporal: bool,
 ) -> Iterator[_Read]:  # fmt: skip
-    """Read, measure and filter frame after frame; of frames that are kept only what later ones need of it. `by_path`
-    a file that becomes a file, and is neither measured nor filtered, is left to who renders it."""
+    """Read and measure frame after frame; of frames that are kept only what later ones need of it. `by_path`: a file that
+    becomes a file, and is neither measured nor filtered, is left to who renders it; `temporal`: frames will be filtered."""
     size: tuple[int, ...] | None = None
     asked = _asked(footage, destination, mark, origins)
     # A stream is not asked for what has not come yet, unless its length is known.
-    looks_ahead = temporal is not None and (not footage.is_stream or footage.part is not None)
+    looks_ahead = temporal and (not footage.is_stream or footage.part is not None)
     ahead_of = _with_need(asked) if looks_ahead else ((*each, not each[2]) for each in asked)
     for place, pending, kept, need in ahead_of:
         counted = footage.renders(place)
@@ -194,10 +197,19 @@ def _read(
             kept = kept or mark.keeps(file, pending.origin)
         if destination.pictures and not kept:
             pending = replace(pending, identity=_identity(pending, frame))
-        filtered = temporal.filtered(place, frame) if temporal and (need or not looks_ahead) else frame
-        yield replace(read, pending=pending, frame=filtered, kept=kept, counted=counted)
+        to_filter = place if temporal and (need or not looks_ahead) else None
+        yield replace(read, pending=pending, kept=kept, counted=counted, place=to_filter)
     if mark:
         mark.refuse_others()
+
+
+def _filtered(reading: Iterator[_Read], temporal: Chunks) -> Iterator[_Read]:
+    """The same, filtered. In a thread of its own: a filter waits between its kernels for those of rendering, and the next
+    frame is read meanwhile."""
+    for each in reading:
+        if each.place is not None and isinstance(each.frame, RawFrame):
+            each = replace(each, frame=temporal.filtered(each.place, each.frame))
+        yield each
 
 
 def _identity(pending: Pending, frame: RawFrame) -> str:
