@@ -20,7 +20,7 @@ from l3cli.training.thin_classes import parent_of, parents_of, shrunk
 
 Array = NDArray[np.float64]
 PLAIN = 0.2  # plain patches, a patch of a textured class, on which a difference between sites counts as an error
-NOISE_FADES = 300.0  # what plain areas are taught fades with noise over signal, in power: it hides what a surface is
+NOISE_FADES = 1000.0  # what plain areas are taught fades with noise over signal, in power: it hides what a surface is
 
 
 class Equations(NamedTuple):
