@@ -1,8 +1,9 @@
 """python docs/gallery/gallery.py [NAME …]: the pictures of docs/gallery/ and the page docs/gallery.md, from recipes alone.
 
-Every array that `l3 init` knows, or those of the names: its camera learns from the scenes of RECIPES and takes the picture
-of scene.toml, which it has not seen. What is named already in figures.json stays as it is unless it is named here. As many
-arrays are made at a time as there are jobs, each by one process: no sums travel, and no core waits for what one core does.
+Every array that `l3 init` knows, or those of the names: its camera learns from the scenes of SCENES by the classes that
+`l3 init` gives it, and takes the picture of scene.toml, which it has not seen. What is named already in figures.json stays
+as it is unless it is named here. As many arrays are made at a time as there are jobs, each by one process: no sums travel,
+and no core waits for what one core does.
 """
 
 import argparse
@@ -32,12 +33,12 @@ from l3cli.recipes import known_recipes
 from l3cli.stages.console import Silent
 from l3cli.stages.evaluation import evaluate_frame
 from l3cli.stages.frame_renderers import FrameRenderers
-from l3cli.stages.starting import summary
+from l3cli.stages.starting import classes_of, summary
 
 FOLDER = Path(__file__).parent
 FIGURES = FOLDER / "figures.json"
 PAGE = FOLDER.parent / "gallery.md"
-RECIPES = {"scenes": "default", "classes": "default"}
+SCENES = "default"
 FRONT, FRONT_FILE = "fiveband", "front.jpg"  # the array of README's picture
 SHOWN = ("raw", "ideal", "ours", "basic")
 FACTOR = 4
@@ -88,8 +89,8 @@ def make(array: Array) -> tuple[dict[str, Any], float]:
     begin, (name, path, twins, jobs) = time.process_time(), array
     with tempfile.TemporaryDirectory(prefix="l3-gallery-") as folder:
         training, table, unseen = (Path(folder, f"{each}.h5") for each in ("training", "table", "unseen"))
-        l3cli.simulate(RECIPES["scenes"], path, training, jobs=jobs)
-        l3cli.train(training, table, classes=RECIPES["classes"], jobs=jobs)
+        l3cli.simulate(SCENES, path, training, jobs=jobs)
+        l3cli.train(training, table, classes=classes_of(path), jobs=jobs)
         l3cli.simulate(FOLDER / "scene.toml", path, unseen)
         head, pictures, figures = judged(table, unseen)
     write_whole(FOLDER / f"{name}.svg", drawing(head.camera).encode())
@@ -102,8 +103,8 @@ def make(array: Array) -> tuple[dict[str, Any], float]:
         whole = [picture[-rows:, :cols] for picture in shown]
         crops = [enlarged(picture, CROP, (rows // FACTOR, cols // FACTOR), FACTOR) for picture in shown]
         write_whole(FOLDER / FRONT_FILE, jpeg(grid([whole, crops]), QUALITY))
-    entry = {"title": head.camera.name, "summary": summary(path), "twins": twins, "figures": figures}
-    return entry, time.process_time() - begin
+    about = {"title": head.camera.name, "summary": summary(path), "classes": classes_of(path), "twins": twins}
+    return about | {"figures": figures}, time.process_time() - begin
 
 
 def judged(table: Path, unseen: Path) -> tuple[TrainingSet, dict[str, Picture], dict[str, dict[str, float]]]:
@@ -134,7 +135,7 @@ def main(names: list[str], jobs: int) -> int:
         entries[name] = entry
         entries = {each: entries[each] for each in known if each in entries}
         write_whole(FIGURES, (json.dumps(entries, indent=1, ensure_ascii=False) + "\n").encode())
-        write_whole(PAGE, page(entries, RECIPES).encode())
+        write_whole(PAGE, page(entries, SCENES).encode())
         print(f"{name}: {seconds:.0f} s of processor; {time.perf_counter() - start:.0f} s since the beginning", flush=True)
     return 0
 

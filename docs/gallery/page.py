@@ -7,7 +7,7 @@ NAMES = {"malvar": "Malvar", "menon": "Menon"}
 HEAD = """# Gallery
 
 What `l3` makes of arrays that `l3 init` knows, from their recipes alone. The camera learns from the scenes of `{scenes}` by
-the classes of `{classes}`, and takes one picture that training has not seen, under D65, a perfect white at 0.9 of
+the classes that `l3 init` gives it, and takes one picture that training has not seen, under D65, a perfect white at 0.9 of
 full scale. *basic* is a pipeline that learns nothing: interpolation of each channel by itself, white balance, colour matrix.
 *Malvar* and *Menon* are given of arrays laid out as Bayer's; *long*, *short*, *high gain* and *low gain* are *basic*
 from the pixels of one exposure or gain alone. All are compared with the *ideal* picture, as displayed. `make gallery` makes
@@ -26,18 +26,18 @@ PICTURES = """![Filters and responsivities of {title}](gallery/{name}.svg)
 """
 
 
-def page(entries: Entries, recipes: dict[str, str]) -> str:
+def page(entries: Entries, scenes: str) -> str:
     """docs/gallery.md."""
     sections = [section(name, entry) for name, entry in entries.items()]
-    return HEAD.format(**recipes) + table(entries) + "\n" + verdict(entries) + "\n\n" + "\n".join(sections)
+    return HEAD.format(scenes=scenes) + table(entries) + "\n" + verdict(entries) + "\n\n" + "\n".join(sections)
 
 
 def table(entries: Entries) -> str:
     """Figures of all arrays, with those of the best that learns nothing."""
-    rows = ["| array | ours: mean ΔE00 | PSNR (dB) | basic: mean ΔE00 | PSNR (dB) |", "|---|---|---|---|---|"]
+    rows = ["| array | classes | ours: mean ΔE00 | PSNR (dB) | basic: mean ΔE00 | PSNR (dB) |", "|---|---|---|---|---|---|"]
     for name, entry in entries.items():
         cells = [f"{entry['figures'][of][key]:.2f}" for of in ("ours", "basic") for key in ("mean_delta_e", "psnr")]
-        rows.append(f"| [{name}](#{name}) | {' | '.join(cells)} |")
+        rows.append(f"| [{name}](#{name}) | {entry['classes']} | {' | '.join(cells)} |")
     return "\n".join(rows) + "\n"
 
 

@@ -69,11 +69,16 @@ def summary(starter: Path) -> str:
     return f"{period}, {len(cfa['channels']):2} channels  {sentence}"
 
 
+def classes_of(camera: Path) -> str:
+    """The class recipe of a camera recipe that l3 brings, by name."""
+    return CLASSES.get(camera.stem, "default")
+
+
 def folder_files(starter: Path) -> dict[str, Path]:
     """What the recipe folder of a camera recipe or a benchmark holds, by name: the files it is copied from."""
     if starter.is_dir():
         return {path.name: path for path in sorted(starter.iterdir())}
-    sources = COMMON | {"classes.toml": f"classes/{CLASSES.get(starter.stem, 'default')}.toml"}
+    sources = COMMON | {"classes.toml": f"classes/{classes_of(starter)}.toml"}
     files = {name: recipe_folder() / source for name, source in sources.items()} | {"camera.toml": starter}
     return files | {path.name: path for path in _named(starter)}
 

@@ -29,7 +29,7 @@ def entries() -> dict[str, dict[str, Any]]:
 
 def test_the_page_is_that_of_its_figures(gallery: ModuleType, entries: dict[str, dict[str, Any]]) -> None:
     assert set(entries) <= set(gallery.arrays())
-    assert (ROOT / "docs/gallery.md").read_text(encoding="utf-8") == gallery.page(entries, gallery.RECIPES)
+    assert (ROOT / "docs/gallery.md").read_text(encoding="utf-8") == gallery.page(entries, gallery.SCENES)
 
 
 def test_pictures_are_all_shown_and_small(gallery: ModuleType) -> None:
@@ -51,7 +51,7 @@ def test_the_page_says_where_it_loses(gallery: ModuleType, entries: dict[str, di
     basic = entry["figures"]["basic"]
     ours = {"mean_delta_e": basic["mean_delta_e"] - 1, "psnr": basic["psnr"] - 1}
     worse = {"x": {**entry, "figures": {"ours": ours, "basic": basic}}}
-    assert "Better than ours: basic on x (PSNR)." in gallery.page(worse, gallery.RECIPES)
+    assert "Better than ours: basic on x (PSNR)." in gallery.page(worse, gallery.SCENES)
 
 
 def test_the_largest_arrays_are_begun_first_and_each_by_one_process(
