@@ -150,6 +150,11 @@ def test_any_mosaic_gets_the_classes_and_outputs_of_the_reference(built: Built, 
     assert np.abs(outputs - exact).max() <= 4 * 2.0**-24 * weights * max(1.0, np.abs(exact).max())
 
 
+def test_words_of_smoothed_spectra_are_refused() -> None:
+    with pytest.raises(InputFileError, match="smooths spectra, in floats"):
+        c_files(TABLES["smoothed spectra"](), "int16")
+
+
 @needs_compiler
 def test_the_test_program_agrees_under_sanitizers(built: Built) -> None:
     compile_c(built.folder, "-O1", "-fsanitize=address,undefined", "l3.c", "test.c", "l3_table.o", "-o", "l3_test")

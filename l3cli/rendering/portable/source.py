@@ -41,7 +41,7 @@ def c_files(table: TransformTable, words: Words = "float32") -> dict[str, bytes]
         if feature is not direction:
             raise InputFileError(f'C source has no class feature "{axis.name}"; export the table as a folder')
     if table.spectra and words == "int16":
-        raise InputFileError("spectra are smoothed in floats; leave out ‹words›")
+        raise InputFileError("the table smooths spectra, in floats; leave out ‹words› or export it as a folder")
     short = short_words(table) if words == "int16" else None
     arrays, layers = table_arrays(table, short)
     vector = make_vector(table)
