@@ -12,6 +12,7 @@ from l3cli.artifacts.light import LightSpectrum
 from l3cli.artifacts.light_set import LightSet
 from l3cli.artifacts.quiet_set import QuietSet
 from l3cli.artifacts.schema import Artifact, data, group
+from l3cli.artifacts.spectral_smoothing import SpectralSmoothing
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,9 @@ class TransformTable(Artifact):
     camera: CameraModel | None = group(default=None)  # it was learned for, without its fit; None: an older file
     quiet: QuietSet | None = group(default=None)  # None: pixels of any noise have the same transforms
     lights: tuple[LightSet, ...] = group(default=())  # for scenes under one of them, or near it
+    spectra: SpectralSmoothing | None = group(
+        default=None
+    )  # of the outputs, the last step; None: they are as layers leave them
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -65,6 +69,8 @@ class TransformTable(Artifact):
             self._check_later(later)
         if any(later.ratio_taps for later in self.later[:-1]):
             raise ValueError("a layer that another follows has colour ratios; only the last one may")
+        if self.spectra and (len(self.outputs) == 1 or self.outputs[:3] == ("X", "Y", "Z")):
+            raise ValueError(f"spectra of {', '.join(self.outputs)} cannot be smoothed; they must be bands")
         if self.quiet:
             self.quiet.check_fits(self.first, self.later)
         for index, light in enumerate(self.lights):

@@ -27,11 +27,10 @@ from l3cli.rendering.opencl_planes import table_buffers
 from l3cli.rendering.opencl_programs import Compiler, Programs
 from l3cli.rendering.opencl_quiet import bring
 from l3cli.rendering.opencl_shading import DeviceShading
-from l3cli.rendering.opencl_work import Band, Held, Track, Work, constant, scratch, shares_memory
+from l3cli.rendering.opencl_spectra import DeviceSpectra
+from l3cli.rendering.opencl_work import SPECTRA, Band, Held, Track, Work, constant, scratch, shares_memory, stages_of
 
 TRACKS = 2
-STAGES = ("upload", "classes", "transforms", "encode", "download")
-LATER_STAGES = ("upload", "classes", "planes", "structures", "transforms", "encode", "download")
 
 
 class OpenCLRenderer:
@@ -49,7 +48,7 @@ class OpenCLRenderer:
         by_noise: bool = False, layouts: Layouts | None = None,
     ) -> None:  # fmt: skip
         require_known_layers(table)
-        self.table, self._sets = table, sets_of(table, by_noise)
+        self.table, self.stages, self._sets = table, stages_of(table), sets_of(table, by_noise)
         self.device = choose_device(os.environ.get("L3_DEVICE", "") if device is None else device)
         cl = pyopencl()
         self.variant = variant or ("graphics" if self.device.type & cl.device_type.GPU else "processor")
@@ -70,11 +69,7 @@ class OpenCLRenderer:
             self._in_place = shares_memory(self.device)
             self._together = self._programs.joins  # whether classes and transforms of the first layer are one kernel
             self._shading = DeviceShading(self._kernel, self._constant, self._cut.lanes)
-
-    @property
-    def stages(self) -> tuple[str, ...]:
-        """The stages of `stage_times`."""
-        return LATER_STAGES if self.table.later else STAGES
+            self._spectra = DeviceSpectra(self._kernel, self._run, table, self.variant) if table.spectra else None
 
     def labels(self, frame: RawFrame, layer: int = 0) -> NDArray[np.uint32]:
         """Class (row, col) of every pixel in a layer of the table."""
@@ -256,12 +251,16 @@ class OpenCLRenderer:
     def _transform(
         self, kernel: Any, encoding: Any, track: Track, band: Band, result: Any, frame: RawFrame, work: Work
     ) -> None:
-        """Transforms of the last layer, and its classes if it is alone, and encoding of a band into the buffer `result`."""
+        """Transforms of the last layer, and its classes if it is alone, and encoding or smoothing of a band into the buffer
+        `result`."""
         number = len(self._later)
-        made = (result, *self._shading.gain(frame.shading, band.rows))
+        into = self._spectra.room(track, band) if self._spectra else result
+        made = (into, *self._shading.gain(frame.shading, band.made))
         reads, ends = self._reads(number, track, band, frame)
         arguments = (*reads, self._weights, encoding, *made, np.float32(frame.black_level), *ends)
         work.add("transforms", self._run(kernel, track, band.shape(number), *arguments))
+        if self._spectra:
+            work.add(SPECTRA, self._spectra.smooth(track, band, result, len(frame.values)))
 
     def _target(self, track: Track, parts: list[NDArray], work: Work) -> Any:
         """The buffer whose content becomes arrays one after the other: the array itself, if there is one and the device

@@ -31,8 +31,8 @@ def bands(table: TransformTable, shape: tuple[int, ...], constant: Callable[[NDA
 
     for first in range(0, rows, height):
         reads = [slice(first, min(first + height, rows))]
-        for layer in reversed(table.later):
-            margin = max(REACH, layer.radius)
+        margins = [max(REACH, layer.radius) for layer in table.later] + ([table.spectra.radius] if table.spectra else [])
+        for margin in reversed(margins):
             reads.insert(0, slice(max(0, reads[0].start - margin), min(rows, reads[0].stop + margin)))
         seen = row_source[reads[0].start : reads[0].stop + 2 * radius]
         raw_rows = slice(int(seen.min()), int(seen.max()) + 1)
@@ -41,7 +41,7 @@ def bands(table: TransformTable, shape: tuple[int, ...], constant: Callable[[NDA
                 (beside(made, REACH, read), beside(made, REACH, reads[0]), across[REACH]),
                 (beside(made, layer.radius, read), across[layer.radius]),
             )
-            for layer, read, made in zip(table.later, reads[:-1], reads[1:], strict=True)
+            for layer, read, made in zip(table.later, reads, reads[1:], strict=False)
         )
         yield Band(tuple(reads), raw_rows, columns, (constant(_int32(seen - raw_rows.start)), column_source), later)
 

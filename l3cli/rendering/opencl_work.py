@@ -6,10 +6,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.table import TransformTable
 from l3cli.frame import RawFrame
 from l3cli.rendering.opencl_devices import pyopencl
 
 Source = Any  # a buffer of indices
+STAGES = ("upload", "classes", "transforms", "encode", "download")
+LATER_STAGES = ("upload", "classes", "planes", "structures", "transforms", "encode", "download")
+SPECTRA = "spectra"  # between transforms and encoding, where spectra are smoothed
+
+
+def stages_of(table: TransformTable) -> tuple[str, ...]:
+    """What the time of a frame is counted by."""
+    stages = LATER_STAGES if table.later else STAGES
+    return (*stages[:-2], SPECTRA, *stages[-2:]) if table.spectra else stages
 
 
 def constant(context: Any, array: NDArray, dtype: Any = None) -> Any:
@@ -40,6 +50,7 @@ class Track:
         self.chosen: tuple[Any, ...] = ()  # … or the host's array that says so; nothing where there is one set
         self.planes: list[Any] = [None] * layers  # that each later layer reads
         self.later_labels: list[Any] = [None] * layers
+        self.made: Any = None  # outputs whose spectra are still to be smoothed
         self.result: Any = None
         self._typed: set[Any] = set()  # kernels
 
@@ -146,7 +157,8 @@ class PlaneSource:
 class Band:
     """Rows of a frame, and what every layer reads for them."""
 
-    reads: tuple[slice, ...]  # rows of planes that each later layer reads, and at the end the band's own
+    # rows of planes that each later layer reads, of outputs whose spectra are smoothed, if so, and at the end the band's own
+    reads: tuple[slice, ...]
     raw_rows: slice  # that the patches of the first of them touch
     columns: int
     mosaic_source: tuple[Source, Source]  # (padded row) of the raw rows, (padded col)
@@ -155,6 +167,11 @@ class Band:
     @property
     def rows(self) -> slice:
         return self.reads[-1]
+
+    @property
+    def made(self) -> slice:
+        """Rows that the last layer makes."""
+        return self.reads[len(self.later)]
 
     def shape(self, number: int) -> tuple[int, int]:
         """Rows and columns of `reads`."""

@@ -17,6 +17,7 @@ from l3cli.rendering.display import Display, encode, require_known_layers, requi
 from l3cli.rendering.kept_table import Layouts
 from l3cli.rendering.later import first_planes, later_outputs, later_planes
 from l3cli.rendering.noise_sets import first_fixed_point, first_layer, later_layers, later_rules, quiet_pixels, sets_of
+from l3cli.rendering.smoothing import smoothed_spectra
 
 
 class ReferenceRenderer:
@@ -50,11 +51,13 @@ class ReferenceRenderer:
         """`outputs` before rounding to float32."""
         levelled = at_table_levels(frame, self.table)
         labels = self._labels(levelled)
-        share = frame.light_share * (1.0 if frame.shading is None else frame.shading.gain_map(frame.values.shape[1]))
-        if not self.table.later:
-            return share * output_planes(levelled, labels, self.table, self._first)
-        planes, later_labels = self._later(levelled, labels, len(self.table.later))
-        return share * later_outputs(planes, later_labels, self._later_layers[-1])
+        gain = 1.0 if frame.shading is None else frame.shading.gain_map(frame.values.shape[1])
+        if self.table.later:
+            planes, later_labels = self._later(levelled, labels, len(self.table.later))
+            made = gain * later_outputs(planes, later_labels, self._later_layers[-1])
+        else:
+            made = gain * output_planes(levelled, labels, self.table, self._first)
+        return frame.light_share * (smoothed_spectra(made, self.table.spectra) if self.table.spectra else made)
 
     def planes(self, frame: RawFrame) -> NDArray[np.int32]:
         """What the last layer of a table of several reads of a frame, (plane, row, col)."""

@@ -27,7 +27,8 @@ def insight(table: TransformTable) -> dict[str, Any]:
     trained unsaturated classes of what a flat unit signal of one channel adds to each output. condition: median and worst
     over trained classes. worst: the trained classes of the largest noise gain (of Y if there is one), with their names.
     All are of the first layer and of all lights together; later: of every layer after it `later_layer`. lights: names of
-    those that have transforms besides, and their colour temperatures in K; not there if none has.
+    those that have transforms besides, and their colour temperatures in K; not there if none has. spectra: the window
+    (pixel) that they are smoothed over, and the reach in brightness; not there if they are not.
     """
     trained, rule = table.first.samples > 0, table.first.rule
     taps = rule.patch**2
@@ -63,6 +64,7 @@ def insight(table: TransformTable) -> dict[str, Any]:
             for index in worst.tolist()
         ],
         "later": [later_layer(layer, table.outputs) for layer in table.later],
+        **({"spectra": {"window": table.spectra.window, "reach": table.spectra.reach}} if table.spectra else {}),
         **({"lights": [_light(light) for light in table.lights]} if table.lights else {}),
     }
 

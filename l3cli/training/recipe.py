@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.spectral_smoothing import WINDOWS
 from l3cli.artifacts.tree_rule import MOST_LEAVES
 from l3cli.classes.recipe import ClassRecipe
 from l3cli.config import Count, CountOrNone, Positive, Recipe, Share
@@ -60,6 +61,11 @@ class LearningRecipe(Recipe):
     plain_surfaces: NotNegative = (
         0.3  # uniform areas of measured surfaces, a patch of a plain class (docs/method.md#plain-surfaces)
     )
+    # where the outputs are the camera's bands, the side in pixels, odd, of the neighbourhood whose mean spectrum a pixel
+    # takes, keeping its brightness (docs/method.md#smoothed-spectra); 0: its spectrum is its own
+    spectral_window: Annotated[int, msgspec.Meta(ge=0, le=WINDOWS[-1])] = 0
+    # difference of brightness, a share of the pixel's own, from which a neighbour does not count
+    spectral_reach: Annotated[float, msgspec.Meta(gt=0, lt=1)] = 0.3
     symmetry: bool = True  # rotated or mirrored CFA sites share their training (docs/method.md#symmetry)
     equal_response: bool = True  # all CFA sites answer a flat patch alike (docs/method.md#equal-response)
 
@@ -154,6 +160,9 @@ def learning_faults(recipe: LearningRecipe) -> Iterator[Fault]:
     if recipe.noise_left and recipe.per_light:
         message = "learning.per_light: a table has transforms of several lights or of less noise; leave out noise_left"
         yield fault(message, "learning.noise_left", "learning.per_light")
+    if recipe.spectral_window not in (0, *WINDOWS):
+        message = f"learning.spectral_window is {recipe.spectral_window}, not 0 or one of {', '.join(map(str, WINDOWS))}"
+        yield fault(message, "learning.spectral_window")
     powers = {"brightness_power": 0 <= recipe.brightness_power <= 1, "error_power": 0 <= recipe.error_power <= 0.5}
     if wrong := [f"learning.{key}" for key, right in powers.items() if not right]:
         yield fault("learning.brightness_power must lie in 0…1, error_power in 0…0.5", *wrong)

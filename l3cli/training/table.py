@@ -11,6 +11,7 @@ from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.layers import MosaicLayer
 from l3cli.artifacts.partial_sums import ClassSums
 from l3cli.artifacts.schema import Stage
+from l3cli.artifacts.spectral_smoothing import SpectralSmoothing
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import LightSpectrum, TrainingPair, TrainingSet
 from l3cli.classes.chroma import channel_shares, choose_chromas
@@ -191,7 +192,15 @@ def assemble(pass_: TrainingPass, solutions: dict[int, Solution], history: tuple
         exposure=pass_.exposure,
         light=pass_.light,
         camera=replace(camera, fit=None),
+        spectra=_spectra(head, pass_.recipe),
     )
+
+
+def _spectra(head: TrainingSet, recipe: LearningRecipe) -> SpectralSmoothing | None:
+    """How spectra of the camera's bands are smoothed; other outputs are no spectra."""
+    if not recipe.spectral_window or head.outputs != head.camera.channels or len(head.outputs) == 1:
+        return None
+    return SpectralSmoothing(recipe.spectral_window, recipe.spectral_reach)
 
 
 def _light_of(frame: TrainingPair, camera: CameraModel) -> NDArray[np.float64]:

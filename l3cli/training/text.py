@@ -29,6 +29,9 @@ def learned(insight: dict[str, Any]) -> list[str]:
     ]
     for number, layer in enumerate(insight["later"], 2):
         lines += _later(number, layer)
+    if spectra := insight.get("spectra"):
+        side, reach = spectra["window"], spectra["reach"]
+        lines.append(f"spectra smoothed over {side} × {side} pixels of like brightness, within {100 * reach:.3g} %")
     if lights := insight.get("lights"):
         named = " · ".join(f"{light['name']} {light['kelvin']} K" for light in lights)
         lines.append(f"transforms of single lights: {named}")

@@ -10,6 +10,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.layers import RATIO_TAPS, MosaicLayer, PlaneLayer
 from l3cli.artifacts.light_set import LightSet
 from l3cli.artifacts.quiet_set import QuietSet
+from l3cli.artifacts.spectral_smoothing import SpectralSmoothing
 from l3cli.artifacts.structure_rule import StructureRule
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import LightSpectrum
@@ -87,6 +88,14 @@ def with_quiet(table: TransformTable, noise_left: float = 0.125, seed: int = 9) 
         for layer in table.later
     )
     return dataclasses.replace(table, quiet=QuietSet(noise_left, first, later))
+
+
+def with_spectra(table: TransformTable, window: int, reach: float) -> TransformTable:
+    """The table with smoothed spectra, of positive weights: brightness of bands is no difference of large numbers."""
+    weights, intercept = (np.abs(each) / table.first.rule.patch**2 for each in (table.first.weights, table.first.intercept))
+    return dataclasses.replace(
+        with_first(table, weights=weights, intercept=intercept), spectra=SpectralSmoothing(window, reach)
+    )
 
 
 def with_lights(table: TransformTable, *lights: str, seed: int = 5) -> TransformTable:

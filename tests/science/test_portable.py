@@ -26,7 +26,7 @@ from l3cli.rendering.portable.source import Words, c_files
 from l3cli.rendering.portable.vector import drawn_mosaic
 from l3cli.rendering.portable.wordlengths import SEED, SHAPE, in_words, short_cost
 from l3cli.rendering.reference import ReferenceRenderer
-from tests.helpers.tables import random_table, with_first, with_later, with_tree
+from tests.helpers.tables import random_table, with_first, with_later, with_spectra, with_tree
 
 CC = os.environ.get("CC") or shutil.which("cc") or shutil.which("gcc")
 ARM, QEMU = shutil.which("arm-linux-gnueabihf-gcc"), shutil.which("qemu-arm")
@@ -63,6 +63,7 @@ TABLES: dict[str, Callable[[], TransformTable]] = {
         with_later(a_table([[0, 1, 2, 1], [2, 1, 0, 1]], 16, 64.0, patch=7, contrasts=()), 3, 5),
         5_000_000, 100_000_000, 700_000_000, 1_500_000_000,
     ),
+    "smoothed spectra": lambda: with_spectra(a_table([[0, 1], [2, 3]], 12, 64.0, outputs=tuple("abcd")), 5, 0.4),
     "a tree, 6 × 6": lambda: with_tree(a_table(SIX, 12, 64.0, contrasts=()), ratios=True),
 }  # fmt: skip
 needs_compiler = pytest.mark.skipif(CC is None, reason="there is no C compiler (cc, gcc or CC)")
@@ -147,6 +148,11 @@ def test_any_mosaic_gets_the_classes_and_outputs_of_the_reference(built: Built, 
         return
     weights = np.abs(table.layers[-1].weights).sum(axis=-1).max()  # 16 in random layers: terms cancel, roundings do not
     assert np.abs(outputs - exact).max() <= 4 * 2.0**-24 * weights * max(1.0, np.abs(exact).max())
+
+
+def test_words_of_smoothed_spectra_are_refused() -> None:
+    with pytest.raises(InputFileError, match="smooths spectra, in floats"):
+        c_files(TABLES["smoothed spectra"](), "int16")
 
 
 @needs_compiler

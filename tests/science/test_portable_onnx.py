@@ -17,7 +17,7 @@ from l3cli.classes import direction
 from l3cli.rendering.portable.onnx_graph import OPSET, Graph
 from l3cli.rendering.portable.onnx_model import onnx_files
 from l3cli.rendering.reference import ReferenceRenderer
-from tests.helpers.tables import frame_of_all_levels, random_table, with_first, with_later, with_tree
+from tests.helpers.tables import frame_of_all_levels, random_table, with_first, with_later, with_spectra, with_tree
 
 
 def unsaturated_first(table: TransformTable) -> TransformTable:
@@ -47,6 +47,7 @@ TABLES: dict[str, Callable[[], TransformTable]] = {
             direction=direction.Keys(orientations=8, strengths=(4.0,), coherence=0.5),
         )
     ),
+    "smoothed spectra": lambda: with_spectra(random_table([[0, 1], [2, 3]], 12, 64.0, outputs=tuple("abcd")), 3, 0.4),
     "three layers": three_layers,
     "a tree": lambda: with_tree(unsaturated_first(random_table([[0, 1], [1, 2]], 12, 64.0, contrasts=()))),
 }  # fmt: skip

@@ -21,6 +21,7 @@ from l3cli.columns import printable
 from l3cli.rendering.display import require_known_layers
 from l3cli.rendering.portable.vector import make_vector
 from l3cli.rendering.portable.wordlengths import ENOUGH, SEED, SHAPE, Cost, Words, chosen_words, word_costs
+from l3cli.rendering.smoothing import DARKEST
 
 FORMAT, VERSION = "l3 table as arrays", 1
 HEAD = ("bits", "black_level", "white_level", "outputs", "output_unit", "white_point", "channels", "cfa")
@@ -60,6 +61,13 @@ LAYERS = {
 }
 
 
+SPECTRA_DOC = (
+    "what is done to the outputs at last, also to test_outputs: Y is the mean of the outputs, p a pixel, q those of the "
+    "window about it, mirrored at the borders; w = max(0, 1 - ((Y_q - Y_p) / (reach * Y_p))^2)^2; output_p <- mean of "
+    "output_q * Y_p / mean of Y_q, means weighed by w, where Y_p > spectra_darkest"
+)
+
+
 def folder_files(table: TransformTable) -> dict[str, bytes]:
     """Name → content of every file."""
     require_known_layers(table)
@@ -74,6 +82,9 @@ def folder_files(table: TransformTable) -> dict[str, bytes]:
         "formulas": FORMULAS | (LAYERS if table.later else ONE_LAYER),
         "constants": _constants(table),
     }
+    if table.spectra:
+        content["spectra"] = {"doc": SPECTRA_DOC, **arrays.of_fields("spectra/", table.spectra)}
+        content["constants"]["spectra_darkest"] = DARKEST
     if table.quiet:
         quiet = replace(table, first=table.quiet.first, later=table.quiet.later, quiet=None)
         arrays.prefix = QUIET

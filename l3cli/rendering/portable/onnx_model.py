@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.layers import PLANE_STEP, PLANE_TOP, PlaneLayer
+from l3cli.artifacts.spectral_smoothing import SpectralSmoothing
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes import direction
 from l3cli.classes.features import further_features
@@ -23,6 +24,7 @@ from l3cli.rendering.portable.facts import table_facts
 from l3cli.rendering.portable.onnx_classes import Frame, mirrored, mosaic_labels, padded, plane_labels
 from l3cli.rendering.portable.onnx_graph import END, OPSET, Graph, Tensor, model_bytes
 from l3cli.rendering.portable.vector import make_vector
+from l3cli.rendering.smoothing import DARKEST as SPECTRA_DARKEST
 
 README = Path(__file__).parent / "onnx_readme.md"
 
@@ -51,6 +53,8 @@ def _model(table: TransformTable) -> bytes:
     raw, phase = graph.input("raw", np.uint16), graph.input("phase", np.int64)
     frame = _frame(table, graph, raw, phase)
     labels, outputs = _render(frame)
+    if table.spectra:
+        outputs = _smoothed(frame, outputs, table.spectra)
     size: list[str | int] = ["rows", "columns"]
     return model_bytes(
         graph,
@@ -110,6 +114,30 @@ def _box_mean(plane: Tensor, side: int) -> Tensor:
         row, column = divmod(place, side)
         total = total + plane.cut(0, row, row + 1 - side or END).cut(1, column, column + 1 - side or END)
     return total * (1 / side**2)
+
+
+def _smoothed(frame: Frame, outputs: Tensor, smoothing: SpectralSmoothing) -> Tensor:
+    """As l3cli/rendering/smoothing.py."""
+    graph, reach = frame.graph, smoothing.radius
+    down, across = (mirrored(graph, length, reach, 1) for length in (frame.rows, frame.columns))
+    wide = outputs.take(down, axis=1).take(across, axis=2)
+    count = len(frame.table.outputs)
+    brightness, around = (each.total(0) * (1 / count) for each in (outputs, wide))
+    inverse = graph.constant(1.0) / (brightness.most(SPECTRA_DARKEST) * smoothing.reach)
+    total, brighter, change = graph.constant(1.0), graph.constant(0.0), graph.constant(0.0)
+    for row, column in np.ndindex(smoothing.window, smoothing.window):
+        if row == column == reach:
+            continue
+        cuts = ((row, row + 1 - smoothing.window or END), (column, column + 1 - smoothing.window or END))
+        difference = around.cut(0, *cuts[0]).cut(1, *cuts[1]) - brightness
+        share = difference * inverse
+        left = (1 - share * share).most(0.0)
+        weight = left * left
+        total, brighter = total + weight, brighter + weight * difference
+        change = change + weight * (wide.cut(1, *cuts[0]).cut(2, *cuts[1]) - outputs)
+    lit = brightness > SPECTRA_DARKEST
+    kept = brightness / lit.where(brightness + brighter / total, 1.0)
+    return lit.where((outputs + change / total) * kept, outputs)
 
 
 def _windows(frame: Frame, layer: PlaneLayer, planes: list[Tensor]) -> list[Tensor]:

@@ -25,6 +25,7 @@ from l3cli.rendering.portable.facts import table_facts
 from l3cli.rendering.portable.short_words import OUTPUT_FRACTION, OUTPUT_TOP, ShortWords, offset_of, short_words, split_of
 from l3cli.rendering.portable.vector import Vector, make_vector
 from l3cli.rendering.portable.wordlengths import short_cost
+from l3cli.rendering.smoothing import DARKEST
 
 PIECES = Path(__file__).parent / "c"
 Words = Literal["float32", "int16"]  # of outputs, and of what the last layer multiplies
@@ -39,6 +40,8 @@ def c_files(table: TransformTable, words: Words = "float32") -> dict[str, bytes]
     for feature, axis in further_features(table.first.rule):
         if feature is not direction:
             raise InputFileError(f'C source has no class feature "{axis.name}"; export the table as a folder')
+    if table.spectra and words == "int16":
+        raise InputFileError("the table smooths spectra, in floats; leave out ‹words› or export it as a folder")
     short = short_words(table) if words == "int16" else None
     arrays, layers = table_arrays(table, short)
     vector = make_vector(table)
@@ -61,7 +64,8 @@ def _piece(name: str) -> str:
 def _pieces(table: TransformTable, words: Words) -> tuple[str, ...]:
     further = "direction.c" if table.first.rule.axes else "no_direction.c"
     behind = ("planes.c", "structure.c", "tree.c", "several_layers.c") if table.later else ("one_layer.c",)
-    return ("head.c", further, "classes.c", f"{words}.c", *behind, "render.c")
+    spectra = "spectra.c" if table.spectra else "no_spectra.c"
+    return ("head.c", further, "classes.c", f"{words}.c", *behind, spectra, "render.c")
 
 
 # ---------------------------------------------------------------------------------------------------------------- macros
@@ -96,6 +100,9 @@ def macros(table: TransformTable, words: Words) -> dict[str, int | str]:
     }
     for feature, axis in further_features(rule):
         values |= feature.macros(axis, rule) | {"WINDOWS": len(axis.windows)}
+    if table.spectra:
+        reach, darkest = _float(table.spectra.reach), _float(DARKEST)
+        values |= {"SPECTRAL_WINDOW": table.spectra.window, "SPECTRAL_REACH": reach, "DARKEST": darkest}
     values |= _float_macros(table) if words == "float32" else _word_macros(table)
     return values | (_plane_macros(table) if table.later else {"LAST_TAPS": filled(rule.patch**2)})
 
@@ -190,6 +197,9 @@ def _readme(table: TransformTable, vector: Vector, arrays: list[Array], short: S
     parts += ["readme_direction.md"] if rule.axes else []
     parts += ["readme_planes.md"] if table.later else ["readme_one_layer.md"]
     parts += ["readme_ratios.md"] if table.later and table.later[-1].ratio_taps else []
+    if table.spectra:
+        parts += ["readme_spectra.md"]
+        known |= {"spectral_window": table.spectra.window, "spectral_reach": f"{table.spectra.reach:g}"}
     parts += ["readme_structure.md"] if any(isinstance(layer.rule, StructureRule) for layer in table.later) else []
     parts += ["readme_tree.md"] if any(isinstance(layer.rule, TreeRule) for layer in table.later) else []
     return "\n".join(string.Template(_piece(part)).substitute(known) for part in parts)

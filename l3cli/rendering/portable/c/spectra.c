@@ -1,0 +1,98 @@
+/* ---------------------------------------------------------------------------------------------------------------- spectra */
+
+#define REACHED (L3_SPECTRAL_WINDOW / 2) /* rows, or columns, on every side of a pixel */
+#define NEIGHBOURS (L3_SPECTRAL_WINDOW * L3_SPECTRAL_WINDOW)
+
+/* Rows of the frame as the layers have made them, row r in place r % L3_SPECTRAL_WINDOW, with REACHED mirrored columns on both
+ * sides: what is smoothed is written over them. */
+typedef struct {
+    ptrdiff_t span;
+    float *made;          /* (L3_SPECTRAL_WINDOW, output, span) */
+    float *brightness;    /* (L3_SPECTRAL_WINDOW, span) mean of the outputs */
+    float *weight;        /* (NEIGHBOURS, column) what the neighbours of a row's pixels count */
+    float *share, *kept;  /* (column) one by their sum; brightness by the mean of theirs */
+} Spectra;
+
+static Spectra spectra_in(Room *room, int columns) {
+    const uint64_t span = (uint64_t)columns + 2 * REACHED;
+    Spectra s;
+    s.span = (ptrdiff_t)span;
+    s.made = take(room, L3_SPECTRAL_WINDOW * L3_OUTPUTS * span, sizeof *s.made);
+    s.brightness = take(room, L3_SPECTRAL_WINDOW * span, sizeof *s.brightness);
+    s.weight = take(room, NEIGHBOURS * (uint64_t)columns, sizeof *s.weight);
+    s.share = take(room, (uint64_t)columns, sizeof *s.share);
+    s.kept = take(room, (uint64_t)columns, sizeof *s.kept);
+    return s;
+}
+
+static float *made_row(const Spectra *s, int row, int output) {
+    return s->made + (row % L3_SPECTRAL_WINDOW * L3_OUTPUTS + output) * s->span;
+}
+
+static float *brightness_row(const Spectra *s, int row) { return s->brightness + row % L3_SPECTRAL_WINDOW * s->span; }
+
+static void keep_row(const Spectra *s, int row, int rows, int columns, const float *outputs) {
+    float *restrict brightness = brightness_row(s, row);
+    for (ptrdiff_t p = 0; p < s->span; p++) brightness[p] = 0;
+    for (int o = 0; o < L3_OUTPUTS; o++) {
+        const float *restrict from = outputs + ((ptrdiff_t)o * rows + row) * columns;
+        float *restrict to = made_row(s, row, o);
+        for (int i = 0; i < REACHED; i++) {
+            to[i] = from[mirrored(i - REACHED, columns, 1)];
+            to[columns + REACHED + i] = from[mirrored(columns + i, columns, 1)];
+        }
+        for (int x = 0; x < columns; x++) to[REACHED + x] = from[x];
+        for (ptrdiff_t p = 0; p < s->span; p++) brightness[p] += to[p];
+    }
+    for (ptrdiff_t p = 0; p < s->span; p++) brightness[p] *= 1.0f / L3_OUTPUTS;
+}
+
+static void weigh_neighbours(const Spectra *s, int row, int rows, int columns) {
+    const float *restrict own = brightness_row(s, row) + REACHED;
+    float *restrict share = s->share, *restrict kept = s->kept;
+    for (int x = 0; x < columns; x++) share[x] = kept[x] = 0;
+    for (int n = 0; n < NEIGHBOURS; n++) {
+        const int neighbour = mirrored(row + n / L3_SPECTRAL_WINDOW - REACHED, rows, 1);
+        const float *restrict there = brightness_row(s, neighbour) + n % L3_SPECTRAL_WINDOW;
+        float *restrict weight = s->weight + (ptrdiff_t)n * columns;
+        for (int x = 0; x < columns; x++) {
+            const float above = own[x] > L3_DARKEST ? own[x] : L3_DARKEST, difference = there[x] - own[x];
+            const float part = difference / (L3_SPECTRAL_REACH * above), left = 1 - part * part;
+            const float positive = left > 0 ? left : 0;
+            weight[x] = positive * positive;
+            share[x] += weight[x];
+            kept[x] += weight[x] * difference;
+        }
+    }
+    for (int x = 0; x < columns; x++) {
+        share[x] = 1 / share[x];
+        kept[x] = own[x] > L3_DARKEST ? own[x] / (own[x] + kept[x] * share[x]) : 1;
+    }
+}
+
+static void smooth_row(const Spectra *s, int row, int rows, int columns, int output, float *restrict to) {
+    const float *restrict own = made_row(s, row, output) + REACHED, *restrict brightness = brightness_row(s, row) + REACHED;
+    for (int x = 0; x < columns; x++) to[x] = 0;
+    for (int n = 0; n < NEIGHBOURS; n++) {
+        const int neighbour = mirrored(row + n / L3_SPECTRAL_WINDOW - REACHED, rows, 1);
+        const float *restrict there = made_row(s, neighbour, output) + n % L3_SPECTRAL_WINDOW;
+        const float *restrict weight = s->weight + (ptrdiff_t)n * columns;
+        for (int x = 0; x < columns; x++) to[x] += weight[x] * (there[x] - own[x]);
+    }
+    for (int x = 0; x < columns; x++) {
+        const float mean = (own[x] + to[x] * s->share[x]) * s->kept[x];
+        to[x] = brightness[x] > L3_DARKEST ? mean : own[x];
+    }
+}
+
+/* Every pixel takes the mean spectrum of those of like brightness about it, and keeps its own brightness. */
+static void smooth_spectra(const Spectra *s, int rows, int columns, float *outputs) {
+    for (int row = 0; row < REACHED && row < rows; row++) keep_row(s, row, rows, columns, outputs);
+    for (int row = 0; row < rows; row++) {
+        if (row + REACHED < rows) keep_row(s, row + REACHED, rows, columns, outputs);
+        weigh_neighbours(s, row, rows, columns);
+        for (int o = 0; o < L3_OUTPUTS; o++)
+            smooth_row(s, row, rows, columns, o, outputs + ((ptrdiff_t)o * rows + row) * columns);
+    }
+}
+

@@ -1,0 +1,124 @@
+"""Smoothed spectra: what must hold of the formula, and the kernels against it (docs/method.md#smoothed-spectra)."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from l3cli.artifacts.spectral_smoothing import SpectralSmoothing
+from l3cli.artifacts.store import load, save
+from l3cli.artifacts.table import TransformTable
+from l3cli.errors import RecipeError
+from l3cli.rendering import opencl_bands
+from l3cli.rendering.opencl import OpenCLRenderer
+from l3cli.rendering.reference import ReferenceRenderer
+from l3cli.rendering.smoothing import DARKEST, smoothed_spectra
+from l3cli.training.insight import insight
+from l3cli.training.recipe import LearningRecipe, check_learning
+from l3cli.training.text import learned
+from tests.helpers.tables import frame_of_all_levels, random_table, with_spectra
+
+SIXTEEN = np.arange(16).reshape(4, 4)
+SMOOTHINGS = st.builds(SpectralSmoothing, st.sampled_from([3, 5]), st.floats(0.01, 0.99))
+
+
+def spectra_of(seed: int, noise: float = 0.3, shape: tuple[int, int] = (7, 9)) -> NDArray[np.float64]:
+    """Outputs (output, row, col) of random brightness, dark and bright, some of them negative."""
+    rng = np.random.default_rng(seed)
+    return np.exp(rng.normal(-1, 1, shape)) * (1 + noise * rng.normal(size=(6, *shape)))
+
+
+@given(st.integers(0, 2**32 - 1), SMOOTHINGS)
+def test_brightness_is_kept_and_scale_does_not_matter(seed: int, smoothing: SpectralSmoothing) -> None:
+    planes = spectra_of(seed)
+    smoothed = smoothed_spectra(planes, smoothing)
+    np.testing.assert_allclose(smoothed.mean(axis=0), planes.mean(axis=0), rtol=1e-9)
+    np.testing.assert_allclose(smoothed_spectra(4 * planes, smoothing), 4 * smoothed, rtol=1e-9, atol=1e-12)
+
+
+@given(st.integers(0, 2**32 - 1), SMOOTHINGS, st.integers(0, 3), st.booleans())
+def test_it_turns_with_the_planes(seed: int, smoothing: SpectralSmoothing, turns: int, mirrored: bool) -> None:
+    def turned(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.rot90(values[..., ::-1] if mirrored else values, turns, (1, 2))
+
+    planes = spectra_of(seed)
+    np.testing.assert_allclose(
+        smoothed_spectra(turned(planes), smoothing), turned(smoothed_spectra(planes, smoothing)), atol=1e-9
+    )
+
+
+@given(st.integers(0, 2**32 - 1), SMOOTHINGS)
+def test_an_output_is_a_mean_of_neighbours_times_at_most_what_reach_allows(seed: int, smoothing: SpectralSmoothing) -> None:
+    """No band rises above what any pixel has, but for brightness within reach: nothing is divided by next to nothing."""
+    planes = np.abs(spectra_of(seed))
+    most = planes.max(axis=(1, 2), keepdims=True) / (1 - smoothing.reach)
+    smoothed = smoothed_spectra(planes, smoothing)
+    assert (smoothed >= 0).all()
+    assert (smoothed <= most * (1 + 1e-9)).all()
+
+
+def test_plain_areas_one_colour_and_edges_of_brightness_stay() -> None:
+    smoothing = SpectralSmoothing(5, 0.3)
+    plain = np.broadcast_to(np.random.default_rng(0).random((16, 1, 1)), (16, 8, 9)).copy()
+    assert np.array_equal(smoothed_spectra(plain, smoothing), plain)
+    shaded = plain * np.random.default_rng(1).uniform(0.1, 1, (8, 9))
+    np.testing.assert_allclose(smoothed_spectra(shaded, smoothing), shaded, rtol=1e-12)
+    edge = plain.copy()
+    edge[:, :, 4:] = 0.6 * plain[::-1, :, 4:]  # of another spectrum, and beyond reach
+    assert np.array_equal(smoothed_spectra(edge, smoothing), edge)
+
+
+def test_noise_of_spectra_falls_and_the_dark_stays_finite() -> None:
+    rng = np.random.default_rng(2)
+    spectrum = rng.uniform(0.5, 1, (16, 1, 1))
+    noisy = spectrum + 0.05 * rng.normal(size=(16, 30, 30))
+    smoothed = smoothed_spectra(noisy, SpectralSmoothing(3, 0.3))
+    share = np.std(smoothed - spectrum) / np.std(noisy - spectrum)
+    assert share == pytest.approx((1 / 9 + 8 / 9 / 16) ** 0.5, abs=0.03)  # a mean of nine, but brightness's own sixteenth
+    for level in (0.0, DARKEST, 1e-30, -1.0):
+        dark = level * (1 + rng.normal(size=(4, 6, 6)))
+        made = smoothed_spectra(dark, SpectralSmoothing(3, 0.9))
+        assert np.isfinite(made).all()
+        below = dark.mean(axis=0) <= DARKEST
+        assert np.array_equal(made[:, below], dark[:, below])
+
+
+@pytest.mark.parametrize(
+    ("variant", "window", "reach", "outputs"), [("processor", 3, 0.3, 16), ("graphics", 3, 0.3, 16), ("graphics", 9, 0.5, 2)]
+)
+def test_kernels_agree_with_the_reference(
+    variant: str, window: int, reach: float, outputs: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also of a frame smaller than the window, and of one that is taken in bands of a few rows."""
+    names = tuple(f"b{index}" for index in range(outputs))
+    bare = random_table(SIXTEEN, black_level=64.0, patch=5, outputs=names, contrasts=(1.4,))
+    table = with_spectra(bare, window, reach)
+    reference, renderer = ReferenceRenderer(table), OpenCLRenderer(table, variant=variant)
+    for shape, band in (((3, 4), 100), ((53, 70), 100), ((52, 71), 7)):
+        monkeypatch.setattr(opencl_bands, "BAND_PIXELS", band * shape[1])
+        frame = frame_of_all_levels(table, np.random.default_rng(3), shape, (1, 2))
+        expected = reference.exact_outputs(frame)
+        unsmoothed = ReferenceRenderer(dataclasses.replace(table, spectra=None)).exact_outputs(frame)
+        assert np.abs(expected - unsmoothed).max() > 1e-3
+        # float32 spectra are right to 1e-6; weights, whose slope is 1.5 / reach, to 1e-5 of what neighbours differ by
+        np.testing.assert_allclose(renderer.outputs(frame), expected, atol=1e-5 * np.abs(expected).max())
+        assert np.array_equal(renderer.labels(frame), reference.labels(frame))
+
+
+def test_a_table_keeps_it_and_refuses_what_cannot_be(tmp_path: Path) -> None:
+    table = with_spectra(random_table([[0, 1], [1, 2]], outputs=("a", "b")), 5, 0.25)
+    save(table, tmp_path / "table.h5")
+    assert load(TransformTable, tmp_path / "table.h5").spectra == SpectralSmoothing(5, 0.25)
+    assert "smoothed over 5 × 5 pixels" in "\n".join(learned(insight(table)))
+    for window, reach in ((4, 0.3), (11, 0.3), (3, 0.0), (3, 1.0)):
+        with pytest.raises(ValueError, match=r"window is|reach is"):
+            SpectralSmoothing(window, reach)
+    for outputs in (("X", "Y", "Z"), ("a",)):
+        with pytest.raises(ValueError, match="cannot be smoothed"):
+            with_spectra(random_table([[0, 1], [1, 2]], outputs=outputs), 3, 0.3)
+    with pytest.raises(RecipeError, match="spectral_window is 4, not 0 or one of 3, 5, 7, 9"):
+        check_learning(LearningRecipe(darkest=0.001, spectral_window=4))
