@@ -141,11 +141,8 @@ def _response_of(camera: CameraModel, mono: MonoRecipe, step: float) -> _Respons
     first = min(camera.wavelength[0], centres[0] - mono.bandwidth_nm) - SPARE
     last = max(camera.wavelength[-1], centres[-1] + mono.bandwidth_nm) + SPARE
     wavelength = np.arange(first, last + step / 2, step)
-    area = camera.optics.irradiance_per_radiance * camera.pixel_pitch**2
-    responsivity = spectra.average(camera.responsivity, camera.wavelength, wavelength)
-    if camera.readout is not None:
-        responsivity = responsivity * camera.readout.channel_exposure[:, None]
-    return _Response(camera, wavelength, responsivity * area * spectra.bin_widths(wavelength))
+    # By the hats of the responsivity, as frames are simulated: the outermost ones reach half a step beyond its ends.
+    return _Response(camera, wavelength, camera.electron_weights @ spectra.sampling_matrix(wavelength, camera.wavelength))
 
 
 def _slit(wavelength: Array, centre: float, mono: MonoRecipe) -> Array:

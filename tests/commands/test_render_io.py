@@ -81,6 +81,14 @@ def test_narrow_files_keep_their_values(tmp_path: Path, mosaic: np.ndarray) -> N
     np.testing.assert_array_equal(read_raw(twelve, RGGB).values, mosaic & 0xFFF)
 
 
+def test_a_picture_is_not_taken_for_a_stack_of_narrow_frames(
+    refused: Refused, tmp_path: Path, table: Path, mosaic: np.ndarray
+) -> None:
+    for channels in (1, 3):
+        np.save(tmp_path / "a.npy", np.dstack([mosaic] * channels))
+        assert "rows × columns" in refused(3, "render", table, tmp_path / "a.npy", "-o", tmp_path / "out")
+
+
 def test_what_the_caller_knows_better_wins(tmp_path: Path, mosaic: np.ndarray) -> None:
     mosaic[:10, :6].tofile(tmp_path / "a.raw")
     frame = read_raw(tmp_path / "a.raw", RGGB, KnownBetter(black_level=7.0, white_level=99.0, phase=(1, 3), size=(10, 6)))

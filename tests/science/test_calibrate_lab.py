@@ -17,6 +17,8 @@ from l3cli.cli import run
 from l3cli.curve_file import read_table
 from l3cli.io.curves import write_curves
 from l3cli.measurement import Body
+from l3cli.simulation import lab
+from l3cli.simulation.lab_recipe import LabRecipe
 from l3cli.simulation.sensor_defects import DefectRecipe, defects_of
 from tests.helpers.calls import L3
 
@@ -165,3 +167,11 @@ def test_the_band_holds_the_errors_of_gain_and_scale(lab_folder: Path, tmp_path:
     unsure_scale = replace(camera.fit.chart, alpha_error=0.05 * camera.fit.chart.alpha)
     _, band = efficiency(curves, replace(camera.fit, chart=unsure_scale), camera.gain, body)
     assert (band >= 1.96 * 0.05 * c.responsivity * scale).all()
+
+
+def test_the_lab_sees_light_as_far_as_the_camera_does() -> None:
+    """A responsivity that ends high, as that of infrared pixels at 830 nm, reaches half a step beyond its last sample."""
+    camera = load_camera(Path("configs/cameras/rgbir4x4.toml"))
+    response = lab._response_of(camera, LabRecipe().mono, 1.0)
+    even = np.ones((1, response.wavelength.size))
+    np.testing.assert_allclose(response.electrons(even)[0], camera.electron_weights.sum(axis=1), rtol=1e-9)

@@ -10,6 +10,8 @@ from l3cli.io.arrays import map_array
 from l3cli.io.raw.content import RawContent, Request, Stack
 from l3cli.limits import require_picture
 
+MOST_CHANNELS = 4  # of a picture; no frame is so narrow
+
 
 def read(path: Path, _: Request) -> RawContent:
     """The frame of a file that holds one."""
@@ -18,8 +20,14 @@ def read(path: Path, _: Request) -> RawContent:
 
 def stack(path: Path, _: Request) -> Stack | None:
     """The frames of a file with three axes."""
-    if map_array(path).ndim != 3:
+    shape = map_array(path).shape
+    if len(shape) != 3:
         return None
+    if shape[2] <= MOST_CHANNELS:
+        raise InputFileError(
+            f"{path} holds {shape[0]}×{shape[1]}×{shape[2]} values, as a picture of {shape[2]} channels; give a mosaic, "
+            "rows × columns, or frames × rows × columns"
+        )
 
     def frame(number: int) -> RawContent:
         return RawContent(values=np.array(_mapped(path, 3)[number]))  # pages of a mapping that is kept count as memory
