@@ -30,6 +30,7 @@ typedef long wholes;
 #define TRUE_CELLS(condition) (-(condition))
 #define WITHIN(count) (-((count) > 0))
 #define SUM_CELLS(value) (value)
+#define FETCH_NEXT(p)
 #define FLOOR(value) ((int)(value))
 #else
 #pragma OPENCL EXTENSION cl_khr_fp64 : enable
@@ -52,6 +53,7 @@ VECTOR(double, wholes, CELL_LANES);
 #define ALL_IF(condition) (condition)  // all bits, or none, lane by lane
 #define TRUE_CELLS(condition) CONVERT(condition, cell_ints)  // the same of doubles
 #define FLOOR(value) CONVERT(value, cell_ints)  // of what is not below 0
+#define FETCH_NEXT(p) FETCH(p)
 
 // All bits of the lanes that are among so many.
 INLINE cell_ints WITHIN(int count) {

@@ -39,6 +39,8 @@ __kernel void evidence(__global const ushort *restrict raw, __global const ushor
                 for (int y = 0; y < CELL_ROWS; y++) {
                     const ints value = units(READ(now + y * columns + x), spare);
                     const ints residual = least_of(most_of(value - READ(before + y * columns + x), -CLIPPED), CLIPPED);
+                    FETCH_NEXT(now + (CELL_ROWS + y) * columns + x);
+                    FETCH_NEXT(before + (CELL_ROWS + y) * columns + x);
                     square += residual * residual;
                     sum += residual;
                     light += value;
@@ -171,6 +173,8 @@ __kernel void blend(__global const ushort *restrict raw, __global const ushort *
                         const int at = y * columns + x;
                         const ints value = units(READ(raw + place + at), spare), old = READ(kept + before + at);
                         const ints new = old + ((WEIGHTS(weight + x) * (value - old) + ONE / 2) >> SHARE_BITS);
+                        FETCH_NEXT(raw + place + CELL_ROWS * columns + at);
+                        FETCH_NEXT(kept + before + CELL_ROWS * columns + at);
                         WRITE(new_kept + place + at, new);
                         WRITE(made + place + at, least_of((new + rounding) >> spare, most));
                         sum += new;

@@ -57,44 +57,86 @@ INLINE void means_of(int *columns, __global ushort *plane, int count) {
     }
 }
 
-// Means over a period, of STRIP blocks of a row of them.
-__kernel void means(__global const ushort *restrict values, __global ushort *restrict plane, int spare, int block_rows,
-                    int block_columns) {
-    const int block_row = get_global_id(1), first = get_global_id(0) * STRIP, last = min(first + STRIP, block_columns);
-    const int columns = block_columns * BLOCK_COLUMNS, across = block_columns * UNITS_ACROSS;
-    for (int unit = 0; unit < UNITS_DOWN; unit++) {
-        const int row = block_row * UNITS_DOWN + unit;
-        __global const ushort *corner = values + row * PERIOD_ROWS * columns + first * BLOCK_COLUMNS;
-        int sums[STRIP_COLUMNS];
-        for (int x = 0; x < (last - first) * BLOCK_COLUMNS; x += LANES) {
-            ints sum = 0;
-            for (int y = 0; y < PERIOD_ROWS; y++) sum += units(READ(corner + y * columns + x), spare);
-            WRITE_PRIVATE(sums + x, sum);
-        }
-        means_of(sums, plane + (MARGIN + row) * row_length(across) + MARGIN + first * UNITS_ACROSS, (last - first) * UNITS_ACROSS);
-        fill_beside(plane, row, block_rows * UNITS_DOWN, across, first * UNITS_ACROSS, last * UNITS_ACROSS);
-    }
+#define DEEPEST (1 << (PLANES - 1))  // units of the finest plane that are one of the coarsest, down and across
+
+INLINE int2 size_of(int level, int block_rows, int block_columns) {
+    return (int2)(block_rows * UNITS_DOWN, block_columns * UNITS_ACROSS) >> level;
 }
 
-// Means of two by two of a plane whose rows are `wide`.
-__kernel void halve(__global const ushort *restrict fine, __global ushort *restrict coarse, int wide, int rows, int columns) {
-    const int line = get_global_id(1), row = clamp(line - MARGIN, 0, rows - 1);
-    const int first = get_global_id(0) * STRIP, last = min(first + STRIP, columns);
+// Where a plane begins among those that lie one behind the other.
+INLINE int begin_of(int level, int block_rows, int block_columns) {
+    int begin = 0;
+    for (int finer = 0; finer < level; finer++) {
+        const int2 size = size_of(finer, block_rows, block_columns);
+        begin += (size.x + 2 * MARGIN) * row_length(size.y);
+    }
+    return begin;
+}
+
+// Units `first` to `last` of a row of the finest plane: means over a period.
+INLINE void means(__global const ushort *values, __global ushort *plane, int row, int first, int last, int spare, int across) {
+    const int columns = across * PERIOD_COLUMNS, count = (last - first) * PERIOD_COLUMNS;
+    int sums[STRIP_COLUMNS];
+    values += row * PERIOD_ROWS * columns + first * PERIOD_COLUMNS;
+    for (int x = 0; x < count; x += LANES) {
+        ints sum = 0;
+        for (int y = 0; y < PERIOD_ROWS; y++) {
+            sum += units(READ(values + y * columns + x), spare);
+            FETCH_NEXT(values + (PERIOD_ROWS + y) * columns + x);
+        }
+        WRITE_PRIVATE(sums + x, sum);
+    }
+    means_of(sums, plane + (MARGIN + row) * row_length(across) + MARGIN + first, last - first);
+}
+
+// The same of a coarser plane: means of two by two of the finer one, whose rows are `wide`.
+INLINE void halve(__global const ushort *fine, __global ushort *coarse, int row, int first, int last, int wide, int across) {
     __global const ushort *above = fine + (2 * row + MARGIN) * row_length(wide) + MARGIN, *below = above + row_length(wide);
-    coarse += line * row_length(columns);
+    coarse += (MARGIN + row) * row_length(across) + MARGIN;
     for (int column = first; column < last; column++) {
         const int left = 2 * column;
-        coarse[MARGIN + column] = (above[left] + above[left + 1] + below[left] + below[left + 1] + 2) >> 2;
+        coarse[column] = (above[left] + above[left + 1] + below[left] + below[left + 1] + 2) >> 2;
     }
-    fill_margin(coarse, columns, first == 0, last == columns);
 }
 
+// All planes of STRIP blocks, in DEEPEST rows of the finest: of the frame and, a work-item of its own, of what is kept, whose
+// finest plane is there already.
+__kernel void planes(__global const ushort *restrict raw, __global ushort *restrict now, __global ushort *restrict before,
+                     int spare, int block_rows, int block_columns) {
+    const int parts = get_global_size(1) / 2, part = get_global_id(1) % parts;
+    const bool of_frame = get_global_id(1) < parts;
+    __global ushort *plane = of_frame ? now : before;
+    int2 size = size_of(0, block_rows, block_columns);
+    int row = part * DEEPEST, end = min(row + DEEPEST, size.x);
+    int first = get_global_id(0) * STRIP * UNITS_ACROSS, last = min(first + STRIP * UNITS_ACROSS, size.y);
+    for (int y = row; of_frame && y < end; y++) {
+        means(raw, plane, y, first, last, spare, size.y);
+        fill_beside(plane, y, size.x, size.y, first, last);
+    }
+    for (int level = 1; level < PLANES; level++) {
+        const int wide = size.y;
+        __global ushort *coarse = plane + (size.x + 2 * MARGIN) * row_length(wide);
+        size >>= 1;
+        row >>= 1, end = min(end >> 1, size.x), first >>= 1, last >>= 1;
+        for (int y = row; y < end; y++) {
+            halve(plane, coarse, y, first, last, wide, size.y);
+            fill_beside(coarse, y, size.x, size.y, first, last);
+        }
+        plane = coarse;
+    }
+}
+
+// What a block is searched by: its window in the frame, and in what is kept.
 typedef struct {
     __global const ushort *now, *before;  // where the window begins
     int2 window;                          // rows and columns
     int length;                           // of the planes' rows
+#if LANES > 1
+    const ushort *tiles, *most;  // the window's values, tile by tile, and the most that counts of a difference: nought beyond it
+#endif
 } Search;
 
+#if LANES == 1
 // The sum of a window's values.
 INLINE int light_in(const Search *s) {
     int sum = 0;
@@ -106,31 +148,79 @@ INLINE int light_in(const Search *s) {
 // The sum of differences, each of them at most MOST_DIFFERENCE; where it is not below `limit`, something that is not, either.
 INLINE int cost(const Search *s, int2 vector, int limit) {
     __global const ushort *now = s->now, *before = s->before + vector.x * s->length + vector.y;
-#if LANES == 1
     int sum = 0;
     for (int y = 0; y < s->window.x && sum < limit; y++, now += s->length, before += s->length)
         for (int x = 0; x < s->window.y; x++) sum += min(abs_diff((int)now[x], (int)before[x]), (uint)MOST_DIFFERENCE);
     return sum;
+}
 #else
-    const eight_ints lane = {0, 1, 2, 3, 4, 5, 6, 7};
-    const eight_shorts most = MOST_DIFFERENCE;
-    eight_ints sums = 0;
-    for (int x = 0; x < s->window.y; x += 8) {
-        const eight_ints left = s->window.y - x, within = lane < left;  // all bits, or none
-        eight_shorts column = 0;  // of at most 16 rows
-        for (int y = 0; y < s->window.x; y++) {
-            const eight_shorts a = LOAD_GLOBAL(eight_shorts, now + y * s->length + x);
-            const eight_shorts b = LOAD_GLOBAL(eight_shorts, before + y * s->length + x);
-            const eight_shorts difference = (a > b ? a : b) - (a < b ? a : b);
-            column += difference < most ? difference : most;
-        }
-        sums += CONVERT(column, eight_ints) & within;
-    }
+// Windows are read in tiles of TILE_ROWS rows, four, of eight columns: of 16 bits each, a register of AVX-512.
+#define TILE_COLUMNS 8
+#define TILE (TILE_ROWS * TILE_COLUMNS)
+#define MOST_SIDE 16  // of a window
+VECTOR(ushort, sixteen_shorts, 16);
+VECTOR(ushort, tile_shorts, TILE);
+VECTOR(int, tile_ints, TILE);
+VECTOR(int, sixteen_ints, 16);
+
+INLINE tile_shorts tile_at(__global const ushort *p, int length) {
+    const eight_shorts a = LOAD_GLOBAL(eight_shorts, p), b = LOAD_GLOBAL(eight_shorts, p + length);
+    const eight_shorts c = LOAD_GLOBAL(eight_shorts, p + 2 * length), d = LOAD_GLOBAL(eight_shorts, p + 3 * length);
+    const sixteen_shorts above = __builtin_shufflevector(a, b, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+    const sixteen_shorts below = __builtin_shufflevector(c, d, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+    return __builtin_shufflevector(above, below, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21,
+                                   22, 23, 24, 25, 26, 27, 28, 29, 30, 31);
+}
+
+INLINE int sum_of(eight_ints sums) {
     const four_ints four = sums.lo + sums.hi;
     const two_ints two = four.lo + four.hi;
     return two.x + two.y;
-#endif
 }
+
+INLINE void fill_most(ushort *most, int2 window) {
+    for (int x = 0; x < window.y; x += TILE_COLUMNS)
+        for (int y = 0; y < window.x; y += TILE_ROWS, most += TILE)
+            for (int i = 0; i < TILE; i++) {
+                const bool within = y + i / TILE_COLUMNS < window.x && x + i % TILE_COLUMNS < window.y;
+                most[i] = within ? MOST_DIFFERENCE : 0;
+            }
+}
+
+// Fill a window's tiles. The sum of its values.
+INLINE int fill_tiles(const Search *s, ushort *tiles) {
+    const ushort *most = s->most;
+    eight_ints light = 0;
+    for (int x = 0; x < s->window.y; x += TILE_COLUMNS)
+        for (int y = 0; y < s->window.x; y += TILE_ROWS, tiles += TILE, most += TILE) {
+            const tile_shorts tile = tile_at(s->now + y * s->length + x, s->length), none = 0;
+            const tile_shorts within = SAME_BITS(LOAD_PRIVATE(tile_shorts, most) != none, tile_shorts);
+            STORE_PRIVATE(tile_shorts, tiles) = tile;
+            const tile_ints values = CONVERT(tile & within, tile_ints);
+            const sixteen_ints sixteen = values.lo + values.hi;
+            light += sixteen.lo + sixteen.hi;
+        }
+    return sum_of(light);
+}
+
+// The sum of differences, each of them at most MOST_DIFFERENCE.
+INLINE int cost(const Search *s, int2 vector, int limit) {
+    __global const ushort *before = s->before + vector.x * s->length + vector.y;
+    const ushort *now = s->tiles, *most = s->most;
+    eight_ints sums = 0;
+    for (int x = 0; x < s->window.y; x += TILE_COLUMNS) {
+        tile_shorts columns = 0;  // the sums of those of a window of at most 16 rows are 16 bits
+        for (int y = 0; y < s->window.x; y += TILE_ROWS, now += TILE, most += TILE) {
+            const tile_shorts a = LOAD_PRIVATE(tile_shorts, now), b = tile_at(before + y * s->length + x, s->length);
+            const tile_shorts difference = (a > b ? a : b) - (a < b ? a : b), limits = LOAD_PRIVATE(tile_shorts, most);
+            columns += difference < limits ? difference : limits;
+        }
+        const sixteen_shorts sixteen = columns.lo + columns.hi;
+        sums += CONVERT(sixteen.lo + sixteen.hi, eight_ints);
+    }
+    return sum_of(sums);
+}
+#endif
 
 typedef struct {
     int2 vector;
@@ -144,21 +234,35 @@ INLINE Best better(const Search *s, Best best, int2 vector, int reluctance) {
     return best;
 }
 
-// The vector of every block, in units of planes of one level, of those of the coarser one.
+// The vector of every block, in units of planes of one level, of those of the coarser one. `root`: 16 times that of the number of
+// units in a window of these rows and columns.
 __kernel void search(__global const ushort *restrict now, __global const ushort *restrict before,
                      __global const int2 *restrict parents, __global int2 *restrict vectors,
-                     __global const int *restrict spread, int level, int coarsest, int2 size, int2 window, int root,
+                     __global const int *restrict spread, int level, int window_rows, int window_columns, int root,
                      int block_rows, int block_columns) {
     const int row = get_global_id(1), begin = get_global_id(0) * STRIP, last = min(begin + STRIP, block_columns);
     const int2 period = (int2)(PERIOD_ROWS, PERIOD_COLUMNS), unit = period << level;
     const int2 block = (int2)(BLOCK_ROWS, BLOCK_COLUMNS), frame = (int2)(block_rows, block_columns) * block;
-    const int length = row_length(size.y);
+    const int2 window = (int2)(window_rows, window_columns);
+    const int length = row_length(size_of(level, block_rows, block_columns).y);
+    const int plane = begin_of(level, block_rows, block_columns);
+    const bool coarsest = level == PLANES - 1;
+#if LANES > 1
+    ushort tiles[MOST_SIDE * MOST_SIDE], most_of_tiles[MOST_SIDE * MOST_SIDE];
+    fill_most(most_of_tiles, window);
+#endif
     for (int column = begin; column < last; column++) {
         const int2 corner = (int2)(row, column) * block, least = -(corner / unit), most = (frame - block - corner) / unit;
         const int2 first = corner / unit - (window - block / unit) / 2 + MARGIN;
-        const int from = first.x * length + first.y;
+        const int from = plane + first.x * length + first.y;
+#if LANES == 1
         const Search s = {now + from, before + from, window, length};
-        const int noise = spread[light_in(&s) / (window.x * window.y) >> 8];
+        const int light = light_in(&s);
+#else
+        const Search s = {now + from, before + from, window, length, tiles, most_of_tiles};
+        const int light = fill_tiles(&s, tiles);
+#endif
+        const int noise = spread[light / (window.x * window.y) >> 8];
         const int reluctance = noise * (5 * RELUCTANCE * root) >> (7 + level);
         const int settled = noise * (SETTLED * window.x * window.y) >> (3 + level);
         Best best = {(int2)(0, 0), INT_MAX};

@@ -1,6 +1,5 @@
 """The filter on an OpenCL device: opencl/temporal*.cl, kernel by kernel as reference.py does it."""
 
-import functools
 import os
 from collections.abc import Callable
 from dataclasses import replace
@@ -21,8 +20,9 @@ from l3cli.rendering.temporal.noise import LINEAR_FRACTION, UNEVEN_FRACTION, Kin
 
 STRIPS = {"processor": 32, "graphics": 1}  # blocks, cells or periods of a work-item
 MARGIN, SLACK = 4, 8  # rows and columns about a plane, and columns behind it
+TILE_ROWS = 4  # that windows are read by
 STAGES = ("download",)  # that are waited for
-KERNELS = ("means", "halve", "search", "evidence", "weigh", "blend")
+KERNELS = ("planes", "search", "evidence", "weigh", "blend")
 
 
 class Device:
@@ -43,12 +43,15 @@ class Device:
             lanes = 1 if self.strip == 1 else 16 if int(macros["BLOCK_COLUMNS"]) % 16 == 0 else 8
             made = self.compiler.build(source, {**macros, "STRIP": self.strip, "LANES": lanes})
             self.kernels = {name: self.compiler.kernel(made, name) for name in KERNELS}
+            self._typed: set[str] = set()
 
     def run(self, name: str, rows: int, columns: int, *arguments: Any) -> None:
         """Enqueue a kernel over rows and columns, STRIP columns an item; whole numbers become 32 bits."""
-        grid = (-(-columns // self.strip), rows)
-        given = [np.int32(each) if isinstance(each, int) else each for each in arguments]
-        self.kernels[name](self.queue, grid, (1, 1) if self.strip > 1 else None, *given)
+        kernel, grid = self.kernels[name], (-(-columns // self.strip), rows)
+        if name not in self._typed:  # once, as in opencl_work.Track
+            kernel.set_scalar_arg_dtypes([np.int32 if isinstance(each, int) else None for each in arguments])
+            self._typed.add(name)
+        kernel(self.queue, grid, (1, 1) if self.strip > 1 else None, *arguments)
 
     def buffer(self, size: int) -> Any:
         """Room for so many bytes."""
@@ -82,11 +85,13 @@ def _macros(period: tuple[int, ...]) -> layout.Macros:
         "CELL_ACROSS": grid.block[1] // grid.cell[1],
         "BLOCK_ROWS": grid.block[0],
         "BLOCK_COLUMNS": grid.block[1],
+        "PLANES": grid.planes,
         "SHARE_BITS": blend.ONE.bit_length() - 1,
         "LINEAR_FRACTION": LINEAR_FRACTION,
         "UNEVEN_FRACTION": UNEVEN_FRACTION,
         "MARGIN": MARGIN,
         "SLACK": SLACK,
+        "TILE_ROWS": TILE_ROWS,
         "MOST_BEYOND": f"{blend.MOST_BEYOND}L",
         "MOST_DIFFERENCE": motion.CLIPPED,
         "SETTLED": motion.SETTLED,
@@ -103,13 +108,7 @@ class _Buffers:
         pixels, blocks = (int(np.prod(sides)) for sides in (grid.shape, grid.blocks))
         flags = pyopencl().mem_flags
         self.kept = [device.buffer(2 * pixels) for _ in range(2)]  # of the frame before, of this one
-        self.sizes = [(grid.shape[0] // grid.period[0], grid.shape[1] // grid.period[1])]
-        while len(self.sizes) < grid.planes:
-            self.sizes.append((self.sizes[-1][0] // 2, self.sizes[-1][1] // 2))
-        self.now, self.before = (
-            [device.buffer(2 * (rows + 2 * MARGIN) * (cols + 2 * MARGIN + SLACK)) for rows, cols in self.sizes]
-            for _ in range(2)
-        )
+        self.now, self.before = (device.buffer(2 * _units(grid)) for _ in range(2))
         self.vectors = [device.buffer(8 * blocks) for _ in range(2)]
         # Of cells, with what lies beside them.
         self.host_left = np.empty((grid.cells[0] + 2, grid.cells[1] + 2 * SLACK), np.uint16)
@@ -145,7 +144,7 @@ class OpenCLFilter:
             levels = (self._noise.spare, int(first), buffers.strips, int(np.prod(grid.cells)), *grid.blocks)
             device.run(
                 "blend", *grid.blocks, raw, buffers.kept[0], buffers.vectors[0], buffers.weights, buffers.cuts,
-                buffers.kept[1], buffers.left[1], target, buffers.before[0], *levels,
+                buffers.kept[1], buffers.left[1], target, buffers.before, *levels,
             )  # fmt: skip
             cl = pyopencl()
             cl.enqueue_copy(device.queue, buffers.host_left, buffers.left[1], is_blocking=False)
@@ -186,18 +185,14 @@ class OpenCLFilter:
     def _search(self, raw: Any) -> Any:
         """The buffer of the vectors, in periods."""
         device, buffers, grid = self._device, self._buffers, self._grid
-        device.run("means", *grid.blocks, raw, buffers.now[0], self._noise.spare, *grid.blocks)
-        for planes in (buffers.now, buffers.before):
-            for level in range(1, grid.planes):
-                (rows, columns), wide = buffers.sizes[level], buffers.sizes[level - 1][1]
-                device.run("halve", rows + 2 * MARGIN, columns, planes[level - 1], planes[level], wide, rows, columns)
+        parts = -(-grid.shape[0] // (grid.period[0] << grid.planes - 1))
+        device.run("planes", 2 * parts, grid.blocks[1], raw, buffers.now, buffers.before, self._noise.spare, *grid.blocks)
         for level in reversed(range(grid.planes)):
             buffers.vectors.reverse()
             window = grid.window(level)
             device.run(
-                "search", *grid.blocks, buffers.now[level], buffers.before[level], buffers.vectors[1], buffers.vectors[0],
-                buffers.spread, level, int(level == grid.planes - 1), _pair(buffers.sizes[level]), _pair(window),
-                motion.root_of(window), *grid.blocks,
+                "search", *grid.blocks, buffers.now, buffers.before, buffers.vectors[1], buffers.vectors[0], buffers.spread,
+                level, *window, motion.root_of(window), *grid.blocks,
             )  # fmt: skip
         return buffers.vectors[0]
 
@@ -213,9 +208,11 @@ class OpenCLFilter:
         device.run("weigh", *grid.blocks, *buffers.found, buffers.weights, buffers.left[1], buffers.cuts, grid.blocks[1])
 
 
-@functools.cache
-def _pair(sides: tuple[int, int]) -> Any:
-    return pyopencl().cltypes.make_int2(*sides)
+def _units(grid: Grid) -> int:
+    """Of all planes one behind the other, and some rows that the last window may read beyond them."""
+    rows, cols = (side // period for side, period in zip(grid.shape, grid.period, strict=True))
+    planes = ((rows >> level, cols >> level) for level in range(grid.planes))
+    return sum((down + 2 * MARGIN + TILE_ROWS) * (across + 2 * MARGIN + SLACK) for down, across in planes)
 
 
 def opencl_filters(
