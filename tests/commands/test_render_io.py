@@ -15,6 +15,7 @@ from l3cli.files import sha256
 from l3cli.frame import RawFrame
 from l3cli.io.images import read_image, write_picture
 from l3cli.io.raw.files import KnownBetter, read_raw
+from l3cli.io.raw.tiff_tags import LIBRAW_FLIP
 from l3cli.physics import spectra
 from l3cli.physics.display import adaptation_matrix, scene_white, srgb_from_xyz_matrix
 from l3cli.rendering import opencl_devices, renderer
@@ -68,6 +69,14 @@ def test_plain_files_hold_the_same_frame(tmp_path: Path, mosaic: np.ndarray, raw
         frame = read_raw(path, RGGB)
         np.testing.assert_array_equal(frame.values, mosaic)
         assert (frame.black_level, frame.white_level, frame.phase) == (RGGB.black_level, RGGB.white_level, (0, 0))
+
+
+@pytest.mark.parametrize("orientation", [1, 3, 6, 8])
+def test_pictures_of_mosaics_say_how_the_camera_was_held(tmp_path: Path, mosaic: np.ndarray, orientation: int) -> None:
+    path = write_mono(tmp_path / "a.tif", mosaic, Orientation=orientation)
+    frame = read_raw(path, RGGB)
+    np.testing.assert_array_equal(frame.values, mosaic)
+    assert frame.orientation == LIBRAW_FLIP[orientation]
 
 
 def test_narrow_files_keep_their_values(tmp_path: Path, mosaic: np.ndarray) -> None:

@@ -29,6 +29,9 @@ LIMITS = {  # the largest error allowed in any seed, and in any channel where th
     "gain alpha·r error (%)": 0.5,
     "offset error (DN)": 0.3,
 }
+SMALL_OFFSET = (
+    0.6  # DN: an eighth of the pixels scatter it by 0.1 about the −0.3 that a channel of the whole sensor may have
+)
 COVERAGE = (90.0, 99.0)  # % of wavelengths, pooled over seeds and channels
 
 
@@ -49,16 +52,16 @@ def one_seed(seed: int, recipe: Path, folder: Path, l3: L3) -> dict[str, np.ndar
     return errors
 
 
-def study(seeds: range, recipe: Path, folder: Path, l3: L3) -> None:
+def study(seeds: range, recipe: Path, folder: Path, l3: L3, limits: dict[str, float] = LIMITS) -> None:
     """Every seed's errors against the limits, and the pooled coverage; printed."""
     runs = [one_seed(seed, recipe, folder, l3) for seed in seeds]
     lines = []
-    for name, limit in LIMITS.items():
+    for name, limit in limits.items():
         values = np.abs(np.stack([run[name] for run in runs]))
         lines.append(f"{name:36} worst {values.max():8.4f}   RMS {np.sqrt((values**2).mean()):8.4f}   limit {limit}")
     coverage = np.mean([run["within band (%)"] for run in runs])
     print("\n".join([f"\n{len(seeds)} seeds", *lines, f"95 % band covers {coverage:.2f} %, limits {COVERAGE}"]))
-    for name, limit in LIMITS.items():
+    for name, limit in limits.items():
         assert max(np.abs(run[name]).max() for run in runs) < limit, name
     if len(seeds) > 10:
         assert COVERAGE[0] <= coverage <= COVERAGE[1]
@@ -71,7 +74,7 @@ def test_two_seeds_of_a_smaller_sensor(tmp_path: Path, l3: L3, fiveband: CameraM
     text = RECIPE.read_text()
     assert f"rows = {fiveband.rows}\ncols = {fiveband.cols}\n" in text
     recipe.write_text(text.replace(f"rows = {fiveband.rows}\ncols = {fiveband.cols}", "rows = 388\ncols = 684"))
-    study(range(2), recipe, tmp_path, l3)
+    study(range(2), recipe, tmp_path, l3, LIMITS | {"offset error (DN)": SMALL_OFFSET})
 
 
 @pytest.mark.slow

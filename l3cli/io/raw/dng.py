@@ -25,6 +25,7 @@ from l3cli.io.raw.tiff_tags import (
     BROKEN,
     COLOUR_FILTER_ARRAY,
     FRACTIONS,
+    LIBRAW_FLIP,
     LINEAR_RAW,
     RECTANGULAR,
     REDUCED,
@@ -37,7 +38,6 @@ from l3cli.io.video import storable_rate
 from l3cli.mending import plan_mending
 
 WHITE_CODE = LETTERS.index("W")
-LIBRAW_FLIP = (0, 0, 1, 3, 2, 4, 6, 7, 5)  # of the TIFF orientation 0…8
 FRAME_RATE = 51044  # the tag of CinemaDNG
 
 

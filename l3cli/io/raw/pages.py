@@ -18,7 +18,7 @@ from l3cli.io.names import named_in_utf8
 from l3cli.io.raw import plain_tiff
 from l3cli.io.raw.content import RawContent, Request, Stack
 from l3cli.io.raw.shot import shot_of_spec
-from l3cli.io.raw.tiff_tags import ONE_OF_MANY, REDUCED, TiffTag
+from l3cli.io.raw.tiff_tags import LIBRAW_FLIP, ONE_OF_MANY, REDUCED, UPRIGHT, TiffTag
 
 TIFF, BIG_TIFF = 42, 43  # versions
 MOST_PAGES = 1_000_000
@@ -44,7 +44,9 @@ def read_by_library(path: Path) -> RawContent:
 def _content(path: Path, source: Any, spec: Any) -> RawContent:
     """The frame that an input is at."""
     values, exposure = mono_of(path, source, spec)
-    return RawContent(values=values, exposure=exposure, shot=shot_of_spec(spec))
+    held = spec.get_int_attribute("Orientation", UPRIGHT)
+    flip = LIBRAW_FLIP[held] if held in range(len(LIBRAW_FLIP)) else 0
+    return RawContent(values=values, orientation=flip, exposure=exposure, shot=shot_of_spec(spec))
 
 
 def stack(path: Path, _: Request) -> Stack | None:

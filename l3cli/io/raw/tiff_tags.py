@@ -63,6 +63,7 @@ REDUCED, ONE_OF_MANY = 1, 2  # bits of NEW_SUBFILE_TYPE: a smaller copy of anoth
 RECTANGULAR = 1  # value of CFA_LAYOUT
 UNSIGNED = 1  # value of SAMPLE_FORMAT
 UPRIGHT = 1  # value of ORIENTATION
+LIBRAW_FLIP = (0, 0, 1, 3, 2, 4, 6, 7, 5)  # of the values 0…8 of ORIENTATION
 # what reading damaged tags raises
 BROKEN = (ValueError, TypeError, KeyError, IndexError, AttributeError, ZeroDivisionError, OverflowError, struct.error)
 LONGEST_NAME = 80  # characters of a camera's name that are kept
