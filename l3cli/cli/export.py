@@ -28,6 +28,12 @@ if TYPE_CHECKING:
     help="Of C source: outputs as floats, or in steps of 2^-12. [float32]",
 )
 @click.option("--white", metavar="LIGHT|X,Y", help="Of a table of several lights: mix its transforms for this white.")
+@click.option(
+    "--set",
+    "which",
+    type=click.Choice(["usual", "quiet"]),
+    help="Of a table of two sets of transforms: the one that C source or a graph holds. [usual]",
+)
 @options.force
 @options.dry_run
 @options.quiet
@@ -37,6 +43,7 @@ def export(
     form: Literal["c", "folder", "onnx"] | None,
     words: Literal["float32", "int16"] | None,
     white: str | None,
+    which: Literal["usual", "quiet"] | None,
     force: bool,
     console: "Console",
 ) -> Result:
@@ -58,9 +65,9 @@ def export(
     if is_table(artifact):
         from l3cli.stages.table_exports import export_table
 
-        files = export_table(artifact, output, form or "c", console, words=words, white=white, force=force)
+        files = export_table(artifact, output, form or "c", console, words=words, white=white, which=which, force=force)
         return Result({"files": files})
-    if option := "--to" if form else "--words" if words else "--white" if white else None:
+    if option := "--to" if form else "--words" if words else "--white" if white else "--set" if which else None:
         raise RecipeError(f"{option} is for transform tables; {artifact} is a camera: leave it out")
     matrices = export_camera(artifact, output, console, force=force)
     return Result({"matrices": matrices}, lambda: show(*matrix_lines(matrices, terminal.width())) if matrices else None)

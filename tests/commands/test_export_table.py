@@ -3,6 +3,7 @@
 import json
 import os
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -64,15 +65,32 @@ def test_an_onnx_graph_is_written_alike_twice(table: Path, tmp_path: Path, l3: L
     ]  # fmt: skip
 
 
-def test_only_a_folder_has_the_second_set(table: Path, tmp_path: Path, l3: L3) -> None:
-    save(with_quiet(load(TransformTable, table)), tmp_path / "two.h5")
+def test_either_set_of_a_table_of_two_is_exported(table: Path, tmp_path: Path, l3: L3) -> None:
+    two = with_quiet(load(TransformTable, table))
+    assert two.quiet is not None
+    save(two, tmp_path / "two.h5")
+    save(replace(two, first=two.quiet.first, later=two.quiet.later, quiet=None), tmp_path / "alone.h5")
     for form in ("c", "onnx"):
         err = l3("export", tmp_path / "two.h5", "-o", tmp_path / form, "--to", form)[2]
-        assert "second set, for frames filtered in time, is left out; --to folder has it" in err
+        assert "the usual set of transforms is written, --set quiet writes that for frames filtered in time" in err
         err = l3("export", table, "-o", tmp_path / f"{form}1", "--to", form)[2]
-        assert "left out" not in err
+        assert "--set" not in err
         assert contents(tmp_path / form) == contents(tmp_path / f"{form}1")
-    assert "left out" not in l3("export", tmp_path / "two.h5", "-o", tmp_path / "folder", "--to", "folder")[2]
+        to = ("--to", form, "--quiet")
+        assert l3("export", tmp_path / "two.h5", "-o", tmp_path / f"{form}2", *to, "--set", "quiet")[0] == 0
+        assert l3("export", tmp_path / "alone.h5", "-o", tmp_path / f"{form}3", *to)[0] == 0
+        quiet, alone = contents(tmp_path / f"{form}2"), contents(tmp_path / f"{form}3")
+        assert quiet.pop("README.md").startswith(alone.pop("README.md") + b"\n## The quiet set\n")
+        assert quiet == alone
+        assert quiet["test_outputs.bin"] != contents(tmp_path / form)["test_outputs.bin"]
+
+
+def test_a_set_that_is_not_there_is_refused(table: Path, tmp_path: Path, refused: Refused) -> None:
+    line = refused(2, "export", table, "-o", tmp_path / "o", "--set", "quiet")
+    assert "has one set of transforms; leave --set out" in line
+    line = refused(2, "export", table, "-o", tmp_path / "o", "--to", "folder", "--set", "quiet")
+    assert "a folder of arrays holds both sets; leave --set out" in line
+    assert not (tmp_path / "o").exists()
 
 
 def test_without_onnx_its_extra_is_named(
