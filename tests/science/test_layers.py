@@ -159,6 +159,21 @@ def test_noise_counts_as_its_weight_says(bayer: CameraModel) -> None:
     assert power[2][[0, 2]] == pytest.approx(power[0][[0, 2]], rel=1e-3)
 
 
+def test_plain_windows_keep_their_colour_where_there_is_no_structure(bayer: CameraModel) -> None:
+    """However much noise weighs, and nothing else is changed."""
+    learned = []
+    for plain in (0.0, 1e6):
+        layer = a_pass(bayer, luminance_noise=5, chroma_noise=5, plain_windows=plain, **UNSPREAD)
+        rule = a_rule(layer)
+        learned.append(in_planes(layer, learn_layer(layer, rule, known_sums(layer, rule, 2000.0))))
+    flat = rule.split(np.arange(len(learned[0]))).kind == 0
+    assert flat.any()
+    assert (learned[0][~flat] == learned[1][~flat]).all()
+    response = [filters[flat].sum(axis=-1) for filters in learned]  # (class, plane of the output, plane)
+    assert np.abs(response[0] - np.eye(3)).max() > 0.1
+    assert response[1] == pytest.approx(np.broadcast_to(np.eye(3), response[1].shape), abs=1e-3)
+
+
 def test_white_is_answered_by_white(bayer: CameraModel) -> None:
     """Where nothing is saturated, even if the targets were something else."""
     layer = a_pass(bayer)
@@ -275,6 +290,8 @@ def test_other_than_three_outputs_get_one_layer(tmp_path: Path, l3: Callable) ->
         ("mosaics = 0", "layer[1].mosaics is 0; the least is 1"),
         ("rows = 0", "layer[1].rows is 0; the least is 1"),
         ("colour_ratios = true\n[[layer]]", "layer[1].colour_ratios is for the last layer alone"),
+        ("plain_windows = -1", "layer[1].plain_windows is -1; the least is 0"),
+        ("leaves = 3\nplain_windows = 1", "layer[1].plain_windows are of classes by structure; leaves do not know them"),
         ("brightness_power = 1.5", "layer[1].brightness_power is 1.5; the most is 1"),
         ("error_power = 0.6", "layer[1].error_power is 0.6; the most is 0.5"),
         ("sides = 3", "unknown key `sides` in [layer[1]]"),
