@@ -28,7 +28,7 @@ EDGES, WIDTHS = (0.1, 0.2, 0.4), (6.5, 9.5)  # of titanium white, K/S at 405 nm 
 BARE = 2  # times each surface counts without titanium white, which three quarters of the surfaces have
 GREYS = np.geomspace(0.03, 0.95, 12)  # reflectances of paints without dye …
 GREY_SHARE = 6.0  # … which together count as much as so many times the other surfaces of their chroma
-OF_WHITE = 10.0  # times more is taught of white's own chroma, where a cast is seen first
+OF_WHITE = 3.0  # times more is taught of white's own chroma, where a cast is seen first
 FEWEST = 4  # surfaces a channel, that tell what a chroma is
 SAME_WHITE = 0.005  # relative, for a coarse grid: outputs whose white is not that of the light are others
 
