@@ -150,8 +150,8 @@ class _Converter:
         return self._reformatter.reformat(frame, format=self.pixel_format, threads=1, **coded)
 
     def _room_for(self, picture: NDArray) -> tuple[NDArray, str]:
-        """A copy of the picture in memory that is used again for each, with what may be read behind it, and its pixel format: a
-        new frame of FFmpeg's for each takes thrice the time."""
+        """A copy of the picture in memory that is used again for each, with what may be read behind it, and its pixel format:
+        a new frame of FFmpeg's for each takes thrice the time."""
         widened = picture.dtype == np.uint8 and self.pixel_format.startswith("yuv")
         rows, cols, count = *picture.shape[:2], 4 if widened else picture.shape[2]
         size = rows * cols * count * picture.itemsize
@@ -166,8 +166,8 @@ class _Converter:
 
 
 def _widen(picture: NDArray[np.uint8], room: NDArray[np.uint8]) -> None:
-    """Copy three bytes a pixel into four, of which FFmpeg makes luma and chroma in four fifths of the time, copy included. The
-    fourth, which is not read, is the next pixel's first: pixels are copied as whole numbers of four bytes."""
+    """Copy three bytes a pixel into four, of which FFmpeg makes luma and chroma in four fifths of the time, copy included.
+    The fourth, which is not read, is the next pixel's first: pixels are copied as whole numbers of four bytes."""
     pixels = picture.size // 3
     room.reshape(-1).view("<u4")[: pixels - 1] = np.ndarray(pixels - 1, "<u4", picture.data, strides=(3,))
     room[-1, -1, :3] = picture[-1, -1]
