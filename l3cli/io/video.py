@@ -150,8 +150,8 @@ class _Converter:
         return self._reformatter.reformat(frame, format=self.pixel_format, threads=1, **coded)
 
     def _room_for(self, picture: NDArray) -> tuple[NDArray, str]:
-        """A copy of the picture in memory that is used again for each, with what may be read behind it, and its pixel format:
-        a new frame of FFmpeg's for each takes thrice the time."""
+        """A copy of the picture in memory that is used again for each, with what may be read behind it, and its format: a
+        new frame of FFmpeg's for each takes thrice the time."""
         widened = picture.dtype == np.uint8 and self.pixel_format.startswith("yuv")
         rows, cols, count = *picture.shape[:2], 4 if widened else picture.shape[2]
         size = rows * cols * count * picture.itemsize
