@@ -52,11 +52,13 @@ def spread_patches(frame: RawFrame, table: TransformTable, gains: np.ndarray | N
     """About 1500 patches (patch, tap) of a frame, evenly spread, at the table's levels, with the gains (channel) of a white
     balance, shading that of each patch; and the CFA site of them all, that of the frame's first pixel."""
     period_col = table.cfa.shape[1]
-    (row, row_source), (col, col_source) = (_windows(*_geometry(frame, table, axis)) for axis in (0, 1))
-    taken = (row_source[:, None, :, None], col_source[None, :, None, :])
-    places = taken[0].astype(np.intp) * frame.values.shape[1] + taken[1]  # one index in place of two: half the time
-    patches = frame.values.reshape(-1).take(places).reshape(-1, table.first.rule.patch**2)
-    shading = None if frame.shading is None else frame.shading.of_patches(taken, row[:, 0], col[:, 0])
+    down, across = _geometry(frame, table, 0), _geometry(frame, table, 1)
+    patches = frame.values.reshape(-1).take(_places(down, across))
+    shading = None
+    if frame.shading is not None:
+        (row, row_source), (col, col_source) = _windows(*down), _windows(*across)
+        taken = (row_source[:, None, :, None], col_source[None, :, None, :])
+        shading = frame.shading.of_patches(taken, row[:, 0], col[:, 0])
     cut, site = replace(frame, values=patches, shading=shading), frame.phase[0] * period_col + frame.phase[1]
     if gains is not None:
         cut = balanced_patches(cut, window_channels(table.cfa, table.first.rule.patch)[site], gains)
@@ -83,6 +85,15 @@ def _windows(length: int, period: int, patch: int, most: int) -> tuple[np.ndarra
     chosen = spread[np.diff(spread, prepend=-1) > 0]  # np.unique would load modules that rendering does not need
     padded = chosen[:, None] * period + np.arange(patch)
     return padded, mirrored_indices(length, patch // 2, period)[padded]
+
+
+@functools.lru_cache(1)
+def _places(down: tuple[int, int, int, int], across: tuple[int, int, int, int]) -> np.ndarray:
+    """Index (patch, tap) into a frame's values, row by row, of what patches hold. One in place of two: half the time."""
+    (_, row), (_, col) = _windows(*down), _windows(*across)
+    places = row[:, None, :, None].astype(np.intp) * across[0] + col[None, :, None, :]
+    places.flags.writeable = False
+    return places.reshape(-1, row.shape[1] * col.shape[1])
 
 
 class SteadyExposure:

@@ -17,7 +17,7 @@ import pytest
 
 from l3cli.artifacts.store import save
 from l3cli.io.images import read_image
-from l3cli.io.video import VideoChoice, new_video
+from l3cli.io.video import VideoChoice, new_video, new_y4m
 from l3cli.stages.rendering import executors
 from tests.helpers.calls import L3, Refused
 from tests.helpers.sequences import COUNT, FAST, RGGB, RUN, frames, pictures, write_raw_video
@@ -79,6 +79,25 @@ def test_the_same_pictures_give_the_same_bytes(tmp_path: Path) -> None:
         time.sleep(1.1 * (folder == "one"))  # whatever writes the clock into a file writes another second
     for name, codec in codecs:
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes(), codec
+
+
+def test_h264_is_the_same_on_a_machine_of_more_cores(tmp_path: Path) -> None:
+    with new_video(tmp_path / "a.mp4", VideoChoice(Fraction(25), 8)) as video:
+        video.write(np.zeros((64, 64, 3), np.uint8))
+    content = (tmp_path / "a.mp4").read_bytes()  # where x264 says how it worked
+    assert b" threads=4 " in content
+    assert b" sliced_threads=0 " in content
+
+
+def test_luma_and_chroma_are_those_of_the_picture_itself(tmp_path: Path) -> None:
+    """It is widened to four bytes a pixel before FFmpeg reads it."""
+    picture = np.random.default_rng(0).integers(0, 256, (34, 46, 3), dtype=np.uint8)
+    with new_y4m(tmp_path / "a.y4m", VideoChoice(Fraction(25), 8)) as video:
+        video.write(picture)
+    frame = av.VideoFrame.from_ndarray(picture, format="rgb24")
+    plain = frame.reformat(format="yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG")
+    content = (tmp_path / "a.y4m").read_bytes()
+    assert content.endswith(b"FRAME\n" + plain.to_ndarray().tobytes())
 
 
 @pytest.mark.parametrize(("bits", "pixels"), [(8, "rgb24"), (16, "rgb48le")])

@@ -1,6 +1,6 @@
 """What the temporal filter gains where nothing moves, and what it costs where something does.
 
-python -m pytest -m slow -s tests/studies/test_temporal_study.py      every figure printed (ten minutes of processor time)
+python -m pytest -m slow -s tests/studies/test_temporal_study.py      every figure (15 minutes of processor time)
 
 Scenes are drawn larger than a frame and moved under the simulated sensor at a mean signal of 0.02 of full scale: nothing
 moves, pans of 0.5, 1, 4 and 7 pixels a frame, a zoom, an object before what stands still, fast and slow, a cut. PSNR is that

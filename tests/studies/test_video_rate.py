@@ -1,6 +1,7 @@
 """How fast a whole sequence becomes a video beside the encoder alone, and how much memory that takes.
 
 python -m pytest -m slow -s tests/studies/test_video_rate.py      1800 frames of 1280×720, every figure printed (make video)
+L3_VIDEO_FRAMES=600 L3_VIDEO_CLASSES=default python -m pytest …      fewer frames, by another recipe than `fast`
 
 Machines are shared and noisy: what is asserted is memory and that every frame arrives, the rates are for reading.
 """
@@ -25,6 +26,7 @@ from l3cli.io.video import VideoChoice, new_video
 from tests.helpers.paths import CONFIGS
 
 FRAMES = int(os.environ.get("L3_VIDEO_FRAMES", "1800"))
+CLASSES = os.environ.get("L3_VIDEO_CLASSES", "fast")
 DISTINCT = 60
 MEMORY = 1000  # MB at most, whatever the length
 L3 = (sys.executable, "-c", "from l3cli.cli import main; main()")
@@ -37,7 +39,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     where = tmp_path_factory.mktemp("video")
     camera = CONFIGS / "cameras/fiveband.toml"
     made(*L3, "simulate", CONFIGS / "scenes/default.toml", "--camera", camera, "-o", where / "training.h5", "--jobs", 2)
-    made(*L3, "train", where / "training.h5", "--classes", CONFIGS / "classes/fast.toml", "-o", where / "table.h5")
+    made(*L3, "train", where / "training.h5", "--classes", CONFIGS / f"classes/{CLASSES}.toml", "-o", where / "table.h5")
     scene = (CONFIGS / "scenes/demo_unseen.toml").read_text()
     (where / "scene.toml").write_text(f'{scene}\n[sensor]\nnoise = "none"\n')
     pictures = ("--pictures", where / "clean")
@@ -98,12 +100,13 @@ def test_video_rate(folder: Path) -> None:
     made(*command, "-o", folder / "pictures_%05d.png", "--frames", f"0-{DISTINCT - 1}")
     pictures = [read_image(folder / f"pictures_{number:05d}.png")[0] for number in range(DISTINCT)]
     np.save(folder / "pictures.npy", np.stack(pictures))
-    print(f"\n{FRAMES} frames of 1280×720, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}")
+    print(f"\n{FRAMES} frames of 1280×720, {CLASSES}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}")
     print(f"{'':34} {'s':>7} {'frames/s':>8} {'core ms a frame':>15} {'peak MB':>8}")
     rates = {}
     for name, arguments in {
         "encoder alone, H.264 veryfast": (*ENCODER, folder / "pictures.npy", folder / "alone.mp4"),
         "raw → H.264 veryfast": (*command, "-o", folder / "whole.mp4"),
+        "raw → H.264, filtered in time": (*command, "-o", folder / "quiet.mp4", "--temporal"),
         "raw → y4m": (*command, "-o", "-"),
         "raw → y4m, filtered in time": (*command, "-o", "-", "--temporal"),
         "raw → 16-bit TIFF": (*command, "-o", folder / "sixteen_%05d.tif", "--bits", 16, "--frames", f"0-{FRAMES // 4 - 1}"),
