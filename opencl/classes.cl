@@ -91,7 +91,7 @@ INLINE uints classes_at(const Seen *seen, int k, int x, size_t at, int site_row,
 
 INLINE void write_classes(__global uint *to, uints label, int count) {
     if (count >= LANES) STORE_GLOBAL(uints, to) = label;
-    else for (int i = 0; i < count; i++) to[i] = label[i];
+    else WRITE_FIRST(uint, uints, to, label, count);
 }
 
 #if !defined(TRANSFORM_ONLY) && !defined(TOGETHER)  // a program beside one that has this kernel already, or joins it with transforms

@@ -13,6 +13,7 @@
 INLINE floats read_pixels(__global const float *from, int count) {
     if (count >= LANES) return LOAD_GLOBAL(floats, from);
     float pixel[LANES] = {0};
+    AT_EDGE
     for (int i = 0; i < count; i++) pixel[i] = from[i];
     return LOAD_PRIVATE(floats, pixel);
 }

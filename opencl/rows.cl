@@ -27,7 +27,7 @@ INLINE void write_pixels(__global int *picture, const ints *made, __global const
         __global int *to = picture + o * pixels + at;
         if (count >= LANES && (size_t)to % sizeof(ints) == 0) __builtin_nontemporal_store(made[o], (__global ints *)to);
         else if (count >= LANES) STORE_GLOBAL(ints, to) = made[o];
-        else for (int i = 0; i < count; i++) to[i] = made[o][i];
+        else WRITE_FIRST(int, ints, to, made[o], count);
     }
 }
 
@@ -39,7 +39,7 @@ INLINE void write_pixels(__global float *picture, const floats *made, __global c
     for (int o = 0; o < OUTPUTS; o++) {
         __global float *to = picture + o * pixels + at;
         if (count >= LANES) STORE_GLOBAL(floats, to) = made[o];
-        else for (int i = 0; i < count; i++) to[i] = made[o][i];
+        else WRITE_FIRST(float, floats, to, made[o], count);
     }
 }
 
@@ -105,6 +105,7 @@ INLINE void write_pixels(__global CODE *picture, const floats *made, __global co
         CODE rest[3 * LANES];
         STORE_PRIVATE(two_codes, rest) = low;
         STORE_PRIVATE(codes, rest + 2 * LANES) = high;
+        AT_EDGE
         for (int i = 0; i < 3 * count; i++) to[i] = rest[i];
     }
 }

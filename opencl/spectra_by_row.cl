@@ -65,7 +65,7 @@ void smooth_spectra(__global const float *restrict made,   // (output, made row,
                 const floats mean = value + change * share, result = own > DARKEST ? mean * kept : value;
                 __global float *to = smoothed + o * pixels + (size_t)y * columns + x0 + x;
                 if (width - x >= LANES) STORE_GLOBAL(floats, to) = result;
-                else for (int i = 0; i < width - x; i++) to[i] = result[i];
+                else WRITE_FIRST(float, floats, to, result, width - x);
             }
         }
     }

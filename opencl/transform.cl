@@ -58,7 +58,9 @@ INLINE void into_ring(tap *to, __global const int *planes, __global const int *c
             p = last;
             STORE_PRIVATE(signals, signal[s] + p - LANES) = signal_of(LOAD_GLOBAL(ints, planes + x0 - RADIUS + p - LANES));
         }
+        AT_EDGE
         for (int i = 0; i < first; i++) signal[s][i] = signal_of((ints)planes[column_source[x0 + i]])[0];
+        AT_EDGE
         for (; p < end; p++) signal[s][p] = signal_of((ints)planes[column_source[x0 + p]])[0];
     }
     #pragma clang loop vectorize(disable) unroll_count(4)

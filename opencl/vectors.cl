@@ -50,6 +50,17 @@ VECTOR(short, pairs, 2 * LANES);
 #define LOAD_GLOBAL(type, p) (*(__global const type##_unaligned *)(p))
 #define STORE_GLOBAL(type, p) (*(__global type##_unaligned *)(p))
 
+// A loop over the few pixels at an edge that fill no vector. It stays one: laid out in vectors and many steps at once, as the compiler
+// would have it, such loops were two thirds of a kernel's code and much of the time of compiling it.
+#define AT_EDGE _Pragma("clang loop vectorize(disable) unroll(disable)")
+
+// The first `count` lanes of a vector → to[0], to[1] …: by way of an array, for code that picks a lane by its number is long.
+#define WRITE_FIRST(element, type, to, value, count) do { \
+    element lane[LANES]; \
+    STORE_PRIVATE(type, lane) = value; \
+    AT_EDGE for (int i = 0; i < (count); i++) (to)[i] = lane[i]; \
+} while (0)
+
 // Have the caches fetch the line at p, which is read a row later: no processor guesses where the next row of a tile lies. A line for
 // every LANES pixels, while others are computed: many at once would have to wait for one another.
 #define FETCH(p) __builtin_prefetch((const void *)(size_t)(p))
