@@ -2,6 +2,8 @@
 // the next ones.
 
 #ifdef SHADED
+#define GAIN_PARAMETER , __global const float *restrict gain  // (row, node) of the outputs
+#define GAIN_READ , gain
 
 #define LANE(i) (float)(i)
 
@@ -13,6 +15,9 @@ INLINE void even_pixels(floats *made, __global const float *gain, int x) {
     for (int o = 0; o < OUTPUTS; o++) made[o] *= factor;
 }
 
+#else
+#define GAIN_PARAMETER
+#define GAIN_READ
 #endif
 
 // Of the pixels, the first `count` are in the frame.

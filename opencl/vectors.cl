@@ -50,6 +50,13 @@ VECTOR(short, pairs, 2 * LANES);
 #define LOAD_GLOBAL(type, p) (*(__global const type##_unaligned *)(p))
 #define STORE_GLOBAL(type, p) (*(__global type##_unaligned *)(p))
 
+// What a kernel of one work-item a group does is a function that is compiled as such, and the kernel calls it: PoCL has each kernel
+// once as it stands and twice more in what starts work-groups, and would compile all of it three times.
+#define COMPILED_ONCE static __attribute__((noinline)) void
+#define KERNEL_OF_ONE __kernel __attribute__((reqd_work_group_size(1, 1, 1))) void
+#define GROUP_COLUMN ((int)get_group_id(0) * TILE)  // the tile's first
+#define GROUP_ROW ((int)get_group_id(1) * BAND)
+
 // A loop over the few pixels at an edge that fill no vector. It stays one: laid out in vectors and many steps at once, as the compiler
 // would have it, such loops were two thirds of a kernel's code and much of the time of compiling it.
 #define AT_EDGE _Pragma("clang loop vectorize(disable) unroll(disable)")
