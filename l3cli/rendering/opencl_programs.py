@@ -20,8 +20,8 @@ CLASSES_ONLY: layout.Macros = {"CLASSES_ONLY": 1}
 TOGETHER: layout.Macros = {"TOGETHER": 1}  # classes and transforms of the first layer
 JOINS = ("processor",)  # variants that join them
 SPARING = "PoCL 3.0"  # the version of which it was tried; others compile general forms once more before they are kept
-# Compilers that read the declarations of all of OpenCL C with every program, unless they are taken for read: those of which it was
-# tried. They get those of what kernels call (builtins.cl).
+# Compilers that read the declarations of all of OpenCL C with every program, unless these are taken for read: those of which
+# it was tried. They get the declarations of what kernels call (builtins.cl).
 DECLARES_ALL = re.compile(r"PoCL 3\.0.* LLVM 14\.")
 FEW_DECLARED = "-D_OPENCL_H_"
 Key = tuple[Any, ...]
