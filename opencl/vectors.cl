@@ -57,8 +57,8 @@ VECTOR(short, pairs, 2 * LANES);
 #define GROUP_COLUMN ((int)get_group_id(0) * TILE)  // the tile's first
 #define GROUP_ROW ((int)get_group_id(1) * BAND)
 
-// A loop over the few pixels at an edge that fill no vector. It stays one: laid out in vectors and many steps at once, as the compiler
-// would have it, such loops were two thirds of a kernel's code and much of the time of compiling it.
+// A loop over the few pixels at an edge that fill no vector. It stays one: in vectors and many steps at once, as the compiler
+// would have it, it is code that hardly runs and takes time to compile.
 #define AT_EDGE _Pragma("clang loop vectorize(disable) unroll(disable)")
 
 // The first `count` lanes of a vector → to[0], to[1] …: by way of an array, for code that picks a lane by its number is long.
