@@ -91,15 +91,13 @@ INLINE uints classes_at(const Seen *seen, int k, int x, size_t at, int site_row,
 
 INLINE void write_classes(__global uint *to, uints label, int count) {
     if (count >= LANES) STORE_GLOBAL(uints, to) = label;
-    else for (int i = 0; i < count; i++) to[i] = label[i];
+    else WRITE_FIRST(uint, uints, to, label, count);
 }
 
 #if !defined(TRANSFORM_ONLY) && !defined(TOGETHER)  // a program beside one that has this kernel already, or joins it with transforms
-__kernel __attribute__((reqd_work_group_size(1, 1, 1)))
-void classes(CLASSES_PARAMETERS,
-             __global uint *restrict labels,  // (row, col)
-             int phase_row, int phase_column, int rows, int columns) {
-    const int x0 = get_group_id(0) * TILE, y0 = get_group_id(1) * BAND;
+COMPILED_ONCE classes_of_tile(int x0, int y0, CLASSES_PARAMETERS,
+                              __global uint *restrict labels,  // (row, col)
+                              int phase_row, int phase_column, int rows, int columns) {
     const int y1 = min(y0 + BAND, rows), width = min(TILE, columns - x0);
     const int first_phase = (x0 + phase_column) % CFA_COLUMNS;
     HAVE_SEEN(seen)
@@ -116,5 +114,9 @@ void classes(CLASSES_PARAMETERS,
             write_classes(labels + at + x, classes_at(&seen, k, x, at + x, site_row, phase, CLASSES_READ), width - x);
         }
     }
+}
+
+KERNEL_OF_ONE classes(CLASSES_PARAMETERS, __global uint *restrict labels, int phase_row, int phase_column, int rows, int columns) {
+    classes_of_tile(GROUP_COLUMN, GROUP_ROW, CLASSES_READ, labels, phase_row, phase_column, rows, columns);
 }
 #endif

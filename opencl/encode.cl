@@ -13,16 +13,16 @@
 INLINE floats read_pixels(__global const float *from, int count) {
     if (count >= LANES) return LOAD_GLOBAL(floats, from);
     float pixel[LANES] = {0};
+    AT_EDGE
     for (int i = 0; i < count; i++) pixel[i] = from[i];
     return LOAD_PRIVATE(floats, pixel);
 }
 
-__kernel __attribute__((reqd_work_group_size(1, 1, 1)))
-void ENCODE(__global const float *restrict outputs,  // (output, row, col)
-            __global const float *restrict matrix,   // (3, 3) encoded values from X, Y, Z, before the curve
-            __global CODE *restrict picture,         // (row, col, 3)
-            int rows, int columns) {
-    const int x0 = get_group_id(0) * TILE, y0 = get_group_id(1) * BAND;
+COMPILED_ONCE encode_tile(int x0, int y0,
+                          __global const float *restrict outputs,  // (output, row, col)
+                          __global const float *restrict matrix,   // (3, 3) encoded values from X, Y, Z, before the curve
+                          __global CODE *restrict picture,         // (row, col, 3)
+                          int rows, int columns) {
     const int y1 = min(y0 + BAND, rows), width = min(TILE, columns - x0);
     const size_t pixels = (size_t)rows * columns;
     for (int y = y0; y < y1; y++)
@@ -33,4 +33,9 @@ void ENCODE(__global const float *restrict outputs,  // (output, row, col)
             for (int o = 0; o < 3; o++) made[o] = read_pixels(outputs + o * pixels + at, width - x);
             write_pixels(picture, made, matrix, at, width - x, pixels);
         }
+}
+
+KERNEL_OF_ONE ENCODE(__global const float *restrict outputs, __global const float *restrict matrix, __global CODE *restrict picture,
+                     int rows, int columns) {
+    encode_tile(GROUP_COLUMN, GROUP_ROW, outputs, matrix, picture, rows, columns);
 }

@@ -14,6 +14,8 @@
     __global const int *restrict planes, __global const uint *restrict first_labels, __global const int *restrict row_source, \
     __global const int *restrict label_source, __global const int *restrict column_source, STRUCTURE_CONSTANTS, \
     __global uint *restrict labels, int source_rows, int rows, int columns
+#define STRUCTURES_READ \
+    planes, first_labels, row_source, label_source, column_source, STRUCTURE_READ, labels, source_rows, rows, columns
 
 #define FACTOR_BITS 0x7f
 #define SHIFT_BITS(word) ((word) >> 8 & 0x1f)

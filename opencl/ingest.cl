@@ -32,7 +32,9 @@ INLINE void ingest(ushort *row, __global const ushort *raw_row, __global const i
     int p = first;
     for (; p + 2 * LANES <= last; p += 2 * LANES) ingest_vector(row + p, inside + p);
     if (last - first >= 2 * LANES) ingest_vector(row + last - 2 * LANES, inside + last - 2 * LANES);
-    else for (; p < last; p++) row[p] = highest_raw(inside[p]);
+    else AT_EDGE for (; p < last; p++) row[p] = highest_raw(inside[p]);
+    AT_EDGE
     for (p = 0; p < first; p++) row[p] = highest_raw(raw_row[column_source[x0 + p]]);
+    AT_EDGE
     for (p = last; p < end; p++) row[p] = highest_raw(raw_row[column_source[x0 + p]]);
 }

@@ -16,7 +16,9 @@ INLINE void read_plane(int *to, __global const int *row, __global const int *col
         p = last;
         STORE_PRIVATE(ints, to + p - LANES) = LOAD_GLOBAL(ints, inside + p - LANES);
     }
+    AT_EDGE
     for (int i = 0; i < first; i++) to[i] = row[column_source[x0 + i]];
+    AT_EDGE
     for (; p < end; p++) to[p] = row[column_source[x0 + p]];
 }
 
@@ -38,5 +40,5 @@ INLINE uints start_words(const Words *row, int p) { return HALVES_AT(row, p, ODD
 // Classes of LANES pixels of a row that is `width` wide from x on.
 INLINE void write_labels(__global uint *row, uints label, int x, int width) {
     if (x + LANES <= width) STORE_GLOBAL(uints, row + x) = label;
-    else for (int i = 0; x + i < width; i++) row[x + i] = label[i];
+    else WRITE_FIRST(uint, uints, row + x, label, width - x);
 }

@@ -28,17 +28,21 @@ INLINE void shaded_chroma(Ratios *to, __global const int *planes, __global const
             for (int j = 0; j < PATCH; j++) sum += LOAD_GLOBAL(ints, plane + (size_t)rows[j] * columns + p);
             STORE_PRIVATE(ints, to->sum[s] + p) = sum;
         }
+        AT_EDGE
         for (; p < last; p++) {
             int sum = 0;
             for (int j = 0; j < PATCH; j++) sum += plane[(size_t)rows[j] * columns + p];
             to->sum[s][p] = sum;
         }
+        AT_EDGE
         for (int i = 0; i < first; i++) to->sum[s][i] = to->sum[s][column_source[x0 + i] - x0 + RADIUS];
+        AT_EDGE
         for (; p < end; p++) to->sum[s][p] = to->sum[s][column_source[x0 + p] - x0 + RADIUS];
     }
     __global const int *own = planes + LUMINANCE * stride + (size_t)rows[RADIUS] * columns + x0;
     int p = 0;
     for (; p + LANES <= width; p += LANES) STORE_PRIVATE(floats, to->luminance + p) = CONVERT(LOAD_GLOBAL(ints, own + p), floats);
+    AT_EDGE
     for (; p < width; p++) to->luminance[p] = own[p];
     for (int x = 0; x < width; x += LANES) {
         floats total[SOURCES];

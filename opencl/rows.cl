@@ -2,6 +2,8 @@
 // the next ones.
 
 #ifdef SHADED
+#define GAIN_PARAMETER , __global const float *restrict gain  // (row, node) of the outputs
+#define GAIN_READ , gain
 
 #define LANE(i) (float)(i)
 
@@ -13,6 +15,9 @@ INLINE void even_pixels(floats *made, __global const float *gain, int x) {
     for (int o = 0; o < OUTPUTS; o++) made[o] *= factor;
 }
 
+#else
+#define GAIN_PARAMETER
+#define GAIN_READ
 #endif
 
 // Of the pixels, the first `count` are in the frame.
@@ -27,7 +32,7 @@ INLINE void write_pixels(__global int *picture, const ints *made, __global const
         __global int *to = picture + o * pixels + at;
         if (count >= LANES && (size_t)to % sizeof(ints) == 0) __builtin_nontemporal_store(made[o], (__global ints *)to);
         else if (count >= LANES) STORE_GLOBAL(ints, to) = made[o];
-        else for (int i = 0; i < count; i++) to[i] = made[o][i];
+        else WRITE_FIRST(int, ints, to, made[o], count);
     }
 }
 
@@ -39,7 +44,7 @@ INLINE void write_pixels(__global float *picture, const floats *made, __global c
     for (int o = 0; o < OUTPUTS; o++) {
         __global float *to = picture + o * pixels + at;
         if (count >= LANES) STORE_GLOBAL(floats, to) = made[o];
-        else for (int i = 0; i < count; i++) to[i] = made[o][i];
+        else WRITE_FIRST(float, floats, to, made[o], count);
     }
 }
 
@@ -105,6 +110,7 @@ INLINE void write_pixels(__global CODE *picture, const floats *made, __global co
         CODE rest[3 * LANES];
         STORE_PRIVATE(two_codes, rest) = low;
         STORE_PRIVATE(codes, rest + 2 * LANES) = high;
+        AT_EDGE
         for (int i = 0; i < 3 * count; i++) to[i] = rest[i];
     }
 }

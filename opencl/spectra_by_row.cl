@@ -14,14 +14,13 @@ INLINE floats read_across(__global const float *row, int x, int columns) {
     return LOAD_PRIVATE(floats, value);
 }
 
-__kernel __attribute__((reqd_work_group_size(1, 1, 1)))
-void smooth_spectra(__global const float *restrict made,   // (output, made row, col)
-                    __global float *restrict smoothed,     // (output, row, col)
-                    float reach,
-                    int made_rows, int top,                // and the frame's row of the first of them
-                    int first, int frame_rows,             // the frame's row of the first that is written, rows of the frame
-                    int rows, int columns) {
-    const int x0 = get_group_id(0) * TILE, y0 = get_group_id(1) * BAND;
+COMPILED_ONCE smooth_tile(int x0, int y0,
+                          __global const float *restrict made,  // (output, made row, col)
+                          __global float *restrict smoothed,    // (output, row, col)
+                          float reach,
+                          int made_rows, int top,               // and the frame's row of the first of them
+                          int first, int frame_rows,            // the frame's row of the first that is written, rows of the frame
+                          int rows, int columns) {
     const int y1 = min(y0 + BAND, rows), width = min(TILE, columns - x0);
     const size_t stride = (size_t)made_rows * columns, pixels = (size_t)rows * columns;
     float brightness[WINDOW][REACHED + LANES];
@@ -65,8 +64,13 @@ void smooth_spectra(__global const float *restrict made,   // (output, made row,
                 const floats mean = value + change * share, result = own > DARKEST ? mean * kept : value;
                 __global float *to = smoothed + o * pixels + (size_t)y * columns + x0 + x;
                 if (width - x >= LANES) STORE_GLOBAL(floats, to) = result;
-                else for (int i = 0; i < width - x; i++) to[i] = result[i];
+                else WRITE_FIRST(float, floats, to, result, width - x);
             }
         }
     }
+}
+
+KERNEL_OF_ONE smooth_spectra(__global const float *restrict made, __global float *restrict smoothed, float reach, int made_rows,
+                             int top, int first, int frame_rows, int rows, int columns) {
+    smooth_tile(GROUP_COLUMN, GROUP_ROW, made, smoothed, reach, made_rows, top, first, frame_rows, rows, columns);
 }

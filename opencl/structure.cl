@@ -1,6 +1,7 @@
 // Structure: the formula of l3cli/classes/structure.py, for both variants.
 
 #define STRUCTURE_CONSTANTS LABEL_CONSTANTS, __global const uint *restrict strength_edges
+#define STRUCTURE_READ label_words, strength_edges
 #define TURN_A 14  // bits of the gradient word
 #define TURN_B 15
 

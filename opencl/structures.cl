@@ -46,9 +46,7 @@ INLINE ints across(const int *at) {
 }
 
 #ifndef TRANSFORM_ONLY  // a program beside one that has this kernel already
-__kernel __attribute__((reqd_work_group_size(1, 1, 1)))
-void structures(STRUCTURES_PARAMETERS) {
-    const int x0 = get_group_id(0) * TILE, y0 = get_group_id(1) * BAND;
+COMPILED_ONCE structures_of_tile(int x0, int y0, STRUCTURES_PARAMETERS) {
     const int y1 = min(y0 + BAND, rows), width = min(TILE, columns - x0);
     const int span = width + 2 * STRUCTURE_REACH;
     __global const int *luminance_plane = planes + (size_t)LUMINANCE * source_rows * columns;
@@ -81,4 +79,6 @@ void structures(STRUCTURES_PARAMETERS) {
         }
     }
 }
+
+KERNEL_OF_ONE structures(STRUCTURES_PARAMETERS) { structures_of_tile(GROUP_COLUMN, GROUP_ROW, STRUCTURES_READ); }
 #endif

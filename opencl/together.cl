@@ -3,17 +3,15 @@
 // them.
 
 #ifdef TOGETHER
-__kernel __attribute__((reqd_work_group_size(1, 1, 1)))
-void classes_and_transform(CLASSES_PARAMETERS,
-                           __global uint *restrict labels,       // (row, col)
-                           __global const tap *restrict weights,  // as transform.cl has them, and what follows
-                           __global const float *restrict matrix,
-                           __global CODE *restrict picture,
-#ifdef SHADED
-                           __global const float *restrict gain,
-#endif
-                           float black_level, int phase_row, int phase_column, int rows, int columns) {
-    const int x0 = get_group_id(0) * TILE, y0 = get_group_id(1) * BAND;
+#define TOGETHER_PARAMETERS \
+    CLASSES_PARAMETERS, \
+    __global uint *restrict labels,        /* (row, col) */ \
+    __global const tap *restrict weights,  /* as transform.cl has them, and what follows */ \
+    __global const float *restrict matrix, \
+    __global CODE *restrict picture GAIN_PARAMETER, \
+    float black_level, int phase_row, int phase_column, int rows, int columns
+
+COMPILED_ONCE classes_and_transform_of_tile(int x0, int y0, TOGETHER_PARAMETERS) {
     const int y1 = min(y0 + BAND, rows), width = min(TILE, columns - x0);
     const int first_phase = (x0 + phase_column) % CFA_COLUMNS;
     HAVE_SEEN(seen)
@@ -47,5 +45,10 @@ void classes_and_transform(CLASSES_PARAMETERS,
             write_pixels(picture, made, matrix, at + x, width - x, (size_t)rows * columns);
         }
     }
+}
+
+KERNEL_OF_ONE classes_and_transform(TOGETHER_PARAMETERS) {
+    classes_and_transform_of_tile(GROUP_COLUMN, GROUP_ROW, CLASSES_READ, labels, weights, matrix, picture GAIN_READ, black_level,
+                                  phase_row, phase_column, rows, columns);
 }
 #endif

@@ -58,7 +58,9 @@ INLINE void into_ring(tap *to, __global const int *planes, __global const int *c
             p = last;
             STORE_PRIVATE(signals, signal[s] + p - LANES) = signal_of(LOAD_GLOBAL(ints, planes + x0 - RADIUS + p - LANES));
         }
+        AT_EDGE
         for (int i = 0; i < first; i++) signal[s][i] = signal_of((ints)planes[column_source[x0 + i]])[0];
+        AT_EDGE
         for (; p < end; p++) signal[s][p] = signal_of((ints)planes[column_source[x0 + p]])[0];
     }
     #pragma clang loop vectorize(disable) unroll_count(4)
@@ -68,19 +70,17 @@ INLINE void into_ring(tap *to, __global const int *planes, __global const int *c
 #endif
 
 #if !defined(TOGETHER) && !defined(CLASSES_ONLY)
-__kernel __attribute__((reqd_work_group_size(1, 1, 1)))
-void transform(__global const SOURCE *restrict source,      // (source, row, col) DN of the mosaic, or planes
-               __global const int *restrict row_source,     // (padded row)
-               __global const int *restrict column_source,  // (padded col)
-               __global const uint *restrict labels,        // (row, col)
-               __global const tap *restrict weights,        // (class, …) per unit of the source
-               __global const float *restrict matrix,       // (3, 3) encoded values from X, Y, Z, before the curve
-               __global CODE *restrict picture,
-#ifdef SHADED
-               __global const float *restrict gain,         // (row, node) of the outputs
-#endif
-               float black_level, int source_rows, int rows, int columns) {
-    const int x0 = get_group_id(0) * TILE, y0 = get_group_id(1) * BAND;
+#define TRANSFORM_PARAMETERS \
+    __global const SOURCE *restrict source,      /* (source, row, col) DN of the mosaic, or planes */ \
+    __global const int *restrict row_source,     /* (padded row) */ \
+    __global const int *restrict column_source,  /* (padded col) */ \
+    __global const uint *restrict labels,        /* (row, col) */ \
+    __global const tap *restrict weights,        /* (class, …) per unit of the source */ \
+    __global const float *restrict matrix,       /* (3, 3) encoded values from X, Y, Z, before the curve */ \
+    __global CODE *restrict picture GAIN_PARAMETER, \
+    float black_level, int source_rows, int rows, int columns
+
+COMPILED_ONCE transform_tile(int x0, int y0, TRANSFORM_PARAMETERS) {
     const int y1 = min(y0 + BAND, rows), width = min(TILE, columns - x0);
     const int span = WHOLE(WHOLE(width, LANES) + 2 * RADIUS, 16);
     const size_t stride = (size_t)source_rows * columns;
@@ -117,5 +117,10 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
             write_pixels(picture, made, matrix, at + x, width - x, (size_t)rows * columns);
         }
     }
+}
+
+KERNEL_OF_ONE transform(TRANSFORM_PARAMETERS) {
+    transform_tile(GROUP_COLUMN, GROUP_ROW, source, row_source, column_source, labels, weights, matrix, picture GAIN_READ, black_level,
+                   source_rows, rows, columns);
 }
 #endif

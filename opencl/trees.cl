@@ -4,6 +4,7 @@
 // sums are separable: weighed down the columns, then across.
 
 #define STRUCTURE_CONSTANTS LABEL_CONSTANTS, __global const uint *restrict tests
+#define STRUCTURE_READ label_words, tests
 #define ROWS 5  // of gradients
 #define PLANE_ROWS 5
 
@@ -156,9 +157,7 @@ INLINE void leaves_of(uints leaf[AT_ONCE], const Evidence e[AT_ONCE], __global c
 }
 
 #ifndef TRANSFORM_ONLY  // a program beside one that has this kernel already
-__kernel __attribute__((reqd_work_group_size(1, 1, 1)))
-void structures(STRUCTURES_PARAMETERS) {
-    const int x0 = get_group_id(0) * TILE, y0 = get_group_id(1) * BAND;
+COMPILED_ONCE structures_of_tile(int x0, int y0, STRUCTURES_PARAMETERS) {
     const int y1 = min(y0 + BAND, rows), width = min(TILE, columns - x0), span = width + 2 * STRUCTURE_REACH;
     const size_t stride = (size_t)source_rows * columns;
     Planes plane_rows[PLANE_ROWS];
@@ -203,4 +202,6 @@ void structures(STRUCTURES_PARAMETERS) {
         }
     }
 }
+
+KERNEL_OF_ONE structures(STRUCTURES_PARAMETERS) { structures_of_tile(GROUP_COLUMN, GROUP_ROW, STRUCTURES_READ); }
 #endif

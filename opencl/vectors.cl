@@ -50,6 +50,24 @@ VECTOR(short, pairs, 2 * LANES);
 #define LOAD_GLOBAL(type, p) (*(__global const type##_unaligned *)(p))
 #define STORE_GLOBAL(type, p) (*(__global type##_unaligned *)(p))
 
+// What a kernel of one work-item a group does is a function that is compiled as such, and the kernel calls it: PoCL has each kernel
+// once as it stands and twice more in what starts work-groups, and would compile all of it three times.
+#define COMPILED_ONCE static __attribute__((noinline)) void
+#define KERNEL_OF_ONE __kernel __attribute__((reqd_work_group_size(1, 1, 1))) void
+#define GROUP_COLUMN ((int)get_group_id(0) * TILE)  // the tile's first
+#define GROUP_ROW ((int)get_group_id(1) * BAND)
+
+// A loop over the few pixels at an edge that fill no vector. It stays one: in vectors and many steps at once, as the compiler
+// would have it, it is code that hardly runs and takes time to compile.
+#define AT_EDGE _Pragma("clang loop vectorize(disable) unroll(disable)")
+
+// The first `count` lanes of a vector → to[0], to[1] …: by way of an array, for code that picks a lane by its number is long.
+#define WRITE_FIRST(element, type, to, value, count) do { \
+    element lane[LANES]; \
+    STORE_PRIVATE(type, lane) = value; \
+    AT_EDGE for (int i = 0; i < (count); i++) (to)[i] = lane[i]; \
+} while (0)
+
 // Have the caches fetch the line at p, which is read a row later: no processor guesses where the next row of a tile lies. A line for
 // every LANES pixels, while others are computed: many at once would have to wait for one another.
 #define FETCH(p) __builtin_prefetch((const void *)(size_t)(p))

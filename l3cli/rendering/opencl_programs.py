@@ -1,5 +1,6 @@
 """The programs of a table on an OpenCL device, each built when a frame first needs it."""
 
+import re
 import warnings
 from dataclasses import replace
 from typing import Any
@@ -19,6 +20,10 @@ CLASSES_ONLY: layout.Macros = {"CLASSES_ONLY": 1}
 TOGETHER: layout.Macros = {"TOGETHER": 1}  # classes and transforms of the first layer
 JOINS = ("processor",)  # variants that join them
 SPARING = "PoCL 3.0"  # the version of which it was tried; others compile general forms once more before they are kept
+# Compilers that read the declarations of all of OpenCL C with every program, unless these are taken for read: those of which
+# it was tried. They get the declarations of what kernels call (builtins.cl).
+DECLARES_ALL = re.compile(r"PoCL 3\.0.* LLVM 14\.")
+FEW_DECLARED = "-D_OPENCL_H_"
 Key = tuple[Any, ...]
 # What makes pictures of outputs: its files and its cut, of as many lanes as the device's compiler has registers for if 0.
 ENCODERS = {
@@ -38,6 +43,8 @@ class Compiler:
         """A program."""
         cl, device = pyopencl(), self._device
         options = [*BUILD_OPTIONS, *(f"-D{name}={value}" for name, value in macros.items())]
+        if DECLARES_ALL.search(device.platform.version):
+            source, options = f"{layout.joined_files('builtins.cl')}\n{source}", [*options, FEW_DECLARED]
         driver = (device.platform.name, device.platform.version, device.version, device.driver_version)
         identity = (*driver, device.name, compiled_for(device))
 
