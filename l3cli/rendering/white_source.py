@@ -69,7 +69,7 @@ class SquareWhite:
         self._whites, self._square = Whites(table), square
 
     def white(self, frame: RawFrame) -> SceneWhite:
-        return self._whites.of_square(frame, self._square)
+        return self._whites.of_greys(frame, [self._square.within(frame)])
 
 
 def white_source(text: str, table: TransformTable, estimated_by: TransformTable | None = None) -> WhiteSource | None:

@@ -145,6 +145,15 @@ def warn_of_odd_white(what: str, white: "SceneWhite", console: Console) -> None:
         )
 
 
+def warn_of_stated_white(name: str, white: "SceneWhite", stated: "SceneWhite", console: Console) -> None:
+    """Say so if a file states quite another white than what is grey in its frame has."""
+    if np.linalg.norm(_uv(white.light.xyz) - _uv(stated.light.xyz)) > NEAR_WHITE:
+        console.warn(
+            f"{name}: its file states another white ({stated.light.kelvin:.0f} K) than its chart shows "
+            f"({white.light.kelvin:.0f} K); the chart's is taken, and ‹white› camera would leave a cast"
+        )
+
+
 def warn_if_trained_on(table: "TransformTable", path: "Path", frames: "Path", console: Console) -> None:
     """Say so if a table is judged on frames that its history names as its training."""
     inputs = {digest for stage in table.history for digests in stage.inputs.values() for digest in digests}
