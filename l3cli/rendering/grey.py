@@ -18,6 +18,7 @@ from l3cli.rendering.reference import ReferenceRenderer
 
 Array = NDArray[np.floating]
 MOST_CLIPPED = 0.01  # share of a square's pixels that may be clipped
+FLAT = 0.5  # share of the pixels of two channels that have the frame's highest value, all of them, where the sensor clips
 DARK = 0.01  # of full scale: a mean below which noise may hide it, above which its spread is that of what is seen
 LEAST_CERTAINTY = 50.0  # mean signal of a channel in a square over the standard deviation of that mean
 
@@ -127,7 +128,7 @@ def _measured(frame: RawFrame, table: TransformTable, where: tuple[slice, slice]
                 varies = seen.std() / means[index]
                 return means, f"is not plain: channel {letter} varies by {varies:.0%}; give something of one colour"
             return means, f"is too dark: channel {letter} has {means[index]:.3g} DN; give a brighter grey"
-        reached += bool((values[channel == index] == top).mean() > MOST_CLIPPED)
+        reached += bool((values[channel == index] == top).mean() > FLAT)
     if reached > 1:
         return means, f"is clipped at {top} DN, below the white level of {frame.white_level:g}; mend ‹white_level›"
     return means, ""

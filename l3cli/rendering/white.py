@@ -115,7 +115,10 @@ class Whites:
         weights = share ** (2 / 3) / share  # of what each says of the ratios: C*ab grows with the cube root of light
         made = self.of_neutral(weights @ signals)
         even = balanced(frame, self.table, made.balance.gains)
-        shown = weights @ np.array([self.grey.of_part(even, grey.where) for grey in greys])
+        whole = [number for number, grey in enumerate(greys) if self.grey.usable(even, grey)]  # gains may clip bright ones
+        if not whole:
+            return made
+        shown = weights[whole] @ np.array([self.grey.of_part(even, greys[number].where) for number in whole])
         left = made.balance.adaptation @ _white(shown)  # of the white: what the table makes of these greys and of others
         return replace(made, balance=replace(made.balance, adaptation=adaptation(left) @ made.balance.adaptation))
 

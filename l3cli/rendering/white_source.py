@@ -51,8 +51,8 @@ class CameraWhite:
     def white(self, frame: RawFrame) -> SceneWhite:
         if frame.neutral is None:
             raise InputFileError(
-                f"{frame.name} does not state what its camera took for white; give ‹white› as auto, as the ROW,COL of a "
-                "grey, or name the light"
+                f"{frame.name} does not state what its camera took for white; give ‹white› as auto, as chart, as the "
+                "ROW,COL of a grey, or name the light"
             )
         if frame.neutral not in self._made:
             self._made[frame.neutral] = self._whites.of_neutral(np.array(frame.neutral))

@@ -3,14 +3,13 @@ calibration, what makes whites to rendering; here they meet."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
 from l3cli.calibration.perspective import corner_cells, through
-from l3cli.calibration.photo.locate import Located, locate
-from l3cli.calibration.photo.prior import WAVELENGTH
 from l3cli.errors import InputFileError
 from l3cli.frame import RawFrame, shifted_cfa
 from l3cli.physics import charts
@@ -18,9 +17,13 @@ from l3cli.rendering.grey import Grey
 from l3cli.rendering.white import SceneWhite, Whites
 from l3cli.rendering.white_source import WhiteSource, white_source
 
+if TYPE_CHECKING:
+    from l3cli.calibration.photo.locate import Located
+
 CHART = "chart"
 NEUTRALS = range(18, 24)  # patches, from white to black
 CORE = 0.25  # half the side of the square of a patch that is measured, in patches: their frames stay out
+WAVELENGTH = np.arange(400.0, 701.0, 10.0)  # nm
 SURE = 0.95  # R² of a chart; of 48 pictures without one none reaches 0.84, of photos of one all 0.99
 
 
@@ -46,6 +49,8 @@ class ChartWhite:
 
     def white(self, frame: RawFrame) -> ChartSceneWhite:
         """The white of a frame; InputFileError if there is no chart in it, or no grey of one can be measured."""
+        from l3cli.calibration.photo.locate import locate
+
         table, (rows, cols) = self._table, charts.CLASSIC
         mosaic = frame.evened().values - (frame.black_level + frame.dark)
         located = locate(mosaic, shifted_cfa(table.cfa, frame.phase), self._reflectance, charts.CLASSIC)
@@ -66,7 +71,7 @@ def source_of(text: str, table: TransformTable, estimated_by: TransformTable | N
     return ChartWhite(table) if text == CHART else white_source(text, table, estimated_by)
 
 
-def _greys(frame: RawFrame, located: Located) -> Iterator[Grey]:
+def _greys(frame: RawFrame, located: "Located") -> Iterator[Grey]:
     """The squares in the middle of neutral patches."""
     for patch in NEUTRALS:
         row, col = divmod(patch, charts.CLASSIC[1])
@@ -78,7 +83,7 @@ def _greys(frame: RawFrame, located: Located) -> Iterator[Grey]:
         yield Grey(f"{frame.name}: patch {patch + 1} of its ColorChecker", where)
 
 
-def _place(frame: RawFrame, located: Located) -> str:
+def _place(frame: RawFrame, located: "Located") -> str:
     """Rows and columns of a chart in the upright picture."""
     corners = through(located.to_pixels, corner_cells(*charts.CLASSIC))
     cols, rows = (_turned(corners[:, axis], frame, axis) for axis in (0, 1))

@@ -1,0 +1,110 @@
+"""l3 render --white chart: the greys of a ColorChecker in the frame, wherever and however it lies."""
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.store import save
+from l3cli.calibration.perspective import corner_cells, homography
+from l3cli.calibration.photo.locate import Located
+from l3cli.frame import RawFrame, as_taken, upright
+from l3cli.io.images import read_image
+from l3cli.io.raw.dng_writer import LIGHT_CODES, RawColour, write_dng
+from l3cli.physics import charts, spectra
+from l3cli.physics.display import daylight, displayed_xyz, lab, srgb_decoded
+from l3cli.stages.rendering.chart_white import _greys, _place
+from tests.helpers.tables import colorimetric_table
+
+PITCH, PATCH, FIRST = 30, 24, (42, 34)  # pixels from patch to patch, of a patch, before the first one
+SHAPE = (200, 250)
+
+
+def photo(camera: CameraModel, light: str, share: float = 0.8) -> np.ndarray:
+    """A ColorChecker before a paler wall with stripes; white fills the brightest channel to `share`."""
+    reflectance = charts.chart("classic", camera.wavelength)[1]
+    radiance = spectra.illuminant(light, camera.wavelength)
+    surfaces = np.vstack([reflectance, np.full_like(radiance, 0.03), np.full_like(radiance, 0.4), reflectance[4] * 1.2])
+    signals = (surfaces * radiance) @ camera.electron_weights.T / (camera.electron_weights @ radiance).max()
+    shown = np.where(np.arange(SHAPE[1]) // 11 % 2 == 0, 25, 26) * np.ones(SHAPE, int)
+    top, left = FIRST
+    shown[top - 10 : top + 4 * PITCH + 5, left - 10 : left + 6 * PITCH + 5] = 24
+    for patch in range(24):
+        row, col = (start + PITCH * place for start, place in zip(FIRST, divmod(patch, 6), strict=True))
+        shown[row : row + PATCH, col : col + PATCH] = patch
+    channel = np.tile(camera.cfa, (SHAPE[0] // 2, SHAPE[1] // 2))
+    values = np.take_along_axis(signals[shown], channel[..., None], axis=2)[..., 0]
+    noise = np.random.default_rng(1).normal(0, 4, SHAPE)
+    full = camera.white_level - camera.black_level
+    return np.rint(np.clip(camera.black_level + share * full * values + noise, 0, camera.white_level)).astype(np.uint16)
+
+
+def chroma(picture: Path) -> np.ndarray:
+    """C*ab of the neutral patches, from white to black, of a picture in which the chart lies upright."""
+    values = srgb_decoded(read_image(picture)[0] / 65535)
+    places = [(FIRST[0] + 3 * PITCH, FIRST[1] + PITCH * each) for each in range(6)]
+    means = np.array([values[row + 4 : row + 20, col + 4 : col + 20].mean(axis=(0, 1)) for row, col in places])
+    return np.asarray(np.hypot(*lab(displayed_xyz(means), daylight())[:, 1:].T))
+
+
+@pytest.fixture(scope="module")
+def table(bayer: CameraModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("chart") / "table.h5"
+    save(colorimetric_table(dataclasses.replace(bayer, noise=dataclasses.replace(bayer.noise, dark_current=0.0))), path)
+    return path
+
+
+def test_its_greys_are_neutral_also_where_the_file_states_another_white(
+    l3: Callable, table: Path, bayer: CameraModel, tmp_path: Path
+) -> None:
+    raw, picture = tmp_path / "photo.dng", tmp_path / "a.tif"
+    daylight_neutral = bayer.electron_weights @ spectra.illuminant("D55", bayer.wavelength)
+    colour = RawColour(dict.fromkeys(LIGHT_CODES, np.eye(3)))
+    write_dng(raw, photo(bayer, "A"), bayer, colour, daylight_neutral / daylight_neutral.max(), 0.01)
+    call = ("render", table, raw, "--bits", 16, "--backend", "reference", "-o", picture, "--force", "--white")
+    code, _, err = l3(*call, "chart")
+    assert code == 0
+    line = next(each for each in err.splitlines() if ": white of the greys of a ColorChecker: x,y = 0.4" in each)
+    assert 2700 < float(line.split(" K,")[0].split()[-1]) < 3000
+    rows, cols = ([int(n) for n in each.split()[-1].split("–")] for each in line.split("; rows ")[1].split(", "))
+    np.testing.assert_allclose([*rows, *cols], [39, 39 + 4 * PITCH, 31, 31 + 6 * PITCH], atol=6)
+    assert "its file states another white (5" in err
+    assert chroma(picture).max() < 3
+    assert l3(*call, "camera")[0] == 0
+    assert chroma(picture).max() > 20
+
+
+def test_clipped_patches_are_left_out_and_pictures_without_a_chart_are_refused(
+    l3: Callable, refused: Callable, table: Path, bayer: CameraModel, tmp_path: Path
+) -> None:
+    values = photo(bayer, "A", share=1.3)  # white and the next grey clip
+    np.save(tmp_path / "bright.npy", values)
+    options = ("--bits", 16, "--backend", "reference", "--exposure", 0.5, "--white", "chart")
+    assert l3("render", table, tmp_path / "bright.npy", *options, "-o", tmp_path / "a.tif")[0] == 0
+    assert chroma(tmp_path / "a.tif")[2:].max() < 3
+    np.save(tmp_path / "none.npy", values[:80, :120])  # six of its patches
+    error = refused(3, "render", table, tmp_path / "none.npy", *options, "-o", tmp_path / "b.tif")
+    assert "no ColorChecker of 4×6 patches is found in it" in error
+    assert "ROW,COL" in error
+
+
+@pytest.mark.parametrize("orientation", range(8))
+def test_its_place_is_that_in_the_upright_picture(orientation: int) -> None:
+    marked = np.zeros((100, 140), np.uint16)
+    marked[30:70, 20:80] = 1
+    corners = np.array([[20, 30], [80, 30], [80, 70], [20, 70]], float)
+    frame = RawFrame("a", marked, 0, 4095, orientation=orientation)
+    located = Located(homography(corner_cells(4, 6), corners), 1.0)
+    place = [int(n) for text in _place(frame, located).split(", ") for n in text.split()[-1].split("–")]
+    shown = np.argwhere(upright(marked, orientation))
+    (top, left), (bottom, right) = shown.min(axis=0), shown.max(axis=0)
+    np.testing.assert_allclose(place, [top, bottom, left, right], atol=1)
+    assert as_taken(upright(marked, orientation), orientation).sum() == marked.sum()
+    for number, grey in enumerate(_greys(frame, located)):
+        rows, cols = grey.where
+        assert marked[grey.where].all()
+        assert 60 <= rows.start < rows.stop <= 70
+        assert 20 + 10 * number <= cols.start < cols.stop <= 30 + 10 * number
