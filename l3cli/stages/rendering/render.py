@@ -23,7 +23,7 @@ from l3cli.rendering.temporal.filters import filters
 from l3cli.rendering.white_source import given_white, usual_balance
 from l3cli.stages.claims import Claims
 from l3cli.stages.console import Console
-from l3cli.stages.input_warnings import warn_of_kernels, warn_of_white
+from l3cli.stages.input_warnings import warn_of_exposure_time, warn_of_kernels, warn_of_white
 from l3cli.stages.rendering.chart_white import source_of
 from l3cli.stages.rendering.corrections import CameraFile, correction_in, hot_test
 from l3cli.stages.rendering.destination import Destination, claim, destination_of, marked, paged, refuse_missing
@@ -83,6 +83,7 @@ def render(
         model = None if camera is None else CameraFile(camera.absolute(), sha256(camera))
         correction = None if model is None else correction_in(model, transforms)
         known = replace(known, correction=correction, hot=hot_test(transforms) if hot else None)
+        warn_of_exposure_time(known.exposure, transforms, console)
         source = source_of(white, transforms) if white is not None else None
         lit, mix = transforms, None if source else mix_of_given(white, transforms, nearest_for, console)
         transforms = mixed(lit, mix)
