@@ -24,11 +24,8 @@ def mistaken(frame: RawFrame, table: TransformTable) -> Iterator[str]:
     """What there is to say of values that the table's camera hardly gives, as the frame's levels and size are taken."""
     top = int(frame.values.max())
     too_high = top > BEYOND * frame.white_level
-    if (
-        text := _too_high(frame, table.bits, top)
-        if too_high
-        else _clips_lower(frame, top) or _below_black(frame) or _fog(frame, table)
-    ):
+    lower = "" if too_high else _clips_lower(frame, top) or _below_black(frame) or _fog(frame, table)
+    if text := _too_high(frame, table.bits, top) if too_high else lower:
         yield text
     if text := _torn(frame, table.cfa.shape[0]):
         yield text
@@ -45,13 +42,11 @@ def _too_high(frame: RawFrame, bits: int, top: int) -> str:
             f"all its values are multiples of {step} and reach {top}, its white level is {frame.white_level:g} DN: they are "
             f"shifted up; divide them by {step}, or give ‹black_level› and ‹white_level› of values as these"
         )
+    if top <= most:
+        return ""  # it is only called clipped too early
     return (
-        ""
-        if top <= most
-        else (
-            f"its values reach {top} DN, its white level is {frame.white_level:g}: they are of another depth, or not raw; give "
-            "‹black_level› and ‹white_level›"
-        )
+        f"its values reach {top} DN, its white level is {frame.white_level:g}: they are of another depth, or not raw; "
+        "give ‹black_level› and ‹white_level›"
     )
 
 
@@ -64,8 +59,8 @@ def _clips_lower(frame: RawFrame, top: int) -> str:
     if share < CLIPPED:
         return ""
     return (
-        f"{share:.1%} of its pixels have {top} DN and none has more: it clips there, as {depth} bits do, and its white level "
-        f"is {frame.white_level:g}; give ‹black_level› and ‹white_level›"
+        f"{share:.1%} of its pixels have {top} DN and none has more: it clips there, as {depth} bits do, and its "
+        f"white level is {frame.white_level:g}; give ‹black_level› and ‹white_level›"
     )
 
 

@@ -166,8 +166,8 @@ def warn_of_exposure_time(seconds: float | None, table: "TransformTable", consol
     if seconds > LONG or times >= MANY_TIMES:
         beside = f", {times:.0f} times that of the training ({table.exposure:.3g} s)" if times >= MANY_TIMES else ""
         console.warn(
-            f"‹exposure_time› {seconds:g} is {seconds:g} seconds{beside}: dark current of {table.dark_signal(seconds):.3g} DN is taken "
-            "off; give seconds, not milliseconds"
+            f"‹exposure_time› {seconds:g} is {seconds:g} seconds{beside}: dark current of "
+            f"{table.dark_signal(seconds):.3g} DN is taken off; give seconds, not milliseconds"
         )
 
 

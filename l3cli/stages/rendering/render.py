@@ -83,7 +83,6 @@ def render(
         model = None if camera is None else CameraFile(camera.absolute(), sha256(camera))
         correction = None if model is None else correction_in(model, transforms)
         known = replace(known, correction=correction, hot=hot_test(transforms) if hot else None)
-        warn_of_exposure_time(known.exposure, transforms, console)
         source = source_of(white, transforms) if white is not None else None
         lit, mix = transforms, None if source else mix_of_given(white, transforms, nearest_for, console)
         transforms = mixed(lit, mix)
@@ -122,6 +121,7 @@ def render(
                 footage, destination, executor, transforms, rendition, source, choice, mark, origins(), skip_bad, console,
                 chunks,
             )  # fmt: skip
+        warn_of_exposure_time(known.exposure, transforms, console)
         opened.keep()
         warn_of_kernels(console)
         return tally
