@@ -14,32 +14,11 @@ from l3cli.calibration.photo.locate import Located
 from l3cli.frame import RawFrame, as_taken, upright
 from l3cli.io.images import read_image
 from l3cli.io.raw.dng_writer import LIGHT_CODES, RawColour, write_dng
-from l3cli.physics import charts, spectra
+from l3cli.physics import spectra
 from l3cli.physics.display import daylight, displayed_xyz, lab, srgb_decoded
 from l3cli.stages.rendering.chart_white import _greys, _place
+from tests.helpers.photos import FIRST, PITCH, chart_mosaic
 from tests.helpers.tables import colorimetric_table
-
-PITCH, PATCH, FIRST = 30, 24, (42, 34)  # pixels from patch to patch, of a patch, before the first one
-SHAPE = (200, 250)
-
-
-def photo(camera: CameraModel, light: str, share: float = 0.8) -> np.ndarray:
-    """A ColorChecker before a paler wall with stripes; white fills the brightest channel to `share`."""
-    reflectance = charts.chart("classic", camera.wavelength)[1]
-    radiance = spectra.illuminant(light, camera.wavelength)
-    surfaces = np.vstack([reflectance, np.full_like(radiance, 0.03), np.full_like(radiance, 0.4), reflectance[4] * 1.2])
-    signals = (surfaces * radiance) @ camera.electron_weights.T / (camera.electron_weights @ radiance).max()
-    shown = np.where(np.arange(SHAPE[1]) // 11 % 2 == 0, 25, 26) * np.ones(SHAPE, int)
-    top, left = FIRST
-    shown[top - 10 : top + 4 * PITCH + 5, left - 10 : left + 6 * PITCH + 5] = 24
-    for patch in range(24):
-        row, col = (start + PITCH * place for start, place in zip(FIRST, divmod(patch, 6), strict=True))
-        shown[row : row + PATCH, col : col + PATCH] = patch
-    channel = np.tile(camera.cfa, (SHAPE[0] // 2, SHAPE[1] // 2))
-    values = np.take_along_axis(signals[shown], channel[..., None], axis=2)[..., 0]
-    noise = np.random.default_rng(1).normal(0, 4, SHAPE)
-    full = camera.white_level - camera.black_level
-    return np.rint(np.clip(camera.black_level + share * full * values + noise, 0, camera.white_level)).astype(np.uint16)
 
 
 def chroma(picture: Path) -> np.ndarray:
@@ -63,7 +42,7 @@ def test_its_greys_are_neutral_also_where_the_file_states_another_white(
     raw, picture = tmp_path / "photo.dng", tmp_path / "a.tif"
     daylight_neutral = bayer.electron_weights @ spectra.illuminant("D55", bayer.wavelength)
     colour = RawColour(dict.fromkeys(LIGHT_CODES, np.eye(3)))
-    write_dng(raw, photo(bayer, "A"), bayer, colour, daylight_neutral / daylight_neutral.max(), 0.01)
+    write_dng(raw, chart_mosaic(bayer, "A"), bayer, colour, daylight_neutral / daylight_neutral.max(), 0.01)
     call = ("render", table, raw, "--bits", 16, "--backend", "reference", "-o", picture, "--force", "--white")
     code, _, err = l3(*call, "chart")
     assert code == 0
@@ -80,7 +59,7 @@ def test_its_greys_are_neutral_also_where_the_file_states_another_white(
 def test_clipped_patches_are_left_out_and_pictures_without_a_chart_are_refused(
     l3: Callable, refused: Callable, table: Path, bayer: CameraModel, tmp_path: Path
 ) -> None:
-    values = photo(bayer, "A", share=1.3)  # white and the next grey clip
+    values = chart_mosaic(bayer, "A", share=1.3)  # white and the next grey clip
     np.save(tmp_path / "bright.npy", values)
     options = ("--bits", 16, "--backend", "reference", "--exposure", 0.5, "--white", "chart")
     assert l3("render", table, tmp_path / "bright.npy", *options, "-o", tmp_path / "a.tif")[0] == 0
