@@ -58,9 +58,9 @@ def render(
     frames without light, whose mean is taken off; `camera`: model whose defects and flat field are corrected; `hot`: mend
     each frame's hot pixels. `exposure`: factor of Y, None: automatic. `white`: name or chromaticity of the scene's white,
     "camera", "auto", "chart" or "ROW,COL[,SIZE]" of a grey, None: the table's. `space`: of the values, None: sRGB, in
-    floating point the outputs as they are; `remosaic`: mosaic of a DNG file, "bayer". `skip_bad`: leave out broken frames. `resume`: go on
-    where a run was stopped. `renderers`: shared with other runs. `temporal`: frames follow one another in time, and share
-    what is not noise. `shard`: (number from 1, of how many) that is rendered alone, as it is in a run over all frames.
+    floating point the outputs as they are; `remosaic`: mosaic of a DNG file, "bayer". `skip_bad`: leave out broken frames.
+    `resume`: go on where a run was stopped. `renderers`: shared with other runs. `temporal`: frames follow one another in
+    time, and share what is not noise. `shard`: (number from 1, of how many) that is rendered alone, as in a run over all.
     RecipeError, InputFileError, DeviceError or L3Error before anything is written where that is known.
     """
     # One long sequence: in this order a refusal comes before any work, and no output takes the place of what is read.
