@@ -56,6 +56,7 @@ class RawFrame:
     noise_share: float = 1.0  # of its camera's noise variance that it has: less where a filter in time has taken some out …
     noise_left: NoiseLeft | None = None  # … as here, cell by cell; None: nowhere
     notes: tuple[str, ...] = ()  # what the file wants done to it, and nobody does
+    exchangeable: bool = False  # whether its file does not say how many rows and columns it has, and both fit exchanged, too
 
     def __post_init__(self) -> None:
         if self.values.ndim != 2 or self.values.dtype != np.uint16 or self.values.size == 0:

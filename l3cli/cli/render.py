@@ -137,8 +137,9 @@ def _rate(context: Any, parameter: Any, text: str | None) -> Fraction | None:
 )
 @click.option(
     "--white",
-    metavar="NAME|x,y|camera|auto|ROW,COL[,SIZE]",
-    help="Scene white shown neutral: light, chromaticity, the file's, estimated, or a grey's pixels [default: table's].",
+    metavar="NAME|x,y|camera|auto|chart|ROW,COL[,SIZE]",
+    help="Scene white shown neutral: light, chromaticity, the file's, estimated, a ColorChecker's, a grey's pixels "
+    "[default: table's].",
 )
 @click.option(
     "--space", type=click.Choice(["srgb", "display-p3", "rec2020", "acescg", "xyz"]),

@@ -18,7 +18,17 @@ from l3cli.rendering.reference import ReferenceRenderer
 
 Array = NDArray[np.floating]
 MOST_CLIPPED = 0.01  # share of a square's pixels that may be clipped
+FLAT = 0.5  # share of the pixels of two channels that have the frame's highest value, all of them, where the sensor clips
+DARK = 0.01  # of full scale: a mean below which noise may hide it, above which its spread is that of what is seen
 LEAST_CERTAINTY = 50.0  # mean signal of a channel in a square over the standard deviation of that mean
+
+
+@dataclass(frozen=True)
+class Grey:
+    """A part of a frame that shows something grey."""
+
+    name: str  # for messages
+    where: tuple[slice, slice]  # rows and columns on the sensor
 
 
 @dataclass(frozen=True)
@@ -29,8 +39,8 @@ class Square:
     col: int
     size: int  # pixels
 
-    def within(self, frame: RawFrame) -> tuple[slice, slice]:
-        """Its rows and columns on the sensor, as the frame lies there; InputFileError if it is not inside."""
+    def within(self, frame: RawFrame) -> Grey:
+        """What lies there on the sensor; InputFileError if it is not inside."""
         rows, cols = frame.values.shape
         turned = bool(frame.orientation & 4)
         height, width = (cols, rows) if turned else (rows, cols)
@@ -43,7 +53,8 @@ class Square:
         top, left = (left, top) if turned else (top, left)
         top = rows - top - self.size if frame.orientation & 2 else top
         left = cols - left - self.size if frame.orientation & 1 else left
-        return slice(top, top + self.size), slice(left, left + self.size)
+        where = slice(top, top + self.size), slice(left, left + self.size)
+        return Grey(f"{frame.name}: the grey at {self.row},{self.col}", where)
 
 
 class GreyRenderer:
@@ -65,15 +76,21 @@ class GreyRenderer:
         areas = middle.reshape(len(table.outputs), rows, len(shares), across, cols)[:, :, :, across // 2]
         return np.asarray(areas.mean(axis=(1, 3)).T, np.float64)
 
-    def signals(self, frame: RawFrame, square: Square) -> NDArray[np.float64]:
-        """Mean signal (channel), in DN above black and dark current, of a square of a frame; InputFileError if it is
-        outside, clipped or too dark, or holds too little of a channel."""
-        where = square.within(frame)
-        return _signals(frame, self.table, where, f"{frame.name}: the grey at {square.row},{square.col}")
+    def signals(self, frame: RawFrame, grey: Grey) -> NDArray[np.float64]:
+        """Mean signal (channel), in DN above black and dark current, of a grey in a frame; InputFileError if it is clipped,
+        too dark or not plain, or holds too little of a channel."""
+        means, why = _measured(frame, self.table, grey.where)
+        if why:
+            raise InputFileError(f"{grey.name} {why}")
+        return means
 
-    def of_square(self, frame: RawFrame, square: Square) -> NDArray[np.float64]:
-        """Mean outputs of a square of a frame; InputFileError if it is outside."""
-        rows, cols = square.within(frame)
+    def usable(self, frame: RawFrame, grey: Grey) -> bool:
+        """Whether its signals can be taken."""
+        return not _measured(frame, self.table, grey.where)[1]
+
+    def of_part(self, frame: RawFrame, where: tuple[slice, slice]) -> NDArray[np.float64]:
+        """Mean outputs of rows and columns of a frame as the sensor lies."""
+        rows, cols = where
         margin = self._reach + max(self.table.cfa.shape)
         top, left = max(rows.start - margin, 0), max(cols.start - margin, 0)
         cut = _evened(frame, (slice(top, rows.stop + margin), slice(left, cols.stop + margin)))
@@ -91,22 +108,27 @@ def _evened(frame: RawFrame, where: tuple[slice, slice]) -> RawFrame:
     return replace(replace(frame, values=frame.values[where], shading=cut).evened(), shading=None)
 
 
-def _signals(frame: RawFrame, table: TransformTable, where: tuple[slice, slice], name: str) -> NDArray[np.float64]:
-    """Mean signal (channel) in DN above black and dark current of a part of a frame; InputFileError if it is clipped or too
-    dark, or holds too little of a channel."""
-    values = _evened(frame, where).values
+def _measured(frame: RawFrame, table: TransformTable, where: tuple[slice, slice]) -> tuple[NDArray[np.float64], str]:
+    """Mean signal (channel) in DN above black and dark current of a part of a frame, and why it is none of a grey, or ""."""
+    values, means = _evened(frame, where).values, np.zeros(len(table.channels))
     clipped = float((values >= frame.white_level).mean())
     if clipped > MOST_CLIPPED:
-        raise InputFileError(f"{name} is clipped in {clipped:.0%} of its pixels; give a darker grey")
+        return means, f"is clipped in {clipped:.0%} of its pixels; give a darker grey"
     cfa = shifted_cfa(table.cfa, (frame.phase[0] + where[0].start, frame.phase[1] + where[1].start))
     repeats = (-(-values.shape[0] // cfa.shape[0]), -(-values.shape[1] // cfa.shape[1]))
     channel = np.tile(cfa, repeats)[: values.shape[0], : values.shape[1]]
-    means = np.zeros(len(table.channels))
+    top, reached = int(frame.values.max()), 0  # of how many channels the part has the frame's highest value
     for index, letter in enumerate(table.channels):
         seen = values[channel == index] - (frame.black_level + frame.dark)
         if seen.size < 2:
-            raise InputFileError(f"{name} has too few pixels of channel {letter}; give a larger size")
+            return means, f"has too few pixels of channel {letter}; give a larger size"
         means[index] = seen.mean()
         if not means[index] > LEAST_CERTAINTY * seen.std() / np.sqrt(seen.size):
-            raise InputFileError(f"{name} is too dark: channel {letter} has {means[index]:.3g} DN; give a brighter grey")
-    return means
+            if means[index] > DARK * (frame.white_level - frame.black_level):
+                varies = seen.std() / means[index]
+                return means, f"is not plain: channel {letter} varies by {varies:.0%}; give something of one colour"
+            return means, f"is too dark: channel {letter} has {means[index]:.3g} DN; give a brighter grey"
+        reached += bool((values[channel == index] == top).mean() > FLAT)
+    if reached > 1:
+        return means, f"is clipped at {top} DN, below the white level of {frame.white_level:g}; mend ‹white_level›"
+    return means, ""

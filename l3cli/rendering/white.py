@@ -1,6 +1,7 @@
 """The white of a scene, and how frames are balanced for it (docs/method.md#scene-white)."""
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +15,7 @@ from l3cli.physics.display import display_white
 from l3cli.physics.matrices import fit_through
 from l3cli.physics.near_lights import NearLight, light_of, light_of_neutral, light_of_white, temperature, uv
 from l3cli.rendering.balance import WhiteBalance, adaptation, balanced, plain_balance
-from l3cli.rendering.grey import GreyRenderer, Square
+from l3cli.rendering.grey import Grey, GreyRenderer
 
 Array = NDArray[np.floating]
 GREY_LEVEL = 0.4  # of full scale, in the brightest channel: where tables have learned most
@@ -106,12 +107,19 @@ class Whites:
         """The white of XYZ (3) as the table shows it."""
         return SceneWhite(plain_balance(white, len(self.table.channels)), light_of(white), False)
 
-    def of_square(self, frame: RawFrame, square: Square) -> SceneWhite:
-        """The white of a grey in a frame; InputFileError if it is outside, clipped or too dark."""
-        signals = self.grey.signals(frame, square)
-        made = self.of_neutral(signals)
-        shown = self.grey.of_square(balanced(frame, self.table, made.balance.gains), square)
-        left = made.balance.adaptation @ _white(shown)  # of the white: what the table makes of this grey and of others
+    def of_greys(self, frame: RawFrame, greys: Sequence[Grey]) -> SceneWhite:
+        """The white of greys in a frame: that by which they have the least chroma, in squares of C*ab, all in all.
+        InputFileError if one of them is clipped, too dark or not plain."""
+        signals = np.array([self.grey.signals(frame, grey) for grey in greys])
+        share = signals.mean(axis=1) / signals.mean(axis=1).max()
+        weights = share ** (2 / 3) / share  # of what each says of the ratios: C*ab grows with the cube root of light
+        made = self.of_neutral(weights @ signals)
+        even = balanced(frame, self.table, made.balance.gains)
+        whole = [number for number, grey in enumerate(greys) if self.grey.usable(even, grey)]  # gains may clip bright ones
+        if not whole:
+            return made
+        shown = weights[whole] @ np.array([self.grey.of_part(even, greys[number].where) for number in whole])
+        left = made.balance.adaptation @ _white(shown)  # of the white: what the table makes of these greys and of others
         return replace(made, balance=replace(made.balance, adaptation=adaptation(left) @ made.balance.adaptation))
 
     def _balance(self, neutral: Array, light: NearLight) -> WhiteBalance:

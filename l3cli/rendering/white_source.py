@@ -51,8 +51,8 @@ class CameraWhite:
     def white(self, frame: RawFrame) -> SceneWhite:
         if frame.neutral is None:
             raise InputFileError(
-                f"{frame.name} does not state what its camera took for white; give ‹white› as auto, as the ROW,COL of a "
-                "grey, or name the light"
+                f"{frame.name} does not state what its camera took for white; give ‹white› as auto, as chart, as the "
+                "ROW,COL of a grey, or name the light"
             )
         if frame.neutral not in self._made:
             self._made[frame.neutral] = self._whites.of_neutral(np.array(frame.neutral))
@@ -69,7 +69,7 @@ class SquareWhite:
         self._whites, self._square = Whites(table), square
 
     def white(self, frame: RawFrame) -> SceneWhite:
-        return self._whites.of_square(frame, self._square)
+        return self._whites.of_greys(frame, [self._square.within(frame)])
 
 
 def white_source(text: str, table: TransformTable, estimated_by: TransformTable | None = None) -> WhiteSource | None:

@@ -31,6 +31,7 @@ Array = NDArray[np.floating]
 CELL, WIDEST = 44, 104  # px, of a filter in the drawing of the array
 HEADROOM = 1.06  # above the curves, for their names
 LABELLED = 24  # letters of all channels' names that find room above the curves
+NEARLY = 0.9  # of the variance that a line of photon transfer has: points below are saturated
 
 
 def camera_section(camera: CameraModel, figures: dict[str, Any], name: str) -> Section:
@@ -206,7 +207,9 @@ def _transfer_figure(camera: CameraModel, noise: NoiseFit, light: Array) -> Figu
         f"{name} {tidy(float(k), 4)} ± {tidy(float(e), 2)}"
         for name, k, e in zip(camera.channels, noise.conversion_gain, noise.conversion_gain_error, strict=True)
     )
-    full = int((mean > np.take_along_axis(mean, variance.argmax(axis=0)[None], 0)).sum())
+    line = noise.conversion_gain * mean + (noise.conversion_gain * noise.read_noise) ** 2
+    full = int((variance < NEARLY * line).sum())
     finding = f"The slope is the system gain K in DN/e⁻: {gains}. Lines are K times signal plus dark variance."
-    finding += f" {full} saturated points, of less variance, lie below them." if full else ""
+    points = f"{counted(full, 'saturated point')}, of less variance, {'lies' if full == 1 else 'lie'} below them."
+    finding += f" {points}" if full else ""
     return Figure("Photon transfer", plot.svg(finding), finding, channel_keys(camera, strokes), data=plot.data())

@@ -10,6 +10,7 @@ from l3cli.files import sha256
 from l3cli.frame import RawFrame
 from l3cli.rendering.coverage import CoverageMeter
 from l3cli.rendering.kernels import unkept
+from l3cli.rendering.raw_values import mistaken
 from l3cli.rendering.sites import best_phases
 from l3cli.stages.console import Console
 
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 NOTABLE = {"darker": 0.05, "brighter": 0.05, "untrained": 0.2, "saturated": 0.1}  # shares of a frame that are worth a word
 SITES_DIFFER = 0.1  # of the mean of a channel, between its sites, from which on the array is not where it is taken to be …
 SITES_AGREE = 0.4  # … if another phase leaves no more than this of it
+LONG, MANY_TIMES = 60.0, 100.0  # s; times the training's: exposure times that are probably in another unit
 NEAR_WHITE = 0.02  # distance of chromaticities u′v′ from which on two whites are different lights
 
 
@@ -49,7 +51,9 @@ class FrameWarnings:
         self._seen += 1
         if self.table.dark_signal(1.0) and frame.exposure is None and not frame.dark_measured:
             self._untimed.append(frame.name)
-        for text in filter(None, [other_camera(frame, self.table), other_phase(frame, self.table)]):
+        for text in filter(
+            None, [other_camera(frame, self.table), other_phase(frame, self.table), *mistaken(frame, self.table)]
+        ):
             first, count = self._others.get(text, (frame.name, 0))
             self._others[text] = first, count + 1
         for note in frame.notes:
@@ -142,6 +146,28 @@ def warn_of_odd_white(what: str, white: "SceneWhite", console: Console) -> None:
         console.warn(
             f"{what} is what no daylight, lamp or black body gives the table's camera ({white}); greys are made neutral by "
             "it, and no colour is corrected further; is it the table of this camera? give ‹white› otherwise"
+        )
+
+
+def warn_of_stated_white(name: str, white: "SceneWhite", stated: "SceneWhite", console: Console) -> None:
+    """Say so if a file states quite another white than what is grey in its frame has."""
+    if np.linalg.norm(_uv(white.light.xyz) - _uv(stated.light.xyz)) > NEAR_WHITE:
+        console.warn(
+            f"{name}: its file states another white ({stated.light.kelvin:.0f} K) than its chart shows "
+            f"({white.light.kelvin:.0f} K); the chart's is taken, and ‹white› camera would leave a cast"
+        )
+
+
+def warn_of_exposure_time(seconds: float | None, table: "TransformTable", console: Console) -> None:
+    """Say so if an exposure time that is given is probably not in seconds."""
+    if seconds is None:
+        return
+    times = seconds / table.exposure if table.exposure else 0.0
+    if seconds > LONG or times >= MANY_TIMES:
+        beside = f", {times:.0f} times that of the training ({table.exposure:.3g} s)" if times >= MANY_TIMES else ""
+        console.warn(
+            f"‹exposure_time› {seconds:g} is {seconds:g} seconds{beside}: dark current of "
+            f"{table.dark_signal(seconds):.3g} DN is taken off; give seconds, not milliseconds"
         )
 
 

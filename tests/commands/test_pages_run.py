@@ -18,6 +18,7 @@ import pytest
 import tifffile
 
 from l3cli import recipes
+from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.channel_recipe import ChannelRecipe
 from l3cli.cli import run
 from l3cli.config import Recipe, load_recipe
@@ -27,6 +28,7 @@ from l3cli.simulation.recipe import SceneRecipe
 from tests.helpers.cameras import bayer_camera
 from tests.helpers.dng_files import write_dng
 from tests.helpers.paths import CONFIGS, ROOT
+from tests.helpers.photos import chart_mosaic
 from tests.helpers.readme import PAGES, README, commands, shown
 from tests.helpers.recipes import FEW_CLASSES, SMALL
 from tests.helpers.sequences import write_raw_video
@@ -88,20 +90,22 @@ def desk(pipeline: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         (folder / "configs" / f"{name}.toml").write_text(text)
     (folder / "SCENES.toml").write_text(SMALL["scenes"])
     (folder / "CLASSES.toml").write_text(CLASSES)
-    raw_files(folder, tifffile.imread(next((pipeline / "unseen").glob("*_raw.tif"))))
+    chart = chart_mosaic(load_camera(folder / "configs/cameras/bayer.toml"), "A")
+    raw_files(folder, tifffile.imread(next((pipeline / "unseen").glob("*_raw.tif"))), chart)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(recipes, "recipe_folder", lambda: folder / "configs")
         assert run(["init", "--from", str(folder / "photo.dng"), str(folder / "mine"), "--quiet"]) == 0
     return folder
 
 
-def raw_files(folder: Path, mosaic: np.ndarray) -> None:
+def raw_files(folder: Path, mosaic: np.ndarray, chart: np.ndarray) -> None:
     """Raw frames in all formats that the pages name."""
     from astropy.io import fits
 
     rggb = np.array([[0, 1], [1, 2]])
     large = np.tile(mosaic, (7, 4))[:960, :864]  # of no more pixels than a grey's place on a page needs
     large[900:960, 800:850] = 2000  # the grey
+    large[100 : 100 + chart.shape[0], 100 : 100 + chart.shape[1]] = chart
     matrix = [
         9000,
         10000,

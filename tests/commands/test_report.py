@@ -68,12 +68,16 @@ def test_a_camera_that_was_accepted_although_it_falls_short_says_so(pipeline: Pa
     assert camera.fit.chart is not None
     assert camera.fit.noise is not None
     chart = replace(camera.fit.chart, relative_rmse=np.array([0.01, 0.05, 0.01]))
-    noise = replace(camera.fit.noise, white_level_reached=False)
+    noise = camera.fit.noise
+    line = noise.conversion_gain * noise.photon_transfer_mean + (noise.conversion_gain * noise.read_noise) ** 2
+    line[-1, 0] /= 2  # where a channel saturates
+    noise = replace(noise, white_level_reached=False, photon_transfer_variance=line)
     save(replace(camera, fit=replace(camera.fit, chart=chart, noise=noise)), tmp_path / "camera.h5")
     assert l3("report", tmp_path / "camera.h5", "-o", tmp_path / "report.html")[0] == 0
     text = (tmp_path / "report.html").read_text()
     assert "It falls short: channel g is predicted with" in text
     assert "No white frame saturates" in text
+    assert " 1 saturated point, of less variance, lies below them." in text
     assert l3("report", pipeline / "camera.h5", "-o", tmp_path / "sound.html")[0] == 0
     assert "falls short" not in (tmp_path / "sound.html").read_text()
 

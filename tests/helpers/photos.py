@@ -3,12 +3,13 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.camera import CameraModel
 from l3cli.calibration.perspective import corner_cells, homography, through
 from l3cli.calibration.photo import estimate
 from l3cli.calibration.photo.estimate import Posterior, Shot
 from l3cli.calibration.photo.prior import WAVELENGTH
 from l3cli.io.priors import shipped
-from l3cli.physics import spectra
+from l3cli.physics import charts, spectra
 
 Array = NDArray[np.floating]
 ROWS, COLS = np.divmod(np.arange(24), 6)
@@ -19,6 +20,28 @@ GRID = (4, 6)
 UPRIGHT = np.array([[180, 150], [580, 160], [590, 430], [170, 420]], dtype=np.float64)  # col, row of patches 1, 6, 24, 19
 GAIN, READ = 0.5, 4.0  # DN/e-, DN
 REFLECTANCE = spectra.colorchecker(WAVELENGTH)[1]
+
+PITCH, PATCH, FIRST = 30, 24, (42, 34)  # pixels from patch to patch, of a patch, before the first one
+SMALL = (200, 250)  # pixels
+
+
+def chart_mosaic(camera: CameraModel, light: str, share: float = 0.8) -> np.ndarray:
+    """A ColorChecker before a paler wall with stripes; white fills the brightest channel to `share`."""
+    reflectance = charts.chart("classic", camera.wavelength)[1]
+    radiance = spectra.illuminant(light, camera.wavelength)
+    surfaces = np.vstack([reflectance, np.full_like(radiance, 0.03), np.full_like(radiance, 0.4), reflectance[4] * 1.2])
+    signals = (surfaces * radiance) @ camera.electron_weights.T / (camera.electron_weights @ radiance).max()
+    shown = np.where(np.arange(SMALL[1]) // 11 % 2 == 0, 25, 26) * np.ones(SMALL, int)
+    top, left = FIRST
+    shown[top - 10 : top + 4 * PITCH + 5, left - 10 : left + 6 * PITCH + 5] = 24
+    for patch in range(24):
+        row, col = (start + PITCH * place for start, place in zip(FIRST, divmod(patch, 6), strict=True))
+        shown[row : row + PATCH, col : col + PATCH] = patch
+    channel = np.tile(camera.cfa, (SMALL[0] // 2, SMALL[1] // 2))
+    values = np.take_along_axis(signals[shown], channel[..., None], axis=2)[..., 0]
+    noise = np.random.default_rng(1).normal(0, 4, SMALL)
+    full = camera.white_level - camera.black_level
+    return np.rint(np.clip(camera.black_level + share * full * values + noise, 0, camera.white_level)).astype(np.uint16)
 
 
 def drawn(seed: int) -> Array:

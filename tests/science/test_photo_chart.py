@@ -24,6 +24,14 @@ def test_a_picture_without_a_chart_has_none() -> None:
     assert locate.locate(photograph(far, np.random.default_rng(1)), BAYER, REFLECTANCE, GRID) is None
 
 
+@pytest.mark.parametrize("shape", [(1, 1), (3, 500), (8, 8), (10, 2000)])
+def test_a_picture_of_a_few_pixels_has_none(shape: tuple[int, int]) -> None:
+    mosaic = np.random.default_rng(1).uniform(0, 1000, shape)
+    assert locate.locate(mosaic, BAYER, REFLECTANCE, GRID) is None
+    with np.errstate(all="raise"):
+        assert locate.locate(np.zeros((80, 90)), BAYER, REFLECTANCE, GRID) is None
+
+
 def test_values_beside_dust_and_clipping_and_the_noise_of_one_shot() -> None:
     rng = np.random.default_rng(2)
     mosaic = photograph(UPRIGHT, rng)

@@ -115,7 +115,7 @@ def test_plain_areas_and_squares_are_rendered_as_in_whole_frames(cfa: list) -> N
         for row, col, size in ((30, 31, 12), (6, 8, 13), (shown.shape[0] - 6, 20, 12)):
             top, left = row - size // 2, col - size // 2
             wanted = shown[top : top + size, left : left + size].mean(axis=(0, 1))
-            np.testing.assert_allclose(grey.of_square(frame, Square(row, col, size)), wanted, rtol=1e-9)
+            np.testing.assert_allclose(grey.of_part(frame, Square(row, col, size).within(frame).where), wanted, rtol=1e-9)
 
 
 def test_a_square_is_that_of_the_frame_whose_channels_are_shaded_alike() -> None:
@@ -124,8 +124,8 @@ def test_a_square_is_that_of_the_frame_whose_channels_are_shaded_alike() -> None
     tint = rng.integers(-3000, 3000, raw.shape).astype(np.int16)
     shaded = RawFrame("a", raw, table.black_level, table.white_level, shading=Shading(np.ones((60, 7), np.float32), tint))
     plain = dataclasses.replace(shaded.evened(), shading=None)
-    grey, square = GreyRenderer(table), Square(30, 41, 12)
-    np.testing.assert_allclose(grey.of_square(shaded, square), grey.of_square(plain, square), rtol=1e-9)
+    grey, square = GreyRenderer(table), Square(30, 41, 12).within(shaded)
+    np.testing.assert_allclose(grey.of_part(shaded, square.where), grey.of_part(plain, square.where), rtol=1e-9)
     np.testing.assert_allclose(grey.signals(shaded, square), grey.signals(plain, square), rtol=1e-9)
     assert not np.allclose(grey.signals(shaded, square), grey.signals(dataclasses.replace(shaded, shading=None), square))
 
@@ -135,15 +135,34 @@ def test_squares_that_are_no_grey(table: TransformTable) -> None:
     raw = np.full((64, 96), 1000, np.uint16)
     raw[:, 40:60] = int(table.white_level)
     raw[:, 70:] = 64 + rng.integers(0, 4, (64, 26))
+    raw[40:, 70:] = rng.choice([300, 2500], (24, 26))
     frame, grey = RawFrame("frame", raw, table.black_level, table.white_level), GreyRenderer(table)
-    assert (grey.signals(frame, Square(20, 20, 16)) == 1000 - table.black_level).all()
+    assert (grey.signals(frame, Square(20, 20, 16).within(frame)) == 1000 - table.black_level).all()
     for square, why in (
         (Square(50, 50, 16), "clipped in 100%"),
         (Square(20, 85, 16), "too dark"),
+        (Square(52, 85, 16), r"is not plain: channel r varies by \d+%"),
         (Square(4, 20, 16), "inside"),
     ):
         with pytest.raises(InputFileError, match=why):
-            grey.signals(frame, square)
+            grey.signals(frame, square.within(frame))
+    raw[:, 40:60] = 3800  # a sensor, or whoever wrote the file, clips below the table's white level
+    with pytest.raises(InputFileError, match="clipped at 3800 DN, below the white level of 3814"):
+        grey.signals(frame, Square(50, 50, 16).within(frame))
+
+
+def test_a_bright_grey_that_gains_clip_is_neutral_by_its_raw_values(table: TransformTable, bayer: CameraModel) -> None:
+    """Under A the gains of a table trained under D65 lift green of a grey at 0.9 beyond the white level."""
+    neutral = grey_of(bayer, "A") / grey_of(bayer, "A").max()
+    channel = np.tile(bayer.cfa, (30, 40))
+    shares = np.where(np.arange(80) < 40, 0.9, 0.3) * neutral[channel]
+    raw = np.rint(bayer.black_level + shares * (bayer.white_level - bayer.black_level)).astype(np.uint16)
+    frame = RawFrame("frame", raw, bayer.black_level, bayer.white_level)
+    whites = Whites(table)
+    bright, dim = (whites.of_greys(frame, [Square(30, col, 20).within(frame)]) for col in (20, 60))
+    assert dim.balance.gains.max() > 1 / 0.9
+    shown = whites.grey.of_part(balanced(frame, table, bright.balance.gains), (slice(20, 40), slice(50, 70)))
+    assert chroma(shown, bright.balance) < 1
 
 
 # -------------------------------------------------------------------------------------------------------- balance

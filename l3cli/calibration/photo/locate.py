@@ -50,6 +50,8 @@ def locate(mosaic: Array, cfa: NDArray[np.uint8], reflectance: Array, grid: tupl
     """The chart of a grid (rows, cols) of patches with reflectances (patch, wavelength), row by row, in a mosaic (row, col)
     of DN above black; None if none is there."""
     picture = superpixels(mosaic, cfa)
+    if min(picture.shape[:2]) < min(grid):
+        return None
     step = max(1, -(-max(picture.shape[:2]) // LONGEST))
     height, width = (length // step for length in picture.shape[:2])
     small = picture[: height * step, : width * step].reshape(height, step, width, step, -1).mean(axis=(1, 3))
@@ -82,7 +84,7 @@ def _plain_regions(picture: Array, slope: float) -> tuple[Array, Array]:
     steepest = np.zeros(picture.shape[:2])
     for channel in range(picture.shape[2]):
         plane = picture[..., channel]
-        floor = DARK * np.percentile(plane, 99)
+        floor = max(DARK * float(np.percentile(plane, 99)), 1e-9)  # of a black frame, too
         change = ndimage.gaussian_gradient_magnitude(plane, 1.0)
         steepest = np.maximum(steepest, change / (np.maximum(ndimage.gaussian_filter(plane, 1.0), 0.0) + floor))
     label, count = ndimage.label(steepest < slope)

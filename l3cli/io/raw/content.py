@@ -26,6 +26,7 @@ class RawContent(TypedDict):
     shot: NotRequired[dict[str, str | float]]  # fields of Shot, as far as they are stated
     gain: NotRequired[NDArray[np.float32]]  # (row, col) that the file wants its values above black to be multiplied by
     notes: NotRequired[tuple[str, ...]]  # what of the file's wishes is not carried out
+    exchangeable: NotRequired[bool]  # whether rows and columns, which the caller says, would fit the file exchanged, too
 
 
 @dataclass(frozen=True)
@@ -55,8 +56,9 @@ class Stack:
 class InOrder:
     """Reads a stream frame by frame, each number after the one before it; frames between are passed over."""
 
-    def __init__(self, following: Callable[[], NDArray | None]) -> None:
+    def __init__(self, following: Callable[[], NDArray | None], exchangeable: bool = False) -> None:
         self._following = following  # the next frame's pixels; None at the end
+        self._exchangeable = exchangeable
         self._next = 0
 
     def read(self, number: int) -> RawContent | None:
@@ -71,4 +73,4 @@ class InOrder:
                 raise InputFileError(f"frame {number}: {error}") from error
             if pixels is None:
                 return None
-        return None if pixels is None else RawContent(values=pixels)
+        return None if pixels is None else RawContent(values=pixels, exchangeable=self._exchangeable)

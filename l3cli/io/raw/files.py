@@ -94,6 +94,7 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: KnownBetter) 
         shot=believable_shot(content.get("shot", {})),
         shading=None if gain is None else shading_of_gain(gain, table.cfa.shape),
         notes=content.get("notes", ()),
+        exchangeable=content.get("exchangeable", False),
     )
     return _corrected(frame, table, known)
 

@@ -28,7 +28,7 @@ def read(path: Path, request: Request) -> RawContent:
             f"{path} has {size} bytes, {layout} have {layout.frame_bytes}; "
             "give its size with ‹size› ROWSxCOLS, ‹packing› and ‹stride›"
         )
-    return RawContent(values=layout.unpack(np.fromfile(path, np.uint8)))
+    return RawContent(values=layout.unpack(np.fromfile(path, np.uint8)), exchangeable=layout.exchangeable)
 
 
 def stack(path: Path, request: Request) -> Stack | None:
@@ -41,7 +41,7 @@ def stack(path: Path, request: Request) -> Stack | None:
         content = np.fromfile(path, np.uint8, layout.frame_bytes, offset=number * layout.frame_bytes)
         if content.size < layout.frame_bytes:
             raise InputFileError(f"{path} ends within frame {number} of {layout}; give its size with ‹size› ROWSxCOLS")
-        return RawContent(values=layout.unpack(content))
+        return RawContent(values=layout.unpack(content), exchangeable=layout.exchangeable)
 
     return Stack(-(-size // layout.frame_bytes), frame)
 
@@ -60,7 +60,7 @@ def stdin(layout: Layout) -> Stack:
             raise InputFileError(f"stdin ends within the frame, of {layout}; check ‹size› ROWSxCOLS")
         return layout.unpack(content) if filled else None
 
-    return Stack(None, InOrder(following).read)
+    return Stack(None, InOrder(following, layout.exchangeable).read)
 
 
 def _layout(request: Request) -> Layout:

@@ -42,6 +42,12 @@ class Layout:
     def frame_bytes(self) -> int:
         return self.rows * self.stride
 
+    @property
+    def exchangeable(self) -> bool:
+        """Whether as many columns and rows lie in the same bytes."""
+        rows, cols = (row_bytes(length, self.packing) for length in (self.rows, self.cols))
+        return self.stride == cols and rows * self.cols == self.frame_bytes
+
     def __str__(self) -> str:
         words = "16-bit values" if self.packing == WORDS else f"{self.packing} values"
         padded = f" in rows of {self.stride} bytes" if self.stride != row_bytes(self.cols, self.packing) else ""

@@ -10,7 +10,8 @@ from l3cli.io.images import FLOAT_BITS
 from l3cli.rendering.balance import SteadyWhite, WhiteBalance
 from l3cli.rendering.display import require_xyz
 from l3cli.rendering.exposure import LightMeter, SteadyExposure
-from l3cli.rendering.white_source import WhiteSource, given_white, usual_balance, white_source
+from l3cli.rendering.white_source import WhiteSource, given_white, usual_balance
+from l3cli.stages.rendering.chart_white import source_of
 from l3cli.stages.rendering.frame_whites import FrameWhites
 from l3cli.stages.rendering.rendition import Rendition, chosen_space
 
@@ -26,9 +27,9 @@ def shown_as(
     estimated_by: "TransformTable | None" = None,
 ) -> tuple[Rendition, WhiteSource | None]:  # fmt: skip
     """How pictures are made, and where frames have their white from, None: all have that of the rendition. `estimated_by`:
-    as of white_source. RecipeError if there is no such white or space, or the table's outputs are not X, Y, Z."""
+    as of source_of. RecipeError if there is no such white or space, or the table's outputs are not X, Y, Z."""
     require_xyz(table.outputs)
-    source = white_source(white, table, estimated_by) if white is not None else None
+    source = source_of(white, table, estimated_by) if white is not None else None
     given = None if source else given_white(white, table)
     shown = given.balance if given else usual_balance(table)
     return Rendition(shown, exposure, bits, chosen_space(space, bits == FLOAT_BITS)), source

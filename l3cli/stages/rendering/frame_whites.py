@@ -5,7 +5,8 @@ from l3cli.rendering.balance import SteadyWhite, WhiteBalance
 from l3cli.rendering.white import SceneWhite
 from l3cli.rendering.white_source import WhiteSource
 from l3cli.stages.console import Console
-from l3cli.stages.input_warnings import warn_of_odd_white
+from l3cli.stages.input_warnings import warn_of_odd_white, warn_of_stated_white
+from l3cli.stages.rendering.chart_white import ChartSceneWhite
 
 
 class FrameWhites:
@@ -54,6 +55,8 @@ class WhiteReport:
         if not self._warned:
             self._warned = True
             warn_of_odd_white(f"{frame.name}: its white, {self._source.about},", white, self._console)
+            if isinstance(white, ChartSceneWhite) and white.stated is not None:
+                warn_of_stated_white(frame.name, white, white.stated, self._console)
 
     def report(self) -> None:
         """At the end."""

@@ -20,10 +20,11 @@ from l3cli.rendering.kept_table import open_table
 from l3cli.rendering.lights import mixed, nearest_for
 from l3cli.rendering.temporal.chunks import Chunks
 from l3cli.rendering.temporal.filters import filters
-from l3cli.rendering.white_source import given_white, usual_balance, white_source
+from l3cli.rendering.white_source import given_white, usual_balance
 from l3cli.stages.claims import Claims
 from l3cli.stages.console import Console
-from l3cli.stages.input_warnings import warn_of_kernels, warn_of_white
+from l3cli.stages.input_warnings import warn_of_exposure_time, warn_of_kernels, warn_of_white
+from l3cli.stages.rendering.chart_white import source_of
 from l3cli.stages.rendering.corrections import CameraFile, correction_in, hot_test
 from l3cli.stages.rendering.destination import Destination, claim, destination_of, marked, paged, refuse_missing
 from l3cli.stages.rendering.executors import Renderers, RenderSetup, executor_of, while_reading
@@ -56,10 +57,10 @@ def render(
     numbers of those to take. `dataset`: of an HDF5 input. `known`: what is known better of the inputs than they say; `dark`:
     frames without light, whose mean is taken off; `camera`: model whose defects and flat field are corrected; `hot`: mend
     each frame's hot pixels. `exposure`: factor of Y, None: automatic. `white`: name or chromaticity of the scene's white,
-    "camera", "auto" or "ROW,COL[,SIZE]" of a grey, None: the table's. `space`: of the values, None: sRGB, in floating point
-    the outputs as they are; `remosaic`: mosaic of a DNG file, "bayer". `skip_bad`: leave out broken frames. `resume`: go on
-    where a run was stopped. `renderers`: shared with other runs. `temporal`: frames follow one another in time, and share
-    what is not noise. `shard`: (number from 1, of how many) that is rendered alone, as it is in a run over all frames.
+    "camera", "auto", "chart" or "ROW,COL[,SIZE]" of a grey, None: the table's. `space`: of the values, None: sRGB, in
+    floating point the outputs as they are; `remosaic`: mosaic of a DNG file, "bayer". `skip_bad`: leave out broken frames.
+    `resume`: go on where a run was stopped. `renderers`: shared with other runs. `temporal`: frames follow one another in
+    time, and share what is not noise. `shard`: (number from 1, of how many) that is rendered alone, as in a run over all.
     RecipeError, InputFileError, DeviceError or L3Error before anything is written where that is known.
     """
     # One long sequence: in this order a refusal comes before any work, and no output takes the place of what is read.
@@ -82,7 +83,7 @@ def render(
         model = None if camera is None else CameraFile(camera.absolute(), sha256(camera))
         correction = None if model is None else correction_in(model, transforms)
         known = replace(known, correction=correction, hot=hot_test(transforms) if hot else None)
-        source = white_source(white, transforms) if white is not None else None
+        source = source_of(white, transforms) if white is not None else None
         lit, mix = transforms, None if source else mix_of_given(white, transforms, nearest_for, console)
         transforms = mixed(lit, mix)
         rendition = _rendition(destination, None if source else white, exposure, space, remosaic, bits, transforms, console)
@@ -100,7 +101,7 @@ def render(
         if source is not None and white is not None and lit.lights:
             mix, footage = mix_of_first(source, lit, footage, console)
             transforms = mixed(lit, mix)
-            source, rendition = white_source(white, transforms, lit), replace(rendition, balance=usual_balance(transforms))
+            source, rendition = source_of(white, transforms, lit), replace(rendition, balance=usual_balance(transforms))
         setup = RenderSetup(
             table.absolute(), opened.digest, backend, engine, known, rendition, destination.file_suffix, model, mix
         )
@@ -120,6 +121,7 @@ def render(
                 footage, destination, executor, transforms, rendition, source, choice, mark, origins(), skip_bad, console,
                 chunks,
             )  # fmt: skip
+        warn_of_exposure_time(known.exposure, transforms, console)
         opened.keep()
         warn_of_kernels(console)
         return tally

@@ -1,0 +1,93 @@
+"""Values that a camera does not give: what is said of them, and that nothing is said of those that it does."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from l3cli.artifacts.table import TransformTable
+from l3cli.frame import RawFrame
+from l3cli.io.raw.packed import make_layout
+from l3cli.rendering.raw_values import mistaken
+from tests.helpers.cameras import BAYER
+from tests.helpers.tables import random_table
+
+BLACK, WHITE = 240.0, 4095.0
+SHAPE = (96, 160)
+
+
+@pytest.fixture(scope="module")
+def table() -> TransformTable:
+    return random_table(BAYER, black_level=BLACK)
+
+
+def picture(share: float = 1.0, black: float = BLACK, white: float = WHITE, seed: int = 1) -> np.ndarray:
+    """A mosaic of smooth light and dark things, the brightest of them clipped at a `share` above one, with noise."""
+    rng = np.random.default_rng(seed)
+    row, col = np.indices(SHAPE)
+    light = np.abs(np.sin(row / 17) * np.cos(col / 23 + row / 40)) ** 2 * (1 + 0.3 * ((row + col) % 2))
+    values = black + share * (white - black) * light * 1.1 + rng.normal(0, 6, SHAPE)
+    return np.rint(np.clip(values, 0, white)).astype(np.uint16)
+
+
+def said(
+    values: np.ndarray, table: TransformTable, black: float = BLACK, white: float = WHITE, exchangeable: bool = False
+) -> str:
+    return " / ".join(mistaken(RawFrame("frame", values, black, white, exchangeable=exchangeable), table))
+
+
+def test_nothing_is_said_of_what_cameras_give(table: TransformTable) -> None:
+    for share in (2.0, 1.0, 0.3, 0.02, 0.0):
+        assert said(picture(share), table, exchangeable=True) == ""
+    noise = np.random.default_rng(2).normal(BLACK, 40, SHAPE)
+    assert said(np.rint(np.clip(noise, 0, WHITE)).astype(np.uint16), table, exchangeable=True) == ""
+    assert said(picture(1.0, 0.0), table, 0.0) == ""  # black has been taken off, and is said so
+    ten_bits = picture(1.2, 60.0, 1023.0)
+    assert said(ten_bits, table, 60.0, 1023.0) == ""  # of another depth, and said so
+    assert said(ten_bits << 6, table, 60.0 * 64, 1023.0 * 64) == ""
+    assert said(np.full(SHAPE, 255, np.uint16), random_table(BAYER, black_level=0.0), 0.0, 255.0) == ""
+
+
+@pytest.mark.parametrize("share", [1.2, 0.3])
+def test_bytes_that_are_exchanged_and_values_that_are_shifted_up(table: TransformTable, share: float) -> None:
+    values = picture(share)
+    assert "the bytes of its values are exchanged" in said(values.byteswap(), table)
+    for shift in (2, 4):
+        text = said(values << shift, table)
+        assert ("" if (values.max() << shift) < 1.5 * WHITE else f"all its values are multiples of {2**shift}") in text
+    assert "exchanged" not in said(values << 4, table)
+    assert said(np.minimum(picture(), 3000), table, white=1500.0) == ""  # what is beyond a white level given too low clips
+    assert "another depth" in said(picture(1.2, 240, 16383), table)
+
+
+def test_fewer_bits_than_the_tables(table: TransformTable) -> None:
+    assert "clips there, as 8 bits do, and its white level is 4095" in said(picture(1.5, 4, 255), table)
+    assert "clips there, as 10 bits do" in said(picture(1.5, 60, 1023), table)
+    assert "black has been taken off it, or its values are of another depth" in said(picture(0.5, 4, 255), table)
+    assert "black has been taken off it" in said(picture(1.0, 0.0), table)
+
+
+def test_a_black_level_that_leaves_fog(table: TransformTable) -> None:
+    text = said(picture(), table, 0.0)
+    assert "its darkest values lie at 2" in text
+    assert "give it as 240" in text
+    assert said(picture(), table, 200.0) == ""
+    bright = np.maximum(picture(), 900)
+    assert said(bright, table, 0.0) == ""
+
+
+@pytest.mark.parametrize("share", [1.0, 0.1])
+def test_rows_and_columns_that_are_exchanged(table: TransformTable, share: float) -> None:
+    values = picture(share)
+    torn = values.reshape(SHAPE[::-1])
+    assert "‹size› 96x160: rows first" in said(torn, table, exchangeable=True)
+    assert said(torn, table) == ""  # its file says how many there are
+    assert said(values, table, exchangeable=True) == ""
+
+
+def test_sizes_that_fit_a_file_exchanged() -> None:
+    assert make_layout((96, 160), "u16", None).exchangeable
+    assert not make_layout((96, 160), "u16", 324).exchangeable
+    assert make_layout((96, 160), "raw10", None).exchangeable
+    assert not make_layout((97, 160), "raw10", None).exchangeable
+    assert dataclasses.replace(make_layout((96, 160), "raw12", None), stride=250).exchangeable is False
