@@ -29,6 +29,7 @@ BARE = 2  # times each surface counts without titanium white, which three quarte
 GREYS = np.geomspace(0.03, 0.95, 12)  # reflectances of paints without dye …
 GREY_SHARE = 6.0  # … which together count as much as so many times the other surfaces of their chroma
 OF_WHITE = 3.0  # times more is taught of white's own chroma, where a cast is seen first
+NEAR_WHITE = 0.2  # distance of channel shares, of their mean, at which a chroma is as near as noise brings dark greys
 FEWEST = 4  # surfaces a channel, that tell what a chroma is
 SAME_WHITE = 0.005  # relative, for a coarse grid: outputs whose white is not that of the light are others
 
@@ -67,6 +68,13 @@ class PlainSurfaces:
         if rule.chromas > 1 and (of_white := every[white]) is not None:
             every[white] = OF_WHITE * of_white
         return every
+
+    def nearness(self, rule: ClassRule) -> Array:
+        """How near to white (chroma) each chroma of a rule is: 1 for white's own, which falls off to 0."""
+        if rule.chromas == 1:
+            return np.zeros(1)
+        distance = (chroma_centres(rule) - shares(self.white[None])) * rule.channels / NEAR_WHITE
+        return np.asarray(np.exp(-(distance**2).sum(axis=1)))
 
     def moments_of_stripes(self, rule: ClassRule, window: NDArray[np.int64]) -> dict[int, Array]:
         """As `moments`, of stripes and what else has their colours, by chroma: those that stripes have for themselves."""

@@ -20,7 +20,8 @@ from l3cli.training.thin_classes import parent_of, parents_of, shrunk
 
 Array = NDArray[np.float64]
 PLAIN = 0.2  # plain patches, a patch of a textured class, on which a difference between sites counts as an error
-NOISE_FADES = 1000.0  # what plain areas are taught fades with noise over signal, in power: it hides what a surface is
+NOISE_FADES = 1000.0  # what plain areas are taught fades with noise over signal, in power: it hides what a surface is …
+WHITE_FADES = 2000.0  # … and with its square for what may be a grey, as the chromas nearest to white
 
 
 class Equations(NamedTuple):
@@ -87,6 +88,7 @@ def solve(
     levels = goal.black_level, goal.white_level
     greys = grey_patches(sums, rule, window, goal.white, *levels, white, goal.filters, goal.sensitivity)
     surfaces = _surfaces(rule, window, goal, white) if recipe.plain_surfaces else {}
+    near_white = _near_white(rule, goal)
     gains = None
     if goal.outputs == goal.channels:
         gains = output_gains(flat_moments(sums, rule, groups.size + len(goal.outputs)), window)
@@ -106,7 +108,9 @@ def solve(
             taught = moments + single_bands(moments, window, gains)
         elif (plain := surfaces.get(index)) is not None:
             noisy = noise[: window.size].sum() / moments.diagonal()[: window.size].sum()
-            count = (sums.count[index] + recipe.parent_patches) / (1.0 + NOISE_FADES * noisy)
+            count = (sums.count[index] + recipe.parent_patches) / (
+                1.0 + NOISE_FADES * noisy + (near_white[index] * noisy) ** 2
+            )
             taught = moments + recipe.plain_surfaces * count * plain
         power[index] = (means @ taught[: window.size, : window.size] * means).sum()
         used = groups.size if rule.case(rule.split(index).kind) else groups.size - 1  # an intercept if saturated
@@ -134,6 +138,14 @@ def _surfaces(rule: ClassRule, window: NDArray[np.int64], goal: Goal, white: Arr
     for chroma, each in goal.surfaces.moments_of_stripes(rule, window).items():
         taught |= dict.fromkeys(rule.join(levels, 0, chroma, further=every).ravel().tolist(), each)
     return taught
+
+
+def _near_white(rule: ClassRule, goal: Goal) -> Array:
+    """How soon (class) plain surfaces fade near white, to which noise brings greys that are to stay grey."""
+    kind = rule.split(np.arange(rule.classes_per_site)).kind
+    if goal.surfaces is None:
+        return np.zeros(kind.size)
+    return np.asarray(goal.surfaces.nearness(rule)[np.minimum(kind, rule.chromas - 1)] * WHITE_FADES)
 
 
 def equal_responses(

@@ -169,10 +169,11 @@ def stripe_chroma(table: TransformTable, camera: CameraModel) -> float:
     return float(np.max(chroma))
 
 
-def change(one: TransformTable, other: TransformTable, level: int) -> float:
-    """Relative difference of the weights of a level's unsaturated classes of surfaces."""
-    place = one.first.rule.split(np.arange(len(one.first.weights)))
-    of = (place.level == level) & (place.kind >= STRIPES) & (place.kind < one.first.rule.chromas)
+def change(one: TransformTable, other: TransformTable, level: int, white: bool = False) -> float:
+    """Relative difference of the weights of a level's unsaturated classes of surfaces, or of those of white alone."""
+    rule = one.first.rule
+    place = rule.split(np.arange(len(one.first.weights)))
+    of = (place.level == level) & (place.kind >= (rule.chromas - 1 if white else STRIPES)) & (place.kind < rule.chromas)
     return float(np.abs(one.first.weights - other.first.weights)[of].mean() / np.abs(one.first.weights[of]).mean())
 
 
@@ -180,8 +181,9 @@ def test_plain_colours_of_an_unseen_chart_and_stripes_are_truer(fiveband: Camera
     without, taught = (learned(["D65"], weight, tmp_path, l3) for weight in (0.0, 30.0))
     assert chart_error(taught, fiveband) < 0.8 * chart_error(without, fiveband)
     assert stripe_chroma(taught, fiveband) < 20 < 50 < stripe_chroma(without, fiveband)
-    # Where noise hides what a surface is, it is hardly taught.
+    # Where noise hides what a surface is, it is hardly taught, and least what may be a grey.
     assert change(without, taught, level=0) < 0.1 * change(without, taught, level=2)
+    assert change(without, taught, level=1, white=True) < 0.02 * change(without, taught, level=2, white=True)
 
 
 def test_classes_of_a_direction_are_left_to_their_patches(tmp_path: Path, l3: Callable) -> None:
