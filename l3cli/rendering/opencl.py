@@ -5,7 +5,6 @@ band. Two tracks, each a queue with its buffers, take the bands in turn, of this
 computes, the other may upload and download.
 """
 
-import os
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
@@ -15,16 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
-from l3cli.errors import RecipeError
 from l3cli.frame import RawFrame
 from l3cli.rendering import layout
 from l3cli.rendering.display import Display, require_known_layers, require_xyz
 from l3cli.rendering.kept_table import Layouts
 from l3cli.rendering.noise_sets import sets_of
 from l3cli.rendering.opencl_bands import bands
-from l3cli.rendering.opencl_devices import choose_device, pyopencl, refusals
+from l3cli.rendering.opencl_devices import pyopencl, refusals
 from l3cli.rendering.opencl_planes import table_buffers
-from l3cli.rendering.opencl_programs import Compiler, Programs
+from l3cli.rendering.opencl_programs import Programs, chosen, compiler_of
 from l3cli.rendering.opencl_quiet import bring
 from l3cli.rendering.opencl_shading import DeviceShading
 from l3cli.rendering.opencl_spectra import DeviceSpectra
@@ -49,15 +47,11 @@ class OpenCLRenderer:
     ) -> None:  # fmt: skip
         require_known_layers(table)
         self.table, self.stages, self._sets = table, stages_of(table), sets_of(table, by_noise)
-        self.device = choose_device(os.environ.get("L3_DEVICE", "") if device is None else device)
-        cl = pyopencl()
-        self.variant = variant or ("graphics" if self.device.type & cl.device_type.GPU else "processor")
-        if self.variant not in layout.VARIANTS:
-            raise RecipeError(f'variant "{self.variant}" is unknown; use one of {", ".join(layout.VARIANTS)}')
+        self.device, self.variant = chosen(device, variant)
         with refusals(self.device):
-            self._context = cl.Context([self.device])
+            self._compiler = compiler_of(self.device)
+            self._context = self._compiler.context
             self._constant, self._scratch = partial(constant, self._context), partial(scratch, self._context)
-            self._compiler = Compiler(self._context, self.device)
             self._programs = Programs(self._compiler, table, self.variant, lanes, len(self._sets))
             self._cut = self._programs.cut
             self._class_buffers, self._weights, self._later = table_buffers(

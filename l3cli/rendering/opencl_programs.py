@@ -1,16 +1,19 @@
 """The programs of a table on an OpenCL device, each built when a frame first needs it."""
 
+import functools
+import os
 import re
 import warnings
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from l3cli.artifacts.table import TransformTable
+from l3cli.errors import RecipeError
 from l3cli.rendering import kernels, layout
 from l3cli.rendering.display import Display
-from l3cli.rendering.opencl_devices import pyopencl
+from l3cli.rendering.opencl_devices import choose_device, pyopencl, refusals
 from l3cli.rendering.opencl_processor import compiled_for
 
 BUILD_OPTIONS = ("-w", "-cl-mad-enable", "-cl-std=CL1.2")
@@ -25,18 +28,32 @@ SPARING = "PoCL 3.0"  # the version of which it was tried; others compile genera
 DECLARES_ALL = re.compile(r"PoCL 3\.0.* LLVM 14\.")
 FEW_DECLARED = "-D_OPENCL_H_"
 Key = tuple[Any, ...]
-# What makes pictures of outputs: its files and its cut, of as many lanes as the device's compiler has registers for if 0.
+
+
+@dataclass(frozen=True)
+class Encoder:
+    """What makes pictures of outputs."""
+
+    files: tuple[str, ...]
+    cut: layout.Cut  # of as many lanes as the device's compiler has registers for if 0
+
+    def program(self, ending: layout.Macros) -> tuple[str, layout.Macros]:
+        """Source and macros."""
+        return layout.joined_files("lanes.cl", "vectors.cl", "encoding.cl", *self.files), {**ending, **self.cut.macros}
+
+
 ENCODERS = {
-    "processor": (("rows.cl", "encode.cl"), layout.Cut(256, 48, (1, 1), 0)),
-    "graphics": (("encode_by_item.cl",), layout.Cut(64, 4, (64, 4), 1)),
+    "processor": Encoder(("rows.cl", "encode.cl"), layout.Cut(256, 48, (1, 1), 0)),
+    "graphics": Encoder(("encode_by_item.cl",), layout.Cut(64, 4, (64, 4), 1)),
 }
 
 
 class Compiler:
-    """Builds programs for a device, or takes those that an earlier run has built."""
+    """Builds programs for a device, or takes those that it or an earlier run has built."""
 
     def __init__(self, context: Any, device: Any) -> None:
         self.context, self._device = context, device
+        self._built: dict[str, kernels.Made] = {}  # by source and options
         self.has_news = False  # a kernel that has not been kept, or has not run before
 
     def build(self, source: str, macros: layout.Macros) -> kernels.Made:
@@ -57,9 +74,12 @@ class Compiler:
             except cl.Error:  # a driver that has changed and still has the same version
                 return None
 
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # pyopencl warns of every word a compiler says
-            return kernels.built("\0".join([*identity, *options, source]), compiled, of_binary)
+        known = "\0".join([*identity, *options, source])
+        if known not in self._built:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # pyopencl warns of every word a compiler says
+                self._built[known] = kernels.built(known, compiled, of_binary)
+        return self._built[known]
 
     def kernel(self, made: kernels.Made, name: str) -> Any:
         """A kernel of a program."""
@@ -73,12 +93,46 @@ class Compiler:
             self.has_news = False
 
 
+@functools.cache
+def compiler_of(device: Any) -> Compiler:
+    """The one of a device in this process: what a renderer has built is there for the next."""
+    return Compiler(pyopencl().Context([device]), device)
+
+
 def _made(program: Any) -> kernels.Made:
     def binary() -> bytes:
         return bytes(program.get_info(pyopencl().program_info.BINARIES)[0])
 
     spares = SPARING in program.devices[0].platform.version
     return kernels.Made(program, tuple(program.kernel_names.split(";")), binary, spares)
+
+
+def chosen(device: str | None, variant: str | None) -> tuple[Any, str]:
+    """Device and variant of a renderer that is asked for them (OpenCLRenderer). DeviceError, RecipeError if none is."""
+    found = choose_device(os.environ.get("L3_DEVICE", "") if device is None else device)
+    name = variant or ("graphics" if found.type & pyopencl().device_type.GPU else "processor")
+    if name not in layout.VARIANTS:
+        raise RecipeError(f'variant "{name}" is unknown; use one of {", ".join(layout.VARIANTS)}')
+    return found, name
+
+
+def make_ready(device: str | None = None, variant: str | None = None) -> None:
+    """Build what a renderer needs for any table. Errors as of `chosen`."""
+    found, name = chosen(device, variant)
+    with refusals(found):
+        usual_encoder(compiler_of(found), ENCODERS[name])
+
+
+def usual_encoder(compiler: Compiler, encoder: Encoder) -> int:
+    """Build what makes usual pictures of outputs, which is soon needed: the number of lanes that its kernel's name tells. It
+    runs once on a pixel, so that it can be kept."""
+    cl, context = pyopencl(), compiler.context
+    made = compiler.build(*encoder.program(layout.display_macros(Display(np.eye(3), 8))))
+    (name,) = made.kernels
+    queue, group = cl.CommandQueue(context), encoder.cut.group
+    buffers = [cl.Buffer(context, cl.mem_flags.READ_WRITE, 64) for _ in range(3)]
+    compiler.kernel(made, name)(queue, group, group, *buffers, np.int32(1), np.int32(1)).wait()
+    return int(name.rpartition("_")[2])
 
 
 class Programs:
@@ -93,9 +147,14 @@ class Programs:
         self._programs: dict[Key, kernels.Made] = {}  # by layer, -1: an encoder, or "together"; and ending
         self._kernels: dict[Key, Any] = {}  # by program and name
         self._last = len(table.later)
-        self._encoder_files, known = ENCODERS[variant]
-        self.encoder_cut = replace(known, lanes=lanes or known.lanes)
-        self.cut = layout.VARIANTS[variant].cut(table, self._lanes())
+        usual = ENCODERS[variant]
+        self._encoder = replace(usual, cut=replace(usual.cut, lanes=lanes)) if lanes else usual
+        self.cut = layout.VARIANTS[variant].cut(table, lanes or usual_encoder(compiler, usual))
+
+    @property
+    def encoder_cut(self) -> layout.Cut:
+        """That of the encoder."""
+        return self._encoder.cut
 
     @property
     def joins(self) -> bool:
@@ -137,28 +196,19 @@ class Programs:
         """The key of a program, which is built now if it has not been before."""
         key = (layer, *ending.items())
         if key not in self._programs:
-            source, macros, cut = self._parts(layer)
-            if any(other[0] == layer for other in self._programs) and not (self.joins and layer == 0):
-                macros = {**macros, **TRANSFORM_ONLY}
-            self._programs[key] = self._compiler.build(source, {**macros, **ending, **cut.macros})
+            self._programs[key] = self._compiler.build(*self._program(layer, ending))
         return key
 
-    def _parts(self, layer: int) -> tuple[str, layout.Macros, layout.Cut]:
-        """Source, shapes and cut of a program."""
+    def _program(self, layer: int, ending: layout.Macros) -> tuple[str, layout.Macros]:
+        """Source and macros."""
         if layer < 0:
-            files = ("lanes.cl", "vectors.cl", "encoding.cl", *self._encoder_files)
-            return layout.joined_files(*files), {}, self.encoder_cut
+            return self._encoder.program(ending)
         if layer == 0:
+            source = layout.first_source(self._variant, self._table.first.rule)
             macros = layout.table_macros(self._table, self._sets)
-            return layout.first_source(self._variant, self._table.first.rule), macros, self.cut
-        later = self._table.later[layer - 1]
-        return layout.later_source(self._variant, later.rule), layout.later_macros(self._table, later), self.cut
-
-    def _lanes(self) -> int:
-        """Pixels side by side, by the name of an encoder: that of usual pictures, which is soon needed. It runs once on a
-        pixel, so that it can be kept."""
-        kernel, cl, context = self.encoder(layout.display_macros(Display(np.eye(3), 8))), pyopencl(), self._compiler.context
-        queue, group = cl.CommandQueue(context), self.encoder_cut.group
-        buffers = [cl.Buffer(context, cl.mem_flags.READ_WRITE, 64) for _ in range(3)]
-        kernel(queue, group, group, *buffers, np.int32(1), np.int32(1)).wait()
-        return int(kernel.function_name.rpartition("_")[2])
+        else:
+            later = self._table.later[layer - 1]
+            source, macros = layout.later_source(self._variant, later.rule), layout.later_macros(self._table, later)
+        if any(other[0] == layer for other in self._programs) and not (self.joins and layer == 0):
+            macros = {**macros, **TRANSFORM_ONLY}
+        return source, {**macros, **ending, **self.cut.macros}

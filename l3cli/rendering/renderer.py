@@ -42,14 +42,15 @@ class Renderer(Protocol):
         """The picture of each frame, in order; while the caller uses one the next may be computed."""
 
 
-def make_ready(backend: str) -> None:
-    """Import what the renderer called `backend` needs, and find the devices there are: it takes as long as reading a table,
-    beside which it can be done. Whatever is wrong is said by `make_renderer`."""
+def make_ready(backend: str, **options: str | None) -> None:
+    """Do what making a renderer takes for any table: import what it needs, find its device, wake the device's compiler. It
+    takes as long as reading a table, beside which it can be done; whatever is wrong is said by `make_renderer`, whose
+    `options` these are."""
     importlib.import_module(BACKENDS[backend].partition(":")[0])
     if backend == "opencl":
-        from l3cli.rendering.opencl_devices import devices
+        from l3cli.rendering import opencl_programs
 
-        devices()
+        opencl_programs.make_ready(**options)
 
 
 def make_renderer(

@@ -4,16 +4,19 @@ import re
 import shutil
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from l3cli.errors import DeviceError, L3Error, RecipeError
 from l3cli.frame import RawFrame
 from l3cli.rendering import kernels, layout
 from l3cli.rendering.display import Display
 from l3cli.rendering.opencl import OpenCLRenderer
 from l3cli.rendering.opencl_devices import choose_device, pyopencl
-from l3cli.rendering.opencl_programs import BUILD_OPTIONS, DECLARES_ALL, Compiler
+from l3cli.rendering.opencl_programs import BUILD_OPTIONS, DECLARES_ALL, Compiler, compiler_of
+from l3cli.rendering.renderer import make_ready
 from tests.helpers.cameras import BAYER
 from tests.helpers.tables import random_table, with_later, with_tree
 
@@ -94,3 +97,36 @@ def test_what_is_not_declared_is_refused() -> None:
     cl = pyopencl()
     with pytest.raises(cl.Error, match="sqrt"):
         Compiler(cl.Context([device]), device).build("__kernel void f(__global float *p) { *p = sqrt(*p); }", {})
+
+
+def test_what_is_made_ready_is_not_built_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Making a renderer builds nothing more, of whatever table, nor does another renderer of it."""
+    compiler_of.cache_clear()
+    make_ready("opencl")
+    built: list[str] = []
+    usual = kernels.built
+
+    def counted(known: str, *how: Any) -> kernels.Made:
+        built.append(known)
+        return usual(known, *how)
+
+    monkeypatch.setattr(kernels, "built", counted)
+    for table in TABLES.values():
+        OpenCLRenderer(table)
+    assert not built
+    OpenCLRenderer(TABLES["tree"]).outputs(FRAME)
+    count = len(built)
+    OpenCLRenderer(TABLES["tree"]).outputs(FRAME)
+    assert count
+    assert len(built) == count
+
+
+@pytest.mark.parametrize(
+    ("options", "fault"), [({"device": "nobody's"}, DeviceError), ({"variant": "neither"}, RecipeError)]
+)
+def test_what_cannot_be_made_ready_is_told_as_by_the_renderer(options: dict[str, Any], fault: type[L3Error]) -> None:
+    with pytest.raises(fault) as early:
+        make_ready("opencl", **options)
+    with pytest.raises(fault) as late:
+        OpenCLRenderer(TABLES["tree"], **options)
+    assert str(early.value) == str(late.value)

@@ -165,10 +165,10 @@ def _renderer(
 
 
 def while_reading(
-    backend: str, suffix: str | None, scheduler: "Scheduler | None"
+    backend: str, engine: Mapping[str, str | None], suffix: str | None, scheduler: "Scheduler | None"
 ) -> contextlib.AbstractContextManager[None]:
     """Makes ready, while a table is read, what this process renders and writes files of a suffix with; nothing in a dry
-    run."""
+    run. `engine`: options of the backend."""
     from l3cli.rendering.renderer import make_ready
 
     if is_dry():
@@ -177,7 +177,7 @@ def while_reading(
     def work() -> None:
         with without_collecting():
             if scheduler is None:
-                make_ready(backend)
+                make_ready(backend, **engine)
             if suffix is not None:
                 images.make_ready(suffix)
 

@@ -73,7 +73,7 @@ def render(
         _refuse_misplaced(destination, white, exposure, space, remosaic)
         if engine and backend != "opencl":
             raise RecipeError(f"‹{next(iter(engine))}› is for the opencl backend; leave it or ‹backend› {backend} out")
-        with while_reading(backend, destination.file_suffix, scheduler):
+        with while_reading(backend, engine, destination.file_suffix, scheduler):
             opened = open_table(table)
         transforms = opened.table
         if not destination.linear or space is not None:
