@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.store import save
 from l3cli.calibration.perspective import corner_cells, homography
+from l3cli.calibration.photo import locate
 from l3cli.calibration.photo.locate import Located
 from l3cli.frame import RawFrame, as_taken, upright
 from l3cli.io.images import read_image
@@ -68,6 +70,22 @@ def test_clipped_patches_are_left_out_and_pictures_without_a_chart_are_refused(
     error = refused(3, "render", table, tmp_path / "none.npy", *options, "-o", tmp_path / "b.tif")
     assert "no ColorChecker of 4×6 patches is found in it" in error
     assert "ROW,COL" in error
+
+
+def test_a_find_that_is_not_certain_is_none(
+    refused: Callable, table: Path, bayer: CameraModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    np.save(tmp_path / "chart.npy", chart_mosaic(bayer, "A"))
+    found = locate.locate
+
+    def doubtful(*of: Any) -> Located:
+        located = found(*of)
+        assert located is not None
+        return dataclasses.replace(located, fit=0.94)
+
+    monkeypatch.setattr(locate, "locate", doubtful)
+    error = refused(3, "render", table, tmp_path / "chart.npy", "--white", "chart", "-o", tmp_path / "a.png")
+    assert "no ColorChecker of 4×6 patches is found in it" in error
 
 
 @pytest.mark.parametrize("orientation", range(8))
