@@ -184,6 +184,7 @@ def test_seconds_are_those_of_more_pixels(peers: Callable[[str], ModuleType], mo
     def prepared(side: int) -> Callable[[], None]:
         def call() -> None:
             clock[0] += 5.0 + 0.3e-6 * side * side  # to start, and 0.3 s/MP
+            clock[0] += 100.0 if clock[0] < 100.0 else 0.0  # the first time
 
         return call
 
