@@ -128,9 +128,11 @@ def _figures(cells: list[dict[str, Any]], name: str = "ours") -> np.ndarray:
 def _line(name: str, cells: list[dict[str, Any]]) -> str:
     figures = _figures(cells)
     by_level = [f"{np.mean(figures[level :: len(LEVELS)], axis=0).round(2)}" for level in range(len(LEVELS))]
+    scielab = np.mean([cell["ours"]["scielab"] for cell in cells])
     better = [sum(_better(cell, figure) for cell in cells) for figure in ("mean_delta_e", "psnr", "scielab")]
     return (
-        f"{name:34} {figures[:, 0].mean():6.3f} ΔE00 {figures[:, 1].mean():6.2f} dB   at {LEVELS} {' '.join(by_level)}"
+        f"{name:34} {figures[:, 0].mean():6.3f} ΔE00 {figures[:, 1].mean():6.2f} dB  S-CIELAB {scielab:.2f}"
+        f"   at {LEVELS} {' '.join(by_level)}"
         f"   better than basic (ΔE00, PSNR, S-CIELAB): {better} of {len(cells)}"
     )
 
