@@ -1,7 +1,7 @@
 """How good the pictures of the five-band camera are on real hyperspectral faces, and what each ingredient of the classes
 and of learning is worth (docs/method.md#ablation).
 
-python -m pytest -m slow -s tests/studies/test_quality_study.py      needs L3_DATA; two hours on two cores
+python -m pytest -m slow -s tests/studies/test_quality_study.py      needs L3_DATA; an hour and more on two cores
 
 The camera has the measured responsivities of the prototype, 10 000 e- full scale, 10 e- read noise and 12 bits. It sees five
 faces at a mean signal of 0.4, 0.2 and 0.02 of full scale: 15 cells, none of which training sees. What is trained on dead
