@@ -1,0 +1,72 @@
+"""How far colours step where a plain area changes its chroma class (docs/method.md#plain-surfaces).
+
+python -m pytest -m slow -s tests/studies/test_seams_study.py      two minutes on two cores
+
+The five-band camera learns from configs/scenes/default.toml. Plain areas without noise go in small steps from one measured
+surface to another, of one brightness; of each step what the colour itself changes by is taken off. Values are dithered, or
+rounding to whole DN would make steps of its own.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from l3cli.artifacts.store import load
+from l3cli.artifacts.table import TransformTable
+from l3cli.cli import run
+from l3cli.frame import RawFrame
+from l3cli.physics import spectra
+from l3cli.physics.display import delta_e_2000, lab
+from l3cli.rendering.renderer import make_renderer
+from tests.helpers.paths import CONFIGS
+
+PAIRS = 100  # of surfaces
+STEPS, COLUMNS, SIDE, RIM = 120, 12, 28, 8  # areas of a frame, in a row of them; pixels of one, and of its rim
+DARKEST, BRIGHTEST = 0.15, 0.8  # of white
+
+pytestmark = pytest.mark.slow
+
+
+def areas(values: NDArray) -> NDArray[np.float64]:
+    """Means (area) of values (row, col) over the areas without their rims."""
+    parts = values.reshape(STEPS // COLUMNS, SIDE, COLUMNS, SIDE)[:, RIM:-RIM, :, RIM:-RIM]
+    return np.asarray(parts.transpose(0, 2, 1, 3).reshape(STEPS, -1).mean(axis=-1), np.float64)
+
+
+def test_seams_between_chroma_classes(tmp_path: Path) -> None:
+    camera, training, path = CONFIGS / "cameras/fiveband.toml", tmp_path / "training.h5", tmp_path / "table.h5"
+    assert (
+        run(["simulate", str(CONFIGS / "scenes/default.toml"), "--camera", str(camera), "-o", str(training), "--quiet"]) == 0
+    )
+    assert run(["train", str(training), "-o", str(path), "--jobs", "2", "--quiet"]) == 0
+    table, rng = load(TransformTable, path), np.random.default_rng(1)
+    assert table.camera is not None
+    assert table.light is not None
+    renderer, model, bands = make_renderer("opencl", table), table.camera, table.camera.wavelength
+    surfaces = spectra.reflectance_library(bands)
+    light = spectra.resample(table.light.radiance.astype(float), table.light.wavelength, bands)
+    weights = spectra.xyz_weights(bands)
+    light /= (light @ weights.T)[1]
+    white, area = light @ weights.T, np.arange(STEPS).reshape(-1, COLUMNS).repeat(SIDE, 0).repeat(SIDE, 1)
+    seams, elsewhere = [], []
+    for _ in range(PAIRS):
+        first, last = surfaces[rng.integers(len(surfaces), size=2)]
+        share = np.linspace(0, 1, STEPS)[:, None]
+        lit = ((1 - share) * first + share * last) * light * rng.uniform(DARKEST, BRIGHTEST)
+        signal = lit @ model.signal_weights.T * (model.output_unit / model.full_scale)
+        values = signal[area, model.channel_map(area.shape)] * (table.white_level - table.black_level) + table.black_level
+        whole = np.clip(np.floor(values + rng.random(values.shape)), 0, table.white_level).astype(np.uint16)
+        frame = RawFrame("plain areas", whole, table.black_level, table.white_level)
+        made = lab(np.stack([areas(plane) for plane in renderer.outputs(frame)], axis=-1), white)
+        true = np.diff(lab(lit @ weights.T, white), axis=0)
+        step = delta_e_2000(made[1:], made[:-1] + true)
+        changes = np.diff(areas(table.first.rule.split(renderer.labels(frame)).kind)) != 0
+        seams += step[changes].tolist()
+        elsewhere += step[~changes].tolist()
+    for name, steps in (("chroma changes", seams), ("elsewhere", elsewhere)):
+        figures, over = np.percentile(steps, [50, 95, 100]).round(2), np.mean(np.array(steps) > 1)
+        print(f"{name:15} {len(steps):6} steps, ΔE00 median, 95 %, largest {figures}, above 1: {over:.1%}")
+    assert np.median(seams) < 0.7
+    assert np.percentile(elsewhere, 95) < 0.2
