@@ -115,9 +115,7 @@ def plain(message: str, recipe: type[Recipe], content: Any) -> str:
     place = f"[{table}]" if table else "the top level"
     line = f"{what} {'in' if table else 'at'} {place}"
     wrong = re.fullmatch(r"unknown key `(.*)`|Invalid(?: enum)? value '(.*)'", what)
-    known: tuple[str, ...] = ()
-    if wrong:
-        known = _keys(recipe, table, _value_at(content, where)) if wrong[2] is None else _values(recipe, table)
+    known = (_keys(recipe, table) if wrong[2] is None else _values(recipe, table)) if wrong else ()
     return f"{line}; {suggestion(wrong[1] or wrong[2] or '', known)}" if wrong and known else line
 
 
@@ -141,10 +139,9 @@ def _value_at(content: Any, where: str) -> Any:
     return content
 
 
-def _keys(recipe: type[Recipe], table: str, content: dict[Any, Any]) -> tuple[str, ...]:
-    """The keys that a table of a recipe, such as "scene[2].lens", may have, where a tag chooses as what its content says."""
-    every = _tables(recipe, table)
-    tables = [each for each in every if content.get(each.__struct_config__.tag_field) == each.__struct_config__.tag] or every
+def _keys(recipe: type[Recipe], table: str) -> tuple[str, ...]:
+    """The keys that a table of a recipe, such as "scene[2].lens", may have."""
+    tables = _tables(recipe, table)
     tags = [each.__struct_config__.tag_field for each in tables if each.__struct_config__.tag_field]
     return tuple(dict.fromkeys(tags + [field.encode_name for each in tables for field in msgspec.structs.fields(each)]))
 

@@ -1,6 +1,5 @@
 """Recipes: every key typed, every mistake one line that names file, key and table."""
 
-import re
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,6 @@ from l3cli.artifacts.camera_recipe import CameraRecipe, camera_files, load_camer
 from l3cli.config import load_recipe
 from l3cli.curve_file import read_table
 from l3cli.errors import InputFileError, RecipeError
-from l3cli.simulation.recipe import SceneRecipe
 from tests.helpers.cameras import bayer_camera
 from tests.helpers.paths import CONFIGS
 
@@ -40,21 +38,6 @@ def test_a_wrong_recipe_is_refused(tmp_path: Path, old: str, new: str, message: 
         load_camera(path)
     assert message in str(caught.value)
     assert str(path) in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("key", "cure"),
-    [
-        ("shrink", "there are source, crop"),  # a key of pictures, which cubes do not have
-        ("shrnk", "there are source, crop"),
-        ("axis", 'did you mean "axes"?'),
-    ],
-)
-def test_an_unknown_key_is_answered_with_those_of_its_kind_of_scene(tmp_path: Path, key: str, cure: str) -> None:
-    path = tmp_path / "scenes.toml"
-    path.write_text(f'[[scene]]\nsource = "cube"\nfile = "cube.mat"\n{key} = 2\n')
-    with pytest.raises(RecipeError, match=re.escape(f"unknown key `{key}` in [scene[1]]; {cure}")):
-        load_recipe(path, SceneRecipe)
 
 
 PHASE = 'name = "shifted"\nbase = "whole.toml"\nphase = [1, 0]\n'
